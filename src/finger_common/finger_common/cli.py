@@ -1,0 +1,57 @@
+"""Conventions of all commands: exit codes, error lines, help with an example.
+
+Exit codes: 0 done; 1 done, but a check it made fails; 2 bad input; 130 ended by Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable, Sequence
+
+from .errors import FingerError
+
+EXIT_BAD_INPUT = 2
+EXIT_INTERRUPTED = 130
+
+
+class Parser(argparse.ArgumentParser):
+    """ArgumentParser that keeps the layout of an example given as epilog and never abbreviates options."""
+
+    def __init__(self, *args: object, example: str | None = None, **kwargs: object) -> None:
+        kwargs.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
+        kwargs.setdefault("allow_abbrev", False)
+        if example is not None:
+            kwargs["epilog"] = "example:\n  " + example.strip().replace("\n", "\n  ")
+        super().__init__(*args, **kwargs)  # type: ignore[arg-type]
+
+
+def one_line(error: BaseException) -> str:
+    """The error's message folded into one line."""
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def run(
+    main: Callable[[Sequence[str] | None], int | None], argv: Sequence[str] | None = None
+) -> int:
+    """Run a command's main function and return its exit code.
+
+    A FingerError becomes one line on standard error and exit code 2; Ctrl-C gives 130; a closed pipe (as in
+    `… | head`) ends quietly. Other exceptions are defects and keep their traceback.
+
+    Example: ``sys.exit(run(main))``.
+    """
+    name = os.path.basename(sys.argv[0]) or "finger"
+    try:
+        return main(argv) or 0
+    except FingerError as error:
+        print(f"{name}: {one_line(error)}", file=sys.stderr)
+        return EXIT_BAD_INPUT
+    except KeyboardInterrupt:
+        print(f"{name}: interrupted", file=sys.stderr)
+        return EXIT_INTERRUPTED
+    except BrokenPipeError:
+        # The reader went away; keep the interpreter from complaining when it flushes at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0

@@ -1,0 +1,132 @@
+"""Health of a source of data: rates, counters and faults, without ROS.
+
+A fault is reported for logging once when it begins, then only counted; it ends when the source calls
+`recovered`. The shell turns a `Health` into a DiagnosticStatus once a second.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+OK, WARN, ERROR, STALE = 0, 1, 2, 3
+"""Levels of diagnostic_msgs/DiagnosticStatus."""
+
+
+@dataclass
+class HealthReport:
+    """What one look at a `Health` says; `level` is OK, WARN, ERROR or STALE."""
+
+    level: int
+    message: str
+    hardware_id: str
+    values: dict[str, str] = field(default_factory=dict)
+
+
+class Health:
+    """Thread-safe counters and faults of one source.
+
+    expected_rate: samples per second, None where there is no fixed rate.
+    rate_tolerance: relative deviation of the measured rate that is still OK.
+    stale_after: seconds without a sample until the source counts as silent, None for never.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        hardware_id: str = "",
+        expected_rate: float | None = None,
+        rate_tolerance: float = 0.2,
+        stale_after: float | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.name = name
+        self.hardware_id = hardware_id
+        self.expected_rate = expected_rate
+        self.rate_tolerance = rate_tolerance
+        self.stale_after = stale_after
+        self.state = "unconfigured"
+        self.counters: Counter[str] = Counter()
+        self.notes: dict[str, str] = {}
+        self.last_error = ""
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._faults: dict[str, tuple[int, str]] = {}
+        self._count = 0
+        self._last_sample: float | None = None
+        self._since: tuple[float, int] | None = None
+
+    def sample(self, number: int = 1) -> None:
+        """Count good samples."""
+        with self._lock:
+            self._count += number
+            self._last_sample = self._clock()
+            if self._since is None:
+                self._since = (self._last_sample, self._count)
+
+    def count(self, what: str, number: int = 1) -> None:
+        """Count an event, such as "lost", "late", "malformed", "saturated"."""
+        with self._lock:
+            self.counters[what] += number
+
+    def fault(self, key: str, message: str, level: int = ERROR) -> bool:
+        """Note a fault; true when it is new, so that the caller logs it once."""
+        with self._lock:
+            new = key not in self._faults
+            self._faults[key] = (level, message)
+            self.counters[key] += 1
+            self.last_error = message
+            return new
+
+    def recovered(self, key: str | None = None) -> bool:
+        """End one fault, or all; true when there was one to end."""
+        with self._lock:
+            if key is None:
+                had = bool(self._faults)
+                self._faults.clear()
+                return had
+            return self._faults.pop(key, None) is not None
+
+    @property
+    def faults(self) -> dict[str, str]:
+        """Faults that last, by key."""
+        with self._lock:
+            return {key: message for key, (_, message) in self._faults.items()}
+
+    def report(self) -> HealthReport:
+        """State now; the measured rate is that since the last report."""
+        with self._lock:
+            now = self._clock()
+            rate = None
+            if self._since is not None and now > self._since[0]:
+                rate = (self._count - self._since[1]) / (now - self._since[0])
+                self._since = (now, self._count)
+            age = None if self._last_sample is None else now - self._last_sample
+            level, message = OK, self.state
+            if self._faults:
+                level, message = max(self._faults.values(), key=lambda fault: fault[0])
+            elif self.state == "active":
+                if self.stale_after is not None and (age is None or age > self.stale_after):
+                    silent = "no sample yet" if age is None else f"no sample for {age:.1f} s"
+                    level, message = ERROR, silent
+                elif (
+                    self.expected_rate
+                    and rate is not None
+                    and abs(rate / self.expected_rate - 1) > self.rate_tolerance
+                ):
+                    level = WARN
+                    message = f"rate {rate:.1f} Hz, expected {self.expected_rate:.1f} Hz"
+            values = {"state": self.state, "samples": str(self._count)}
+            if rate is not None:
+                values["measured_rate_hz"] = f"{rate:.2f}"
+            if self.expected_rate:
+                values["expected_rate_hz"] = f"{self.expected_rate:.2f}"
+            if age is not None:
+                values["last_sample_age_s"] = f"{age:.3f}"
+            values.update({key: str(number) for key, number in sorted(self.counters.items())})
+            values.update(self.notes)
+            values["last_error"] = self.last_error
+            return HealthReport(level, message, self.hardware_id, values)

@@ -1,0 +1,368 @@
+"""The rclpy shell that every node of the suite shares.
+
+`LifecycleShell` declares a described `ParameterTable`, refuses bad values with a reason, publishes `/diagnostics`
+at 1 Hz, brings itself up when `autostart` is true and maps errors of the core to failed transitions with one
+sentence in the log. A node overrides `configure`, `activate`, `deactivate` and `cleanup`, which raise a FingerError
+to refuse.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import traceback
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import (
+    PublisherEventCallbacks,
+    SubscriptionEventCallbacks,
+)
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter as RosParameter
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+from .cli import EXIT_BAD_INPUT, one_line
+from .diagnostics import WARN, Health
+from .errors import FingerError, InputError
+from .parameters import Parameter, ParameterTable
+
+COMMON_PARAMETERS = ParameterTable(
+    Parameter(
+        "autostart",
+        True,
+        "Configure and activate at start; false where a launch file or manager brings the node up.",
+    ),
+    Parameter(
+        "qos_reliability",
+        "best_effort",
+        "Reliability of the streams this node publishes and subscribes to.",
+        choices=("best_effort", "reliable"),
+        advice="A reliable subscriber never connects to a best-effort publisher.",
+    ),
+    Parameter(
+        "qos_depth",
+        200,
+        "Samples a stream keeps for a slow reader.",
+        minimum=1,
+        maximum=100000,
+    ),
+)
+
+LATCHED_QOS = QoSProfile(
+    depth=10,
+    history=HistoryPolicy.KEEP_LAST,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+"""QoS of `trial` and `model_events`: late joiners receive what was said before."""
+
+
+class LifecycleShell(LifecycleNode):
+    """Lifecycle node with described parameters, health and autostart.
+
+    Class attributes: TABLE (ParameterTable of the node's own parameters) and NAME (default node name).
+    `self.values` holds the checked parameters from `configure` on; `self.healths` lists what `/diagnostics` shows.
+    """
+
+    TABLE: ParameterTable = ParameterTable()
+    NAME = "node"
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(self.NAME, **options)
+        self.healths: list[Health] = []
+        self.values: dict[str, Any] = {}
+        self._live = False
+        self._active = False
+        self._all = COMMON_PARAMETERS + self.TABLE
+        for parameter in self._all:
+            self.declare_parameter(
+                parameter.name,
+                parameter.default,
+                ParameterDescriptor(
+                    description=f"{parameter.meaning} {parameter.range_text()}".strip(),
+                    additional_constraints=parameter.range_text(),
+                    dynamic_typing=True,
+                ),
+            )
+        self.add_on_set_parameters_callback(self._on_set_parameters)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        # Steady time: diagnostics go on when simulated time stands still or jumps.
+        self._diagnostics_timer = self.create_timer(
+            1.0, self.publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
+
+    # What a node overrides -------------------------------------------------------------------
+
+    def configure(self) -> None:
+        """Connect and check; raises FingerError to refuse."""
+
+    def activate(self) -> None:
+        """Begin to publish; raises FingerError to refuse."""
+
+    def deactivate(self) -> None:
+        """Stop publishing; the source stays connected."""
+
+    def cleanup(self) -> None:
+        """Release everything `configure` took. Also called after a failed `configure`."""
+
+    def parameters_changed(self, changes: dict[str, Any]) -> None:
+        """Take over changed run-time parameters; raises FingerError to refuse all of them."""
+
+    # Parameters ------------------------------------------------------------------------------
+
+    def read_parameters(self) -> dict[str, Any]:
+        """Checked values of all parameters; raises InputError."""
+        values = {p.name: self.get_parameter(p.name).value for p in self._all}
+        return self._all.check(values)
+
+    def _on_set_parameters(self, parameters: Sequence[RosParameter]) -> SetParametersResult:
+        try:
+            changes = {}
+            for ros_parameter in parameters:
+                if ros_parameter.name not in self._all:
+                    continue
+                described = self._all[ros_parameter.name]
+                changes[described.name] = described.check(ros_parameter.value)
+                if self._live and not described.runtime:
+                    raise InputError(
+                        f"parameter '{described.name}' can be changed only before the node is "
+                        "configured; deactivate and clean up first"
+                    )
+            if self._live and changes:
+                self.parameters_changed(changes)
+                self.values.update(changes)
+        except FingerError as error:
+            return SetParametersResult(successful=False, reason=one_line(error))
+        return SetParametersResult(successful=True)
+
+    # Quality of service ----------------------------------------------------------------------
+
+    def stream_qos(self, depth: int | None = None) -> QoSProfile:
+        """QoS of a data stream, as the node's parameters say."""
+        reliable = self.values["qos_reliability"] == "reliable"
+        return QoSProfile(
+            depth=depth or self.values["qos_depth"],
+            history=HistoryPolicy.KEEP_LAST,
+            reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        )
+
+    def create_stream_publisher(self, message_type: Any, topic: str, qos: QoSProfile) -> Any:
+        """Publisher that reports subscribers whose QoS does not fit."""
+        events = PublisherEventCallbacks(
+            incompatible_qos=lambda event: self._report_mismatch(topic, "subscriber")
+        )
+        return self.create_publisher(message_type, topic, qos, event_callbacks=events)
+
+    def create_stream_subscription(
+        self, message_type: Any, topic: str, callback: Any, qos: QoSProfile, **options: Any
+    ) -> Any:
+        """Subscription that reports publishers whose QoS does not fit."""
+        events = SubscriptionEventCallbacks(
+            incompatible_qos=lambda event: self._report_mismatch(topic, "publisher")
+        )
+        return self.create_subscription(
+            message_type, topic, callback, qos, event_callbacks=events, **options
+        )
+
+    def _report_mismatch(self, topic: str, who: str) -> None:
+        message = (
+            f"a {who} of '{topic}' has a QoS that does not fit and gets or gives no data; "
+            "set qos_reliability alike on both sides"
+        )
+        health = self.healths[0] if self.healths else None
+        if health is None or health.fault("qos_mismatch", message, WARN):
+            self.get_logger().warning(message)
+
+    # Diagnostics -----------------------------------------------------------------------------
+
+    def publish_diagnostics(self) -> None:
+        """One DiagnosticStatus per health."""
+        if not self.healths:
+            return
+        array = DiagnosticArray()
+        array.header.stamp = self.get_clock().now().to_msg()
+        for health in self.healths:
+            report = health.report()
+            array.status.append(
+                DiagnosticStatus(
+                    level=bytes([report.level]),
+                    name=f"{self.get_fully_qualified_name().lstrip('/')}: {health.name}",
+                    message=report.message,
+                    hardware_id=report.hardware_id,
+                    values=[KeyValue(key=k, value=v) for k, v in report.values.items()],
+                )
+            )
+        try:
+            self._diagnostics.publish(array)
+        except Exception:
+            if rclpy.ok(context=self.context):
+                raise
+
+    def log_fault(self, health: Health, key: str, message: str, level: int = 2) -> None:
+        """Note a fault and log it if it is new."""
+        if health.fault(key, message, level):
+            self.get_logger().error(message) if level >= 2 else self.get_logger().warning(message)
+
+    # Lifecycle -------------------------------------------------------------------------------
+
+    def bring_up(self) -> bool:
+        """Configure and activate; true when both succeeded."""
+        if self.trigger_configure() != TransitionCallbackReturn.SUCCESS:
+            return False
+        return self.trigger_activate() == TransitionCallbackReturn.SUCCESS
+
+    @property
+    def autostart(self) -> bool:
+        """Whether the node brings itself up."""
+        return bool(self.get_parameter("autostart").value)
+
+    def _attempt(self, what: str, *actions: Any) -> bool:
+        for action in actions:
+            try:
+                action()
+            except FingerError as error:
+                self.get_logger().error(f"{what} failed: {one_line(error)}")
+                return False
+            except Exception:
+                # rclpy turns it into a failed transition without a word; a defect must be seen.
+                self.get_logger().error(f"{what} failed:\n{traceback.format_exc()}")
+                raise
+        return True
+
+    def _set_state(self, state: str) -> None:
+        for health in self.healths:
+            health.state = state
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        def read() -> None:
+            self.values = self.read_parameters()
+
+        if not self._attempt("configure", read, self.configure):
+            self._attempt("cleanup", self.cleanup)
+            return TransitionCallbackReturn.FAILURE
+        self._live = True
+        self._set_state("inactive")
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        if not self._attempt("activate", self.activate):
+            return TransitionCallbackReturn.FAILURE
+        self._active = True
+        self._set_state("active")
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._active = False
+        self._set_state("inactive")
+        if not self._attempt("deactivate", self.deactivate):
+            return TransitionCallbackReturn.ERROR
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._live = False
+        self._set_state("unconfigured")
+        ok = self._attempt("cleanup", self.cleanup)
+        return TransitionCallbackReturn.SUCCESS if ok else TransitionCallbackReturn.ERROR
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self.release()
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self.release()
+        return TransitionCallbackReturn.SUCCESS
+
+    def release(self) -> None:
+        """Deactivate and clean up whatever the state."""
+        if self._live:
+            self._live = False
+            if self._active:
+                self._active = False
+                self._attempt("deactivate", self.deactivate)
+            self._attempt("cleanup", self.cleanup)
+            self._set_state("finalized")
+
+    def _LifecycleNodeMixin__on_change_state(self, request: Any, response: Any) -> Any:
+        # rclpy lets a transition that the present state does not have end the process.
+        available = {transition[0] for transition in self._state_machine.available_transitions}
+        if not request.transition.label and request.transition.id not in available:
+            response.success = False
+            return response
+        return super()._LifecycleNodeMixin__on_change_state(request, response)  # type: ignore[misc]
+
+
+def use_large_shared_memory() -> None:
+    """Let Fast DDS pass whole images through shared memory, unless the environment says how to run it.
+
+    To be called before rclpy.init by a process that publishes images. A transport of one's own in the environment
+    (FASTRTPS_DEFAULT_PROFILES_FILE, FASTDDS_BUILTIN_TRANSPORTS) takes precedence.
+    """
+    if "FASTDDS_BUILTIN_TRANSPORTS" not in os.environ:
+        profile = Path(__file__).with_name("data") / "fastdds.xml"
+        os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(profile))
+
+
+def run_node(node_class: type[LifecycleShell], argv: Sequence[str] | None = None) -> int:
+    """Run one node until it is told to stop; returns the exit code.
+
+    A configuration that fails leaves the node up, unconfigured, so that parameters can be corrected and the
+    transition tried again. SIGINT and SIGTERM end it with the device released.
+    """
+    use_large_shared_memory()
+    try:
+        rclpy.init(args=list(argv) if argv is not None else None)
+    except Exception as error:
+        print(
+            f"{node_class.NAME}: ROS arguments cannot be used ({one_line(error)}); "
+            "check the parameter file and --ros-args",
+            file=sys.stderr,
+        )
+        return EXIT_BAD_INPUT
+    node: LifecycleShell | None = None
+    executor = SingleThreadedExecutor()
+    try:
+        node = node_class()
+        executor.add_node(node)
+        if node.autostart:
+            node.bring_up()
+        executor.spin()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except FingerError as error:
+        print(f"{node_class.NAME}: {one_line(error)}", file=sys.stderr)
+        return EXIT_BAD_INPUT
+    except Exception:
+        # A take that Ctrl-C interrupts fails in rclpy after the context is gone; that is an end, not a defect.
+        if rclpy.ok():
+            raise
+    finally:
+        # A second Ctrl-C during release would leave devices open.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        if node is not None:
+            node.release()
+            executor.remove_node(node)
+            node.destroy_node()
+        executor.shutdown()
+        rclpy.try_shutdown()
+        sys.stdout.flush()
+        sys.stderr.flush()
+    return 0
+
+
+def main_of(node_class: type[LifecycleShell]) -> Any:
+    """`main` function of a node's executable."""
+
+    def main(argv: Sequence[str] | None = None) -> None:
+        code = run_node(node_class, argv)
+        # Daemon threads of the middleware can hang at interpreter exit.
+        os._exit(code)
+
+    return main

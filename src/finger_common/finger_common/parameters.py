@@ -1,0 +1,118 @@
+"""Described parameters: one table per node that declares, checks and documents them.
+
+A `Parameter` says name, default, unit, range or choices, meaning and whether it may change while the node is
+active. A `ParameterTable` checks values against it and renders the node reference. No ROS here; the shell in
+`finger_common.node` declares a table on an rclpy node.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from .errors import InputError
+
+_TYPES = {bool: "boolean", int: "integer", float: "number", str: "text", list: "list"}
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter. The type is that of `default` (bool, int, float, str, or a list of one of these)."""
+
+    name: str
+    default: Any
+    meaning: str
+    unit: str = ""
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: tuple[Any, ...] | None = None
+    runtime: bool = False
+    """May be changed while the node is active."""
+    advice: str = ""
+    """What to try with it when in trouble."""
+
+    def check(self, value: Any) -> Any:
+        """The value in the parameter's type; raises InputError with key, value and what is allowed."""
+        kind = type(self.default)
+        if kind is float and isinstance(value, int) and not isinstance(value, bool):
+            value = float(value)
+        if kind is list:
+            value = (
+                list(value) if isinstance(value, Sequence) and not isinstance(value, str) else value
+            )
+        if type(value) is not kind:
+            raise InputError(f"parameter '{self.name}' is {value!r}, {_TYPES[kind]} is needed")
+        for item in value if kind is list else [value]:
+            if isinstance(item, float) and not math.isfinite(item):
+                raise InputError(f"parameter '{self.name}' is {item}, a finite number is needed")
+            if self.choices is not None and item not in self.choices:
+                allowed = ", ".join(map(str, self.choices))
+                raise InputError(f"parameter '{self.name}' is {item!r}, choose one of {allowed}")
+            low = self.minimum is not None and item < self.minimum
+            high = self.maximum is not None and item > self.maximum
+            if low or high:
+                raise InputError(
+                    f"parameter '{self.name}' is {item}, outside {self.range_text()}; correct it"
+                )
+        return value
+
+    def range_text(self) -> str:
+        """Allowed values in words, e.g. "0 … 130 a.u."."""
+        if self.choices is not None:
+            return ", ".join(map(str, self.choices))
+        if self.minimum is None and self.maximum is None:
+            return ""
+        low = "" if self.minimum is None else f"{self.minimum:g}"
+        high = "" if self.maximum is None else f"{self.maximum:g}"
+        unit = f" {self.unit}" if self.unit else ""
+        if not low:
+            return f"≤ {high}{unit}"
+        if not high:
+            return f"≥ {low}{unit}"
+        return f"{low} … {high}{unit}"
+
+
+class ParameterTable:
+    """Ordered set of parameters, looked up by name."""
+
+    def __init__(self, *parameters: Parameter) -> None:
+        self._parameters = {p.name: p for p in parameters}
+        if len(self._parameters) != len(parameters):
+            raise ValueError("a parameter is described twice")
+        for parameter in parameters:
+            parameter.check(parameter.default)
+
+    def __iter__(self) -> Iterator[Parameter]:
+        return iter(self._parameters.values())
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._parameters
+
+    def __getitem__(self, name: str) -> Parameter:
+        return self._parameters[name]
+
+    def __add__(self, other: ParameterTable) -> ParameterTable:
+        return ParameterTable(*self, *other)
+
+    def check(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """All values, defaults filled in; raises InputError for an unknown name or a bad value."""
+        for name in values:
+            if name not in self._parameters:
+                known = ", ".join(self._parameters)
+                raise InputError(f"parameter '{name}' does not exist; known are {known}")
+        return {p.name: p.check(values.get(p.name, p.default)) for p in self}
+
+    def markdown(self) -> str:
+        """Table for the node reference."""
+        lines = ["| parameter | default | range | meaning |", "|---|---|---|---|"]
+        for p in self:
+            unit = f" {p.unit}" if p.unit else ""
+            default = "`[]`" if p.default == [] else f"`{p.default!r}`{unit}"
+            note = " Changeable while active." if p.runtime else ""
+            advice = f" {p.advice}" if p.advice else ""
+            lines.append(
+                f"| `{p.name}` | {default} | {p.range_text()} | {p.meaning}{note}{advice} |"
+            )
+        return "\n".join(lines)

@@ -1,0 +1,121 @@
+"""Small files: nothing half-written, every complaint names the place and the remedy."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from finger_common import cli, files
+from finger_common.errors import InputError
+
+
+def test_atomic_write_replaces_only_when_the_block_succeeds(tmp_path: Path) -> None:
+    path = tmp_path / "sub" / "a.txt"
+    with files.atomic_write(path) as file:
+        file.write("one")
+    with pytest.raises(ZeroDivisionError), files.atomic_write(path) as file:
+        file.write("two")
+        raise ZeroDivisionError
+    assert path.read_text() == "one"
+    assert os.listdir(path.parent) == ["a.txt"]
+
+
+def test_atomic_write_names_a_folder_that_is_a_file(tmp_path: Path) -> None:
+    (tmp_path / "f").write_text("")
+    with (
+        pytest.raises(InputError, match="writable folder"),
+        files.atomic_write(tmp_path / "f" / "a"),
+    ):
+        pass
+
+
+def test_csv_columns_are_found_by_name_in_any_order(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("# made by hand\nforce_n, extra,time_s\n1.5,x,0\n\n2.5,y,0.1\n")
+    table = files.read_csv(path, ["time_s", "force_n"])
+    np.testing.assert_array_equal(table["time_s"], [0.0, 0.1])
+    np.testing.assert_array_equal(table["force_n"], [1.5, 2.5])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", ["empty", "time_s,force_n"]),
+        ("time_s,force_n\n", ["no rows"]),
+        ("t,force_n\n0,1\n", ["line 1", "'time_s'", "header"]),
+        ("time_s,force_n\n0,1\n0.1,nan\n", ["line 3", "'nan'", "'force_n'"]),
+        ("time_s,force_n\n0,1\n0.1\n", ["line 3", "'force_n'"]),
+        ("time_s,force_n\n0,inf\n", ["line 2", "'inf'"]),
+    ],
+)
+def test_bad_csv_is_refused_with_file_line_and_column(
+    tmp_path: Path, text: str, words: list[str]
+) -> None:
+    path = tmp_path / "bad.csv"
+    path.write_text(text)
+    with pytest.raises(InputError) as error:
+        files.read_csv(path, ["time_s", "force_n"])
+    for word in ["bad.csv", *words]:
+        assert word in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "word"), [("[:", "not valid YAML"), ("- 1\n", "list"), ("a: [1", "line")]
+)
+def test_bad_yaml_is_refused_with_the_file_named(tmp_path: Path, text: str, word: str) -> None:
+    path = tmp_path / "p.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=word) as error:
+        files.load_yaml(path)
+    assert "p.yaml" in str(error.value)
+
+
+def test_binary_in_place_of_yaml_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "p.yaml"
+    path.write_bytes(b"\xff\xfe\x00\x89PNG")
+    with pytest.raises(InputError, match="UTF-8"):
+        files.load_yaml(path)
+
+
+def test_numbers_written_the_yaml_1_2_way_count() -> None:
+    data = files.parse_yaml("a: 1e5\nb: 2\nc: true\nd: .nan\n", "here")
+    assert files.number(data, "a", "here") == 1e5
+    assert files.number(data, "b", "here") == 2.0
+    for key in ("c", "d", "missing"):
+        with pytest.raises(InputError, match=key):
+            files.number(data, key, "here")
+
+
+def test_hash_is_independent_of_the_order_of_keys() -> None:
+    assert files.sha256_of({"a": 1, "b": 2}) == files.sha256_of({"b": 2, "a": 1})
+    assert files.sha256_of({"a": 1}) != files.sha256_of({"a": 2})
+
+
+def test_cli_turns_errors_into_one_line_and_exit_codes(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.argv", ["/usr/bin/finger-x"])
+
+    def bad(argv: object) -> int:
+        raise InputError("a.csv, line 3:\n 'x' is not a number; correct it")
+
+    assert cli.run(bad) == 2
+    assert capsys.readouterr().err == "finger-x: a.csv, line 3: 'x' is not a number; correct it\n"
+
+    def interrupted(argv: object) -> int:
+        raise KeyboardInterrupt
+
+    assert cli.run(interrupted) == 130
+    assert cli.run(lambda argv: 1) == 1
+    assert cli.run(lambda argv: None) == 0
+
+
+def test_help_shows_the_example(capsys: pytest.CaptureFixture[str]) -> None:
+    parser = cli.Parser(prog="finger-x", example="finger-x --force f.csv")
+    with pytest.raises(SystemExit) as exit_info:
+        parser.parse_args(["--help"])
+    assert exit_info.value.code == 0
+    assert "example:\n  finger-x --force f.csv" in capsys.readouterr().out

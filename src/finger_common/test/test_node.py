@@ -1,0 +1,149 @@
+"""The node shell over real DDS, in a process of its own."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+NODE = """
+import sys
+from std_msgs.msg import Float64
+from finger_common.diagnostics import Health
+from finger_common.errors import InputError
+from finger_common.node import LifecycleShell, run_node
+from finger_common.parameters import Parameter, ParameterTable
+
+class Gauge(LifecycleShell):
+    NAME = "gauge"
+    TABLE = ParameterTable(
+        Parameter("gain", 1.0, "Gain.", minimum=0.0, maximum=10.0, runtime=True),
+        Parameter("port", "a", "Port."),
+    )
+    def configure(self):
+        if self.values["port"] == "missing":
+            raise InputError("port 'missing': no such device; plug it in")
+        self.healths = [Health("gauge", "no. 7")]
+        self.publisher = self.create_stream_publisher(Float64, "value", self.stream_qos())
+    def activate(self):
+        self.timer = self.create_timer(0.02, lambda: self.publisher.publish(Float64(data=self.values["gain"])))
+    def deactivate(self):
+        self.destroy_timer(self.timer)
+
+sys.exit(run_node(Gauge))
+"""
+
+
+def wait_for(condition: Callable[[], Any], spin: Callable[[], None], seconds: float = 20) -> Any:
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        spin()
+        result = condition()
+        if result:
+            return result
+    raise AssertionError("nothing came in time")
+
+
+@pytest.fixture
+def observer(ros_domain: int) -> Any:
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=ros_domain)
+    node = rclpy.create_node("observer", context=context)
+    executor = rclpy.executors.SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    yield node, lambda: executor.spin_once(timeout_sec=0.05)
+    executor.shutdown()
+    node.destroy_node()
+    rclpy.shutdown(context=context)
+
+
+def call(node: Any, spin: Callable[[], None], kind: Any, name: str, request: Any) -> Any:
+    client = node.create_client(kind, name)
+    wait_for(client.service_is_ready, spin)
+    future = client.call_async(request)
+    wait_for(future.done, spin)
+    return future.result()
+
+
+def test_shell_publishes_checks_parameters_reports_and_ends_cleanly(
+    observer: Any, process: Any, tmp_path: Path
+) -> None:
+    from diagnostic_msgs.msg import DiagnosticArray
+    from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+    from rcl_interfaces.srv import SetParameters
+    from rclpy.qos import qos_profile_sensor_data
+    from std_msgs.msg import Float64
+
+    node, spin = observer
+    values: list[float] = []
+    states: list[Any] = []
+    node.create_subscription(
+        Float64, "value", lambda m: values.append(m.data), qos_profile_sensor_data
+    )
+    node.create_subscription(DiagnosticArray, "/diagnostics", states.append, 10)
+    script = tmp_path / "gauge.py"
+    script.write_text(NODE)
+    child = process(script)
+    wait_for(lambda: values, spin)
+    assert values[-1] == 1.0
+
+    def set_parameter(name: str, **value: Any) -> Any:
+        kind = ParameterType.PARAMETER_DOUBLE if "double_value" in value else 4
+        request = SetParameters.Request(
+            parameters=[Parameter(name=name, value=ParameterValue(type=kind, **value))]
+        )
+        return call(node, spin, SetParameters, "/gauge/set_parameters", request).results[0]
+
+    assert set_parameter("gain", double_value=2.5).successful
+    wait_for(lambda: values[-1] == 2.5, spin)
+    refused = set_parameter("gain", double_value=11.0)
+    assert not refused.successful and "0 … 10" in refused.reason
+    refused = set_parameter("port", string_value="b")
+    assert not refused.successful and "deactivate" in refused.reason
+
+    status = wait_for(lambda: states, spin)[-1].status[0]
+    assert status.name == "gauge: gauge" and status.hardware_id == "no. 7"
+    assert {v.key: v.value for v in status.values}["state"] == "active"
+    child.send_signal(signal.SIGINT)
+    assert child.wait(10) == 0, child.output.read_text()
+
+
+def test_failed_configuration_leaves_the_node_up_to_try_again(
+    observer: Any, process: Any, tmp_path: Path
+) -> None:
+    from lifecycle_msgs.msg import State, Transition
+    from lifecycle_msgs.srv import ChangeState, GetState
+    from rcl_interfaces.msg import Parameter, ParameterValue
+    from rcl_interfaces.srv import SetParameters
+
+    node, spin = observer
+    script = tmp_path / "gauge.py"
+    script.write_text(NODE)
+    child = process(script, "--ros-args", "-p", "port:=missing")
+    state = call(node, spin, GetState, "/gauge/get_state", GetState.Request())
+    assert state.current_state.id == State.PRIMARY_STATE_UNCONFIGURED
+    assert "configure failed: port 'missing'" in child.output.read_text()
+    value = ParameterValue(type=4, string_value="a")
+    request = SetParameters.Request(parameters=[Parameter(name="port", value=value)])
+    assert call(node, spin, SetParameters, "/gauge/set_parameters", request).results[0].successful
+    change = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_CONFIGURE))
+    assert call(node, spin, ChangeState, "/gauge/change_state", change).success
+
+
+def test_parameter_file_that_is_not_yaml_ends_with_one_sentence(
+    ros_domain: int, process: Any, tmp_path: Path
+) -> None:
+    script = tmp_path / "gauge.py"
+    script.write_text(NODE)
+    bad = tmp_path / "bad.yaml"
+    bad.write_text("[:")
+    child = process(script, "--ros-args", "--params-file", bad)
+    assert child.wait(20) == 2
+    output = child.output.read_text()
+    assert "bad.yaml" in output and "Traceback" not in output
