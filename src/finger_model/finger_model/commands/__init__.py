@@ -1,0 +1,1 @@
+"""Subcommands of `finger-model`, one module each with `add_parser(subparsers)`."""

@@ -1,0 +1,70 @@
+"""`finger-model verify`: the full-order model against what is known."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+from rich.console import Console
+
+from finger_common.errors import InputError
+
+from . import verify_reduced
+
+EXIT_CHECK_FAILS = 1
+
+
+def add_parser(subparsers: argparse._SubParsersAction) -> None:
+    """Add the subcommand."""
+    parser = subparsers.add_parser(
+        "verify",
+        help="measure the model against what is known",
+        description=(
+            "Run the verification of the full-order model: patch tests, orders of convergence, Hertz, Lee–Radok, "
+            "limits, independent reference curves, energy, smoothness, monotonicity and friction. Prints every "
+            "number with its limit; with -o it also writes verification.md and its figures. Exit code 1 if a "
+            "number misses its limit."
+        ),
+        example=(
+            "finger-model verify -o docs\nfinger-model verify hertz calculix\n"
+            "finger-model verify --reduced --error-plot errors.png"
+        ),
+    )
+    parser.add_argument("checks", nargs="*", metavar="CHECK", help="names of checks (default: all)")
+    parser.add_argument("--list", action="store_true", help="list the names and stop")
+    parser.add_argument("-o", "--output", metavar="DIR", help="folder for page and figures")
+    verify_reduced.add_arguments(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Carry out the subcommand."""
+    if arguments.reduced:
+        return verify_reduced.run(arguments)
+    from ..verification.page import CHECKS, write_page
+
+    console = Console(highlight=False)
+    if arguments.list:
+        console.print("\n".join(CHECKS))
+        return 0
+    unknown = [name for name in arguments.checks if name not in CHECKS]
+    if unknown:
+        raise InputError(f"no check '{unknown[0]}'; the checks are {', '.join(CHECKS)}")
+    if arguments.output and arguments.checks:
+        raise InputError("-o writes the page of all checks: leave out the names")
+    done = []
+    for name in arguments.checks or CHECKS:
+        begin = time.perf_counter()
+        check = CHECKS[name]()
+        done.append(check)
+        mark = "[green]passes[/]" if check.passes else "[red]fails[/]"
+        console.print(f"[bold]{check.title}[/] {mark} ({time.perf_counter() - begin:.1f} s)")
+        for measure in check.measures:
+            colour = "" if measure.passes else "[red]"
+            console.print(
+                f"  {colour}{measure.what}: {measure.value:.3g} {measure.unit} ({measure.limit()})"
+            )
+    if arguments.output:
+        console.print(f"written: {write_page(done, Path(arguments.output))}")
+    return 0 if all(check.passes for check in done) else EXIT_CHECK_FAILS

@@ -1,0 +1,405 @@
+"""Equilibrium of a mesh pressed by a rigid, flat, rough plate: Newton's method with an active set.
+
+Contact is exact: a node in contact has the plate's height, its reaction is the contact force, and no contact
+stiffness exists. Nodes that stick keep their radius; nodes that slip feel friction × reaction against their
+motion. The set of open, sticking and slipping nodes is updated with every Newton iteration (semismooth Newton, or
+primal–dual active set: Hüeber, Stadler, Wohlmuth 2008). The symmetric part of the tangent is factorised as a band
+matrix; the plate's height and the unsymmetric rows of slipping nodes enter as a border.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.linalg.blas import dtbsv
+from scipy.linalg.lapack import dpbtrf
+
+from . import elements
+from .mesh import Mesh
+
+OPEN, STICK, SLIP = 0, 1, 2
+
+TOLERANCE = 1e-8
+"""Residual, relative to the plate's force, at which an iteration has converged."""
+ITERATIONS = 40
+
+
+class NotConverged(Exception):
+    """A load step found no equilibrium; the message is the cause."""
+
+
+@dataclass
+class Contact:
+    """State of the skin nodes (S,) against the plate.
+
+    status: OPEN, STICK or SLIP; direction: sign of the radial slip; reference: radius (m) a sticking node keeps;
+    normal, shear: forces of the plate on the nodes (N/rad), up and outwards; height: z of the plate (m).
+    """
+
+    status: np.ndarray
+    direction: np.ndarray
+    reference: np.ndarray
+    normal: np.ndarray
+    shear: np.ndarray
+    height: float
+
+    def copy(self) -> Contact:
+        """Independent copy."""
+        return Contact(
+            self.status.copy(),
+            self.direction.copy(),
+            self.reference.copy(),
+            self.normal.copy(),
+            self.shear.copy(),
+            self.height,
+        )
+
+
+class Tangent:
+    """Linear response of a mesh about a state: factorised stiffness, plate height and friction as a border.
+
+    Takes the band of the last assembly and overwrites it. active, sticking, slipping: indices of skin nodes;
+    pull (S,): friction coefficient times slip direction; loaded: the plate's force is given, not its height.
+    `stable` tells whether the stiffness is positive definite; only then may `respond` be called.
+    """
+
+    def __init__(
+        self,
+        equilibrium: Equilibrium,
+        active: np.ndarray,
+        sticking: np.ndarray,
+        slipping: np.ndarray,
+        pull: np.ndarray,
+        loaded: bool,
+    ) -> None:
+        band = equilibrium.band
+        n = equilibrium.unknowns
+        self.loaded = loaded and len(active) > 0
+        self.zdof = equilibrium.axial[active]
+        self.dofs = np.concatenate([self.zdof, equilibrium.radial[sticking]])
+        self.sdof = equilibrium.radial[slipping]
+        self.slip_row = np.searchsorted(active, slipping)
+        self.pull = pull[slipping]
+        self.rows = np.empty((len(self.dofs), 2 * band.shape[1] - 1))
+        elements.band_rows(band, self.dofs, self.rows)
+        self.rise_column = self.force_of(
+            np.concatenate([np.ones(len(active)), np.zeros(len(sticking))]), n
+        )
+        self.held = np.concatenate([equilibrium.fixed, self.dofs])
+        elements.hold(band, self.held)
+        self.factor, info = dpbtrf(band.T, lower=1, overwrite_ab=1)
+        self.stable = info == 0
+
+    def force_of(self, moves: np.ndarray, unknowns: int | None = None) -> np.ndarray:
+        """Force (n,) of given moves (k,) of the held contact unknowns."""
+        out = np.zeros(unknowns if unknowns is not None else len(self.rise_column))
+        elements.add_rows(self.rows, self.dofs, moves, out)
+        return out
+
+    def respond(
+        self, push: np.ndarray, force: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Moves (m, n), plate rises (m,) and reactions (m, k) at the held contact unknowns.
+
+        push (m, n) are loads on all unknowns; force (m,) is the plate's total force (N/rad), if it is given.
+        """
+        m, slips = len(push), len(self.sdof)
+        right = push.copy()
+        right[:, self.sdof] += self.pull * push[:, self.zdof[self.slip_row]]
+        right[:, self.held] = 0.0
+        # With K = L Lᵀ, products of rows of K with K⁻¹ columns are those of their forward substitutions. Contact
+        # unknowns are the last of the numbering: their vectors are substituted over that end only.
+        start = max(0, int(self.dofs.min(initial=len(self.rise_column))) - self.factor.shape[0])
+        end = np.zeros((1 + 2 * slips, len(self.rise_column) - start))
+        end[0] = self.rise_column[start:]
+        end[1 + np.arange(slips), self.sdof - start] = 1.0
+        elements.copy_rows(self.rows, self.dofs, self.slip_row, start, end[1 + slips :])
+        end[:, self.held[self.held >= start] - start] = 0.0
+        width = self.factor.shape[0] - 1
+        for vector in right:
+            vector[:] = dtbsv(width, self.factor, vector, lower=1)
+        tail = np.ascontiguousarray(end.T)
+        elements.substitute_forward(self.factor.T, start, tail)
+        near = right[:, start:].T
+        by_load = tail[:, : 1 + slips]
+        slip_rows = tail[:, 1 + slips :].T
+        # Small system for the friction increments of slipping nodes and the rise of the plate.
+        small = np.zeros((slips + 1, slips + 1))
+        rhs = np.zeros((slips + 1, m))
+        products = slip_rows @ by_load
+        zslip = self.zdof[self.slip_row]
+        small[:slips, :slips] = np.eye(slips) + self.pull[:, None] * products[:, 1:]
+        small[:slips, slips] = self.pull * (products[:, 0] - self.rise_column[zslip])
+        rhs[:slips] = self.pull[:, None] * (slip_rows @ near)
+        if self.loaded:
+            total = tail[:, 0] @ by_load
+            small[slips, :slips] = -total[1:]
+            small[slips, slips] = self.rise_column[self.zdof].sum() - total[0]
+            rhs[slips] = force + push[:, self.zdof].sum(axis=1) - tail[:, 0] @ near
+        else:
+            small[slips, slips] = 1.0
+        try:
+            unknown = np.linalg.solve(small, rhs)
+        except np.linalg.LinAlgError:
+            raise NotConverged("the linear system is singular") from None
+        rise = unknown[slips]
+        near -= by_load @ np.concatenate([rise[None, :], unknown[:slips]])
+        moves = right
+        for vector in moves:
+            vector[:] = dtbsv(width, self.factor, vector, lower=1, trans=1)
+        moves[:, self.held] = 0.0
+        products = np.empty((len(self.dofs), m))
+        elements.rows_times(self.rows, self.dofs, moves, products)
+        reaction = -push[:, self.dofs] + products.T + rise[:, None] * self.rise_column[self.dofs]
+        moves[:, self.zdof] += rise[:, None]
+        return moves, rise, reaction
+
+
+@dataclass
+class Equilibrium:
+    """Solver for one mesh; all that does not change between solves is kept here."""
+
+    mesh: Mesh
+    residuals: list[float] = field(default_factory=list)
+    """Relative residual of every iteration of the last solve."""
+
+    def __post_init__(self) -> None:
+        mesh = self.mesh
+        self.cells = np.ascontiguousarray(mesh.cells)
+        self.gradient, self.radius, self.weight = elements.reference_operators(
+            mesh.nodes, mesh.cells
+        )
+        self.unknowns = 2 * len(mesh.nodes)
+        self.force = np.zeros(self.unknowns)
+        self.band = np.zeros((self.unknowns, mesh.half_bandwidth + 1))
+        self.fixed = np.flatnonzero(mesh.fixed.ravel())
+        self.radial = 2 * mesh.surface
+        self.axial = 2 * mesh.surface + 1
+        self.guided = mesh.fixed[mesh.surface, 0]
+        """Skin nodes that cannot move radially (on the axis)."""
+
+    def unloaded_contact(self) -> Contact:
+        """No contact, the plate touching the undeformed tip."""
+        n = len(self.mesh.surface)
+        return Contact(
+            np.zeros(n, dtype=np.int64),
+            np.zeros(n),
+            self.mesh.nodes[self.mesh.surface, 0].copy(),
+            np.zeros(n),
+            np.zeros(n),
+            float(self.mesh.nodes[self.mesh.surface, 1].min()),
+        )
+
+    def assemble(
+        self, x: np.ndarray, metric: np.ndarray, bulk: np.ndarray, stiffness: bool = True
+    ) -> float:
+        """Fill `force` (and `band`) at positions x (N, 2); returns the smallest J, not positive if inverted."""
+        return elements.assemble(
+            x,
+            self.cells,
+            self.gradient,
+            elements.SHAPE,
+            self.radius,
+            self.weight,
+            metric,
+            bulk,
+            stiffness,
+            self.force,
+            self.band,
+        )
+
+    def solve(
+        self,
+        x: np.ndarray,
+        contact: Contact,
+        metric: np.ndarray,
+        bulk: np.ndarray,
+        friction: float,
+        load: float | None,
+        height: float | None = None,
+    ) -> tuple[np.ndarray, Contact]:
+        """Positions (N, 2) and contact at a plate force `load` (N) or, if that is None, a plate `height` (m).
+
+        x and contact are the starting guess; contact.reference holds the radii to stick to. metric (E, 4, 4) and
+        bulk (E,) define the material of the step. Raises NotConverged with the cause.
+        """
+        x = x.copy()
+        contact = contact.copy()
+        if height is not None:
+            contact.height = height
+        target = 0.0 if load is None else max(load, 0.0) / (2.0 * math.pi)
+        pressed = height is not None or target > 0.0
+        if not pressed:
+            contact.status[:] = OPEN
+        stiffness_scale = float(metric[:, :, :3].mean()) * self.mesh.nodes[:, 1].min() ** 2
+        length = -float(self.mesh.nodes[:, 1].min())
+        self.residuals = []
+        free = np.ones(self.unknowns, dtype=bool)
+        free[self.fixed] = False
+        changed = True
+        previous = math.inf
+        step: np.ndarray | None = None
+        retreats = 0
+        rise = 0.0
+        for iteration in range(ITERATIONS):
+            smallest = self.assemble(x, metric, bulk)
+            active = np.flatnonzero(contact.status != OPEN)
+            slipping = active[(contact.status[active] == SLIP) & ~self.guided[active]]
+            sticking = active[(contact.status[active] != SLIP) & ~self.guided[active]]
+            zdof = self.axial[active]
+            rdof = self.radial[sticking]
+            sdof = self.radial[slipping]
+            force = self.force
+            gap = contact.height - x[self.mesh.surface[active], 1]
+            drift = contact.reference[sticking] - x[self.mesh.surface[sticking], 0]
+
+            if smallest > 0:
+                residual = -force.copy()
+                residual[sdof] -= (
+                    friction * contact.direction[slipping] * force[self.axial[slipping]]
+                )
+                residual[self.fixed] = 0.0
+                residual[zdof] = 0.0
+                residual[rdof] = 0.0
+                total = float(force[zdof].sum())
+                missing = target - total if load is not None else 0.0
+                scale = max(target, abs(total), 1e-3 * stiffness_scale)
+                norm = math.hypot(float(np.linalg.norm(residual)), missing) / scale
+                mismatch = float(np.abs(np.concatenate([gap, drift, [0.0]])).max()) / length
+            else:
+                norm, mismatch = math.inf, 0.0
+            overshot = step is not None and norm > 4.0 * previous and norm > 1e-3 and not changed
+            tangent = None
+            if math.isfinite(norm) and not overshot:
+                # Rounding of nearly incompressible tissue may end progress a little above the tolerance.
+                stalled = norm < 100.0 * TOLERANCE and norm > 0.3 * previous
+                if (norm < TOLERANCE or stalled) and mismatch < 1e-10 and not changed:
+                    self.residuals.append(norm)
+                    contact.normal[:] = 0.0
+                    contact.shear[:] = 0.0
+                    contact.normal[active] = force[zdof]
+                    contact.shear[active] = force[self.radial[active]]
+                    contact.shear[self.guided] = 0.0
+                    return x, contact
+                tangent = Tangent(
+                    self, active, sticking, slipping, friction * contact.direction, load is not None
+                )
+            if tangent is None or not tangent.stable:
+                # Too long a step: take half of it back.
+                if step is None or retreats >= 6:
+                    raise NotConverged(
+                        "elements turn inside out"
+                        if tangent is None
+                        else "the tangent stiffness is not positive definite (the tissue buckles)"
+                    )
+                retreats += 1
+                step = 0.5 * step
+                x = x - step
+                rise *= 0.5
+                contact.height -= rise
+                continue
+            retreats = 0
+            self.residuals.append(norm)
+            previous = norm
+
+            known = tangent.force_of(np.concatenate([gap, drift]))
+            push = -(force + known)
+            moves, rises, reactions = tangent.respond(push[None, :], np.array([target]))
+            step, rise, reaction = moves[0], float(rises[0]), reactions[0]
+            step[zdof] += gap
+            step[rdof] += drift
+            step = step.reshape(-1, 2)
+            limit = 1.0
+            largest = float(np.abs(step).max())
+            if not math.isfinite(largest):
+                raise NotConverged("the linear system is singular")
+            if largest > 0.1 * length:
+                limit = 0.1 * length / largest
+                step = limit * step
+            rise *= limit
+            x = x + step
+            contact.height += rise
+            changed = False
+            if pressed:
+                changed = self._update_set(
+                    x,
+                    contact,
+                    active,
+                    sticking,
+                    slipping,
+                    reaction,
+                    friction,
+                    scale,
+                    length,
+                    keep_one=load is not None,
+                    settled=norm < 0.05,
+                    one_at_a_time=iteration > 14,
+                )
+        raise NotConverged(f"no convergence in {ITERATIONS} iterations (residual {norm:.1e})")
+
+    def _update_set(
+        self,
+        x: np.ndarray,
+        contact: Contact,
+        active: np.ndarray,
+        sticking: np.ndarray,
+        slipping: np.ndarray,
+        reaction: np.ndarray,
+        friction: float,
+        scale: float,
+        length: float,
+        keep_one: bool,
+        settled: bool,
+        one_at_a_time: bool,
+    ) -> bool:
+        """Move nodes between open, sticking and slipping; True if any moved."""
+        surface = self.mesh.surface
+        status = contact.status
+        before = status.copy()
+        normal = np.zeros(len(surface))
+        normal[active] = reaction[: len(active)]
+        small = 1e-10 * scale
+        released = active[normal[active] < -small]
+        gap = x[surface, 1] - contact.height
+        touching = np.flatnonzero((status == OPEN) & (gap < -1e-12 * length))
+        if one_at_a_time:
+            released = released[np.argsort(normal[released])][:1]
+            touching = (
+                touching[np.argsort(gap[touching])][:1] if not len(released) else touching[:0]
+            )
+        if keep_one and len(active) and len(released) == len(active) and not len(touching):
+            # Never let go of the plate altogether: keep the node pressed hardest.
+            released = np.delete(released, np.argmax(normal[released]))
+        if friction > 0.0 and settled:
+            shear = np.zeros(len(surface))
+            shear[sticking] = reaction[len(active) :]
+            sliding = sticking[
+                np.abs(shear[sticking]) > friction * np.maximum(normal[sticking], 0.0) + small
+            ]
+            # A node open when the step began has no reference: it slips until the next step.
+            known = slipping[np.isfinite(contact.reference[slipping])]
+            travel = x[surface[known], 0] - contact.reference[known]
+            stopped = known[travel * contact.direction[known] < -1e-13 * length]
+            started = known[contact.direction[known] == 0.0]
+            if one_at_a_time:
+                started = started[:0]
+                if len(released) or len(touching):
+                    sliding, stopped = sliding[:0], stopped[:0]
+                else:
+                    sliding, stopped = sliding[:1], stopped[: 0 if len(sliding) else 1]
+            status[sliding] = SLIP
+            contact.direction[sliding] = -np.sign(shear[sliding])
+            status[stopped] = STICK
+            status[started] = STICK
+            contact.direction[stopped] = 0.0
+        status[released] = OPEN
+        contact.direction[released] = 0.0
+        for node in touching:
+            # Towards the axis lies the node that touched before: the new one slips as it does.
+            status[node] = SLIP
+            contact.direction[node] = contact.direction[node - 1] if node > 0 else 0.0
+            if self.guided[node]:
+                contact.direction[node] = 0.0
+        return bool(np.any(before != status))

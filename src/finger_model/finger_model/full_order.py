@@ -1,0 +1,410 @@
+"""The full-order finger: finite strain, viscoelastic bulk, rough rigid plate.
+
+`FullOrderModel` holds mesh and solver of a geometry; `Stepper` carries one finger through a load history.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from finger_common.errors import InputError, ModelError
+
+from . import elements
+from .contact_radius import contact_edge, peak_pressure
+from .equilibrium import OPEN, SLIP, Contact, Equilibrium, NotConverged
+from .fields import Fields, fields_of
+from .geometry import Geometry
+from .history import (
+    ContactHistory,
+    ContactPoint,
+    check_force_history,
+    mean_pressure,
+    radius_to_area,
+)
+from .material import Material
+from .mesh import BULK, EPIDERMIS, NAIL, Mesh, finger_mesh
+
+SMALLEST_CUT = 2.0**-14
+"""A step that cannot converge is cut to a quarter until it is this fraction of the step asked for."""
+
+SMALLEST_PART = 1.0 / 64.0
+"""A step is not divided further than this for the sake of its path."""
+FRESH_NODES = 1
+"""A step is divided so that not more than so many skin nodes touch anew in one part."""
+
+
+@dataclass
+class State:
+    """All that a finger remembers (SI).
+
+    time (s), force (N); positions (N, 2); contact; viscous (E, 4, 4) tensor A of the Maxwell branch, the unit
+    tensor at rest; c_bar_inverse (E, 4, 4) at this state. Tensors are stored as (rr, zz, θθ, rz).
+    radius of the contact (m); reserve: rise of the force (N) until two more nodes touch. stored: elastic energy;
+    work of the plate, dissipation in the tissue and friction_work since the start (J).
+    """
+
+    time: float
+    force: float
+    positions: np.ndarray
+    contact: Contact
+    viscous: np.ndarray
+    c_bar_inverse: np.ndarray
+    radius: float = 0.0
+    reserve: float = math.inf
+    stored: float = 0.0
+    work: float = 0.0
+    dissipation: float = 0.0
+    friction_work: float = 0.0
+
+    def copy(self) -> State:
+        """Independent copy."""
+        return State(
+            self.time,
+            self.force,
+            self.positions.copy(),
+            self.contact.copy(),
+            self.viscous.copy(),
+            self.c_bar_inverse.copy(),
+            self.radius,
+            self.reserve,
+            self.stored,
+            self.work,
+            self.dissipation,
+            self.friction_work,
+        )
+
+
+class FullOrderModel:
+    """Axisymmetric finite elements of one geometry; `refinement` divides the node spacing (1 is the default).
+
+    A mesh may be given instead of being made from the geometry. Raises InputError for an impossible geometry.
+    """
+
+    def __init__(
+        self,
+        geometry: Geometry | None = None,
+        refinement: float = 1.0,
+        mesh: Mesh | None = None,
+    ) -> None:
+        self.geometry = geometry if geometry is not None else Geometry()
+        self.refinement = refinement
+        self.mesh = mesh if mesh is not None else finger_mesh(self.geometry, refinement)
+        self.equilibrium = Equilibrium(self.mesh)
+
+    def start(self, material: Material, time: float = 0.0) -> Stepper:
+        """A finger of this material at rest, without contact, at `time` (s)."""
+        return Stepper(self, material, time)
+
+    def simulate(
+        self,
+        material: Material,
+        time: np.ndarray,
+        force: np.ndarray,
+        progress: Callable[[float], None] | None = None,
+    ) -> ContactHistory:
+        """Contact under forces (n,) in N at times (n,) in s; at rest before time[0], which may carry load.
+
+        `progress` is called with the fraction done. Raises InputError for time that does not increase and
+        ModelError, naming time, force and cause, for a load the finger cannot carry.
+        """
+        time, force = check_force_history(time, force)
+        stepper = self.start(material, float(time[0]))
+        points = []
+        for index in range(len(time)):
+            points.append(stepper.step(float(time[index]), float(force[index])))
+            if progress is not None:
+                progress((index + 1) / len(time))
+        return ContactHistory.from_points(points)
+
+
+class Stepper:
+    """One finger on its way through a load history; `state` may be copied, kept and put back."""
+
+    def __init__(self, model: FullOrderModel, material: Material, time: float = 0.0) -> None:
+        self.model = model
+        self.material = material
+        mesh = model.mesh
+        n = len(mesh.cells)
+        unit = np.zeros((n, 4, 4))
+        unit[:, :, :3] = 1.0
+        self.elastic_shear = np.zeros(n)
+        self.maxwell_shear = np.zeros(n)
+        self.bulk_modulus = np.zeros(n)
+        for part, modulus, ratio in (
+            (EPIDERMIS, material.E2, material.poisson_ratio_epidermis),
+            (NAIL, material.nail_modulus, material.poisson_ratio_nail),
+        ):
+            self.elastic_shear[mesh.part == part] = modulus / (2.0 * (1.0 + ratio))
+            self.bulk_modulus[mesh.part == part] = modulus / (3.0 * (1.0 - 2.0 * ratio))
+        bulk = mesh.part == BULK
+        self.elastic_shear[bulk] = material.long_term_shear_modulus
+        self.maxwell_shear[bulk] = (
+            material.instantaneous_shear_modulus - material.long_term_shear_modulus
+        )
+        self.bulk_modulus[bulk] = material.bulk_modulus
+        self._elastic_metric = self.elastic_shear[:, None, None] * unit
+        self.state = State(
+            time,
+            0.0,
+            mesh.nodes.copy(),
+            model.equilibrium.unloaded_contact(),
+            unit.copy(),
+            unit.copy(),
+        )
+        self._before: State | None = None
+
+    def step(self, time: float, force: float) -> ContactPoint:
+        """Advance to `time` (s) with the plate's force (N) going there linearly; F ≤ 0 is no contact.
+
+        Raises ModelError naming time, force and cause when no equilibrium is found; the state is then unchanged.
+        """
+        return self._advance(time, force, None)
+
+    def step_to_position(self, time: float, indentation: float) -> ContactPoint:
+        """Advance to `time` (s) with the plate moving to `indentation` (m) from first touch."""
+        return self._advance(time, None, indentation)
+
+    def _advance(self, time: float, force: float | None, indentation: float | None) -> ContactPoint:
+        start, before = self.state, self._before
+        loaded = force is not None
+        begin = max(start.force, 0.0) if loaded else self.indentation
+        end = float(force if force is not None else indentation if indentation is not None else 0.0)
+        if not (math.isfinite(time) and math.isfinite(end)):
+            raise InputError(f"step to t = {time} s and {end} N or m: finite numbers are needed")
+        if time < start.time:
+            raise InputError(
+                f"time goes back from {start.time:g} s to {time:g} s; sort the history"
+            )
+        if loaded:
+            end = max(end, 0.0)
+        done, size = 0.0, 1.0
+        while done < 1.0:
+            goal = min(1.0, done + size)
+            if end > begin and (self.material.friction > 0.0 or time > start.time):
+                # Friction and creep depend on the path, which is curved (Hertz: F^(2/3)) while the contact is
+                # small: only a few nodes may touch in one part of the step.
+                rise = self._careful_rise() if loaded else self._careful_travel()
+                goal = min(goal, done + max(rise / (end - begin), SMALLEST_PART))
+                if goal > 1.0 - 1e-9:
+                    goal = 1.0
+            value = begin + goal * (end - begin)
+            instant = start.time + goal * (time - start.time)
+            try:
+                self._try(instant, value if loaded else None, None if loaded else value)
+            except NotConverged as error:
+                size = 0.25 * (goal - done)
+                if size < SMALLEST_CUT:
+                    self.state, self._before = start, before
+                    what = f"{value:.4g} N" if loaded else f"{value * 1e3:.4g} mm"
+                    raise ModelError(
+                        f"no equilibrium at t = {instant:.4g} s, {what}: {error}; the load is beyond what this "
+                        "finger carries, lower it or use stiffer moduli"
+                    ) from None
+                continue
+            done = goal
+            size = 2.0 * size
+        if force is not None:
+            self.state.force = force
+        return self.point()
+
+    @property
+    def indentation(self) -> float:
+        """Travel of the plate (m) from first touch of the unloaded shape."""
+        return self.state.contact.height - float(
+            self.model.mesh.nodes[self.model.mesh.surface, 1].min()
+        )
+
+    def step_metric(self, duration: float) -> tuple[np.ndarray, float, float, float]:
+        """Tensor H (E, 4, 4) of a step of `duration` (s), and the weights (e, α, β) of the internal strain.
+
+        A₊ = e A + α C̄⁻¹ + β C̄₊⁻¹ integrates dA/dt = (C̄⁻¹ − A)/τ exactly for C̄⁻¹ linear in time.
+        """
+        ratio = duration / self.material.relaxation_time
+        decay = math.exp(-ratio)
+        if ratio < 1e-5:
+            new = 0.5 * ratio
+            old = 0.5 * ratio
+        else:
+            mean = -math.expm1(-ratio) / ratio
+            new = 1.0 - mean
+            old = mean - decay
+        state = self.state
+        metric = self._elastic_metric + self.maxwell_shear[:, None, None] * (
+            decay * state.viscous + old * state.c_bar_inverse
+        )
+        return metric, decay, old, new
+
+    def _path(
+        self, duration: float, x: np.ndarray, force: float | None
+    ) -> tuple[np.ndarray, float]:
+        """Rates, per step, of the creeping tissue's push (2N,) and of the plate's force (N/rad) at a step's end.
+
+        While the force falls, rests or is not given, the path is that of the force alone: tissue that merely
+        settles tells nothing of the order in which nodes touch.
+        """
+        equilibrium = self.model.equilibrium
+        rise = (force if force is not None else 0.0) - max(self.state.force, 0.0)
+        if duration <= 0.0 or force is None or rise <= 0.0:
+            return np.zeros(equilibrium.unknowns), 1.0
+        part = 1e-3
+        later = self.step_metric((1 + part) * duration)[0]
+        now = self.step_metric((1 - part) * duration)[0]
+        rate = (later - now) / (2 * part)
+        equilibrium.assemble(x, rate, np.zeros_like(self.bulk_modulus), stiffness=False)
+        return -equilibrium.force, rise / (2.0 * math.pi)
+
+    def _try(self, time: float, force: float | None, indentation: float | None) -> None:
+        """One step without cutting; leaves the state alone unless it converges."""
+        state = self.state
+        equilibrium = self.model.equilibrium
+        surface = self.model.mesh.surface
+        metric, decay, old, new = self.step_metric(time - state.time)
+        height = None
+        if indentation is not None:
+            height = float(self.model.mesh.nodes[surface, 1].min()) + indentation
+        x, contact = self._guess(time, force, height)
+        contact.reference = np.where(
+            state.contact.status != OPEN, state.positions[surface, 0], np.nan
+        )
+        friction = self.material.friction
+        x, contact = equilibrium.solve(
+            x, contact, metric, self.bulk_modulus, friction, force, height
+        )
+        if force is not None and force <= 0.0:
+            contact.height = float(x[surface, 1].min())
+        push, rise = self._path(time - state.time, x, force)
+        radius, reserve = contact_edge(equilibrium, x, contact, friction, push, rise)
+        total = 2.0 * math.pi * float(contact.normal.sum())
+        c_bar = np.empty_like(state.viscous)
+        inverse = np.empty_like(state.viscous)
+        jacobian = np.empty(c_bar.shape[:2])
+        elements.strain_measures(
+            x,
+            equilibrium.cells,
+            equilibrium.gradient,
+            elements.SHAPE,
+            equilibrium.radius,
+            c_bar,
+            inverse,
+            jacobian,
+        )
+        viscous = decay * state.viscous + old * state.c_bar_inverse + new * inverse
+        stored, dissipated = elements.energies(
+            equilibrium.weight,
+            self.elastic_shear,
+            self.maxwell_shear,
+            self.bulk_modulus,
+            jacobian,
+            state.viscous,
+            state.c_bar_inverse,
+            viscous,
+            inverse,
+        )
+        slip = x[surface, 0] - state.positions[surface, 0]
+        rubbed = -0.5 * float((contact.shear + state.contact.shear) @ slip)
+        self._before = state
+        self.state = State(
+            time=time,
+            force=force if force is not None else total,
+            positions=x,
+            contact=contact,
+            viscous=viscous,
+            c_bar_inverse=inverse,
+            radius=radius,
+            reserve=reserve,
+            stored=2.0 * math.pi * stored,
+            work=state.work
+            + 0.5 * (max(state.force, 0.0) + total) * (contact.height - state.contact.height),
+            dissipation=state.dissipation + 2.0 * math.pi * dissipated,
+            friction_work=state.friction_work + 2.0 * math.pi * rubbed,
+        )
+
+    def _careful_rise(self) -> float:
+        """Rise of the force (N) in which at most a few more skin nodes touch."""
+        state = self.state
+        if state.contact.status.any():
+            return FRESH_NODES / 2.0 * state.reserve
+        mesh = self.model.mesh
+        touched = state.positions[mesh.surface[FRESH_NODES], 0]
+        return self._hertz_force(touched)
+
+    def _careful_travel(self) -> float:
+        """Rise of the plate (m) in which at most a few more skin nodes touch."""
+        state = self.state
+        open_nodes = self.model.mesh.surface[state.contact.status == OPEN]
+        gaps = state.positions[open_nodes, 1] - state.contact.height
+        if len(gaps) <= FRESH_NODES:
+            return math.inf
+        return float(np.partition(gaps, FRESH_NODES)[FRESH_NODES])
+
+    def _hertz_force(self, radius: float) -> float:
+        """Force (N) at which Hertz's solution for the resting tissue has a contact radius (m)."""
+        shear = self.material.instantaneous_shear_modulus
+        return 16.0 / 3.0 * shear * radius**3 / self.model.geometry.tip_radius
+
+    def _guess(
+        self, time: float, force: float | None, height: float | None
+    ) -> tuple[np.ndarray, Contact]:
+        """Starting positions and contact of a step: extrapolation, or Hertz at first touch."""
+        state, before = self.state, self._before
+        surface = self.model.mesh.surface
+        contact = state.contact.copy()
+        x = state.positions.copy()
+        if not contact.status.any():
+            if force is not None and force > 0.0:
+                tip = self.model.geometry.tip_radius
+                radius = tip * np.cbrt(force / self._hertz_force(tip))
+                radius = min(radius, 0.4 * self.model.geometry.pad_semi_axis_radial)
+                contact.height = float(x[surface, 1].min()) + radius**2 / tip
+                contact.status[x[surface, 0] <= 0.8 * radius] = SLIP
+                contact.status[np.argmin(x[surface, 1])] = SLIP
+            elif height is not None:
+                contact.status[x[surface, 1] < height] = SLIP
+            return x, contact
+        if before is not None and before.contact.status.any():
+            if force is not None:
+                past, now = state.force - before.force, force - state.force
+            else:
+                past = state.contact.height - before.contact.height
+                now = (height or 0.0) - state.contact.height
+            if abs(now) < 1e-12 * abs(past) or past == 0.0:
+                past, now = state.time - before.time, time - state.time
+            ratio = now / past if past != 0.0 else 0.0
+            if 0.0 < ratio <= 2.0:
+                x = x + ratio * (state.positions - before.positions)
+                contact.height += ratio * (state.contact.height - before.contact.height)
+                if height is not None:
+                    contact.height = height
+                touching = (contact.status == OPEN) & (x[surface, 1] < contact.height)
+                contact.status[touching] = SLIP
+                for node in np.flatnonzero(touching):
+                    contact.direction[node] = contact.direction[node - 1] if node else 0.0
+        return x, contact
+
+    def point(self) -> ContactPoint:
+        """Contact at the present state."""
+        state = self.state
+        mesh = self.model.mesh
+        area = radius_to_area(state.radius)
+        force = state.force
+        return ContactPoint(
+            state.time,
+            force,
+            area,
+            state.radius,
+            self.indentation,
+            peak_pressure(state.positions[mesh.surface], state.contact),
+            mean_pressure(max(force, 0.0), area),
+        )
+
+    def fields(self) -> Fields:
+        """Displacement, stress and contact tractions at the present state."""
+        state = self.state
+        metric = self._elastic_metric + self.maxwell_shear[:, None, None] * state.viscous
+        return fields_of(
+            self.model.equilibrium, state.positions, state.contact, metric, self.bulk_modulus
+        )

@@ -1,0 +1,152 @@
+"""Shape of the finger: what `geometry.yaml` holds, its checks and its hash."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from finger_common.errors import InputError
+from finger_common.files import load_yaml, number, sha256_of
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """Axisymmetric fingertip: half-ellipsoid pad with epidermis, rigid bone and nail disc. Lengths in m.
+
+    The axis of symmetry is z, pointing up. The pad is the lower half of an ellipsoid centred at the origin, its
+    flat top at z = 0; the plate comes from below. The epidermis has its thickness on both semi-axes: inside it is
+    bounded by the half-ellipsoid with semi-axes smaller by the thickness. The bone is the lower half of an
+    ellipsoid centred at height `bone_center_height`; a centre below the top is continued upwards by a cylinder of
+    the bone's radius, a centre above it is cut by the top. The nail is a disc on the top.
+
+    The paper's Table I is not available: the defaults are assumptions within the span of the literature
+    (fingertip width 16–20 mm: Dandekar, Raju, Srinivasan 2003).
+
+    Raises InputError for lengths that are not positive or a bone that does not fit into the pad.
+    """
+
+    pad_semi_axis_radial: float = 8.5e-3  # assumption; half a fingertip width of 17 mm
+    pad_semi_axis_axial: float = 6.5e-3  # assumption
+    epidermis_thickness: float = (
+        0.6e-3  # assumption; stratum corneum 0.3 mm (Adams 2013) and living part
+    )
+    bone_semi_axis_radial: float = 3.5e-3  # assumption
+    bone_semi_axis_axial: float = 2.5e-3  # assumption
+    bone_center_height: float = 0.0  # assumption
+    nail_radius: float = 7.0e-3  # assumption
+    nail_thickness: float = 0.5e-3  # assumption
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
+                raise InputError(f"geometry: '{field.name}' is {value!r}, a length in m is needed")
+            object.__setattr__(self, field.name, float(value))
+            if not math.isfinite(value):
+                raise InputError(f"geometry: '{field.name}' is {value}, a finite length is needed")
+        for name in (
+            "pad_semi_axis_radial",
+            "pad_semi_axis_axial",
+            "epidermis_thickness",
+            "bone_semi_axis_radial",
+            "bone_semi_axis_axial",
+        ):
+            if getattr(self, name) <= 0:
+                raise InputError(
+                    f"geometry: '{name}' is {getattr(self, name):g} m, a positive length is needed"
+                )
+        for name in ("nail_radius", "nail_thickness"):
+            if getattr(self, name) < 0:
+                raise InputError(
+                    f"geometry: '{name}' is {getattr(self, name):g} m, zero or more is needed"
+                )
+        for name in ("pad_semi_axis_radial", "pad_semi_axis_axial"):
+            if not 1e-3 <= getattr(self, name) <= 0.1:
+                raise InputError(
+                    f"geometry: '{name}' is {getattr(self, name):g} m, outside 0.001 … 0.1 m; "
+                    "give lengths in metres"
+                )
+        if self.nail_radius > self.pad_semi_axis_radial:
+            raise InputError(
+                f"geometry: 'nail_radius' {self.nail_radius:g} m is larger than "
+                f"'pad_semi_axis_radial' {self.pad_semi_axis_radial:g} m; make it smaller"
+            )
+        inner_radial, inner_axial = self.bulk_semi_axes
+        smallest = min(self.pad_semi_axis_radial, self.pad_semi_axis_axial)
+        if self.epidermis_thickness > 0.5 * smallest:
+            raise InputError(
+                f"geometry: 'epidermis_thickness' {self.epidermis_thickness:g} m is more than half the "
+                "smaller semi-axis of the pad; make it thinner"
+            )
+        if self.bone_center_height >= self.bone_semi_axis_axial:
+            raise InputError(
+                f"geometry: 'bone_center_height' {self.bone_center_height:g} m lifts the whole bone out of "
+                "the pad; keep it below 'bone_semi_axis_axial'"
+            )
+        r, z = self.bone_profile(np.linspace(0.0, 1.0, 101))
+        # At least 5 % of soft tissue between bone and epidermis, for a mesh that can be squeezed.
+        if np.any((r / inner_radial) ** 2 + (z / inner_axial) ** 2 > 0.95**2):
+            raise InputError(
+                "geometry: the bone reaches the epidermis (bone larger than the pad); make "
+                "'bone_semi_axis_radial' or 'bone_semi_axis_axial' smaller, or raise 'bone_center_height'"
+            )
+
+    @property
+    def bulk_semi_axes(self) -> tuple[float, float]:
+        """Radial and axial semi-axis of the inner face of the epidermis (m)."""
+        return (
+            self.pad_semi_axis_radial - self.epidermis_thickness,
+            self.pad_semi_axis_axial - self.epidermis_thickness,
+        )
+
+    @property
+    def tip_radius(self) -> float:
+        """Radius of curvature of the pad at its lowest point (m)."""
+        return self.pad_semi_axis_radial**2 / self.pad_semi_axis_axial
+
+    def bone_profile(self, fraction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Points (r, z) (n,) in m of the bone's face at fractions (n,) of the way from its tip to the top."""
+        fraction = np.asarray(fraction, dtype=float)
+        a, b, height = (
+            self.bone_semi_axis_radial,
+            self.bone_semi_axis_axial,
+            self.bone_center_height,
+        )
+        if height >= 0:
+            angle = fraction * math.acos(height / b)
+            return a * np.sin(angle), height - b * np.cos(angle)
+        arc = 0.5 * math.pi * math.sqrt(0.5 * (a * a + b * b))
+        split = arc / (arc - height)
+        angle = 0.5 * math.pi * np.minimum(fraction / split, 1.0)
+        rise = np.maximum(fraction - split, 0.0) / (1.0 - split)
+        return a * np.sin(angle), height - b * np.cos(angle) - height * rise
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any], where: str = "geometry") -> Geometry:
+        """Geometry from a mapping; keys left out keep their default, unknown keys raise InputError."""
+        known = [field.name for field in fields(cls)]
+        for key in data:
+            if key not in known:
+                raise InputError(f"{where}: unknown key '{key}'; the keys are {', '.join(known)}")
+        values = {key: number(data, key, where) for key in data}
+        try:
+            return cls(**values)
+        except InputError as error:
+            raise InputError(str(error).replace("geometry:", f"{where}:", 1)) from None
+
+    @classmethod
+    def load(cls, path: str | Path) -> Geometry:
+        """Geometry from a YAML file (SI); raises InputError naming file and key."""
+        return cls.from_dict(load_yaml(path, "geometry file"), str(path))
+
+    def to_dict(self) -> dict[str, float]:
+        """The keys of `geometry.yaml` and their values (m)."""
+        return asdict(self)
+
+    def hash(self) -> str:
+        """Hexadecimal digest of the lengths, rounded to 1 nm; names the geometry a reduced model is built for."""
+        return sha256_of({key: round(value * 1e9) for key, value in self.to_dict().items()})

@@ -1,0 +1,116 @@
+"""What a model gives back: one contact point per instant, a history per force record; the CSV contract."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from finger_common.errors import InputError
+from finger_common.files import atomic_write, read_csv
+
+CSV_HEADER = "time_s,force_n,area_mm2,radius_mm,indentation_mm,peak_pressure_kpa"
+
+
+@dataclass(frozen=True)
+class ContactPoint:
+    """Contact at one instant (SI): s, N, m², m, m, Pa, Pa.
+
+    `indentation` is the plate's travel from first touch of the unloaded shape; without contact it is where the
+    plate would just touch. `peak_pressure` is the maximum of the smoothed contact pressure, `mean_pressure` force
+    over area.
+    """
+
+    time: float
+    force: float
+    area: float
+    radius: float
+    indentation: float
+    peak_pressure: float
+    mean_pressure: float
+
+
+@dataclass(frozen=True)
+class ContactHistory:
+    """Contact over time: arrays (n,) in SI, the fields of ContactPoint."""
+
+    time: np.ndarray
+    force: np.ndarray
+    area: np.ndarray
+    radius: np.ndarray
+    indentation: np.ndarray
+    peak_pressure: np.ndarray
+    mean_pressure: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @classmethod
+    def from_points(cls, points: Sequence[ContactPoint]) -> ContactHistory:
+        """History of the given points in their order."""
+        return cls(**{f.name: np.array([getattr(p, f.name) for p in points]) for f in fields(cls)})
+
+    def csv_text(self) -> str:
+        """`time_s,force_n,area_mm2,radius_mm,indentation_mm,peak_pressure_kpa`, one line per instant."""
+        columns = (
+            self.area * 1e6,
+            self.radius * 1e3,
+            self.indentation * 1e3,
+            self.peak_pressure * 1e-3,
+        )
+        lines = [CSV_HEADER]
+        for time, force, *rest in zip(self.time.tolist(), self.force.tolist(), *columns):
+            # Input columns come back digit by digit.
+            lines.append(f"{time!r},{force!r}," + ",".join(f"{value:.6g}" for value in rest))
+        return "\n".join(lines) + "\n"
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write `csv_text` to a file."""
+        with atomic_write(path) as file:
+            file.write(self.csv_text())
+
+
+def mean_pressure(force: float, area: float) -> float:
+    """Force over area in Pa; zero without contact."""
+    return force / area if area > 0 else 0.0
+
+
+def radius_to_area(radius: float) -> float:
+    """πr² in m²."""
+    return math.pi * radius * radius
+
+
+def check_force_history(
+    time: np.ndarray, force: np.ndarray, where: str = "force history"
+) -> tuple[np.ndarray, np.ndarray]:
+    """Time (n,) in s and force (n,) in N as float arrays.
+
+    Raises InputError for empty, unequal or non-finite arrays and for time that does not increase.
+    """
+    time = np.atleast_1d(np.asarray(time, dtype=float))
+    force = np.atleast_1d(np.asarray(force, dtype=float))
+    if time.ndim != 1 or time.shape != force.shape or not len(time):
+        raise InputError(
+            f"{where}: time {time.shape} and force {force.shape} must be two arrays of equal length"
+        )
+    for name, values in (("time", time), ("force", force)):
+        bad = np.flatnonzero(~np.isfinite(values))
+        if len(bad):
+            raise InputError(f"{where}: {name} in row {bad[0] + 1} is not finite; remove the row")
+    bad = np.flatnonzero(np.diff(time) <= 0)
+    if len(bad):
+        row = int(bad[0]) + 1
+        raise InputError(
+            f"{where}: time does not increase from row {row} ({time[row - 1]:g} s) to row {row + 1} "
+            f"({time[row]:g} s); sort the rows and remove repeated times"
+        )
+    return time, force
+
+
+def read_force_csv(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
+    """Time (n,) in s and force (n,) in N of a file with columns `time_s,force_n`; raises InputError."""
+    table = read_csv(path, ["time_s", "force_n"])
+    return check_force_history(table["time_s"], table["force_n"], str(path))

@@ -1,0 +1,192 @@
+"""Structured quadrilateral mesh of the finger's half-section, graded towards the contact.
+
+Columns of nodes run from the bone to the skin; they are numbered from the top down to the axis, the nail first, so
+that the stiffness matrix has a narrow band and the contact lies at its end.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from finger_common.errors import InputError
+
+from .geometry import Geometry
+
+BULK, EPIDERMIS, NAIL = 0, 1, 2
+
+CONTACT_SPACING = 0.02
+"""Node spacing in the contact over the pad's radial semi-axis, at refinement 1 (0.17 mm by default)."""
+BULK_LAYERS = 13
+SKIN_LAYER = 0.72
+"""Thickness of a layer of skin elements over the node spacing in the contact."""
+NAIL_LAYERS = 3
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Axisymmetric mesh of four-node quadrilaterals.
+
+    nodes (N, 2): r, z in m; cells (E, 4): node numbers, anticlockwise; part (E,): BULK, EPIDERMIS or NAIL;
+    fixed (N, 2): displacement components held at zero; surface (S,): skin nodes from the axis outwards.
+    """
+
+    nodes: np.ndarray
+    cells: np.ndarray
+    part: np.ndarray
+    fixed: np.ndarray
+    surface: np.ndarray
+
+    @property
+    def half_bandwidth(self) -> int:
+        """Largest distance from the diagonal of a coupled unknown."""
+        spread = self.cells.max(axis=1) - self.cells.min(axis=1)
+        return int(2 * spread.max() + 1)
+
+
+def finger_mesh(geometry: Geometry, refinement: float = 1.0) -> Mesh:
+    """Mesh of a geometry; `refinement` divides the node spacing everywhere (1 is the default mesh).
+
+    Raises InputError for a refinement outside 0.25 … 8.
+    """
+    if not 0.25 <= refinement <= 8:
+        raise InputError(f"refinement is {refinement:g}, outside 0.25 … 8; 1 is the default mesh")
+    spacing = CONTACT_SPACING * geometry.pad_semi_axis_radial / refinement
+    angles = _surface_angles(geometry, spacing)
+    layers = max(3, round(geometry.epidermis_thickness / (SKIN_LAYER * spacing)))
+    bulk = _bulk_fractions(max(4, round(BULK_LAYERS * refinement)))
+    columns = [_column(geometry, angle, bulk, layers) for angle in angles[::-1]]
+    return _assemble(geometry, columns, len(bulk) - 1, max(1, round(NAIL_LAYERS * refinement)))
+
+
+def _surface_angles(geometry: Geometry, spacing: float) -> np.ndarray:
+    """Eccentric angles (n,) of the skin nodes from the axis to the top.
+
+    The spacing is even where a contact can be expected and grows by 12 % a node beyond.
+    """
+    dense = np.linspace(0.0, 0.5 * math.pi, 4001)
+    a, b = geometry.pad_semi_axis_radial, geometry.pad_semi_axis_axial
+    speed = np.hypot(a * np.cos(dense), b * np.sin(dense))
+    arc = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(dense))])
+    even = np.interp(0.62 * a, a * np.sin(dense), arc)
+    steps = [spacing] * math.ceil(even / spacing)
+    growth = 1.0 + 0.12 * spacing / (CONTACT_SPACING * a)
+    while sum(steps) < arc[-1]:
+        steps.append(steps[-1] * growth)
+    positions = np.concatenate([[0.0], np.cumsum(steps)])
+    positions *= arc[-1] / positions[-1]
+    return np.interp(positions, arc, dense)
+
+
+def _bulk_fractions(layers: int) -> np.ndarray:
+    """Fractions (layers+1,) from 0 (bone) to 1 (epidermis), somewhat closer at both ends."""
+    even = np.linspace(0.0, 1.0, layers + 1)
+    return even - 0.3 * np.sin(2.0 * math.pi * even) / (2.0 * math.pi)
+
+
+def _column(geometry: Geometry, angle: float, bulk: np.ndarray, layers: int) -> np.ndarray:
+    """Nodes (n, 2) from bone to skin at an eccentric angle; the last column is fitted to the nail's edge."""
+    top = angle > 0.5 * math.pi * (1 - 1e-12)
+    sine, cosine = math.sin(angle), 0.0 if top else math.cos(angle)
+    bone = np.array([x[0] for x in geometry.bone_profile(np.array([angle / (0.5 * math.pi)]))])
+    if top:
+        bone[1] = 0.0
+    inner_a, inner_b = geometry.bulk_semi_axes
+    inner = np.array([inner_a * sine, -inner_b * cosine])
+    outer = np.array([geometry.pad_semi_axis_radial * sine, -geometry.pad_semi_axis_axial * cosine])
+    skin = np.arange(1, layers + 1) / layers
+    column = np.concatenate(
+        [bone + bulk[:, None] * (inner - bone), inner + skin[:, None] * (outer - inner)]
+    )
+    if not top:
+        # Columns near the top follow the shifted nodes of the last one so that elements keep their shape.
+        weight = max(0.0, 1.0 - (0.5 * math.pi - angle) / 0.6)
+        straight = _column(geometry, 0.5 * math.pi, bulk, layers)
+        even = np.concatenate(
+            [straight[:1, 0] + bulk * (inner_a - straight[0, 0]), straight[-layers:, 0]]
+        )
+        shift = np.zeros(len(column))
+        width = inner_a - straight[0, 0]
+        shift[: len(bulk)] = (straight[: len(bulk), 0] - even[: len(bulk)]) / width
+        return column + weight * shift[:, None] * (inner - bone)
+    edge = geometry.nail_radius
+    if geometry.nail_thickness > 0 and bone[0] < edge < inner_a:
+        nearest = 1 + int(np.argmin(np.abs(column[1 : len(bulk) - 1, 0] - edge)))
+        r = column[: len(bulk), 0]
+        knots = [r[0], r[nearest], r[-1]]
+        column[: len(bulk), 0] = np.interp(r, knots, [r[0], edge, r[-1]])
+    elif geometry.nail_thickness > 0 and inner_a < edge < outer[0] and layers > 1:
+        r = column[len(bulk) - 1 :, 0]
+        nearest = 1 + int(np.argmin(np.abs(r[1:-1] - edge)))
+        column[len(bulk) - 1 :, 0] = np.interp(r, [r[0], r[nearest], r[-1]], [r[0], edge, r[-1]])
+    return column
+
+
+def _assemble(
+    geometry: Geometry, columns: list[np.ndarray], bulk_layers: int, nail_layers: int
+) -> Mesh:
+    """Number nodes and cells: nail rows, top line, then the columns down to the axis."""
+    top = columns[0]
+    rows = len(top)
+    bone_edge = top[0, 0]
+    nodes: list[np.ndarray] = []
+    fixed: list[np.ndarray] = []
+    cells: list[tuple[int, int, int, int]] = []
+    part: list[int] = []
+    inside = 0
+    if geometry.nail_thickness > 0 and geometry.nail_radius > bone_edge * (1 + 1e-9):
+        edge = int(np.argmin(np.abs(top[:, 0] - geometry.nail_radius)))
+        # Over the bone the nail's lower face is held: two elements inwards its strain has died away.
+        reach = min(2.0 * geometry.nail_thickness, 0.9 * bone_edge)
+        inner = bone_edge - reach * np.array([1.0, 1.0 / 3.0])
+        radii = np.concatenate([inner, top[: edge + 1, 0]])
+        inside = len(inner)
+        for layer in range(nail_layers, 0, -1):
+            height = geometry.nail_thickness * layer / nail_layers
+            nodes.append(np.column_stack([radii, np.full(len(radii), height)]))
+            hold = np.zeros((len(radii), 2), dtype=bool)
+            hold[0] = True
+            fixed.append(hold)
+        nodes.append(np.column_stack([inner, np.zeros(inside)]))
+        fixed.append(np.ones((inside, 2), dtype=bool))
+        width = len(radii)
+        for layer in range(nail_layers):
+            upper, lower = layer * width, (layer + 1) * width
+            for k in range(width - 1):
+                cells.append((lower + k, lower + k + 1, upper + k + 1, upper + k))
+                part.append(NAIL)
+    first = sum(len(block) for block in nodes)
+    for number, column in enumerate(columns):
+        nodes.append(column)
+        hold = np.zeros((rows, 2), dtype=bool)
+        hold[0] = True
+        if number == len(columns) - 1:
+            hold[:, 0] = True
+        fixed.append(hold)
+        if number == len(columns) - 1:
+            continue
+        here, below = first + number * rows, first + (number + 1) * rows
+        for j in range(rows - 1):
+            cells.append((below + j, below + j + 1, here + j + 1, here + j))
+            part.append(BULK if j < bulk_layers else EPIDERMIS)
+    surface = first + rows * np.arange(len(columns))[::-1] + rows - 1
+    mesh = Mesh(
+        nodes=np.concatenate(nodes),
+        cells=_anticlockwise(np.concatenate(nodes), np.array(cells, dtype=np.int64)),
+        part=np.array(part, dtype=np.int64),
+        fixed=np.concatenate(fixed),
+        surface=surface.astype(np.int64),
+    )
+    mesh.nodes[surface[0] - rows + 1 : surface[0] + 1, 0] = 0.0
+    return mesh
+
+
+def _anticlockwise(nodes: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    """Cells (E, 4) with positive area."""
+    r, z = nodes[cells, 0], nodes[cells, 1]
+    area = np.sum(r * np.roll(z, -1, axis=1) - np.roll(r, -1, axis=1) * z, axis=1)
+    cells = cells.copy()
+    cells[area < 0] = cells[area < 0][:, ::-1]
+    return cells

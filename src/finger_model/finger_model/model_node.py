@@ -1,0 +1,365 @@
+"""Node `model`: publishes `contact_state` for every wrench sample, corrected by `contact_area` and `moisture`."""
+
+from __future__ import annotations
+
+import gc
+import json
+import time
+from typing import Any
+
+import numpy as np
+from finger_msgs.msg import ContactArea, ContactState, ModelEvent, Moisture
+from finger_msgs.srv import ForceForArea, PredictContact
+from geometry_msgs.msg import WrenchStamped
+from rclpy.clock import JumpThreshold
+from rclpy.duration import Duration
+from std_srvs.srv import Trigger
+
+from finger_common.cli import one_line
+from finger_common.diagnostics import WARN, Health
+from finger_common.errors import FingerError, InputError
+from finger_common.node import LATCHED_QOS, LifecycleShell, main_of
+from finger_common.parameters import Parameter, ParameterTable
+
+from .estimator import ContactEstimator, EstimatorEvent
+from .flags import StateFlag
+from .geometry import Geometry
+from .messages import area_of, event_fields, fill_contact_state, moisture_of, wrench_of
+from .parameter_sets import ParameterSets
+from .reduced import ReducedModel
+from .settings import ESTIMATOR_PARAMETERS, EstimatorSettings
+
+TABLE = ESTIMATOR_PARAMETERS + ParameterTable(
+    Parameter("wrench_topic", "wrench", "Topic of the tared force."),
+    Parameter(
+        "parameter_file",
+        "",
+        "parameters.yaml of a fit; empty for the shipped sets of the paper's three conditions.",
+        runtime=True,
+    ),
+    Parameter(
+        "geometry_file",
+        "",
+        "geometry.yaml of the finger; empty for the default geometry.",
+        advice="Another geometry needs its own reduced model: finger-model reduce --geometry.",
+    ),
+    Parameter(
+        "reduced_model_file",
+        "",
+        "Reduced model made by 'finger-model reduce'; empty for the shipped one of the default geometry.",
+    ),
+    Parameter(
+        "force_stale_after",
+        0.1,
+        "Silence of the wrench from which diagnostics report an error.",
+        unit="s",
+        minimum=0.001,
+        maximum=60.0,
+        runtime=True,
+    ),
+)
+
+DRAIN = 64
+"""Waiting samples taken in one go before other callbacks have their turn."""
+
+_STALE = {
+    StateFlag.MOISTURE_MISSING: "no moisture reading yet, default parameters are in use",
+    StateFlag.MOISTURE_STALE: "the moisture reading is older than moisture_stale_after",
+    StateFlag.MOISTURE_OUT_OF_RANGE: "the moisture reading lies outside the fitted sets",
+    StateFlag.PARAMETERS_OUT_OF_RANGE: "the material parameters lie outside the reduced model's range",
+    StateFlag.AREA_STALE: "no area was fused for longer than area_stale_after while in contact",
+    StateFlag.FORCE_INVALID: "the force is not a finite number",
+    StateFlag.FORCE_OUT_OF_RANGE: "the force is beyond what the reduced model was built for",
+}
+
+
+class LatencyHistogram:
+    """Counts of delays in steps of 10 µs up to 100 ms."""
+
+    STEP = 10_000
+    SIZE = 10_000
+
+    def __init__(self) -> None:
+        self.counts = [0] * (self.SIZE + 1)
+
+    def add(self, nanoseconds: int) -> None:
+        """Count one delay (ns)."""
+        self.counts[min(max(nanoseconds, 0) // self.STEP, self.SIZE)] += 1
+
+    def percentile(self, percent: float) -> float:
+        """Upper edge (ms) of the step that holds the percentile; NaN without samples."""
+        counts = np.array(self.counts)
+        total = counts.sum()
+        if not total:
+            return float("nan")
+        at = int(np.searchsorted(np.cumsum(counts), total * percent / 100.0))
+        return (at + 1) * self.STEP * 1e-6
+
+
+class ModelNode(LifecycleShell):
+    """Thin shell around ContactEstimator."""
+
+    TABLE = TABLE
+    NAME = "model"
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self.health = Health("contact state", stale_after=0.1)
+        # Apart from the stream, so that a warning of an input does not hide a silent sensor.
+        self.inputs = Health("inputs")
+        self.healths += [self.health, self.inputs]
+        self.estimator: ContactEstimator | None = None
+        self._model: ReducedModel | None = None
+        self._sets: ParameterSets | None = None
+        self._active = False
+        self._started = False
+        self._jumped = False
+        self._sequence = 0
+        self._last_flags = 0
+        self._latency = LatencyHistogram()
+        self._entities: list[tuple[Any, Any]] = []
+        self._jump_handle: Any = None
+
+    # Lifecycle -------------------------------------------------------------------------------
+
+    def configure(self) -> None:
+        """Load model and parameters, compile, connect."""
+        values = self.values
+        geometry = Geometry.load(values["geometry_file"]) if values["geometry_file"] else Geometry()
+        self._model = ReducedModel.load(values["reduced_model_file"] or None, geometry)
+        self._sets = self._load_sets(values["parameter_file"])
+        settings = EstimatorSettings.from_mapping(values)
+        ContactEstimator(self._model, self._sets, settings).add_wrench(1, (0.0, 0.0, 0.0))
+        self.estimator = ContactEstimator(self._model, self._sets, settings)
+        self._sequence = 0
+        self.health.stale_after = values["force_stale_after"]
+        qos = self.stream_qos()
+        self._message = ContactState()
+        self._state_publisher = self.create_stream_publisher(ContactState, "contact_state", qos)
+        self._event_publisher = self.create_publisher(ModelEvent, "model_events", LATCHED_QOS)
+        self._wrench = self.create_stream_subscription(
+            WrenchStamped, values["wrench_topic"], self._on_wrench, qos
+        )
+        area = self.create_stream_subscription(ContactArea, "contact_area", self._on_area, qos)
+        moisture = self.create_stream_subscription(Moisture, "moisture", self._on_moisture, qos)
+        self._entities = [
+            (self.destroy_publisher, self._state_publisher),
+            (self.destroy_publisher, self._event_publisher),
+            (self.destroy_subscription, self._wrench),
+            (self.destroy_subscription, area),
+            (self.destroy_subscription, moisture),
+            (self.destroy_service, self.create_service(Trigger, "~/reset", self._on_reset)),
+            (
+                self.destroy_service,
+                self.create_service(ForceForArea, "~/force_for_area", self._on_force_for_area),
+            ),
+            (
+                self.destroy_service,
+                self.create_service(PredictContact, "~/predict", self._on_predict),
+            ),
+        ]
+        self._jump_handle = self.get_clock().create_jump_callback(
+            JumpThreshold(
+                min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True
+            ),
+            post_callback=self._on_jump,
+        )
+        error = self._model.measured_error
+        self.get_logger().info(
+            f"reduced model {self._model.hash[:8]}, RMS error {100 * self._model.rms_error:.2f} %, "
+            f"parameter sets {self._sets.hash[:8]}"
+            + (f", held against {error['pairs']} full-order histories" if "pairs" in error else "")
+        )
+
+    def activate(self) -> None:
+        """Begin with a finger at rest."""
+        assert self._model is not None
+        self.estimator = ContactEstimator(
+            self._model, self._sets, EstimatorSettings.from_mapping(self.values)
+        )
+        self._started = False
+        self._jumped = False
+        self._latency = LatencyHistogram()
+        # What exists now lives as long as the node; the collector need not walk it at every sample.
+        gc.collect()
+        gc.freeze()
+        self._active = True
+
+    def deactivate(self) -> None:
+        """Take no more samples."""
+        self._active = False
+
+    def cleanup(self) -> None:
+        """Disconnect."""
+        self._active = False
+        if self._jump_handle is not None:
+            self._jump_handle.unregister()
+            self._jump_handle = None
+        for destroy, entity in self._entities:
+            destroy(entity)
+        self._entities = []
+        self.estimator = None
+
+    def parameters_changed(self, changes: dict[str, Any]) -> None:
+        """New settings or parameter sets, from the next sample on."""
+        assert self.estimator is not None
+        merged = {**self.values, **changes}
+        settings = EstimatorSettings.from_mapping(merged)
+        sets = None
+        if "parameter_file" in changes:
+            sets = self._load_sets(changes["parameter_file"])
+        self.health.stale_after = merged["force_stale_after"]
+        if any(name in ESTIMATOR_PARAMETERS for name in changes):
+            names = ", ".join(n for n in changes if n in ESTIMATOR_PARAMETERS)
+            self._tell(self.estimator.change_settings(settings, f"parameter {names} set"))
+        if sets is not None:
+            self._sets = sets
+            reason = f"parameter file {changes['parameter_file'] or 'unset, shipped sets'}"
+            self._tell(self.estimator.change_parameters(sets, reason))
+
+    def _load_sets(self, path: str) -> ParameterSets:
+        assert self._model is not None
+        sets = ParameterSets.load(path) if path else ParameterSets.default()
+        if sets.geometry_hash and sets.geometry_hash != self._model.geometry_hash:
+            raise InputError(
+                f"{path}: fitted with geometry {sets.geometry_hash[:8]}, the reduced model is for "
+                f"{self._model.geometry_hash[:8]}; fit again or set reduced_model_file"
+            )
+        if sets.reduced_model_hash and sets.reduced_model_hash != self._model.hash:
+            self.get_logger().warning(
+                f"{path or 'parameter sets'}: fitted with another reduced model of the same geometry"
+            )
+        return sets
+
+    # Streams ---------------------------------------------------------------------------------
+
+    def _on_wrench(self, message: WrenchStamped, info: dict[str, int]) -> None:
+        """One sample, and those that wait behind it: the executor's round trip costs more than an estimate."""
+        self._take_wrench(message, info)
+        handle = self._wrench.handle
+        for _ in range(DRAIN):
+            with handle:
+                taken = handle.take_message(WrenchStamped, False)
+            if taken is None:
+                return
+            self._take_wrench(*taken)
+
+    def _take_wrench(self, message: WrenchStamped, info: dict[str, int]) -> None:
+        estimator = self.estimator
+        if not self._active or estimator is None:
+            return
+        stamp, force = wrench_of(message)
+        if not self._started:
+            self._started = True
+            self._tell(estimator.start_event(stamp))
+        if self._jumped:
+            self._jumped = False
+            last = estimator.last_stamp
+            if last is not None and stamp <= last:
+                self._tell(estimator.clock_jump_event(stamp))
+        for estimate in estimator.add_wrench(stamp, force):
+            out = self._message
+            fill_contact_state(out, estimate)
+            out.header.frame_id = message.header.frame_id
+            self._state_publisher.publish(out)
+            self._latency.add(time.time_ns() - info["received_timestamp"])
+            self._last_flags = estimate.flags
+            self.health.sample()
+
+    def _on_area(self, message: ContactArea) -> None:
+        if self._active and self.estimator is not None:
+            area = area_of(message)
+            if not self.estimator.add_area(*area):
+                self._tell(self.estimator.note_late(areas=[area[0]]))
+
+    def _on_moisture(self, message: Moisture) -> None:
+        if self._active and self.estimator is not None:
+            reading = moisture_of(message)
+            late = self.estimator.counters["late_moistures"]
+            if not self.estimator.add_moisture(*reading):
+                if self.estimator.counters["late_moistures"] > late:
+                    self._tell(self.estimator.note_late(moistures=[reading[0]]))
+                else:
+                    self.log_fault(
+                        self.inputs,
+                        "bad_moisture",
+                        f"moisture reading {reading[1]} is outside 0 … 130 a.u. and was left out",
+                        WARN,
+                    )
+
+    def _on_jump(self, jump: Any) -> None:
+        self._jumped = True
+
+    def _tell(self, event: EstimatorEvent) -> None:
+        """Publish an event."""
+        fields = event_fields(event, self._sequence)
+        self._sequence += 1
+        message = ModelEvent()
+        message.header.stamp.sec, message.header.stamp.nanosec = fields.pop("stamp")
+        for name, value in fields.items():
+            setattr(message, name, value)
+        self._event_publisher.publish(message)
+
+    # Services --------------------------------------------------------------------------------
+
+    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Any:
+        if not self._active or self.estimator is None:
+            response.success, response.message = False, "the node is not active; activate it first"
+            return response
+        self._tell(self.estimator.reset("service ~/reset"))
+        response.success, response.message = True, "finger at rest, nothing remembered of it"
+        return response
+
+    def _answer(self, response: Any, question: Any) -> Any:
+        """Run a question to the estimator; errors become the response's message."""
+        if not self._active or self.estimator is None:
+            response.success, response.message = False, "the node is not active; activate it first"
+            return response
+        try:
+            question(self.estimator)
+            response.success = True
+        except FingerError as error:
+            response.success, response.message = False, one_line(error)
+        return response
+
+    def _on_force_for_area(self, request: Any, response: Any) -> Any:
+        def ask(estimator: ContactEstimator) -> None:
+            response.force = estimator.force_for_area(request.area, request.horizon)
+
+        return self._answer(response, ask)
+
+    def _on_predict(self, request: Any, response: Any) -> Any:
+        def ask(estimator: ContactEstimator) -> None:
+            history = estimator.predict(np.array(request.time), np.array(request.force))
+            response.area = history.area.tolist()
+            response.indentation = history.indentation.tolist()
+
+        return self._answer(response, ask)
+
+    # Diagnostics -----------------------------------------------------------------------------
+
+    def publish_diagnostics(self) -> None:
+        """Flags of the last estimate, counters and latency beside what the shell reports."""
+        if self.estimator is not None and self._active:
+            for flag, sentence in _STALE.items():
+                key = flag.name.lower()  # type: ignore[union-attr]
+                if self._last_flags & flag:
+                    self.log_fault(self.inputs, key, sentence, WARN)
+                else:
+                    self.inputs.recovered(key)
+            for name, number in self.estimator.statistics().items():
+                self.health.notes[name] = str(number)
+            self.health.notes["parameters"] = json.dumps(
+                [float(f"{v:.6g}") for v in self.estimator.parameters]
+            )
+            for percent in (50, 99):
+                self.health.notes[f"latency_p{percent}_ms"] = (
+                    f"{self._latency.percentile(percent):.3f}"
+                )
+        super().publish_diagnostics()
+
+
+main = main_of(ModelNode)
+
+if __name__ == "__main__":
+    main()

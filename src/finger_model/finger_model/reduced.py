@@ -1,0 +1,339 @@
+"""The reduced model at run time: load a file, then any parameters and any force history in microseconds a step."""
+
+from __future__ import annotations
+
+import functools
+import io
+import json
+import math
+import zipfile
+from collections.abc import Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from finger_common.errors import InputError
+from finger_common.files import atomic_write, read_bytes, sha256_of
+
+from . import reduced_kernels as rk
+from .geometry import Geometry
+from .history import ContactHistory, ContactPoint, check_force_history
+from .material import Material
+
+FORMAT = 1
+"""Version of the file's layout."""
+
+SHIPPED = "reduced_default.npz"
+
+RANGE_NAMES = ("E0", "E1", "tau1", "E2")
+
+
+class ReducedState:
+    """One finger on its way: `parameters` (4,), the kernel's constants and state arrays, and the time since rest."""
+
+    __slots__ = ("constants", "parameters", "state", "time")
+
+    def __init__(self, parameters: np.ndarray, constants: np.ndarray, state: np.ndarray) -> None:
+        self.parameters = parameters
+        self.constants = constants
+        self.state = state
+        self.time = 0.0
+
+    def copy(self) -> ReducedState:
+        """Independent copy."""
+        other = ReducedState(self.parameters, self.constants, self.state.copy())
+        other.time = self.time
+        return other
+
+
+class ReducedModel:
+    """Reduced model of one geometry.
+
+    geometry: what it was built for, geometry_hash its hash; hash: of the file's numbers; range: dict of the
+    parameters' (low, high) and of "force"; measured_error: what `finger-model verify --reduced` found when it was
+    built; settings: of the build. Raises InputError for arrays that do not belong together.
+    """
+
+    def __init__(self, arrays: dict[str, np.ndarray], meta: dict[str, Any]) -> None:
+        try:
+            self.arrays = {k: np.ascontiguousarray(v, dtype=float) for k, v in arrays.items()}
+            self.meta = meta
+            self.geometry = Geometry.from_dict(meta["geometry"], "reduced model")
+            self.geometry_hash = str(meta["geometry_hash"])
+            self.range = {k: (float(v[0]), float(v[1])) for k, v in meta["range"].items()}
+            self.measured_error = dict(meta["measured_error"])
+            self.settings = dict(meta["settings"])
+            self.friction = float(meta["friction"])
+            self._prepare()
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            raise InputError(
+                f"reduced model: the file does not hold what it should ({error}); build it again with "
+                "'finger-model reduce'"
+            ) from None
+        if self.geometry.hash() != self.geometry_hash:
+            raise InputError(
+                "reduced model: its geometry does not have the hash it claims; build it again with "
+                "'finger-model reduce'"
+            )
+
+    def _prepare(self) -> None:
+        a = self.arrays
+        self._mean, self._scale = a["input_mean"], a["input_scale"]
+        first, self._hidden_bias = a["weights_1"], a["bias_1"]
+        hidden = len(self._hidden_bias)
+        latents = a["weights_3"].shape[1] - rk.OUTPUTS
+        frictions = len(a["betas"])
+        inputs = 2 + 2 * latents + frictions
+        if first.shape != (inputs + 1, hidden) or a["weights_2"].shape != (hidden, hidden):
+            raise ValueError("layers of unequal width")
+        # Scaling of inputs and outputs goes into the weights.
+        first = first / self._scale[:, None]
+        self._first_shift = self._hidden_bias - self._mean @ first
+        self._parameter_row = first[inputs]
+        last = a["weights_3"] * a["output_scale"]
+        self._last_bias = a["bias_3"] * a["output_scale"] + a["output_mean"]
+        header = np.zeros(rk.HEADER)
+        header[rk.LATENTS], header[rk.FRICTIONS], header[rk.HIDDEN] = latents, frictions, hidden
+        header[rk.BETAS : rk.BETAS + frictions] = a["betas"]
+        self.weights = np.concatenate(
+            [header, first[:inputs].ravel(), a["bias_2"], a["weights_2"].ravel(), last.ravel()]
+        )
+        self._latents, self._frictions, self._hidden = latents, frictions, hidden
+        self._limit = a["force_limit"]
+        self.state_size = rk.state_size(latents, frictions, hidden)
+        self.hash = sha256_of(
+            {
+                "geometry": self.geometry_hash,
+                "arrays": {k: sha256_of(v.tobytes()) for k, v in sorted(a.items())},
+            }
+        )
+        self.rms_error = float(self.measured_error.get("rms_p99", 0.01))
+
+    # Files -----------------------------------------------------------------------------------
+
+    @classmethod
+    def load(cls, path: str | Path | None = None, geometry: Geometry | None = None) -> ReducedModel:
+        """From a file of `finger-model reduce`; None for the shipped one of the default geometry.
+
+        Raises InputError for a file that is not one, of another version, or made for another geometry than
+        `geometry` (when given).
+        """
+        if path is None:
+            model = _shipped()
+            where = "the shipped reduced model"
+        else:
+            where = str(path)
+            model = cls._parse(read_bytes(path, "reduced model"), where)
+        if geometry is not None and geometry.hash() != model.geometry_hash:
+            raise InputError(
+                f"{where} was made for another geometry ({model.geometry_hash[:8]}, asked for "
+                f"{geometry.hash()[:8]}); build one with 'finger-model reduce --geometry …'"
+            )
+        return model
+
+    @classmethod
+    def _parse(cls, data: bytes, where: str) -> ReducedModel:
+        try:
+            with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+                arrays = {key: archive[key] for key in archive.files}
+            meta = json.loads(str(arrays.pop("meta")))
+        except (ValueError, KeyError, OSError, EOFError, zipfile.BadZipFile):
+            raise InputError(
+                f"{where}: not a reduced model file; make one with 'finger-model reduce'"
+            ) from None
+        if not isinstance(meta, dict) or meta.get("format") != FORMAT:
+            raise InputError(
+                f"{where}: reduced model of another version; make it again with 'finger-model reduce'"
+            )
+        return cls(arrays, meta)
+
+    def save(self, path: str | Path) -> None:
+        """Write the file (npz, no pickle)."""
+        with atomic_write(path, "wb") as file:
+            meta = np.array(json.dumps({**self.meta, "format": FORMAT}))
+            np.savez(file, **{"meta": meta, **self.arrays})  # type: ignore[arg-type]
+
+    # Parameters ------------------------------------------------------------------------------
+
+    def constants(self, parameters: np.ndarray) -> np.ndarray:
+        """The kernel's constants of one parameter set [E0, E1, tau1, E2]; raises InputError if not positive."""
+        vector = self._vector(parameters)
+        E0, E1, tau1, E2 = vector
+        length = self.geometry.pad_semi_axis_radial
+        p = np.zeros(rk.constants_size(self._latents, self._hidden))
+        p[rk.LENGTH] = length
+        p[rk.FORCE_SCALE] = E0 * length**2
+        p[rk.TAU] = tau1
+        p[rk.RATIO] = E0 / E1
+        p[rk.FORCE_LIMIT] = self.force_limit(vector)
+        end = rk.FIRST_BIAS + self._hidden
+        p[rk.FIRST_BIAS : end] = self._first_shift + math.log(E2 / E0) * self._parameter_row
+        # Outputs at rest, for those that are zero there; the bias of the last layer for the others.
+        p[end:] = 0.0
+        state = np.zeros(self.state_size)
+        rk.rest(self.weights, p, state)
+        at = rk.INTERNAL + 3 * self._latents + self._frictions
+        p[end:] = state[at : at + rk.OUTPUTS + self._latents]
+        for area_or_pressure in (0, 2):
+            p[end + area_or_pressure] = -self._last_bias[area_or_pressure]
+        return p
+
+    def _vector(self, parameters: Any) -> np.ndarray:
+        if isinstance(parameters, Material):
+            if parameters.friction != self.friction:
+                raise InputError(
+                    f"material: 'friction' is {parameters.friction:g}, the reduced model was built for "
+                    f"{self.friction:g}; use --solver full or build a reduced model for it"
+                )
+            default = Material()
+            for name in (
+                "poisson_ratio_bulk",
+                "poisson_ratio_epidermis",
+            ):
+                if getattr(parameters, name) != getattr(default, name):
+                    raise InputError(
+                        f"material: '{name}' is {getattr(parameters, name):g}, the reduced model was "
+                        f"built for {getattr(default, name):g}; use --solver full"
+                    )
+            parameters = parameters.vector()
+        vector = np.asarray(parameters, dtype=float)
+        if vector.shape != (4,):
+            raise InputError(
+                f"parameters have shape {vector.shape}, four numbers E0, E1, tau1, E2 are needed"
+            )
+        if not (np.all(np.isfinite(vector)) and np.all(vector > 0)):
+            raise InputError(f"parameters are {vector.tolist()}, positive numbers are needed")
+        return vector
+
+    def out_of_range(self, parameters: np.ndarray | Material) -> list[str]:
+        """Names of the parameters outside the range the model was built for; empty when all are inside."""
+        vector = self._vector(parameters)
+        names = []
+        for name, value in zip(RANGE_NAMES, vector):
+            low, high = self.range[name]
+            if not low * (1 - 1e-9) <= value <= high * (1 + 1e-9):
+                names.append(name)
+        return names
+
+    def force_limit(self, parameters: np.ndarray | Material) -> float:
+        """Largest force (N) the model was built for with these parameters: its own limit or the full order's."""
+        E0, E1, _, E2 = self._vector(parameters)
+        length = self.geometry.pad_semi_axis_radial
+        c = self._limit
+        carried = (
+            E0
+            * length**2
+            * math.exp(c[0] + c[1] * math.log(E1 / (E0 + E1)) + c[2] * math.log(E2 / E0))
+        )
+        return min(self.range["force"][1], carried)
+
+    # Use -------------------------------------------------------------------------------------
+
+    def start(self, parameters: np.ndarray | Material) -> ReducedState:
+        """A finger of these parameters at rest."""
+        vector = self._vector(parameters)
+        constants = self.constants(vector)
+        state = np.zeros(self.state_size)
+        rk.rest(self.weights, constants, state)
+        return ReducedState(vector, constants, state)
+
+    def step(self, state: ReducedState, dt: float, force: float) -> ContactPoint:
+        """Advance by dt (s) to `force` (N, held at the force limit); time counts from rest."""
+        s = state.state
+        rk.advance(self.weights, state.constants, s, dt, force)
+        rk.outputs(self.weights, state.constants, s)
+        state.time += dt
+        area = float(s[rk.AREA])
+        return ContactPoint(
+            state.time,
+            force,
+            area,
+            math.sqrt(area / math.pi),
+            float(s[rk.INDENTATION]),
+            float(s[rk.PEAK]),
+            float(s[rk.FORCE]) / area if area > 0 else 0.0,
+        )
+
+    def simulate(
+        self, material: np.ndarray | Material, time: np.ndarray, force: np.ndarray
+    ) -> ContactHistory:
+        """Contact under forces (n,) in N at times (n,) in s; at rest before time[0], which may carry load.
+
+        Raises InputError for time that does not increase, parameters out of range or a force beyond the limit.
+        """
+        time, force = check_force_history(time, force)
+        vector = self._vector(material)
+        outside = self.out_of_range(vector)
+        if outside:
+            name = outside[0]
+            low, high = self.range[name]
+            raise InputError(
+                f"material: '{name}' is {vector[RANGE_NAMES.index(name)]:g}, outside the reduced model's "
+                f"{low:g} … {high:g}; use --solver full"
+            )
+        constants = self.constants(vector)
+        limit = constants[rk.FORCE_LIMIT]
+        if force.max() > limit:
+            row = int(np.argmax(force > limit))
+            raise InputError(
+                f"force {force[row]:.3g} N at t = {time[row]:.4g} s is beyond the reduced model's limit of "
+                f"{limit:.3g} N for this material; lower the force or use --solver full"
+            )
+        table = np.empty((len(time), 3))
+        rk.history(self.weights, constants, np.zeros(self.state_size), time, force, table)
+        area = table[:, 0]
+        mean = np.divide(np.maximum(force, 0), area, out=np.zeros_like(area), where=area > 0)
+        return ContactHistory(
+            time, force, area, np.sqrt(area / math.pi), table[:, 1], table[:, 2], mean
+        )
+
+    def batch(
+        self,
+        parameters: np.ndarray,
+        trials: Sequence[tuple[np.ndarray, ...]],
+    ) -> list[np.ndarray]:
+        """Areas of many parameter sets over many trials, on all cores that numba may use.
+
+        parameters (P, 4): E0, E1, tau1, E2; trials: (time (n,), force (n,)) or (time, force, rows (f,)), rows being
+        the samples whose area is wanted (all of them without). Returns one (P, f) array of areas (m²) per trial.
+        Forces beyond the limit are held at it, parameters out of range are not refused: see `out_of_range`.
+        """
+        parameters = np.atleast_2d(np.asarray(parameters, dtype=float))
+        constants = np.array([self.constants(row) for row in parameters])
+        checked = [check_force_history(t[0], t[1], f"trial {i}") for i, t in enumerate(trials)]
+        start = np.concatenate([[0], np.cumsum([len(time) for time, _ in checked])]).astype(
+            np.int64
+        )
+        wanted = np.full(start[-1], -1, np.int64)
+        frames = []
+        count = 0
+        for i, trial in enumerate(trials):
+            rows = np.arange(len(checked[i][0])) if len(trial) < 3 else np.asarray(trial[2], int)
+            if len(rows) and (rows.min() < 0 or rows.max() >= len(checked[i][0])):
+                raise InputError(f"trial {i}: a wanted row lies outside the history")
+            wanted[start[i] + rows] = count + np.arange(len(rows))
+            frames.append(slice(count, count + len(rows)))
+            count += len(rows)
+        out = np.empty((len(parameters), count))
+        if checked:
+            rk.batch(
+                self.weights,
+                constants,
+                self.state_size,
+                np.concatenate([time for time, _ in checked]),
+                np.concatenate([force for _, force in checked]),
+                start,
+                wanted,
+                out,
+            )
+        return [out[:, part] for part in frames]
+
+
+@functools.cache
+def _shipped() -> ReducedModel:
+    file = resources.files(__package__) / "data" / SHIPPED
+    if not file.is_file():
+        raise InputError("the shipped reduced model is missing; run 'finger-model reduce'")
+    return ReducedModel._parse(file.read_bytes(), SHIPPED)

@@ -1,0 +1,129 @@
+"""Error of a reduced model against full-order runs: per pair of parameter set and history, and its distribution."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from .reduced import ReducedModel
+from .reduction_runs import Run
+
+COUNTED_FORCE = 0.1
+"""N; rows below it do not count."""
+
+GOAL_RMS, GOAL_WORST, LIMIT_RMS, LIMIT_WORST = 0.01, 0.02, 0.015, 0.04
+"""Share of the history's largest area: RMS and worst instant of 99 % of the pairs, and of every pair."""
+
+
+@dataclass
+class PairError:
+    """Errors of one pair, as shares of the history's largest value; area: RMS and worst instant."""
+
+    kind: str
+    parameters: np.ndarray
+    rms: float
+    worst: float
+    worst_force: float
+    indentation: float
+    peak: float
+    """RMS error of the peak pressure over its largest value."""
+
+
+@dataclass
+class ErrorTable:
+    """Errors of many pairs; `pairs` in the order of the runs."""
+
+    pairs: list[PairError] = field(default_factory=list)
+
+    def _column(self, name: str) -> np.ndarray:
+        return np.array([getattr(p, name) for p in self.pairs])
+
+    def share_within(self) -> float:
+        """Share of the pairs within 1 % RMS and 2 % worst."""
+        return float(
+            np.mean((self._column("rms") <= GOAL_RMS) & (self._column("worst") <= GOAL_WORST))
+        )
+
+    def none_beyond(self) -> bool:
+        """Whether no pair is beyond 1.5 % RMS or 4 % worst."""
+        return bool(
+            np.all((self._column("rms") <= LIMIT_RMS) & (self._column("worst") <= LIMIT_WORST))
+        )
+
+    def summary(self) -> dict[str, Any]:
+        """Figures kept in the model's file, as shares."""
+        rms, worst = self._column("rms"), self._column("worst")
+        found: dict[str, Any] = {"pairs": len(self.pairs)}
+        for name, values in (
+            ("rms", rms),
+            ("worst", worst),
+            ("indentation", self._column("indentation")),
+            ("peak", self._column("peak")),
+        ):
+            for label, percent in (("median", 50), ("p90", 90), ("p99", 99), ("max", 100)):
+                found[f"{name}_{label}"] = round(float(np.percentile(values, percent)), 6)
+        found["share_within"] = round(self.share_within(), 4)
+        return found
+
+    def text(self) -> str:
+        """The distribution, errors by kind of history and the worst pair, for the terminal."""
+        lines = [
+            f"{len(self.pairs)} pairs of parameter set and force history, F ≥ {COUNTED_FORCE} N, errors in % of "
+            "the history's largest value",
+            f"{'':24s}{'median':>8s}{'90 %':>8s}{'99 %':>8s}{'worst':>8s}",
+        ]
+        for label, name in (
+            ("area, RMS", "rms"),
+            ("area, worst instant", "worst"),
+            ("indentation, worst", "indentation"),
+            ("peak pressure, RMS", "peak"),
+        ):
+            row = np.percentile(100 * self._column(name), [50, 90, 99, 100])
+            lines.append(f"{label:24s}" + "".join(f"{v:8.2f}" for v in row))
+        kinds = sorted({p.kind for p in self.pairs})
+        for kind in kinds:
+            part = ErrorTable([p for p in self.pairs if p.kind == kind])
+            row = np.percentile(100 * part._column("rms"), [50, 90, 99, 100])
+            lines.append(f"  {kind + ', area RMS':22s}" + "".join(f"{v:8.2f}" for v in row))
+        worst = max(self.pairs, key=lambda p: p.worst)
+        E0, E1, tau1, E2 = worst.parameters
+        lines.append(
+            f"worst pair: {worst.kind}, E0 {E0 / 1e3:.1f} kPa, E1 {E1 / 1e3:.1f} kPa, tau1 {tau1:.4f} s, "
+            f"E2 {E2 / 1e3:.0f} kPa: RMS {100 * worst.rms:.2f} %, {100 * worst.worst:.2f} % at "
+            f"{worst.worst_force:.2f} N"
+        )
+        lines.append(
+            f"within 1 % RMS and 2 % worst: {100 * self.share_within():.1f} % of the pairs; "
+            f"none beyond 1.5 % / 4 %: {'yes' if self.none_beyond() else 'no'}"
+        )
+        return "\n".join(lines)
+
+
+def pair_error(model: ReducedModel, run: Run) -> PairError | None:
+    """Error along one run; None when fewer than three of its rows count."""
+    limit = model.force_limit(run.parameters)
+    counted = (run.force >= COUNTED_FORCE) & (np.maximum.accumulate(run.force) <= limit)
+    if np.sum(counted) < 3:
+        return None
+    found = model.simulate(run.parameters, run.time, np.minimum(run.force, limit))
+    error = (found.area - run.area)[counted] / run.area[counted].max()
+    depth = (found.indentation - run.indentation)[counted] / run.indentation[counted].max()
+    pressure = (found.peak_pressure - run.peak)[counted] / max(run.peak[counted].max(), 1e-9)
+    at = int(np.argmax(np.abs(error)))
+    return PairError(
+        run.kind,
+        run.parameters,
+        float(np.sqrt(np.mean(error**2))),
+        float(np.abs(error).max()),
+        float(run.force[counted][at]),
+        float(np.abs(depth).max()),
+        float(np.sqrt(np.mean(pressure**2))),
+    )
+
+
+def error_table(model: ReducedModel, runs: list[Run]) -> ErrorTable:
+    """Errors along all runs that count."""
+    found = [pair_error(model, run) for run in runs]
+    return ErrorTable([p for p in found if p is not None])

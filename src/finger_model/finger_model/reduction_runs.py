@@ -1,0 +1,186 @@
+"""Full-order runs for the reduced model: internal strain in a few coordinates along many histories.
+
+The full-order bulk has the energy ½ J^(−2/3) H : C with H = G∞ 1 + (G0 − G∞) A. Over G0, and with
+r = G∞/G0 = E1/(E0 + E1), H/G0 = 1 + B where B = (1 − r)(A − 1): the contact problem at an instant knows E1 only
+through the field B. B is projected on fields φ_i (principal components of visited fields, volume-weighted):
+
+    a_i = ⟨φ_i, B⟩,  b_i = ⟨φ_i, C̄⁻¹ − 1⟩,  c_i = b_i − a_i
+    dA/dt = (C̄⁻¹ − A)/τ, τ = τ1 r   ⇒   τ1 da_i/dt = (E0/E1) c_i − a_i    (exact, for every φ)
+
+so only the maps (force, a, E2/E0) → c and → area, indentation, pressure are to be learned.
+"""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from finger_common.errors import ModelError
+
+from .force_histories import (
+    FULL_RANGE,
+    KINDS,
+    PAPER_BOX,
+    random_history,
+    random_parameters,
+    training_parameters,
+)
+from .full_order import FullOrderModel, Stepper
+from .geometry import Geometry
+from .material import Material
+from .mesh import BULK
+
+COMPONENT_WEIGHTS = np.array([1.0, 1.0, 1.0, 2.0])
+"""Of rr, zz, θθ and rz in the double contraction of symmetric tensors."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One history to run: parameters (4,), time (n,), force (n,), kind."""
+
+    parameters: np.ndarray
+    time: np.ndarray
+    force: np.ndarray
+    kind: str
+
+
+@dataclass
+class Run:
+    """What came out, up to the last row that converged.
+
+    parameters (4,); time, force, area, indentation, peak (n,) in SI; internal, total (n, k): a and b; failed: the
+    force (N) at which the finger carried no more, or NaN.
+    """
+
+    parameters: np.ndarray
+    kind: str
+    time: np.ndarray
+    force: np.ndarray
+    area: np.ndarray
+    indentation: np.ndarray
+    peak: np.ndarray
+    internal: np.ndarray
+    total: np.ndarray
+    failed: float
+
+
+def training_case(seed: int, index: int) -> Case:
+    """The index-th training history of a seed: two thirds around the paper's box, the rest over the full range."""
+    rng = np.random.default_rng([seed, index])
+    wide = index % 3 == 2
+    parameters = random_parameters(rng, FULL_RANGE) if wide else training_parameters(rng)
+    kind = (*KINDS[1:], "random", "random")[index % 7]
+    if wide or rng.random() < 0.25:
+        peak = np.exp(rng.uniform(np.log(0.15), np.log(3.0)))
+    else:
+        peak = rng.uniform(0.7, 1.5)
+    time, force = random_history(rng, kind, peak)
+    return Case(parameters, time, force, kind)
+
+
+def held_out_case(seed: int, index: int) -> Case:
+    """The index-th held-out history: paper's box, 1.35 N, kinds in turn."""
+    rng = np.random.default_rng([seed, index, 1])
+    kind = KINDS[index % len(KINDS)]
+    parameters = random_parameters(rng, PAPER_BOX)
+    time, force = random_history(rng, kind)
+    return Case(parameters, time, force, kind)
+
+
+def weight_of(model: FullOrderModel) -> np.ndarray:
+    """Quadrature weights (E_bulk, 4, 1) of the bulk, over the pad's volume scale."""
+    bulk = model.mesh.part == BULK
+    length = model.geometry.pad_semi_axis_radial
+    return (model.equilibrium.weight[bulk] / length**3)[:, :, None] * COMPONENT_WEIGHTS
+
+
+def internal_field(stepper: Stepper) -> tuple[np.ndarray, np.ndarray]:
+    """B and C̄⁻¹ − 1 (E_bulk, 4, 4) of the stepper's state."""
+    bulk = stepper.model.mesh.part == BULK
+    unit = np.array([1.0, 1.0, 1.0, 0.0])
+    material = stepper.material
+    share = material.E0 / (material.E0 + material.E1)
+    return (
+        share * (stepper.state.viscous[bulk] - unit),
+        stepper.state.c_bar_inverse[bulk] - unit,
+    )
+
+
+def run_case(
+    model: FullOrderModel, case: Case, modes: np.ndarray | None, friction: float
+) -> tuple[Run, np.ndarray]:
+    """Run one case; modes (k, E_bulk·16), already weighted. Also returns some fields B for the choice of modes."""
+    material = Material(friction=friction).with_vector(case.parameters)
+    stepper = model.start(material, float(case.time[0]))
+    rows, internal, total, fields = [], [], [], []
+    failed = np.nan
+    for i in range(len(case.time)):
+        try:
+            point = stepper.step(float(case.time[i]), float(case.force[i]))
+        except ModelError:
+            failed = float(case.force[i])
+            break
+        rows.append((point.area, point.indentation, point.peak_pressure))
+        b, c = internal_field(stepper)
+        if modes is not None:
+            internal.append(modes @ b.ravel())
+            total.append(modes @ c.ravel())
+        elif i % 6 == 5:
+            fields.append(b.astype(np.float32).ravel())
+    n = len(rows)
+    table = np.array(rows).reshape(n, 3)
+    k = 0 if modes is None else len(modes)
+    return (
+        Run(  # type: ignore[call-arg]
+            case.parameters,
+            case.kind,
+            case.time[:n],
+            case.force[:n],
+            *table.T,
+            np.array(internal).reshape(n, k),
+            np.array(total).reshape(n, k),
+            failed,
+        ),
+        np.array(fields),
+    )
+
+
+def principal_modes(fields: np.ndarray, weight: np.ndarray, number: int) -> np.ndarray:
+    """Weighted projections (number, n) of the principal components of fields (m, n): a = modes @ field."""
+    root = np.sqrt(weight.ravel())
+    scaled = fields * root
+    values, vectors = np.linalg.eigh(scaled @ scaled.T)
+    order = np.argsort(values)[::-1][:number]
+    basis = (vectors[:, order] / np.sqrt(values[order])).T @ scaled
+    return basis * root
+
+
+_worker: dict[str, object] = {}
+
+
+def _begin(
+    geometry: Geometry, refinement: float, friction: float, modes: np.ndarray | None
+) -> None:
+    os.environ["OMP_NUM_THREADS"] = "1"
+    _worker.update(model=FullOrderModel(geometry, refinement), friction=friction, modes=modes)
+
+
+def _work(case: Case) -> tuple[Run, np.ndarray]:
+    return run_case(_worker["model"], case, _worker["modes"], _worker["friction"])  # type: ignore[arg-type]
+
+
+def pool(
+    workers: int, geometry: Geometry, refinement: float, friction: float, modes: np.ndarray | None
+) -> ProcessPoolExecutor:
+    """Processes that run cases."""
+    return ProcessPoolExecutor(
+        workers, initializer=_begin, initargs=(geometry, refinement, friction, modes)
+    )
+
+
+def run_all(executor: ProcessPoolExecutor, cases: list[Case]):
+    """Results of cases in their order, as they come."""
+    return executor.map(_work, cases, chunksize=1)

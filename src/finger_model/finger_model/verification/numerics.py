@@ -1,0 +1,175 @@
+"""Patch tests, orders of convergence, mesh and time-step error of the defaults."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ..full_order import FullOrderModel
+from ..material import Material
+from .cases import STUDY, block, elastic, ramp
+from .check import Check, Measure
+
+
+def patch_tests() -> Check:
+    """Homogeneous deformation of a distorted patch, and uniform pressure under a flat block."""
+    model = block(1e-2, 1e-2, 4, 4, distortion=0.25)
+    equilibrium, mesh = model.equilibrium, model.mesh
+    stepper = model.start(elastic(30e3, friction=0.0))
+    metric = stepper.step_metric(0.0)[0]
+    exact = mesh.nodes * [1.15, 0.8]
+    outline = (
+        (mesh.nodes[:, 0] <= 0)
+        | (mesh.nodes[:, 0] >= 1e-2)
+        | (mesh.nodes[:, 1] >= 0)
+        | (mesh.nodes[:, 1] <= -1e-2 * (1 - 1e-9))
+    )
+    away = np.random.default_rng(2).uniform(-2e-4, 2e-4, exact.shape)
+    start = np.where(outline[:, None], exact, exact + away)
+    equilibrium.fixed = np.flatnonzero(np.repeat(outline, 2))
+    found, _ = equilibrium.solve(
+        start, equilibrium.unloaded_contact(), metric, stepper.bulk_modulus, 0.0, 0.0
+    )
+    error = float(np.abs(found - exact).max()) / 1e-2
+
+    flat = block(1e-2, 1e-2, 4, 6, distortion=0.25).start(elastic(30e3, friction=0.0))
+    for k in range(1, 6):
+        flat.step_to_position(float(k), 4e-4 * k)
+    fields = flat.fields()
+    pressure = fields.contact_pressure
+    return Check(
+        "patch",
+        "Patch tests",
+        "A distorted patch of 16 elements whose outline is stretched by 1.15 and 0.8 must find the homogeneous "
+        "deformation inside. A block of distorted elements pressed flat by 20 % must feel an even pressure.",
+        [
+            Measure("largest error of position over size", error, high=1e-9),
+            Measure(
+                "spread of contact pressure", float(np.ptp(pressure) / pressure.mean()), high=1e-7
+            ),
+            Measure(
+                "spread of axial stress",
+                float(np.ptp(fields.stress[:, 1]) / pressure.mean()),
+                high=1e-7,
+            ),
+        ],
+    )
+
+
+def newton() -> Check:
+    """Order of convergence of Newton's method near the solution."""
+    model = FullOrderModel()
+    stepper = model.start(Material(friction=0.0))
+    for k in range(1, 11):
+        stepper.step(0.05 * k, 0.09 * k)
+    # The extrapolated start is too good to show an order: forget the step before.
+    stepper._before = None
+    stepper.step(0.55, 1.0)
+    residuals = np.array(model.equilibrium.residuals)
+    tail = residuals[residuals > 1e-9][-3:]
+    order = float(np.log(tail[2] / tail[1]) / np.log(tail[1] / tail[0]))
+    return Check(
+        "newton",
+        "Quadratic convergence of Newton's method",
+        "Residuals, relative to the plate's force, of the iterations of one step from 0.9 N to 1 N: "
+        + ", ".join(f"{value:.1e}" for value in residuals)
+        + ".",
+        [Measure("order of the last three iterations", order, low=1.7)],
+    )
+
+
+def space(refinements: tuple[float, ...] = (0.5, 1.0, 2.0)) -> Check:
+    """Order of convergence in space and the mesh error of the default settings."""
+    loads = np.array([0.1, 0.2, 0.5, 1.0, 1.35])
+    table = {}
+    for name in ("dry", "moist"):
+        material = elastic(STUDY[name].composite_modulus, E2=STUDY[name].E2, friction=0.0)
+        for refinement in refinements:
+            history = FullOrderModel(refinement=refinement).simulate(
+                material, np.arange(1.0, len(loads) + 1), loads
+            )
+            table[name, refinement] = (history.indentation, history.area)
+    measures = []
+    series = {}
+    for name in ("dry", "moist"):
+        coarse, middle, fine = (table[name, r] for r in refinements[-3:])
+        for index, what in enumerate(("indentation", "area")):
+            a, b, c = coarse[index][-1], middle[index][-1], fine[index][-1]
+            order = float(np.log2(abs((a - b) / (b - c))))
+            limit = fine[index] + (fine[index] - middle[index]) / (2.0**1.5 - 1.0)
+            error = 100 * (table[name, 1.0][index] / limit - 1)
+            measures.append(Measure(f"{name}: order of {what} at 1.35 N", order, low=1.0))
+            measures.append(
+                Measure(
+                    f"{name}: largest {what} error of the default mesh, 0.1 … 1.35 N",
+                    float(np.abs(error).max()),
+                    "%",
+                    high=1.0,
+                )
+            )
+            series[name, what] = [
+                float(100 * np.abs(table[name, r][index] / limit - 1).max()) for r in refinements
+            ]
+
+    def draw(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        for (name, what), values in series.items():
+            axes.loglog(1 / np.array(refinements), values, "o-", label=f"{name}, {what}")
+        axes.set(xlabel="node spacing over default", ylabel="largest error, 0.1–1.35 N (%)")
+        axes.legend()
+
+    return Check(
+        "space",
+        "Convergence in space",
+        "Elastic composite sets of the study, frictionless, on meshes of refinement "
+        + ", ".join(f"{r:g}" for r in refinements)
+        + "; the limit is extrapolated from the two finest with order 1.5. Contact edge and clamped rims are "
+        "singular, so that the full order 2 of the element is not reached.",
+        measures,
+        draw,
+    )
+
+
+def time_steps() -> Check:
+    """Order of convergence in time and the error of 20 steps."""
+    model = FullOrderModel()
+    counts = (5, 10, 20, 40)
+    fine = model.simulate(Material(friction=0.0), *ramp(1.35, 1.0, 160))
+    errors = {}
+    for count in counts:
+        history = model.simulate(Material(friction=0.0), *ramp(1.35, 1.0, count))
+        rows = 160 // count * np.arange(1, count + 1)
+        errors[count] = (
+            abs(history.indentation[-1] / fine.indentation[-1] - 1),
+            float(np.abs(history.area[1:] / fine.area[rows] - 1).max()),
+        )
+    order = float(np.log2(errors[5][0] / errors[20][0]) / 2)
+    with_friction = model.simulate(Material(), *ramp(1.35, 1.0, 20))
+    finest = model.simulate(Material(), *ramp(1.35, 1.0, 160))
+    rows = 8 * np.arange(1, 21)
+    friction_error = np.abs(with_friction.area[1:] / finest.area[rows] - 1)[1:].max()
+
+    def draw(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        axes.loglog(counts, [100 * errors[n][0] for n in counts], "o-", label="indentation, end")
+        axes.loglog(counts, [100 * errors[n][1] for n in counts], "s-", label="area, largest")
+        axes.loglog(counts, 100 * errors[5][0] * (5 / np.array(counts)) ** 2, "k:", label="order 2")
+        axes.set(xlabel="steps to 1.35 N in 1 s", ylabel="error (%)")
+        axes.legend()
+
+    return Check(
+        "time",
+        "Convergence in time",
+        "Natural set to 1.35 N in 1 s against 160 steps.",
+        [
+            Measure("order of indentation, 5 to 20 steps", order, low=1.8),
+            Measure("area error of 20 steps, frictionless", 100 * errors[20][1], "%", high=0.3),
+            Measure(
+                "area error of 20 steps, friction 0.25, F ≥ 0.1 N",
+                float(100 * friction_error),
+                "%",
+                high=0.3,
+            ),
+        ],
+        draw,
+    )

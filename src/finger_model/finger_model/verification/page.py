@@ -1,0 +1,71 @@
+"""The verification page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from finger_common.files import atomic_write
+
+from ..figures import save
+from . import fingers, frictions, numerics, spheres
+from .check import Check
+
+CHECKS: dict[str, Callable[[], Check]] = {
+    "patch": numerics.patch_tests,
+    "newton": numerics.newton,
+    "space": numerics.space,
+    "time": numerics.time_steps,
+    "hertz": spheres.hertz,
+    "lee_radok": spheres.lee_radok,
+    "limits": fingers.time_limits,
+    "calculix": fingers.calculix,
+    "energy": fingers.energy,
+    "smoothness": fingers.smoothness,
+    "smoothness_friction": lambda: fingers.smoothness(0.25),
+    "monotonicity": fingers.monotonicity,
+    "friction_area": frictions.effect_on_area,
+    "coulomb": frictions.coulomb,
+    "disc": frictions.disc,
+}
+
+
+def write_page(checks: Sequence[Check], folder: Path) -> Path:
+    """Write verification.md and figures/verification_*.png into a folder; returns the page's path."""
+    lines = [
+        "# Verification of the full-order model",
+        "",
+        "Made by `finger-model verify -o docs`. Theory and symbols: [theory.md](theory.md). Default mesh "
+        "(refinement 1) unless said otherwise.",
+        "",
+        "| check | result |",
+        "|---|---|",
+    ]
+    for check in checks:
+        anchor = "".join(
+            c for c in check.title.lower().replace(" ", "-") if c.isalnum() or c in "-–"
+        )
+        lines.append(
+            f"| [{check.title}](#{anchor}) | {'passes' if check.passes else '**fails**'} |"
+        )
+    for check in checks:
+        lines += ["", f"## {check.title}", "", check.text, "", "| measured | value | limit |"]
+        lines.append("|---|---|---|")
+        for measure in check.measures:
+            mark = "" if measure.passes else " **fails**"
+            unit = f" {measure.unit}" if measure.unit else ""
+            limit = measure.limit()
+            limit += unit if limit != "reported" else ""
+            lines.append(f"| {measure.what} | {measure.value:.3g}{unit}{mark} | {limit} |")
+        if check.draw is not None:
+            figure = Figure(figsize=(7.5, 3.6), layout="constrained")
+            check.draw(figure)
+            name = f"figures/verification_{check.name}.png"
+            save(figure, folder / name, dpi=110)
+            lines += ["", f"![{check.title}]({name})"]
+    path = folder / "verification.md"
+    with atomic_write(path) as file:
+        file.write("\n".join(lines) + "\n")
+    return path

@@ -1,0 +1,395 @@
+"""Rules of input of the estimator: stamps, gaps, duplicates, order, delay, events, replay."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from finger_common.errors import InputError
+from finger_model.estimator import (
+    ContactEstimate,
+    ContactEstimator,
+    EstimateBlock,
+    EventType,
+    replay,
+)
+from finger_model.flags import StateFlag
+from finger_model.parameter_sets import ParameterSet, ParameterSets
+from finger_model.reduced import ReducedModel
+from finger_model.settings import EstimatorSettings
+
+T0 = 1_700_000_000_000_000_000
+MS = 1_000_000
+
+
+@pytest.fixture(scope="module")
+def model() -> ReducedModel:
+    return ReducedModel.load()
+
+
+@pytest.fixture
+def estimator(model: ReducedModel) -> ContactEstimator:
+    return ContactEstimator(model)
+
+
+def press(n: int = 1000, period: int = 2 * MS) -> tuple[np.ndarray, np.ndarray]:
+    """Stamps (n,) and forces (n, 3) of a press to 1.35 N on a sensor whose z points at the finger."""
+    stamps = T0 + period * np.arange(n)
+    share = np.arange(n) / n
+    normal = 1.35 * np.clip(np.minimum(share / 0.4, (0.9 - share) / 0.2), -0.005, 1)
+    return stamps, np.column_stack([0.02 * normal, 0 * normal, -normal])
+
+
+def rows(estimates: list[ContactEstimate] | EstimateBlock) -> list[tuple]:
+    """As tuples in which NaN equals NaN."""
+    return [tuple(repr(v) for v in e) for e in estimates]
+
+
+def one(estimator: ContactEstimator, ms: int, normal: float, lateral: float = 0.0):
+    """Estimates of one sample."""
+    return estimator.add_wrench(T0 + ms * MS, (lateral, 0.0, -normal))
+
+
+def flags(estimator: ContactEstimator, ms: int, normal: float, lateral: float = 0.0) -> int:
+    return one(estimator, ms, normal, lateral)[0].flags
+
+
+def test_one_by_one_and_in_bulk_give_the_same_bits(model: ReducedModel) -> None:
+    single, bulk = ContactEstimator(model), ContactEstimator(model)
+    stamps, forces = press()
+    for estimator in (single, bulk):
+        estimator.add_moisture(int(stamps[0]) - 50 * MS, 80.0)
+        estimator.add_moisture(int(stamps[500]), 60.0)
+        for i in range(100, 800, 50):
+            estimator.add_area(int(stamps[i]) + 12345, 30e-6, 1e-6)
+    alone = [e for s, f in zip(stamps, forces) for e in single.add_wrench(int(s), f)]
+    assert rows(alone) == rows(bulk.add_wrenches(stamps, forces))
+    assert single.statistics() == bulk.statistics()
+    assert single.statistics()["fused_areas"] > 5
+
+
+def test_a_replay_of_everything_received_gives_the_same_bits(model: ReducedModel) -> None:
+    rng = np.random.default_rng(3)
+    live = ContactEstimator(model)
+    stamps, forces = press()
+    order = np.arange(len(stamps))
+    # Some samples come twice, some out of order.
+    order = np.insert(order, 300, 250)
+    order = np.insert(order, 400, 399)
+    areas, moistures, events, published = [], [], [], []
+    events.append(live.start_event(int(stamps[0])))
+    for n, i in enumerate(order):
+        stamp = int(stamps[i])
+        published += live.add_wrench(stamp, forces[i])
+        if n % 50 == 0 and n > 100:
+            delay = 150 * MS if n % 200 == 0 else 60 * MS
+            area = (stamp - delay, 35e-6 * (1 + 0.05 * rng.normal()), 1.5e-6, 0)
+            areas.append(area)
+            if not live.add_area(*area):
+                events.append(live.note_late(areas=[area[0]]))
+        if n == 350:
+            moistures.append((stamp, 75.0))
+            live.add_moisture(*moistures[-1])
+        if n == 450:
+            events.append(live.change_settings(EstimatorSettings(drift_sd=0.05), "test"))
+        if n == 600:
+            events.append(live.reset())
+        if n == 700:
+            sets = ParameterSets([ParameterSet("x", 60.0, 1.0, (9e4, 3e4, 0.2, 1e6))])
+            events.append(live.change_parameters(sets))
+    assert live.counters["late_areas"] > 0
+    assert live.counters["out_of_order"] == 1
+    assert live.counters["duplicates"] == 1
+    again = ContactEstimator(model)
+    blocks = [
+        (stamps[order[i : i + 97]], forces[order[i : i + 97]]) for i in range(0, len(order), 97)
+    ]
+    replayed = [e for block in replay(again, blocks, areas, moistures, events) for e in block]
+    assert rows(replayed) == rows(published)
+
+
+def test_the_sign_of_the_force_follows_normal_axis(model: ReducedModel) -> None:
+    for axis, force in (("-z", (0, 0, -1.0)), ("+x", (1.0, 0, 0)), ("-y", (0, -1.0, 0))):
+        estimator = ContactEstimator(model, settings=EstimatorSettings(normal_axis=axis))
+        (estimate,) = estimator.add_wrench(T0, force)
+        assert estimate.normal_force == 1.0
+        assert estimate.lateral_force == 0.0
+        assert estimate.in_contact
+
+
+def test_duplicates_and_samples_out_of_order_are_dropped(estimator: ContactEstimator) -> None:
+    one(estimator, 0, 0.5)
+    one(estimator, 10, 0.5)
+    assert one(estimator, 10, 0.6) == []
+    assert one(estimator, 4, 0.6) == []
+    assert flags(estimator, 12, 0.5) & StateFlag.OUT_OF_ORDER
+    assert not flags(estimator, 14, 0.5) & StateFlag.OUT_OF_ORDER
+    assert estimator.counters == {"duplicates": 1, "out_of_order": 1}
+
+
+def test_a_step_far_back_in_time_resets(estimator: ContactEstimator, model: ReducedModel) -> None:
+    for ms in range(0, 3000, 2):
+        one(estimator, ms, 1.0)
+    (estimate,) = one(estimator, 100, 0.5)
+    assert estimate.flags & StateFlag.TIME_RESET
+    (fresh,) = one(ContactEstimator(model), 100, 0.5)
+    assert estimate.model_area == fresh.model_area
+    assert not flags(estimator, 102, 0.5) & StateFlag.TIME_RESET
+
+
+def test_a_gap_is_flagged_and_bridged_linearly(model: ReducedModel) -> None:
+    gap, dense = ContactEstimator(model), ContactEstimator(model)
+    one(gap, 0, 0.2)
+    one(dense, 0, 0.2)
+    for ms in range(2, 202, 2):
+        last = one(dense, ms, 0.2 + 0.8 * ms / 200)[0]
+    (after,) = one(gap, 200, 1.0)
+    assert after.flags & StateFlag.FORCE_GAP
+    assert not last.flags & StateFlag.FORCE_GAP
+    assert after.model_area == pytest.approx(last.model_area, rel=0.01)
+
+
+def test_irregular_spacing_of_one_history_gives_one_answer(model: ReducedModel) -> None:
+    stamps, forces = press(2000, MS)
+    whole, thinned = ContactEstimator(model), ContactEstimator(model)
+    keep = np.sort(np.random.default_rng(0).choice(2000, 700, replace=False))
+    keep[-1] = 1500
+    keep = np.unique(keep[keep <= 1500])
+    a = whole.add_wrenches(stamps[:1501], forces[:1501]).column("model_area")[-1]
+    b = thinned.add_wrenches(stamps[keep], forces[keep]).column("model_area")[-1]
+    assert b == pytest.approx(a, rel=2e-3)
+
+
+def test_a_force_that_is_no_number_is_flagged_and_leaves_the_state(
+    estimator: ContactEstimator, model: ReducedModel
+) -> None:
+    other = ContactEstimator(model)
+    for e in (estimator, other):
+        one(e, 0, 0.5)
+    (bad,) = one(estimator, 2, float("nan"))
+    assert bad.flags & StateFlag.FORCE_INVALID
+    assert np.isnan(bad.area)
+    assert one(estimator, 4, 0.6)[0].area == one(other, 4, 0.6)[0].area
+
+
+def test_contact_begins_and_ends_with_hysteresis(estimator: ContactEstimator) -> None:
+    seen = [
+        one(estimator, 2 * i, f)[0]
+        for i, f in enumerate([0.0, 0.04, 0.05, 0.04, 0.031, 0.029, 0.04, 0.06])
+    ]
+    assert [e.in_contact for e in seen] == [False, False, True, True, True, False, False, True]
+    assert seen[1].area == 0.0
+    assert seen[1].onset_ns == 0
+    assert seen[4].onset_ns == seen[2].stamp_ns
+    assert seen[7].onset_ns == seen[7].stamp_ns
+
+
+def test_no_contact_without_compression(estimator: ContactEstimator) -> None:
+    (estimate,) = one(estimator, 0, -0.5)
+    assert (estimate.area, estimate.peak_pressure, estimate.in_contact) == (0.0, 0.0, False)
+
+
+def test_a_lateral_load_above_a_quarter_is_flagged(estimator: ContactEstimator) -> None:
+    assert not flags(estimator, 0, 1.0, 0.24) & StateFlag.LATERAL_LOAD
+    assert flags(estimator, 2, 1.0, 0.26) & StateFlag.LATERAL_LOAD
+
+
+def test_strain_relaxes_in_the_air(model: ReducedModel) -> None:
+    sets = ParameterSets([ParameterSet("slow", 69.0, 1.0, (1.4e5, 2.2e4, 0.5, 1.8e6))])
+
+    def second_press(pause_ms: int) -> float:
+        estimator = ContactEstimator(model, sets)
+        for ms in range(0, 1000, 5):
+            one(estimator, ms, 1.0)
+        one(estimator, 1000, 0.0)
+        for ms in range(1005, 1000 + pause_ms, 5):
+            one(estimator, ms, 0.0)
+        return one(estimator, 1000 + pause_ms, 0.5)[0].model_area
+
+    fresh = one(ContactEstimator(model, sets), 0, 0.5)[0].model_area
+    soon, later, at_last = second_press(50), second_press(500), second_press(5000)
+    assert soon > 1.05 * fresh
+    assert soon > later > at_last
+    assert at_last == pytest.approx(fresh, rel=0.02)
+
+
+def test_an_area_enters_at_its_stamp_plus_the_delay(estimator: ContactEstimator) -> None:
+    one(estimator, 0, 0.5)
+    for ms in range(2, 40, 2):
+        one(estimator, ms, 0.5)
+    assert estimator.add_area(T0 + 20 * MS, 25e-6, 1e-6)
+    for ms in range(40, 120, 2):
+        assert one(estimator, ms, 0.5)[0].flags & StateFlag.AREA_MISSING
+    (entered,) = one(estimator, 120, 0.5)
+    assert entered.measured_area == 25e-6
+    assert entered.measured_area_age == pytest.approx(0.1)
+
+
+def test_an_area_that_comes_late_is_left_out_and_flagged(estimator: ContactEstimator) -> None:
+    for ms in range(0, 202, 2):
+        one(estimator, ms, 0.5)
+    assert not estimator.add_area(T0 + 100 * MS, 40e-6, 1e-6)
+    late = one(estimator, 202, 0.5)[0]
+    assert late.flags & StateFlag.AREA_LATE
+    assert np.isnan(late.measured_area)
+    assert not flags(estimator, 204, 0.5) & StateFlag.AREA_LATE
+    assert estimator.counters["late_areas"] == 1
+
+
+def test_order_of_arrival_before_the_delay_does_not_matter(model: ReducedModel) -> None:
+    stamps, forces = press(400)
+    areas = [(int(stamps[i]), 20e-6 + 1e-8 * i, 1e-6) for i in range(60, 300, 20)]
+    early, just = ContactEstimator(model), ContactEstimator(model)
+    for area in reversed(areas):
+        early.add_area(*area)
+    first = early.add_wrenches(stamps, forces)
+    second = []
+    for s, f in zip(stamps, forces):
+        for area in areas:
+            if area[0] + 99 * MS <= s < area[0] + 101 * MS:
+                just.add_area(*area)
+        second += just.add_wrench(int(s), f)
+    assert rows(first) == rows(second)
+
+
+def test_flagged_areas_and_outliers_are_rejected(estimator: ContactEstimator) -> None:
+    for ms in range(0, 100, 2):
+        one(estimator, ms, 1.0)
+    area = one(estimator, 100, 1.0)[0].model_area
+    estimator.add_area(T0 + 50 * MS, area, 1e-6, flags=2)
+    estimator.add_area(T0 + 52 * MS, 3 * area, 1e-6)
+    seen = [flags(estimator, ms, 1.0) for ms in range(102, 160, 2)]
+    assert sum(bool(f & StateFlag.AREA_REJECTED) for f in seen) == 2
+    assert estimator.statistics()["fused_areas"] == 0
+
+
+def test_three_outliers_in_a_row_are_believed(estimator: ContactEstimator) -> None:
+    for ms in range(0, 100, 2):
+        area = one(estimator, ms, 1.0)[0].model_area
+    for ms in (50, 60, 70):
+        estimator.add_area(T0 + ms * MS, 2.2 * area, 0.01 * area)
+    for ms in range(100, 200, 2):
+        (last,) = one(estimator, ms, 1.0)
+    assert last.area / last.model_area > 1.5
+
+
+def test_moisture_changes_parameters_at_its_time(estimator: ContactEstimator) -> None:
+    (before,) = one(estimator, 0, 0.5)
+    assert before.flags & StateFlag.MOISTURE_MISSING
+    assert np.isnan(before.moisture)
+    estimator.add_moisture(T0 + 2 * MS, 105.33)
+    assert one(estimator, 100, 0.5)[0].flags & StateFlag.MOISTURE_MISSING
+    (after,) = one(estimator, 102, 0.5)
+    assert after.moisture == 105.33
+    assert not after.flags & StateFlag.MOISTURE_MISSING
+    assert after.model_area > 1.1 * before.model_area
+    assert after.parameter_set.endswith("@105.33")
+    estimator.add_moisture(T0 + 4 * MS, 120.0)
+    assert flags(estimator, 110, 0.5) & StateFlag.MOISTURE_OUT_OF_RANGE
+
+
+def test_an_old_reading_and_an_old_area_are_flagged(model: ReducedModel) -> None:
+    settings = EstimatorSettings(moisture_stale_after=1.0, area_stale_after=0.2)
+    estimator = ContactEstimator(model, settings=settings)
+    estimator.add_moisture(T0 - 500 * MS, 70.0)
+    estimator.add_area(T0 + 50 * MS, 20e-6, 1e-6)
+    seen = {ms: flags(estimator, ms, 0.5) for ms in range(0, 800, 10)}
+    assert not seen[240] & StateFlag.AREA_STALE
+    assert seen[260] & StateFlag.AREA_STALE
+    assert not seen[490] & StateFlag.MOISTURE_STALE
+    assert seen[510] & StateFlag.MOISTURE_STALE
+
+
+def test_force_beyond_the_range_is_flagged_not_extrapolated(estimator: ContactEstimator) -> None:
+    limit = estimator.force_limit
+    (inside,) = one(estimator, 0, limit)
+    (beyond,) = one(estimator, 2, 3 * limit)
+    assert not inside.flags & StateFlag.FORCE_OUT_OF_RANGE
+    assert beyond.flags & StateFlag.FORCE_OUT_OF_RANGE
+    assert beyond.model_area < 1.05 * inside.model_area
+
+
+def test_parameters_beyond_the_range_are_flagged(model: ReducedModel) -> None:
+    sets = ParameterSets([ParameterSet("hard", 69.0, 1.0, (9e5, 1e5, 0.1, 1e6))])
+    assert flags(ContactEstimator(model, sets), 0, 0.5) & StateFlag.PARAMETERS_OUT_OF_RANGE
+
+
+def test_reset_forgets_the_finger_but_not_the_moisture(estimator: ContactEstimator) -> None:
+    estimator.add_moisture(T0 - 100 * MS, 50.0)
+    for ms in range(0, 1000, 5):
+        one(estimator, ms, 1.0)
+    event = estimator.reset()
+    assert event.type == EventType.RESET
+    assert event.stamp_ns == T0 + 995 * MS + 1
+    (after,) = one(estimator, 1000, 0.5)
+    assert after.moisture == 50.0
+    fresh = ContactEstimator(estimator.model)
+    fresh.add_moisture(T0 - 100 * MS, 50.0)
+    one(fresh, 995, 0.0)
+    assert after.model_area == pytest.approx(one(fresh, 1000, 0.5)[0].model_area, rel=1e-3)
+
+
+def test_sets_of_another_geometry_are_refused(model: ReducedModel) -> None:
+    sets = ParameterSets(ParameterSets.default().sets, geometry_hash="0" * 64)
+    with pytest.raises(InputError, match="geometry"):
+        ContactEstimator(model, sets)
+
+
+def test_contradictory_thresholds_are_refused() -> None:
+    with pytest.raises(InputError, match=r"liftoff_force.*onset_force"):
+        EstimatorSettings(onset_force=0.03, liftoff_force=0.05)
+
+
+def test_prediction_is_what_happens_then(estimator: ContactEstimator) -> None:
+    for ms in range(0, 500, 2):
+        (now,) = one(estimator, ms, 0.8)
+    estimator.add_area(T0 + 300 * MS, 1.2 * now.model_area, 0.02 * now.model_area)
+    one(estimator, 500, 0.8)
+    time = np.arange(1, 51) * 0.01
+    force = 0.8 + 0.5 * time
+    foretold = estimator.predict(time, force)
+    for t, f in zip(time, force):
+        (then,) = one(estimator, 500 + round(1000 * t), f)
+    assert foretold.area[-1] == pytest.approx(then.area, rel=1e-6)
+    assert foretold.indentation[-1] == pytest.approx(then.indentation, rel=1e-6)
+
+
+@pytest.mark.parametrize("horizon", [0.0, 0.5])
+def test_force_for_area_inverts_predict(estimator: ContactEstimator, horizon: float) -> None:
+    for ms in range(0, 500, 2):
+        one(estimator, ms, 0.5)
+    force = estimator.force_for_area(40e-6, horizon)
+    time = np.linspace(0, horizon, 21)[1:] if horizon else np.array([1e-9])
+    foretold = estimator.predict(
+        np.concatenate([[1e-9], time + 1e-9]), np.full(len(time) + 1, force)
+    )
+    assert foretold.area[-1] == pytest.approx(40e-6, rel=2e-3)
+
+
+def test_impossible_questions_are_refused(estimator: ContactEstimator) -> None:
+    one(estimator, 0, 0.5)
+    for area in (-1e-6, 0.0, float("nan"), 1.0):
+        with pytest.raises(InputError, match="area"):
+            estimator.force_for_area(area)
+    with pytest.raises(InputError, match="limit"):
+        estimator.predict(np.array([1.0]), np.array([50.0]))
+    with pytest.raises(InputError, match="above 0"):
+        estimator.predict(np.array([0.0]), np.array([1.0]))
+
+
+def test_a_model_that_failed_is_flagged_and_starts_again_in_the_air(
+    estimator: ContactEstimator,
+) -> None:
+    for ms in range(0, 100, 2):
+        one(estimator, ms, 0.01 * ms)
+    estimator._state[:] = np.nan
+    failed = one(estimator, 100, 1.0)[0]
+    assert failed.flags & StateFlag.MODEL_FAILED and np.isnan(failed.area)
+    estimator.add_area(50 * MS, 20e-6, 1e-6)
+    for ms in range(102, 400, 2):
+        one(estimator, ms, 1.0)
+    for ms in range(400, 500, 2):
+        one(estimator, ms, 0.0)
+    again = one(estimator, 500, 0.5)[0]
+    assert not again.flags & StateFlag.MODEL_FAILED
+    assert again.area > 1e-6 and np.isfinite(again.area_stddev)

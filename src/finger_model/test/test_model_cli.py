@@ -1,0 +1,110 @@
+"""The command line: CSV and YAML contract, figures, files, errors in one sentence."""
+
+import csv
+import subprocess
+import sys
+
+import meshio
+import numpy as np
+import pytest
+
+from finger_common.cli import run
+from finger_model.cli import _main
+from finger_model.history import CSV_HEADER
+
+
+@pytest.fixture
+def force_file(tmp_path):
+    path = tmp_path / "force.csv"
+    rows = [(0.05 * k, min(0.135 * k, 1.35 - 0.135 * max(k - 12, 0))) for k in range(0, 20)]
+    path.write_text("time_s,force_n\n" + "".join(f"{t:.2f},{f:.4f}\n" for t, f in rows))
+    return path
+
+
+def read(path):
+    with open(path) as file:
+        return list(csv.DictReader(file))
+
+
+def test_full_order_csv_figure_and_vtu(tmp_path, force_file):
+    out, png, vtu = tmp_path / "o.csv", tmp_path / "s.png", tmp_path / "s.vtu"
+    code = run(
+        _main,
+        [
+            "simulate",
+            "--force",
+            str(force_file),
+            "--solver",
+            "full",
+            "-o",
+            str(out),
+            "--plot",
+            str(png),
+            "--vtu",
+            str(vtu),
+            "--at",
+            "0.5",
+        ],
+    )
+    assert code == 0
+    assert out.read_text().splitlines()[0] == CSV_HEADER
+    rows = read(out)
+    assert len(rows) == 20
+    assert [float(r["force_n"]) for r in rows] == [float(r["force_n"]) for r in read(force_file)]
+    peak = max(rows, key=lambda r: float(r["area_mm2"]))
+    assert 40 < float(peak["area_mm2"]) < 60
+    assert float(peak["area_mm2"]) == pytest.approx(np.pi * float(peak["radius_mm"]) ** 2, rel=1e-4)
+    assert png.read_bytes().startswith(b"\x89PNG")
+    mesh = meshio.read(vtu)
+    assert mesh.point_data["displacement"][:, 2].max() > 0.5e-3
+    assert mesh.cell_data["von_mises"][0].max() > 10e3
+
+
+def test_geometry_and_material_files_are_used(tmp_path, force_file):
+    (tmp_path / "g.yaml").write_text("pad_semi_axis_radial: 7.5e-3\nnail_radius: 6.0e-3\n")
+    (tmp_path / "m.yaml").write_text("E0: 160e3\nE1: 15e3\ntau1: 0.01\nE2: 700e3\n")
+    out = tmp_path / "o.csv"
+    arguments = ["simulate", "--force", str(force_file), "-o", str(out), "--refinement", "0.7"]
+    arguments += ["--geometry", str(tmp_path / "g.yaml"), "--material", str(tmp_path / "m.yaml")]
+    assert run(_main, arguments) == 0
+    assert max(float(r["area_mm2"]) for r in read(out)) > 60
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("time_s,force_n\n0,0\n0,1\n", "does not increase"),
+        ("time_s,load\n0,0\n", "force_n"),
+        ("time_s,force_n\n0,abc\n", "line 2"),
+        ("", "empty"),
+    ],
+)
+def test_bad_force_files_end_with_one_sentence(tmp_path, capsys, text, words):
+    path = tmp_path / "bad.csv"
+    path.write_text(text)
+    assert run(_main, ["simulate", "--force", str(path), "--solver", "full"]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and words in error and "bad.csv" in error
+
+
+def test_contradictory_options_are_refused(tmp_path, force_file, capsys):
+    arguments = ["simulate", "--force", str(force_file), "--solver", "reduced"]
+    assert run(_main, [*arguments, "--plot", str(tmp_path / "x.png")]) == 2
+    assert "--solver full" in capsys.readouterr().err
+
+
+def test_help_shows_an_example():
+    for command in ([], ["simulate"], ["verify"]):
+        done = subprocess.run(
+            [sys.executable, "-m", "finger_model.cli", *command, "--help"],
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 0 and "example:" in done.stdout
+
+
+def test_verify_prints_numbers_and_refuses_unknown_checks(capsys):
+    assert run(_main, ["verify", "disc"]) == 0
+    assert "error of the rim's displacement" in capsys.readouterr().out
+    assert run(_main, ["verify", "nothing"]) == 2
+    assert "no check 'nothing'" in capsys.readouterr().err

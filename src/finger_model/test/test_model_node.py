@@ -1,0 +1,336 @@
+"""The model node over DDS: what it publishes, services, run-time parameters, lifecycle, time."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+rclpy = pytest.importorskip("rclpy")
+
+from builtin_interfaces.msg import Time  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from finger_msgs.msg import ContactArea, ContactState, ModelEvent, Moisture  # noqa: E402
+from finger_msgs.srv import ForceForArea, PredictContact  # noqa: E402
+from geometry_msgs.msg import WrenchStamped  # noqa: E402
+from lifecycle_msgs.srv import ChangeState  # noqa: E402
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue  # noqa: E402
+from rcl_interfaces.srv import SetParameters  # noqa: E402
+from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
+from rosgraph_msgs.msg import Clock  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
+
+from finger_common.node import LATCHED_QOS  # noqa: E402
+from finger_model.estimator import ContactEstimate, ContactEstimator, replay  # noqa: E402
+from finger_model.flags import AreaFlag, StateFlag  # noqa: E402
+from finger_model.messages import (  # noqa: E402
+    area_of,
+    contact_state_fields,
+    event_of,
+    fill_contact_state,
+    moisture_of,
+    wrench_of,
+)
+from finger_model.parameter_sets import ParameterSets  # noqa: E402
+from finger_model.reduced import ReducedModel  # noqa: E402
+
+RELIABLE = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
+T0 = 1_700_000_000_000_000_000
+MS = 1_000_000
+
+
+class Bench:
+    """Talks to one model node in namespace /finger and keeps what it says."""
+
+    def __init__(self) -> None:
+        self.node = rclpy.create_node("bench")
+        self.states: list[ContactState] = []
+        self.events: list[ModelEvent] = []
+        self.diagnostics: dict[str, Any] = {}
+        make = self.node.create_publisher
+        self.wrench = make(WrenchStamped, "/finger/wrench", RELIABLE)
+        self.area = make(ContactArea, "/finger/contact_area", RELIABLE)
+        self.moisture = make(Moisture, "/finger/moisture", RELIABLE)
+        self.clock = make(Clock, "/clock", 10)
+        listen = self.node.create_subscription
+        listen(ContactState, "/finger/contact_state", self.states.append, RELIABLE)
+        listen(ModelEvent, "/finger/model_events", self.events.append, LATCHED_QOS)
+        listen(DiagnosticArray, "/diagnostics", self._diagnose, 10)
+
+    def _diagnose(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            name = status.name.split(": ")[-1]
+            self.diagnostics[name] = {v.key: v.value for v in status.values}
+            self.diagnostics[name]["message"] = status.message
+
+    def until(self, condition: Callable[[], Any], seconds: float = 90.0) -> None:
+        """Spin until the condition holds."""
+        end = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < end, "the node did not answer in time"
+            rclpy.spin_once(self.node, timeout_sec=0.02)
+
+    def connected(self) -> None:
+        self.until(lambda: self.wrench.get_subscription_count() > 0)
+        self.until(lambda: self.node.count_publishers("/finger/contact_state") > 0)
+        self.until(lambda: self.area.get_subscription_count() > 0)
+        self.settle()
+
+    def settle(self) -> None:
+        """Spin for what is still on its way: discovery of the other end, messages without an answer."""
+        end = time.monotonic() + 0.5
+        while time.monotonic() < end:
+            rclpy.spin_once(self.node, timeout_sec=0.02)
+
+    def call(self, kind: Any, name: str, request: Any) -> Any:
+        client = self.node.create_client(kind, name)
+        assert client.wait_for_service(90)
+        future = client.call_async(request)
+        self.until(future.done)
+        self.node.destroy_client(client)
+        return future.result()
+
+    def set(self, name: str, value: Any) -> Any:
+        """Set a parameter; gives the result."""
+        kind = {
+            float: (ParameterType.PARAMETER_DOUBLE, "double_value"),
+            str: (ParameterType.PARAMETER_STRING, "string_value"),
+            bool: (ParameterType.PARAMETER_BOOL, "bool_value"),
+        }[type(value)]
+        parameter = Parameter(name=name, value=ParameterValue(type=kind[0], **{kind[1]: value}))
+        request = SetParameters.Request(parameters=[parameter])
+        return self.call(SetParameters, "/finger/model/set_parameters", request).results[0]
+
+    def change(self, transition: int) -> bool:
+        request = ChangeState.Request()
+        request.transition.id = transition
+        return self.call(ChangeState, "/finger/model/change_state", request).success
+
+    def press(self, stamp: int, normal: float) -> WrenchStamped:
+        message = WrenchStamped()
+        message.header.stamp = to_time(stamp)
+        message.header.frame_id = "sensor"
+        message.wrench.force.z = -normal
+        self.wrench.publish(message)
+        return message
+
+    def answered(self, number: int) -> None:
+        self.until(lambda: len(self.states) >= number)
+
+
+def to_time(stamp: int) -> Time:
+    return Time(sec=stamp // 10**9, nanosec=stamp % 10**9)
+
+
+@pytest.fixture
+def bench(ros_domain: int) -> Iterator[Bench]:
+    rclpy.init()
+    bench = Bench()
+    yield bench
+    bench.node.destroy_node()
+    rclpy.try_shutdown()
+
+
+def start(process: Callable[..., Any], *parameters: str) -> Any:
+    arguments = ["-m", "finger_model.model_node", "--ros-args", "-r", "__ns:=/finger"]
+    for parameter in ("qos_reliability:=reliable", "qos_depth:=5000", *parameters):
+        arguments += ["-p", parameter]
+    return process(*arguments)
+
+
+def numbers(state: ContactState) -> list[Any]:
+    """All fields of a ContactState, NaN equal to NaN."""
+    names = [n for n in state.get_fields_and_field_types() if n not in ("header", "onset")]
+    stamps = [state.header.stamp.sec, state.header.stamp.nanosec, state.onset.sec]
+    return [repr(getattr(state, n)) for n in names] + stamps + [state.onset.nanosec]
+
+
+def test_what_it_publishes_is_what_a_replay_of_its_inputs_gives(
+    bench: Bench, process: Callable[..., Any], tmp_path: Path
+) -> None:
+    start(process)
+    bench.connected()
+    wrenches, areas, moistures = [], [], []
+    rng = np.random.default_rng(0)
+    stamp = T0
+    for n in range(1500):
+        stamp += int(rng.integers(1, 4)) * MS
+        normal = 1.3 * max(0.0, math.sin(n / 120))
+        wrenches.append(bench.press(stamp, normal))
+        if n % 40 == 20:
+            message = ContactArea()
+            lag = 400 if n == 1020 else 40
+            message.header.stamp = to_time(stamp - lag * MS)
+            message.gross_area, message.area_stddev = 45e-6 * normal**0.7, 1e-6
+            message.flags = 0 if normal > 0.1 else int(AreaFlag.NO_CONTACT)
+            bench.answered(n + 1)
+            bench.area.publish(message)
+            areas.append(message)
+        if n == 300:
+            reading = Moisture(value=90.0)
+            reading.header.stamp = to_time(stamp)
+            bench.moisture.publish(reading)
+            moistures.append(reading)
+        if n in (500, 700, 900):
+            bench.answered(n + 1)
+            if n == 500:
+                assert bench.set("drift_sd", 0.05).successful
+            elif n == 700:
+                reply = bench.call(Trigger, "/finger/model/reset", Trigger.Request())
+                assert reply.success
+            else:
+                sets = ParameterSets.default().sets[:2]
+                ParameterSets(sets).save(tmp_path / "fitted.yaml")
+                assert bench.set("parameter_file", str(tmp_path / "fitted.yaml")).successful
+    bench.answered(1500)
+    bench.until(lambda: len(bench.events) >= 5)
+    bench.settle()
+    assert [e.sequence for e in bench.events] == list(range(len(bench.events)))
+    assert any(s.flags & StateFlag.AREA_LATE for s in bench.states)
+    assert any(s.measured_area_age < 0.2 for s in bench.states)
+    assert all(s.header.frame_id == "sensor" for s in bench.states)
+
+    estimator = ContactEstimator(ReducedModel.load())
+    received = [wrench_of(m) for m in wrenches]
+    block = (np.array([s for s, _ in received]), np.array([f for _, f in received]))
+    again = replay(
+        estimator,
+        [block],
+        [area_of(m) for m in areas],
+        [moisture_of(m) for m in moistures],
+        [event_of(m) for m in bench.events],
+    )
+    replayed = []
+    for estimate in (e for b in again for e in b):
+        message = ContactState()
+        fill_contact_state(message, estimate)
+        replayed.append(numbers(message))
+    assert replayed == [numbers(s) for s in bench.states]
+
+
+def test_services_and_parameters_answer_and_refuse_with_a_reason(
+    bench: Bench, process: Callable[..., Any], tmp_path: Path
+) -> None:
+    start(process)
+    bench.connected()
+    for n in range(200):
+        bench.press(T0 + 2 * n * MS, 0.5)
+    bench.answered(200)
+    name = "/finger/model/force_for_area"
+    reply = bench.call(ForceForArea, name, ForceForArea.Request(area=40e-6, horizon=0.0))
+    assert reply.success
+    time_ahead, force = [0.001], [reply.force]
+    ahead = bench.call(
+        PredictContact,
+        "/finger/model/predict",
+        PredictContact.Request(time=time_ahead, force=force),
+    )
+    assert ahead.area[0] == pytest.approx(40e-6, rel=0.01)
+    refused = bench.call(ForceForArea, name, ForceForArea.Request(area=1.0))
+    assert not refused.success and "beyond" in refused.message
+    refused = bench.call(
+        PredictContact, "/finger/model/predict", PredictContact.Request(time=[1.0], force=[99.0])
+    )
+    assert not refused.success and "limit" in refused.message
+
+    for parameter, value, named in (
+        ("fusion_delay", 5.0, "fusion_delay"),
+        ("liftoff_force", 0.5, "onset_force"),
+        ("normal_axis", "up", "normal_axis"),
+        ("wrench_topic", "other", "before the node is configured"),
+        ("parameter_file", str(tmp_path / "none.yaml"), "none.yaml"),
+    ):
+        result = bench.set(parameter, value)
+        assert not result.successful
+        assert named in result.reason
+    assert bench.set("normal_axis", "+z").successful
+    bench.press(T0 + 1000 * MS, -0.7)
+    bench.answered(201)
+    assert bench.states[-1].normal_force == 0.7
+    said = bench.diagnostics
+    bench.until(lambda: "no sample" in said.get("contact state", {}).get("message", ""))
+    assert float(said["contact state"]["latency_p99_ms"]) > 0
+    assert "moisture" in said["inputs"]["message"]
+
+
+def test_it_is_silent_until_activated(bench: Bench, process: Callable[..., Any]) -> None:
+    start(process, "autostart:=false")
+    configure, activate, deactivate, cleanup = 1, 3, 4, 2
+    assert bench.change(configure)
+    bench.connected()
+    bench.press(T0, 0.5)
+    reply = bench.call(Trigger, "/finger/model/reset", Trigger.Request())
+    assert not reply.success and "activate" in reply.message
+    assert bench.states == []
+    assert bench.change(activate)
+    bench.press(T0 + 2 * MS, 0.5)
+    bench.answered(1)
+    assert bench.states[0].header.stamp == to_time(T0 + 2 * MS)
+    assert bench.change(deactivate)
+    assert bench.change(cleanup)
+    assert bench.change(configure)
+
+
+def test_a_clock_that_jumps_back_resets_the_state(
+    bench: Bench, process: Callable[..., Any]
+) -> None:
+    start(process, "use_sim_time:=true")
+    bench.connected()
+    bench.clock.publish(Clock(clock=to_time(T0)))
+    for n in range(300):
+        if n % 50 == 0:
+            bench.clock.publish(Clock(clock=to_time(T0 + 2 * n * MS)))
+        bench.press(T0 + 2 * n * MS, 1.0)
+    bench.answered(300)
+    # Back by less than time_reset_after: by the samples alone it would be taken for disorder.
+    for _ in range(3):
+        bench.clock.publish(Clock(clock=to_time(T0 + 100 * MS)))
+        time.sleep(0.05)
+    for n in range(50, 60):
+        bench.press(T0 + 2 * n * MS, 1.0)
+    bench.answered(310)
+    first = bench.states[300]
+    assert first.flags & StateFlag.TIME_RESET
+    assert first.header.stamp == to_time(T0 + 100 * MS)
+    assert first.model_area == bench.states[0].model_area
+    assert bench.states[299].model_area > first.model_area
+    bench.until(lambda: any("jumped" in e.reason for e in bench.events))
+    # The recorded event makes a replay do the same.
+    again = ContactEstimator(ReducedModel.load())
+    stamps = [*range(300), *range(50, 60)]
+    block = (
+        np.array([T0 + 2 * n * MS for n in stamps]),
+        np.array([[0.0, 0.0, -1.0]] * len(stamps)),
+    )
+    events = [event_of(e) for e in bench.events]
+    flags = [e.flags for b in replay(again, [block], events=events) for e in b]
+    assert flags == [s.flags for s in bench.states]
+
+
+def test_converters_carry_every_field() -> None:
+    names = ContactEstimate._fields
+    values = [float(i) + 0.5 for i in range(14)]
+    estimate = ContactEstimate(*values, T0 + 7, 5, True, T0 + 3, "x@1")
+    message = ContactState()
+    fill_contact_state(message, estimate)
+    fields = contact_state_fields(estimate)
+    for name in names:
+        if name in ("stamp_ns", "onset_ns"):
+            continue
+        assert getattr(message, name) == getattr(estimate, name) == fields[name]
+    assert message.header.stamp == to_time(T0 + 7)
+    assert message.onset == to_time(T0 + 3)
+    told = set(message.get_fields_and_field_types())
+    assert told == set(fields)
+
+
+def test_flags_are_those_of_the_messages() -> None:
+    for flag in StateFlag:
+        assert getattr(ContactState, f"FLAG_{flag.name}") == flag
+    for area_flag in AreaFlag:
+        assert getattr(ContactArea, f"FLAG_{area_flag.name}") == area_flag

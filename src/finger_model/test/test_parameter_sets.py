@@ -1,0 +1,65 @@
+"""Parameter sets: interpolation over moisture, files, bad input."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from finger_common.errors import InputError
+from finger_model.parameter_sets import ParameterSets
+
+DRY = np.array([100e3, 43.33e3, 0.10, 1652e3])
+NATURAL = np.array([140e3, 22.35e3, 0.50, 1795e3])
+
+
+def test_at_a_fitted_moisture_the_set_itself_is_given() -> None:
+    found = ParameterSets.default().interpolate(69.31)
+    assert np.allclose(found.parameters, NATURAL, rtol=1e-12)
+    assert not found.out_of_range
+
+
+def test_half_way_the_geometric_mean_is_given() -> None:
+    found = ParameterSets.default().interpolate((37.56 + 69.31) / 2)
+    assert np.allclose(found.parameters, np.sqrt(DRY * NATURAL), rtol=1e-12)
+
+
+@pytest.mark.parametrize(("moisture", "held"), [(5.0, DRY), (37.55, DRY)])
+def test_outside_the_fitted_range_the_end_holds_and_says_so(
+    moisture: float, held: np.ndarray
+) -> None:
+    found = ParameterSets.default().interpolate(moisture)
+    assert np.allclose(found.parameters, held, rtol=1e-12)
+    assert found.out_of_range
+
+
+def test_a_saved_file_reads_back_bit_for_bit(tmp_path: Path) -> None:
+    sets = ParameterSets.default()
+    sets.save(tmp_path / "parameters.yaml")
+    again = ParameterSets.load(tmp_path / "parameters.yaml")
+    assert again.sets == sets.sets
+    assert again.hash == sets.hash
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "named"),
+    [
+        ("E0: 100.0e+3", "E0: -1", "'E0'"),
+        ("tau1: 0.50,", "", "'tau1'"),
+        ("moisture: 69.31,", "moisture: 37.56,", "same moisture"),
+        ("moisture: 105.33,", "moisture: 131,", "130"),
+        ("sets:", "groups:", "'sets'"),
+        ("E2: 700.0e+3}", "E2: 700.0e+3, covariance_log: [1, 2]}", "covariance_log"),
+    ],
+)
+def test_a_bad_file_is_refused_with_the_place(
+    tmp_path: Path, project_root: Path, old: str, new: str, named: str
+) -> None:
+    text = (project_root / "src/finger_model/finger_model/data/parameters.yaml").read_text()
+    assert old in text
+    path = tmp_path / "bad.yaml"
+    path.write_text(text.replace(old, new))
+    with pytest.raises(InputError, match=named) as caught:
+        ParameterSets.load(path)
+    assert "bad.yaml" in str(caught.value)

@@ -1,0 +1,209 @@
+"""The reduced model at run time, and against the full order."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from finger_common.errors import InputError
+from finger_model.force_histories import FULL_RANGE, PAPER_BOX, random_history, random_parameters
+from finger_model.full_order import FullOrderModel
+from finger_model.geometry import Geometry
+from finger_model.material import Material
+from finger_model.reduced import ReducedModel
+from finger_model.reduction_error import LIMIT_RMS, LIMIT_WORST, error_table
+from finger_model.reduction_runs import Run, held_out_case, run_case
+
+NATURAL = np.array([140e3, 22.35e3, 0.5, 1795e3])
+SEED = 909
+
+
+@pytest.fixture(scope="module")
+def model() -> ReducedModel:
+    return ReducedModel.load()
+
+
+def ramp(
+    peak: float = 1.35, duration: float = 1.0, rows: int = 40
+) -> tuple[np.ndarray, np.ndarray]:
+    share = np.arange(1, rows + 1) / rows
+    return duration * share, peak * share
+
+
+def runs_against(cases: range) -> list[Run]:
+    full = FullOrderModel()
+    return [run_case(full, held_out_case(SEED, i), None, 0.25)[0] for i in cases]
+
+
+def test_it_follows_the_full_order_over_every_kind_of_history(model: ReducedModel) -> None:
+    table = error_table(model, runs_against(range(6)))
+    for pair in table.pairs:
+        assert pair.rms <= LIMIT_RMS, pair
+        assert pair.worst <= LIMIT_WORST, pair
+        assert pair.indentation <= 0.06, pair
+        assert pair.peak <= 0.06, pair
+
+
+@pytest.mark.slow
+def test_ninety_nine_percent_of_the_pairs_are_within_the_goal(model: ReducedModel) -> None:
+    table = error_table(model, runs_against(range(6, 210)))
+    print(table.text())
+    assert table.share_within() >= 0.99, table.text()
+    assert table.none_beyond(), table.text()
+
+
+def test_streaming_batch_and_simulation_agree_to_the_bit(model: ReducedModel) -> None:
+    time, force = random_history(np.random.default_rng(4), "reload")
+    whole = model.simulate(NATURAL, time, force)
+    state = model.start(NATURAL)
+    before = time[0]
+    streamed = []
+    for t, f in zip(time, force):
+        streamed.append(model.step(state, t - before, f))
+        before = t
+    for name in ("area", "radius", "indentation", "peak_pressure", "mean_pressure"):
+        assert np.array_equal([getattr(p, name) for p in streamed], getattr(whole, name))
+    rows = np.array([3, 10, len(time) - 1])
+    (batch,) = model.batch(np.array([NATURAL, NATURAL]), [(time, force, rows)])
+    assert np.array_equal(batch, np.tile(whole.area[rows], (2, 1)))
+
+
+def test_batch_keeps_sets_and_trials_apart(model: ReducedModel) -> None:
+    rng = np.random.default_rng(5)
+    parameters = np.array([random_parameters(rng) for _ in range(7)])
+    trials = [ramp(1.0, 0.5, 10), ramp(1.35, 2.0, 25), ramp(0.4, 1.0, 5)]
+    found = model.batch(parameters, trials)
+    for areas, (time, force) in zip(found, trials):
+        assert areas.shape == (7, len(time))
+        for row, vector in zip(areas, parameters):
+            assert np.array_equal(row, model.simulate(vector, time, force).area)
+
+
+def test_force_and_moduli_scale_together(model: ReducedModel) -> None:
+    time, force = ramp(0.6)
+    factor = np.array([2.0, 2.0, 1.0, 2.0])
+    one = model.simulate(NATURAL, time, force)
+    two = model.simulate(NATURAL * factor, time, 2 * force)
+    assert np.allclose(two.area, one.area, rtol=1e-9)
+    assert np.allclose(two.peak_pressure, 2 * one.peak_pressure, rtol=1e-9)
+
+
+def test_time_and_time_constant_scale_together(model: ReducedModel) -> None:
+    time, force = random_history(np.random.default_rng(1), "release")
+    slow = NATURAL * np.array([1, 1, 3.0, 1])
+    assert np.allclose(
+        model.simulate(slow, 3 * time, force).area,
+        model.simulate(NATURAL, time, force).area,
+        rtol=1e-9,
+    )
+
+
+def test_an_unloaded_finger_stays_at_rest(model: ReducedModel) -> None:
+    history = model.simulate(NATURAL, np.arange(1, 200) * 0.01, np.zeros(199))
+    assert np.array_equal(history.area, np.zeros(199))
+    assert np.abs(history.indentation).max() < 1e-12
+
+
+@pytest.mark.parametrize("step", [0.1, 0.05, 0.002])
+def test_any_time_step_gives_the_same_press(model: ReducedModel, step: float) -> None:
+    # Moist: the time constant is far below a camera's frame time.
+    moist = np.array([160e3, 15e3, 0.01, 700e3])
+    for vector in (NATURAL, moist):
+        fine = model.simulate(vector, *ramp(rows=2000)).area[-1]
+        coarse = model.simulate(vector, *ramp(rows=round(1.0 / step))).area[-1]
+        assert coarse == pytest.approx(fine, rel=0.01)
+
+
+def test_area_falls_with_the_moduli_and_grows_with_force(model: ReducedModel) -> None:
+    time, force = ramp()
+    for seed in range(20):
+        vector = random_parameters(np.random.default_rng(seed), PAPER_BOX)
+        base = model.simulate(vector, time, force).area
+        assert np.all(np.diff(base) > 0)
+        for which in (0, 1):
+            stiffer = vector.copy()
+            stiffer[which] *= 1.1
+            assert np.all(model.simulate(stiffer, time, force).area[4:] < base[4:])
+
+
+def test_nothing_runs_away_over_the_whole_range(model: ReducedModel) -> None:
+    rng = np.random.default_rng(8)
+    for seed in range(60):
+        vector = random_parameters(rng, FULL_RANGE)
+        kind = ("reload", "tapping", "human", "random")[seed % 4]
+        time, force = random_history(rng, kind, 0.9 * model.force_limit(vector) / 1.2)
+        history = model.simulate(vector, time, force)
+        assert np.all(np.isfinite(history.area))
+        assert history.area.max() < np.pi * 8.5e-3**2
+        assert history.indentation.max() < 4e-3
+
+
+@pytest.mark.parametrize(
+    ("which", "value", "named"),
+    [(0, 20e3, "E0"), (1, 200e3, "E1"), (2, 5.0, "tau1"), (3, 1e5, "E2")],
+)
+def test_parameters_out_of_range_are_named(
+    model: ReducedModel, which: int, value: float, named: str
+) -> None:
+    vector = NATURAL.copy()
+    vector[which] = value
+    assert model.out_of_range(vector) == [named]
+    with pytest.raises(InputError, match=named):
+        model.simulate(vector, *ramp())
+
+
+def test_a_force_beyond_the_limit_is_refused_with_its_time(model: ReducedModel) -> None:
+    with pytest.raises(InputError, match=r"3\.5 N at t = 1 s"):
+        model.simulate(NATURAL, np.array([0.5, 1.0]), np.array([1.0, 3.5]))
+
+
+def test_another_friction_or_poisson_ratio_is_refused(model: ReducedModel) -> None:
+    for material in (Material(friction=0.3), Material(poisson_ratio_bulk=0.45)):
+        with pytest.raises(InputError, match="--solver full"):
+            model.simulate(material, *ramp())
+
+
+def test_a_model_of_another_geometry_is_refused() -> None:
+    with pytest.raises(InputError, match="another geometry"):
+        ReducedModel.load(geometry=Geometry(epidermis_thickness=0.5e-3))
+
+
+def test_a_saved_file_reads_back_with_the_same_hash(model: ReducedModel, tmp_path: Path) -> None:
+    model.save(tmp_path / "model.npz")
+    again = ReducedModel.load(tmp_path / "model.npz", Geometry())
+    assert again.hash == model.hash
+    assert again.measured_error == model.measured_error
+
+
+def test_a_file_that_claims_another_geometry_is_refused(
+    model: ReducedModel, tmp_path: Path
+) -> None:
+    meta = json.loads(json.dumps(model.meta))
+    meta["geometry"]["epidermis_thickness"] = 0.7e-3
+    with pytest.raises(InputError, match="hash"):
+        ReducedModel(model.arrays, meta)
+
+
+@pytest.mark.parametrize("content", [b"", b"not a model", b"PK\x03\x04broken"])
+def test_a_file_that_is_no_model_is_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "model.npz"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"model\.npz"):
+        ReducedModel.load(path)
+
+
+def test_a_file_with_pickled_objects_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "model.npz"
+    np.savez(path, meta=np.array([{"a": 1}], dtype=object))
+    with pytest.raises(InputError, match=r"model\.npz"):
+        ReducedModel.load(path)
+
+
+def test_the_shipped_file_says_what_it_is(model: ReducedModel) -> None:
+    assert model.geometry_hash == Geometry().hash()
+    assert model.measured_error["pairs"] >= 200
+    assert model.range["force"][1] >= 3.0
+    assert model.settings["histories"] >= 80

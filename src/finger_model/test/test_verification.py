@@ -1,0 +1,89 @@
+"""Every point of the verification page with its number (see docs/verification.md)."""
+
+import pytest
+
+from finger_model.verification import fingers, frictions, numerics, page, spheres
+from finger_model.verification.check import Measure
+
+
+def holds(check):
+    """The check passes; otherwise say which numbers do not."""
+    failing = [f"{m.what}: {m.value:g} ({m.limit()})" for m in check.measures if not m.passes]
+    assert not failing, f"{check.title}: {failing}"
+    return check
+
+
+def test_patch_tests_to_rounding():
+    holds(numerics.patch_tests())
+
+
+def test_newton_converges_quadratically():
+    holds(numerics.newton())
+
+
+@pytest.mark.slow
+def test_mesh_converges_and_default_mesh_is_within_1_percent():
+    holds(numerics.space())
+
+
+@pytest.mark.slow
+def test_time_integration_is_of_second_order():
+    holds(numerics.time_steps())
+
+
+def test_hertz_within_2_percent_and_exponent_within_001():
+    holds(spheres.hertz())
+
+
+def test_lee_radok_within_2_percent():
+    holds(spheres.lee_radok())
+
+
+def test_time_limits_within_01_percent_natural():
+    check = holds(fingers.time_limits(("natural",)))
+    # Both limits are neo-Hookean: no difference at the highest load either.
+    assert check["natural: τ1 = 10⁻⁴ s against G∞, 1.35 N, difference of area"] < 0.1
+
+
+@pytest.mark.slow
+def test_time_limits_within_01_percent_of_all_sets():
+    holds(fingers.time_limits())
+
+
+def test_calculix_area_within_2_and_indentation_within_1_percent():
+    holds(fingers.calculix())
+
+
+def test_energy_is_dissipated_and_balances_and_the_finger_returns_to_rest():
+    holds(fingers.energy(steps=150))
+
+
+@pytest.mark.slow
+def test_area_is_smooth_over_200_steps():
+    holds(fingers.smoothness())
+
+
+@pytest.mark.slow
+def test_area_falls_and_force_rises_with_the_moduli():
+    holds(fingers.monotonicity())
+
+
+@pytest.mark.slow
+def test_friction_makes_the_area_smaller_as_in_calculix():
+    holds(frictions.effect_on_area())
+
+
+def test_coulomb_law_holds_on_every_node():
+    holds(frictions.coulomb())
+
+
+def test_disc_on_a_rough_plane_within_2_percent():
+    holds(frictions.disc())
+
+
+def test_page_shows_every_number_and_marks_a_failure(tmp_path):
+    check = frictions.disc()
+    check.measures.append(Measure("impossible", 2.0, high=1.0))
+    text = page.write_page([check], tmp_path).read_text()
+    assert "**fails**" in text and "| impossible | 2 **fails** | ≤ 1 |" in text
+    assert (tmp_path / "figures/verification_disc.png").stat().st_size > 10_000
