@@ -1,0 +1,174 @@
+"""What the plate looks like without a finger: learned from contact-free frames, or guessed from one frame.
+
+All images here are at the segmenter's working resolution.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+TILE = 16
+"""Working pixels per side of a tile, about 1 mm: more than a ridge, less than a finger."""
+
+
+class LearnedBackground:
+    """Running mean of contact-free frames.
+
+    memory: number of frames after which an old one counts 1/e. Memory is constant: one float image. `noise` is the
+    standard deviation of a pixel of the newest frame against the mean, in greys.
+    """
+
+    def __init__(self, memory: int = 50) -> None:
+        self.memory = memory
+        self.count = 0
+        self.noise = 0.0
+        self._mean: np.ndarray | None = None
+        self._grey: np.ndarray | None = None
+        self._tiles = np.zeros((0, 0), np.uint8)
+
+    @property
+    def image(self) -> np.ndarray | None:
+        """(h, w) uint8, None before the first frame."""
+        if self._grey is None and self._mean is not None:
+            grey: np.ndarray = cv2.convertScaleAbs(self._mean)
+            self._grey, self._tiles = grey, tile_means(grey)
+        return self._grey
+
+    @property
+    def tiles(self) -> np.ndarray:
+        """Mean grey (rows, columns) of the tiles of `image`."""
+        if self.image is None:
+            raise ValueError("no background yet")
+        return self._tiles
+
+    def add(self, frame: np.ndarray) -> None:
+        """Take in a contact-free frame (h, w) uint8; a frame of another size starts afresh."""
+        if self._mean is None or self._mean.shape != frame.shape:
+            self._mean = frame.astype(np.float32)
+            self.count = 1
+            self.noise = float(np.percentile(tile_statistics(frame)[1], 10))
+        else:
+            self.count += 1
+            # Every fourth pixel both ways says enough.
+            rest = frame[::4, ::4] - self._mean[::4, ::4]
+            self.noise = float(np.median(np.abs(rest - np.median(rest)))) * 1.4826
+            cv2.accumulateWeighted(frame, self._mean, 1 / min(self.count, self.memory))
+        self._grey = None
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self.count, self.noise = 0, 0.0
+        self._mean = self._grey = None
+
+
+def tile_means(frame: np.ndarray) -> np.ndarray:
+    """Mean (rows, columns) uint8 over tiles of a frame (h, w) uint8."""
+    return cv2.resize(frame, tile_grid(frame), interpolation=cv2.INTER_AREA)
+
+
+def tile_grid(frame: np.ndarray) -> tuple[int, int]:
+    """Columns and rows of tiles that cover a frame."""
+    return max(2, round(frame.shape[1] / TILE)), max(2, round(frame.shape[0] / TILE))
+
+
+def tile_statistics(frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and standard deviation (rows, columns) float32 over tiles of a frame (h, w) uint8."""
+    grid = tile_grid(frame)
+    mean = cv2.resize(frame.astype(np.float32), grid, interpolation=cv2.INTER_AREA)
+    square = cv2.resize(np.square(frame, dtype=np.float32), grid, interpolation=cv2.INTER_AREA)
+    return mean, np.sqrt(np.maximum(square - mean * mean, 0))
+
+
+def smooth_tiles(deviation: np.ndarray) -> np.ndarray:
+    """Mask of tiles without structure: their deviation is near that of the quietest tiles."""
+    quiet = float(np.percentile(deviation, 10))
+    return deviation <= 2 * quiet + 2.0
+
+
+def plate_tiles(deviation: np.ndarray) -> np.ndarray:
+    """Mask (rows, columns) of tiles that are plate: smooth, and joined to the image's border by smooth ones.
+
+    A sweat-filled part of a print is smooth too, but enclosed by ridges.
+    """
+    smooth = smooth_tiles(deviation).astype(np.uint8)
+    _, labels = cv2.connectedComponents(
+        cv2.copyMakeBorder(smooth, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
+    )
+    edge = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
+    return np.isin(labels[1:-1, 1:-1], np.setdiff1d(edge, [0]))
+
+
+def guess_polarity(mean: np.ndarray, deviation: np.ndarray) -> bool:
+    """Whether ridges are brighter than the plate: tiles with structure against the plate beside them."""
+    plate = plate_tiles(deviation)
+    weight = plate.astype(np.float32)
+    share = cv2.blur(weight, (3, 3), borderType=cv2.BORDER_REPLICATE)
+    level = cv2.blur(weight * mean, (3, 3), borderType=cv2.BORDER_REPLICATE)
+    beside = ~smooth_tiles(deviation) & (share > 0)
+    if not beside.any():
+        return False
+    step = mean[beside] - level[beside] / share[beside]
+    return float(np.sum(step)) > 0
+
+
+def guess_background(
+    frame: np.ndarray,
+    mean: np.ndarray,
+    deviation: np.ndarray,
+    bright_ridges: bool,
+    envelope: int,
+) -> np.ndarray:
+    """(h, w) uint8 background of one frame that may hold a finger; mean, deviation: from `tile_statistics`.
+
+    Plate tiles show it. Among ridges, the upper envelope (lower, for bright ridges) over `envelope` working pixels
+    reaches the plate in the furrows. Where sweat fills the furrows it does not: there a cubic surface through the
+    rest takes over.
+    """
+    height, width = frame.shape
+    half = cv2.resize(frame, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
+    size = max(3, envelope // 2 | 1)
+    kernel = np.ones((size, size), np.uint8)
+    reached = cv2.erode(half, kernel) if bright_ridges else cv2.dilate(half, kernel)
+    grid = tile_grid(frame)
+    level: np.ndarray = cv2.resize(reached, grid, interpolation=cv2.INTER_AREA).astype(np.float32)
+    sign = -1.0 if bright_ridges else 1.0
+    # The envelope of noise lies above its mean by about 1.5 standard deviations of a half-size pixel.
+    level -= sign * 0.75 * float(np.percentile(deviation, 10))
+    plate = plate_tiles(deviation)
+    level[plate] = mean[plate]
+    surface = _surface(level, plate, sign) if not plate.all() else level
+    flooded = smooth_tiles(deviation) & ~plate
+    short = sign * (surface - level) > np.where(plate, 0.6, 0.2) * np.maximum(surface, 100)
+    level = np.where(flooded | short, surface, level)
+    level = cv2.blur(level.astype(np.float32), (3, 3), borderType=cv2.BORDER_REPLICATE)
+    fitted = cv2.resize(level, (width, height), interpolation=cv2.INTER_LINEAR)
+    return cv2.convertScaleAbs(fitted)
+
+
+def _surface(level: np.ndarray, plate: np.ndarray, sign: float) -> np.ndarray:
+    """Cubic surface (rows, columns) through the levels; those on the ridges' side lose weight step by step."""
+    shape = level.shape
+    if min(shape) >= 8:
+        # A cubic needs no more than every other tile.
+        level, plate = level[::2, ::2], plate[::2, ::2]
+    rows, columns = level.shape
+    x = np.linspace(-1, 1, columns)[None, :].repeat(rows, 0).ravel()
+    y = np.linspace(-1, 1, rows)[:, None].repeat(columns, 1).ravel()
+    terms = np.stack(
+        [np.ones_like(x), x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3], axis=1
+    )
+    z = level.ravel().astype(np.float64)
+    known = plate.ravel().astype(float)
+    weight = np.maximum(known, sign * z >= np.median(sign * z))
+    surface = z
+    for _ in range(5):
+        scaled = terms * weight[:, None]
+        normal = scaled.T @ terms + 1e-3 * np.eye(terms.shape[1])
+        surface = terms @ np.linalg.solve(normal, scaled.T @ z)
+        below = sign * (surface - z)
+        trust = 1 / (1 + (np.maximum(below, 0) / 8) ** 4)
+        trust *= 1 / (1 + (np.maximum(-below, 0) / 24) ** 4)
+        weight = np.maximum(0.5 * known, trust)
+    coarse = surface.reshape(rows, columns).astype(np.float32)
+    return cv2.resize(coarse, shape[::-1], interpolation=cv2.INTER_LINEAR)

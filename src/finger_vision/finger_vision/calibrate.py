@@ -1,0 +1,206 @@
+"""Plate calibration from views of a board: lens by Zhang's method, plate by a homography.
+
+Z. Zhang, "A flexible new technique for camera calibration", IEEE Trans. PAMI 22(11), 2000, as in OpenCV's
+calibrateCamera. The lens comes from all views; the plate from those in which the board lies flat on it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime, timezone
+from typing import Any
+
+import cv2
+import numpy as np
+
+from finger_common.errors import InputError
+
+from .board import View
+from .calibration import PlateCalibration
+
+MINIMUM_VIEWS = 6
+MAXIMUM_ERROR = 1.0
+"""px, RMS of reprojection; a sharp board gives 0.05 to 0.3."""
+MINIMUM_TILT = math.radians(15)
+"""Largest angle between two views' board planes; parallel boards do not determine the lens."""
+MINIMUM_COVER = 0.3
+"""Share of the image that all corners together must span."""
+FOCAL_DEVIATION = 0.05
+"""Largest relative standard deviation of the focal length."""
+
+
+@dataclass(frozen=True)
+class CalibrationReport:
+    """The calibration, and the RMS error (px) of each view by name."""
+
+    calibration: PlateCalibration
+    view_errors: dict[str, float]
+    focal_deviation: float
+    tilt_span: float
+
+
+def calibrate_plate(
+    views: Sequence[View], plate_views: Sequence[View], camera_name: str = "", lens: bool = True
+) -> CalibrationReport:
+    """Calibrate from all `views` and those of the board on the plate.
+
+    lens False leaves the lens out: the homography alone, from `plate_views`. Raises InputError with the reason for
+    a set that does not determine the answer.
+    """
+    if not plate_views:
+        raise InputError(
+            "no view shows the board lying on the plate; give one with --on-plate, sharp and complete"
+        )
+    size = plate_views[0].size
+    for view in [*views, *plate_views]:
+        if view.size != size:
+            raise InputError(
+                f"{view.name}: image is {view.size[0]}×{view.size[1]}, others are {size[0]}×{size[1]}; "
+                "use images of one camera setting"
+            )
+    base = PlateCalibration(1e-9, image_size=size)
+    errors: dict[str, float] = {}
+    deviation, span = math.nan, 0.0
+    if lens:
+        base, errors, deviation, span = _lens(views, size)
+    return CalibrationReport(
+        replace(
+            _plate(base, plate_views, size),
+            camera_name=camera_name,
+            date=datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        ),
+        errors,
+        deviation,
+        span,
+    )
+
+
+def _lens(
+    views: Sequence[View], size: tuple[int, int]
+) -> tuple[PlateCalibration, dict[str, float], float, float]:
+    if len(views) < MINIMUM_VIEWS:
+        raise InputError(
+            f"the board was found in {len(views)} views, {MINIMUM_VIEWS} at different angles are needed; "
+            "take more, or calibrate the plate alone with --no-lens"
+        )
+    corners = np.concatenate([v.pixels for v in views])
+    cover = np.prod(np.ptp(corners, axis=0)) / (size[0] * size[1])
+    if cover < MINIMUM_COVER:
+        raise InputError(
+            f"the boards cover {100 * cover:.0f} % of the image, {100 * MINIMUM_COVER:.0f} % are needed; "
+            "bring the board to all sides and closer"
+        )
+    points = [v.points.astype(np.float32) for v in views]
+    pixels = [v.pixels.astype(np.float32).reshape(-1, 1, 2) for v in views]
+    # OpenCV's own start values; its type hints do not know that None asks for them.
+    start: Any = None
+    try:
+        error, camera, distortion, rotations, _, deviations, _, per_view = (
+            cv2.calibrateCameraExtended(points, pixels, size, start, start, flags=cv2.CALIB_FIX_K3)
+        )
+    except cv2.error as problem:
+        raise InputError(
+            "the views do not determine the camera; take views at clearly different angles "
+            f"(OpenCV: {problem.err})"
+        ) from None
+    normals = np.array([cv2.Rodrigues(r)[0][:, 2] for r in rotations])
+    cosines = np.clip(np.abs(normals @ normals.T), 0, 1)
+    span = float(np.arccos(cosines.min()))
+    if span < MINIMUM_TILT:
+        raise InputError(
+            f"the boards are tilted against each other by {math.degrees(span):.0f}° at most, "
+            f"{math.degrees(MINIMUM_TILT):.0f}° are needed; tilt the board, or use --no-lens"
+        )
+    errors = {v.name: float(e) for v, e in zip(views, np.ravel(per_view))}
+    if not math.isfinite(error) or error > MAXIMUM_ERROR:
+        worst = max(errors, key=lambda name: errors[name])
+        raise InputError(
+            f"reprojection error is {error:.2f} px, at most {MAXIMUM_ERROR:g} px are accepted; "
+            f"leave out blurred or bent views, first of all {worst} ({errors[worst]:.2f} px)"
+        )
+    focal = float(np.max(np.ravel(deviations)[:2] / np.array([camera[0, 0], camera[1, 1]])))
+    if focal > FOCAL_DEVIATION:
+        raise InputError(
+            f"the focal length is uncertain by {100 * focal:.0f} %, {100 * FOCAL_DEVIATION:.0f} % are accepted; "
+            "take more views with more tilt, or use --no-lens"
+        )
+    calibration = PlateCalibration(
+        1e-9,
+        camera_matrix=camera,
+        distortion=np.ravel(distortion)[:5],
+        image_size=size,
+        reprojection_error=float(error),
+    )
+    return calibration, errors, focal, span
+
+
+def _plate(
+    base: PlateCalibration, views: Sequence[View], size: tuple[int, int]
+) -> PlateCalibration:
+    """The homography from undistorted pixels to the plate, averaged over the views."""
+    centre = np.array([(size[0] - 1) / 2, (size[1] - 1) / 2])
+    if base.camera_matrix is not None:
+        centre = base.camera_matrix[:2, 2]
+    # Each view has its own board frame: bring them to one plate frame, then fit all together.
+    sources, targets = [], []
+    for view in views:
+        undistorted = base.undistort(view.pixels)
+        sources.append(undistorted)
+        targets.append(_in_plate_frame(undistorted, view.points[:, :2], centre, view.name))
+    homography = _fit(np.concatenate(sources), np.concatenate(targets), "plate views")
+    residual = _apply(homography, np.concatenate(sources)) - np.concatenate(targets)
+    plate_error = float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
+    extent = float(np.ptp(np.concatenate(targets), axis=0).max())
+    if plate_error > 0.01 * extent:
+        raise InputError(
+            f"the plate views differ by {plate_error * 1e6:.0f} µm; lay the board flat on the plate in each, "
+            "and do not move the camera"
+        )
+    probe = centre + np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
+    corner = _apply(homography, probe)
+    area = cv2.contourArea(((corner - corner[0]) * 1e6).astype(np.float32)) * 1e-12
+    error = base.reprojection_error
+    if math.isnan(error):
+        back = _apply(np.linalg.inv(homography), np.concatenate(targets)) - np.concatenate(sources)
+        error = float(np.sqrt(np.mean(np.sum(back**2, axis=1))))
+        if error > MAXIMUM_ERROR:
+            raise InputError(
+                f"reprojection error is {error:.2f} px, at most {MAXIMUM_ERROR:g} px are accepted; "
+                "the board is not flat or the lens distorts: calibrate with the lens"
+            )
+    return replace(
+        base,
+        plate_from_pixel=homography,
+        area_per_pixel=float(area),
+        plate_error=plate_error,
+        reprojection_error=error,
+    )
+
+
+def _in_plate_frame(
+    pixels: np.ndarray, board: np.ndarray, centre: np.ndarray, name: str
+) -> np.ndarray:
+    """Board points (n, 2) m in the plate frame: origin at the optical axis, x along the image's x, y down."""
+    homography = _fit(pixels, board, name)
+    origin, right, below = _apply(homography, centre + np.array([[0, 0], [1, 0], [0, 1]]))
+    along = (right - origin) / np.linalg.norm(right - origin)
+    across = np.array([-along[1], along[0]])
+    if across @ (below - origin) < 0:
+        across = -across
+    return (board - origin) @ np.column_stack([along, across])
+
+
+def _fit(pixels: np.ndarray, plane: np.ndarray, name: str) -> np.ndarray:
+    # In units of about 1 for a well-conditioned fit.
+    scale = float(np.abs(plane).max()) or 1.0
+    homography, _ = cv2.findHomography(pixels.astype(np.float64), plane.astype(np.float64) / scale)
+    if homography is None or not np.isfinite(homography).all():
+        raise InputError(f"{name}: the corners found do not form a plane; leave this view out")
+    return np.diag([scale, scale, 1.0]) @ homography
+
+
+def _apply(homography: np.ndarray, points: np.ndarray) -> np.ndarray:
+    w = points @ homography[2, :2] + homography[2, 2]
+    return (points @ homography[:2, :2].T + homography[:2, 2]) / w[:, None]

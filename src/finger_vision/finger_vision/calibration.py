@@ -1,0 +1,265 @@
+"""From pixels to metres on the plate: camera matrix, lens distortion, plate homography.
+
+A pixel is freed of lens distortion (Zhang's camera model as in OpenCV and sensor_msgs/CameraInfo, "plumb_bob"),
+then mapped by a homography to the plate frame: origin on the point the optical axis meets, x right and y down in
+the rectified image, metres. A plain area per pixel is the same thing without tilt and lens, and says so.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import yaml
+
+from finger_common.errors import InputError
+from finger_common.files import atomic_write, load_yaml, number
+
+FILE_VERSION = 1
+PAPER_AREA_PER_PIXEL = 0.000986e-6
+"""m²; Nam and Kuchenbecker, IEEE Trans. Haptics 14(2), 2021."""
+
+
+@dataclass(frozen=True)
+class PlateCalibration:
+    """Mapping of the pixels of one camera to the plate.
+
+    plate_from_pixel: (3, 3) homography from undistorted pixels to metres, None where only the area is known.
+    camera_matrix: (3, 3), pixels. distortion: (5,) k1 k2 p1 p2 k3. image_size: (width, height) it holds for,
+    None for any. area_per_pixel: m² of a pixel of the rectified image. reprojection_error: root mean square, in
+    pixels, over the board's corners, NaN where nothing was measured. plate_error: the same on the plate, in m.
+    """
+
+    area_per_pixel: float
+    plate_from_pixel: np.ndarray | None = None
+    camera_matrix: np.ndarray | None = None
+    distortion: np.ndarray = field(default_factory=lambda: np.zeros(5))
+    image_size: tuple[int, int] | None = None
+    reprojection_error: float = math.nan
+    plate_error: float = math.nan
+    camera_name: str = ""
+    date: str = ""
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.area_per_pixel) and 0 < self.area_per_pixel < 1e-4):
+            raise InputError(
+                f"area per pixel is {self.area_per_pixel:g} m², a number above 0 and below 1e-4 is needed"
+            )
+
+    @classmethod
+    def from_area_per_pixel(cls, area: float) -> PlateCalibration:
+        """A camera that looks squarely at the plate, `area` in m²; measurements with it are flagged."""
+        return cls(float(area))
+
+    @property
+    def calibrated(self) -> bool:
+        """Whether the plate's homography is known."""
+        return self.plate_from_pixel is not None
+
+    # Geometry --------------------------------------------------------------------------------
+
+    def check_size(self, width: int, height: int) -> None:
+        """Raises InputError when an image of that size does not belong to this calibration."""
+        if self.image_size is not None and (width, height) != self.image_size:
+            raise InputError(
+                f"image is {width}×{height}, the plate calibration is for "
+                f"{self.image_size[0]}×{self.image_size[1]}; calibrate again or set the camera's size"
+            )
+
+    def homography_for(self, width: int, height: int) -> np.ndarray:
+        """(3, 3) from undistorted pixels to metres for images of that size."""
+        self.check_size(width, height)
+        if self.plate_from_pixel is not None:
+            return self.plate_from_pixel
+        pitch = math.sqrt(self.area_per_pixel)
+        return np.array(
+            [[pitch, 0, -pitch * (width - 1) / 2], [0, pitch, -pitch * (height - 1) / 2], [0, 0, 1]]
+        )
+
+    def undistort(self, pixels: np.ndarray) -> np.ndarray:
+        """(n, 2) pixels freed of lens distortion."""
+        if self.camera_matrix is None or not np.any(self.distortion):
+            return np.asarray(pixels, float)
+        return cv2.undistortPoints(
+            np.asarray(pixels, np.float64).reshape(-1, 1, 2),
+            self.camera_matrix,
+            self.distortion,
+            P=self.camera_matrix,
+        ).reshape(-1, 2)
+
+    def to_plate(self, pixels: np.ndarray, width: int, height: int) -> np.ndarray:
+        """(n, 2) metres on the plate from (n, 2) pixels of an image of that size."""
+        points = self.undistort(pixels)
+        g = self.homography_for(width, height)
+        w = points @ g[2, :2] + g[2, 2]
+        return (points @ g[:2, :2].T + g[:2, 2]) / w[:, None]
+
+    def to_pixels(self, plate: np.ndarray, width: int, height: int) -> np.ndarray:
+        """(n, 2) pixels from (n, 2) metres on the plate; the inverse of `to_plate`."""
+        g = np.linalg.inv(self.homography_for(width, height))
+        plate = np.asarray(plate, float).reshape(-1, 2)
+        w = plate @ g[2, :2] + g[2, 2]
+        points = (plate @ g[:2, :2].T + g[:2, 2]) / w[:, None]
+        if self.camera_matrix is None or not np.any(self.distortion):
+            return points
+        k = self.camera_matrix
+        rays = np.column_stack(
+            [
+                (points[:, 0] - k[0, 2]) / k[0, 0],
+                (points[:, 1] - k[1, 2]) / k[1, 1],
+                np.ones(len(points)),
+            ]
+        )
+        zero = np.zeros(3)
+        return cv2.projectPoints(rays, zero, zero, k, self.distortion)[0].reshape(-1, 2)
+
+    def pixel_areas(self, width: int, height: int, step: int = 1) -> np.ndarray:
+        """Area (m²) on the plate of one pixel at the centre of each step × step block, float32."""
+        columns, rows = width // step, height // step
+        # Corners of the blocks, mapped once; areas by the shoelace formula.
+        u = np.arange(columns + 1) * step - 0.5
+        v = np.arange(rows + 1) * step - 0.5
+        grid = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+        corner = self.to_plate(grid, width, height).reshape(rows + 1, columns + 1, 2)
+        diagonal = corner[1:, 1:] - corner[:-1, :-1]
+        other = corner[1:, :-1] - corner[:-1, 1:]
+        area = 0.5 * np.abs(diagonal[..., 0] * other[..., 1] - diagonal[..., 1] * other[..., 0])
+        return (area / step**2).astype(np.float32)
+
+    def rectified_map(self, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+        """Maps for cv2.remap to a rectified image of the same size, pixels of `area_per_pixel`, origin centred."""
+        pitch = math.sqrt(self.area_per_pixel)
+        x = (np.arange(width) - (width - 1) / 2) * pitch
+        y = (np.arange(height) - (height - 1) / 2) * pitch
+        grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        pixels = self.to_pixels(grid, width, height).reshape(height, width, 2)
+        pixels = np.clip(pixels, -1e5, 1e5).astype(np.float32)
+        return cv2.convertMaps(pixels[..., 0], pixels[..., 1], cv2.CV_16SC2)
+
+    def rectify(self, image: np.ndarray) -> np.ndarray:
+        """(H, W) uint8 seen squarely; each pixel covers `area_per_pixel`."""
+        height, width = image.shape[:2]
+        if not self.calibrated:
+            return image
+        first, second = self.rectified_map(width, height)
+        return cv2.remap(image, first, second, cv2.INTER_LINEAR)
+
+    # Files -----------------------------------------------------------------------------------
+
+    def camera_info_fields(self) -> dict[str, Any]:
+        """Fields of a sensor_msgs/CameraInfo: height, width, distortion_model, d, k, r, p.
+
+        `r` is the identity: the plate's homography is not a rotation of the camera and is not sent in it.
+        """
+        if self.camera_matrix is None or self.image_size is None:
+            raise InputError("this calibration holds no camera matrix; run finger-vision calibrate")
+        k = self.camera_matrix
+        return {
+            "height": self.image_size[1],
+            "width": self.image_size[0],
+            "distortion_model": "plumb_bob",
+            "d": [float(v) for v in self.distortion],
+            "k": [float(v) for v in k.ravel()],
+            "r": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+            "p": [float(v) for v in np.column_stack([k, np.zeros(3)]).ravel()],
+        }
+
+    def save(self, path: str | Path) -> None:
+        """Write the YAML file; its camera part is that of ROS's camera_calibration."""
+
+        def matrix(values: np.ndarray) -> dict[str, Any]:
+            values = np.atleast_2d(values)
+            return {
+                "rows": int(values.shape[0]),
+                "cols": int(values.shape[1]),
+                "data": [float(v) for v in values.ravel()],
+            }
+
+        data: dict[str, Any] = {
+            "version": FILE_VERSION,
+            "camera_name": self.camera_name,
+            "date": self.date or datetime.now(timezone.utc).isoformat(timespec="seconds"),
+            "area_per_pixel": float(self.area_per_pixel),
+        }
+        if self.image_size is not None:
+            data["image_width"], data["image_height"] = map(int, self.image_size)
+        if self.camera_matrix is not None:
+            data["camera_matrix"] = matrix(self.camera_matrix)
+            data["distortion_model"] = "plumb_bob"
+            data["distortion_coefficients"] = matrix(self.distortion)
+            data["rectification_matrix"] = matrix(np.eye(3))
+            data["projection_matrix"] = matrix(np.column_stack([self.camera_matrix, np.zeros(3)]))
+        if self.plate_from_pixel is not None:
+            data["plate_homography"] = matrix(self.plate_from_pixel)
+        for key in ("reprojection_error", "plate_error"):
+            if math.isfinite(getattr(self, key)):
+                data[key] = float(getattr(self, key))
+        with atomic_write(path) as file:
+            file.write(
+                "# Plate calibration. area_per_pixel: m^2 of a rectified pixel. plate_homography: from\n"
+                "# undistorted pixels to m on the plate. reprojection_error: px RMS; plate_error: m RMS.\n"
+            )
+            yaml.safe_dump(data, file, sort_keys=False, default_flow_style=None, width=100)
+
+    @classmethod
+    def load(cls, path: str | Path) -> PlateCalibration:
+        """Read a YAML file; raises InputError naming file and key."""
+        data = load_yaml(path, "plate calibration")
+        where = str(path)
+        version = data.get("version", FILE_VERSION)
+        if version != FILE_VERSION:
+            raise InputError(
+                f"{where}: version {version!r} is not known, {FILE_VERSION} is; calibrate again"
+            )
+
+        def matrix(key: str, shape: tuple[int, int]) -> np.ndarray | None:
+            if key not in data:
+                return None
+            try:
+                values = np.array(data[key]["data"], dtype=float)
+                size = (int(data[key]["rows"]), int(data[key]["cols"]))
+            except (TypeError, KeyError, ValueError):
+                raise InputError(f"{where}: '{key}' needs rows, cols and data") from None
+            if size != shape or values.size != shape[0] * shape[1] or not np.isfinite(values).all():
+                raise InputError(
+                    f"{where}: '{key}' must be {shape[0]}×{shape[1]} finite numbers; correct it"
+                )
+            return values.reshape(shape)
+
+        size = None
+        if "image_width" in data or "image_height" in data:
+            size = (
+                int(number(data, "image_width", where)),
+                int(number(data, "image_height", where)),
+            )
+            if min(size) <= 0:
+                raise InputError(f"{where}: image size {size[0]}×{size[1]} is not above zero")
+        distortion = matrix("distortion_coefficients", (1, 5))
+        homography = matrix("plate_homography", (3, 3))
+        if homography is not None and abs(np.linalg.det(homography)) < 1e-30:
+            raise InputError(f"{where}: 'plate_homography' is singular; calibrate again")
+        if homography is not None and size is None:
+            raise InputError(f"{where}: 'image_width' and 'image_height' are missing; add them")
+
+        def optional(key: str) -> float:
+            return number(data, key, where) if key in data else math.nan
+
+        try:
+            return cls(
+                area_per_pixel=number(data, "area_per_pixel", where),
+                plate_from_pixel=homography,
+                camera_matrix=matrix("camera_matrix", (3, 3)),
+                distortion=np.zeros(5) if distortion is None else distortion[0],
+                image_size=size,
+                reprojection_error=optional("reprojection_error"),
+                plate_error=optional("plate_error"),
+                camera_name=str(data.get("camera_name", "")),
+                date=str(data.get("date", "")),
+            )
+        except InputError as error:
+            raise InputError(f"{where}: {str(error).removeprefix(where + ': ')}") from None

@@ -1,0 +1,182 @@
+"""`finger-vision`: areas from images, plate calibration."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
+from pathlib import Path
+from typing import IO, Any
+
+from finger_common.cli import Parser, run
+from finger_common.errors import InputError
+from finger_common.files import atomic_write
+
+from .board import DICTIONARY, Board, View, find_board
+from .calibrate import calibrate_plate
+from .calibration import PAPER_AREA_PER_PIXEL, PlateCalibration
+from .contact import ContactSegmenter, SegmenterSettings
+from .flags import flag_names
+from .images import read_image
+from .sources import images_of
+
+COLUMNS = ("image", "gross_area_mm2", "real_area_mm2", "flags")
+
+
+def _parser() -> Parser:
+    parser = Parser(prog="finger-vision", description="Contact area of a finger from FTIR images.")
+    commands = parser.add_subparsers(dest="command", required=True, parser_class=Parser)
+    area = commands.add_parser(
+        "area",
+        help="images → gross and real contact area as CSV",
+        description="Measure the contact in each image; one CSV row per image, areas in mm².",
+        example="finger-vision area press_01.png press_02.png --area-per-pixel 9.86e-10 -o areas.csv",
+    )
+    area.add_argument("images", nargs="+", type=Path, metavar="IMAGE")
+    scale = area.add_mutually_exclusive_group()
+    scale.add_argument("--calibration", type=Path, metavar="YAML", help="plate calibration")
+    scale.add_argument(
+        "--area-per-pixel",
+        type=float,
+        metavar="M2",
+        help=f"area of one pixel in m² (default {PAPER_AREA_PER_PIXEL:g}, the paper's; flagged as uncalibrated)",
+    )
+    area.add_argument(
+        "--background",
+        nargs="+",
+        type=Path,
+        default=[],
+        metavar="IMAGE",
+        help="contact-free images of the same plate",
+    )
+    area.add_argument("--outline", choices=("convex", "concave"), default="convex")
+    area.add_argument("--polarity", choices=("auto", "dark", "bright"), default="auto")
+    area.add_argument("-o", "--output", type=Path, metavar="CSV", help="default: standard output")
+    _add_calibrate(commands)
+    return parser
+
+
+def _add_calibrate(commands: Any) -> None:
+    calibrate = commands.add_parser(
+        "calibrate",
+        help="views of a board → plate calibration",
+        description="Calibrate camera and plate from images or bags that show a board through plate and prism. "
+        "The views give the lens (Zhang's method), those of --on-plate, in which the board lies flat on "
+        "the plate, the plate's homography.",
+        example="finger-vision calibrate view_*.png --on-plate flat.png --columns 12 --rows 9 "
+        "--square 0.002 -o plate.yaml\n"
+        "finger-vision calibrate board.mcap --on-plate flat.png --board charuco --columns 10 --rows 8 "
+        "--square 0.003 --marker 0.0022 -o plate.yaml",
+    )
+    calibrate.add_argument("views", nargs="*", type=Path, metavar="VIEW", help="images or bags")
+    calibrate.add_argument(
+        "--on-plate", nargs="+", type=Path, required=True, metavar="VIEW", help="images or bags"
+    )
+    calibrate.add_argument("--board", choices=("checkerboard", "charuco"), default="checkerboard")
+    calibrate.add_argument("--columns", type=int, required=True, help="squares, not inner corners")
+    calibrate.add_argument("--rows", type=int, required=True, help="squares, not inner corners")
+    calibrate.add_argument("--square", type=float, required=True, metavar="M", help="side in m")
+    calibrate.add_argument("--marker", type=float, default=0.0, metavar="M", help="side in m")
+    calibrate.add_argument("--dictionary", default=DICTIONARY, help=f"default {DICTIONARY}")
+    calibrate.add_argument(
+        "--no-lens", action="store_true", help="homography alone, without lens distortion"
+    )
+    calibrate.add_argument("--topic", default="image_raw", help="of the images in a bag")
+    calibrate.add_argument(
+        "--every", type=float, default=1.0, metavar="S", help="take one image in so many seconds"
+    )
+    calibrate.add_argument("--camera-name", default="finger_camera")
+    calibrate.add_argument("-o", "--output", type=Path, required=True, metavar="YAML")
+
+
+def _views(paths: Sequence[Path], board: Board, arguments: Any) -> list[View]:
+    views = []
+    for path in paths:
+        for name, image in images_of(path, arguments.topic, arguments.every):
+            view = find_board(image, board, name)
+            if view is None:
+                print(f"{name}: board not found, left out", file=sys.stderr)
+            else:
+                views.append(view)
+    return views
+
+
+def _calibrate(arguments: Any) -> int:
+    board = Board(
+        arguments.board,
+        arguments.columns,
+        arguments.rows,
+        arguments.square,
+        arguments.marker,
+        arguments.dictionary,
+    )
+    on_plate = _views(arguments.on_plate, board, arguments)
+    views = [] if arguments.no_lens else _views(arguments.views, board, arguments) + on_plate
+    report = calibrate_plate(views, on_plate, arguments.camera_name, lens=not arguments.no_lens)
+    calibration = report.calibration
+    calibration.save(arguments.output)
+    for name, error in report.view_errors.items():
+        print(f"{name}: {error:.3f} px")
+    print(
+        f"reprojection error {calibration.reprojection_error:.3f} px, on the plate "
+        f"{calibration.plate_error * 1e6:.1f} µm; {calibration.area_per_pixel * 1e6:.6f} mm² per rectified pixel"
+    )
+    print(f"written to {arguments.output}")
+    return 0
+
+
+def _output(path: Path | None) -> AbstractContextManager[IO[Any]]:
+    return nullcontext(sys.stdout) if path is None else atomic_write(path)
+
+
+def _area(arguments: Any) -> int:
+    if arguments.calibration is not None:
+        calibration = PlateCalibration.load(arguments.calibration)
+    elif arguments.area_per_pixel is not None:
+        calibration = PlateCalibration.from_area_per_pixel(arguments.area_per_pixel)
+    else:
+        calibration = PlateCalibration.from_area_per_pixel(PAPER_AREA_PER_PIXEL)
+    settings = SegmenterSettings(outline=arguments.outline, polarity=arguments.polarity)
+    # Images on a command line need not follow each other in time: none becomes another's background.
+    segmenter = ContactSegmenter(replace(settings, learn_background=False), calibration)
+    for path in arguments.background:
+        _named(path, segmenter.learn)
+    with _output(arguments.output) as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        for path in arguments.images:
+            measurement = _named(path, segmenter.process)
+            writer.writerow(
+                [
+                    path,
+                    f"{measurement.gross_area * 1e6:.4f}",
+                    f"{measurement.real_area * 1e6:.4f}",
+                    flag_names(measurement.flags),
+                ]
+            )
+    return 0
+
+
+def _named(path: Path, action: Any) -> Any:
+    """Apply `action` to an image; complaints name its file."""
+    image = read_image(path)
+    try:
+        return action(image)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _main(argv: Sequence[str] | None = None) -> int:
+    arguments = _parser().parse_args(argv)
+    return _area(arguments) if arguments.command == "area" else _calibrate(arguments)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Entry point of `finger-vision`."""
+    return run(_main, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,82 @@
+"""Outlines of a mask of ridges: convex hull, closed outline, and their moments."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+
+
+def convex_corners(mask: np.ndarray) -> np.ndarray:
+    """(n, 2) corners of the convex hull of a mask's pixels taken as squares; (0, 2) for an empty mask.
+
+    Centres of pixels would leave half a pixel out all round.
+    """
+    rows = np.flatnonzero(mask.any(axis=1))
+    if len(rows) == 0:
+        return np.zeros((0, 2))
+    found = mask[rows] > 0
+    left = found.argmax(axis=1) - 0.5
+    right = found.shape[1] - found[:, ::-1].argmax(axis=1) - 0.5
+    corners = np.concatenate(
+        [np.column_stack([x, rows + side]) for x in (left, right) for side in (-0.5, 0.5)]
+    )
+    return cv2.convexHull(corners.astype(np.float32)).reshape(-1, 2).astype(float)
+
+
+def closed_outline(mask: np.ndarray, gap: int) -> np.ndarray:
+    """(n, 2) outer contour of a mask after gaps up to `gap` pixels are closed; (0, 2) for an empty mask."""
+    size = gap | 1
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    padded = cv2.copyMakeBorder(mask, size, size, size, size, cv2.BORDER_CONSTANT, value=0)
+    closed = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, kernel)
+    contours, _ = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    if not contours:
+        return np.zeros((0, 2))
+    contour = max(contours, key=cv2.contourArea).reshape(-1, 2).astype(float) - size
+    return shifted(contour, 0.5) if len(contour) > 8 else np.zeros((0, 2))
+
+
+def widened(hull: np.ndarray, by: float) -> np.ndarray:
+    """Convex outline (n, 2) in m moved outwards by `by` m: its Minkowski sum with a disc."""
+    corners = 16
+    t = np.linspace(0, 2 * math.pi, corners, endpoint=False)
+    # Polygon of the disc's area.
+    radius = by * math.sqrt(2 * math.pi / corners / math.sin(2 * math.pi / corners))
+    disc = radius * np.column_stack([np.cos(t), np.sin(t)])
+    points = ((hull[:, None] + disc) * 1e3).astype(np.float32).reshape(-1, 2)
+    return cv2.convexHull(points).reshape(-1, 2).astype(float) * 1e-3
+
+
+def shifted(contour: np.ndarray, by: float) -> np.ndarray:
+    """Closed contour (n, 2) moved outwards by `by` along its smoothed normal."""
+    tangent = np.roll(contour, -3, axis=0) - np.roll(contour, 3, axis=0)
+    normal = np.column_stack([tangent[:, 1], -tangent[:, 0]])
+    normal /= np.maximum(np.hypot(normal[:, 0], normal[:, 1]), 1e-12)[:, None]
+    following = np.roll(contour, -1, axis=0)
+    turn = np.sum(contour[:, 0] * following[:, 1] - contour[:, 1] * following[:, 0])
+    return contour + math.copysign(by, turn) * normal
+
+
+class Shape:
+    """Area (m²), perimeter (m), centroid (m) and moment ellipse of a closed outline (n, 2) in m."""
+
+    def __init__(self, outline: np.ndarray) -> None:
+        # In mm, within float32's comfort.
+        points = (outline * 1e3).astype(np.float32)
+        moments = cv2.moments(points)
+        self.area = moments["m00"] * 1e-6
+        self.perimeter = float(cv2.arcLength(points, True)) * 1e-3
+        self.centroid = (0.0, 0.0)
+        self.major = self.minor = self.angle = 0.0
+        if self.area > 0:
+            m00 = moments["m00"]
+            self.centroid = (moments["m10"] / m00 * 1e-3, moments["m01"] / m00 * 1e-3)
+            xx, yy, xy = (moments[key] / m00 for key in ("mu20", "mu02", "mu11"))
+            half, root = (xx + yy) / 2, math.hypot((xx - yy) / 2, xy)
+            # An ellipse with semi-axis a has the second moment a²/4 along it.
+            self.major = 4e-3 * math.sqrt(max(half + root, 0))
+            self.minor = 4e-3 * math.sqrt(max(half - root, 0))
+            angle = 0.5 * math.atan2(2 * xy, xx - yy)
+            self.angle = angle if angle > -math.pi / 2 else angle + math.pi

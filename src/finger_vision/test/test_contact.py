@@ -1,0 +1,312 @@
+"""Areas against known contacts, over everything the segmenter might lean on."""
+
+from __future__ import annotations
+
+import math
+import tracemalloc
+
+import cv2
+import numpy as np
+import pytest
+
+from finger_common.errors import InputError
+from finger_sim.ftir import AREA_PER_PIXEL, LOOKS, Contact, FtirRenderer, Scene
+from finger_vision.calibration import PlateCalibration
+from finger_vision.contact import ContactSegmenter, SegmenterSettings
+from finger_vision.flags import ContactFlag
+from finger_vision.messages import contact_area_fields
+
+
+def calibration_of(renderer: FtirRenderer) -> PlateCalibration:
+    return PlateCalibration(
+        AREA_PER_PIXEL,
+        np.linalg.inv(renderer.homography),
+        renderer.camera_matrix,
+        image_size=(renderer.width, renderer.height),
+    )
+
+
+def random_contact(rng: np.random.Generator, low: float = 5.0, high: float = 250.0) -> Contact:
+    area = math.exp(rng.uniform(math.log(low), math.log(high))) * 1e-6
+    return Contact(
+        math.sqrt(area / math.pi),
+        tuple(rng.uniform(-2e-3, 2e-3, 2)),
+        rng.uniform(1, 1.8),
+        rng.uniform(-math.pi, math.pi),
+    )
+
+
+@pytest.fixture(scope="module")
+def study() -> list[dict]:
+    """One row per rendered frame: true and measured, with the learned background and without."""
+    rows = []
+    for index in range(30):
+        rng = np.random.default_rng([20, index])
+        look = list(LOOKS)[index % 3]
+        scene = Scene.random(rng)
+        renderer = FtirRenderer(look, int(rng.integers(2**31)), scene)
+        calibration = calibration_of(renderer)
+        settings = SegmenterSettings(learn_background=False)
+        learned = ContactSegmenter(settings, calibration)
+        for _ in range(5):
+            learned.learn(renderer.empty())
+        guessed = ContactSegmenter(settings, calibration)
+        empty = renderer.empty()
+        empties = [s.process(empty) for s in (learned, guessed)]
+        for _ in range(3):
+            contact = random_contact(rng)
+            frame = renderer.render_frame([contact])
+            if frame.clipped:
+                continue
+            rows.append(
+                {
+                    "look": look,
+                    "scene": scene,
+                    "contact": contact,
+                    "frame": frame,
+                    "learned": learned.process(frame.image),
+                    "guessed": guessed.process(frame.image),
+                    "empties": empties,
+                }
+            )
+    assert len(rows) > 70
+    return rows
+
+
+def errors(rows: list[dict], which: str) -> np.ndarray:
+    return np.array([r[which].gross_area / r["frame"].gross_area - 1 for r in rows])
+
+
+def large(rows: list[dict]) -> list[dict]:
+    return [r for r in rows if r["frame"].gross_area > 20e-6]
+
+
+@pytest.mark.parametrize("which", ["learned", "guessed"])
+def test_gross_area_above_20_mm2_within_2_percent_median_5_at_95(study, which: str) -> None:
+    error = np.abs(errors(large(study), which))
+    print(f"{which}: median {np.median(error):.4f}, p95 {np.percentile(error, 95):.4f}")
+    assert np.median(error) < 0.02
+    assert np.percentile(error, 95) < 0.05
+
+
+@pytest.mark.parametrize("look", LOOKS)
+def test_no_look_is_left_behind(study, look: str) -> None:
+    error = np.abs(errors([r for r in large(study) if r["look"] == look], "learned"))
+    assert np.median(error) < 0.025
+    assert np.percentile(error, 95) < 0.06
+
+
+def test_small_contacts_are_within_ten_percent(study) -> None:
+    small = [r for r in study if r["frame"].gross_area <= 20e-6]
+    error = np.abs(errors(small, "learned"))
+    assert np.median(error) < 0.05
+    assert error.max() < 0.15
+
+
+def test_real_area_within_5_percent(study) -> None:
+    error = [r["learned"].real_area / r["frame"].real_area - 1 for r in large(study)]
+    assert abs(np.median(error)) < 0.02
+    assert np.percentile(np.abs(error), 90) < 0.06
+
+
+def test_empty_frames_give_exactly_zero(study) -> None:
+    for row in study:
+        for measurement in row["empties"]:
+            assert measurement.gross_area == 0.0 and measurement.real_area == 0.0
+            assert measurement.area_sd == 0.0 and len(measurement.hull) == 0
+            assert measurement.flags & ContactFlag.NO_CONTACT
+
+
+def test_standard_deviation_fits_the_errors(study) -> None:
+    score = [
+        (r["learned"].gross_area - r["frame"].gross_area) / r["learned"].area_sd for r in study
+    ]
+    assert 0.6 < np.sqrt(np.mean(np.square(score))) < 1.6
+    assert np.mean(np.abs(score) < 3) > 0.97
+
+
+def test_centre_axes_and_angle_are_those_of_the_contact(study) -> None:
+    for row in large(study):
+        contact, seen = row["contact"], row["learned"]
+        assert np.hypot(*np.subtract(seen.centroid, contact.centre)) < 0.3e-3
+        major, minor = contact.semi_axes
+        assert seen.ellipse_major == pytest.approx(2 * major, rel=0.06)
+        assert seen.ellipse_minor == pytest.approx(2 * minor, rel=0.06)
+        if contact.aspect > 1.2:
+            turn = (seen.ellipse_angle - contact.angle + math.pi / 2) % math.pi - math.pi / 2
+            assert abs(turn) < math.radians(6)
+
+
+def test_concave_outline_agrees_on_full_contacts_and_leaves_gaps_out() -> None:
+    renderer = FtirRenderer("natural", 1, Scene(latent=0.0))
+    frame = renderer.render_frame([Contact(5e-3, aspect=1.3)])
+    convex, concave = (
+        ContactSegmenter(SegmenterSettings(outline=o)).process(frame.image)
+        for o in ("convex", "concave")
+    )
+    assert concave.gross_area == pytest.approx(convex.gross_area, rel=0.06)
+    # A wedge wiped out of the print: the hull bridges it, the closed outline does not.
+    wedge = np.array([[640, 512], [900, 400], [900, 624]])
+    cut = frame.image.copy()
+    mask = cv2.fillPoly(np.zeros_like(cut), [wedge], 255) > 0
+    cut[mask] = renderer.empty()[mask]
+    convex, concave = (
+        ContactSegmenter(SegmenterSettings(outline=o)).process(cut) for o in ("convex", "concave")
+    )
+    assert concave.gross_area < 0.9 * convex.gross_area
+
+
+def test_latent_prints_do_not_count_once_the_background_is_learned() -> None:
+    renderer = FtirRenderer("dry", 5, Scene(latent=0.12))
+    clean = FtirRenderer("dry", 5, Scene(latent=0.0))
+    with_latent, without = (ContactSegmenter() for _ in range(2))
+    assert with_latent.process(renderer.empty()).gross_area == 0.0
+    assert without.process(clean.empty()).gross_area == 0.0
+    for radius in (2e-3, 3e-3, 4.5e-3):
+        seen = with_latent.process(renderer.render(radius)).gross_area
+        assert seen == pytest.approx(without.process(clean.render(radius)).gross_area, rel=0.02)
+
+
+def test_print_left_by_a_press_of_this_session_is_learned_away() -> None:
+    before = FtirRenderer("natural", 6, Scene(latent=0.0))
+    after = FtirRenderer("natural", 6, Scene(latent=0.10))
+    segmenter = ContactSegmenter()
+    for _ in range(3):
+        segmenter.process(before.empty())
+    truth = segmenter.process(before.render(4e-3)).gross_area
+    for _ in range(30):
+        assert segmenter.process(after.empty()).gross_area == 0.0
+    assert segmenter.process(after.render(4e-3)).gross_area == pytest.approx(truth, rel=0.03)
+
+
+def test_pressing_finger_is_told_from_another_contact_and_dirt() -> None:
+    renderer = FtirRenderer("natural", 7, Scene(latent=0.0, dust=60))
+    segmenter = ContactSegmenter()
+    segmenter.process(renderer.empty())
+    alone = segmenter.process(renderer.render_frame([Contact(4.5e-3, (0, -4e-3))]).image)
+    both = renderer.render_frame(
+        [Contact(4.5e-3, (0, -4e-3)), Contact(2.5e-3, (0, 6e-3), 1.5, 0.0)]
+    )
+    seen = segmenter.process(both.image)
+    assert seen.flags & ContactFlag.MULTIPLE_REGIONS
+    assert not alone.flags & ContactFlag.MULTIPLE_REGIONS
+    assert seen.gross_area == pytest.approx(alone.gross_area, rel=0.02)
+
+
+def test_flags_say_what_speaks_against_a_frame() -> None:
+    renderer = FtirRenderer("natural", 8, Scene(latent=0.0))
+    calibrated = ContactSegmenter(calibration=calibration_of(renderer))
+    good = renderer.render(4.5e-3)
+    first = ContactSegmenter(calibration=calibration_of(renderer)).process(good)
+    assert first.flags == ContactFlag.NO_BACKGROUND
+    calibrated.process(renderer.empty())
+    assert calibrated.process(good).flags == 0
+    assert calibrated.process(renderer.render(5e-3, (18e-3, 0.0))).flags == ContactFlag.CLIPPED
+    plain = ContactSegmenter()
+    plain.process(renderer.empty())
+    assert plain.process(good).flags == ContactFlag.UNCALIBRATED
+    pale = np.clip(190 + (good.astype(float) - 190) * 0.36, 0, 255).astype(np.uint8)
+    assert ContactSegmenter().process(pale).flags & ContactFlag.LOW_CONTRAST
+    white = np.where(good > 140, 255, good).astype(np.uint8)
+    assert ContactSegmenter().process(white).flags & ContactFlag.SATURATED
+    tiny = calibrated.process(renderer.render(1.0e-3))
+    assert tiny.flags & ContactFlag.SPARSE and tiny.gross_area > 0
+
+
+@pytest.mark.parametrize("look", LOOKS)
+def test_crops_rotations_gain_and_gamma_move_the_area_by_less_than_3_percent(look: str) -> None:
+    renderer = FtirRenderer(look, 9, Scene(latent=0.05, background=170))
+    image = renderer.render(4.5e-3, aspect=1.4)
+    base = ContactSegmenter().process(image).gross_area
+    rng = np.random.default_rng(1)
+    variants = [np.clip(image * g, 0, 255).astype(np.uint8) for g in (0.6, 0.8, 1.25)]
+    variants += [(255 * (image / 255) ** g).astype(np.uint8) for g in (0.7, 1.4)]
+    for angle in (17, -31, 90):
+        turn = cv2.getRotationMatrix2D((639.5, 511.5), angle, 1)
+        variants.append(cv2.warpAffine(image, turn, (1280, 1024), borderMode=cv2.BORDER_REPLICATE))
+    for _ in range(4):
+        left, top = rng.integers(0, 380), rng.integers(0, 250)
+        right, bottom = rng.integers(900, 1280), rng.integers(770, 1024)
+        variants.append(np.ascontiguousarray(image[top:bottom, left:right]))
+    for variant in variants:
+        assert ContactSegmenter().process(variant).gross_area == pytest.approx(base, rel=0.03)
+
+
+def test_gain_drift_after_the_background_was_learned() -> None:
+    renderer = FtirRenderer("natural", 10, Scene(latent=0.05))
+    segmenter = ContactSegmenter(SegmenterSettings(learn_background=False))
+    segmenter.learn(renderer.empty())
+    image = renderer.render(4.5e-3)
+    base = segmenter.process(image).gross_area
+    for gain in (0.6, 0.85, 1.2):
+        dimmed = np.clip(image * gain, 0, 255).astype(np.uint8)
+        assert segmenter.process(dimmed).gross_area == pytest.approx(base, rel=0.03)
+        empty = np.clip(renderer.empty() * gain, 0, 255).astype(np.uint8)
+        assert segmenter.process(empty).gross_area == 0.0
+
+
+def test_plain_frames_of_any_grey_are_empty() -> None:
+    for grey in (0, 3, 128, 255):
+        assert ContactSegmenter().process(np.full((256, 320), grey, np.uint8)).gross_area == 0.0
+    noise = np.random.default_rng(0).normal(100, 6, (512, 640)).clip(0, 255).astype(np.uint8)
+    assert ContactSegmenter().process(noise).gross_area == 0.0
+
+
+def test_same_frames_give_the_same_results_bit_for_bit() -> None:
+    renderer = FtirRenderer("natural", 11)
+    frames = [renderer.empty(), renderer.render(2e-3), renderer.render(4e-3), renderer.empty()]
+    first, second = (
+        [contact_area_fields(s.process(f)) for f in frames]
+        for s in (ContactSegmenter(), ContactSegmenter())
+    )
+    for a, b in zip(first, second):
+        np.testing.assert_array_equal(a.pop("hull"), b.pop("hull"))
+        assert a == b
+
+
+def test_wrong_sizes_and_settings_are_refused() -> None:
+    renderer = FtirRenderer("natural", 12)
+    segmenter = ContactSegmenter(calibration=calibration_of(renderer))
+    with pytest.raises(InputError, match="640×480, the plate calibration is for 1280×1024"):
+        segmenter.process(np.zeros((480, 640), np.uint8))
+    # The next frame is measured as if nothing had happened.
+    assert segmenter.process(renderer.render(4e-3)).gross_area > 45e-6
+    with pytest.raises(InputError, match="too small"):
+        ContactSegmenter().process(np.zeros((20, 20), np.uint8))
+    with pytest.raises(InputError, match="'outline'"):
+        SegmenterSettings(outline="round")
+    with pytest.raises(InputError, match="'ridge_period'"):
+        SegmenterSettings(ridge_period=math.nan)
+    with pytest.raises(InputError, match="area per pixel"):
+        PlateCalibration.from_area_per_pixel(math.nan)
+    for image in (np.zeros((64, 64, 3), np.uint8), np.zeros((64, 64), np.uint16)):
+        assert ContactSegmenter().process(np.repeat(np.repeat(image, 4, 0), 4, 1)).gross_area == 0
+
+
+def test_memory_does_not_grow_with_frames() -> None:
+    renderer = FtirRenderer("natural", 13)
+    frames = [renderer.empty(), renderer.render(2e-3), renderer.render(4e-3)]
+    segmenter = ContactSegmenter()
+    for frame in frames * 3:
+        segmenter.process(frame)
+    tracemalloc.start()
+    before, _ = tracemalloc.get_traced_memory()
+    for frame in frames * 40:
+        segmenter.process(frame)
+    after, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert after - before < 2_000_000
+
+
+def test_overlay_marks_the_outline() -> None:
+    renderer = FtirRenderer("natural", 14)
+    image = renderer.render(4e-3)
+    segmenter = ContactSegmenter()
+    measurement = segmenter.process(image)
+    picture = segmenter.overlay(image, measurement)
+    assert picture.shape == (1024, 1280, 3)
+    radius = 4e-3 / math.sqrt(AREA_PER_PIXEL)
+    green = np.argwhere((picture[..., 1] > 150) & (picture[..., 0] < 100) & (picture[..., 2] < 100))
+    distance = np.hypot(green[:, 0] - 511.5, green[:, 1] - 639.5)
+    assert len(green) > 300
+    assert np.median(distance) == pytest.approx(radius, rel=0.05)

@@ -1,0 +1,115 @@
+"""Whatever comes in becomes mono8 or is refused with the reason."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+
+from finger_common.errors import InputError
+from finger_vision.images import as_mono8, decode, read_image
+from finger_vision.latest import LatestSlot
+from finger_vision.messages import image_of, stamp_ns_of
+
+GREY = np.arange(12, dtype=np.uint8).reshape(3, 4) * 20
+
+
+def test_mono8_is_not_copied_and_padding_is_skipped() -> None:
+    padded = np.zeros((3, 7), np.uint8)
+    padded[:, :4] = GREY
+    image = decode(padded.tobytes(), 3, 4, "mono8", 7)
+    np.testing.assert_array_equal(image, GREY)
+    data = bytearray(GREY.tobytes())
+    seen = decode(data, 3, 4, "mono8", 4)
+    assert not seen.flags.owndata
+
+
+@pytest.mark.parametrize("bigendian", [False, True])
+def test_16_bit_keeps_full_scale(bigendian: bool) -> None:
+    values = np.array([[0, 256, 65535]], np.uint16)
+    data = values.astype(">u2" if bigendian else "<u2").tobytes()
+    np.testing.assert_array_equal(decode(data, 1, 3, "mono16", 6, bigendian), [[0, 1, 255]])
+    np.testing.assert_array_equal(as_mono8(values), [[0, 1, 255]])
+
+
+@pytest.mark.parametrize("encoding", ["rgb8", "bgr8", "rgba8", "bgra8"])
+def test_grey_colour_frames_become_the_same_grey(encoding: str) -> None:
+    channels = 4 if encoding.endswith("a8") else 3
+    data = np.repeat(GREY[:, :, None], channels, axis=2)
+    np.testing.assert_array_equal(decode(data.tobytes(), 3, 4, encoding, 4 * channels), GREY)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((b"", 0, 4, "mono8", 4), "size above zero"),
+        ((bytes(12), 3, 4, "bayer_rggb8", 4), "bayer_rggb8"),
+        ((bytes(11), 3, 4, "mono8", 4), "too few"),
+        ((bytes(12), 3, 4, "mono8", 2), "too few"),
+        ((bytes(12), 10**6, 10**6, "mono8", 10**6), "too large"),
+    ],
+)
+def test_unusable_messages_are_refused(arguments, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        decode(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("image", "words"),
+    [
+        (np.zeros((0, 5), np.uint8), "empty"),
+        (np.zeros((4, 4), np.float32), "float32"),
+        (np.zeros((4, 4, 2), np.uint8), "4×4×2"),
+        (np.zeros(4, np.uint8), r"\(height, width\)"),
+    ],
+)
+def test_unusable_arrays_are_refused(image: np.ndarray, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        as_mono8(image)
+
+
+def test_files_are_read_or_named(tmp_path: Path) -> None:
+    good = tmp_path / "good.png"
+    cv2.imwrite(str(good), GREY.astype(np.uint16) * 256)
+    np.testing.assert_array_equal(read_image(good), GREY)
+    for name, content, words in (
+        ("empty.png", b"", "empty"),
+        ("text.png", b"not an image", "decoded"),
+    ):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(InputError, match=words):
+            read_image(tmp_path / name)
+    with pytest.raises(InputError, match="folder"):
+        read_image(tmp_path)
+    with pytest.raises(InputError, match="no such image"):
+        read_image(tmp_path / "absent.png")
+
+
+def test_messages_are_read_by_attribute() -> None:
+    stamp = SimpleNamespace(sec=np.int32(1_700_000_000), nanosec=np.uint32(999_999_999))
+    message = SimpleNamespace(
+        header=SimpleNamespace(stamp=stamp),
+        height=3,
+        width=4,
+        encoding="mono8",
+        step=4,
+        is_bigendian=0,
+        data=GREY.ravel(),
+    )
+    np.testing.assert_array_equal(image_of(message), GREY)
+    assert stamp_ns_of(message) == 1_700_000_000_999_999_999
+
+
+def test_slot_keeps_the_newest_and_counts_what_it_drops() -> None:
+    slot: LatestSlot[int] = LatestSlot()
+    assert [slot.put(i) for i in range(4)] == [False, True, True, True]
+    assert slot.take(0) == 3
+    assert slot.dropped == 3
+    assert slot.take(0.01) is None
+    assert not slot.put(5)
+    slot.close()
+    assert slot.take() == 5
+    assert slot.take() is None
