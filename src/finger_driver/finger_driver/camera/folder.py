@@ -1,0 +1,118 @@
+"""Frames handed over as files in a folder, by the simulated rig or by another program that owns the camera.
+
+A frame is a file `<stamp>_<sequence>.pgm` (or .png, .tif, .bmp): the acquisition time in ns since the epoch and the
+frame's number, in decimal. Files appear whole, by renaming. The writer keeps only the newest ones.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from finger_common.diagnostics import Health
+from finger_common.errors import DeviceError
+
+from ..clock import HostClock
+from .source import CameraSource, Frame
+
+_NAME = re.compile(r"(\d{1,19})_(\d{1,18})\.(?:pgm|png|tif|tiff|bmp)")
+_POLL = 0.004
+_BACKLOG = 8
+"""Frames that may wait; of more, the oldest are skipped and counted."""
+
+
+def file_name(stamp_ns: int, sequence: int, extension: str = "pgm") -> str:
+    """Name of a frame's file; names sort by time."""
+    return f"{stamp_ns:019d}_{sequence:08d}.{extension}"
+
+
+def parse_name(name: str) -> tuple[int, int] | None:
+    """Stamp (ns) and sequence of a frame's file, None for any other file."""
+    match = _NAME.fullmatch(name)
+    return (int(match[1]), int(match[2])) if match else None
+
+
+class FolderSource(CameraSource):
+    """Reads frames as they appear in a folder; those taken before `connect` are not new and are left out."""
+
+    def __init__(self, folder: str | Path, health: Health, clock: HostClock | None = None) -> None:
+        super().__init__(health)
+        self._folder = Path(folder)
+        self._clock = clock or HostClock()
+        self._connected = False
+        self._last: tuple[int, int] | None = None
+
+    def connect(self) -> None:
+        if not self._folder.is_dir():
+            raise DeviceError(
+                f"{self._folder}: no such folder of frames; start what writes it or correct 'path'"
+            )
+        self.flush()
+        self._connected = True
+        self.health.hardware_id = str(self._folder)
+
+    def flush(self) -> None:
+        self._last = (self._clock.now(), -1)
+        self._next_sequence: int | None = None
+
+    def close(self) -> None:
+        self._connected = False
+
+    def read(self, timeout: float = 1.0) -> Frame | None:
+        end = time.monotonic() + timeout
+        while True:
+            waiting = self._waiting()
+            if waiting:
+                if len(waiting) > _BACKLOG:
+                    self.health.count("skipped", len(waiting) - _BACKLOG)
+                    waiting = waiting[-_BACKLOG:]
+                    # Skipped is not lost.
+                    self._next_sequence = waiting[0][0][1]
+                key, name = waiting[0]
+                self._last = key
+                frame = self._load(key, name)
+                if frame is not None:
+                    return frame
+                continue
+            if time.monotonic() >= end:
+                return None
+            time.sleep(_POLL)
+
+    def _waiting(self) -> list[tuple[tuple[int, int], str]]:
+        if not self._connected or self._last is None:
+            raise DeviceError(f"{self._folder}: not connected")
+        last = self._last
+        found = []
+        try:
+            with os.scandir(self._folder) as entries:
+                for entry in entries:
+                    key = parse_name(entry.name)
+                    if key is not None and key > last:
+                        found.append((key, entry.name))
+        except OSError as error:
+            raise DeviceError(
+                f"{self._folder}: cannot be read ({error.strerror}); start what writes it"
+            ) from None
+        return sorted(found)
+
+    def _load(self, key: tuple[int, int], name: str) -> Frame | None:
+        stamp, sequence = key
+        if self._next_sequence is not None and sequence > self._next_sequence:
+            self.health.count("lost", sequence - self._next_sequence)
+        self._next_sequence = sequence + 1
+        try:
+            data = np.fromfile(self._folder / name, dtype=np.uint8)
+        except OSError:
+            self.health.count("skipped")
+            return None
+        image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size else None
+        if image is None:
+            self.note("malformed", f"{name}: not an image that can be read")
+            return None
+        self.cleared("malformed")
+        return Frame(stamp, image, sequence)

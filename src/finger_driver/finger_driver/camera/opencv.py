@@ -1,0 +1,233 @@
+"""Any source that OpenCV's VideoCapture opens: V4L2 camera, file, image sequence, GStreamer pipeline.
+
+A camera is read by a thread without pause that keeps only the newest frame: V4L2 queues up to four frames, and a
+slower reader would get ever older ones. Files and sequences are played at `rate` instead.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from finger_common.diagnostics import Health
+from finger_common.errors import DeviceError, InputError
+
+from ..clock import HostClock
+from .source import CameraSource, Frame
+
+
+def capture_of(path: str) -> tuple[Any, bool]:
+    """VideoCapture for a path and whether it is live (camera or pipeline).
+
+    "0": camera 0. Text with "!": GStreamer pipeline. "frames/f_%03d.png": image sequence. Else a file. Raises
+    InputError for a path that cannot mean anything and DeviceError when it does not open.
+    """
+    if not path:
+        raise InputError("parameter 'path' is empty; give a camera number, a file or a sequence")
+    number = path.removeprefix("/dev/video")
+    if number.isdecimal():
+        backend = cv2.CAP_V4L2 if sys.platform.startswith("linux") else cv2.CAP_ANY
+        capture, live = cv2.VideoCapture(int(number), backend), True
+        advice = "check the cable, `v4l2-ctl --list-devices` and the group 'video'"
+    elif "!" in path:
+        if "GStreamer:                   NO" in cv2.getBuildInformation():
+            raise InputError(
+                "path is a GStreamer pipeline, but this OpenCV is built without GStreamer; install one "
+                "that has it, such as apt's python3-opencv"
+            )
+        capture, live = cv2.VideoCapture(path, cv2.CAP_GSTREAMER), True
+        advice = "try the pipeline with gst-launch-1.0"
+    else:
+        sequence = "%" in Path(path).name
+        if not sequence and not Path(path).is_file():
+            raise DeviceError(f"{path}: no such file or camera; correct 'path'")
+        backend = cv2.CAP_IMAGES if sequence else cv2.CAP_ANY
+        capture, live = cv2.VideoCapture(path, backend), False
+        advice = "check the name and the format"
+    if not capture.isOpened():
+        capture.release()
+        raise DeviceError(f"camera '{path}' does not open; {advice}")
+    return capture, live
+
+
+class OpenCvSource(CameraSource):
+    """Driver of one VideoCapture. Settings of -1 (exposure, gain) or 0 (width, height) are left alone."""
+
+    def __init__(
+        self,
+        path: str,
+        health: Health,
+        rate: float = 10.0,
+        width: int = 0,
+        height: int = 0,
+        exposure: float = -1.0,
+        gain: float = -1.0,
+        clock: HostClock | None = None,
+        opener: Callable[[str], tuple[Any, bool]] = capture_of,
+    ) -> None:
+        super().__init__(health)
+        self._path = path
+        self._period = 1.0 / rate
+        self._wanted = {
+            "width": (cv2.CAP_PROP_FRAME_WIDTH, width, width > 0),
+            "height": (cv2.CAP_PROP_FRAME_HEIGHT, height, height > 0),
+            "rate": (cv2.CAP_PROP_FPS, rate, True),
+            "exposure": (cv2.CAP_PROP_EXPOSURE, exposure, exposure >= 0),
+            "gain": (cv2.CAP_PROP_GAIN, gain, gain >= 0),
+        }
+        self._clock = clock or HostClock()
+        self._opener = opener
+        self._silence = max(2.0, 5 * self._period)
+        self._capture: Any = None
+        self._grabber: _Grabber | None = None
+
+    def connect(self) -> None:
+        self.close()
+        self._capture, live = self._opener(self._path)
+        self.health.hardware_id = f"OpenCV {self._path}"
+        if live:
+            self._configure()
+            self._grabber = _Grabber(self._capture, self._clock)
+            self._grabber.start()
+        self.flush()
+
+    def flush(self) -> None:
+        self._last_frame = self._due = time.monotonic()
+        self._sequence = -1
+        if self._grabber is not None:
+            self._grabber.take(0.0)
+
+    def _configure(self) -> None:
+        """Set what was asked for and say what the camera made of it; drivers ignore settings in silence."""
+        if self._wanted["exposure"][2]:
+            self._capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, 1)  # 1 is "manual" for V4L2
+        self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+        for name, (key, value, wanted) in self._wanted.items():
+            if not wanted:
+                continue
+            self._capture.set(key, value)
+            got = self._capture.get(key)
+            self.health.notes[f"camera_{name}"] = f"{got:g}"
+            if abs(got - value) > 0.01 * abs(value):
+                self.note(
+                    f"setting_{name}", f"camera '{self._path}': {name} is {got:g}, not {value:g}"
+                )
+
+    def close(self) -> None:
+        grabber, self._grabber = self._grabber, None
+        capture, self._capture = self._capture, None
+        # A capture whose read hangs cannot be released from outside; it is left to its thread.
+        if (grabber is None or grabber.stop()) and capture is not None:
+            capture.release()
+
+    def read(self, timeout: float = 1.0) -> Frame | None:
+        if self._capture is None:
+            raise DeviceError(f"camera '{self._path}': not connected")
+        if self._grabber is None:
+            return self._play(timeout)
+        taken = self._grabber.take(timeout)
+        now = time.monotonic()
+        if taken is None:
+            if self._grabber.failed or now - self._last_frame > self._silence:
+                raise DeviceError(
+                    f"camera '{self._path}' gives no frames any more; check cable and power"
+                )
+            return None
+        stamp, image, sequence = taken
+        if self._sequence >= 0 and sequence > self._sequence + 1:
+            self.health.count("skipped", sequence - self._sequence - 1)
+        self._sequence, self._last_frame = sequence, now
+        return Frame(stamp, grey(image), sequence)
+
+    def _play(self, timeout: float) -> Frame | None:
+        """Next frame of a file when its time has come."""
+        wait = self._due - time.monotonic()
+        if wait > timeout:
+            time.sleep(timeout)
+            return None
+        time.sleep(max(wait, 0.0))
+        self._due = max(self._due + self._period, time.monotonic() - self._period)
+        good, image = self._capture.read()
+        if not good or image is None:
+            # The end: from the start again.
+            self._capture.release()
+            self._capture, _ = self._opener(self._path)
+            self.health.count("played")
+            good, image = self._capture.read()
+        if not good or image is None:
+            raise DeviceError(f"{self._path}: no frame can be read; check the format")
+        self._sequence += 1
+        return Frame(self._clock.now(), grey(image), self._sequence)
+
+
+class _Grabber(threading.Thread):
+    """Reads a live capture without pause and keeps the newest frame."""
+
+    def __init__(self, capture: Any, clock: HostClock) -> None:
+        super().__init__(name="camera-grabber", daemon=True)
+        self._capture = capture
+        self._clock = clock
+        self._condition = threading.Condition()
+        self._newest: tuple[int, np.ndarray, int] | None = None
+        self._ending = threading.Event()
+        self.failed = False
+
+    def run(self) -> None:
+        sequence = failures = 0
+        while not self._ending.is_set():
+            good = self._capture.grab()
+            stamp = self._stamp()
+            image = None
+            if good:
+                good, image = self._capture.retrieve()
+            if not good or image is None:
+                failures += 1
+                if failures >= 10:
+                    self.failed = True
+                    return
+                self._ending.wait(0.02)
+                continue
+            failures = 0
+            with self._condition:
+                self._newest = (stamp, image, sequence)
+                self._condition.notify()
+            sequence += 1
+
+    def _stamp(self) -> int:
+        """Time of the frame: the kernel's (V4L2 gives its steady clock in ms) where it can be believed."""
+        now, steady = self._clock.now(), time.monotonic()
+        age = steady - self._capture.get(cv2.CAP_PROP_POS_MSEC) * 1e-3
+        return now - round(age * 1e9) if 0 <= age < 1 else now
+
+    def take(self, timeout: float) -> tuple[int, np.ndarray, int] | None:
+        """The newest frame not yet taken, or None after `timeout` s."""
+        with self._condition:
+            if self._newest is None and timeout > 0:
+                self._condition.wait(timeout)
+            newest, self._newest = self._newest, None
+            return newest
+
+    def stop(self) -> bool:
+        """End the thread; false when it hangs in the driver."""
+        self._ending.set()
+        self.join(2)
+        return not self.is_alive()
+
+
+def grey(image: np.ndarray) -> np.ndarray:
+    """Image (H, W) uint8 of what a capture gave: colour or grey, 8 or 16 bits."""
+    if image.ndim == 3 and image.shape[2] in (3, 4):
+        code = cv2.COLOR_BGR2GRAY if image.shape[2] == 3 else cv2.COLOR_BGRA2GRAY
+        image = cv2.cvtColor(image, code)
+    elif image.ndim == 3:
+        image = image[:, :, 0]
+    if image.dtype == np.uint16:
+        image = (image >> 8).astype(np.uint8)
+    return np.ascontiguousarray(image, dtype=np.uint8)

@@ -1,0 +1,218 @@
+"""IDS uEye cameras, also sold by Thorlabs as DCx, through IDS's `pyueye`.
+
+`pyueye` and the uEye library are needed only when such a camera is opened. Order of calls and of timing settings
+(pixel clock, frame rate, exposure: each changes the range of the next) after the DCx manual. The camera's clock ticks
+every 0.1 µs; its PC time is local time and is not used.
+"""
+
+from __future__ import annotations
+
+import importlib
+import time
+from typing import Any
+
+import numpy as np
+
+from finger_common.diagnostics import Health
+from finger_common.errors import DeviceError, InputError
+
+from ..clock import ClockMapper, HostClock
+from .source import CameraSource, Frame
+
+_TICKS = 1e7
+_BUFFERS = 4
+_ERRORS = {
+    1: "invalid handle",
+    3: "cannot be opened; another program may use it",
+    122: "timed out",
+    178: "transfer error",
+}
+_TIMED_OUT, _TRANSFER_ERROR = 122, 178
+
+
+def load_sdk() -> Any:
+    """Module pyueye.ueye; raises InputError saying what to install."""
+    try:
+        return importlib.import_module("pyueye.ueye")
+    except (ImportError, OSError) as error:
+        raise InputError(
+            f"uEye cameras need the IDS driver and `pip install pyueye` ({error}); PYUEYE_DLL_PATH names the "
+            "folder of libueye_api.so"
+        ) from None
+
+
+class UeyeSource(CameraSource):
+    """Driver of one uEye camera. camera_id 0 is the first found. exposure in s and pixel_clock in MHz, 0: default."""
+
+    def __init__(
+        self,
+        health: Health,
+        camera_id: int = 0,
+        rate: float = 10.0,
+        exposure: float = 0.0,
+        pixel_clock: int = 0,
+        width: int = 0,
+        height: int = 0,
+        clock: HostClock | None = None,
+        sdk: Any = None,
+    ) -> None:
+        super().__init__(health)
+        self._id = camera_id
+        self._rate = rate
+        self._exposure = exposure
+        self._pixel_clock = pixel_clock
+        self._size = (width, height)
+        self._clock = clock or HostClock()
+        self._sdk = sdk
+        self._camera: Any = None
+        self._memories: list[tuple[Any, Any]] = []
+        self._mapper = ClockMapper(_TICKS)
+
+    def _check(self, code: Any, what: str) -> None:
+        code = int(code)
+        if code != 0:
+            reason = _ERRORS.get(code, f"error {code}")
+            raise DeviceError(f"uEye camera {self._id}: {what}: {reason}; check USB and power")
+
+    def connect(self) -> None:
+        self.close()
+        u = self._sdk = self._sdk or load_sdk()
+        self._camera = u.HIDS(self._id)
+        try:
+            self._check(u.is_InitCamera(self._camera, None), "opening")
+        except DeviceError:
+            self._camera = None
+            raise
+        try:
+            self._set_up(u)
+        except DeviceError:
+            self.close()
+            raise
+
+    def _set_up(self, u: Any) -> None:
+        camera = self._camera
+        self._check(u.is_SetDisplayMode(camera, u.IS_SET_DM_DIB), "display mode")
+        info = u.SENSORINFO()
+        self._check(u.is_GetSensorInfo(camera, info), "sensor information")
+        self._check(u.is_SetColorMode(camera, u.IS_CM_MONO8), "mono 8 bit")
+        width = self._size[0] or int(info.nMaxWidth)
+        height = self._size[1] or int(info.nMaxHeight)
+        area = u.IS_RECT()
+        area.s32X, area.s32Y = u.int(0), u.int(0)
+        area.s32Width, area.s32Height = u.int(width), u.int(height)
+        self._check(
+            u.is_AOI(camera, u.IS_AOI_IMAGE_SET_AOI, area, u.sizeof(area)), "area of interest"
+        )
+        for _ in range(_BUFFERS):
+            memory, number = u.c_mem_p(), u.int()
+            self._check(u.is_AllocImageMem(camera, width, height, 8, memory, number), "memory")
+            self._memories.append((memory, number))
+            self._check(u.is_AddToSequence(camera, memory, number), "memory")
+        self._check(u.is_InitImageQueue(camera, 0), "queue")
+        self._set_timing(u)
+        self._check(u.is_CaptureVideo(camera, u.IS_DONT_WAIT), "start of capture")
+        self._width, self._height = width, height
+        self._pitch = self._inquire_pitch(u, width)
+        self._mapper.restart()
+        self._last_frame = time.monotonic()
+        self._last_number: int | None = None
+        name = bytes(info.strSensorName).split(b"\0")[0].decode("ascii", "replace")
+        self.health.hardware_id = f"uEye {self._id} {name}".strip()
+
+    def _set_timing(self, u: Any) -> None:
+        camera = self._camera
+        if self._pixel_clock:
+            clock = u.c_uint(self._pixel_clock)
+            self._check(
+                u.is_PixelClock(camera, u.IS_PIXELCLOCK_CMD_SET, clock, u.sizeof(clock)),
+                "pixel clock",
+            )
+        rate = u.double()
+        self._check(u.is_SetFrameRate(camera, u.double(self._rate), rate), "frame rate")
+        self.health.notes["camera_rate"] = f"{float(rate.value):g}"
+        if abs(float(rate.value) - self._rate) > 0.01 * self._rate:
+            self.note(
+                "setting_rate", f"the camera makes {float(rate.value):g} Hz of {self._rate:g} Hz"
+            )
+        if self._exposure:
+            exposure = u.double(self._exposure * 1e3)
+            self._check(
+                u.is_Exposure(camera, u.IS_EXPOSURE_CMD_SET_EXPOSURE, exposure, u.sizeof(exposure)),
+                "exposure",
+            )
+            self.health.notes["camera_exposure_s"] = f"{float(exposure.value) * 1e-3:g}"
+
+    def _inquire_pitch(self, u: Any, width: int) -> int:
+        """Bytes per line in memory, which may be more than the width."""
+        memory, number = self._memories[0]
+        x, y, bits, pitch = u.int(), u.int(), u.int(), u.int()
+        self._check(u.is_InquireImageMem(self._camera, memory, number, x, y, bits, pitch), "memory")
+        return max(int(pitch.value), width)
+
+    def flush(self) -> None:
+        """Release what waits in the queue."""
+        for _ in range(_BUFFERS):
+            if self._camera is None or self.read(0.0) is None:
+                break
+        self._last_frame = time.monotonic()
+
+    def read(self, timeout: float = 1.0) -> Frame | None:
+        u = self._sdk
+        if self._camera is None:
+            raise DeviceError(f"uEye camera {self._id}: not connected")
+        memory, number = u.c_mem_p(), u.int()
+        code = int(u.is_WaitForNextImage(self._camera, round(timeout * 1e3), memory, number))
+        received = self._clock.now()
+        if code == _TRANSFER_ERROR:
+            self.note(
+                "transfer", "a frame was lost on USB; use another port or a lower pixel clock"
+            )
+            return None
+        if code == _TIMED_OUT:
+            silent = time.monotonic() - self._last_frame
+            if silent > max(2.0, 5 / self._rate):
+                raise DeviceError(f"uEye camera {self._id}: no frame for {silent:.1f} s; check USB")
+            return None
+        self._check(code, "waiting for a frame")
+        try:
+            info = u.UEYEIMAGEINFO()
+            self._check(
+                u.is_GetImageInfo(self._camera, number, info, u.sizeof(info)), "image information"
+            )
+            data = u.get_data(memory, self._width, self._height, 8, self._pitch, copy=True)
+        finally:
+            u.is_UnlockSeqBuf(self._camera, number, memory)
+        self._last_frame = time.monotonic()
+        self.cleared("transfer")
+        image = np.asarray(data, dtype=np.uint8).reshape(self._height, self._pitch)
+        return Frame(
+            self._stamp(int(info.u64TimestampDevice), received),
+            np.ascontiguousarray(image[:, : self._width]),
+            self._number(int(info.u64FrameNumber)),
+        )
+
+    def _stamp(self, ticks: int, received: int) -> int:
+        stamp = self._mapper.update(ticks, received)
+        self.health.notes["clock_drift_ppm"] = f"{self._mapper.drift * 1e6:.1f}"
+        self.health.notes["clock_jitter_ms"] = f"{self._mapper.jitter * 1e3:.3f}"
+        return stamp
+
+    def _number(self, number: int) -> int:
+        last = self._last_number
+        if last is not None and number > last + 1:
+            self.health.count("lost", number - last - 1)
+        self._last_number = number
+        return number
+
+    def close(self) -> None:
+        camera, self._camera = self._camera, None
+        memories, self._memories = self._memories, []
+        if camera is None:
+            return
+        u = self._sdk
+        u.is_StopLiveVideo(camera, u.IS_FORCE_VIDEO_STOP)
+        u.is_ExitImageQueue(camera)
+        u.is_ClearSequence(camera)
+        for memory, number in memories:
+            u.is_FreeImageMem(camera, memory, number)
+        u.is_ExitCamera(camera)

@@ -1,0 +1,132 @@
+"""Node `camera`: publishes `image_raw` and `camera_info` of one shot with one stamp, offers `~/set_camera_info`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.srv import SetCameraInfo
+
+from finger_common.cli import one_line
+from finger_common.diagnostics import ERROR
+from finger_common.errors import FingerError
+from finger_common.node import main_of
+from finger_common.parameters import Parameter, ParameterTable
+
+from .camera import SOURCE_TABLE, CameraSource, Frame, open_source
+from .camera.freeze import FreezeDetector
+from .camera.info import CameraCalibration, resolve_url
+from .device_node import DEVICE_PARAMETERS, DeviceNode
+from .messages import calibration_of, fill_camera_info, fill_image
+
+TABLE = SOURCE_TABLE + ParameterTable(
+    *DEVICE_PARAMETERS,
+    Parameter("frame_id", "camera", "Optical frame of the camera."),
+    Parameter("camera_name", "camera", "Name of the camera in its calibration file."),
+    Parameter(
+        "camera_info_url",
+        "",
+        "Calibration: file:///… or package://…; empty for ${ROS_HOME}/camera_info/${NAME}.yaml.",
+    ),
+    Parameter(
+        "image_time_offset",
+        0.0,
+        "Added to the driver's stamp to give mid-exposure, as calibrated at the rig.",
+        unit="s",
+        minimum=-10.0,
+        maximum=10.0,
+        runtime=True,
+    ),
+    Parameter(
+        "frozen_after",
+        10,
+        "Equal images in a row after which the camera counts as frozen and they are left out; 0 never.",
+        minimum=0,
+        maximum=100000,
+    ),
+)
+_IMAGE_DEPTH = 10
+"""Frames kept for a slow reader; more would only make it slower."""
+
+
+class CameraNode(DeviceNode):
+    """Thin shell around a CameraSource."""
+
+    NAME = "camera"
+    TABLE = TABLE
+
+    device: CameraSource
+
+    def open_device(self) -> CameraSource:
+        self._info_path = resolve_url(self.values["camera_info_url"], self.values["camera_name"])
+        self._calibration = self._load_calibration()
+        self._freeze = FreezeDetector(self.values["frozen_after"])
+        return open_source(self.values)
+
+    def create_interfaces(self) -> None:
+        qos = self.stream_qos(min(_IMAGE_DEPTH, self.values["qos_depth"]))
+        self._image = self.create_stream_publisher(Image, "image_raw", qos)
+        self._info = self.create_stream_publisher(CameraInfo, "camera_info", qos)
+        self._service = self.create_service(
+            SetCameraInfo, "~/set_camera_info", self._on_set_camera_info
+        )
+
+    def destroy_interfaces(self) -> None:
+        self.destroy_service(self._service)
+        self.destroy_publisher(self._image)
+        self.destroy_publisher(self._info)
+
+    def _load_calibration(self) -> CameraCalibration:
+        name = self.values["camera_name"]
+        if not self._info_path.exists() and not self.values["camera_info_url"]:
+            self.get_logger().warning(
+                f"{self._info_path}: no calibration there; camera_info says not calibrated"
+            )
+            return CameraCalibration(name=name)
+        calibration = CameraCalibration.load(self._info_path)
+        if calibration.name != name:
+            self.get_logger().warning(
+                f"{self._info_path} is for camera '{calibration.name}', this is '{name}'"
+            )
+        return calibration
+
+    def on_sample(self, frame: Frame) -> None:
+        health = self.device.health
+        stamp = frame.stamp_ns + round(self.values["image_time_offset"] * 1e9)
+        if not self.accept_stamp(stamp):
+            return
+        if self._freeze.frozen(frame.image):
+            self.device.note("frozen", "the camera repeats the same image; restart it", ERROR)
+            return
+        self.device.cleared("frozen")
+        calibration, shape = self._calibration, frame.image.shape
+        if calibration.calibrated and (calibration.height, calibration.width) != shape:
+            self.device.note(
+                "calibration_size",
+                f"images are {shape[1]}×{shape[0]}, the calibration is for {calibration.width}×"
+                f"{calibration.height}; camera_info says not calibrated",
+            )
+            calibration = CameraCalibration(name=calibration.name)
+        health.sample()
+        frame_id = self.values["frame_id"]
+        self._info.publish(fill_camera_info(CameraInfo(), stamp, frame_id, calibration, shape))
+        self._image.publish(fill_image(Image(), stamp, frame_id, frame.image))
+
+    def _on_set_camera_info(self, request: Any, response: Any) -> Any:
+        calibration = calibration_of(request.camera_info, self.values["camera_name"])
+        try:
+            calibration.save(self._info_path)
+        except FingerError as error:
+            response.success, response.status_message = False, one_line(error)
+            return response
+        self._calibration = calibration
+        self.device.health.recovered("calibration_size")
+        response.success = True
+        response.status_message = f"written to {self._info_path}"
+        return response
+
+
+main = main_of(CameraNode)
+
+if __name__ == "__main__":
+    main()

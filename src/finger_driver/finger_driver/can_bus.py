@@ -1,0 +1,179 @@
+"""Opening a CAN bus through python-can, with the pitfalls of its interfaces taken care of.
+
+`udp_multicast` with a hop limit of 0 (the default here) is served by `HostMulticastBus`: the same datagrams as
+python-can's bus of that name, but joined on the loopback interface, so that it works on a machine without any
+network, stays on the host, keeps groups apart and, as a CAN controller does, does not echo a bus its own frames.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ipaddress
+import select
+import socket
+import struct
+import sys
+import time
+from typing import Any
+
+import can
+from can.interfaces.udp_multicast.utils import pack_message, unpack_message
+
+from finger_common.errors import DeviceError, InputError
+
+DEFAULT_CHANNEL = {
+    "socketcan": "can0",
+    "pcan": "PCAN_USBBUS1",
+    "udp_multicast": "239.74.163.2",
+    "virtual": "finger",
+}
+"""Channel used where none is given, by interface."""
+
+DEFAULT_PORT = 43113
+_SO_TIMESTAMPNS = 35
+
+
+class HostMulticastBus(can.BusABC):
+    """CAN frames between processes of this host over UDP multicast on the loopback interface.
+
+    Compatible on the wire with python-can's `udp_multicast`. Not modelled: bit rate, arbitration, acknowledgement,
+    error frames. Delivery is as reliable as the kernel's socket buffers.
+    """
+
+    def __init__(
+        self, channel: str = "239.74.163.2", port: int = DEFAULT_PORT, **kwargs: Any
+    ) -> None:
+        super().__init__(channel, **kwargs)
+        self.channel_info = f"udp_multicast {channel}:{port} on this host"
+        self._address = (channel, port)
+        self._receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        loopback = socket.inet_aton("127.0.0.1")
+        try:
+            self._receiver.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            if hasattr(socket, "SO_REUSEPORT"):
+                self._receiver.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
+            self._stamped = sys.platform.startswith("linux")
+            if self._stamped:
+                self._receiver.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+            # Bound to the group, Linux delivers this group's datagrams only; Windows cannot bind to it.
+            self._receiver.bind(("" if sys.platform == "win32" else channel, port))
+            self._receiver.setsockopt(
+                socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(channel) + loopback
+            )
+            self._sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, loopback)
+            self._sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
+            self._sender.bind(("127.0.0.1", 0))
+            self._own = self._sender.getsockname()
+        except OSError as error:
+            self.shutdown()
+            raise can.CanInitializationError(f"{channel}:{port}: {error.strerror}") from error
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        end = None if timeout is None else time.monotonic() + timeout
+        while True:
+            left = None if end is None else max(0.0, end - time.monotonic())
+            try:
+                ready, _, _ = select.select([self._receiver], [], [], left)
+            except (OSError, ValueError) as error:
+                raise can.CanOperationError(f"receiving failed: {error}") from error
+            if not ready:
+                return None, False
+            stamp = time.time()
+            if self._stamped:
+                data, ancillary, _, sender = self._receiver.recvmsg(4096, socket.CMSG_SPACE(16))
+                for _level, kind, value in ancillary:
+                    if kind == _SO_TIMESTAMPNS and len(value) == 16:
+                        seconds, nanoseconds = struct.unpack("@ll", value)
+                        stamp = seconds + nanoseconds * 1e-9
+            else:
+                data, sender = self._receiver.recvfrom(4096)
+            if sender == self._own:
+                continue
+            try:
+                return unpack_message(data, replace={"timestamp": stamp}, check=True), False
+            except Exception:
+                # Not from python-can; a real controller drops what is no frame, too.
+                continue
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        try:
+            self._sender.sendto(pack_message(msg), self._address)
+        except OSError as error:
+            raise can.CanOperationError(f"sending failed: {error}") from error
+
+    def fileno(self) -> int:
+        return self._receiver.fileno()
+
+    def shutdown(self) -> None:
+        super().shutdown()
+        self._receiver.close()
+        self._sender.close()
+
+
+def parse_options(text: str) -> dict[str, Any]:
+    """Options "key=value,key=value" as keyword arguments; integers, booleans and numbers are converted.
+
+    Raises InputError naming the part that cannot be read.
+    """
+    options: dict[str, Any] = {}
+    for part in filter(None, (p.strip() for p in text.split(","))):
+        key, separator, value = part.partition("=")
+        if not separator or not key.strip().isidentifier():
+            raise InputError(
+                f"can_options: '{part}' is not key=value; write for example port=43113"
+            )
+        value = value.strip()
+        converted: Any = {"true": True, "false": False}.get(value.lower(), value)
+        if converted is value:
+            for kind in (lambda v: int(v, 0), float):
+                with contextlib.suppress(ValueError):
+                    converted = kind(value)
+                    break
+        options[key.strip()] = converted
+    return options
+
+
+def open_bus(
+    interface: str = "socketcan",
+    channel: str = "",
+    bitrate: int = 0,
+    options: str | dict[str, Any] = "",
+) -> can.BusABC:
+    """Open a bus of any python-can interface.
+
+    channel "" takes the interface's usual one; bitrate 0 leaves it as it is set. `options` are further keyword
+    arguments of the interface, as a dict or as "key=value,…". Raises InputError for arguments that cannot be used
+    and DeviceError when the bus does not open.
+    """
+    arguments = dict(options) if isinstance(options, dict) else parse_options(options)
+    channel = channel or DEFAULT_CHANNEL.get(interface, "")
+    if interface not in can.VALID_INTERFACES:
+        known = ", ".join(sorted(can.VALID_INTERFACES))
+        raise InputError(f"can_interface '{interface}' does not exist; known are {known}")
+    if bitrate:
+        arguments.setdefault("bitrate", bitrate)
+    where = f"{interface} {channel}".strip()
+    try:
+        if interface == "udp_multicast":
+            arguments.pop("bitrate", None)
+            hops = int(arguments.pop("hop_limit", 0))
+            if ipaddress.ip_address(channel).version == 4 and hops == 0:
+                return HostMulticastBus(channel, **arguments)
+            arguments["hop_limit"] = hops
+        if interface == "socketcan":
+            # Set with `ip link`; as an argument it would be ignored.
+            arguments.pop("bitrate", None)
+        return can.Bus(interface=interface, channel=channel or None, **arguments)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"can bus {where}: {error}; correct can_channel or can_options") from None
+    except (can.CanError, OSError, ImportError, NotImplementedError) as error:
+        raise DeviceError(
+            f"can bus {where} does not open ({error}); check the cable, the driver and "
+            f"`ip link show {channel or 'can0'}`"
+        ) from None
+
+
+def describe(bus: can.BusABC) -> str:
+    """Where the bus leads, in words."""
+    return str(getattr(bus, "channel_info", "") or type(bus).__name__)

@@ -1,0 +1,155 @@
+"""Time stamps: host time that never goes back, and device clocks mapped to it."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+
+
+class HostClock:
+    """Nanoseconds since the epoch that only ever increase.
+
+    The offset between the steady clock and the wall clock is taken once. Slewing (NTP) moves both alike; a *step*
+    of the wall clock does not reach the stamps and is told by `step`.
+    """
+
+    def __init__(
+        self,
+        wall: Callable[[], int] = time.time_ns,
+        steady: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self._wall = wall
+        self._steady = steady
+        self._offset = wall() - steady()
+
+    def now(self) -> int:
+        """Time now, ns since the epoch."""
+        return self._steady() + self._offset
+
+    def from_wall(self, wall_ns: int) -> int:
+        """This clock's time of an event that the wall clock stamped `wall_ns` a moment ago."""
+        return self.now() - (self._wall() - wall_ns)
+
+    def step(self) -> float:
+        """Seconds by which the wall clock has been stepped since this clock was made."""
+        return (self._wall() - self.now()) * 1e-9
+
+
+class IncreasingStamps:
+    """Lets only increasing stamps through."""
+
+    def __init__(self) -> None:
+        self.last: int | None = None
+
+    def accept(self, stamp_ns: int) -> bool:
+        """True, and remembered, when `stamp_ns` is later than every stamp before."""
+        if self.last is not None and stamp_ns <= self.last:
+            return False
+        self.last = stamp_ns
+        return True
+
+
+class ClockMapper:
+    """Maps a device's clock to host time from pairs (device time, host time of receipt).
+
+    Receipt is late by a delay that is never negative: in each block of `block` seconds of device time the pair
+    with the least delay is kept, and a line through the last `blocks` of them (least squares) gives offset and drift.
+    Before the second block is complete, the least delay so far is used without drift.
+
+    nominal_rate: device ticks per second. `drift` is in s/s (device clock slow: positive), `jitter` the standard
+    deviation of receipt about the mapped time, in s.
+    """
+
+    def __init__(self, nominal_rate: float, block: float = 1.0, blocks: int = 30) -> None:
+        if not nominal_rate > 0:
+            raise ValueError("nominal_rate must be positive")
+        self.nominal_rate = nominal_rate
+        self._block = block
+        self._minima: deque[tuple[float, float]] = deque(maxlen=blocks)
+        self._recent: deque[float] = deque(maxlen=500)
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget everything, as after the device's clock was reset."""
+        self._origin: tuple[int, int] | None = None
+        self._minima.clear()
+        self._recent.clear()
+        self._current: tuple[float, float] | None = None
+        self._block_end = self._block
+        self._last_ticks: int | None = None
+        self._last_stamp: int | None = None
+        self.drift = 0.0
+        self._offset = 0.0
+        self._centre = 0.0
+
+    def update(self, ticks: int, host_ns: int) -> int:
+        """Host time (ns) at which the device took the sample of `ticks`.
+
+        Ticks that go back restart the mapping. Results increase until then and, but for that, are not later than
+        `host_ns`.
+        """
+        if self._last_ticks is not None and ticks <= self._last_ticks:
+            self.restart()
+        self._last_ticks = ticks
+        if self._origin is None:
+            self._origin = (ticks, host_ns)
+        device = (ticks - self._origin[0]) / self.nominal_rate
+        delay = (host_ns - self._origin[1]) * 1e-9 - device
+        if self._current is None or delay < self._current[1]:
+            self._current = (device, delay)
+        if device >= self._block_end:
+            self._minima.append(self._current)
+            self._current = None
+            self._block_end = device + self._block
+            self._fit()
+        mapped = self._offset + self.drift * (device - self._centre)
+        if len(self._minima) < 2:
+            known = [m[1] for m in self._minima] + ([self._current[1]] if self._current else [])
+            mapped = min(known, default=delay)
+        mapped = min(mapped, delay)
+        self._recent.append(delay - mapped)
+        stamp = self._origin[1] + round((device + mapped) * 1e9)
+        # A new line through the minima may lie a little earlier than the last one.
+        stamp = max(stamp, self._last_stamp + 1) if self._last_stamp is not None else stamp
+        self._last_stamp = stamp
+        return stamp
+
+    def _fit(self) -> None:
+        if len(self._minima) < 2:
+            return
+        device, delay = np.array(self._minima).T
+        self._centre = float(device.mean())
+        self.drift, self._offset = (float(v) for v in np.polyfit(device - self._centre, delay, 1))
+
+    @property
+    def jitter(self) -> float:
+        """Standard deviation of receipt about the mapped time, s."""
+        return float(np.std(self._recent)) if self._recent else 0.0
+
+
+class StampStatistics:
+    """Intervals between stamps since the last look, for diagnostics. One thread adds, another looks."""
+
+    def __init__(self) -> None:
+        self._stamps: list[int] = []
+
+    def add(self, stamp_ns: int) -> None:
+        """Take a stamp."""
+        # Bounded where nobody looks.
+        if len(self._stamps) < 20_000:
+            self._stamps.append(stamp_ns)
+
+    def notes(self) -> dict[str, str]:
+        """Standard deviation and maximum of the intervals in ms; empty with fewer than three stamps."""
+        stamps = self._stamps
+        if len(stamps) < 3:
+            return {}
+        self._stamps = stamps[-1:]
+        intervals = np.diff(np.array(stamps)) * 1e-6
+        return {
+            "interval_jitter_ms": f"{intervals.std():.3f}",
+            "interval_longest_ms": f"{intervals.max():.3f}",
+        }

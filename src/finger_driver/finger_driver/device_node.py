@@ -1,0 +1,155 @@
+"""What the three driver nodes share: connecting, the reading thread, releasing, time in diagnostics."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from finger_common.diagnostics import ERROR, WARN
+from finger_common.errors import DeviceError
+from finger_common.node import LifecycleShell
+from finger_common.parameters import Parameter
+
+from .clock import HostClock, IncreasingStamps, StampStatistics
+from .device import Device, DeviceThread, connect_within
+
+DEVICE_PARAMETERS = (
+    Parameter(
+        "connect_timeout",
+        10.0,
+        "Time for the device to be found when the node is configured.",
+        unit="s",
+        minimum=0.0,
+        maximum=600.0,
+    ),
+    Parameter(
+        "reconnect_first_pause",
+        0.25,
+        "Pause before the first attempt to reconnect; doubled with each further one.",
+        unit="s",
+        minimum=0.01,
+        maximum=60.0,
+    ),
+    Parameter(
+        "reconnect_longest_pause",
+        2.0,
+        "Longest pause between attempts to reconnect.",
+        unit="s",
+        minimum=0.01,
+        maximum=600.0,
+    ),
+)
+_CLOCK_STEP = 0.05
+"""Step of the system clock, s, that is worth a warning."""
+
+
+class DeviceNode(LifecycleShell):
+    """Lifecycle of a node around one device.
+
+    configure connects and checks, activate starts the reading thread, deactivate ends it, cleanup releases the
+    device. A node gives `open_device`, `create_interfaces`, `destroy_interfaces` and `on_sample`.
+    """
+
+    device: Device[Any]
+
+    def open_device(self) -> Device[Any]:
+        """The device of the parameters, not yet connected; raises InputError."""
+        raise NotImplementedError
+
+    def create_interfaces(self) -> None:
+        """Publishers and services, once the device is connected."""
+        raise NotImplementedError
+
+    def destroy_interfaces(self) -> None:
+        """What `create_interfaces` made."""
+        raise NotImplementedError
+
+    def on_sample(self, sample: Any) -> None:
+        """Publish one sample; called in the reading thread."""
+        raise NotImplementedError
+
+    # Lifecycle -------------------------------------------------------------------------------
+
+    _configured = False
+
+    def configure(self) -> None:
+        self.device = self.open_device()
+        self.device.log = self._log
+        self.healths = [self.device.health]
+        self._stamps = IncreasingStamps()
+        self._statistics = StampStatistics()
+        self._host_clock = HostClock()
+        self._thread = DeviceThread(
+            self.device,
+            self._deliver,
+            self.values["reconnect_first_pause"],
+            self.values["reconnect_longest_pause"],
+        )
+        try:
+            connect_within(self.device, self.values["connect_timeout"])
+        except DeviceError as error:
+            self.device.health.fault("connection", str(error), ERROR)
+            raise
+        self.create_interfaces()
+        self._configured = True
+
+    def activate(self) -> None:
+        self._thread.start()
+
+    def deactivate(self) -> None:
+        if not self._thread.stop():
+            raise DeviceError(
+                f"the reading thread of the {self.NAME} device does not end; restart the node"
+            )
+
+    def cleanup(self) -> None:
+        if hasattr(self, "_thread"):
+            self._thread.stop()
+            self.device.close()
+        if self._configured:
+            self._configured = False
+            self.destroy_interfaces()
+
+    # For the nodes ---------------------------------------------------------------------------
+
+    @property
+    def reading(self) -> bool:
+        """Whether the reading thread runs."""
+        return self._configured and self._thread.running
+
+    def accept_stamp(self, stamp_ns: int) -> bool:
+        """Whether a sample may be published: stamps never go back. A refused one is counted."""
+        if self._stamps.accept(stamp_ns):
+            self._statistics.add(stamp_ns)
+            return True
+        self.device.health.count("backwards")
+        return False
+
+    def _deliver(self, sample: Any) -> None:
+        try:
+            self.on_sample(sample)
+        except Exception:
+            # The context ends before the thread does when the process is told to stop.
+            if self.context.ok():
+                raise
+
+    def _log(self, level: int, message: str) -> None:
+        logger = self.get_logger()
+        if level >= ERROR:
+            logger.error(message)
+        elif level >= WARN:
+            logger.warning(message)
+        else:
+            logger.info(message)
+
+    def publish_diagnostics(self) -> None:
+        if self._configured:
+            health = self.device.health
+            health.notes.update(self._statistics.notes())
+            step = self._host_clock.step()
+            if abs(step) > _CLOCK_STEP:
+                self.device.note(
+                    "clock_step",
+                    f"the system clock was stepped by {step:+.3f} s; stamps go on as before, restart "
+                    "all nodes to follow it",
+                )
+        super().publish_diagnostics()

@@ -1,0 +1,179 @@
+"""Node `force`: publishes `wrench_raw` and `wrench` (tared), offers `~/tare` and `~/reset_tare`."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import WrenchStamped
+from std_srvs.srv import Trigger
+
+from finger_common.errors import DeviceError
+from finger_common.node import main_of
+from finger_common.parameters import Parameter, ParameterTable
+
+from .device_node import DEVICE_PARAMETERS, DeviceNode
+from .force import GOOD, SOURCE_TABLE, ForceSource, WrenchSample, open_source
+from .messages import fill_wrench
+from .tare import TareCollector, TareResult
+
+TABLE = SOURCE_TABLE + ParameterTable(
+    *DEVICE_PARAMETERS,
+    Parameter("frame_id", "force_sensor", "Frame of the sensor's own axes."),
+    Parameter(
+        "bad_samples",
+        "drop",
+        "What becomes of a sample with a saturated gauge or a sensor fault: left out, or published as NaN.",
+        choices=("drop", "nan"),
+    ),
+    Parameter(
+        "normal_axis",
+        "-z",
+        "Axis of the sensor that points along the pressing force; for the normal force in diagnostics.",
+        choices=("+x", "-x", "+y", "-y", "+z", "-z"),
+        runtime=True,
+    ),
+    Parameter(
+        "tare_duration",
+        0.5,
+        "Time averaged by a tare.",
+        unit="s",
+        minimum=0.05,
+        maximum=30.0,
+        runtime=True,
+    ),
+    Parameter(
+        "tare_force_limit",
+        0.05,
+        "Movement of any force axis during a tare beyond which it is refused.",
+        unit="N",
+        minimum=0.0,
+        maximum=1000.0,
+        runtime=True,
+    ),
+    Parameter(
+        "tare_torque_limit",
+        0.002,
+        "Movement of any torque axis during a tare beyond which it is refused.",
+        unit="N m",
+        minimum=0.0,
+        maximum=1000.0,
+        runtime=True,
+    ),
+)
+
+
+class ForceNode(DeviceNode):
+    """Thin shell around a ForceSource. A tare is never taken unasked."""
+
+    NAME = "force"
+    TABLE = TABLE
+
+    device: ForceSource
+
+    def open_device(self) -> ForceSource:
+        return open_source(self.values)
+
+    def create_interfaces(self) -> None:
+        self._bias: np.ndarray | None = None
+        self._normal = float("nan")
+        self._scale_id = self.device.scale_id
+        self._collector: TareCollector | None = None
+        self._tare_done = threading.Event()
+        self._tare_lock = threading.Lock()
+        qos = self.stream_qos()
+        self._raw = self.create_stream_publisher(WrenchStamped, "wrench_raw", qos)
+        self._tared = self.create_stream_publisher(WrenchStamped, "wrench", qos)
+        self._tare_services = [
+            self.create_service(Trigger, "~/tare", self._on_tare),
+            self.create_service(Trigger, "~/reset_tare", self._on_reset_tare),
+        ]
+
+    def destroy_interfaces(self) -> None:
+        for service in self._tare_services:
+            self.destroy_service(service)
+        self.destroy_publisher(self._raw)
+        self.destroy_publisher(self._tared)
+
+    def on_sample(self, sample: WrenchSample) -> None:
+        if not self.accept_stamp(sample.stamp_ns):
+            return
+        good = sample.quality == GOOD
+        if good:
+            self.device.health.sample()
+        with self._tare_lock:
+            if self._collector is not None and self._collector.add(sample):
+                self._tare_done.set()
+        if self.device.scale_id != self._scale_id:
+            self._scale_id = self.device.scale_id
+            if self._bias is not None:
+                self._bias = None
+                self.device.note(
+                    "tare_void",
+                    "another sensor or calibration is in use; the tare is void, tare again",
+                )
+        if not good and self.values["bad_samples"] == "drop":
+            return
+        frame = self.values["frame_id"]
+        if good:
+            raw = np.concatenate((sample.force, sample.torque))
+            bias = self._bias
+            tared = raw if bias is None else self.device.wrench_of(sample.channels - bias)
+        else:
+            raw = tared = np.full(6, np.nan)
+        self._raw.publish(fill_wrench(WrenchStamped(), sample.stamp_ns, frame, raw))
+        self._tared.publish(fill_wrench(WrenchStamped(), sample.stamp_ns, frame, tared))
+        sign = -1.0 if self.values["normal_axis"][0] == "-" else 1.0
+        self._normal = sign * float(tared["xyz".index(self.values["normal_axis"][1])])
+
+    # Services --------------------------------------------------------------------------------
+
+    def _on_tare(self, request: Any, response: Any) -> Any:
+        result = self._tare()
+        response.success = result.bias is not None
+        response.message = result.message
+        if result.bias is not None:
+            self._bias = result.bias
+            self.device.health.recovered("tare_void")
+            self.device.health.notes["tare_offset"] = ", ".join(f"{v:.5g}" for v in result.offset)
+            self.get_logger().info(result.message)
+        return response
+
+    def _tare(self) -> TareResult:
+        if not self.reading:
+            return TareResult(None, np.zeros(6), "not tared: the node is not active")
+        collector = TareCollector(
+            self.values["tare_duration"],
+            self.values["tare_force_limit"],
+            self.values["tare_torque_limit"],
+        )
+        self._tare_done.clear()
+        with self._tare_lock:
+            self._collector = collector
+        self._tare_done.wait(2 * self.values["tare_duration"] + 0.5)
+        with self._tare_lock:
+            self._collector = None
+        try:
+            return collector.result(self.device)
+        except DeviceError as error:
+            return TareResult(None, np.zeros(6), f"not tared: {error}")
+
+    def _on_reset_tare(self, request: Any, response: Any) -> Any:
+        self._bias = None
+        self.device.health.notes.pop("tare_offset", None)
+        self.device.health.recovered("tare_void")
+        response.success = True
+        response.message = "tare removed; wrench is the sensor's own reading"
+        return response
+
+    def publish_diagnostics(self) -> None:
+        if self.reading and np.isfinite(self._normal):
+            self.device.health.notes["normal_force_n"] = f"{self._normal:.4f}"
+        super().publish_diagnostics()
+
+
+main = main_of(ForceNode)
+
+if __name__ == "__main__":
+    main()

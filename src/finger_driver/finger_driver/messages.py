@@ -1,0 +1,82 @@
+"""Between plain data and messages, by attribute access only: no message package is imported here."""
+
+from __future__ import annotations
+
+import array
+from typing import Any
+
+import numpy as np
+
+from .camera.info import CameraCalibration
+from .moisture.source import Reading
+
+
+def set_stamp(header: Any, stamp_ns: int, frame_id: str) -> None:
+    """Fill a std_msgs/Header."""
+    header.stamp.sec, header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
+    header.frame_id = frame_id
+
+
+def stamp_of(header: Any) -> int:
+    """Stamp of a header in ns since the epoch."""
+    return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
+
+
+def fill_wrench(message: Any, stamp_ns: int, frame_id: str, wrench: np.ndarray) -> Any:
+    """Fill a geometry_msgs/WrenchStamped with a wrench (6,) in N and N m; returns it."""
+    set_stamp(message.header, stamp_ns, frame_id)
+    values = [float(v) for v in wrench]
+    force, torque = message.wrench.force, message.wrench.torque
+    force.x, force.y, force.z, torque.x, torque.y, torque.z = values
+    return message
+
+
+def fill_image(message: Any, stamp_ns: int, frame_id: str, image: np.ndarray) -> Any:
+    """Fill a sensor_msgs/Image, mono8, with an image (H, W) uint8; returns it."""
+    set_stamp(message.header, stamp_ns, frame_id)
+    message.height, message.width = (int(n) for n in image.shape)
+    message.encoding = "mono8"
+    message.is_bigendian = 0
+    message.step = message.width
+    # An array is taken over in one piece; bytes or a list would be checked element by element.
+    data = array.array("B")
+    data.frombytes(np.ascontiguousarray(image).tobytes())
+    message.data = data
+    return message
+
+
+def fill_camera_info(
+    message: Any, stamp_ns: int, frame_id: str, calibration: CameraCalibration, shape: Any
+) -> Any:
+    """Fill a sensor_msgs/CameraInfo for images of `shape` (H, W); returns it."""
+    set_stamp(message.header, stamp_ns, frame_id)
+    message.height, message.width = (int(n) for n in shape)
+    message.distortion_model = calibration.distortion_model
+    message.d, message.k = list(calibration.d), list(calibration.k)
+    message.r, message.p = list(calibration.r), list(calibration.p)
+    return message
+
+
+def calibration_of(message: Any, name: str) -> CameraCalibration:
+    """Calibration in a sensor_msgs/CameraInfo."""
+    return CameraCalibration(
+        width=int(message.width),
+        height=int(message.height),
+        name=name,
+        distortion_model=str(message.distortion_model),
+        d=[float(v) for v in message.d],
+        k=[float(v) for v in message.k],
+        r=[float(v) for v in message.r],
+        p=[float(v) for v in message.p],
+    )
+
+
+def fill_moisture(message: Any, reading: Reading, frame_id: str) -> Any:
+    """Fill a finger_msgs/Moisture; returns it."""
+    set_stamp(message.header, reading.stamp_ns, frame_id)
+    message.value = float(reading.value)
+    message.index = int(reading.index)
+    message.phase = int(reading.phase)
+    message.source = reading.source
+    message.flags = int(reading.flags)
+    return message

@@ -1,0 +1,109 @@
+"""Node `moisture`: publishes `moisture`, one message per reading; takes readings from the operator."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+from typing import Any
+
+from finger_msgs.msg import Moisture
+from finger_msgs.srv import SetMoisture
+from rclpy.qos import QoSProfile
+from std_msgs.msg import Float64
+
+from finger_common.diagnostics import Health
+from finger_common.node import main_of
+from finger_common.parameters import Parameter, ParameterTable
+
+from .device_node import DEVICE_PARAMETERS, DeviceNode
+from .messages import fill_moisture
+from .moisture import SOURCE_TABLE, MoistureSource, Reading, open_source
+from .moisture.manual import ManualSource
+from .moisture.source import FLAG_OUT_OF_RANGE, MOISTURE_RANGE, PHASE_AFTER, range_flag
+
+TABLE = SOURCE_TABLE + ParameterTable(
+    *DEVICE_PARAMETERS,
+    Parameter("frame_id", "finger", "Frame of the reading: the skin it was taken on."),
+    Parameter(
+        "out_of_range",
+        "flag",
+        "What becomes of a reading outside 0 … 130 a.u.: published with its flag set, or left out.",
+        choices=("flag", "drop"),
+    ),
+)
+
+
+class MoistureNode(DeviceNode):
+    """Thin shell around a MoistureSource. Readings may be entered by hand whatever the source."""
+
+    NAME = "moisture"
+    TABLE = TABLE
+
+    device: MoistureSource
+
+    def open_device(self) -> MoistureSource:
+        return open_source(self.values)
+
+    def create_interfaces(self) -> None:
+        device = self.device
+        self._manual = (
+            device if isinstance(device, ManualSource) else ManualSource(Health("entered"))
+        )
+        self._publish_lock = threading.Lock()
+        self._index = 0
+        # Readings are few and each counts: reliable whatever the streams use.
+        qos = QoSProfile(depth=10)
+        self._publisher = self.create_stream_publisher(Moisture, "moisture", qos)
+        self._service = self.create_service(SetMoisture, "~/set_moisture", self._on_set_moisture)
+        self._subscription = self.create_stream_subscription(
+            Float64, "~/entered", self._on_entered, qos
+        )
+
+    def destroy_interfaces(self) -> None:
+        self.destroy_service(self._service)
+        self.destroy_subscription(self._subscription)
+        self.destroy_publisher(self._publisher)
+
+    def on_sample(self, sample: Reading) -> None:
+        """Publish one reading; called by the device thread and, for entered ones, by the executor."""
+        reading, health = sample, self.device.health
+        with self._publish_lock:
+            if not self.accept_stamp(reading.stamp_ns):
+                return
+            if reading.flags & FLAG_OUT_OF_RANGE:
+                self.device.note(
+                    "out_of_range",
+                    f"reading {reading.value:g} a.u. is outside {MOISTURE_RANGE[0]:g} … "
+                    f"{MOISTURE_RANGE[1]:g}; measure again",
+                )
+                if self.values["out_of_range"] == "drop":
+                    return
+            else:
+                self.device.cleared("out_of_range")
+            health.sample()
+            reading = replace(reading, index=self._index)
+            self._index += 1
+            self._publisher.publish(fill_moisture(Moisture(), reading, self.values["frame_id"]))
+
+    def _on_set_moisture(self, request: Any, response: Any) -> Any:
+        low, high = MOISTURE_RANGE
+        if not self.reading:
+            response.message = "not taken: the node is not active"
+        elif range_flag(request.value):
+            response.message = f"not taken: {request.value:g} is outside {low:g} … {high:g} a.u."
+        elif request.phase > PHASE_AFTER:
+            response.message = f"not taken: phase {request.phase} does not exist; use 0, 1 or 2"
+        else:
+            self.on_sample(self._manual.enter(request.value, request.phase))
+            response.success, response.message = True, f"reading {request.value:g} a.u. published"
+        return response
+
+    def _on_entered(self, message: Float64) -> None:
+        if self.reading:
+            self.on_sample(self._manual.enter(message.data))
+
+
+main = main_of(MoistureNode)
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,90 @@
+"""Readings in lines of text, as a serial adapter sends them."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+from finger_common.errors import InputError
+
+DEFAULT_PATTERN = r"(?:M[= ]?)?(?P<value>[-+]?\d+(?:[.,]\d+)?)(?:[;, ](?P<phase>before|after))?"
+"""A bare number, with decimal point or comma, or `M=42.0;before`."""
+MAX_LINE = 256
+"""Bytes; what runs on longer without an end of line is not a line."""
+
+
+@dataclass(frozen=True)
+class ParsedLine:
+    """Value and phase word ("" where the line has none) of a reading."""
+
+    value: float
+    phase: str = ""
+
+
+def compile_pattern(pattern: str) -> re.Pattern[str]:
+    """Compiled pattern; raises InputError when it is no regular expression or lacks the group `value`."""
+    try:
+        compiled = re.compile(pattern)
+    except re.error as error:
+        raise InputError(
+            f"serial_pattern '{pattern}' is not a regular expression: {error}"
+        ) from None
+    if "value" not in compiled.groupindex:
+        raise InputError(
+            f"serial_pattern '{pattern}' has no group named value; write (?P<value>…) around the number"
+        )
+    return compiled
+
+
+def parse_line(line: str, pattern: re.Pattern[str]) -> ParsedLine | None:
+    """The reading in a line, None when the line as a whole does not match or holds no finite number."""
+    match = pattern.fullmatch(line.strip())
+    if match is None:
+        return None
+    groups = match.groupdict()
+    try:
+        value = float((groups["value"] or "").replace(",", "."))
+    except ValueError:
+        return None
+    if not math.isfinite(value):
+        return None
+    return ParsedLine(value, (groups.get("phase") or "").lower())
+
+
+class LineSplitter:
+    """Cuts a stream of bytes into lines; memory stays bounded whatever comes."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+        self._overlong = False
+        self.dropped = 0
+        """Lines thrown away because they were too long or not ASCII."""
+
+    def feed(self, data: bytes) -> list[str]:
+        """Complete lines in what has come so far, without their ends (CR, LF or both)."""
+        parts = re.split(rb"[\r\n]", self._rest + data)
+        self._rest = parts.pop()
+        lines = []
+        for part in parts:
+            if self._overlong:
+                self._overlong = False
+                self.dropped += 1
+            elif len(part) > MAX_LINE:
+                self.dropped += 1
+            elif part:
+                try:
+                    lines.append(part.decode("ascii"))
+                except UnicodeDecodeError:
+                    self.dropped += 1
+        if len(self._rest) > MAX_LINE:
+            self._rest, self._overlong = b"", True
+        return lines
+
+    def reset(self) -> None:
+        """Forget an unfinished line, as after a pause or a reconnection."""
+        self._rest, self._overlong = b"", False
+
+    @property
+    def unfinished(self) -> bool:
+        return bool(self._rest) or self._overlong

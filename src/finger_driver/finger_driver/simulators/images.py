@@ -1,0 +1,75 @@
+"""Frames written into a folder as a camera's program would, for the `folder` camera.
+
+Models: acquisition stamp and frame number in the file name, files that appear whole, a bounded folder, lost and
+repeated frames (FAULTS). Does not model: exposure, transfer time, sensor noise (the caller's image is written as it
+is), the camera's own clock.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from pathlib import Path
+
+import numpy as np
+
+from finger_common.errors import InputError
+
+from ..camera.folder import file_name, parse_name
+from .faults import Faults
+
+FAULTS = {
+    "silent": "no frame is written",
+    "lost": "a frame is left out; its number is missing",
+    "frozen": "the same image again under a new stamp",
+    "damaged": "half of the file is missing",
+}
+
+
+class FrameFolderWriter:
+    """Writes frames (H, W) uint8 as PGM; keeps the newest `keep` files.
+
+    Frames that an earlier writer left in the folder are removed. Raises InputError when the folder cannot be
+    written to.
+    """
+
+    def __init__(self, folder: str | Path, keep: int = 50) -> None:
+        self.folder = Path(folder)
+        self.faults = Faults(FAULTS)
+        self.sequence = 0
+        self._keep = keep
+        self._written: deque[Path] = deque()
+        self._last_image: np.ndarray | None = None
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            for old in self.folder.iterdir():
+                if parse_name(old.name) is not None:
+                    old.unlink()
+        except OSError as error:
+            raise InputError(
+                f"{folder}: cannot be written ({error.strerror}); choose a writable folder"
+            ) from None
+
+    def write(self, stamp_ns: int, image: np.ndarray) -> Path | None:
+        """Write one frame; its path, or None when a fault kept it back."""
+        sequence = self.sequence
+        self.sequence += 1
+        if self.faults.take("silent") or self.faults.take("lost"):
+            return None
+        if self.faults.take("frozen") and self._last_image is not None:
+            image = self._last_image
+        self._last_image = image
+        image = np.ascontiguousarray(image, dtype=np.uint8)
+        if image.ndim != 2:
+            raise ValueError(f"image has shape {image.shape}, (H, W) is needed")
+        data = b"P5\n%d %d\n255\n" % (image.shape[1], image.shape[0]) + image.tobytes()
+        if self.faults.take("damaged"):
+            data = data[:8]
+        path = self.folder / file_name(stamp_ns, sequence)
+        temporary = self.folder / f".{path.name}.part"
+        temporary.write_bytes(data)
+        os.replace(temporary, path)
+        self._written.append(path)
+        while len(self._written) > self._keep:
+            self._written.popleft().unlink(missing_ok=True)
+        return path

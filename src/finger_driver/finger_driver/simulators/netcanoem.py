@@ -1,0 +1,261 @@
+"""An ATI NETCANOEM board with transducer on a python-can bus, wire level.
+
+Models: all documented opcodes, sixteen calibration slots (slot 0 active after power-up and reset), matrix, counts
+and unit codes per slot, the status word with data still sent in critical errors, 16-bit gauges with saturation,
+noise and unloaded offset, base identifier and bit rate that take effect at the next power-up, firmware too old for
+some opcodes (silence), response time, an own thread; see FAULTS for what can be switched.
+
+Does not model: arbitration, bit timing, acknowledgement and real error frames, temperature, hysteresis and creep
+of the transducer, the board's analogue filter, its diagnostic ADC's scale, its EEPROM.
+"""
+
+from __future__ import annotations
+
+import struct
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import can
+import numpy as np
+
+from ..protocols import netcanoem as protocol
+from .faults import Faults
+
+FAULTS = {
+    "silent": "answers nothing, as without power",
+    "no_second": "leaves out the second frame of a reading",
+    "late": "holds back a reading until the next request has arrived",
+    "delay": "answers this many ms late",
+    "swapped": "sends the second frame of a reading before the first",
+    "wrong_length": "sends the first frame of a reading one byte short",
+    "foreign": "sends frames of another device between request and reply",
+    "extended": "sends 29-bit frames of the same number between request and reply",
+    "error_frame": "sends an error frame before the reply",
+    "saturated": "gauge 3 stands at its end",
+    "status": "status word, bits as in the manual's table 4.3",
+    "reset": "the board resets itself: slot 0, silent for 10 ms",
+    "duplicate": "sends each frame of a reading twice",
+}
+
+
+def three_beam_matrix(radius: float = 5e-3, sensitivity: float = 500.0) -> np.ndarray:
+    """Calibration matrix (6, 6) of an idealised transducer, N and N mm per count times 1e6.
+
+    Three beams at 120° on `radius` (m), each with one gauge for axial and one for tangential load,
+    `sensitivity` in counts per N on a beam. Statics gives gauges from the wrench; the matrix is its inverse.
+    """
+    to_gauges = np.zeros((6, 6))
+    for beam in range(3):
+        angle = 2 * np.pi * beam / 3
+        c, s = np.cos(angle), np.sin(angle)
+        axial = np.array([0, 0, 1 / 3, 2 * s / (3 * radius), -2 * c / (3 * radius), 0])
+        tangential = np.array([-2 * s / 3, 2 * c / 3, 0, 0, 0, 1 / (3 * radius)])
+        to_gauges[2 * beam] = sensitivity * axial
+        to_gauges[2 * beam + 1] = sensitivity * tangential
+    return np.linalg.inv(to_gauges) * 1e6 * np.array([1, 1, 1, 1e3, 1e3, 1e3])[:, None]
+
+
+def default_calibration(slot: int = 0) -> protocol.Calibration:
+    """Calibration of the simulated transducer: N and N mm, 10⁶ counts per unit, single precision.
+
+    Each further slot is for 5 % less sensitivity, so that no two are alike.
+    """
+    matrix = three_beam_matrix(sensitivity=500.0 * 0.95**slot).astype(np.float32).astype(float)
+    return protocol.Calibration(matrix, 1_000_000, 1_000_000, 2, 4, "FT01234")
+
+
+def no_load(stamp_ns: int) -> np.ndarray:
+    """No wrench (6,) at any time."""
+    return np.zeros(6)
+
+
+@dataclass
+class NetcanoemSimulator:
+    """The board. `start` serves `bus` in a thread until `stop`; the bus stays the caller's.
+
+    force: called with the time (ns since the epoch) of each reading, gives the wrench (6,) in N and N m.
+    slots: calibrations by slot number. noise: standard deviation in counts. gauge_offset: (6,) counts unloaded.
+    response_time: s between request and reply.
+    """
+
+    bus: can.BusABC
+    force: Callable[[int], np.ndarray] = no_load
+    base: int = protocol.DEFAULT_BASE
+    slots: dict[int, protocol.Calibration] = field(
+        default_factory=lambda: {0: default_calibration()}
+    )
+    firmware: tuple[int, int, int] = (3, 8, 12)
+    noise: float = 1.0
+    gauge_offset: np.ndarray = field(default_factory=lambda: np.zeros(6))
+    response_time: float = 0.0
+    seed: int = 1
+    unit_codes: tuple[int, int] | None = None
+    """Unit codes to send instead of the slot's, also impossible ones."""
+
+    def __post_init__(self) -> None:
+        self.faults = Faults(FAULTS)
+        self.active_slot = 0
+        self.readings = 0
+        self._pending_base: int | None = None
+        self._held: list[can.Message] = []
+        self._asleep_until = 0.0
+        self._echo_until = 0.0
+        self._random = np.random.default_rng(self.seed)
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def start(self) -> NetcanoemSimulator:
+        """Serve the bus in a thread; returns itself."""
+        self._stop.clear()
+        self._thread = threading.Thread(target=self._run, name="netcanoem-sim", daemon=True)
+        self._thread.start()
+        return self
+
+    def stop(self) -> None:
+        """End the thread."""
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join(5)
+            self._thread = None
+
+    def power_cycle(self) -> None:
+        """Off and on: slot 0, pending base identifier in force, nothing held back."""
+        self.active_slot = 0
+        self._held.clear()
+        if self._pending_base is not None:
+            self.base, self._pending_base = self._pending_base, None
+        self._asleep_until = time.monotonic() + 0.01
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            try:
+                frame = self.bus.recv(0.1)
+                if frame is not None:
+                    self._handle(frame)
+            except can.CanError:
+                # The bus went down, or a client was too slow; the board itself goes on.
+                if self._stop.wait(0.05):
+                    return
+
+    # Requests --------------------------------------------------------------------------------
+
+    def _handle(self, frame: can.Message) -> None:
+        if frame.is_extended_id or frame.is_error_frame or frame.is_remote_frame:
+            return
+        if frame.arbitration_id >> 4 != self.base:
+            return
+        opcode, data = frame.arbitration_id & 0xF, bytes(frame.data)
+        # On a bus that echoes, own replies come back; their length tells them from requests.
+        if opcode not in protocol.REQUEST_LENGTH or len(data) != protocol.REQUEST_LENGTH[opcode]:
+            return
+        # Not so for 0x6: on a bus that echoes, answering the echo of an own answer would never end.
+        if opcode == protocol.SET_CALIBRATION and time.monotonic() < self._echo_until:
+            return
+        if self.faults.take("reset"):
+            self.power_cycle()
+        if self.faults.value("silent") or time.monotonic() < self._asleep_until:
+            return
+        if self.response_time:
+            time.sleep(self.response_time)
+        if delay := self.faults.value("delay"):
+            time.sleep(max(delay, 0) * 1e-3)
+        for held in self._held:
+            self.bus.send(held)
+        self._held.clear()
+        replies = self._replies(opcode, data)
+        if opcode == protocol.READ_GAUGES:
+            self._send_reading(replies)
+        else:
+            for reply, (number, _) in zip(replies, protocol.REPLIES[opcode]):
+                self.bus.send(self._frame(number, reply))
+            if opcode == protocol.SET_CALIBRATION:
+                self._echo_until = time.monotonic() + 0.02
+
+    def _replies(self, opcode: int, data: bytes) -> list[bytes]:
+        """Data of the reply frames."""
+        calibration = self.slots.get(self.active_slot)
+        if opcode == protocol.READ_GAUGES:
+            return list(self._reading(calibration))
+        if opcode == protocol.SET_CALIBRATION:
+            # The manual leaves open what becomes of a number above 15; the low bits are what fits.
+            self.active_slot = data[0] % protocol.SLOTS
+            return [data]
+        if opcode == protocol.READ_MATRIX:
+            if data[0] > 5:
+                return []
+            row = np.zeros(6) if calibration is None else calibration.matrix[data[0]]
+            return list(protocol.encode_matrix_row(row))
+        if opcode == protocol.READ_SERIAL:
+            serial = "" if calibration is None else calibration.serial
+            return [serial.encode("ascii")[:8].ljust(8, b"\0")]
+        if opcode == protocol.READ_FIRMWARE:
+            return [struct.pack(">BBH", *self.firmware)]
+        if opcode == protocol.SET_BASE:
+            self._pending_base = data[0] & 0x7F
+            return [b""]
+        if opcode == protocol.SET_BITRATE:
+            return [b""]
+        if opcode == protocol.RESET:
+            self.power_cycle()
+            return []
+        if opcode == protocol.READ_DIAGNOSTIC:
+            return [b"\x08\x00"] if self.firmware[:2] >= (3, 8) else []
+        if self.firmware[:2] < (3, 7):
+            return []
+        calibration = calibration or default_calibration()
+        if opcode == protocol.READ_COUNTS:
+            counts = (calibration.counts_per_force, calibration.counts_per_torque)
+            return [struct.pack(">II", *counts)]
+        codes = self.unit_codes or (calibration.force_unit, calibration.torque_unit)
+        return [bytes(codes)]
+
+    def _reading(self, calibration: protocol.Calibration | None) -> tuple[bytes, bytes]:
+        status = self.faults.value("status") & 0xFFFF
+        gauges = np.array(self.gauge_offset, dtype=float)
+        if calibration is None:
+            status |= protocol.BAD_CALIBRATION
+        else:
+            gauges = gauges + calibration.gauges(self.force(time.time_ns()))
+        if self.noise:
+            gauges = gauges + self.noise * self._random.standard_normal(6)
+        gauges = np.clip(np.rint(gauges), -32768, 32767)
+        if self.faults.take("saturated"):
+            gauges[3] = 32767
+        self.readings += 1
+        return protocol.encode_gauges(status, gauges)
+
+    def _send_reading(self, replies: list[bytes]) -> None:
+        frames = [self._frame(0, replies[0]), self._frame(1, replies[1])]
+        if self.faults.take("foreign"):
+            for number in (0x701, 0x000, 0x2F0):
+                self.bus.send(
+                    can.Message(arbitration_id=number, data=bytes(8), is_extended_id=False)
+                )
+        if self.faults.take("extended"):
+            self.bus.send(
+                can.Message(
+                    arbitration_id=frames[0].arbitration_id, data=bytes(8), is_extended_id=True
+                )
+            )
+        if self.faults.take("error_frame"):
+            self.bus.send(can.Message(is_error_frame=True, is_extended_id=False))
+        if self.faults.take("wrong_length"):
+            frames[0] = self._frame(0, replies[0][:7])
+        if self.faults.take("no_second"):
+            frames.pop()
+        if self.faults.take("swapped"):
+            frames.reverse()
+        if self.faults.take("duplicate"):
+            frames = [copy for frame in frames for copy in (frame, frame)]
+        if self.faults.take("late"):
+            self._held += frames
+            return
+        for frame in frames:
+            self.bus.send(frame)
+
+    def _frame(self, opcode: int, data: bytes) -> can.Message:
+        return can.Message(
+            arbitration_id=protocol.identifier(self.base, opcode), data=data, is_extended_id=False
+        )

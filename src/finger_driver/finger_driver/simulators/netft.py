@@ -1,0 +1,230 @@
+"""An ATI Net F/T box: RDT over UDP with its XML page over HTTP.
+
+Models: start, stop and bias requests, one client at a time, endless and counted streams, real-time and buffered mode,
+both sequence numbers, the status word, counts and units as the page says, output rates as integer fractions of
+7000 Hz, `comm.cgi` for the rate, reboot (silent, then waiting for a new start); see FAULTS.
+
+Does not model: the box's filter, monitor conditions, tool transforms, the slow TCP interface, EtherNet/IP, CAN,
+further pages, the transducer's noise beyond white noise, network loss (but see FAULTS).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import http.server
+import select
+import socket
+import threading
+import time
+import urllib.parse
+from collections.abc import Callable
+
+import numpy as np
+
+from finger_common.errors import DeviceError
+
+from ..protocols import netft_xml, rdt
+from .faults import Faults
+from .netcanoem import no_load
+
+FAULTS = {
+    "silent": "sends no record and answers no page",
+    "gap": "leaves out a record; its number is missing",
+    "duplicate": "sends a record twice",
+    "reordered": "sends a record after the next one",
+    "restart": "the numbering of the records begins anew",
+    "stalled": "the internal sample number stands still",
+    "short": "sends a datagram of 20 bytes",
+    "status": "status word of the records",
+    "reboot": "restarts: silent for half a second, then waits for a new start",
+    "bad_page": "the page is cut off in the middle",
+}
+
+DEFAULT_CONFIGURATION = netft_xml.Configuration(
+    1_000_000, 1_000_000, "N", "N-mm", "Simulated Net F/T", 0, True, 500.0
+)
+
+
+class NetFtSimulator:
+    """The box. force: called with the time (ns) of each record, gives the wrench (6,) in N and N m.
+
+    Ports 0 are chosen free; `port` and `http_port` say which. noise: standard deviation in N and, times 1e-3, N m.
+    """
+
+    def __init__(
+        self,
+        force: Callable[[int], np.ndarray] = no_load,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        http_port: int = 0,
+        configuration: netft_xml.Configuration = DEFAULT_CONFIGURATION,
+        noise: float = 0.002,
+        seed: int = 1,
+    ) -> None:
+        self.faults = Faults(FAULTS)
+        self.configuration = configuration
+        self._force = force
+        self._noise = np.array([noise] * 3 + [noise * 1e-3] * 3)
+        self._random = np.random.default_rng(seed)
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind((host, port))
+        self.port = int(self._socket.getsockname()[1])
+        self._server = http.server.ThreadingHTTPServer((host, http_port), self._handler())
+        self._server.daemon_threads = True
+        self.http_port = int(self._server.server_address[1])
+        self._client: tuple[str, int] | None = None
+        self._left = 0
+        self._rdt = self._ft = 0
+        self._per_datagram = 1
+        self._bias = np.zeros(6)
+        self._held: bytes | None = None
+        self._down_until = 0.0
+        self._stop = threading.Event()
+        self._threads = [
+            threading.Thread(target=self._run, daemon=True),
+            threading.Thread(target=self._server.serve_forever, args=(0.1,), daemon=True),
+        ]
+
+    def start(self) -> NetFtSimulator:
+        """Serve in threads; returns itself."""
+        for thread in self._threads:
+            thread.start()
+        return self
+
+    def stop(self) -> None:
+        """End the threads and close the ports."""
+        self._stop.set()
+        self._server.shutdown()
+        for thread in self._threads:
+            thread.join(5)
+        self._server.server_close()
+        self._socket.close()
+
+    def set_units(self, force: str, torque: str, counts: float, torque_counts: float) -> None:
+        """Change units and counts, on the page and in the stream, as its web page does."""
+        self.configuration = dataclasses.replace(
+            self.configuration,
+            force_unit=force,
+            torque_unit=torque,
+            counts_per_force=counts,
+            counts_per_torque=torque_counts,
+        )
+
+    @property
+    def _down(self) -> bool:
+        return bool(self.faults.value("silent")) or time.monotonic() < self._down_until
+
+    def _handler(self) -> type[http.server.BaseHTTPRequestHandler]:
+        box = self
+
+        class Handler(http.server.BaseHTTPRequestHandler):
+            def do_GET(self) -> None:
+                url = urllib.parse.urlparse(self.path)
+                if box._down:
+                    # A box without power does not even close the connection.
+                    time.sleep(0.5)
+                    self.close_connection = True
+                    return
+                if url.path == "/comm.cgi":
+                    box._configure(urllib.parse.parse_qs(url.query))
+                    page = b"ok"
+                elif url.path == netft_xml.PAGE:
+                    page = netft_xml.render(box.configuration)
+                    if box.faults.take("bad_page"):
+                        page = page[: len(page) // 2]
+                else:
+                    self.send_error(404)
+                    return
+                self.send_response(200)
+                self.send_header("Content-Length", str(len(page)))
+                self.end_headers()
+                self.wfile.write(page)
+
+            def log_message(self, *arguments: object) -> None:
+                pass
+
+        return Handler
+
+    def _configure(self, query: dict[str, list[str]]) -> None:
+        try:
+            rate = float(query.get("comrdtrate", ["0"])[0])
+        except ValueError:
+            return
+        if 1 <= rate <= rdt.BASE_RATE:
+            self.configuration = dataclasses.replace(self.configuration, rdt_rate=rate)
+
+    def _run(self) -> None:
+        due = time.monotonic()
+        while not self._stop.is_set():
+            wait = 0.05 if self._client is None else max(0.0, min(due - time.monotonic(), 0.05))
+            if select.select([self._socket], [], [], wait)[0]:
+                self._request()
+            now = time.monotonic()
+            if self.faults.take("reboot"):
+                self._down_until, self._client = now + 0.5, None
+                self._rdt = self._ft = 0
+            if self._client is None or self._down:
+                due = now
+                continue
+            if now < due:
+                continue
+            period = self._per_datagram / rdt.real_rate(self.configuration.rdt_rate)
+            due = max(due + period, now - 0.1)
+            self._send()
+
+    def _request(self) -> None:
+        try:
+            data, sender = self._socket.recvfrom(64)
+            command, count = rdt.decode_request(data)
+        except (DeviceError, OSError):
+            return
+        if self._down:
+            return
+        if command in (rdt.START_REALTIME, rdt.START_BUFFERED):
+            self._client, self._left, self._rdt = sender, count or -1, 0
+            self._per_datagram = 1 if command == rdt.START_REALTIME else 10
+        elif command == rdt.STOP:
+            self._client = None
+        elif command == rdt.SET_BIAS:
+            self._bias = np.array(self._force(time.time_ns()), dtype=float)
+
+    def _send(self) -> None:
+        data = b"".join(self._record() for _ in range(self._per_datagram))
+        if self.faults.take("gap"):
+            return
+        if self.faults.take("short"):
+            data = data[:20]
+        datagrams = [data]
+        if self.faults.take("reordered"):
+            self._held = data
+            return
+        if self._held is not None:
+            datagrams.append(self._held)
+            self._held = None
+        if self.faults.take("duplicate"):
+            datagrams.append(data)
+        for datagram in datagrams:
+            try:
+                self._socket.sendto(datagram, self._client or ("127.0.0.1", 9))
+            except OSError:
+                self._client = None
+                return
+        if self._left > 0:
+            self._left -= 1
+            if self._left == 0:
+                self._client = None
+
+    def _record(self) -> bytes:
+        if self.faults.take("restart"):
+            self._rdt = 0
+        self._rdt += 1
+        if not self.faults.value("stalled"):
+            self._ft += max(1, round(rdt.BASE_RATE / rdt.real_rate(self.configuration.rdt_rate)))
+        wrench = np.asarray(self._force(time.time_ns())) - self._bias
+        wrench = wrench + self._noise * self._random.standard_normal(6)
+        configuration = self.configuration
+        scale = [configuration.force_scale] * 3 + [configuration.torque_scale] * 3
+        counts = np.clip(np.rint(wrench / np.array(scale)), -(2**31), 2**31 - 1)
+        status = self.faults.value("status") & 0xFFFFFFFF
+        values = tuple(int(c) for c in counts)
+        return rdt.encode_record(rdt.Record(self._rdt, self._ft, status, values))  # type: ignore[arg-type]

@@ -1,0 +1,99 @@
+"""A moisture probe's serial adapter behind a pseudo-terminal: one line per reading.
+
+Models: lines at the port of a real adapter, unplugging and plugging in again under the same name (a symbolic link),
+half lines, noise, a wrong unit's number (FAULTS). Does not model: baud rate, parity and framing errors (a pty has
+none), the second a Corneometer takes for a reading, its calibration. The line format is this project's: no public
+protocol of the probe is known.
+"""
+
+from __future__ import annotations
+
+import os
+import pty
+import tty
+from pathlib import Path
+
+from .faults import Faults
+
+FAULTS = {
+    "silent": "sends nothing",
+    "half_line": "sends the first half of a line without an end",
+    "garbage": "sends bytes that are not text",
+    "no_end": "sends digits without any end of line",
+}
+
+
+class SerialMoistureSimulator:
+    """A pty whose far end is named `port`; `link`, if given, is a symbolic link to it that stays the same.
+
+    `send` writes a reading as `line` formats it. Close it, or use it as a context manager.
+    """
+
+    def __init__(
+        self, link: str | Path | None = None, line: str = "M={value:.1f};{phase}\r\n"
+    ) -> None:
+        self.faults = Faults(FAULTS)
+        self._link = Path(link) if link is not None else None
+        self._line = line
+        self._controller = self._far = -1
+        self.plug_in()
+
+    @property
+    def port(self) -> str:
+        """Name of the port to open: the link, or the pty's own."""
+        return str(self._link) if self._link is not None else self._name
+
+    def plug_in(self) -> None:
+        """Make the port appear."""
+        self.unplug()
+        self._controller, self._far = pty.openpty()
+        tty.setraw(self._far)
+        os.set_blocking(self._controller, False)
+        self._name = os.ttyname(self._far)
+        if self._link is not None:
+            temporary = self._link.with_name(f".{self._link.name}.new")
+            temporary.unlink(missing_ok=True)
+            temporary.symlink_to(self._name)
+            os.replace(temporary, self._link)
+
+    def unplug(self) -> None:
+        """Make the port vanish; a reader gets an error."""
+        for descriptor in (self._controller, self._far):
+            if descriptor >= 0:
+                os.close(descriptor)
+        self._controller = self._far = -1
+        if self._link is not None:
+            self._link.unlink(missing_ok=True)
+
+    def send(self, value: float, phase: str = "before") -> None:
+        """Send one reading; phase is "before", "after" or ""."""
+        line = self._line.format(value=value, phase=phase)
+        if not phase:
+            line = line.replace(";", "", 1)
+        data = line.encode("ascii")
+        if self.faults.take("silent"):
+            return
+        if self.faults.take("half_line"):
+            data = data[: len(data) // 2]
+        if self.faults.take("garbage"):
+            data = bytes(range(128, 200)) + b"\r\n"
+        if self.faults.take("no_end"):
+            data = b"7" * 4000
+        self._write(data)
+
+    def _write(self, data: bytes) -> None:
+        try:
+            os.write(self._controller, data)
+        except BlockingIOError:
+            # Nobody reads; an adapter's buffer runs over, too.
+            pass
+
+    def close(self) -> None:
+        """Unplug for good."""
+        self.unplug()
+
+    def __enter__(self) -> SerialMoistureSimulator:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()

@@ -1,0 +1,76 @@
+"""Tare: the mean of a still, unloaded signal, refused when the signal moves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .force.source import GOOD, ForceSource, WrenchSample
+
+
+@dataclass(frozen=True)
+class TareResult:
+    """Outcome of a tare.
+
+    bias (6,) in the source's channels, None when refused. offset (6,) N and N m. message: one sentence.
+    """
+
+    bias: np.ndarray | None
+    offset: np.ndarray
+    message: str
+
+
+class TareCollector:
+    """Collects samples for one tare.
+
+    duration: s of signal to average. force_limit N, torque_limit N m: the greatest peak-to-peak movement of any
+    axis that still counts as still, measured on means of a tenth of the duration so that noise does not count.
+    """
+
+    PARTS = 10
+
+    def __init__(self, duration: float, force_limit: float, torque_limit: float) -> None:
+        self._duration = duration
+        self._limits = np.array([force_limit] * 3 + [torque_limit] * 3)
+        self._stamps: list[int] = []
+        self._channels: list[np.ndarray] = []
+        self._bad = 0
+
+    def add(self, sample: WrenchSample) -> bool:
+        """Take a sample; true when the duration is covered."""
+        if sample.quality != GOOD:
+            self._bad += 1
+            return self._bad > 10
+        self._stamps.append(sample.stamp_ns)
+        self._channels.append(sample.channels)
+        return (self._stamps[-1] - self._stamps[0]) * 1e-9 >= self._duration
+
+    def result(self, source: ForceSource) -> TareResult:
+        """Offset of what was collected, or why there is none."""
+        nothing = np.zeros(6)
+        if self._bad > 10:
+            return TareResult(None, nothing, "not tared: the sensor reports faults")
+        if len(self._channels) < 2 * self.PARTS:
+            return TareResult(
+                None,
+                nothing,
+                f"not tared: only {len(self._channels)} samples came; check the sensor",
+            )
+        channels = np.array(self._channels)
+        parts = np.array([p.mean(axis=0) for p in np.array_split(channels, self.PARTS)])
+        wrenches = np.array([source.wrench_of(p) for p in parts])
+        moved = np.ptp(wrenches, axis=0)
+        if np.any(moved > self._limits):
+            return TareResult(
+                None,
+                nothing,
+                "not tared: the signal moved by up to "
+                f"{moved[:3].max():.3g} N and {moved[3:].max():.3g} N m; take the finger off and try again",
+            )
+        bias = channels.mean(axis=0)
+        offset = source.wrench_of(bias)
+        axes = ", ".join(f"{v:.4g}" for v in offset)
+        return TareResult(
+            bias, offset, f"tared over {len(channels)} samples: offset [{axes}] N, N m"
+        )

@@ -1,0 +1,95 @@
+"""Helpers of the driver tests: simulators in processes of their own, steered over their standard input."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+
+class DeviceProcess:
+    """`finger-device-sim …` in a process; `say` sends a command and waits until it is carried out."""
+
+    def __init__(self, *arguments: object) -> None:
+        self._child = subprocess.Popen(
+            [sys.executable, "-m", "finger_driver.simulators.cli", *map(str, arguments)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        )
+        self._lines: list[str] = []
+        self._news = threading.Condition()
+        self._answered = 0
+        threading.Thread(target=self._listen, daemon=True).start()
+        self.ready = self._wait(lambda: self._find("ready"), 30)
+
+    def _listen(self) -> None:
+        assert self._child.stdout is not None
+        for line in self._child.stdout:
+            with self._news:
+                self._lines.append(line.strip())
+                self._news.notify_all()
+
+    def _find(self, start: str) -> str | None:
+        return next((line for line in self._lines if line.startswith(start)), None)
+
+    def _wait(self, condition: Callable[[], Any], seconds: float) -> Any:
+        with self._news:
+            if not self._news.wait_for(condition, seconds):
+                raise AssertionError(f"no answer of the simulator: {self._lines}")
+            return condition()
+
+    def say(self, command: str) -> None:
+        assert self._child.stdin is not None
+        self._answered += 1
+        self._child.stdin.write(command + "\n")
+        self._child.stdin.flush()
+
+        def answers() -> list[str]:
+            return [line for line in self._lines if re.match("ok|refused", line)]
+
+        self._wait(lambda: len(answers()) >= self._answered, 10)
+        assert answers()[self._answered - 1].startswith("ok"), answers()[-1]
+
+    def port(self, name: str) -> int:
+        """Number behind a word of the line that says it is ready."""
+        match = re.search(rf"{name} (\d+)", self.ready)
+        assert match is not None, self.ready
+        return int(match[1])
+
+    def close(self) -> None:
+        if self._child.poll() is None:
+            os.killpg(self._child.pid, signal.SIGTERM)
+            try:
+                self._child.wait(5)
+            except subprocess.TimeoutExpired:
+                os.killpg(self._child.pid, signal.SIGKILL)
+                self._child.wait()
+
+
+@contextlib.contextmanager
+def device(*arguments: object) -> Iterator[DeviceProcess]:
+    process = DeviceProcess(*arguments)
+    try:
+        yield process
+    finally:
+        process.close()
+
+
+def wait_until(condition: Callable[[], Any], seconds: float = 15, what: str = "") -> Any:
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        result = condition()
+        if result:
+            return result
+        time.sleep(0.01)
+    raise AssertionError(f"did not come within {seconds} s: {what}")

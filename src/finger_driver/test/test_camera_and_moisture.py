@@ -1,0 +1,365 @@
+"""Cameras, calibration files, moisture lines and tables."""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+import time
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from finger_common.diagnostics import Health
+from finger_common.errors import DeviceError, InputError
+from finger_driver import camera, moisture
+from finger_driver.camera.folder import FolderSource
+from finger_driver.camera.freeze import FreezeDetector
+from finger_driver.camera.info import CameraCalibration, resolve_url
+from finger_driver.camera.opencv import OpenCvSource, grey
+from finger_driver.camera.ueye import UeyeSource
+from finger_driver.protocols import lines
+from finger_driver.protocols.export_table import TableFormat, new_rows, parse_table
+from finger_driver.simulators import ExportFileSimulator, FrameFolderWriter, SerialMoistureSimulator
+
+
+def picture(seed: int = 0, shape: tuple[int, int] = (24, 32)) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, 256, shape, dtype=np.uint8)
+
+
+# Camera ------------------------------------------------------------------------------------------
+
+
+def test_frames_arrive_as_written_with_their_stamps_and_older_ones_do_not(tmp_path: Path) -> None:
+    writer = FrameFolderWriter(tmp_path / "f", keep=3)
+    writer.write(time.time_ns() - 10**9, picture(9))
+    source = FolderSource(tmp_path / "f", Health("camera"))
+    source.connect()
+    assert source.read(0.05) is None, "a frame from before the connection was taken as new"
+    stamps = []
+    for index in range(6):
+        stamp = time.time_ns()
+        writer.write(stamp, picture(index))
+        frame = source.read(1.0)
+        assert frame is not None
+        np.testing.assert_array_equal(frame.image, picture(index))
+        assert frame.sequence == index + 1
+        stamps.append((stamp, frame.stamp_ns))
+    assert all(a == b for a, b in stamps)
+    assert len(list((tmp_path / "f").iterdir())) == 3
+
+
+def test_missing_frames_are_counted_and_a_missing_folder_is_told(tmp_path: Path) -> None:
+    writer = FrameFolderWriter(tmp_path)
+    source = FolderSource(tmp_path, Health("camera"))
+    source.connect()
+    writer.write(time.time_ns(), picture())
+    assert source.read(1.0) is not None
+    writer.faults.set("lost", 2)
+    for _ in range(3):
+        writer.write(time.time_ns(), picture())
+    assert source.read(1.0) is not None
+    assert source.health.counters["lost"] == 2
+    with pytest.raises(DeviceError, match="no such folder"):
+        FolderSource(tmp_path / "none", Health("camera")).connect()
+
+
+def test_an_image_sequence_is_played_at_the_rate_asked_for_and_again(tmp_path: Path) -> None:
+    for index in range(3):
+        cv2.imwrite(str(tmp_path / f"f_{index:03d}.png"), picture(index))
+    source = camera.open_source(
+        {"device": "opencv", "path": str(tmp_path / "f_%03d.png"), "rate": 20.0}
+    )
+    source.connect()
+    frames = []
+    while len(frames) < 5:
+        frame = source.read(0.5)
+        if frame is not None:
+            frames.append(frame)
+    source.close()
+    for frame, seed in zip(frames, (0, 1, 2, 0, 1)):
+        np.testing.assert_array_equal(frame.image, picture(seed))
+    intervals = np.diff([f.stamp_ns for f in frames]) * 1e-9
+    assert np.median(intervals) == pytest.approx(0.05, abs=0.02)
+
+
+class FakeCapture:
+    """A live camera: a new frame every 20 ms, queued as a driver does, until it is unplugged."""
+
+    def __init__(self) -> None:
+        self.unplugged = False
+        self.released = False
+        self._number = 0
+
+    def grab(self) -> bool:
+        time.sleep(0.02)
+        self._number += 1
+        return not self.unplugged
+
+    def retrieve(self) -> tuple[bool, np.ndarray]:
+        return True, np.full((4, 4, 3), self._number % 256, dtype=np.uint8)
+
+    def get(self, key: int) -> float:
+        return 30.0 if key == cv2.CAP_PROP_FPS else -1.0
+
+    def set(self, key: int, value: float) -> bool:
+        return True
+
+    def release(self) -> None:
+        self.released = True
+
+
+def test_a_slow_reader_gets_the_newest_frame_and_unplugging_is_told() -> None:
+    capture = FakeCapture()
+    source = OpenCvSource("0", Health("camera"), rate=50.0, opener=lambda path: (capture, True))
+    source.connect()
+    assert "setting_rate" in source.health.faults, "the camera makes 30 Hz of 50 Hz and must say so"
+    time.sleep(0.5)
+    start = time.time_ns()
+    first = source.read(1.0)
+    assert first is not None and start - first.stamp_ns < 0.1e9, "an old frame was given out"
+    time.sleep(0.3)
+    second = source.read(1.0)
+    assert second is not None and second.sequence - first.sequence > 5
+    assert source.health.counters["skipped"] >= 5
+    capture.unplugged = True
+    with pytest.raises(DeviceError, match="no frames any more"):
+        for _ in range(20):
+            source.read(0.3)
+    source.close()
+    assert capture.released
+
+
+@pytest.mark.parametrize(
+    ("path", "kind", "message"),
+    [
+        ("", InputError, "path"),
+        ("/none.avi", DeviceError, "no such file"),
+        ("97", DeviceError, "does not open"),
+    ],
+)
+def test_a_camera_that_is_not_there_is_told(path: str, kind: type, message: str) -> None:
+    with pytest.raises(kind, match=message):
+        camera.open_source({"device": "opencv", "path": path}).connect()
+
+
+def test_colour_and_16_bit_images_become_grey() -> None:
+    assert grey(np.full((2, 3, 3), 77, np.uint8)).tolist() == [[77] * 3] * 2
+    assert grey(np.full((2, 3), 0x4D12, np.uint16)).tolist() == [[0x4D] * 3] * 2
+
+
+class FakeUeye:
+    """The part of pyueye.ueye that the driver uses, with the types of ctypes, and the order of calls kept."""
+
+    HIDS = c_uint = ctypes.c_uint
+    int = ctypes.c_int
+    double = ctypes.c_double
+    c_mem_p = ctypes.c_void_p
+    IS_SET_DM_DIB, IS_CM_MONO8, IS_AOI_IMAGE_SET_AOI, IS_DONT_WAIT = 1, 6, 1, 0
+    IS_PIXELCLOCK_CMD_SET, IS_EXPOSURE_CMD_SET_EXPOSURE, IS_FORCE_VIDEO_STOP = 6, 12, 0x4000
+    sizeof = staticmethod(ctypes.sizeof)
+
+    class IS_RECT(ctypes.Structure):
+        _fields_ = [(n, ctypes.c_int) for n in ("s32X", "s32Y", "s32Width", "s32Height")]
+
+    class UEYEIMAGEINFO(ctypes.Structure):
+        _fields_ = [
+            ("u64TimestampDevice", ctypes.c_longlong),
+            ("u64FrameNumber", ctypes.c_longlong),
+        ]
+
+    def __init__(self) -> None:
+        self.calls: list[str] = []
+        self.result: dict[str, Any] = {}
+        self.number = 0
+        self.started = time.time()
+
+    def SENSORINFO(self) -> Any:
+        return SimpleNamespace(nMaxWidth=6, nMaxHeight=4, strSensorName=b"DCC3240M\0\0")
+
+    def __getattr__(self, name: str) -> Any:
+        if not name.startswith("is_"):
+            raise AttributeError(name)
+
+        def call(*arguments: Any) -> Any:
+            self.calls.append(name)
+            if name == "is_SetFrameRate":
+                arguments[2].value = arguments[1].value
+            if name == "is_InquireImageMem":
+                arguments[6].value = 8
+            if name == "is_WaitForNextImage" and not self.result.get(name):
+                time.sleep(0.005)
+                self.number += 1
+            if name == "is_GetImageInfo":
+                arguments[2].u64TimestampDevice = round((time.time() - self.started) * 1e7)
+                arguments[2].u64FrameNumber = self.number
+            return self.result.get(name, 0)
+
+        return call
+
+    def get_data(self, memory: Any, x: int, y: int, bits: int, pitch: int, copy: bool) -> Any:
+        return (np.arange(y)[:, None] * 10 + np.arange(pitch)[None, :]).astype(np.uint8).ravel()
+
+
+def test_ueye_calls_come_in_the_makers_order_and_the_pitch_is_cut_off() -> None:
+    sdk = FakeUeye()
+    source = UeyeSource(Health("camera"), rate=10.0, exposure=0.01, pixel_clock=30, sdk=sdk)
+    source.connect()
+    order = [sdk.calls.index(f"is_{n}") for n in (
+        "InitCamera", "SetDisplayMode", "SetColorMode", "AOI", "AllocImageMem", "AddToSequence",
+        "InitImageQueue", "PixelClock", "SetFrameRate", "Exposure", "CaptureVideo")]  # fmt: skip
+    assert order == sorted(order)
+    frame = source.read(1.0)
+    assert frame is not None and frame.image.tolist() == [
+        [10 * r + c for c in range(6)] for r in range(4)
+    ]
+    assert abs(frame.stamp_ns - time.time_ns()) < 0.5e9
+    sdk.number += 3
+    assert source.read(1.0) is not None
+    assert source.health.counters["lost"] == 3
+    assert sdk.calls.count("is_UnlockSeqBuf") == 2
+    sdk.result["is_WaitForNextImage"] = 178
+    assert source.read(0.1) is None and "transfer" in source.health.faults
+    source.close()
+    assert sdk.calls[-1] == "is_ExitCamera"
+    assert sdk.calls.count("is_FreeImageMem") == sdk.calls.count("is_AllocImageMem")
+
+
+def test_ueye_open_elsewhere_or_without_its_library_is_told(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    sdk = FakeUeye()
+    sdk.result["is_InitCamera"] = 3
+    with pytest.raises(DeviceError, match="another program"):
+        UeyeSource(Health("camera"), sdk=sdk).connect()
+    monkeypatch.setitem(__import__("sys").modules, "pyueye.ueye", None)
+    with pytest.raises(InputError, match="pip install pyueye"):
+        camera.open_source({"device": "ueye"}).connect()
+
+
+def test_frozen_is_told_from_dark() -> None:
+    detector = FreezeDetector(3)
+    assert [detector.frozen(picture()) for _ in range(4)] == [False, False, True, True]
+    assert not detector.frozen(picture(1))
+    detector = FreezeDetector(3)
+    assert not any(detector.frozen(np.zeros((4, 4), np.uint8)) for _ in range(10))
+
+
+def test_calibration_comes_back_as_saved_and_a_wrong_one_is_refused(tmp_path: Path) -> None:
+    calibration = CameraCalibration(
+        1280, 1024, "ftir", d=[0.1, -0.2, 0, 0, 0], k=[1000.0, 0, 640, 0, 1000, 512, 0, 0, 1],
+        r=[1.0, 0, 0, 0, 1, 0, 0, 0, 1], p=[1000.0, 0, 640, 0, 0, 1000, 512, 0, 0, 0, 1, 0],
+    )  # fmt: skip
+    path = tmp_path / "ftir.yaml"
+    calibration.save(path)
+    assert CameraCalibration.load(path) == calibration and calibration.calibrated
+    path.write_text(path.read_text().replace("camera_matrix", "matrix"))
+    with pytest.raises(InputError, match="camera_matrix"):
+        CameraCalibration.load(path)
+
+
+def test_urls_of_calibrations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_HOME", str(tmp_path))
+    assert resolve_url("", "a") == tmp_path / "camera_info" / "a.yaml"
+    assert resolve_url("file:///x/${NAME}.yaml", "a") == Path("/x/a.yaml")
+    for bad in (
+        "/x/a.yaml",
+        "http://x/a.yaml",
+        "package://no_such_package_/a.yaml",
+        "file:///${NO}",
+    ):
+        with pytest.raises(InputError, match="camera_info_url"):
+            resolve_url(bad, "a")
+
+
+# Moisture ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("line", "value", "phase"),
+    [("42.5", 42.5, ""), ("42,5", 42.5, ""), ("M=17.0;after", 17.0, "after"), (" M 8 ", 8.0, "")],
+)
+def test_lines_that_are_readings(line: str, value: float, phase: str) -> None:
+    parsed = lines.parse_line(line, lines.compile_pattern(lines.DEFAULT_PATTERN))
+    assert parsed is not None and (parsed.value, parsed.phase) == (value, phase)
+
+
+@pytest.mark.parametrize("line", ["", "ERR 5", "42.5 a.u.", "4 2", "nan", "1e3", "M=;before"])
+def test_lines_that_are_none(line: str) -> None:
+    assert lines.parse_line(line, lines.compile_pattern(lines.DEFAULT_PATTERN)) is None
+
+
+def test_a_pattern_without_a_value_is_refused() -> None:
+    for pattern, message in ((r"\d+", "named value"), (r"(", "regular expression")):
+        with pytest.raises(InputError, match=message):
+            lines.compile_pattern(pattern)
+
+
+def test_serial_readings_arrive_with_phase_index_and_time_of_arrival() -> None:
+    with SerialMoistureSimulator() as simulator:
+        source = moisture.open_source({"device": "serial", "path": simulator.port})
+        simulator.send(99.0)
+        time.sleep(0.1)
+        source.connect()
+        assert source.read(0.2) is None, "a reading from before the connection was taken as new"
+        sent = []
+        for value, phase in ((41.0, "before"), (42.5, "after"), (131.0, "")):
+            threading.Timer(0.05, simulator.send, (value, phase)).start()
+            before = time.time_ns()
+            reading = source.read(2.0)
+            assert reading is not None and before < reading.stamp_ns < time.time_ns()
+            sent.append((reading.value, reading.phase, reading.index, reading.flags))
+        source.close()
+    assert sent == [(41.0, 1, 0, 0), (42.5, 2, 1, 0), (131.0, 0, 2, 1)]
+
+
+def test_exports_in_the_forms_that_spreadsheets_write() -> None:
+    form = TableFormat("Wert", "Zeit", "Phase", ";", True, "cp1252", "%d.%m.%Y %H:%M")
+    text = "Gerät;;\nZeit;Wert;Phase\n02.01.2026 10:30;1.042,5;vor\n02.01.2026 10:31;43;after\n;;\n"
+    table = parse_table((text + "02.01.2026 10:32;abc;\n").encode("cp1252"), "e.csv", form)
+    assert [r.value for r in table.rows] == [1042.5, 43.0] and table.malformed == 1
+    assert table.rows[1].time_ns == table.rows[0].time_ns + 60_000_000_000
+    with pytest.raises(DeviceError, match="export_encoding"):
+        parse_table(text.encode("cp1252"), "e.csv", TableFormat("Wert"))
+    with pytest.raises(DeviceError, match="no column 'value'"):
+        parse_table(text.encode(), "e.csv", TableFormat())
+    with pytest.raises(InputError, match="export_encoding"):
+        TableFormat(encoding="latin-99").check()
+
+
+def test_rows_of_a_rewritten_table_are_new_only_when_they_were_not_there() -> None:
+    form = TableFormat(decimal_comma=False)
+
+    def rows(*values: float) -> tuple:
+        return parse_table(("value\n" + "\n".join(map(str, values))).encode(), "e.csv", form).rows
+
+    assert [r.value for r in new_rows(rows(1, 2), rows(1, 2, 2))] == [2]
+    assert [r.value for r in new_rows(rows(1, 2), rows(2, 1, 3, 1))] == [3, 1]
+    assert new_rows(rows(1, 2), rows(1)) == []
+
+
+@pytest.mark.parametrize("name", ["e.csv", "e.xlsx"])
+def test_export_readings_carry_their_own_time(tmp_path: Path, name: str) -> None:
+    simulator = ExportFileSimulator(tmp_path / name)
+    simulator.send(50.0)
+    source = moisture.open_source(
+        {
+            "device": "export",
+            "path": str(tmp_path / name),
+            "export_time_column": "time",
+            "export_phase_column": "phase",
+            "export_period": 0.05,
+        }
+    )
+    source.connect()
+    assert source.read(0.3) is None, "a row from before the connection was taken as new"
+    simulator.send(42.5, "after")
+    sent = time.time_ns()
+    reading = source.read(5.0)
+    assert reading is not None
+    assert (reading.value, reading.phase, reading.index) == (42.5, 2, 0)
+    # The table has whole seconds.
+    assert abs(reading.stamp_ns - sent) < 2e9 and reading.stamp_ns % 10**9 == 0

@@ -1,0 +1,274 @@
+"""The nodes as processes over DDS, simulators in processes of their own."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from device_process import device
+
+rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+
+class Observer:
+    def __init__(self, domain: int) -> None:
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=domain)
+        self.node = rclpy.create_node("observer", context=self.context)
+        self._executor = rclpy.executors.SingleThreadedExecutor(context=self.context)
+        self._executor.add_node(self.node)
+
+    def listen(self, kind: Any, topic: str, depth: int = 200, reliable: bool = False) -> list[Any]:
+        from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+        reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
+        got: list[Any] = []
+        self.node.create_subscription(
+            kind, topic, got.append, QoSProfile(depth=depth, reliability=reliability)
+        )
+        return got
+
+    def until(self, condition: Callable[[], Any], seconds: float = 40, what: str = "") -> Any:
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            result = condition()
+            if result:
+                return result
+            self._executor.spin_once(timeout_sec=0.05)
+        raise AssertionError(f"did not come: {what}")
+
+    def call(self, kind: Any, name: str, request: Any) -> Any:
+        client = self.node.create_client(kind, name)
+        self.until(client.service_is_ready, what=name)
+        future = client.call_async(request)
+        self.until(future.done, what=name)
+        return future.result()
+
+    def close(self) -> None:
+        self._executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+
+@pytest.fixture
+def observer(ros_domain: int) -> Any:
+    observer = Observer(ros_domain)
+    yield observer
+    observer.close()
+
+
+def stamp(message: Any) -> int:
+    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+
+
+def test_force_node_streams_tares_when_asked_and_follows_its_lifecycle(
+    observer: Observer, process: Any, free_port: Any
+) -> None:
+    from diagnostic_msgs.msg import DiagnosticArray
+    from geometry_msgs.msg import WrenchStamped
+    from lifecycle_msgs.msg import Transition
+    from lifecycle_msgs.srv import ChangeState
+    from std_srvs.srv import Trigger
+
+    port = free_port()
+    raw = observer.listen(WrenchStamped, "wrench_raw")
+    tared = observer.listen(WrenchStamped, "wrench")
+    diagnostics = observer.listen(DiagnosticArray, "/diagnostics", 10, True)
+    with device(
+        "netcanoem", "--options", f"port={port}", "--wrench=0.1,0.2,-1.5,0.001,0.002,0"
+    ) as board:
+        child = process(
+            "-m", "finger_driver.force_node", "--ros-args",
+            "-p", "can_interface:=udp_multicast", "-p", f"can_options:='port={port}'",
+            "-p", "response_timeout:=0.2",
+        )  # fmt: skip
+        observer.until(lambda: len(raw) > 200, what="wrench_raw")
+        stamps = np.array([stamp(m) for m in raw[-200:]])
+        assert np.all(np.diff(stamps) > 0)
+        assert abs(stamps[-1] - time.time_ns()) < 5e9
+        assert tared[-1].wrench.force.z == pytest.approx(-1.5, abs=0.03), "tared unasked"
+        assert raw[-1].header.frame_id == "force_sensor"
+
+        answer = observer.call(Trigger, "/force/tare", Trigger.Request())
+        assert answer.success and "-1.5" in answer.message
+        count = len(tared)
+        observer.until(lambda: len(tared) > count + 300, what="tared wrench")
+        assert np.mean([m.wrench.force.z for m in tared[-100:]]) == pytest.approx(0, abs=0.005)
+        assert raw[-1].wrench.force.z == pytest.approx(-1.5, abs=0.03)
+
+        answer = observer.call(Trigger, "/force/reset_tare", Trigger.Request())
+        assert answer.success
+        count = len(tared)
+        observer.until(lambda: len(tared) > count + 300, what="wrench without tare")
+        assert tared[-1].wrench.force.z == pytest.approx(-1.5, abs=0.03)
+
+        board.say("saturated -1")
+        time.sleep(0.2)
+        answer = observer.call(Trigger, "/force/tare", Trigger.Request())
+        assert not answer.success and "faults" in answer.message
+        board.say("clear")
+
+        status = observer.until(
+            lambda: [
+                s for a in diagnostics for s in a.status if "force: force" in s.name and "FT01234" in s.hardware_id
+            ],
+            what="diagnostics",
+        )[-1]  # fmt: skip
+        keys = {v.key for v in status.values}
+        assert {"measured_rate_hz", "expected_rate_hz", "last_error", "interval_jitter_ms"} <= keys
+
+        def change(transition: int) -> bool:
+            request = ChangeState.Request(transition=Transition(id=transition))
+            return bool(observer.call(ChangeState, "/force/change_state", request).success)
+
+        assert change(Transition.TRANSITION_DEACTIVATE)
+        observer.until(lambda: True)
+        time.sleep(0.3)
+        for _ in range(500):
+            observer._executor.spin_once(timeout_sec=0.0)
+        count = len(raw)
+        end = time.monotonic() + 0.5
+        observer.until(lambda: time.monotonic() > end)
+        assert len(raw) == count, "an inactive node published"
+        answer = observer.call(Trigger, "/force/tare", Trigger.Request())
+        assert not answer.success and "not active" in answer.message
+        assert change(Transition.TRANSITION_CLEANUP)
+        assert change(Transition.TRANSITION_CONFIGURE)
+        assert change(Transition.TRANSITION_ACTIVATE)
+        observer.until(lambda: len(raw) > count + 50, what="wrench after cleanup and new start")
+    assert child.poll() is None, child.output.read_text()
+
+
+def test_camera_node_publishes_every_frame_with_its_calibration(
+    observer: Observer, process: Any, tmp_path: Path
+) -> None:
+    """1280×1024 at 10 Hz, best effort: with too small a shared memory two in three images were lost."""
+    from sensor_msgs.msg import CameraInfo, Image
+    from sensor_msgs.srv import SetCameraInfo
+
+    images = observer.listen(Image, "image_raw", 10)
+    infos = observer.listen(CameraInfo, "camera_info", 50)
+    frames, url = tmp_path / "frames", tmp_path / "ftir.yaml"
+    with device("images", frames, "--keep", 300):
+        process(
+            "-m", "finger_driver.camera_node", "--ros-args",
+            "-p", "device:=folder", "-p", f"path:={frames}", "-p", "camera_name:=ftir",
+            "-p", "image_time_offset:=-0.25",
+            env={"ROS_HOME": str(tmp_path)},
+        )  # fmt: skip
+        observer.until(lambda: images, what="image_raw")
+        images.clear()
+        observer.until(lambda: len(images) >= 20, what="twenty images")
+        assert images[0].encoding == "mono8" and images[0].step == 1280
+        assert (images[0].height, images[0].width, len(images[0].data)) == (1024, 1280, 1280 * 1024)
+        received = [stamp(m) + 250_000_000 for m in images]
+        written = {int(p.name.split("_")[0]) for p in frames.glob("*.pgm")}
+        assert set(received) <= written, "stamp is not acquisition plus offset"
+        due = [s for s in written if received[0] <= s <= received[-1]]
+        assert len(received) >= 0.8 * len(due), f"{len(due) - len(received)} images were lost"
+        by_stamp = {stamp(m): m for m in infos}
+        assert sum(stamp(m) in by_stamp for m in images) >= 18
+        assert infos[-1].k[0] == 0.0 and infos[-1].width == 1280
+
+        request = SetCameraInfo.Request()
+        request.camera_info.width, request.camera_info.height = 1280, 1024
+        request.camera_info.k = [1000.0, 0.0, 640.0, 0.0, 1000.0, 512.0, 0.0, 0.0, 1.0]
+        request.camera_info.distortion_model = "plumb_bob"
+        answer = observer.call(SetCameraInfo, "/camera/set_camera_info", request)
+        assert answer.success, answer.status_message
+        assert (tmp_path / "camera_info" / "ftir.yaml").exists() and not url.exists()
+        infos.clear()
+        observer.until(lambda: infos and infos[-1].k[0] == 1000.0, what="the new calibration")
+
+
+def test_moisture_node_publishes_readings_and_what_the_operator_enters(
+    observer: Observer, process: Any, tmp_path: Path
+) -> None:
+    from finger_msgs.msg import Moisture
+    from finger_msgs.srv import SetMoisture
+    from std_msgs.msg import Float64
+
+    readings = observer.listen(Moisture, "moisture", 10, True)
+    link = tmp_path / "port"
+    with device("serial", "--link", link) as probe:
+        process(
+            "-m", "finger_driver.moisture_node", "--ros-args",
+            "-p", "device:=serial", "-p", f"path:={link}",
+        )  # fmt: skip
+        client = observer.node.create_client(SetMoisture, "/moisture/set_moisture")
+        observer.until(client.service_is_ready, what="the node")
+
+        def enter(value: float) -> Any:
+            request = SetMoisture.Request(value=value, phase=Moisture.PHASE_AFTER)
+            return observer.call(SetMoisture, "/moisture/set_moisture", request)
+
+        observer.until(lambda: enter(55.0).success, what="an active node")
+        observer.until(lambda: readings, what="the entered reading")
+        probe.say("send 42 before")
+        observer.until(lambda: len(readings) == 2, what="the serial reading")
+        refused = enter(140.0)
+        assert not refused.success and "0 … 130" in refused.message
+        publisher = observer.node.create_publisher(Float64, "/moisture/entered", 10)
+        observer.until(lambda: publisher.get_subscription_count() > 0)
+        publisher.publish(Float64(data=60.0))
+        observer.until(lambda: len(readings) == 3, what="the reading from the topic")
+    assert [(m.value, m.index, m.source) for m in readings] == [
+        (55.0, 0, "manual"), (42.0, 1, "serial"), (60.0, 2, "manual"),
+    ]  # fmt: skip
+    assert readings[0].flags == Moisture.FLAG_MANUAL and readings[1].flags == 0
+    assert [m.phase for m in readings] == [2, 1, 0]
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({"can_interface": "nonsense"}, "can_interface 'nonsense'"),
+        ({"can_interface": "virtual", "connect_timeout": 0.1}, "no answer"),
+        ({"device": "dbc", "dbc_mapping": "/none.yaml"}, "/none.yaml"),
+        ({"rate": -1.0}, "'rate'"),
+    ],
+)
+def test_a_node_that_cannot_be_configured_says_why_and_stays(
+    ros_domain: int, parameters: dict[str, Any], message: str, capfd: Any
+) -> None:
+    from rclpy.parameter import Parameter
+
+    from finger_driver.force_node import ForceNode
+
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=ros_domain)
+    try:
+        overrides = [Parameter(k, value=v) for k, v in parameters.items()]
+        node = ForceNode(context=context, parameter_overrides=overrides)
+        assert not node.bring_up()
+        node.destroy_node()
+    finally:
+        rclpy.shutdown(context=context)
+    errors = [line for line in capfd.readouterr().err.splitlines() if "configure failed" in line]
+    assert len(errors) == 1 and message in errors[0]
+
+
+def test_the_command_has_an_example_and_refuses_in_one_line(tmp_path: Path) -> None:
+    import subprocess
+    import sys
+
+    def run(*arguments: object) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-m", "finger_driver.simulators.cli", *map(str, arguments)],
+            capture_output=True, text=True, timeout=60,
+        )  # fmt: skip
+
+    assert "example:" in run("--help").stdout
+    (tmp_path / "bad.csv").write_text("time_s,force_n\n0,1\n0,2\n")
+    for arguments in (
+        ("netcanoem", "--wrench", "1,2"),
+        ("netcanoem", "--csv", tmp_path / "bad.csv"),
+        ("images", tmp_path / "f", "--size", "huge"),
+        ("netcanoem", "--interface", "nonsense"),
+    ):
+        done = run(*arguments)
+        assert done.returncode == 2 and len(done.stderr.strip().splitlines()) == 1, done.stderr

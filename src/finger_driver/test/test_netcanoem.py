@@ -1,0 +1,287 @@
+"""NETCANOEM: bytes of a real board, arithmetic of the manual, and the driver on buses that behave badly."""
+
+from __future__ import annotations
+
+import can
+import numpy as np
+import pytest
+
+from finger_common.errors import DeviceError
+from finger_driver.can_bus import open_bus, parse_options
+from finger_driver.force import GOOD, open_source
+from finger_driver.protocols import netcanoem, units
+from finger_driver.simulators.netcanoem import NetcanoemSimulator, default_calibration
+
+
+def hexa(text: str) -> bytes:
+    return bytes.fromhex(text)
+
+
+def test_gauges_of_a_captured_reading() -> None:
+    """Frames 7F0 and 7F1 of a candump of a real board at base 0x7F."""
+    status, gauges = netcanoem.decode_gauges(
+        hexa("40 00 00 12 FE 3A E6 A8"), hexa("04 FA FA 93 01 43")
+    )
+    assert status == 0x4000
+    assert gauges.tolist() == [18, 1274, -454, -1389, -6488, 323]
+    status, gauges = netcanoem.decode_gauges(
+        hexa("40 00 00 43 FE 77 E6 EE"), hexa("05 69 FA E0 01 83")
+    )
+    assert gauges.tolist() == [67, 1385, -393, -1312, -6418, 387]
+
+
+def test_matrix_row_of_a_captured_start_up() -> None:
+    row = netcanoem.decode_matrix_row(
+        (hexa("3F 40 25 6A C1 DA D5 F4"), hexa("3F F8 5F 58 C1 CC ED 0E"), hexa("3F 9F F9 FC C1 DD 29 AD"))
+    )  # fmt: skip
+    expected = [0.7505709, -27.3544693, 1.9404097, -25.6157494, 1.2498164, -27.6453495]
+    np.testing.assert_allclose(row, expected, rtol=1e-7)
+
+
+def test_identifiers_of_the_manuals_example() -> None:
+    assert netcanoem.identifier(0x20, netcanoem.READ_GAUGES) == 0x200
+    assert netcanoem.identifier(0x20, netcanoem.RESET) == 0x20C
+    assert netcanoem.identifier(0x7F, 1) == 0x7F1
+
+
+def test_critical_bits_are_those_of_the_manual_and_bit_14_is_not_one() -> None:
+    assert netcanoem.CRITICAL_MASK == 0x18FE
+    assert not netcanoem.CRITICAL_MASK & 0x4000
+
+
+def test_one_reading_takes_253_bits_on_the_bus_and_305_with_worst_stuffing() -> None:
+    assert netcanoem.bits_of_poll() == 253
+    assert netcanoem.bits_of_poll(worst_stuffing=True) == 305
+
+
+def test_wrench_is_matrix_times_gauges_over_counts_in_si() -> None:
+    matrix = np.diag([1.0, 2, 3, 4, 5, 6]) + 0.1
+    gauges = np.array([10.0, -20, 30, 40, -50, 60])
+    calibration = netcanoem.Calibration(matrix, 1000, 200, 1, 2)
+    raw = matrix @ gauges
+    expected = np.concatenate(
+        (raw[:3] / 1000 * 4.4482216152605, raw[3:] / 200 * 1.3558179483314004)
+    )
+    np.testing.assert_allclose(calibration.wrench(gauges), expected, rtol=1e-12)
+    np.testing.assert_allclose(calibration.gauges(expected), gauges, rtol=1e-9)
+
+
+def test_every_unit_code_has_a_factor_and_others_are_refused() -> None:
+    for code in range(1, 7):
+        assert units.force_factor(code) > 0 and units.torque_factor(code) > 0
+    assert units.force_factor(3) == pytest.approx(1000 * units.force_factor(1))
+    assert units.torque_factor(2) == pytest.approx(12 * units.torque_factor(1))
+    for code in (0, 7, 255):
+        with pytest.raises(DeviceError, match="not known"):
+            units.force_factor(code)
+
+
+def test_a_calibration_that_cannot_be_is_refused() -> None:
+    with pytest.raises(DeviceError, match="singular"):
+        netcanoem.Calibration(np.zeros((6, 6)))
+    with pytest.raises(DeviceError, match="finite"):
+        netcanoem.Calibration(np.full((6, 6), np.nan))
+
+
+def test_options_are_read_and_refused() -> None:
+    assert parse_options("port=43113, fd=true,name=a") == {"port": 43113, "fd": True, "name": "a"}
+    with pytest.raises(Exception, match="key=value"):
+        parse_options("port")
+
+
+# Driver and board on a bus within the process ----------------------------------------------------
+
+
+class EchoBus(can.BusABC):
+    """Two ends of a bus that gives each sender its own frames back, `copies` times, as udp_multicast does."""
+
+    def __init__(self, inner: can.BusABC, copies: int) -> None:
+        super().__init__("echo")
+        self._inner, self._copies = inner, copies
+        self._own: list[can.Message] = []
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        self._own += [msg] * self._copies
+        self._inner.send(msg, timeout)
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        if self._own:
+            return self._own.pop(0), False
+        return self._inner.recv(timeout), False
+
+    def shutdown(self) -> None:
+        super().shutdown()
+        self._inner.shutdown()
+
+
+@pytest.fixture
+def channel(request: pytest.FixtureRequest) -> str:
+    return request.node.name
+
+
+def board(channel: str, **options: object) -> tuple[can.BusABC, NetcanoemSimulator]:
+    bus = open_bus("virtual", channel)
+    return bus, NetcanoemSimulator(bus, **options)  # type: ignore[arg-type]
+
+
+def driver(channel: str, **settings: object) -> object:
+    return open_source(
+        {"can_interface": "virtual", "can_channel": channel, "response_timeout": 0.2, **settings}
+    )
+
+
+def test_force_and_torque_come_through_as_they_are(channel: str) -> None:
+    truth = np.array([1.0, -2.0, -5.0, 0.01, 0.02, -0.03])
+    bus, simulator = board(channel, force=lambda stamp: truth, noise=0.0)
+    simulator.start()
+    source = driver(channel)
+    try:
+        source.connect()
+        samples = [s for s in (source.read(1.0) for _ in range(20)) if s is not None]
+    finally:
+        source.close()
+        simulator.stop()
+        bus.shutdown()
+    assert len(samples) == 20 and all(s.quality == GOOD for s in samples)
+    wrench = np.concatenate((samples[-1].force, samples[-1].torque))
+    # Half a count of each gauge, through the matrix.
+    limit = np.abs(default_calibration().scaled).sum(axis=1) * 0.5
+    assert np.all(np.abs(wrench - truth) <= limit + 1e-9)
+    assert np.all(np.diff([s.stamp_ns for s in samples]) > 0)
+
+
+@pytest.mark.parametrize("fault", ["duplicate", "swapped", "late", "no_second", "foreign"])
+def test_frames_of_two_readings_are_never_joined(channel: str, fault: str) -> None:
+    """Each reading has another magnitude in the same direction; a mixed pair points elsewhere."""
+    direction = np.array([1.0, -2.0, 3.0, 0.004, 0.003, -0.002])
+    count = iter(range(1, 10_000))
+    bus, simulator = board(channel, force=lambda stamp: direction * (next(count) % 7), noise=0.0)
+    simulator.start()
+    source = driver(channel, response_timeout=0.05)
+    samples = []
+    try:
+        source.connect()
+        for _ in range(10):
+            simulator.faults.set(fault, 3)
+            samples += [s for s in (source.read(1.0) for _ in range(8)) if s is not None]
+    finally:
+        source.close()
+        simulator.stop()
+        bus.shutdown()
+    assert len(samples) >= 45
+    limit = np.abs(default_calibration().scaled).sum(axis=1) * 0.5 + 1e-9
+    for sample in samples:
+        wrench = np.concatenate((sample.force, sample.torque))
+        size = round(sample.force[2] / direction[2])
+        assert np.all(np.abs(wrench - size * direction) <= limit), "two readings were mixed"
+
+
+@pytest.mark.parametrize("copies", [1, 2])
+def test_a_bus_that_echoes_own_frames_is_no_trouble(
+    channel: str, copies: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from finger_driver import can_bus
+
+    monkeypatch.setattr(
+        can_bus, "open_bus", lambda **k: EchoBus(open_bus("virtual", channel), copies)
+    )
+    bus = EchoBus(open_bus("virtual", channel), copies)
+    simulator = NetcanoemSimulator(bus, slots={3: default_calibration(3)}).start()
+    source = driver(channel, calibration_slot=3)
+    try:
+        source.connect()
+        assert simulator.active_slot == 3
+        assert all(source.read(1.0) is not None for _ in range(5))
+    finally:
+        source.close()
+        simulator.stop()
+        bus.shutdown()
+
+
+def test_on_an_echoing_bus_the_own_request_is_no_confirmation_of_the_slot(
+    channel: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A board that ignores "set calibration" must not seem to have confirmed it."""
+    from finger_driver import can_bus
+
+    class Deaf(NetcanoemSimulator):
+        def _handle(self, frame: can.Message) -> None:
+            if frame.arbitration_id & 0xF != netcanoem.SET_CALIBRATION:
+                super()._handle(frame)
+
+    monkeypatch.setattr(can_bus, "open_bus", lambda **k: EchoBus(open_bus("virtual", channel), 1))
+    bus = open_bus("virtual", channel)
+    simulator = Deaf(bus).start()
+    source = driver(channel)
+    try:
+        with pytest.raises(DeviceError, match="not confirmed"):
+            source.connect()
+    finally:
+        source.close()
+        simulator.stop()
+        bus.shutdown()
+
+
+@pytest.mark.parametrize(
+    ("options", "settings", "message"),
+    [
+        ({}, {"calibration_slot": 5}, "singular|no valid calibration"),
+        ({}, {"expected_serial": "FT99999"}, "FT01234"),
+        ({}, {"base_identifier": 0x21}, "no answer"),
+        ({"unit_codes": (9, 4)}, {}, "unit 9"),
+    ],
+)
+def test_start_up_refuses_in_words(
+    channel: str, options: dict, settings: dict, message: str
+) -> None:
+    bus, simulator = board(channel, **options)
+    simulator.start()
+    source = driver(channel, **settings)
+    try:
+        with pytest.raises(DeviceError, match=message):
+            source.connect()
+    finally:
+        source.close()
+        simulator.stop()
+        bus.shutdown()
+
+
+def test_old_firmware_that_knows_no_counts_still_works(channel: str) -> None:
+    bus, simulator = board(channel, firmware=(3, 5, 1))
+    simulator.start()
+    source = driver(channel)
+    try:
+        source.connect()
+        assert source.read(1.0) is not None
+        assert source.health.notes["firmware"] == "3.5.1"
+    finally:
+        source.close()
+        simulator.stop()
+        bus.shutdown()
+
+
+def test_no_bus_is_told_in_one_sentence() -> None:
+    with pytest.raises(Exception, match="does not exist"):
+        open_bus("nonsense")
+    with pytest.raises(DeviceError, match="does not open"):
+        open_bus("socketcan", "can_that_is_not_there")
+
+
+def test_host_multicast_bus_understands_python_cans_own(free_port: object) -> None:
+    """Same datagrams as python-can's udp_multicast, both ways, and no echo of one's own frames."""
+    port = free_port()  # type: ignore[operator]
+    ours = open_bus("udp_multicast", options={"port": port})
+    try:
+        theirs = can.Bus(interface="udp_multicast", channel="239.74.163.2", port=port, hop_limit=0)
+    except can.CanError:
+        ours.shutdown()
+        pytest.skip("this machine has no route for multicast beside the loopback")
+    try:
+        message = can.Message(arbitration_id=0x123, data=b"abc", is_extended_id=False)
+        ours.send(message)
+        got = theirs.recv(2)
+        assert got is not None and bytes(got.data) == b"abc"
+        assert ours.recv(0.1) is None
+    finally:
+        ours.shutdown()
+        theirs.shutdown()

@@ -1,0 +1,217 @@
+"""Net F/T and DBC-described sensors: bytes, pages, averaging, and drivers against simulators in other processes."""
+
+from __future__ import annotations
+
+import struct
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from device_process import device
+
+from finger_common.errors import DeviceError, InputError
+from finger_driver.force import GOOD, SATURATED, open_source
+from finger_driver.force.dbc import SHIPPED
+from finger_driver.protocols import netft_xml, rdt
+from finger_driver.protocols.dbc import SampleAssembler, SensorMapping
+
+TRUTH = np.array([0.5, -0.25, -3.0, 0.01, -0.02, 0.03])
+WRENCH = "--wrench=" + ",".join(map(str, TRUTH))
+
+
+def test_rdt_request_and_record_are_the_manuals_bytes() -> None:
+    assert rdt.encode_request(rdt.START_REALTIME) == bytes.fromhex("1234 0002 00000000")
+    data = struct.pack(">III6i", 7, 98, 0x80010000, 1, -2, 3, -4, 5, -6)
+    (record,) = rdt.decode_datagram(data)
+    assert record == rdt.Record(7, 98, 0x80010000, (1, -2, 3, -4, 5, -6))
+    assert rdt.encode_record(record) == data
+    assert len(rdt.decode_datagram(data * 40)) == 40
+    for bad in (b"", data[:-1], data * 41):
+        with pytest.raises(DeviceError):
+            rdt.decode_datagram(bad)
+
+
+@pytest.mark.parametrize(("asked", "real"), [(150, 7000 / 46), (99, 100), (7000, 7000), (500, 500)])
+def test_the_box_rounds_rates_up_to_a_fraction_of_7000_hz(asked: float, real: float) -> None:
+    assert rdt.real_rate(asked) == pytest.approx(real)
+
+
+def test_page_gives_scales_in_si_and_counts_that_are_not_a_million() -> None:
+    page = b"""<?xml version="1.0"?><netft><prodname>Net Box</prodname><cfgcpf>1</cfgcpf>
+    <cfgcpt>1000</cfgcpt><scfgfu>lbf</scfgfu><scfgtu>Nmm</scfgtu><comrdtrate>500</comrdtrate></netft>"""
+    configuration = netft_xml.parse(page)
+    assert configuration.force_scale == pytest.approx(4.4482216152605)
+    assert configuration.torque_scale == pytest.approx(1e-6)
+    assert netft_xml.parse(netft_xml.render(configuration)) == configuration
+
+
+@pytest.mark.parametrize(
+    ("page", "message"),
+    [
+        (b"<html>router</html>", "cfgcpf"),
+        (b"not xml", "not readable XML"),
+        (b"<n><cfgcpf>0</cfgcpf></n>", "positive"),
+        (b"<n><cfgcpf>1</cfgcpf><cfgcpt>1</cfgcpt><scfgfu>stone</scfgfu><scfgtu>Nm</scfgtu></n>", "stone"),
+        (b'<!DOCTYPE a [<!ENTITY b "c">]><n/>', "declarations"),
+    ],
+)  # fmt: skip
+def test_a_page_that_is_none_is_refused_in_words(page: bytes, message: str) -> None:
+    with pytest.raises(DeviceError, match=message):
+        netft_xml.parse(page)
+
+
+def collect(source: object, number: int) -> list:
+    samples: list = []
+    end = time.monotonic() + 20
+    while len(samples) < number and time.monotonic() < end:
+        sample = source.read(0.5)  # type: ignore[attr-defined]
+        if sample is not None:
+            samples.append(sample)
+    assert len(samples) == number
+    return samples
+
+
+def test_net_ft_streams_from_another_process() -> None:
+    with device("rdt", "--port", 0, "--http-port", 0, WRENCH) as box:
+        source = open_source(
+            {
+                "device": "netft",
+                "netft_host": "127.0.0.1",
+                "netft_port": box.port("RDT port"),
+                "netft_http_port": box.port("HTTP port"),
+            }
+        )
+        try:
+            source.connect()
+            samples = collect(source, 300)
+        finally:
+            source.close()
+    mean = np.mean([s.channels for s in samples], axis=0)
+    # 300 samples of 2 mN and 2 µN m noise.
+    assert np.all(np.abs(mean[:3] - TRUTH[:3]) < 6e-4)
+    assert np.all(np.abs(mean[3:] - TRUTH[3:]) < 6e-6)
+    assert np.all(np.diff([s.stamp_ns for s in samples]) > 0)
+    assert all(s.quality == GOOD for s in samples)
+
+
+def test_a_faster_box_is_averaged_not_decimated() -> None:
+    with device("rdt", "--port", 0, "--http-port", 0, WRENCH, "--noise", 0.05) as box:
+        source = open_source(
+            {
+                "device": "netft",
+                "rate": 50.0,
+                "netft_host": "127.0.0.1",
+                "netft_port": box.port("RDT port"),
+                "netft_http_port": box.port("HTTP port"),
+            }
+        )
+        try:
+            source.connect()
+            samples = collect(source, 60)
+        finally:
+            source.close()
+    spread = np.std([s.force for s in samples], axis=0)
+    # Ten records per sample: noise falls by √10; 60 samples tell it to about 10 %.
+    assert np.all((spread > 0.05 / np.sqrt(10) * 0.6) & (spread < 0.05 / np.sqrt(10) * 1.5))
+
+
+def rft_frames(wrench: np.ndarray, response: int = 0x0B, overload: int = 0) -> tuple[bytes, bytes]:
+    counts = np.rint(wrench * np.array([50.0] * 3 + [2000.0] * 3)).astype(int)
+    data = struct.pack(">B6hBH", response, *counts.tolist(), overload, 0)
+    return data[:8], data[8:]
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_robotous_frames_decode_with_tx_across_both(sign: int) -> None:
+    """Bytes built from the manual's table, not from the DBC file."""
+    mapping = SensorMapping.load(SHIPPED)
+    truth = sign * np.array([10.0, -20.0, 30.02, 0.5005, -0.25, 0.1275])
+    first, second = rft_frames(truth)
+    assembler = SampleAssembler(mapping)
+    assert assembler.add("RFT_Reply_1", first, 1000) is None
+    done = assembler.add("RFT_Reply_2", second, 2000)
+    assert done is not None and done[0] == 1000
+    np.testing.assert_allclose(mapping.wrench(done[1]), truth, atol=1e-9)
+
+
+def test_frames_of_different_samples_are_never_joined() -> None:
+    mapping = SensorMapping.load(SHIPPED)
+    first, second = rft_frames(np.ones(6))
+    assembler = SampleAssembler(mapping)
+    assert assembler.add("RFT_Reply_2", second, 0) is None
+    assert assembler.add("RFT_Reply_1", first, 1_000_000) is None
+    assert assembler.add("RFT_Reply_2", second, 10_000_000) is None, "later than 'within'"
+    assembler.add("RFT_Reply_1", first, 11_000_000)
+    assembler.add("RFT_Reply_1", first, 12_000_000)
+    assert assembler.incomplete == 2
+    with pytest.raises(DeviceError, match="Response"):
+        assembler.add("RFT_Reply_1", rft_frames(np.ones(6), response=0x0A)[0], 0)
+
+
+def test_dbc_sensor_streams_from_another_process_through_faults(free_port: object) -> None:
+    port = free_port()  # type: ignore[operator]
+    with device("rft", "--options", f"port={port}", WRENCH) as sensor:
+        source = open_source(
+            {"device": "dbc", "can_interface": "udp_multicast", "can_options": f"port={port}"}
+        )
+        try:
+            source.connect()
+            samples = collect(source, 200)
+            for fault in ("no_second 5", "swapped 5", "short 5", "foreign 5"):
+                sensor.say(fault)
+                samples += collect(source, 50)
+            counted = dict(source.health.counters)
+            sensor.say("reset 1")
+            with pytest.raises(DeviceError, match="no sample"):
+                for _ in range(20):
+                    source.read(0.5)
+            source.connect()
+            collect(source, 20)
+        finally:
+            source.close()
+    mean = np.mean([s.channels for s in samples], axis=0)
+    # Half a count (10 mN) of rounding and 10 mN of noise over 400 samples.
+    assert np.all(np.abs(mean[:3] - TRUTH[:3]) < 0.012)
+    assert np.all(np.abs(mean[3:] - TRUTH[3:]) < 4e-4)
+    worst = np.max(np.abs([s.force - TRUTH[:3] for s in samples]))
+    assert worst < 0.08, "a sample was put together wrongly"
+    assert counted["lost"] >= 5 and counted["malformed"] >= 5 and counted["foreign"] >= 10
+
+
+def test_overload_is_not_good(free_port: object) -> None:
+    port = free_port()  # type: ignore[operator]
+    with device("rft", "--options", f"port={port}", "--wrench=0,0,-250,0,0,0"):
+        source = open_source(
+            {"device": "dbc", "can_interface": "udp_multicast", "can_options": f"port={port}"}
+        )
+        try:
+            source.connect()
+            assert all(s.quality == SATURATED for s in collect(source, 20))
+        finally:
+            source.close()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("Fx: 0.02", "Fq: 0.02"), "Fq"),
+        (("frames: [RFT_Reply_1, RFT_Reply_2]", "frames: [RFT_Reply_9]"), "RFT_Reply_9"),
+        (("  force_z: {Fz: 0.02}\n", ""), "force_z"),
+        (("database: robotous_rft.dbc", "database: none.dbc"), "none.dbc"),
+        (("0C 00", "0C 0Z"), "hexadecimal"),
+        (("within: 0.005", "within: soon"), "within"),
+        (("name: Robotous", "nam: Robotous"), "nam"),
+    ],
+)
+def test_a_wrong_mapping_is_refused_by_file_and_key(
+    tmp_path: Path, change: tuple[str, str], message: str
+) -> None:
+    text = SHIPPED.read_text(encoding="utf-8")
+    assert change[0] in text
+    (tmp_path / "robotous_rft.dbc").write_bytes(SHIPPED.with_suffix(".dbc").read_bytes())
+    path = tmp_path / "m.yaml"
+    path.write_text(text.replace(*change, 1), encoding="utf-8")
+    with pytest.raises(InputError, match=message) as caught:
+        SensorMapping.load(path)
+    assert str(tmp_path) in str(caught.value)

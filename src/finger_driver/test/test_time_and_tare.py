@@ -1,0 +1,99 @@
+"""Clocks, stamps and tare: accuracy in physical units."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from finger_driver.clock import ClockMapper, HostClock, IncreasingStamps
+from finger_driver.force.source import GOOD, SATURATED, ForceSource, WrenchSample
+from finger_driver.tare import TareCollector
+
+
+@pytest.mark.parametrize("drift", [0.0, 50e-6, -120e-6])
+def test_a_device_clock_is_mapped_to_a_tenth_of_the_jitter(drift: float) -> None:
+    """500 Hz for 40 s; receipt late by 0.3 ms plus exponential jitter of 1 ms, as over USB or a network."""
+    random = np.random.default_rng(7)
+    mapper = ClockMapper(1e7)
+    start = 1_700_000_000_000_000_000
+    errors = []
+    last = 0
+    for index in range(20_000):
+        true_time = index * 0.002
+        ticks = round(true_time / (1 + drift) * 1e7) + 12345
+        received = start + round((true_time + 0.0003 + random.exponential(0.001)) * 1e9)
+        stamp = mapper.update(ticks, received)
+        assert last < stamp <= received
+        last = stamp
+        errors.append((stamp - start) * 1e-9 - true_time - 0.0003)
+    assert mapper.drift == pytest.approx(drift, abs=5e-6)
+    assert np.abs(errors[10_000:]).max() < 1e-4
+    assert mapper.jitter == pytest.approx(0.001, rel=0.3)
+
+
+def test_a_device_clock_that_starts_again_is_mapped_anew() -> None:
+    mapper = ClockMapper(1000.0)
+    for index in range(5000):
+        mapper.update(index, 10**18 + index * 1_000_000)
+    stamp = mapper.update(3, 10**18 + 9_000_000_000)
+    assert stamp == 10**18 + 9_000_000_000
+
+
+def test_host_time_does_not_follow_a_step_of_the_wall_clock() -> None:
+    wall, steady = [10**18], [0]
+    clock = HostClock(lambda: wall[0], lambda: steady[0])
+    steady[0] += 1_000_000_000
+    wall[0] += 1_000_000_000 - 3600_000_000_000
+    assert clock.now() == 10**18 + 1_000_000_000
+    assert clock.step() == pytest.approx(-3600)
+
+
+def test_only_later_stamps_pass() -> None:
+    stamps = IncreasingStamps()
+    assert [stamps.accept(s) for s in (5, 6, 6, 4, 7)] == [True, True, False, False, True]
+
+
+class Direct(ForceSource):
+    def __init__(self) -> None:
+        pass
+
+    connect = read = close = None  # type: ignore[assignment]
+
+
+Direct.__abstractmethods__ = frozenset()
+
+
+def collect(force: object, noise: float = 0.005, quality: int = GOOD) -> object:
+    random = np.random.default_rng(3)
+    collector = TareCollector(0.5, 0.05, 0.002)
+    for index in range(10_000):
+        time = index * 0.002
+        wrench = np.array([0, 0, force(time), 0, 0, 0]) + noise * random.standard_normal(6)  # type: ignore[operator]
+        wrench[3:] *= 0.01
+        sample = WrenchSample(index * 2_000_000, wrench[:3], wrench[3:], wrench, 0, quality)
+        if collector.add(sample):
+            break
+    return collector.result(Direct())
+
+
+def test_tare_of_a_still_signal_finds_its_mean() -> None:
+    result = collect(lambda t: -1.7)
+    assert result.bias is not None
+    # 251 samples of 5 mN noise: the mean is good to 0.32 mN (one standard deviation).
+    assert result.offset[2] == pytest.approx(-1.7, abs=0.0013)
+    assert "-1.7" in result.message
+
+
+@pytest.mark.parametrize(
+    "force",
+    [lambda t: 0.3 * t, lambda t: 0.1 * np.sin(2 * np.pi * 3 * t), lambda t: float(t > 0.3)],
+    ids=["ramp", "tremor", "touch"],
+)
+def test_tare_of_a_moving_signal_is_refused(force: object) -> None:
+    result = collect(force)
+    assert result.bias is None and "moved by up to" in result.message
+
+
+def test_tare_is_refused_while_the_sensor_reports_faults() -> None:
+    result = collect(lambda t: 0.0, quality=SATURATED)
+    assert result.bias is None and "faults" in result.message
