@@ -1,0 +1,520 @@
+"""The command `finger-bag`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from finger_common.cli import Parser, run
+from finger_common.errors import FingerError, InputError
+
+from .mapping import TopicMapping
+from .trials import AXES, TrialSettings, find_bags
+
+EXIT_CHECK_FAILS = 1
+
+
+def _mapping(args: argparse.Namespace) -> TopicMapping:
+    return TopicMapping.load(args.mapping) if args.mapping else TopicMapping()
+
+
+def _reading_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--mapping", metavar="FILE", help="YAML file with other topic names, units")
+    parser.add_argument(
+        "--namespace", help="namespace of the rig's topics, where there are several"
+    )
+    parser.add_argument("--wrench-topic", default="wrench", help="force to use (default: wrench)")
+    parser.add_argument(
+        "--normal-axis",
+        choices=AXES,
+        help="sensor axis along which force is positive when the finger presses (default: -z)",
+    )
+
+
+def _console() -> Console:
+    return Console(width=None if sys.stdout.isatty() else 160, highlight=False)
+
+
+# info ----------------------------------------------------------------------------------------
+
+
+def _info(args: argparse.Namespace) -> int:
+    from .reader import open_bag
+
+    found = []
+    for bag in find_bags(args.bags):
+        with open_bag(bag) as reader:
+            info = reader.info
+            if info.message_count is None or args.count:
+                counts: dict[str, int] = dict.fromkeys(info.topics, 0)
+                for item in reader.messages():
+                    counts[item.topic] = counts.get(item.topic, 0) + 1
+                for name, topic in info.topics.items():
+                    topic.count = counts[name]
+                info.message_count = sum(counts.values())
+            data = {
+                "bag": str(bag),
+                "storage": info.storage,
+                "files": [f.name for f in info.files],
+                "size": info.size,
+                "complete": info.complete,
+                "start_ns": info.start_ns,
+                "duration": info.duration,
+                "messages": info.message_count,
+                "metadata": info.metadata.to_mapping(),
+                "attachments": info.attachments,
+                "topics": {
+                    t.name: {"type": t.type, "count": t.count} for t in info.topics.values()
+                },
+                "problems": reader.all_problems(),
+            }
+        found.append(data)
+    if args.json:
+        print(json.dumps(found, indent=1))
+        return 0
+    for data in found:
+        _print_info(data)
+    return 0
+
+
+def _print_info(data: dict[str, Any]) -> None:
+    console = _console()
+    console.print(f"[bold]{data['bag']}[/]  ({data['storage']}, {data['size'] / 1e6:.1f} MB)")
+    if data["start_ns"] is not None:
+        began = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(data["start_ns"] * 1e-9))
+        console.print(f"  from {began} UTC, {data['duration']:.2f} s, {data['messages']} messages")
+    for key, value in data["metadata"].items():
+        console.print(f"  {key}: {value}", markup=False)
+    if data["attachments"]:
+        console.print(f"  attached: {', '.join(data['attachments'])}", markup=False)
+    table = Table("topic", "type", "messages", "Hz", box=None, pad_edge=False)
+    for name, topic in sorted(data["topics"].items()):
+        rate = topic["count"] / data["duration"] if data["duration"] else 0.0
+        table.add_row(name, topic["type"], str(topic["count"]), f"{rate:.1f}")
+    console.print(table)
+    for problem in data["problems"]:
+        console.print(f"  [yellow]problem:[/] {problem}")
+
+
+# validate ------------------------------------------------------------------------------------
+
+
+def _validate(args: argparse.Namespace) -> int:
+    from .validate import validate
+
+    settings = _trial_settings(args)
+    results = []
+    unreadable = 0
+    for bag in find_bags(args.bags):
+        try:
+            results.append(validate(bag, settings))
+        except InputError as error:
+            # One unreadable bag does not hide what is known of the others.
+            if len(args.bags) == 1 and not results:
+                raise
+            unreadable += 1
+            print(f"finger-bag: {error}", file=sys.stderr)
+    if args.json:
+        print(json.dumps([r.to_data() for r in results], indent=1))
+    else:
+        console = _console()
+        colours = {"ok": "green", "note": "yellow", "fail": "red"}
+        for result in results:
+            table = Table("check", "", "found", title=result.bag, box=None, pad_edge=False)
+            for check in result.checks:
+                colour = colours[check.status]
+                table.add_row(check.name, f"[{colour}]{check.status}[/]", check.detail)
+            console.print(table)
+            console.print("fit for use" if result.fit else "[red]not fit for use as it is[/]")
+    if unreadable:
+        return 2
+    return 0 if all(r.fit for r in results) else EXIT_CHECK_FAILS
+
+
+def _trial_settings(args: argparse.Namespace) -> TrialSettings:
+    return TrialSettings(
+        normal_axis=args.normal_axis,
+        wrench_topic=args.wrench_topic,
+        namespace=args.namespace,
+        mapping=_mapping(args),
+    )
+
+
+# process -------------------------------------------------------------------------------------
+
+
+def _settings_of(pairs: Sequence[str]) -> dict[str, Any]:
+    """NAME=VALUE pairs as estimator settings of the right type; raises InputError."""
+    from finger_model.settings import ESTIMATOR_PARAMETERS
+
+    found: dict[str, Any] = {}
+    for pair in pairs:
+        name, sign, text = pair.partition("=")
+        if not sign or name not in ESTIMATOR_PARAMETERS:
+            known = ", ".join(p.name for p in ESTIMATOR_PARAMETERS)
+            raise InputError(f"--set {pair}: give NAME=VALUE with a NAME of {known}")
+        value: Any = text
+        default = ESTIMATOR_PARAMETERS[name].default
+        try:
+            if isinstance(default, bool):
+                value = {"true": True, "false": False}[text.lower()]
+            elif isinstance(default, (int, float)):
+                value = type(default)(text)
+        except (ValueError, KeyError):
+            raise InputError(f"--set {pair}: '{text}' is no value for {name}") from None
+        found[name] = ESTIMATOR_PARAMETERS[name].check(value)
+    return found
+
+
+def _process_one(job: tuple[str, str, Any]) -> Any:
+    from .process import process
+
+    source, target, options = job
+    try:
+        return process(source, target, options)
+    except FingerError as error:
+        return error
+
+
+def _process(args: argparse.Namespace) -> int:
+    from .process import ProcessOptions, process
+
+    bags = find_bags(args.bags)
+    several = len(bags) > 1
+    if several and (args.csv or args.parquet):
+        raise InputError("--csv and --parquet take one bag; process the bags one by one")
+    if args.csv and args.parquet:
+        raise InputError("--csv and --parquet exclude each other; name one")
+    settings = _settings_of(args.set)
+    if args.normal_axis:
+        settings["normal_axis"] = args.normal_axis
+    options = ProcessOptions(
+        images={"auto": None, "yes": True, "no": False}[args.images],
+        calibration=args.calibration,
+        area_per_pixel=args.area_per_pixel,
+        parameter_file=args.parameters,
+        model_file=args.model,
+        settings=settings,
+        mapping=_mapping(args),
+        namespace=args.namespace,
+        wrench_topic=args.wrench_topic,
+        keep_images=args.keep_images,
+        table=args.csv or args.parquet,
+    )
+    output = Path(args.output)
+    targets = [output / bag.name.split(".")[0] if several else output for bag in bags]
+    for target in targets:
+        if target.exists():
+            raise InputError(f"{target}: exists already; choose another name or remove it")
+    began = time.perf_counter()
+    if not several:
+        with _progress() as bar:
+            task = bar.add_task(bags[0].name, total=1.0)
+            result = process(
+                bags[0], targets[0], options, lambda done: bar.update(task, completed=done)
+            )
+        results = [result]
+    else:
+        jobs = [(str(b), str(t), options) for b, t in zip(bags, targets)]
+        results = []
+        with ProcessPoolExecutor(min(args.jobs, len(bags))) as pool, _progress() as bar:
+            task = bar.add_task(f"{len(bags)} bags", total=len(bags))
+            for result in pool.map(_process_one, jobs):
+                results.append(result)
+                bar.advance(task)
+    took = time.perf_counter() - began
+    failed = [r for r in results if isinstance(r, FingerError)]
+    good = [r for r in results if not isinstance(r, FingerError)]
+    for result in good:
+        for problem in result.problems:
+            print(f"finger-bag: {result.path}: {problem}", file=sys.stderr)
+    total = sum(r.duration for r in good)
+    print(
+        f"{sum(r.states for r in good)} contact states, {sum(r.areas for r in good)} areas from "
+        f"{len(good)} bag(s) of {total:.1f} s in {took:.1f} s: {total / took:.0f} × real time"
+    )
+    for error in failed:
+        print(f"finger-bag: {error}", file=sys.stderr)
+    return 2 if failed else 0
+
+
+def _progress() -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:3.0f} %"),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        transient=True,
+        disable=not sys.stderr.isatty(),
+    )
+
+
+# play ----------------------------------------------------------------------------------------
+
+
+def _play(args: argparse.Namespace) -> int:
+    from .reader import open_bag
+
+    try:
+        from .play_node import play
+    except ImportError as error:
+        raise InputError(
+            f"playing needs ROS 2 ({error}); source it, or use finger_bag.replay without ROS"
+        ) from None
+    with open_bag(args.bag) as reader:
+        topics = None
+        if args.topics or args.exclude:
+            named = [_topic(reader, t) for t in args.topics or reader.info.topics]
+            without = {_topic(reader, t) for t in args.exclude or ()}
+            topics = [t for t in named if t not in without]
+        timing = play(
+            reader,
+            topics,
+            rate=args.rate,
+            offset=args.start,
+            duration=args.duration,
+            loop=args.loop,
+            clock=args.clock,
+            paused=args.paused,
+            wait=args.wait,
+            reliability=args.reliability,
+        )
+    if not timing["messages"]:
+        print("nothing was played")
+        return 0
+    print(
+        f"{timing['messages']:.0f} messages; late by {timing['p50_ms']:.2f} ms (median), "
+        f"{timing['p99_ms']:.2f} ms (99th percentile), {timing['max_ms']:.2f} ms (worst)"
+    )
+    return 0
+
+
+def _topic(reader: Any, name: str) -> str:
+    found = reader.topic(name)
+    if found is None:
+        raise InputError(
+            f"{reader.path}: topic '{name}' is not in the bag; it holds "
+            f"{', '.join(sorted(reader.info.topics))}"
+        )
+    return str(found)
+
+
+# record, recover, anonymise ------------------------------------------------------------------
+
+
+def _record(args: argparse.Namespace) -> int:
+    try:
+        from .recorder_node import main
+    except ImportError as error:
+        raise InputError(f"recording needs ROS 2 ({error}); source it") from None
+    from .writer import BagWriter
+
+    # Refused here, before ROS starts, with the reason.
+    BagWriter(args.output, in_place=False).abandon()
+    path = Path(args.output).absolute()
+    parameters = {
+        "folder": str(path.parent),
+        "record_at_start": True,
+        "bag_name": path.name,
+        "png": args.png,
+        "maximum_size": args.split_size,
+        "maximum_duration": float(args.split_duration),
+    }
+    for key in ("session", "subject", "condition"):
+        if getattr(args, key):
+            parameters[key] = getattr(args, key)
+    if args.calibration:
+        parameters["calibration_file"] = str(Path(args.calibration).absolute())
+    arguments = ["--ros-args", "-r", f"__ns:=/{args.namespace.strip('/')}"]
+    for name, value in parameters.items():
+        text = json.dumps(value)
+        arguments += ["-p", f"{name}:={text}"]
+    if args.topics:
+        arguments += ["-p", f"topics:={json.dumps(args.topics)}"]
+    main(["finger-bag", *arguments])
+    return 0
+
+
+def _recover(args: argparse.Namespace) -> int:
+    from .recover import recover
+
+    target = Path(args.output) if args.output else _beside(Path(args.bag), "_recovered")
+    result = recover(args.bag, target)
+    print(f"{result.path}: {result.message_count} messages recovered")
+    for topic, count in sorted(result.counts.items()):
+        print(f"  {topic}: {count}")
+    for problem in result.problems:
+        print(f"  problem: {problem}")
+    return 0
+
+
+def _anonymise(args: argparse.Namespace) -> int:
+    from .anonymise import anonymise
+
+    result = anonymise(args.bag, args.output)
+    print(f"{result.path}: {sum(result.kept.values())} messages kept")
+    for topic, count in sorted(result.dropped.items()):
+        print(f"  dropped {topic}: {count}")
+    for name in result.dropped_attachments:
+        print(f"  dropped attachment {name}")
+    for problem in result.problems:
+        print(f"  problem: {problem}")
+    return 0
+
+
+def _beside(path: Path, suffix: str) -> Path:
+    return path.with_name(path.name.split(".")[0] + suffix)
+
+
+# The command ---------------------------------------------------------------------------------
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command's arguments."""
+    top = Parser(
+        prog="finger-bag",
+        description="Look at, check, process, play, record, repair and anonymise session bags.",
+        example="finger-bag validate bags/natural\nfinger-bag process bags/natural -o out/natural",
+    )
+    commands = top.add_subparsers(dest="command", required=True, parser_class=Parser)
+
+    def command(
+        name: str, act: Callable[[argparse.Namespace], int], about: str, example: str
+    ) -> argparse.ArgumentParser:
+        added = commands.add_parser(name, help=about, description=about, example=example)
+        added.set_defaults(act=act)
+        return added
+
+    info = command("info", _info, "Topics, times, metadata of bags.", "finger-bag info bags/dry")
+    info.add_argument("bags", nargs="+", metavar="BAG")
+    info.add_argument("--count", action="store_true", help="count by reading every message")
+    info.add_argument("--json", action="store_true")
+
+    check = command(
+        "validate",
+        _validate,
+        "Check whether bags are fit for use. Exit code 0 fit, 1 a check fails, 2 unreadable.",
+        "finger-bag validate bags/dry --json",
+    )
+    check.add_argument("bags", nargs="+", metavar="BAG")
+    _reading_options(check)
+    check.add_argument("--json", action="store_true")
+
+    work = command(
+        "process",
+        _process,
+        "Run vision and model over bags; writes new bags with contact_area and contact_state.",
+        "finger-bag process bags/dry -o out/dry --csv out/dry.csv\n"
+        "finger-bag process session1 session2 -o out --images yes --calibration plate.yaml",
+    )
+    work.add_argument("bags", nargs="+", metavar="BAG")
+    work.add_argument(
+        "-o", "--output", required=True, help="bag to write; with several bags, their folder"
+    )
+    work.add_argument(
+        "--images",
+        choices=("auto", "yes", "no"),
+        default="auto",
+        help="measure areas in the images (auto: where contact_area is absent)",
+    )
+    work.add_argument("--calibration", metavar="FILE", help="plate calibration for the images")
+    work.add_argument(
+        "--area-per-pixel", type=float, metavar="M2", help="area of a pixel, without calibration"
+    )
+    work.add_argument("--parameters", metavar="FILE", help="parameters.yaml for the model")
+    work.add_argument("--model", metavar="FILE", help="reduced model file")
+    work.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE", help="estimator setting"
+    )
+    work.add_argument("--keep-images", action="store_true", help="copy images to the new bag")
+    work.add_argument("--csv", metavar="FILE", help="also write the estimates as CSV")
+    work.add_argument("--parquet", metavar="FILE", help="also write the estimates as Parquet")
+    work.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="bags at once")
+    _reading_options(work)
+
+    show = command(
+        "play",
+        _play,
+        "Publish a bag with its original spacing. Keys: space pauses, s steps, q ends.",
+        "finger-bag play bags/dry --rate 2 --clock --topics wrench contact_area",
+    )
+    show.add_argument("bag", metavar="BAG")
+    show.add_argument("--rate", type=float, default=1.0, help="speed (default 1)")
+    show.add_argument("--start", type=float, default=0.0, metavar="S", help="start offset")
+    show.add_argument("--duration", type=float, metavar="S", help="how much of the bag to play")
+    show.add_argument("--loop", action="store_true")
+    show.add_argument("--clock", action="store_true", help="publish the bag's time on /clock")
+    show.add_argument("--paused", action="store_true", help="begin paused")
+    show.add_argument("--topics", nargs="+", metavar="TOPIC", help="only these")
+    show.add_argument("--exclude", nargs="+", metavar="TOPIC", help="all but these")
+    show.add_argument(
+        "--wait",
+        type=float,
+        default=1.0,
+        metavar="S",
+        help="for subscribers to connect (default 1)",
+    )
+    show.add_argument("--reliability", choices=("reliable", "best_effort"), help="of streams")
+
+    record = command(
+        "record",
+        _record,
+        "Record the rig's topics until Ctrl-C.",
+        "finger-bag record -o session1 --condition natural",
+    )
+    record.add_argument("-o", "--output", required=True, help="bag to write")
+    record.add_argument("--topics", nargs="+", metavar="TOPIC", help="schema names or NAME=TYPE")
+    record.add_argument("--namespace", default="finger", help="of the rig (default finger)")
+    record.add_argument("--session", default="")
+    record.add_argument("--subject", default="", help="subject code, never a name")
+    record.add_argument("--condition", default="")
+    record.add_argument("--calibration", metavar="FILE", help="plate calibration to attach")
+    record.add_argument("--png", action="store_true", help="store images as lossless PNG")
+    record.add_argument("--split-size", type=int, default=0, metavar="BYTES")
+    record.add_argument("--split-duration", type=float, default=0.0, metavar="S")
+
+    mend = command(
+        "recover",
+        _recover,
+        "Write what can be read of a damaged bag into a whole one.",
+        "finger-bag recover session1 -o session1_recovered",
+    )
+    mend.add_argument("bag", metavar="BAG")
+    mend.add_argument("-o", "--output", help="bag to write (default: BAG_recovered)")
+
+    hide = command(
+        "anonymise",
+        _anonymise,
+        "Copy a bag without images; areas, outlines and metadata stay.",
+        "finger-bag anonymise session1 -o session1_anonymous",
+    )
+    hide.add_argument("bag", metavar="BAG")
+    hide.add_argument("-o", "--output", required=True, help="bag to write")
+    return top
+
+
+def command(argv: Sequence[str] | None = None) -> int:
+    """Run with arguments; raises FingerError."""
+    args = parser().parse_args(argv)
+    return int(args.act(args) or 0)
+
+
+def main() -> None:
+    """Entry point."""
+    sys.exit(run(command))
+
+
+if __name__ == "__main__":
+    main()

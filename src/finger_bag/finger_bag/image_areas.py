@@ -1,0 +1,120 @@
+"""Contact areas from the images of a bag, through the same segmenter as the live vision node."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from finger_common.errors import InputError
+from finger_vision.calibration import PlateCalibration
+from finger_vision.contact import ContactMeasurement, ContactSegmenter
+from finger_vision.messages import contact_area_fields, image_of
+
+from .reader import BagMessage, BagReader
+from .schema import CALIBRATION_ATTACHMENT
+from .streams import stamp_ns
+
+MAXIMUM_PIXELS = 64 << 20
+
+
+def grey_image(message: Any) -> np.ndarray:
+    """Image (H, W) uint8 of a sensor_msgs Image or CompressedImage; raises InputError when it cannot be used."""
+    if not hasattr(message, "format"):
+        return image_of(message)
+    import cv2
+
+    data = np.frombuffer(bytes(message.data), np.uint8)
+    _refuse_large_png(data)
+    image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None
+    if image is None:
+        raise InputError(f"compressed image ('{message.format}') cannot be decoded")
+    return image
+
+
+def _refuse_large_png(data: np.ndarray) -> None:
+    """A PNG of some kB may claim gigabytes of pixels: its header says so before they are allocated."""
+    if bytes(data[:8]) == b"\x89PNG\r\n\x1a\n" and len(data) >= 24:
+        width, height = (int.from_bytes(bytes(data[i : i + 4]), "big") for i in (16, 20))
+        if width * height > MAXIMUM_PIXELS:
+            raise InputError(f"compressed image claims {width} x {height} pixels; not decoded")
+
+
+def calibration_of(
+    reader: BagReader, file: str | None = None, area_per_pixel: float | None = None
+) -> PlateCalibration:
+    """Plate calibration from a file or a number, else from the bag's attachment.
+
+    Raises InputError when there is none.
+    """
+    if file is not None:
+        return PlateCalibration.load(file)
+    if area_per_pixel is not None:
+        return PlateCalibration.from_area_per_pixel(area_per_pixel)
+    data = reader.attachment(CALIBRATION_ATTACHMENT)
+    if data is None:
+        raise InputError(
+            f"{reader.path}: no plate calibration attached ({CALIBRATION_ATTACHMENT}); "
+            "give one with --calibration, or --area-per-pixel"
+        )
+    with tempfile.TemporaryDirectory(prefix="finger_bag_") as folder:
+        path = Path(folder) / CALIBRATION_ATTACHMENT
+        path.write_bytes(data)
+        return PlateCalibration.load(path)
+
+
+class ImageAreas:
+    """Collects the areas of images as they come by; `add` one image message after the other, in order."""
+
+    def __init__(self, segmenter: ContactSegmenter) -> None:
+        self._segmenter = segmenter
+        self._rows: list[tuple[int, int, float, float, float, int]] = []
+
+    @classmethod
+    def for_bag(
+        cls, reader: BagReader, calibration: str | None = None, area_per_pixel: float | None = None
+    ) -> ImageAreas:
+        """With the vision node's default settings and the bag's calibration."""
+        found = calibration_of(reader, calibration, area_per_pixel)
+        return cls(ContactSegmenter(calibration=found))
+
+    def measure(self, message: Any) -> ContactMeasurement:
+        """Measure one image; raises InputError when it is no usable image."""
+        return self._segmenter.process(grey_image(message))
+
+    def add(self, item: BagMessage) -> None:
+        """Measure one image and keep its area; raises InputError when it is no usable image."""
+        found = self.measure(item.message)
+        self._rows.append(
+            (
+                stamp_ns(item.message),
+                item.log_time_ns,
+                found.gross_area,
+                found.real_area,
+                found.area_sd,
+                int(found.flags),
+            )
+        )
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Columns for SessionStreams."""
+        table = np.array([r[2:5] for r in self._rows], float).reshape(-1, 3)
+        return {
+            "area_stamp_ns": np.array([r[0] for r in self._rows], np.int64),
+            "area_log_ns": np.array([r[1] for r in self._rows], np.int64),
+            "area": table[:, 0],
+            "real_area": table[:, 1],
+            "area_sd": table[:, 2],
+            "area_flags": np.array([r[5] for r in self._rows], np.int64),
+        }
+
+
+def area_fields(stamp: int, measurement: ContactMeasurement, frame_id: str) -> dict[str, Any]:
+    """Fields of a ContactArea as `BagWriter.write` takes them."""
+    fields = contact_area_fields(measurement)
+    x, y, z = fields["centroid"]
+    fields["centroid"] = {"x": x, "y": y, "z": z}
+    fields["hull"] = [{"x": float(u), "y": float(v)} for u, v in fields["hull"]]
+    return {"header": {"stamp": stamp, "frame_id": frame_id}, **fields}

@@ -1,0 +1,135 @@
+"""How somebody else's bag is read: other topic names, units, fields and axes, from a YAML file.
+
+    topics:
+      wrench: {topic: /ft_sensor/wrench, unit: N}
+      contact_area: {topic: /camera/area, field: area, unit: mm2, stamp: log_time}
+      moisture: {topic: /skin/moisture, field: data, stamp: log_time}
+      image_raw: {topic: /camera/image_mono}
+    normal_axis: "+z"
+    trial: {subject: S01, condition: natural, target_force: 1.35}
+
+docs/bags.md, "Preparing your data", explains each key.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from finger_common.errors import InputError
+from finger_common.files import load_yaml
+
+MAPPED_TOPICS = (
+    "wrench",
+    "contact_area",
+    "moisture",
+    "image_raw",
+    "image_raw/compressed",
+    "trial",
+    "model_events",
+    "contact_state",
+)
+UNITS = {
+    "N": 1.0,
+    "mN": 1e-3,
+    "kN": 1e3,
+    "gf": 9.80665e-3,
+    "lbf": 4.4482216152605,
+    "m2": 1.0,
+    "cm2": 1e-4,
+    "mm2": 1e-6,
+    "a.u.": 1.0,
+}
+"""Unit names of a mapping file and what one of them is in SI."""
+
+_ALLOWED_UNITS = {
+    "wrench": ("N", "mN", "kN", "gf", "lbf"),
+    "contact_area": ("m2", "cm2", "mm2"),
+    "moisture": ("a.u.",),
+}
+_KEYS = {"topic", "unit", "field", "stamp"}
+AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
+
+
+@dataclass(frozen=True)
+class MappedTopic:
+    """Where a stream of the schema is found in another bag.
+
+    field: dotted name of the value in the message, empty for the schema's own. scale: SI per unit of the bag.
+    log_time: take the recorder's time, for messages without a header.
+    """
+
+    topic: str = ""
+    scale: float = 1.0
+    field: str = ""
+    log_time: bool = False
+
+
+@dataclass(frozen=True)
+class TopicMapping:
+    """A mapping file, checked. `trial` holds text for keys of SessionMetadata."""
+
+    topics: Mapping[str, MappedTopic] = field(default_factory=dict)
+    normal_axis: str | None = None
+    trial: Mapping[str, str] = field(default_factory=dict)
+
+    def topic(self, name: str) -> MappedTopic:
+        """Entry of a stream, an empty one when the file says nothing of it."""
+        return self.topics.get(name, MappedTopic())
+
+    @classmethod
+    def load(cls, path: str | Path) -> TopicMapping:
+        """From a YAML file; raises InputError naming file, key and what is allowed."""
+        return cls.from_mapping(load_yaml(path, "mapping file"), str(path))
+
+    @classmethod
+    def from_mapping(cls, data: Mapping[str, Any], where: str = "mapping") -> TopicMapping:
+        """From plain data; raises InputError."""
+        for key in data:
+            if key not in ("topics", "normal_axis", "trial"):
+                raise InputError(
+                    f"{where}: key '{key}' is not known; use topics, normal_axis and trial"
+                )
+        axis = data.get("normal_axis")
+        if axis is not None and axis not in AXES:
+            raise InputError(f"{where}: normal_axis is {axis!r}, choose one of {', '.join(AXES)}")
+        topics = data.get("topics") or {}
+        trial = data.get("trial") or {}
+        if not isinstance(topics, Mapping) or not isinstance(trial, Mapping):
+            raise InputError(f"{where}: 'topics' and 'trial' hold 'key: value' lines; correct them")
+        entries = {str(name): _entry(str(name), v, where) for name, v in topics.items()}
+        return cls(entries, axis, {str(k): str(v) for k, v in trial.items()})
+
+
+def _entry(name: str, value: Any, where: str) -> MappedTopic:
+    if name not in MAPPED_TOPICS:
+        raise InputError(
+            f"{where}: topic '{name}' cannot be mapped; known are {', '.join(MAPPED_TOPICS)}"
+        )
+    if isinstance(value, str):
+        value = {"topic": value}
+    if not isinstance(value, Mapping) or not isinstance(value.get("topic", ""), str):
+        raise InputError(f"{where}: topics.{name} needs the topic's name in the bag")
+    unknown = set(value) - _KEYS
+    if unknown:
+        raise InputError(
+            f"{where}: topics.{name} has the unknown key '{sorted(map(str, unknown))[0]}'; "
+            f"use {', '.join(sorted(_KEYS))}"
+        )
+    unit = value.get("unit")
+    allowed = _ALLOWED_UNITS.get(name, ())
+    if unit is not None and unit not in allowed:
+        raise InputError(
+            f"{where}: topics.{name}.unit is {unit!r}, choose one of {', '.join(allowed) or 'none'}"
+        )
+    stamp = value.get("stamp", "header")
+    if stamp not in ("header", "log_time"):
+        raise InputError(f"{where}: topics.{name}.stamp is {stamp!r}, choose header or log_time")
+    return MappedTopic(
+        value.get("topic", ""),
+        UNITS[unit] if unit else 1.0,
+        str(value.get("field", "")),
+        stamp == "log_time",
+    )

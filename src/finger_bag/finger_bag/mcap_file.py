@@ -1,0 +1,407 @@
+"""Reading MCAP files that may be damaged, cut off or hostile, in bounded memory.
+
+The `mcap` library trusts a file: it allocates what a length field claims and gives up at the first bad record. Bags
+come from killed recorders and from other people, so this module walks the records itself (MCAP specification,
+"Records") and never allocates more than the file can justify; what cannot be read is left out and said in
+`problems`. The library still reads the contents of small records and writes all files.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+import lz4.frame
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.records import Channel, Header, Metadata, Schema, Statistics
+
+from finger_common.errors import InputError
+
+MAGIC = b"\x89MCAP0\r\n"
+HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 1, 2, 3, 4, 5, 6
+ATTACHMENT, STATISTICS, METADATA, DATA_END = 9, 11, 12, 15
+
+MAXIMUM_SMALL_RECORD = 4 << 20
+"""Bytes of a schema, channel or metadata record above which it is not read."""
+
+MAXIMUM_SMALL_RECORDS = 64 << 20
+"""Bytes of all such records together."""
+
+MAXIMUM_IDLE_RECORDS = 1_000_000
+"""Records that hold nothing this reader needs; a bag of a day has fewer, a file of empty records has no end."""
+
+MAXIMUM_CHUNK = 1 << 30
+"""Bytes of an uncompressed chunk above which it is not read."""
+
+PLAIN_CHUNK = 64 << 20
+"""A chunk that claims more than this must not be smaller than 1/200 of it when compressed (a zip bomb is)."""
+
+_RATIO = 200
+_RUN = 4 << 20  # bytes of unchunked messages that are read in one go
+
+_RECORD = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<HIQQ")
+_WHOLE = struct.Struct("<BQHIQQ")
+_CHUNK = struct.Struct("<QQQI")
+_ATTACHMENT = struct.Struct("<QQ")
+
+_BROKEN = (McapError, struct.error, ValueError, EOFError, IndexError, MemoryError, OverflowError)
+
+
+RawMessage = tuple[int, int, int, int, bytes]
+"""log_time_ns, channel_id, sequence, publish_time_ns, CDR bytes."""
+
+
+@dataclass(frozen=True)
+class Region:
+    """A piece of the file that holds messages: a chunk, or a run of messages outside chunks."""
+
+    offset: int
+    """Of the stored bytes."""
+    stored: int
+    size: int
+    """Bytes once uncompressed."""
+    compression: str
+    crc: int
+    start_ns: int
+    end_ns: int
+
+
+@dataclass(frozen=True)
+class AttachmentEntry:
+    """Where an attachment is; `McapFile.attachment` reads it."""
+
+    name: str
+    media_type: str
+    offset: int
+    size: int
+
+
+class McapFile:
+    """One MCAP file, walked once when it is opened.
+
+    `problems` lists what is wrong with it, in words; `complete` says whether it was closed by its writer. Raises
+    InputError when it is no MCAP file at all or cannot be opened.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self.problems: list[str] = []
+        self.profile = ""
+        self.library = ""
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.regions: list[Region] = []
+        self.attachments: list[AttachmentEntry] = []
+        self.metadata: list[tuple[str, dict[str, str]]] = []
+        self.statistics: Statistics | None = None
+        self.complete = False
+        self._small_bytes = 0
+        self._idle = 0
+        try:
+            self._stream: IO[bytes] = open(self.path, "rb")
+            self._length = self.path.stat().st_size
+        except FileNotFoundError:
+            raise InputError(f"{path}: no such bag file; check the path") from None
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+        try:
+            magic = self._stream.read(len(MAGIC))
+            if not magic:
+                raise InputError(f"{path}: file is empty; record the bag again")
+            if magic != MAGIC:
+                raise InputError(f"{path}: not an MCAP file (it starts with other bytes)")
+            self._walk()
+            if not self.complete or not self.channels:
+                self._find_channels()
+        except BaseException:
+            self._stream.close()
+            raise
+
+    def close(self) -> None:
+        """Close the file."""
+        self._stream.close()
+
+    def __enter__(self) -> McapFile:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _problem(self, text: str) -> None:
+        if len(self.problems) < 50 and text not in self.problems:
+            self.problems.append(text)
+
+    # The walk over the records ---------------------------------------------------------------
+
+    def _walk(self) -> None:
+        position = len(MAGIC)
+        run: list[int] = []  # offset, end, first and last log time of unchunked messages
+        ended = False
+        while position + _RECORD.size <= self._length:
+            self._stream.seek(position)
+            opcode, length = _RECORD.unpack(self._stream.read(_RECORD.size))
+            body = position + _RECORD.size
+            end = body + length
+            if opcode == 0 or end > self._length:
+                if self._stream.seek(position) == position and (
+                    self._stream.read(len(MAGIC)) == MAGIC and position + len(MAGIC) == self._length
+                ):
+                    break
+                self._problem(f"record at byte {position} is cut off or damaged")
+                self._flush_run(run)
+                position = self._next_chunk(position + 1)
+                continue
+            if opcode == MESSAGE:
+                self._extend_run(run, position, end)
+            else:
+                self._flush_run(run)
+                self._take(opcode, body, length)
+                ended = ended or opcode == FOOTER
+                self._idle += opcode != CHUNK
+                if self._idle > MAXIMUM_IDLE_RECORDS:
+                    self._problem(f"more than {MAXIMUM_IDLE_RECORDS} records without messages")
+                    break
+            position = end
+        self._flush_run(run)
+        self._stream.seek(max(0, self._length - len(MAGIC)))
+        self.complete = ended and self._stream.read() == MAGIC
+        if not self.complete:
+            self._problem("file was not closed by its recorder")
+
+    def _extend_run(self, run: list[int], position: int, end: int) -> None:
+        head = self._stream.read(_MESSAGE.size)
+        if len(head) < _MESSAGE.size or end - position < _RECORD.size + _MESSAGE.size:
+            self._problem(f"message at byte {position} is too short")
+            self._flush_run(run)
+            return
+        log_time = _MESSAGE.unpack(head)[2]
+        if run and end - run[0] > _RUN:
+            self._flush_run(run)
+        if not run:
+            run += [position, end, log_time, log_time]
+        else:
+            run[1:] = [end, min(run[2], log_time), max(run[3], log_time)]
+
+    def _flush_run(self, run: list[int]) -> None:
+        if run:
+            offset, end, first, last = run
+            size = end - offset
+            self.regions.append(Region(offset, size, size, "", 0, first, last))
+            run.clear()
+
+    def _take(self, opcode: int, body: int, length: int) -> None:
+        if opcode == CHUNK:
+            self._take_chunk(body, length)
+        elif opcode == ATTACHMENT:
+            self._take_attachment(body, length)
+        elif opcode in (HEADER, SCHEMA, CHANNEL, METADATA, STATISTICS):
+            if length > MAXIMUM_SMALL_RECORD:
+                self._problem(f"record at byte {body} claims {length} bytes and was not read")
+                return
+            if self._small_bytes + length > MAXIMUM_SMALL_RECORDS:
+                self._problem(
+                    "more schemas, channels and metadata than a bag has; not all were read"
+                )
+                return
+            self._small_bytes += length
+            self._stream.seek(body)
+            self._take_small(opcode, self._stream.read(length), body)
+
+    def _take_small(self, opcode: int, data: bytes, where: int) -> None:
+        stream = ReadDataStream(io.BytesIO(data))
+        try:
+            if opcode == HEADER:
+                header = Header.read(stream)
+                self.profile, self.library = header.profile, header.library
+            elif opcode == SCHEMA:
+                schema = Schema.read(stream)
+                self.schemas.setdefault(schema.id, schema)
+            elif opcode == CHANNEL:
+                channel = Channel.read(stream)
+                self.channels.setdefault(channel.id, channel)
+            elif opcode == METADATA:
+                record = Metadata.read(stream)
+                if len(self.metadata) < 1000:
+                    self.metadata.append((record.name, record.metadata))
+            elif opcode == STATISTICS:
+                self.statistics = Statistics.read(stream)
+        except _BROKEN:
+            self._problem(f"record at byte {where} cannot be parsed")
+
+    def _take_chunk(self, body: int, length: int) -> None:
+        self._stream.seek(body)
+        head = self._stream.read(min(length, _CHUNK.size + 4))
+        try:
+            start, end, size, crc = _CHUNK.unpack_from(head)
+            (name_length,) = struct.unpack_from("<I", head, _CHUNK.size)
+            if name_length > 16:
+                raise ValueError
+            tail = self._stream.read(name_length + 8)
+            compression = tail[:name_length].decode("ascii")
+            (stored,) = struct.unpack("<Q", tail[name_length:])
+        except (struct.error, ValueError):
+            self._problem(f"chunk at byte {body} cannot be parsed")
+            return
+        offset = body + len(head) + len(tail)
+        if stored > body + length - offset:
+            self._problem(f"chunk at byte {body} claims more bytes than it has")
+            return
+        if compression not in ("", "zstd", "lz4"):
+            self._problem(f"chunk at byte {body} is compressed with '{compression}', unknown")
+            return
+        self.regions.append(Region(offset, stored, size, compression, crc, start, end))
+
+    def _take_attachment(self, body: int, length: int) -> None:
+        self._stream.seek(body)
+        head = self._stream.read(min(length, 64 * 1024))
+        try:
+            position = _ATTACHMENT.size
+            texts = []
+            for _ in range(2):
+                (count,) = struct.unpack_from("<I", head, position)
+                position += 4
+                if position + count > len(head):
+                    raise ValueError
+                texts.append(head[position : position + count].decode())
+                position += count
+            (size,) = struct.unpack_from("<Q", head, position)
+            position += 8
+            if position + size > length:
+                raise ValueError
+        except (struct.error, ValueError):
+            self._problem(f"attachment at byte {body} cannot be parsed")
+            return
+        if len(self.attachments) < 1000:
+            self.attachments.append(AttachmentEntry(texts[0], texts[1], body + position, size))
+
+    def _next_chunk(self, position: int) -> int:
+        """Where the next chunk that looks whole begins, after damage; the file's length if there is none."""
+        patterns = (b"\x04\x00\x00\x00zstd", b"\x03\x00\x00\x00lz4")
+        before = _RECORD.size + _CHUNK.size
+        overlap = 64
+        while position < self._length:
+            self._stream.seek(position)
+            block = self._stream.read(_RUN)
+            found = sorted(
+                index - before
+                for pattern in patterns
+                for index in _indices(block, pattern)
+                if index >= before
+            )
+            for index in found:
+                opcode, length = _RECORD.unpack_from(block, index)
+                if opcode == CHUNK and position + index + _RECORD.size + length <= self._length:
+                    return position + index
+            if position + len(block) >= self._length:
+                break
+            position += max(1, len(block) - overlap)
+        return self._length
+
+    def _find_channels(self) -> None:
+        """Schemas and channels from inside the chunks, for a file without a summary."""
+        for region in self.regions:
+            self.messages(region, skip=True)
+
+    # Content ---------------------------------------------------------------------------------
+
+    def content(self, region: Region) -> bytes | None:
+        """Uncompressed bytes of a region; None, and a problem noted, when they are damaged."""
+        where = f"chunk at byte {region.offset}"
+        if region.size > MAXIMUM_CHUNK or (
+            region.size > PLAIN_CHUNK and region.size > _RATIO * region.stored
+        ):
+            self._problem(f"{where} claims {region.size} bytes from {region.stored}; not read")
+            return None
+        self._stream.seek(region.offset)
+        stored = self._stream.read(region.stored)
+        try:
+            if region.compression == "zstd":
+                data = _zstd(stored, region.size)
+            elif region.compression == "lz4":
+                decompressor = lz4.frame.LZ4FrameDecompressor()
+                data = decompressor.decompress(stored, max_length=region.size + 1)
+            else:
+                data = stored
+        except (zstandard.ZstdError, RuntimeError, *_BROKEN):
+            self._problem(f"{where} cannot be uncompressed")
+            return None
+        if len(data) != region.size:
+            self._problem(f"{where} has {len(data)} bytes, {region.size} are claimed")
+            return None
+        if region.crc and zlib.crc32(data) != region.crc:
+            self._problem(f"{where} does not match its checksum")
+            return None
+        return data
+
+    def messages(self, region: Region, skip: bool = False) -> list[RawMessage]:
+        """Messages of a region in the order they were written; takes schemas and channels on the way.
+
+        skip: take only schemas and channels.
+        """
+        found: list[RawMessage] = []
+        data = self.content(region)
+        if data is None:
+            return found
+        add, whole, record = found.append, _WHOLE.unpack_from, _RECORD.unpack_from
+        position, size = 0, len(data)
+        last_whole = size - _WHOLE.size
+        while position <= last_whole:
+            opcode, length, channel, sequence, log_time, publish_time = whole(data, position)
+            start = position + 9
+            end = start + length
+            if end > size or opcode == 0:
+                break
+            if opcode == MESSAGE:
+                if length < 22:
+                    break
+                if not skip:
+                    add((log_time, channel, sequence, publish_time, data[position + 31 : end]))
+            elif opcode in (SCHEMA, CHANNEL) and length <= MAXIMUM_SMALL_RECORD:
+                self._take_small(opcode, data[start:end], region.offset)
+            position = end
+        # Records shorter than a message at the very end.
+        while position + 9 <= size:
+            opcode, length = record(data, position)
+            end = position + 9 + length
+            if end > size or opcode == 0 or (opcode == MESSAGE and length < 22):
+                break
+            if opcode == MESSAGE and not skip:
+                log = whole(data, position)
+                add((log[4], log[2], log[3], log[5], data[position + 31 : end]))
+            elif opcode in (SCHEMA, CHANNEL):
+                self._take_small(opcode, data[position + 9 : end], region.offset)
+            position = end
+        if position != size:
+            self._problem(f"chunk at byte {region.offset} holds a damaged record")
+        return found
+
+    def attachment(self, entry: AttachmentEntry) -> bytes:
+        """Content of an attachment."""
+        self._stream.seek(entry.offset)
+        return self._stream.read(entry.size)
+
+
+def _indices(block: bytes, pattern: bytes) -> Iterator[int]:
+    index = block.find(pattern)
+    while index >= 0:
+        yield index
+        index = block.find(pattern, index + 1)
+
+
+def _zstd(stored: bytes, size: int) -> bytes:
+    """Uncompress exactly one chunk without ever holding more than it claims."""
+    with zstandard.ZstdDecompressor(max_window_size=1 << 31).stream_reader(
+        io.BytesIO(stored), read_across_frames=True
+    ) as reader:
+        data = reader.read(size)
+        if reader.read(1):
+            raise ValueError("more data than claimed")
+        return data

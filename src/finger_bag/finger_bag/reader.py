@@ -1,0 +1,614 @@
+"""Reading bags: rosbag2 folders (MCAP, sqlite3, compressed or not), bare MCAP and sqlite3 files.
+
+Reading is streaming and honest: messages come in the order of their log time, one chunk (or a few, where chunks
+overlap in time) is in memory at once, and whatever cannot be read is left out and listed in `BagReader.problems`.
+"""
+
+from __future__ import annotations
+
+import bisect
+import heapq
+import shutil
+import tempfile
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path, PurePath, PureWindowsPath
+from types import TracebackType
+from typing import Any
+
+import yaml
+import zstandard
+
+from finger_common.errors import InputError
+from finger_common.files import load_yaml
+
+from .definitions import FORMS, Decoder, decoder
+from .mcap_file import MAXIMUM_CHUNK, AttachmentEntry, McapFile, RawMessage
+from .schema import SESSION_RECORD, SessionMetadata, spec_of
+
+MAXIMUM_PENDING = 512 << 20
+"""Bytes of messages held back to give them in the order of log time."""
+
+LAST_TIME = 1 << 63
+"""Log times (ns) from here on, the year 2262, are damage: they fit no signed integer."""
+
+_UNPACKED_RATIO = 100
+_UNPACKED_FREE = 1 << 30
+
+
+@dataclass
+class TopicInfo:
+    """A topic of a bag. `count` is None where it is not known without reading the whole bag."""
+
+    name: str
+    type: str
+    encoding: str = "cdr"
+    definition: str = ""
+    form: str = ""
+    qos: str = ""
+    count: int | None = None
+
+
+@dataclass
+class BagInfo:
+    """What is known about a bag without reading its messages."""
+
+    path: Path
+    files: list[Path]
+    storage: str
+    topics: dict[str, TopicInfo]
+    metadata: SessionMetadata
+    start_ns: int | None
+    end_ns: int | None
+    message_count: int | None
+    attachments: list[str]
+    complete: bool
+    """Whether every file was closed by its recorder."""
+    size: int = 0
+    """Bytes on disk."""
+    problems: list[str] = field(default_factory=list)
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first to the last log time."""
+        if self.start_ns is None or self.end_ns is None:
+            return 0.0
+        return (self.end_ns - self.start_ns) * 1e-9
+
+
+class BagMessage:
+    """One message: `topic`, `type`, `log_time_ns`, `publish_time_ns`, `sequence`, `raw` (CDR) and, decoded when
+    asked for, `message` (an object with the type's fields; raises InputError for malformed bytes)."""
+
+    __slots__ = (
+        "_message",
+        "_reader",
+        "log_time_ns",
+        "publish_time_ns",
+        "raw",
+        "sequence",
+        "topic",
+        "type",
+    )
+
+    def __init__(
+        self,
+        topic: str,
+        type: str,
+        log_time_ns: int,
+        publish_time_ns: int,
+        sequence: int,
+        raw: bytes,
+        reader: BagReader,
+    ) -> None:
+        self.topic = topic
+        self.type = type
+        self.log_time_ns = log_time_ns
+        self.publish_time_ns = publish_time_ns
+        self.sequence = sequence
+        self.raw = raw
+        self._reader = reader
+        self._message: Any = None
+
+    @property
+    def message(self) -> Any:
+        if self._message is None:
+            try:
+                self._message = self._reader.decoder(self.topic, self.type)(self.raw)
+            except InputError as error:
+                raise InputError(f"{self._reader.path}, topic '{self.topic}': {error}") from None
+        return self._message
+
+    def __repr__(self) -> str:
+        return f"BagMessage({self.topic!r}, {self.type!r}, {self.log_time_ns}, {len(self.raw)} B)"
+
+
+class BagReader:
+    """A bag opened for reading; a context manager. Use `open_bag`."""
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self.problems: list[str] = []
+        self._temporary: tempfile.TemporaryDirectory[str] | None = None
+        self._mcaps: list[McapFile] = []
+        self._sqlites: list[Any] = []
+        self._types: dict[tuple[str, str], TopicInfo] = {}
+        self._decoders: dict[tuple[str, str], Decoder | InputError] = {}
+        self._message_compression = False
+        files, storage, custom = self._find_files()
+        try:
+            self._open(files, storage)
+            self.info = self._describe(files, storage, custom)
+        except BaseException:
+            self.close()
+            raise
+
+    # Opening ---------------------------------------------------------------------------------
+
+    def _find_files(self) -> tuple[list[Path], str, dict[str, str]]:
+        """Files of the bag, how they are stored, custom data of metadata.yaml."""
+        if not self.path.exists():
+            raise InputError(f"{self.path}: no such bag; check the path")
+        if self.path.is_file():
+            return [self.path], _storage_of(self.path) or "mcap", {}
+        custom: dict[str, str] = {}
+        description = self.path / "metadata.yaml"
+        files: list[Path] = []
+        if description.is_file():
+            try:
+                files, custom = self._read_metadata(description)
+            except InputError as error:
+                self.problems.append(f"{error}; the files in the folder are read instead")
+        else:
+            self.problems.append("metadata.yaml is missing; 'finger-bag recover' writes it")
+        if not files:
+            files = sorted(
+                (p for p in self.path.iterdir() if _storage_of(p, None) and p.is_file()), key=_order
+            )
+        if not files:
+            raise InputError(f"{self.path}: no .mcap or .db3 file in this folder; give a bag")
+        kinds = {_storage_of(file) or "mcap" for file in files}
+        if len(kinds) > 1:
+            raise InputError(f"{self.path}: MCAP and sqlite3 files mixed; keep one kind")
+        return files, kinds.pop(), custom
+
+    def _read_metadata(self, description: Path) -> tuple[list[Path], dict[str, str]]:
+        if description.stat().st_size > 16 << 20:
+            raise InputError(f"{description}: too large to be a bag's metadata")
+        data = load_yaml(description, "bag metadata").get("rosbag2_bagfile_information")
+        if not isinstance(data, dict) or not isinstance(data.get("relative_file_paths"), list):
+            raise InputError(f"{description}: key 'relative_file_paths' is missing")
+        files = []
+        for entry in data["relative_file_paths"]:
+            # Only the name counts: a path that leads out of the folder is a mistake or a trick.
+            name = PurePath(PureWindowsPath(str(entry)).name).name
+            file = self.path / name
+            if not name or not file.is_file():
+                self.problems.append(f"file '{entry}' of metadata.yaml is missing")
+                continue
+            if _storage_of(file, None) is None:
+                raise InputError(f"{description}: '{entry}' is neither .mcap nor .db3")
+            files.append(file)
+        self._message_compression = str(data.get("compression_mode", "")).lower() == "message"
+        custom = data.get("custom_data")
+        texts = {str(k): str(v) for k, v in custom.items()} if isinstance(custom, dict) else {}
+        return files, texts
+
+    def _open(self, files: list[Path], storage: str) -> None:
+        for file in files:
+            try:
+                opened = self._unpacked(file)
+                if storage == "mcap":
+                    self._open_mcap(opened, file)
+                else:
+                    self._open_sqlite(opened, file)
+            except InputError as error:
+                if len(files) == 1:
+                    raise
+                self.problems.append(str(error))
+        if not self._mcaps and not self._sqlites:
+            raise InputError(f"{self.path}: none of its files can be read ({self.problems[-1]})")
+
+    def _unpacked(self, file: Path) -> Path:
+        """The file itself, or a temporary copy when rosbag2 compressed it as a whole."""
+        if file.suffix != ".zstd":
+            return file
+        if self._temporary is None:
+            self._temporary = tempfile.TemporaryDirectory(prefix="finger_bag_")
+        target = Path(self._temporary.name) / file.stem
+        limit = _UNPACKED_RATIO * file.stat().st_size + _UNPACKED_FREE
+        limit = min(limit, shutil.disk_usage(self._temporary.name).free // 2)
+        written = 0
+        try:
+            with (
+                open(file, "rb") as packed,
+                zstandard.ZstdDecompressor().stream_reader(
+                    packed, read_across_frames=True
+                ) as stream,
+                open(target, "wb") as out,
+            ):
+                while block := stream.read(1 << 20):
+                    written += len(block)
+                    if written > limit:
+                        raise InputError(
+                            f"{file}: uncompresses to more than {limit} bytes; not read"
+                        )
+                    out.write(block)
+        except (zstandard.ZstdError, OSError) as error:
+            self.problems.append(f"{file.name}: cannot be uncompressed to its end ({error})")
+        return target
+
+    def _open_mcap(self, opened: Path, file: Path) -> None:
+        mcap = McapFile(opened)
+        self._mcaps.append(mcap)
+        for channel in mcap.channels.values():
+            self._know(channel_info(mcap, channel.id))
+
+    def _open_sqlite(self, opened: Path, file: Path) -> None:
+        # Imported here: only those who have sqlite3 bags need apsw, which rosbags reads them with.
+        import apsw
+        from rosbags.rosbag2 import Reader
+        from rosbags.rosbag2.errors import ReaderError
+
+        try:
+            reader = Reader(opened)
+            reader.open()
+        except (ReaderError, apsw.Error, *_SQLITE_BROKEN) as error:
+            text = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise InputError(f"{file}: cannot be read as a sqlite3 bag ({text})") from None
+        self._sqlites.append(reader)
+        for connection in reader.connections:
+            ext = connection.ext
+            self._know(
+                TopicInfo(
+                    connection.topic,
+                    connection.msgtype,
+                    getattr(ext, "serialization_format", "cdr"),
+                    connection.msgdef.data,
+                    FORMS[connection.msgdef.format],
+                    "",
+                    connection.msgcount,
+                )
+            )
+
+    def _know(self, topic: TopicInfo) -> None:
+        key = (topic.name, topic.type)
+        known = self._types.setdefault(key, topic)
+        if known is not topic and topic.count is not None:
+            known.count = (known.count or 0) + topic.count
+
+    def _describe(self, files: list[Path], storage: str, custom: dict[str, str]) -> BagInfo:
+        session = {
+            k.removeprefix(SESSION_RECORD + "."): v
+            for k, v in custom.items()
+            if k.startswith(SESSION_RECORD + ".")
+        }
+        starts: list[int] = []
+        ends: list[int] = []
+        counts: list[int | None] = []
+        attachments: list[str] = []
+        for mcap in self._mcaps:
+            for name, values in mcap.metadata:
+                if name == SESSION_RECORD:
+                    session.update(values)
+            starts += [r.start_ns for r in mcap.regions if r.start_ns < LAST_TIME]
+            ends += [r.end_ns for r in mcap.regions if r.end_ns < LAST_TIME]
+            counts.append(self._count(mcap))
+            attachments += [a.name for a in mcap.attachments if a.name not in attachments]
+        for reader in self._sqlites:
+            if reader.message_count:
+                starts.append(reader.start_time)
+                ends.append(reader.end_time - 1)
+            counts.append(reader.message_count)
+        topics: dict[str, TopicInfo] = {}
+        for (name, _), topic in self._types.items():
+            if name not in topics or (topic.count or 0) > (topics[name].count or 0):
+                topics[name] = topic
+        known = [c for c in counts if c is not None]
+        return BagInfo(
+            path=self.path,
+            files=files,
+            storage=storage,
+            topics=topics,
+            metadata=SessionMetadata.from_mapping(session),
+            start_ns=min(starts, default=None),
+            end_ns=max(ends, default=None),
+            message_count=sum(known) if len(known) == len(counts) else None,
+            attachments=attachments,
+            complete=all(m.complete for m in self._mcaps),
+            size=sum(f.stat().st_size for f in files),
+            problems=self.all_problems(),
+        )
+
+    def _count(self, mcap: McapFile) -> int | None:
+        statistics = mcap.statistics
+        if statistics is None or not mcap.complete:
+            for topic in self._types.values():
+                topic.count = None
+            return None
+        for channel_id, count in statistics.channel_message_counts.items():
+            if channel_id in mcap.channels:
+                info = channel_info(mcap, channel_id)
+                topic = self._types[(info.name, info.type)]
+                topic.count = (topic.count or 0) + count
+        return statistics.message_count
+
+    # Reading ---------------------------------------------------------------------------------
+
+    def topic(self, name: str, namespace: str | None = None) -> str | None:
+        """Absolute name in this bag of a topic of the schema, such as "wrench"; None when it is absent.
+
+        Raises InputError when the bag holds it under several namespaces and `namespace` does not choose.
+        """
+        if name.startswith("/") or namespace is not None:
+            absolute = name if name.startswith("/") else f"/{(namespace or '').strip('/')}/{name}"
+            absolute = absolute.replace("//", "/")
+            return absolute if absolute in self.info.topics else None
+        found = [t for t in self.info.topics if t == name or t.endswith("/" + name)]
+        if len(found) > 1:
+            # Empty topics are announced by a recorder and never published.
+            found = [t for t in found if self.info.topics[t].count != 0] or found
+        if len(found) > 1:
+            raise InputError(
+                f"{self.path}: topic '{name}' exists as {', '.join(sorted(found))}; "
+                "choose with --namespace or in a mapping file"
+            )
+        return found[0] if found else None
+
+    def topic_info(self, topic: str, message_type: str) -> TopicInfo:
+        """What is known of a topic holding messages of a type."""
+        return self._types.get((topic, message_type)) or TopicInfo(topic, message_type)
+
+    def decoder(self, topic: str, message_type: str) -> Decoder:
+        """Decoder of a topic's messages; raises InputError when the type cannot be understood."""
+        key = (topic, message_type)
+        if key not in self._decoders:
+            try:
+                self._decoders[key] = self._new_decoder(topic, message_type)
+            except InputError as error:
+                # A broken definition is parsed once, not once a message.
+                self._decoders[key] = error
+        found = self._decoders[key]
+        if isinstance(found, InputError):
+            raise InputError(str(found))
+        return found
+
+    def _new_decoder(self, topic: str, message_type: str) -> Decoder:
+        info = self._types.get((topic, message_type))
+        if info is None:
+            return decoder(message_type)
+        if info.encoding != "cdr":
+            raise InputError(f"messages are encoded as '{info.encoding}', only 'cdr' is read")
+        if info.form not in ("", "ros2msg", "ros2idl"):
+            raise InputError(f"definition of '{message_type}' is written in '{info.form}'")
+        return decoder(message_type, info.definition if info.form else "", info.form or "ros2msg")
+
+    def messages(
+        self,
+        topics: Collection[str] | None = None,
+        start: int | None = None,
+        stop: int | None = None,
+    ) -> Iterator[BagMessage]:
+        """Messages in the order of log time.
+
+        topics: absolute names; None for all. start (inclusive), stop (exclusive): log time in ns, None for no bound.
+        """
+        wanted = None if topics is None else set(topics)
+        if self._sqlites:
+            return self._sqlite_messages(wanted, start, stop)
+        return self._mcap_messages(wanted, start, stop)
+
+    def __iter__(self) -> Iterator[BagMessage]:
+        return self.messages()
+
+    def _mcap_messages(
+        self, wanted: set[str] | None, start: int | None, stop: int | None
+    ) -> Iterator[BagMessage]:
+        low = 0 if start is None else start
+        high = LAST_TIME if stop is None else min(stop, LAST_TIME)
+        regions = [
+            (region.start_ns, number, index)
+            for number, mcap in enumerate(self._mcaps)
+            for index, region in enumerate(mcap.regions)
+            if region.end_ns >= low and (stop is None or region.start_ns < high)
+        ]
+        regions.sort()
+        known: dict[tuple[int, int], tuple[str, str] | None] = {}
+        # What was read and may still be overtaken by the next region: (time, file, message), by time.
+        pending: list[tuple[int, int, RawMessage]] = []
+        for place, (_, number, index) in enumerate(regions):
+            mcap = self._mcaps[number]
+            found = mcap.messages(mcap.regions[index])
+            if any(raw[0] >= LAST_TIME for raw in found):
+                mcap._problem("messages with a time beyond the year 2262 are left out")
+            for channel_id in {raw[1] for raw in found}:
+                if (number, channel_id) not in known:
+                    known[(number, channel_id)] = self._channel(mcap, channel_id, wanted)
+            pending += [
+                (raw[0], number, raw)
+                for raw in found
+                if low <= raw[0] < high and known[(number, raw[1])] is not None
+            ]
+            # Stable: messages of equal time stay in the order written.
+            pending.sort(key=_time)
+            if place + 1 < len(regions):
+                ready = bisect.bisect_left(pending, regions[place + 1][0], key=_time)
+            else:
+                ready = len(pending)
+            if ready < len(pending) and sum(len(p[2][4]) for p in pending) > MAXIMUM_PENDING:
+                mcap._problem("messages lie too far out of order to be sorted by log time")
+                ready = len(pending)
+            for time_ns, file, raw in pending[:ready]:
+                _, channel_id, sequence, publish_time_ns, data = raw
+                if self._message_compression:
+                    unpacked = self._unpack_message(data)
+                    if unpacked is None:
+                        continue
+                    data = unpacked
+                name, kind = known[(file, channel_id)]  # type: ignore[misc]
+                yield BagMessage(name, kind, time_ns, publish_time_ns, sequence, data, self)
+            del pending[:ready]
+
+    def _channel(
+        self, mcap: McapFile, channel_id: int, wanted: set[str] | None
+    ) -> tuple[str, str] | None:
+        if channel_id not in mcap.channels:
+            mcap._problem(
+                f"messages of channel {channel_id}, which nothing describes, are left out"
+            )
+            return None
+        info = channel_info(mcap, channel_id)
+        self._know(info)
+        if wanted is not None and info.name not in wanted:
+            return None
+        return info.name, info.type
+
+    def _unpack_message(self, data: bytes) -> bytes | None:
+        try:
+            parameters = zstandard.get_frame_parameters(data)
+            if parameters.content_size > min(MAXIMUM_CHUNK, (64 << 20) + 200 * len(data)):
+                raise zstandard.ZstdError("too large")
+            return zstandard.ZstdDecompressor().decompress(data, max_output_size=64 << 20)
+        except zstandard.ZstdError as error:
+            text = f"a compressed message cannot be read ({error})"
+            if text not in self.problems:
+                self.problems.append(text)
+            return None
+
+    def _sqlite_messages(
+        self, wanted: set[str] | None, start: int | None, stop: int | None
+    ) -> Iterator[BagMessage]:
+        import apsw
+        from rosbags.rosbag2.errors import ReaderError
+
+        def of(reader: Any) -> Iterator[tuple[int, Any, bytes]]:
+            connections = [c for c in reader.connections if wanted is None or c.topic in wanted]
+            if not connections:
+                return
+            try:
+                for connection, time_ns, raw in reader.messages(connections, start, stop):
+                    yield time_ns, connection, bytes(raw)
+            except (ReaderError, apsw.Error, *_SQLITE_BROKEN) as error:
+                text = str(error).splitlines()[0] if str(error) else type(error).__name__
+                self.problems.append(f"database cannot be read to its end ({text})")
+
+        merged = heapq.merge(*(of(reader) for reader in self._sqlites), key=lambda item: item[0])
+        for time_ns, connection, raw in merged:
+            data: bytes | None = raw
+            if self._message_compression:
+                data = self._unpack_message(raw)
+            if data is not None:
+                yield BagMessage(
+                    connection.topic, connection.msgtype, time_ns, time_ns, 0, data, self
+                )
+
+    # Attachments -----------------------------------------------------------------------------
+
+    def attachments(self) -> Iterator[tuple[AttachmentEntry, bytes]]:
+        """Attachments with their content, each name once."""
+        seen: set[str] = set()
+        for mcap in self._mcaps:
+            for entry in mcap.attachments:
+                if entry.name not in seen:
+                    seen.add(entry.name)
+                    yield entry, mcap.attachment(entry)
+
+    def attachment(self, name: str) -> bytes | None:
+        """Content of the attachment of a name, None when there is none."""
+        for mcap in self._mcaps:
+            for entry in mcap.attachments:
+                if entry.name == name:
+                    return mcap.attachment(entry)
+        return None
+
+    def all_problems(self) -> list[str]:
+        """What could not be read so far; complete once all messages were read."""
+        found = list(self.problems)
+        for mcap in self._mcaps:
+            prefix = f"{mcap.path.name}: " if len(self._mcaps) > 1 else ""
+            found += [prefix + p for p in mcap.problems]
+        return found
+
+    def close(self) -> None:
+        """Close all files."""
+        for mcap in self._mcaps:
+            mcap.close()
+        for reader in self._sqlites:
+            if reader.is_open:
+                reader.close()
+        self._mcaps, self._sqlites = [], []
+        if self._temporary is not None:
+            self._temporary.cleanup()
+            self._temporary = None
+
+    def __enter__(self) -> BagReader:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+_SQLITE_BROKEN = (OSError, ValueError, KeyError, TypeError, AssertionError, yaml.YAMLError)
+
+
+def open_bag(path: str | Path) -> BagReader:
+    """Open a bag: a rosbag2 folder, or a bare .mcap or .db3 file.
+
+    Raises InputError when there is no bag or nothing of it can be read; damage in parts of it is listed in
+    `problems` instead.
+    """
+    return BagReader(path)
+
+
+def channel_info(mcap: McapFile, channel_id: int) -> TopicInfo:
+    """Topic, type and definition of a channel."""
+    channel = mcap.channels[channel_id]
+    schema = mcap.schemas.get(channel.schema_id)
+    name, definition, form = "", "", ""
+    if schema is not None:
+        name = schema.name
+        definition = schema.data.decode(errors="replace")
+        form = schema.encoding
+    return TopicInfo(
+        channel.topic,
+        _normal_type(name),
+        channel.message_encoding,
+        definition,
+        form,
+        channel.metadata.get("offered_qos_profiles", ""),
+    )
+
+
+def _normal_type(name: str) -> str:
+    """ "pkg/Type" as "pkg/msg/Type"."""
+    parts = name.split("/")
+    return f"{parts[0]}/msg/{parts[1]}" if len(parts) == 2 else name
+
+
+def _storage_of(path: Path, default: str | None = "mcap") -> str | None:
+    name = path.name.removesuffix(".zstd")
+    if name.endswith(".db3"):
+        return "sqlite3"
+    return "mcap" if name.endswith(".mcap") else default
+
+
+def _order(path: Path) -> tuple[Any, ...]:
+    """NAME_2.mcap before NAME_10.mcap."""
+    stem = path.name.split(".")[0]
+    head, _, number = stem.rpartition("_")
+    return (head, int(number)) if number.isdigit() else (stem, -1)
+
+
+def _time(entry: tuple[Any, ...]) -> int:
+    return int(entry[0])
+
+
+def matching(topics: Iterable[str], names: Iterable[str]) -> list[str]:
+    """Topics of the schema, by relative names, among absolute ones."""
+    wanted = set(names)
+    return [t for t in topics if (spec := spec_of(t)) is not None and spec.name in wanted]

@@ -1,0 +1,367 @@
+"""Recorder node: writes the rig's topics into a bag, serialized as they come.
+
+Thin shell over `recorder.Recorder`. Subscriptions exist from activation on, so that a recording misses nothing at its
+start; latched messages that came before are repeated at its head. `~/record` starts and stops.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+import time
+from collections import deque
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from finger_msgs.srv import Record
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+from finger_common.diagnostics import ERROR, WARN, Health
+from finger_common.errors import FingerError, InputError
+from finger_common.files import read_bytes
+from finger_common.node import LATCHED_QOS, LifecycleShell, main_of
+from finger_common.parameters import Parameter, ParameterTable
+
+from .recorder import Recorder, RecorderSettings, Serialized, StampGaps
+from .schema import CALIBRATION_ATTACHMENT, TOPICS, SessionMetadata
+from .streams import stamp_of_cdr
+
+PARAMETERS = ParameterTable(
+    Parameter(
+        "folder",
+        "",
+        "Folder that bags without an absolute path go to; empty: the folder the node runs in.",
+        runtime=True,
+    ),
+    Parameter(
+        "topics",
+        list(TOPICS),
+        "Topics to record; 'name' of the bag schema, or 'name=package/msg/Type' for others.",
+    ),
+    Parameter(
+        "bag_name", "", "Name of a bag that is not named otherwise; empty: date and condition."
+    ),
+    Parameter("record_at_start", False, "Begin a bag as soon as the node is active."),
+    Parameter("session", "", "Id of the session, for the bag's metadata.", runtime=True),
+    Parameter("subject", "", "Subject code, never a name.", runtime=True),
+    Parameter("condition", "", "Condition, where the bag holds only one.", runtime=True),
+    Parameter("rig", "", "Name of the rig, for the bag's metadata.", runtime=True),
+    Parameter(
+        "source",
+        "rig",
+        "What makes the data, for the bag's metadata: 'rig' or 'simulated rig'.",
+        runtime=True,
+    ),
+    Parameter("calibration_file", "", "Plate calibration to attach to each bag.", runtime=True),
+    Parameter("attachments", [""], "Further files to attach to each bag.", runtime=True),
+    Parameter(
+        "png", False, "Store images as lossless PNG under 'image_raw/compressed' (smaller, slower)."
+    ),
+    Parameter(
+        "compression",
+        "zstd",
+        "Compression of chunks.",
+        choices=("zstd", "lz4", "none"),
+    ),
+    Parameter(
+        "flush_interval",
+        0.4,
+        "Longest time a message stays in the recorder; what a kill can lose.",
+        unit="s",
+        minimum=0.05,
+        maximum=1.0,
+    ),
+    Parameter(
+        "buffer_time",
+        4.0,
+        "Stall of the recorder that the middleware bridges for each topic.",
+        unit="s",
+        minimum=0.1,
+        maximum=60.0,
+        advice="Raise it when 'lost' in the diagnostics grows; images of this time must fit in memory.",
+    ),
+    Parameter(
+        "maximum_size",
+        0,
+        "Size at which the next file of the bag is begun; 0 for never.",
+        unit="B",
+        minimum=0,
+    ),
+    Parameter(
+        "maximum_duration",
+        0.0,
+        "Time after which the next file of the bag is begun; 0 for never.",
+        unit="s",
+        minimum=0.0,
+    ),
+    Parameter(
+        "minimum_free",
+        256 << 20,
+        "Free disk space at which recording stops.",
+        unit="B",
+        minimum=0,
+    ),
+    Parameter(
+        "queue_limit",
+        512 << 20,
+        "What may wait for the disk before messages are dropped and counted.",
+        unit="B",
+        minimum=1 << 20,
+    ),
+)
+
+
+DRAIN = 50
+"""Waiting messages of a topic taken in one go before others have their turn."""
+
+
+def message_class(message_type: str) -> Any:
+    """Class of a message type such as "std_msgs/msg/Header"; raises InputError when it is not installed."""
+    package, _, name = message_type.partition("/msg/")
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), name)
+    except (ImportError, AttributeError, ValueError):
+        raise InputError(
+            f"message type '{message_type}' is not installed; source its workspace or leave it out"
+        ) from None
+
+
+class RecorderNode(LifecycleShell):
+    """Records topics into bags."""
+
+    TABLE = PARAMETERS
+    NAME = "recorder"
+
+    def configure(self) -> None:
+        v = self.values
+        self._recorder = Recorder(
+            RecorderSettings(
+                flush_interval=v["flush_interval"],
+                queue_limit=v["queue_limit"],
+                minimum_free=v["minimum_free"],
+                maximum_size=v["maximum_size"],
+                maximum_duration=v["maximum_duration"],
+                compression=v["compression"],
+                png=v["png"],
+            ),
+            on_error=self._on_error,
+        )
+        self._topics: dict[str, tuple[str, bool, str]] = {}
+        self._names: dict[str, str] = {}
+        for entry in v["topics"]:
+            name, _, kind = entry.partition("=")
+            spec = TOPICS.get(name)
+            if not kind and spec is None:
+                raise InputError(
+                    f"parameter 'topics': '{name}' is not in the bag schema; add '=package/msg/Type'"
+                )
+            kind = kind or (spec.type if spec else "")
+            message_class(kind)
+            absolute = self.resolve_topic_name(name)
+            # The schema fixes the period of streams; others are not checked for gaps.
+            stream = "stamped" if spec is not None and (spec.rate or 0) >= 5 else ""
+            self._names[absolute] = name
+            self._topics[absolute] = (kind, spec is not None and spec.latched, stream)
+        self._health = Health("recording")
+        self.healths = [self._health]
+        self._subs: dict[str, Any] = {}
+        self._latched: dict[str, deque[Serialized]] = {}
+        self._gaps: dict[str, StampGaps] = {}
+        self._announced: dict[str, int] = {}
+        self._service = self.create_service(Record, "~/record", self._on_record)
+
+    def activate(self) -> None:
+        for topic in self._topics:
+            self._subscribe(topic, self.values["qos_reliability"] == "reliable")
+        self._timer = self.create_timer(1.0, self._each_second)
+        if self.values["record_at_start"]:
+            self._start("", None)
+
+    def deactivate(self) -> None:
+        self.destroy_timer(self._timer)
+        if self._recorder.recording:
+            self._finish()
+        for subscription, _ in self._subs.values():
+            self.destroy_subscription(subscription)
+        self._subs.clear()
+
+    def cleanup(self) -> None:
+        service = self.__dict__.pop("_service", None)
+        if service is not None:
+            self.destroy_service(service)
+
+    # Subscriptions ---------------------------------------------------------------------------
+
+    def _subscribe(self, topic: str, reliable: bool) -> None:
+        kind, latched, _ = self._topics[topic]
+        if latched:
+            qos: QoSProfile = LATCHED_QOS
+            self._latched.setdefault(topic, deque(maxlen=LATCHED_QOS.depth))
+        else:
+            spec = TOPICS.get(self._names[topic])
+            rate = (spec.rate if spec is not None else None) or 50.0
+            qos = self.stream_qos(max(20, math.ceil(rate * self.values["buffer_time"])))
+            if reliable:
+                qos.reliability = ReliabilityPolicy.RELIABLE
+        old = self._subs.pop(topic, None)
+        if old is not None:
+            self.destroy_subscription(old[0])
+        events = SubscriptionEventCallbacks(
+            incompatible_qos=lambda event: self.log_fault(
+                self._health,
+                "qos_mismatch",
+                f"a publisher of '{topic}' has a QoS that does not fit and is not recorded; "
+                "set qos_reliability alike on both sides",
+                WARN,
+            ),
+            message_lost=partial(self._on_lost, topic),
+        )
+        subscription = self.create_subscription(
+            message_class(kind),
+            topic,
+            partial(self._on_message, topic, kind, latched),
+            qos,
+            event_callbacks=events,
+            raw=True,
+        )
+        self._subs[topic] = (subscription, reliable or latched)
+
+    def _on_message(
+        self, topic: str, kind: str, latched: bool, cdr: bytes, info: dict[str, Any]
+    ) -> None:
+        """One message, and those that wait behind it: the executor's round trip costs more than taking one."""
+        self._take(topic, kind, latched, cdr, info)
+        subscription = self._subs.get(topic)
+        if subscription is None:
+            return
+        handle, message_type = subscription[0].handle, subscription[0].msg_type
+        for _ in range(DRAIN):
+            with handle:
+                taken = handle.take_message(message_type, True)
+            if taken is None:
+                return
+            self._take(topic, kind, latched, *taken)
+
+    def _take(self, topic: str, kind: str, latched: bool, cdr: bytes, info: dict[str, Any]) -> None:
+        received = info.get("received_timestamp") or time.time_ns()
+        message = Serialized(topic, kind, cdr, received, info.get("source_timestamp") or received)
+        if latched:
+            self._latched[topic].append(message)
+        if self._recorder.put(message):
+            gaps = self._gaps.get(topic)
+            if gaps is not None:
+                gaps.add(stamp_of_cdr(cdr))
+            self._health.sample()
+
+    def _on_lost(self, topic: str, event: Any) -> None:
+        """The middleware says that samples were lost between publisher and here."""
+        if self._recorder.recording:
+            self._recorder.note_lost(topic, event.total_count_change)
+
+    def _each_second(self) -> None:
+        recorder = self._recorder
+        lost = recorder.lost
+        notes = self._health.notes
+        notes["recording"] = str(recorder.path) if recorder.recording else "no"
+        notes["messages"] = str(sum(recorder.counts.values()))
+        notes["waiting_bytes"] = str(recorder.waiting)
+        notes["lost"] = ", ".join(f"{t} {n}" for t, n in lost.items()) or "0"
+        gaps = {t: g.missing for t, g in self._gaps.items() if g.missing}
+        notes["missing_stamps"] = ", ".join(f"{t} {n}" for t, n in gaps.items()) or "0"
+        if lost and sum(lost.values()) > self._announced.get("lost", 0):
+            self._announced["lost"] = sum(lost.values())
+            self.log_fault(self._health, "lost", f"messages lost: {notes['lost']}", WARN)
+        if recorder.recording:
+            return
+        for topic, (_, reliable) in list(self._subs.items()):
+            # Where every publisher offers it, reliable delivery costs nothing and loses nothing.
+            offers = self.get_publishers_info_by_topic(topic)
+            if not reliable and offers:
+                if all(o.qos_profile.reliability == ReliabilityPolicy.RELIABLE for o in offers):
+                    self._subscribe(topic, True)
+
+    # Recording -------------------------------------------------------------------------------
+
+    def _on_record(self, request: Any, response: Any) -> Any:
+        try:
+            if request.command == Record.Request.COMMAND_START:
+                path = self._start(request.path, request.trial)
+                response.path, response.message = str(path), f"recording into {path}"
+            elif request.command == Record.Request.COMMAND_STOP:
+                result = self._finish()
+                response.path = str(result.path)
+                response.message_count = result.message_count
+                response.lost_count = result.lost_count
+                response.message = (
+                    result.error
+                    or f"{result.message_count} messages recorded, {result.lost_count} lost"
+                )
+                if result.error:
+                    response.success = False
+                    return response
+            else:
+                raise InputError(f"command {request.command} is not known; use 0 (stop), 1 (start)")
+            response.success = True
+        except FingerError as error:
+            response.success, response.message = False, str(error)
+        return response
+
+    def _start(self, path: str, trial: Any) -> Path:
+        v = self.values
+        session = {key: v[key] for key in ("session", "subject", "condition", "rig", "source")}
+        if trial is not None:
+            said = {k: getattr(trial, k) for k in ("session", "subject", "condition")}
+            session.update({k: text for k, text in said.items() if text})
+            if trial.target_force > 0:
+                session["target_force"] = f"{trial.target_force:g}"
+        name = (
+            path
+            or v["bag_name"]
+            or "_".join(
+                part
+                for part in (datetime.now().strftime("%Y%m%d_%H%M%S"), session["condition"])
+                if part
+            )
+        )
+        target = Path(v["folder"]).expanduser() / Path(name).expanduser()
+        attachments = {}
+        for key, file in [
+            (CALIBRATION_ATTACHMENT, v["calibration_file"]),
+            *((Path(f).name, f) for f in v["attachments"]),
+        ]:
+            if file:
+                attachments[key] = read_bytes(Path(file).expanduser(), "file to attach")
+        topics = {t: kind for t, (kind, _, _) in self._topics.items()}
+        self._gaps = {t: StampGaps() for t, (_, _, stream) in self._topics.items() if stream}
+        self._announced.clear()
+        self._health.recovered()
+        started = self._recorder.start(
+            target, SessionMetadata.from_mapping(session), topics, attachments
+        )
+        now = time.time_ns()
+        for messages in self._latched.values():
+            for message in messages:
+                self._recorder.put(message._replace(log_time_ns=now))
+        self.get_logger().info(f"recording into {started}")
+        return started
+
+    def _finish(self) -> Any:
+        result = self._recorder.stop()
+        missing = {t: g.missing for t, g in self._gaps.items() if g.missing}
+        self.get_logger().info(
+            f"recorded {result.message_count} messages into {result.path}, "
+            f"{result.lost_count} lost" + (f", stamps missing: {missing}" if missing else "")
+        )
+        return result
+
+    def _on_error(self, text: str) -> None:
+        self.log_fault(self._health, "recording", text, ERROR)
+
+
+main = main_of(RecorderNode)
+
+if __name__ == "__main__":
+    main()

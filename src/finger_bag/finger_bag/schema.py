@@ -1,0 +1,193 @@
+"""What a session bag holds: topics, types, quality of service, metadata and attachments.
+
+A bag is a rosbag2 folder (NAME/metadata.yaml, NAME/NAME_0.mcap, …) whose MCAP files follow the "ros2" profile. All
+trials of a session may be in one bag, or each trial in its own; `trial` messages tell them apart in both cases. A
+metadata record `finger_session` says whose finger, which condition and which software; calibration files travel as
+attachments. docs/bags.md is the page for users.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+from finger_common.errors import InputError
+
+SCHEMA_VERSION = "1"
+NAMESPACE = "finger"
+SESSION_RECORD = "finger_session"
+"""Name of the MCAP metadata record with the session's metadata, and prefix of its keys in metadata.yaml."""
+
+CALIBRATION_ATTACHMENT = "plate_calibration.yaml"
+PARAMETERS_ATTACHMENT = "parameters.yaml"
+RIG_ATTACHMENT = "rig.yaml"
+
+
+@dataclass(frozen=True)
+class TopicSpec:
+    """One topic of a session bag; `name` is relative to the rig's namespace unless it starts with "/"."""
+
+    name: str
+    type: str
+    rate: float | None
+    """Hz, None where messages come when something happens."""
+    latched: bool = False
+    needed: bool = False
+    """Without it, a bag cannot be fitted."""
+    meaning: str = ""
+
+
+TOPICS: dict[str, TopicSpec] = {
+    spec.name: spec
+    for spec in (
+        TopicSpec(
+            "wrench",
+            "geometry_msgs/msg/WrenchStamped",
+            500.0,
+            needed=True,
+            meaning="force and torque in the sensor's axes, tared (N, N m)",
+        ),
+        TopicSpec(
+            "wrench_raw",
+            "geometry_msgs/msg/WrenchStamped",
+            500.0,
+            meaning="the same before tare",
+        ),
+        TopicSpec("image_raw", "sensor_msgs/msg/Image", 10.0, meaning="FTIR image, mono8"),
+        TopicSpec(
+            "image_raw/compressed",
+            "sensor_msgs/msg/CompressedImage",
+            10.0,
+            meaning="the same as lossless PNG, in place of image_raw",
+        ),
+        TopicSpec("camera_info", "sensor_msgs/msg/CameraInfo", 10.0, meaning="lens calibration"),
+        TopicSpec(
+            "contact_area",
+            "finger_msgs/msg/ContactArea",
+            10.0,
+            meaning="gross and real contact area (m²)",
+        ),
+        TopicSpec(
+            "moisture",
+            "finger_msgs/msg/Moisture",
+            None,
+            meaning="readings of the moisture probe (a.u.)",
+        ),
+        TopicSpec(
+            "contact_state",
+            "finger_msgs/msg/ContactState",
+            500.0,
+            meaning="the estimate, one per wrench",
+        ),
+        TopicSpec(
+            "model_events",
+            "finger_msgs/msg/ModelEvent",
+            None,
+            latched=True,
+            meaning="settings and resets of the estimator",
+        ),
+        TopicSpec(
+            "trial",
+            "finger_msgs/msg/Trial",
+            None,
+            latched=True,
+            meaning="which trial and phase is at hand",
+        ),
+        TopicSpec("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", 1.0, meaning="health"),
+    )
+}
+
+IMAGE_TOPICS = ("image_raw", "image_raw/compressed", "contact_image", "contact_image/compressed")
+"""Topics that show the print: biometric data."""
+
+_NAME = re.compile(r"/?[A-Za-z~_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+
+
+def full_name(topic: str, namespace: str = NAMESPACE) -> str:
+    """Absolute topic name; "wrench" in namespace "finger" is "/finger/wrench".
+
+    Raises InputError for something that is no ROS name.
+    """
+    if not _NAME.fullmatch(topic):
+        raise InputError(f"'{topic}' is not a topic name; use letters, digits, '_' and '/'")
+    if topic.startswith("/"):
+        return topic
+    return "/" + "/".join(part for part in (namespace.strip("/"), topic) if part)
+
+
+def spec_of(topic: str) -> TopicSpec | None:
+    """Description of a topic by absolute or relative name, None for one that is not in the schema."""
+    if topic in TOPICS:
+        return TOPICS[topic]
+    for name, spec in TOPICS.items():
+        if topic.endswith("/" + name.lstrip("/")):
+            return spec
+    return None
+
+
+def software_version() -> str:
+    """Version of the suite that writes."""
+    try:
+        return version("finger_bag")
+    except PackageNotFoundError:
+        return "0 (not installed)"
+
+
+@dataclass(frozen=True)
+class SessionMetadata:
+    """Metadata of a session bag; text throughout, empty where not known.
+
+    subject is a code, never a name. condition and trial_index are set where the whole bag belongs to one condition or
+    trial; `trial` messages in the bag take precedence.
+    """
+
+    session: str = ""
+    subject: str = ""
+    condition: str = ""
+    trial_index: str = ""
+    target_force: str = ""
+    """N."""
+    rig: str = ""
+    source: str = ""
+    """What made the data: "rig", "simulated rig", "simulated study", or the command that processed another bag."""
+    software_version: str = ""
+    schema_version: str = SCHEMA_VERSION
+    extra: dict[str, str] = field(default_factory=dict)
+    """Further keys, kept as they are."""
+
+    @classmethod
+    def from_mapping(cls, values: Mapping[str, Any]) -> SessionMetadata:
+        """From text or numbers under the field names; other keys go to `extra`."""
+        names = {f.name for f in fields(cls)} - {"extra"}
+        text = {str(k): "" if v is None else str(v) for k, v in values.items()}
+        extra = {k: v for k, v in text.items() if k not in names}
+        return cls(**{k: v for k, v in text.items() if k in names}, extra=extra)
+
+    def to_mapping(self) -> dict[str, str]:
+        """All keys that are set."""
+        named = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "extra"}
+        return {k: v for k, v in {**named, **self.extra}.items() if v}
+
+
+def offered_qos(latched: bool) -> list[dict[str, Any]]:
+    """Quality of service of a topic as rosbag2 stores it, so that `ros2 bag play` offers the same."""
+
+    def forever() -> dict[str, int]:
+        return {"sec": 9223372036, "nsec": 854775807}
+
+    return [
+        {
+            "history": 1,  # keep last
+            "depth": 10 if latched else 200,
+            "reliability": 1 if latched else 2,  # reliable, best effort
+            "durability": 1 if latched else 2,  # transient local, volatile
+            "deadline": forever(),
+            "lifespan": forever(),
+            "liveliness": 1,  # automatic
+            "liveliness_lease_duration": forever(),
+            "avoid_ros_namespace_conventions": False,
+        }
+    ]

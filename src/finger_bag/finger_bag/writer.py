@@ -1,0 +1,453 @@
+"""Writing bags: a rosbag2 folder with MCAP files, zstd chunks, message index and metadata.yaml."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import struct
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any
+
+import yaml
+
+from finger_common.errors import InputError
+from finger_common.files import atomic_write
+
+from .definitions import definition_text, encode, type_hash
+from .mcap_writer import McapWriter
+from .schema import NAMESPACE, SESSION_RECORD, SessionMetadata, full_name, offered_qos, spec_of
+from .schema import software_version as _software_version
+
+CHUNK_SIZE = 1 << 20
+"""Bytes of a chunk before compression; a chunk is what is lost when one bit of it flips."""
+
+# Version 8 keeps QoS as text, as every rosbag2 from Humble on reads it; version 9 changes that.
+METADATA_VERSION = 8
+
+
+@dataclass
+class _Channel:
+    name: str
+    type: str
+    definition: str
+    form: str
+    hash: str
+    qos: str
+    count: int = 0
+
+
+@dataclass
+class _File:
+    name: str
+    start_ns: int | None = None
+    end_ns: int | None = None
+    count: int = 0
+
+
+@dataclass
+class WrittenBag:
+    """What a closed writer left behind."""
+
+    path: Path
+    files: list[str] = field(default_factory=list)
+    message_count: int = 0
+    counts: dict[str, int] = field(default_factory=dict)
+
+
+def _known(message_type: str) -> bool:
+    return bool(type_hash(message_type))
+
+
+class BagWriter:
+    """Writes one bag; a context manager.
+
+    path: folder of the bag; must not exist or be empty. The folder takes its name only when the writer closes without
+    an error; with `in_place` it is written where it will stay from the beginning, as a recording must be (what was
+    flushed survives a kill).
+    metadata: SessionMetadata or a mapping with its keys.
+    namespace: put before relative topic names.
+    maximum_size, maximum_duration: bytes and seconds after which the next file of the bag is begun; 0 for never.
+
+    Raises InputError when the folder exists or cannot be written.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        metadata: SessionMetadata | Mapping[str, Any] | None = None,
+        *,
+        namespace: str = NAMESPACE,
+        in_place: bool = False,
+        maximum_size: int = 0,
+        maximum_duration: float = 0.0,
+        chunk_size: int = CHUNK_SIZE,
+        compression: str = "zstd",
+    ) -> None:
+        if not isinstance(metadata, SessionMetadata):
+            metadata = SessionMetadata.from_mapping(metadata or {})
+        self.metadata = {"software_version": _software_version(), **metadata.to_mapping()}
+        self.path = Path(path)
+        self.namespace = namespace
+        self._maximum_size = maximum_size
+        self._maximum_duration = maximum_duration
+        self._chunk_size = chunk_size
+        self._compression = compression
+        self._splits = bool(maximum_size or maximum_duration)
+        self._channels: dict[str, _Channel] = {}
+        self._ids: dict[str, int] = {}
+        self._schemas: dict[tuple[str, str], int] = {}
+        self._files: list[_File] = []
+        self._attachments: list[tuple[str, bytes, str]] = []
+        self._stream: IO[bytes] | None = None
+        self._mcap: McapWriter | None = None
+        self.closed = False
+        name = self.path.name
+        if not name or name in (".", ".."):
+            raise InputError(f"{path}: not a name for a bag; give the folder to write")
+        self._refuse_existing()
+        self._folder = self.path if in_place else self.path.with_name(f".{name}.partial")
+        try:
+            if not in_place and self._folder.exists():
+                shutil.rmtree(self._folder)
+            self._folder.mkdir(parents=True, exist_ok=True)
+            self._open_file()
+        except OSError as error:
+            raise InputError(
+                f"{path}: cannot be written ({error.strerror}); choose a writable folder"
+            ) from None
+
+    def _refuse_existing(self) -> None:
+        if self.path.is_file() or (self.path.is_dir() and any(self.path.iterdir())):
+            raise InputError(f"{self.path}: exists already; choose another name or remove it")
+
+    # Files -----------------------------------------------------------------------------------
+
+    def _open_file(self) -> None:
+        name = f"{self.path.name}_{len(self._files)}.mcap"
+        self._files.append(_File(name))
+        self._stream = open(self._folder / name, "wb")
+        self._mcap = McapWriter(self._stream, self._chunk_size, self._compression)
+        self._mcap.start(profile="ros2", library=f"finger_bag {_software_version()}")
+        self._mcap.add_metadata(SESSION_RECORD, self.metadata)
+        self._ids.clear()
+        self._schemas.clear()
+        for attachment in self._attachments:
+            self._add_attachment(*attachment)
+
+    def _close_file(self) -> None:
+        if self._mcap is None or self._stream is None:
+            return
+        self._mcap.finish()
+        self._account(self._mcap)
+        self._stream.flush()
+        os.fsync(self._stream.fileno())
+        self._stream.close()
+        self._mcap = self._stream = None
+
+    def _account(self, mcap: McapWriter) -> None:
+        """Take over what a finished file holds."""
+        file = self._files[-1]
+        file.count = mcap.total
+        file.start_ns, file.end_ns = mcap.span if mcap.total else (None, None)
+        counts = mcap.counts
+        for name, channel_id in self._ids.items():
+            self._channels[name].count += counts.get(channel_id, 0)
+
+    def _split_if_due(self, log_time_ns: int) -> None:
+        file = self._files[-1]
+        if file.start_ns is None:
+            file.start_ns = log_time_ns
+        if self._stream is None or self._mcap is None or not self._mcap.total:
+            return
+        full = self._maximum_size and self._stream.tell() >= self._maximum_size
+        long = (
+            self._maximum_duration
+            and (log_time_ns - file.start_ns) * 1e-9 >= self._maximum_duration
+        )
+        if full or long:
+            self._close_file()
+            self._open_file()
+
+    # Content ---------------------------------------------------------------------------------
+
+    def add_topic(
+        self,
+        topic: str,
+        message_type: str | None = None,
+        *,
+        definition: str | None = None,
+        form: str = "ros2msg",
+        qos: str | None = None,
+    ) -> str:
+        """Announce a topic and return its absolute name.
+
+        message_type: None for a topic of the schema. definition: text of the type where it is not a known one. qos:
+        YAML as rosbag2 stores it; None for the schema's. Raises InputError for an unknown type, or when the topic was
+        announced with another type.
+        """
+        name = full_name(topic, self.namespace)
+        spec = spec_of(topic)
+        if message_type is None:
+            if spec is None:
+                raise InputError(f"topic '{topic}' is not in the bag schema; give its message type")
+            message_type = spec.type
+        channel = self._channels.get(name)
+        if channel is not None:
+            if channel.type != message_type:
+                raise InputError(
+                    f"topic '{name}' holds '{channel.type}' already, '{message_type}' cannot be added"
+                )
+            return name
+        if qos is None:
+            profile = offered_qos(latched=spec is not None and spec.latched)
+            qos = yaml.safe_dump(profile, sort_keys=False).strip()
+        known = definition_text(message_type) if definition is None or _known(message_type) else ""
+        if definition is None:
+            definition = known
+        known_hash = type_hash(message_type) if definition == known else ""
+        self._channels[name] = _Channel(name, message_type, definition, form, known_hash, qos)
+        return name
+
+    def _channel_id(self, channel: _Channel) -> int:
+        assert self._mcap is not None
+        if channel.name not in self._ids:
+            key = (channel.type, channel.definition)
+            if key not in self._schemas:
+                encoding = channel.form if channel.definition else ""
+                self._schemas[key] = self._mcap.register_schema(
+                    channel.type, encoding, channel.definition.encode()
+                )
+            details = {"offered_qos_profiles": channel.qos}
+            if channel.hash:
+                details["topic_type_hash"] = channel.hash
+            self._ids[channel.name] = self._mcap.register_channel(
+                channel.name, "cdr", self._schemas[key], details
+            )
+        return self._ids[channel.name]
+
+    def write_raw(
+        self,
+        topic: str,
+        cdr: bytes,
+        log_time_ns: int,
+        publish_time_ns: int | None = None,
+        sequence: int = 0,
+    ) -> None:
+        """Write one serialized message as it is.
+
+        A topic that is not of the schema must have been announced by `add_topic`. Raises InputError for bytes without
+        a CDR encapsulation header and for a time that does not fit.
+        """
+        channel_id = self._ids.get(topic)
+        if channel_id is None or self._splits:
+            channel_id = self._prepare(topic, log_time_ns)
+        if len(cdr) < 4 or cdr[0] != 0:
+            raise InputError(f"topic '{topic}': bytes are not a CDR message")
+        try:
+            self._mcap.add_message(  # type: ignore[union-attr]
+                channel_id,
+                log_time_ns,
+                cdr,
+                log_time_ns if publish_time_ns is None else publish_time_ns,
+                sequence & 0xFFFFFFFF,
+            )
+        except struct.error:
+            raise self._bad_time(topic, log_time_ns) from None
+        except OSError as error:
+            raise InputError(f"{self.path}: cannot be written ({error.strerror})") from error
+
+    def _prepare(self, topic: str, log_time_ns: int) -> int:
+        """Id of a topic's channel in the file that a message of this time goes to."""
+        name = topic if topic in self._channels else self.add_topic(topic)
+        if self._mcap is None:
+            raise InputError(f"{self.path}: bag is closed already")
+        if self._splits:
+            self._split_if_due(log_time_ns)
+        return self._channel_id(self._channels[name])
+
+    @staticmethod
+    def _bad_time(topic: str, log_time_ns: int) -> InputError:
+        return InputError(
+            f"topic '{topic}': time {log_time_ns} ns is not one of a bag; use ns since the epoch"
+        )
+
+    def write_many(self, topic: str, cdrs: Sequence[bytes], log_times_ns: Sequence[int]) -> None:
+        """Write serialized messages of one topic as they are, published when logged; as `write_raw`, but faster."""
+        if not cdrs:
+            return
+        if self._splits:
+            for cdr, log_time_ns in zip(cdrs, log_times_ns):
+                self.write_raw(topic, cdr, log_time_ns)
+            return
+        channel_id = self._prepare(topic, log_times_ns[0])
+        try:
+            self._mcap.add_messages(channel_id, log_times_ns, cdrs)  # type: ignore[union-attr]
+        except struct.error:
+            raise self._bad_time(topic, min(log_times_ns)) from None
+        except OSError as error:
+            raise InputError(f"{self.path}: cannot be written ({error.strerror})") from error
+
+    def write(
+        self,
+        topic: str,
+        fields: Mapping[str, Any],
+        log_time_ns: int | None = None,
+        publish_time_ns: int | None = None,
+        message_type: str | None = None,
+    ) -> None:
+        """Write one message given as plain data: nested mappings, sequences, arrays; left-out fields are zero.
+
+        `{"header": {"stamp": 1_700_000_000_000_000_000}, "value": 69.3}` for a moisture reading: a stamp may be an int
+        in ns. log_time_ns None takes the header stamp. Raises InputError for fields that do not fit the type.
+        """
+        name = self.add_topic(topic, message_type)
+        if log_time_ns is None:
+            stamp = fields.get("header", {}).get("stamp")
+            if isinstance(stamp, Mapping):
+                stamp = int(stamp.get("sec", 0)) * 1_000_000_000 + int(stamp.get("nanosec", 0))
+            log_time_ns = time.time_ns() if stamp is None else int(stamp)
+        cdr = encode(self._channels[name].type, fields)
+        self.write_raw(name, cdr, log_time_ns, publish_time_ns)
+
+    def attach(self, name: str, data: bytes, media_type: str = "application/octet-stream") -> None:
+        """Attach a file, such as the plate calibration, to every file of the bag."""
+        self._attachments.append((name, data, media_type))
+        self._add_attachment(name, data, media_type)
+
+    def _add_attachment(self, name: str, data: bytes, media_type: str) -> None:
+        assert self._mcap is not None
+        now = time.time_ns()
+        self._mcap.add_attachment(now, now, name, media_type, data)
+
+    def flush(self, to_disk: bool = False) -> None:
+        """End the chunk in progress and hand everything to the operating system: it survives a kill.
+
+        `to_disk` also waits until the disk has it, so that it survives a power cut.
+        """
+        if self._mcap is not None and self._stream is not None:
+            self._mcap.flush()
+            if to_disk:
+                os.fdatasync(self._stream.fileno())
+
+    @property
+    def files(self) -> list[str]:
+        """Names of the files begun so far."""
+        return [file.name for file in self._files]
+
+    @property
+    def size(self) -> int:
+        """Bytes handed to the file now being written."""
+        return self._stream.tell() if self._stream is not None else 0
+
+    @property
+    def message_count(self) -> int:
+        """Messages written so far."""
+        return sum(self.counts.values())
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Messages written so far by topic."""
+        running = self._mcap.counts if self._mcap is not None else {}
+        return {
+            c.name: c.count + running.get(self._ids.get(c.name, 0), 0)
+            for c in list(self._channels.values())
+        }
+
+    # End -------------------------------------------------------------------------------------
+
+    def close(self) -> WrittenBag:
+        """Finish the files, write metadata.yaml, give the folder its name."""
+        if not self.closed:
+            self._close_file()
+            self._write_metadata()
+            if self._folder != self.path:
+                self._refuse_existing()
+                if self.path.is_dir():
+                    self.path.rmdir()
+                os.replace(self._folder, self.path)
+            self.closed = True
+        return WrittenBag(self.path, [f.name for f in self._files], self.message_count, self.counts)
+
+    def abandon(self) -> None:
+        """Stop without finishing; removes the folder unless it was written in place."""
+        if self.closed:
+            return
+        self.closed = True
+        if self._mcap is not None:
+            self._account(self._mcap)
+        if self._stream is not None:
+            self._stream.close()
+        self._mcap = self._stream = None
+        if self._folder != self.path:
+            shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _write_metadata(self) -> None:
+        with atomic_write(self._folder / "metadata.yaml") as file:
+            yaml.safe_dump(self._metadata(), file, sort_keys=False)
+
+    def _metadata(self) -> dict[str, Any]:
+        def span(files: list[_File]) -> tuple[int, int]:
+            starts = [f.start_ns for f in files if f.start_ns is not None]
+            ends = [f.end_ns for f in files if f.end_ns is not None]
+            return (min(starts), max(ends) - min(starts)) if starts else (0, 0)
+
+        start, duration = span(self._files)
+        files = []
+        for written in self._files:
+            file_start, file_duration = span([written])
+            files.append(
+                {
+                    "path": written.name,
+                    "starting_time": {"nanoseconds_since_epoch": file_start},
+                    "duration": {"nanoseconds": file_duration},
+                    "message_count": written.count,
+                }
+            )
+        topics = [
+            {
+                "topic_metadata": {
+                    "name": c.name,
+                    "type": c.type,
+                    "serialization_format": "cdr",
+                    "offered_qos_profiles": c.qos,
+                    "type_description_hash": c.hash,
+                },
+                "message_count": c.count,
+            }
+            for c in self._channels.values()
+        ]
+        return {
+            "rosbag2_bagfile_information": {
+                "version": METADATA_VERSION,
+                "storage_identifier": "mcap",
+                "duration": {"nanoseconds": duration},
+                "starting_time": {"nanoseconds_since_epoch": start},
+                "message_count": self.message_count,
+                "topics_with_message_count": topics,
+                # MCAP compresses its own chunks; rosbag2 must not look for compressed files.
+                "compression_format": "",
+                "compression_mode": "",
+                "relative_file_paths": [f.name for f in self._files],
+                "files": files,
+                "custom_data": {f"{SESSION_RECORD}.{k}": v for k, v in self.metadata.items()},
+                "ros_distro": "jazzy",
+            }
+        }
+
+    def __enter__(self) -> BagWriter:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if kind is None:
+            self.close()
+        else:
+            self.abandon()

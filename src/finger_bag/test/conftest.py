@@ -1,0 +1,24 @@
+"""Fixtures of the bag tests; `session_bags` beside this file makes the bags."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from session_bags import write_session
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Callable[..., Path]:
+    """Function that writes a session bag into the test's folder."""
+
+    def write(name: str = "session", **options: Any) -> Path:
+        return write_session(tmp_path / name, **options)
+
+    return write

@@ -1,0 +1,211 @@
+"""The command: exit codes, one sentence for bad input, tables and JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from session_bags import START, press_force, wrench
+
+from finger_bag.cli import command, parser
+from finger_bag.reader import open_bag
+from finger_bag.trials import TrialSettings, load_trials
+from finger_bag.validate import force_image_lag, validate
+from finger_bag.writer import BagWriter
+from finger_common.cli import run
+
+COMMANDS = ("info", "validate", "process", "play", "record", "recover", "anonymise")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_shows_an_example(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        parser().parse_args([name, "--help"])
+    assert caught.value.code == 0
+    assert f"example:\n  finger-bag {name}" in capsys.readouterr().out
+
+
+def bad_calls(folder: Path) -> list[list[str]]:
+    (folder / "text.mcap").write_text("no bag\n")
+    (folder / "void").mkdir()
+    (folder / "map.yaml").write_text("topics: {wrench: {topic: /x, unit: mm}}\n")
+    with BagWriter(folder / "good") as bag:
+        bag.write("wrench", wrench(START, 0.0))
+    good = str(folder / "good")
+    return [
+        ["info", str(folder / "nowhere")],
+        ["validate", str(folder / "text.mcap")],
+        ["validate", str(folder / "void")],
+        ["validate", good, "--mapping", str(folder / "map.yaml")],
+        ["validate", good, "--mapping", str(folder / "no.yaml")],
+        ["process", str(folder / "text.mcap"), "-o", str(folder / "out")],
+        ["process", good, "-o", good],
+        ["process", good, "-o", str(folder / "out"), "--set", "onset=1"],
+        ["process", good, "-o", str(folder / "out"), "--set", "onset_force=lots"],
+        ["process", good, "-o", str(folder / "out"), "--csv", str(folder / "x.xls")],
+        ["process", good, "-o", str(folder / "out"), "--images", "yes"],
+        ["process", good, "-o", str(folder / "out"), "--parameters", str(folder / "map.yaml")],
+        ["play", good, "--topics", "moisture"],
+        ["play", good, "--rate", "0"],
+        ["recover", str(folder / "text.mcap")],
+        ["anonymise", good, "-o", good],
+        ["record", "-o", good],
+    ]
+
+
+@pytest.mark.parametrize("number", range(17))
+def test_bad_input_is_one_sentence_and_exit_code_2(
+    number: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    calls = bad_calls(tmp_path)
+    assert len(calls) == 17
+    before = {p.name for p in tmp_path.iterdir()}
+    assert run(command, calls[number]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1 and "Traceback" not in err and len(err) < 500
+    assert {p.name for p in tmp_path.iterdir()} == before
+
+
+def checks(path: Path, **settings: object) -> dict[str, tuple[str, str]]:
+    found = validate(path, TrialSettings(**settings))  # type: ignore[arg-type]
+    return {c.name: (c.status, c.detail) for c in found.checks}
+
+
+def test_good_bag_is_fit_for_use(
+    session: Callable[..., Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = session(trials=2, tremor=0.01)
+    assert run(command, ["validate", str(path)]) == 0
+    out = capsys.readouterr().out
+    assert "fit for use" in out and "2 natural" in out
+    assert run(command, ["validate", str(path), "--json"]) == 0
+    (data,) = json.loads(capsys.readouterr().out)
+    assert data["fit_for_use"] and all(c["status"] in ("ok", "note") for c in data["checks"])
+
+
+def damaged(path: Path, kind: str) -> Path:
+    """A session with one thing wrong."""
+    rng = np.random.default_rng(0)
+    with BagWriter(path, {"condition": "dry"}) as bag:
+        for number in range(6):
+            if kind != "no moisture":
+                phase = 1 if number < 3 else 2
+                stamp = START + (0 if number < 3 else 8) * 10**9 + number * 10**8
+                bag.write("moisture", {"header": {"stamp": stamp}, "value": 50.0, "phase": phase})
+        for i in range(1750):
+            t = i * 0.002
+            stamp = START + 10**9 + round(t * 1e9)
+            force = float(press_force(np.array(t))) + 0.002 * rng.standard_normal()
+            log = stamp + 500_000
+            shown = force
+            if kind == "short of target":
+                shown = force * 0.7
+            elif kind == "saturated":
+                shown = min(force, 1.4)
+            elif kind == "wrong sign":
+                shown = -force
+            elif kind == "gap" and 500 <= i < 550:
+                continue
+            elif kind == "slow" and i % 8:
+                continue
+            elif kind == "stamps back" and i == 900:
+                stamp -= 50_000_000
+            elif kind == "clock":
+                log = stamp + 5_000_000_000
+            if kind != "no wrench":
+                bag.write("wrench", wrench(stamp, shown), log)
+            if i % 50 == 0 and kind != "no area":
+                late = 0.3 if kind == "late images" else 0.0
+                area = 4e-5 * max(float(press_force(np.array(t - late))), 0.0) ** 0.7
+                fields = {"header": {"stamp": stamp}, "gross_area": area, "flags": 0}
+                bag.write("contact_area", fields, log)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("kind", "check"),
+    [
+        ("no wrench", "topics"),
+        ("no area", "topics"),
+        ("no moisture", "moisture"),
+        ("short of target", "target force"),
+        ("saturated", "saturation"),
+        ("wrong sign", "trials"),
+        ("gap", "gaps in wrench"),
+        ("slow", "rate of wrench"),
+        ("stamps back", "stamp order of wrench"),
+        ("clock", "log time of wrench"),
+        ("late images", "sync of force and image"),
+    ],
+)
+def test_each_fault_fails_its_check(
+    kind: str, check: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sound = checks(damaged(tmp_path / "sound", "nothing"))
+    assert all(status != "fail" for status, _ in sound.values()), sound
+    path = damaged(tmp_path / "bag", kind)
+    assert checks(path)[check][0] == "fail"
+    assert run(command, ["validate", str(path)]) == 1
+
+
+def test_lag_between_force_and_image_is_measured(session: Callable[..., Path]) -> None:
+    (trial,) = load_trials(session(trials=1))
+    for lag in (-0.2, 0.0, 0.1, 0.25):
+        from dataclasses import replace
+
+        shifted = replace(trial, area_stamp_ns=trial.area_stamp_ns + round(lag * 1e9))
+        assert force_image_lag(shifted) == pytest.approx(lag, abs=0.015)
+
+
+def test_info_tells_topics_times_and_metadata(
+    session: Callable[..., Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = session(trials=1)
+    assert run(command, ["info", str(path), "--json"]) == 0
+    (data,) = json.loads(capsys.readouterr().out)
+    assert data["topics"]["/finger/wrench"] == {
+        "type": "geometry_msgs/msg/WrenchStamped",
+        "count": 1750,
+    }
+    assert data["metadata"]["subject"] == "S01" and data["complete"]
+    assert run(command, ["info", str(path)]) == 0
+    assert "/finger/contact_area" in capsys.readouterr().out
+
+
+def test_anonymise_drops_images_and_keeps_areas_hulls_and_metadata(
+    session: Callable[..., Path], tmp_path: Path
+) -> None:
+    path = tmp_path / "bag"
+    with BagWriter(path, {"subject": "S01"}) as bag:
+        bag.attach("plate_calibration.yaml", b"a: 1")
+        bag.attach("print.png", b"\x89PNG")
+        bag.write("image_raw", {"data": b"PRINTPIXELS"}, START)
+        bag.write("image_raw/compressed", {"data": b"PRINTPIXELS"}, START)
+        image = {"data": b"PRINTPIXELS"}
+        bag.write("contact_image", image, START, message_type="sensor_msgs/msg/Image")
+        # Under the name of a known topic, and on one that nothing is known of.
+        bag.write("/other/wrench", image, START, message_type="sensor_msgs/msg/Image")
+        bag.write("/anything", {"data": "PRINTPIXELS"}, START, message_type="std_msgs/msg/String")
+        bag.write("contact_area", {"gross_area": 1e-4, "hull": [{"x": 1.0}]}, START)
+    assert run(command, ["anonymise", str(path), "-o", str(tmp_path / "out")]) == 0
+    with open_bag(tmp_path / "out") as reader:
+        (kept,) = reader.messages()
+        assert kept.message.hull[0].x == 1.0
+        assert reader.info.attachments == ["plate_calibration.yaml"]
+        assert reader.info.metadata.subject == "S01"
+    assert not any(b"PRINTPIXELS" in f.read_bytes() for f in (tmp_path / "out").iterdir())
+
+
+def test_several_bags_are_processed_into_a_folder(
+    session: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bags = [session(name, trials=1) for name in ("a", "b")]
+    out = tmp_path / "out"
+    assert run(command, ["process", *map(str, bags), "-o", str(out), "--jobs", "2"]) == 0
+    assert "3500 contact states" in capsys.readouterr().out
+    for name in ("a", "b"):
+        with open_bag(out / name) as reader:
+            assert reader.info.topics["/finger/contact_state"].count == 1750

@@ -1,0 +1,284 @@
+"""Processing gives what the core gives sample by sample, and what a live node published."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from session_bags import START, wrench
+
+from finger_bag.contact_states import serialize
+from finger_bag.definitions import encode
+from finger_bag.process import ProcessOptions, process
+from finger_bag.reader import open_bag
+from finger_bag.writer import BagWriter
+from finger_common.errors import InputError
+from finger_model.estimator import ContactEstimator, EstimateBlock
+from finger_model.messages import (
+    area_of,
+    contact_state_fields,
+    event_fields,
+    moisture_of,
+    wrench_of,
+)
+from finger_model.reduced import ReducedModel
+from finger_model.settings import EstimatorSettings
+
+STATE = "finger_msgs/msg/ContactState"
+
+
+def column(blocks: list[EstimateBlock], name: str) -> np.ndarray:
+    """One field over all blocks."""
+    return np.concatenate([b.column(name) for b in blocks])
+
+
+def sample_by_sample(path: Path, lead_ns: int = 100_000_000) -> tuple[np.ndarray, np.ndarray]:
+    """Estimates as a live node makes them: inputs in the order of log time, one wrench at a time.
+
+    Values (n, 14) and whole numbers (n, 4). Areas are handed over `lead_ns` early: they arrive before their
+    fusion time in these bags.
+    """
+    estimator = ContactEstimator(ReducedModel.load())
+    rows, whole = [], []
+    with open_bag(path) as reader:
+        messages = list(reader.messages())
+    for item in messages:
+        if item.topic == "/finger/contact_area":
+            estimator.add_area(*area_of(item.message))
+        elif item.topic == "/finger/moisture":
+            estimator.add_moisture(*moisture_of(item.message))
+        elif item.topic == "/finger/wrench":
+            for e in estimator.add_wrench(*wrench_of(item.message)):
+                rows.append(e[:14])
+                whole.append((e.stamp_ns, e.flags, e.in_contact, e.onset_ns))
+    return np.array(rows), np.array(whole)
+
+
+def test_processing_equals_the_estimator_fed_sample_by_sample(
+    session: Callable[..., Path], tmp_path: Path
+) -> None:
+    path = session(trials=2)
+    blocks: list[EstimateBlock] = []
+    result = process(path, tmp_path / "out", on_block=blocks.append)
+    values = np.concatenate([b.values for b in blocks])
+    whole = np.concatenate([b.whole for b in blocks])
+    expected_values, expected_whole = sample_by_sample(path)
+    assert np.array_equal(values, expected_values, equal_nan=True)
+    assert np.array_equal(whole, expected_whole)
+    assert result.states == 3500 and result.problems == [] and not result.replayed
+    # Areas were fused: the estimate differs from the model alone.
+    area, model = column(blocks, "area"), column(blocks, "model_area")
+    assert np.any(area != model)
+
+
+def test_bag_written_holds_the_estimates_and_the_originals(
+    session: Callable[..., Path], tmp_path: Path
+) -> None:
+    path = session(trials=1, images=True)
+    before = (path / "session_0.mcap").read_bytes()
+    blocks: list[EstimateBlock] = []
+    process(path, tmp_path / "out", on_block=blocks.append)
+    assert (path / "session_0.mcap").read_bytes() == before
+    with open_bag(path) as source, open_bag(tmp_path / "out") as made:
+        assert made.all_problems() == []
+        theirs = {(m.topic, m.log_time_ns, m.raw) for m in source.messages()}
+        copied = {(m.topic, m.log_time_ns, m.raw) for m in made.messages()}
+        assert {t for t, _, _ in theirs - copied} == {"/finger/image_raw"}
+        assert {t for t, _, _ in copied - theirs} == {
+            "/finger/contact_state",
+            "/finger/model_events",
+        }
+        states = [m.message for m in made.messages(["/finger/contact_state"])]
+        logs = [m.log_time_ns for m in made.messages(["/finger/contact_state"])]
+        wrenches = [m.log_time_ns for m in source.messages(["/finger/wrench"])]
+        assert logs == wrenches
+        assert made.info.metadata.extra["processed_from"] == "session"
+        assert made.info.metadata.subject == "S01"
+    assert [s.area for s in states] == column(blocks, "area").tolist()
+    assert states[0].header.frame_id == "force_sensor"
+    process(path, tmp_path / "with_images", ProcessOptions(keep_images=True))
+    with open_bag(tmp_path / "with_images") as made:
+        assert made.info.topics["/finger/image_raw"].count == 35
+
+
+def test_serialized_states_equal_those_encoded_one_by_one() -> None:
+    estimator = ContactEstimator(ReducedModel.load())
+    estimator.add_moisture(START - 10**9, 50.0)
+    estimator.add_moisture(START + 10**8, 80.0)  # another parameter set midway
+    stamps = START + np.arange(300) * 2_000_000
+    forces = np.zeros((300, 3))
+    forces[:, 2] = -np.linspace(0, 1, 300)
+    forces[7, 2] = np.nan
+    block = estimator.add_wrenches(stamps, forces)
+    for frame_id in ("", "f", "force_sensor", "a frame"):
+        for cdr, estimate in zip(serialize(block, frame_id), block):
+            fields = contact_state_fields(estimate)
+            fields["header"]["frame_id"] = frame_id
+            assert cdr == encode(STATE, fields)
+
+
+def live_recording(path: Path) -> list[bytes]:
+    """A bag as the recorder makes it beside a live model node: inputs, events, and what was published.
+
+    With a late area, a change of settings and a reset on the way. Gives the published states.
+    """
+    estimator = ContactEstimator(ReducedModel.load(), None, EstimatorSettings(drift_sd=0.05))
+    published = []
+    sequence = 0
+    with BagWriter(path) as bag:
+
+        def tell(event: object, log: int) -> None:
+            nonlocal sequence
+            fields = event_fields(event, sequence)  # type: ignore[arg-type]
+            sequence += 1
+            seconds, nanoseconds = fields.pop("stamp")
+            fields["header"] = {"stamp": {"sec": seconds, "nanosec": nanoseconds}}
+            bag.write("model_events", fields, log)
+
+        tell(estimator.start_event(START), START)
+        for i in range(6000):
+            stamp = START + i * 2_000_000
+            log = stamp + 300_000
+            if i == 1200:
+                settings = EstimatorSettings(drift_sd=0.1, onset_force=0.06)
+                tell(estimator.change_settings(settings, "asked"), log)
+            if i == 3100:
+                tell(estimator.reset("asked"), log)
+            force = max(0.0, 1.2 * float(np.sin(i / 400)))
+            message = wrench(stamp, force)
+            bag.write("wrench", message, log)
+            vector = message["wrench"]["force"]
+            values = (vector["x"], vector["y"], vector["z"])
+            for estimate in estimator.add_wrench(stamp, values):
+                fields = contact_state_fields(estimate)
+                fields["header"]["frame_id"] = "force_sensor"
+                published.append(encode(STATE, fields))
+                bag.write_raw("contact_state", published[-1], log + 200_000)
+            if i % 50 == 0:
+                # Every seventh frame takes 150 ms: beyond the fusion delay of 100 ms.
+                delay = 150_000_000 if i % 350 == 0 else 20_000_000
+                image_stamp = stamp - delay
+                area = (image_stamp, 38e-6 * force**0.7, 1e-6, 0 if force > 0.05 else 1)
+                fields = {
+                    "header": {"stamp": area[0]},
+                    "gross_area": area[1],
+                    "area_stddev": area[2],
+                    "flags": area[3],
+                }
+                bag.write("contact_area", fields, log + 400_000)
+                if not estimator.add_area(*area):
+                    tell(estimator.note_late(areas=[area[0]]), log + 500_000)
+    assert estimator.counters["late_areas"] > 10
+    return published
+
+
+def test_processing_a_recording_gives_what_the_live_node_published_bit_for_bit(
+    tmp_path: Path,
+) -> None:
+    published = live_recording(tmp_path / "live")
+    result = process(tmp_path / "live", tmp_path / "out")
+    assert result.replayed
+    with open_bag(tmp_path / "out") as reader:
+        again = [m.raw for m in reader.messages(["/finger/contact_state"])]
+    assert again == published
+    # Other settings than recorded give something else.
+    process(tmp_path / "live", tmp_path / "other", ProcessOptions(settings={"fuse_area": False}))
+    with open_bag(tmp_path / "other") as reader:
+        assert [m.raw for m in reader.messages(["/finger/contact_state"])] != published
+
+
+def test_processing_again_is_the_same_whatever_the_blocks(
+    session: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = session(trials=1)
+    process(path, tmp_path / "a")
+    monkeypatch.setattr("finger_bag.process.BLOCK", 37)
+    process(path, tmp_path / "b")
+
+    def states(name: str) -> list[bytes]:
+        with open_bag(tmp_path / name) as reader:
+            return [m.raw for m in reader.messages(["/finger/contact_state"])]
+
+    assert states("a") == states("b")
+
+
+def test_areas_from_images_are_those_of_the_segmenter(
+    session: Callable[..., Path], tmp_path: Path
+) -> None:
+    from finger_bag.image_areas import grey_image
+    from finger_vision.calibration import PlateCalibration
+    from finger_vision.contact import ContactSegmenter
+
+    path = session(trials=1, images=True)
+    with pytest.raises(InputError, match=r"plate_calibration.yaml.*--area-per-pixel"):
+        process(path, tmp_path / "out", ProcessOptions(images=True))
+    assert not (tmp_path / "out").exists()
+    options = ProcessOptions(images=True, area_per_pixel=0.04e-6)
+    result = process(path, tmp_path / "out", options)
+    assert result.areas == 35
+    segmenter = ContactSegmenter(calibration=PlateCalibration.from_area_per_pixel(0.04e-6))
+    with open_bag(path) as source, open_bag(tmp_path / "out") as made:
+        expected = [
+            segmenter.process(grey_image(m.message)) for m in source.messages(["/finger/image_raw"])
+        ]
+        found = [m.message for m in made.messages(["/finger/contact_area"])]
+    assert [a.gross_area for a in found] == [e.gross_area for e in expected]
+    assert [a.flags for a in found] == [int(e.flags) for e in expected]
+    for area, measurement in zip(found, expected):
+        hull = np.array([[p.x, p.y] for p in area.hull]).reshape(-1, 2)
+        assert np.allclose(hull, measurement.hull, atol=1e-9)
+
+
+def test_exports_hold_the_estimates(session: Callable[..., Path], tmp_path: Path) -> None:
+    path = session(trials=1)
+    blocks: list[EstimateBlock] = []
+    process(path, None, ProcessOptions(table=str(tmp_path / "x.csv")), on_block=blocks.append)
+    lines = (tmp_path / "x.csv").read_text().splitlines()
+    header = "time_s,force_n,area_mm2,radius_mm,indentation_mm,peak_pressure_kpa,"
+    assert lines[0].startswith(header)
+    row = dict(zip(lines[0].split(","), lines[1001].split(",")))
+    assert float(row["time_s"]) == pytest.approx(2.0)
+    assert float(row["area_mm2"]) == pytest.approx(column(blocks, "area")[1000] * 1e6, rel=1e-9)
+    assert len(lines) == 1751
+    parquet = pytest.importorskip("pyarrow.parquet")
+    process(path, None, ProcessOptions(table=str(tmp_path / "x.parquet")))
+    table = parquet.read_table(tmp_path / "x.parquet")
+    assert table.column_names == lines[0].split(",")
+    assert np.array_equal(table["area_mm2"].to_numpy(), column(blocks, "area") * 1e6)
+
+
+def test_memory_does_not_grow_with_the_bag(tmp_path: Path) -> None:
+    """Wrenches and inputs that wait span two seconds of log time, whatever the length."""
+    from finger_bag import process as module
+
+    raw = encode("geometry_msgs/msg/WrenchStamped", wrench(START, 1.0))
+    with BagWriter(tmp_path / "bag") as bag:
+        for i in range(20_000):
+            stamp = START + i * 2_000_000
+            patched = bytearray(raw)
+            patched[4:8] = (stamp // 10**9).to_bytes(4, "little")
+            patched[8:12] = (stamp % 10**9).to_bytes(4, "little")
+            bag.write_raw("wrench", bytes(patched), stamp)
+    waiting = []
+    original = module._Run._estimate
+
+    def watch(self: module._Run, items: list) -> None:
+        waiting.append(len(self.wrenches) + len(items))
+        original(self, items)
+
+    module._Run._estimate = watch  # type: ignore[method-assign]
+    try:
+        assert process(tmp_path / "bag", None).states == 20_000
+    finally:
+        module._Run._estimate = original  # type: ignore[method-assign]
+    assert max(waiting) < 3 * 500
+
+
+def test_a_bag_of_a_failed_run_is_not_left_behind(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.write("contact_area", {"header": {"stamp": START}})
+    with pytest.raises(InputError, match="'wrench'"):
+        process(tmp_path / "bag", tmp_path / "out")
+    assert {p.name for p in tmp_path.iterdir()} == {"bag"}

@@ -1,0 +1,305 @@
+"""Recording: nothing lost, nothing re-encoded, whole files whatever happens."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from session_bags import START, image, wrench
+
+from finger_bag.definitions import encode
+from finger_bag.image_areas import grey_image
+from finger_bag.reader import open_bag
+from finger_bag.recorder import Recorder, RecorderSettings, Serialized, StampGaps
+from finger_bag.recover import recover
+from finger_common.errors import InputError
+
+WRENCH = "geometry_msgs/msg/WrenchStamped"
+IMAGE = "sensor_msgs/msg/Image"
+
+
+def serialized(number: int, topic: str = "/finger/wrench") -> Serialized:
+    stamp = START + number * 2_000_000
+    cdr = encode(WRENCH, wrench(stamp, 0.001 * number))
+    return Serialized(topic, WRENCH, cdr, stamp + 1000, stamp + 500, number)
+
+
+def test_everything_put_in_is_in_the_bag_as_it_came(tmp_path: Path) -> None:
+    recorder = Recorder()
+    messages = [serialized(i) for i in range(5000)]
+    recorder.start(tmp_path / "bag", {"subject": "S01"}, {"/finger/wrench": WRENCH})
+    assert all(recorder.put(m) for m in messages)
+    result = recorder.stop()
+    assert (result.message_count, result.lost_count, result.error) == (5000, 0, "")
+    with open_bag(tmp_path / "bag") as reader:
+        found = [(m.raw, m.log_time_ns, m.publish_time_ns, m.sequence) for m in reader.messages()]
+        assert reader.info.complete and reader.info.metadata.subject == "S01"
+    assert found == [(m.cdr, m.log_time_ns, m.publish_time_ns, m.sequence) for m in messages]
+
+
+def test_recordings_follow_one_another_and_refuse_to_overlap(tmp_path: Path) -> None:
+    recorder = Recorder()
+    with pytest.raises(InputError, match="nothing is being recorded"):
+        recorder.stop()
+    for name in ("a", "b"):
+        recorder.start(tmp_path / name)
+        with pytest.raises(InputError, match="stop it first"):
+            recorder.start(tmp_path / "c")
+        recorder.put(serialized(1))
+        assert recorder.stop().message_count == 1
+    with pytest.raises(InputError, match="exists already"):
+        recorder.start(tmp_path / "a")
+    assert not recorder.put(serialized(2))
+
+
+def test_what_does_not_fit_the_queue_is_counted_as_lost(tmp_path: Path) -> None:
+    recorder = Recorder(RecorderSettings(queue_limit=0))
+    recorder.start(tmp_path / "bag")
+    taken = sum(recorder.put(serialized(i)) for i in range(2000))
+    result = recorder.stop()
+    assert result.message_count == taken
+    assert result.lost == {"/finger/wrench": 2000 - taken} and taken < 2000
+
+
+def test_images_are_stored_as_png_without_loss(tmp_path: Path) -> None:
+    recorder = Recorder(RecorderSettings(png=True))
+    recorder.start(tmp_path / "bag")
+    pixels = np.random.default_rng(0).integers(0, 255, (48, 64), dtype=np.uint8)
+    fields = {**image(START, 0.0), "height": 48, "width": 64, "step": 64, "data": pixels.ravel()}
+    recorder.put(Serialized("/finger/image_raw", IMAGE, encode(IMAGE, fields), START, START))
+    colour = {**fields, "encoding": "bgr8", "step": 192, "data": np.zeros(9216, np.uint8)}
+    recorder.put(Serialized("/finger/image_raw", IMAGE, encode(IMAGE, colour), START, START))
+    assert recorder.stop().lost_count == 0
+    with open_bag(tmp_path / "bag") as reader:
+        png, raw = sorted(reader.messages(), key=lambda m: m.topic, reverse=True)
+        assert png.topic == "/finger/image_raw/compressed" and "png" in png.message.format
+        assert png.message.header.frame_id == "camera"
+        assert np.array_equal(grey_image(png.message), pixels)
+        # What is not mono8 is kept as it came.
+        assert raw.topic == "/finger/image_raw" and raw.message.encoding == "bgr8"
+
+
+def test_nearly_full_disk_closes_the_bag_cleanly(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    errors: list[str] = []
+    recorder = Recorder(RecorderSettings(flush_interval=0.05, minimum_free=1 << 20), errors.append)
+    recorder.start(tmp_path / "bag")
+    recorder.put(serialized(0))
+    usage = type("Usage", (), {"free": 1000})
+    monkeypatch.setattr("finger_bag.recorder.shutil.disk_usage", lambda path: usage)
+    end = time.monotonic() + 20
+    number = 1
+    while not errors and time.monotonic() < end:
+        recorder.put(serialized(number))
+        number += 1
+        time.sleep(0.002)
+    assert "nearly full" in errors[0] and not recorder.recording
+    assert not recorder.put(serialized(number))
+    result = recorder.stop()
+    assert "nearly full" in result.error and result.lost_count >= 1
+    with open_bag(tmp_path / "bag") as reader:
+        assert reader.info.complete
+        assert len(list(reader.messages())) == result.message_count > 0
+    with pytest.raises(InputError, match="make room"):
+        recorder.start(tmp_path / "other")
+
+
+LIMITED = """
+import resource, signal, sys
+sys.path.insert(0, sys.argv[2])
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
+import time
+from finger_bag.recorder import Recorder, RecorderSettings
+from test_recorder import serialized
+recorder = Recorder(RecorderSettings(flush_interval=0.05, compression="none"))
+recorder.start(sys.argv[1])
+for i in range(20000):
+    recorder.put(serialized(i))
+    if i % 200 == 0:
+        time.sleep(0.01)
+print(recorder.stop().error)
+"""
+
+
+def test_failing_disk_leaves_whole_records(tmp_path: Path) -> None:
+    """A file that cannot grow beyond 200 kB stands for a disk that is full at once."""
+    out = subprocess.run(
+        [sys.executable, "-c", LIMITED, str(tmp_path / "bag"), str(Path(__file__).parent)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert "recording ended" in out.stdout, out.stderr
+    made = recover(tmp_path / "bag", tmp_path / "whole")
+    assert made.message_count > 500
+    assert made.problems and all("not closed" in p or "metadata" in p for p in made.problems)
+
+
+KILLED = """
+import sys, time
+sys.path.insert(0, sys.argv[2])
+from finger_bag.recorder import Recorder
+from finger_bag.definitions import encode
+from finger_bag.recorder import Serialized
+from session_bags import image
+from test_recorder import serialized, IMAGE
+recorder = Recorder()
+recorder.start(sys.argv[1])
+number, begin = 0, time.monotonic()
+picture = encode(IMAGE, image(0, 1e-4, 512))
+while True:
+    while number < (time.monotonic() - begin) * 500:
+        recorder.put(serialized(number)._replace(log_time_ns=time.time_ns()))
+        if number % 50 == 0:
+            now = time.time_ns()
+            recorder.put(Serialized("/finger/image_raw", IMAGE, picture, now, now))
+        number += 1
+        if number == 200:
+            print("running", flush=True)
+    time.sleep(0.001)
+"""
+
+
+@pytest.mark.parametrize("after", [0.3, 0.77, 1.41])
+def test_killed_recorder_loses_at_most_a_second_and_the_bag_is_made_whole(
+    tmp_path: Path, after: float
+) -> None:
+    path = tmp_path / "bag"
+    child = subprocess.Popen(
+        [sys.executable, "-c", KILLED, str(path), str(Path(__file__).parent)],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert child.stdout is not None and child.stdout.readline() == "running\n"
+        time.sleep(after)
+    finally:
+        killed_ns = time.time_ns()
+        os.kill(child.pid, signal.SIGKILL)
+        child.wait()
+    with open_bag(path) as reader:
+        assert not reader.info.complete
+        before = list(reader.messages(["/finger/wrench"]))
+        assert any("not closed" in p for p in reader.all_problems())
+    made = recover(path, tmp_path / "whole")
+    with open_bag(tmp_path / "whole") as reader:
+        assert reader.info.complete and reader.all_problems() == []
+        found = list(reader.messages(["/finger/wrench"]))
+        assert reader.info.topics["/finger/wrench"].count == len(found) == len(before)
+    numbers = [m.sequence for m in found]
+    assert numbers == list(range(len(numbers)))  # nothing but the end is missing
+    assert killed_ns - found[-1].log_time_ns < 1_000_000_000
+    assert made.message_count > len(found)
+    # The repaired bag opens in an independent reader.
+    from rosbags.highlevel import AnyReader
+
+    with AnyReader([tmp_path / "whole"]) as theirs:
+        assert theirs.message_count == made.message_count == len(list(theirs.messages()))
+
+
+def test_gaps_between_stamps_are_counted() -> None:
+    gaps = StampGaps()
+    rng = np.random.default_rng(3)
+    present = [i for i in range(5000) if i not in (10, 700, 701, 702, 3000)]
+    for i in present:
+        gaps.add(i * 2_000_000 + int(rng.normal(0, 100_000)))
+    gaps.add(present[-1] * 2_000_000)
+    assert gaps.missing == 5
+
+
+def spin_until(condition: Callable[[], Any], node: Any, seconds: float = 20.0) -> Any:
+    import rclpy
+
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        found = condition()
+        if found:
+            return found
+        rclpy.spin_once(node, timeout_sec=0.02)
+    raise AssertionError("nothing came in time")
+
+
+def test_recorder_node_records_serialized_messages_over_dds(
+    ros_domain: int, process: Any, tmp_path: Path
+) -> None:
+    rclpy = pytest.importorskip("rclpy")
+    from finger_msgs.msg import Trial
+    from finger_msgs.srv import Record
+    from geometry_msgs.msg import WrenchStamped
+    from rclpy.qos import qos_profile_sensor_data
+    from rclpy.serialization import serialize_message
+
+    from finger_common.node import LATCHED_QOS
+
+    calibration = tmp_path / "plate.yaml"
+    calibration.write_text("a: 1\n")
+    child = process(
+        "-m",
+        "finger_bag.recorder_node",
+        "--ros-args",
+        "-r",
+        "__ns:=/finger",
+        "-p",
+        f"folder:={tmp_path}",
+        "-p",
+        f"calibration_file:={calibration}",
+    )
+    rclpy.init(domain_id=ros_domain)
+    try:
+        node = rclpy.create_node("rig", namespace="/finger")
+        forces = node.create_publisher(WrenchStamped, "wrench", qos_profile_sensor_data)
+        trials = node.create_publisher(Trial, "trial", LATCHED_QOS)
+        trials.publish(Trial(subject="S07", phase=3))
+        client = node.create_client(Record, "recorder/record")
+        spin_until(client.service_is_ready, node)
+        spin_until(lambda: forces.get_subscription_count() == 1, node)
+        spin_until(lambda: trials.get_subscription_count() == 1, node)
+
+        def ask(command: int, path: str = "") -> Any:
+            request = Record.Request(command=command, path=path)
+            request.trial.subject, request.trial.condition = "S07", "dry"
+            future = client.call_async(request)
+            spin_until(future.done, node)
+            return future.result()
+
+        assert not ask(0).success
+        # The latched trial came before the recording: it is repeated at its head.
+        time.sleep(0.3)
+        started = ask(1, "one")
+        assert started.success and started.path == str(tmp_path / "one")
+        assert "stop it first" in ask(1, "two").message
+        sent = []
+        for i in range(300):
+            message = WrenchStamped()
+            message.header.stamp.sec, message.header.stamp.nanosec = 100 + i // 500, i * 2_000_000
+            message.wrench.force.z = -0.01 * i
+            sent.append(serialize_message(message))
+            forces.publish(message)
+            time.sleep(0.001)
+        time.sleep(0.5)
+        stopped = ask(0)
+        assert stopped.success and stopped.lost_count == 0, stopped.message
+        assert ask(1, "one").success is False  # never overwritten
+        node.destroy_node()
+    finally:
+        rclpy.shutdown()
+    child.send_signal(signal.SIGINT)
+    assert child.wait(10) == 0, child.output.read_text()
+    with open_bag(tmp_path / "one") as reader:
+        found = list(reader.messages(["/finger/wrench"]))
+        assert [m.message.wrench.force.z for m in found] == [-0.01 * i for i in range(300)]
+        assert stopped.message_count == len(list(reader.messages()))
+        assert [m.message.subject for m in reader.messages(["/finger/trial"])] == ["S07"]
+        metadata = reader.info.metadata
+        assert (metadata.subject, metadata.condition) == ("S07", "dry")
+        assert reader.attachment("plate_calibration.yaml") == b"a: 1\n"

@@ -1,0 +1,185 @@
+"""Replay: original spacing, rate, loop, offset, pause and step; over DDS, nodes estimate as they did live."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from session_bags import START, wrench
+
+from finger_bag.reader import open_bag
+from finger_bag.replay import Replay
+from finger_bag.writer import BagWriter
+from finger_common.errors import InputError
+
+
+class Clock:
+    """Time that passes only while somebody sleeps."""
+
+    def __init__(self) -> None:
+        self.time = 100.0
+
+    def now(self) -> float:
+        return self.time
+
+    def sleep(self, seconds: float) -> None:
+        self.time += seconds
+
+
+@pytest.fixture
+def short(tmp_path: Path) -> Path:
+    """100 wrenches, 10 ms apart, with a pause of 1 s in the middle."""
+    with BagWriter(tmp_path / "short") as bag:
+        for i in range(100):
+            bag.write("wrench", wrench(START + i * 10_000_000 + (i >= 50) * 10**9, 0.1))
+    return tmp_path / "short"
+
+
+def played(path: Path, **options: Any) -> tuple[list[float], list[Any]]:
+    clock = Clock()
+    times, items = [], []
+    with open_bag(path) as reader:
+        for item in Replay(reader, now=clock.now, sleep=clock.sleep, **options):
+            times.append(clock.time)
+            items.append(item)
+    return times, items
+
+
+@pytest.mark.parametrize("rate", [0.5, 1.0, 4.0])
+def test_spacing_is_that_of_the_bag(short: Path, rate: float) -> None:
+    times, items = played(short, rate=rate)
+    logs = np.array([i.message.log_time_ns for i in items])
+    assert np.allclose(np.diff(times), np.diff(logs) * 1e-9 / rate, atol=1e-6)
+    assert len(items) == 100 and max(i.lateness for i in items) < 1e-6
+
+
+def test_offset_and_duration_cut(short: Path) -> None:
+    _, items = played(short, offset=0.2, duration=0.1)
+    logs = [(i.message.log_time_ns - START) / 1e9 for i in items]
+    assert logs == pytest.approx(np.arange(0.2, 0.3, 0.01))
+    with pytest.raises(InputError, match="nothing to play"):
+        played(short, offset=100.0)
+    with pytest.raises(InputError, match="rate"):
+        played(short, rate=0.0)
+
+
+def test_loop_goes_on_without_time_running_back(short: Path) -> None:
+    clock = Clock()
+    found = []
+    with open_bag(short) as reader:
+        replay = Replay(reader, loop=True, offset=0.2, now=clock.now, sleep=clock.sleep)
+        for item in replay:
+            found.append(item.bag_time_ns)
+            if len(found) == 250:
+                replay.stop()
+    assert np.all(np.diff(found) > 0)
+    assert item.loop == 3
+    rounds = np.array(found[80:160]) - np.array(found[:80])
+    assert np.all(rounds == rounds[0])
+
+
+def test_pause_holds_and_step_gives_one(short: Path) -> None:
+    given: list[int] = []
+    with open_bag(short) as reader:
+        replay = Replay(reader, rate=1000.0)
+        replay.pause(True)
+        thread = threading.Thread(target=lambda: given.extend(1 for _ in replay), daemon=True)
+        thread.start()
+        time.sleep(0.2)
+        assert not given
+        for number in range(1, 4):
+            replay.step()
+            end = time.monotonic() + 10
+            while len(given) < number and time.monotonic() < end:
+                time.sleep(0.005)
+            time.sleep(0.05)
+            assert len(given) == number
+        assert replay.pause() is False
+        thread.join(10)
+    assert len(given) == 100
+
+
+def test_lateness_of_a_slow_reader_is_reported(short: Path) -> None:
+    clock = Clock()
+    with open_bag(short) as reader:
+        replay = Replay(reader, now=clock.now, sleep=clock.sleep)
+        for _ in replay:
+            clock.time += 0.02  # the reader needs twice the spacing
+        timing = replay.timing.summary()
+    assert timing["messages"] == 100
+    assert timing["max_ms"] == pytest.approx(500, abs=25)
+
+
+def test_clock_is_told_the_time_of_the_bag(short: Path) -> None:
+    told: list[int] = []
+    clock = Clock()
+    with open_bag(short) as reader:
+        replay = Replay(reader, on_time=told.append, tick=0.01, now=clock.now, sleep=clock.sleep)
+        for _ in replay:
+            pass
+    assert np.all(np.diff(told) >= 0)
+    assert told[0] == START and told[-1] == START + 99 * 10_000_000 + 10**9
+    assert np.diff(told).max() <= 10_000_001  # also within the pause of a second
+
+
+def test_model_node_in_the_time_of_the_bag_estimates_as_offline(
+    ros_domain: int, process: Any, tmp_path: Path, session: Callable[..., Path]
+) -> None:
+    """`finger-bag play --clock` and `finger-bag record` around the real model node."""
+    pytest.importorskip("rclpy")
+    from finger_msgs.msg import ContactState
+
+    path = session(trials=1)
+    model = process(
+        "-m", "finger_model.model_node", "--ros-args", "-r", "__ns:=/finger", "-p",
+        "use_sim_time:=true", "-p", "qos_reliability:=reliable", "-p", "qos_depth:=5000",
+        # However busy this machine is, areas come in time.
+        "-p", "fusion_delay:=1.0",
+    )  # fmt: skip
+    import rclpy
+    from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+    rclpy.init(domain_id=ros_domain)
+    states: list[Any] = []
+    try:
+        node = rclpy.create_node("observer")
+        node.create_subscription(
+            ContactState,
+            "/finger/contact_state",
+            states.append,
+            QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE),
+        )
+        publishers = lambda: node.count_publishers("/finger/contact_state")  # noqa: E731
+        end = time.monotonic() + 60
+        while not publishers() and time.monotonic() < end:
+            rclpy.spin_once(node, timeout_sec=0.1)
+        player = process(
+            "-m", "finger_bag.cli", "play", str(path), "--clock", "--wait", "2", "--duration", "7.9",
+            "--reliability", "reliable", "--topics", "wrench", "contact_area", "moisture",
+        )  # fmt: skip
+        end = time.monotonic() + 120
+        while len(states) < 1750 and time.monotonic() < end:
+            rclpy.spin_once(node, timeout_sec=0.1)
+        node.destroy_node()
+    finally:
+        rclpy.shutdown()
+    assert player.wait(30) == 0, player.output.read_text()
+    assert "late by" in player.output.read_text()
+    assert model.poll() is None
+    from finger_bag.process import ProcessOptions
+    from finger_bag.process import process as run_offline
+
+    options = ProcessOptions(settings={"fusion_delay": 1.0})
+    run_offline(path, tmp_path / "offline", options)
+    with open_bag(tmp_path / "offline") as reader:
+        expected = [m.message for m in reader.messages(["/finger/contact_state"])]
+    assert len(states) == len(expected) == 1750
+    for state, offline in zip(states, expected):
+        assert state.header.stamp.nanosec == offline.header.stamp.nanosec
+        assert (state.area, state.flags) == (offline.area, offline.flags)
+        assert state.indentation == offline.indentation

@@ -1,0 +1,214 @@
+"""Bags become trials: windows, normal force, areas, moisture, exclusions with reasons."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from session_bags import AREA_PER_FORCE, START, press_force, wrench, write_session
+
+from finger_bag.bulk import stamps_and_wrenches
+from finger_bag.definitions import encode
+from finger_bag.mapping import TopicMapping
+from finger_bag.trials import TrialSettings, load_trials, normal_and_lateral, presses
+from finger_bag.writer import BagWriter
+from finger_common.errors import InputError
+
+
+@pytest.mark.parametrize("messages", [True, False], ids=["trial messages", "force alone"])
+def test_trials_are_found_with_force_areas_and_moisture(
+    session: Callable[..., Path], messages: bool
+) -> None:
+    found = load_trials(session(trials=3, messages=messages))
+    assert [t.index for t in found] == [0, 1, 2]
+    assert found.exclusions == [] and found.problems == []
+    for index, trial in enumerate(found):
+        assert (trial.subject, trial.condition, trial.session) == ("S01", "natural", "one")
+        assert trial.target_force == 1.35
+        time = (trial.stamp_ns - START) * 1e-9 - 20 * index - 4
+        assert np.allclose(trial.force, press_force(time), atol=1e-12)
+        assert np.allclose(trial.lateral_force, 0.1 * trial.force, atol=1e-12)
+        # Onset at 0.05 N of a ramp of 1.5 N/s that starts at 0.5 s; half a second is kept before.
+        assert (trial.onset_ns - START) * 1e-9 - 20 * index - 4.5 == pytest.approx(0.034, abs=1e-3)
+        assert time[0] == pytest.approx(0.034, abs=2e-3)
+        area_time = (trial.area_stamp_ns - START) * 1e-9 - 20 * index - 4
+        assert np.allclose(trial.area, AREA_PER_FORCE * press_force(area_time), atol=1e-12)
+        assert np.allclose(trial.real_area, 0.4 * trial.area)
+        assert np.all(np.diff(trial.stamp_ns) == 2_000_000)
+        assert trial.moisture_before == [60.0, 61.0, 62.0]
+        assert trial.moisture_after == [70.0, 71.0, 72.0]
+        assert trial.moisture == 66.0
+
+
+def test_failed_redone_and_touching_presses_are_excluded_with_reasons(tmp_path: Path) -> None:
+    path = tmp_path / "bag"
+    with BagWriter(path, {"condition": "dry"}) as bag:
+        for attempt, (phase, note) in enumerate([(7, "slipped"), (6, ""), (6, "")]):
+            begin = START + attempt * 10_000_000_000
+            trial = {"session": "s", "condition": "dry", "index": 4, "attempt": attempt}
+            bag.write("trial", {"header": {"stamp": begin}, "phase": 3, **trial})
+            for t in np.arange(0, 3.5, 0.002):
+                stamp = begin + round(t * 1e9)
+                force = float(press_force(np.array(t)))
+                bag.write("wrench", wrench(stamp, force))
+                if round(t * 500) % 50 == 0:
+                    fields = {"header": {"stamp": stamp}, "gross_area": AREA_PER_FORCE * force}
+                    bag.write("contact_area", fields)
+            end = {"header": {"stamp": begin + 4_000_000_000}, "phase": phase, "note": note}
+            bag.write("trial", {**end, **trial})
+    found = load_trials(path)
+    assert [t.attempt for t in found] == [2]
+    reasons = [e.reason for e in found.exclusions]
+    assert reasons == ["marked as failed: slipped", "attempt 1, done again"]
+
+    light = write_session(tmp_path / "light", trials=1, messages=False, peak=0.1)
+    assert load_trials(light).exclusions[0].reason.startswith("a touch of 0.10 N")
+    wrong_sign = load_trials(light, {"normal_axis": "+z"})
+    assert not wrong_sign.trials and "along +z" in wrong_sign.exclusions[0].reason
+
+
+def test_each_trial_in_a_bag_of_its_own_reads_like_one_session(tmp_path: Path) -> None:
+    for condition in ("dry", "moist"):
+        write_session(tmp_path / "study" / condition, trials=1, condition=condition)
+    found = load_trials(tmp_path / "study")
+    assert found.conditions == ["dry", "moist"] and len(found.of("moist")) == 1
+
+
+def test_presses_have_hysteresis_and_merge_what_chatters() -> None:
+    force = np.array([0, 0.04, 0.06, 0.04, 0.031, 0.02, 0.06, 1, 0.0, 0, 0, 0, 0.2, 0.2])
+    stamp = np.arange(len(force)) * 10_000_000
+    assert presses(stamp, force, merge_gap=0.0) == [(2, 5), (6, 8), (12, 14)]
+    assert presses(stamp, force, merge_gap=0.025) == [(2, 8), (12, 14)]
+    assert presses(stamp, np.zeros_like(force)) == []
+
+
+@pytest.mark.parametrize("axis", ["+x", "-x", "+y", "-y", "+z", "-z"])
+def test_normal_axis(axis: str) -> None:
+    force = np.array([[1.0, 2.0, 3.0]])
+    normal, lateral = normal_and_lateral(force, axis)
+    value = force[0, "xyz".index(axis[1])]
+    assert normal[0] == (value if axis[0] == "+" else -value)
+    assert lateral[0] ** 2 + value**2 == pytest.approx(14.0)
+
+
+@pytest.mark.parametrize("big_endian", [False, True])
+@pytest.mark.parametrize("frame", ["", "a", "abcd", "force_sensor_with_a_long_name"])
+def test_bulk_decoding_equals_one_by_one(frame: str, big_endian: bool) -> None:
+    from finger_bag.definitions import decoder, typestore
+
+    decode = decoder("geometry_msgs/msg/WrenchStamped")
+    raws = []
+    for i in range(50):
+        fields = wrench(START + i, 0.1 * i, 0.2)
+        fields["header"]["frame_id"] = frame
+        raw = encode("geometry_msgs/msg/WrenchStamped", fields)
+        if big_endian:
+            raw = bytes(
+                typestore().serialize_cdr(
+                    decode(raw), "geometry_msgs/msg/WrenchStamped", little_endian=False
+                )
+            )
+        raws.append(raw)
+    raws[7] = raws[7][:30]
+    stamps, force, torque = stamps_and_wrenches(raws, decode)
+    assert stamps[7] == -1 and np.isnan(force[7]).all()
+    keep = np.arange(50) != 7
+    assert np.array_equal(stamps[keep], START + np.arange(50)[keep])
+    assert np.array_equal(force[keep, 2], -0.1 * np.arange(50)[keep])
+    assert np.all(torque[keep, 0] == 0.001)
+
+
+def test_somebody_elses_bag_is_read_through_a_mapping(tmp_path: Path) -> None:
+    path = tmp_path / "bag"
+    with BagWriter(path, namespace="") as bag:
+        for i in range(1750):
+            stamp = START + i * 2_000_000
+            force = 1000 * float(press_force(np.array(i * 0.002)))  # mN, along +x
+            fields = wrench(stamp, 0.0)
+            fields["wrench"]["force"] = {"x": force}
+            bag.write("/ft/data", fields, message_type="geometry_msgs/msg/WrenchStamped")
+            if i % 50 == 0:
+                area = {"data": force * 0.04}  # mm^2
+                bag.write("/area", area, stamp, message_type="std_msgs/msg/Float64")
+        bag.write("/skin", {"data": 55.0}, START, message_type="std_msgs/msg/Float64")
+    mapping = TopicMapping.from_mapping(
+        {
+            "topics": {
+                "wrench": {"topic": "/ft/data", "unit": "mN"},
+                "contact_area": {
+                    "topic": "/area",
+                    "field": "data",
+                    "unit": "mm2",
+                    "stamp": "log_time",
+                },
+                "moisture": {"topic": "/skin", "field": "data", "stamp": "log_time"},
+            },
+            "normal_axis": "+x",
+            "trial": {"condition": "natural", "target_force": 1.2},
+        }
+    )
+    (trial,) = load_trials(path, TrialSettings(mapping=mapping))
+    assert trial.peak_force == pytest.approx(1.5)
+    assert trial.area.max() == pytest.approx(60e-6)
+    assert (trial.condition, trial.target_force, trial.moisture) == ("natural", 1.2, 55.0)
+
+
+@pytest.mark.parametrize(
+    ("data", "word"),
+    [
+        ({"topic": {}}, "'topic'"),
+        ({"normal_axis": "z"}, "normal_axis"),
+        ({"topics": {"forces": "/x"}}, "'forces'"),
+        ({"topics": {"wrench": {"topic": "/x", "unit": "Pa"}}}, "unit"),
+        ({"topics": {"wrench": {"topic": "/x", "scale": 2}}}, "'scale'"),
+        ({"topics": {"moisture": {"topic": "/x", "stamp": "now"}}}, "stamp"),
+        ({"topics": [1]}, "'topics'"),
+    ],
+)
+def test_bad_mappings_are_refused(data: dict[str, Any], word: str) -> None:
+    with pytest.raises(InputError, match=word):
+        TopicMapping.from_mapping(data)
+
+
+def test_what_is_missing_is_named_with_the_remedy(tmp_path: Path) -> None:
+    def bag(name: str, *topics: str) -> Path:
+        with BagWriter(tmp_path / name) as writer:
+            for topic in topics:
+                writer.write(topic, {"header": {"stamp": START}})
+        return tmp_path / name
+
+    with pytest.raises(InputError, match=r"nowhere.*no such bag"):
+        load_trials(tmp_path / "nowhere")
+    with pytest.raises(InputError, match=r"holds no message"):
+        load_trials(bag("empty"))
+    with pytest.raises(InputError, match=r"'wrench'.*missing.*/finger/wrench_raw.*mapping file"):
+        load_trials(bag("raw", "wrench_raw", "contact_area"))
+    with pytest.raises(InputError, match=r"'contact_area'.*missing"):
+        load_trials(bag("force", "wrench"))
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(InputError, match=r"no bag in this folder"):
+        load_trials(tmp_path / "folder")
+    (tmp_path / "empty.mcap").write_bytes(b"")
+    with pytest.raises(InputError, match=r"file is empty"):
+        load_trials(tmp_path / "empty.mcap")
+
+
+def test_another_type_under_a_known_name_is_named(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as bag:
+        for i in range(10):
+            stamp = START + i
+            bag.write("contact_area", {"header": {"stamp": stamp}})
+            bag.write("wrench", {"data": 1.0}, stamp, message_type="std_msgs/msg/Float64")
+    with pytest.raises(InputError, match=r"std_msgs/msg/Float64.*WrenchStamped"):
+        load_trials(tmp_path / "bag")
+
+
+def test_two_rigs_in_one_bag_need_a_choice(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as bag:
+        for name in ("/left/wrench", "/right/wrench"):
+            bag.write(name, wrench(START, 1.0))
+    with pytest.raises(InputError, match=r"/left/wrench, /right/wrench"):
+        load_trials(tmp_path / "bag")
