@@ -1,0 +1,208 @@
+"""The top candidates once more, with the full-order model: is what the reduced model says true?"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from finger_common.errors import ModelError
+from finger_model.full_order import FullOrderModel
+from finger_model.geometry import Geometry
+from finger_model.material import Material
+
+from .engine import DaskEngine, Done, LocalEngine
+from .local import LocalFit, refine, whole_box
+from .problem import FitProblem, composite_modulus
+from .trials import FitTrial
+
+STEP = 0.04
+"""s, largest time step of the full-order runs; halving it changes areas by less than 0.1 %."""
+
+AREA_LIMIT = 0.01
+"""RMS difference of full and reduced order over the largest area above which a fit is not final."""
+
+MODULUS_LIMIT = 0.02
+"""Change of the best candidate's composite modulus by re-ranking above which a fit is not final."""
+
+
+@dataclass(frozen=True)
+class FullOrderCheck:
+    """Top candidates by both models.
+
+    parameters (C, 4); reduced_costs, full_costs (C,): J in m⁴, the reduced one with the problem's correction; areas (C, n): full-order areas (m²) at the frames;
+    rms_difference: of the best candidate's areas by both models, uncorrected, over the largest area; best: index of the candidate that full
+    order prefers; modulus_change: relative change of composite E that re-ranking makes; final: both are small.
+    """
+
+    parameters: np.ndarray
+    reduced_costs: np.ndarray
+    full_costs: np.ndarray
+    areas: np.ndarray
+    rms_difference: float
+    best: int
+    modulus_change: float
+
+    @property
+    def final(self) -> bool:
+        """Whether the fit stands."""
+        return not self.reasons
+
+    @property
+    def reasons(self) -> list[str]:
+        """Why the fit is not final, in words."""
+        out = []
+        if not self.rms_difference <= AREA_LIMIT:
+            out.append(
+                f"full and reduced order differ by {100 * self.rms_difference:.2f} % of the largest "
+                f"area (limit {100 * AREA_LIMIT:g} %)"
+            )
+        if not self.modulus_change <= MODULUS_LIMIT:
+            out.append(
+                f"re-ranking by full order changes composite E by {100 * self.modulus_change:.1f} % "
+                f"(limit {100 * MODULUS_LIMIT:g} %)"
+            )
+        return out
+
+
+@functools.lru_cache(maxsize=4)
+def _model(geometry: Geometry, refinement: float) -> FullOrderModel:
+    return FullOrderModel(geometry, refinement)
+
+
+def full_order_areas(
+    shared: tuple[Geometry, float, Material, Sequence[FitTrial]],
+    item: tuple[tuple[float, ...], int],
+) -> np.ndarray:
+    """Areas (k,) in m² of one trial at its frames; NaN throughout where the finger cannot carry the load."""
+    geometry, refinement, material, trials = shared
+    parameters, index = item
+    trial = trials[index]
+    steps = thinned(trial, STEP)
+    try:
+        history = _model(geometry, refinement).simulate(
+            material.with_vector(np.array(parameters)), trial.time[steps], trial.force[steps]
+        )
+    except ModelError:
+        return np.full(len(trial.frames), np.nan)
+    return history.area[np.searchsorted(steps, trial.frames)]
+
+
+Simulator = Callable[[Any, Any], np.ndarray]
+"""As `full_order_areas`."""
+
+
+def candidate_areas(
+    problem: FitProblem,
+    candidates: np.ndarray,
+    geometry: Geometry,
+    engine: LocalEngine | DaskEngine,
+    material: Material | None = None,
+    refinement: float = 1.0,
+    done: Done | None = None,
+    simulate: Simulator = full_order_areas,
+) -> np.ndarray:
+    """Full-order areas (C, n) in m² of candidates (C, 4) at all frames."""
+    items = [
+        (tuple(map(float, parameters)), index)
+        for parameters in candidates
+        for index in range(len(problem))
+    ]
+    shared = (geometry, refinement, material or Material(), problem.trials)
+    parts = engine.spread(simulate, shared, items, done)
+    number = len(problem)
+    return np.array(
+        [np.concatenate(parts[c * number : (c + 1) * number]) for c in range(len(candidates))]
+    )
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What consulting the full order changed: J (m⁴) of the uncorrected fit, rounds, and the largest relative
+    change of the area at a frame."""
+
+    cost_before: float
+    parameters_before: np.ndarray
+    rounds: int
+    largest_factor: float
+
+
+def correct(
+    problem: FitProblem,
+    best: np.ndarray,
+    geometry: Geometry,
+    engine: LocalEngine | DaskEngine,
+    rounds: int = 2,
+    done: Done | None = None,
+    simulate: Simulator = full_order_areas,
+) -> tuple[LocalFit, Correction]:
+    """Refit with the reduced model's areas corrected to full order around the best parameters (4,).
+
+    Each frame's area is multiplied by the ratio of full to reduced order at the best parameters (manifold mapping:
+    Echeverría and Hemker 2005), the fit polished, and the ratio renewed at the result. The problem keeps the last
+    ratio. Frames of a trial that full order cannot simulate keep the reduced model's area.
+    """
+    before = problem.cost(best)[0]
+    start = best
+    fit = LocalFit(np.log(best), best, float(before), 0)
+    done_rounds = 0
+    while done_rounds < rounds:
+        done_rounds += 1
+        full = candidate_areas(
+            problem, start[None], geometry, engine, done=done, simulate=simulate
+        )[0]
+        raw = problem.raw_areas(start)[0]
+        problem.correction = np.where(np.isfinite(full) & (raw > 0), full / raw, 1.0)
+        fit = refine(problem, whole_box(problem.box), np.log(start))
+        moved = float(np.abs(np.log(fit.parameters / start)).max())
+        start = fit.parameters
+        if moved < 0.02:
+            break
+    return fit, Correction(
+        float(before), best, done_rounds, float(np.abs(problem.correction - 1.0).max())
+    )
+
+
+def thinned(trial: FitTrial, step: float) -> np.ndarray:
+    """Indices into the trial's drive, its frames among them, no further apart than `step` (s) where it allows."""
+    keep = [0]
+    frames = set(trial.frames.tolist())
+    for i in range(1, trial.frames[-1] + 1):
+        ahead = trial.time[i + 1] if i + 1 < len(trial.time) else np.inf
+        if i in frames or ahead - trial.time[keep[-1]] > step * 1.001:
+            keep.append(i)
+    return np.array(keep)
+
+
+def check(
+    problem: FitProblem,
+    candidates: np.ndarray,
+    geometry: Geometry,
+    engine: LocalEngine | DaskEngine,
+    material: Material | None = None,
+    refinement: float = 1.0,
+    done: Done | None = None,
+    simulate: Simulator = full_order_areas,
+) -> FullOrderCheck:
+    """Simulate candidates (C, 4), best first, with the full-order model over all trials."""
+    areas = candidate_areas(
+        problem, candidates, geometry, engine, material, refinement, done, simulate
+    )
+    reduced = problem.raw_areas(candidates)
+    reduced_costs = problem.trial_costs(problem.areas(candidates)).sum(axis=1)
+    full_costs = problem.trial_costs(areas).sum(axis=1)
+    best = int(np.nanargmin(full_costs)) if np.isfinite(full_costs).any() else 0
+    moduli = composite_modulus(candidates)
+    difference = np.sqrt(np.mean((areas[0] - reduced[0]) ** 2)) / areas[0].max()
+    return FullOrderCheck(
+        np.array(candidates),
+        reduced_costs,
+        full_costs,
+        areas,
+        float(difference),
+        best,
+        float(abs(moduli[best] / moduli[0] - 1.0)) if np.isfinite(full_costs).all() else np.nan,
+    )

@@ -1,0 +1,136 @@
+"""A stand-in for the reduced model, and trials made with it, so that a fit's logic is tested by itself.
+
+The stand-in is the hereditary integral of Lee and Radok (1960) for a sphere, stiffened by the epidermis: smooth,
+monotone in every parameter and exact to fit, but no finger.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numba import njit
+
+from finger_fit.options import FitOptions
+from finger_fit.problem import FitProblem
+from finger_fit.trials import prepare_all
+
+TRUTH = np.array([120e3, 25e3, 0.2, 1500e3])
+RATE = 500
+FRAME_PERIOD = 0.1
+
+
+@njit
+def _areas(parameters, time, force):
+    out = np.empty((len(parameters), len(time)))
+    for p in range(len(parameters)):
+        E0, E1, tau, E2 = parameters[p]
+        viscous = 0.0
+        for i in range(len(time)):
+            if i:
+                h = (time[i] - time[i - 1]) / tau
+                mean = -np.expm1(-h) / h
+                viscous *= np.exp(-h)
+                viscous += force[i - 1] * (mean - np.exp(-h)) + force[i] * (1 - mean)
+            cube = 9 * 0.011 / 16 * (force[i] / E0 + viscous / E1)
+            # A stiff skin flattens area over force, so that E2 can be told from E0 and E1.
+            out[p, i] = np.pi * max(cube, 0.0) ** (2 / 3) / (1 + 0.2e-6 * E2 * force[i])
+    return out
+
+
+class HereditaryModel:
+    """`batch` as the reduced model has it."""
+
+    geometry_hash = "stand-in geometry"
+    hash = "stand-in"
+
+    def batch(self, parameters, trials):
+        parameters = np.atleast_2d(parameters)
+        return [_areas(parameters, time, force)[:, rows] for time, force, rows in trials]
+
+
+@dataclass
+class Record:
+    """The fields of a recorded trial."""
+
+    bag: str
+    condition: str
+    index: int
+    stamp_ns: np.ndarray
+    force: np.ndarray
+    area_stamp_ns: np.ndarray
+    area: np.ndarray
+    area_sd: np.ndarray
+    area_flags: np.ndarray
+    moisture_before: list = field(default_factory=lambda: [69.0, 70.0, 71.0])
+    moisture_after: list = field(default_factory=lambda: [70.0, 70.0, 70.0])
+    subject: str = "S01"
+
+
+def make_record(
+    index=0, ramp=1.0, noise=0.0, rng=None, condition="natural", truth=TRUTH, peak=1.5, release=0.3
+) -> Record:
+    """A press to `peak` N at a steady rate, then a release; areas of the stand-in with noise (m²)."""
+    rng = rng or np.random.default_rng(index)
+    length = 0.4 + ramp * peak / 1.35 + release + 0.3
+    time = np.arange(int(length * RATE)) / RATE
+    rising = np.clip((time - 0.4) / ramp * 1.35, 0.0, peak)
+    top = 0.4 + ramp * peak / 1.35
+    force = np.where(time <= top, rising, peak * np.clip(1 - (time - top) / release, 0.0, 1.0))
+    frames = np.arange(int(length / FRAME_PERIOD)) * FRAME_PERIOD + 0.013
+    grid = np.unique(np.concatenate([time, frames]))
+    drive = np.interp(grid, time, force)
+    whole = (grid, drive, np.searchsorted(grid, frames))
+    area = HereditaryModel().batch(truth, [whole])[0][0]
+    area = area + noise * rng.normal(size=len(area)) * (area > 0)
+    offset = 1_700_000_000_000_000_000
+    return Record(
+        f"{condition}_{index:02d}",
+        condition,
+        index,
+        offset + np.round(time * 1e9).astype(np.int64),
+        force,
+        offset + np.round(frames * 1e9).astype(np.int64),
+        np.maximum(area, 0.0),
+        np.full(len(area), 1.5e-6),
+        np.where(area > 0, 0, 1),
+    )
+
+
+def make_problem(
+    noise=0.0, trials=15, options=None, seed=0, truth=TRUTH, model=None, **record
+) -> FitProblem:
+    """Presses of 0.5–2 s, areas by the stand-in."""
+    options = options or FitOptions()
+    rng = np.random.default_rng(seed)
+    ramps = rng.uniform(0.5, 2.0, trials)
+    records = [
+        make_record(i, ramp, noise, rng, truth=truth, **record) for i, ramp in enumerate(ramps)
+    ]
+    prepared, excluded = prepare_all(records, options)
+    assert not excluded
+    return FitProblem(prepared, model or HereditaryModel(), options)
+
+
+@pytest.fixture
+def double() -> SimpleNamespace:
+    """The stand-in and its makers."""
+    return SimpleNamespace(
+        HereditaryModel=HereditaryModel,
+        make_record=make_record,
+        make_problem=make_problem,
+        TRUTH=TRUTH,
+    )
+
+
+@pytest.fixture(scope="module")
+def double_module() -> SimpleNamespace:
+    """As `double`, for fixtures of a module."""
+    return SimpleNamespace(
+        HereditaryModel=HereditaryModel,
+        make_record=make_record,
+        make_problem=make_problem,
+        TRUTH=TRUTH,
+    )

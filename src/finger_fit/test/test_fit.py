@@ -1,0 +1,200 @@
+"""A condition's fit as a whole: results, files, interruption, engines, report."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from finger_common.errors import InputError
+from finger_fit import output
+from finger_fit.engine import DaskEngine
+from finger_fit.fit import FitReport, fit_condition, fit_records
+from finger_fit.options import FitOptions
+from finger_fit.problem import MM4, composite_modulus
+from finger_fit.search import Stopped
+from finger_model.parameter_sets import ParameterSets
+
+QUICK = dict(full_order=False, profiles=False, bootstrap=0, grid=3)
+
+
+@pytest.fixture(scope="module")
+def study(double_module):
+    """Two conditions of six trials each, fitted, with one trial that must be excluded."""
+    make = double_module.make_record
+    records = []
+    for name, truth in (
+        ("dry", [100e3, 43e3, 0.1, 1650e3]),
+        ("natural", [140e3, 22e3, 0.5, 1795e3]),
+    ):
+        for i in range(6):
+            records.append(make(i, 0.5 + 0.25 * i, 1e-6, condition=name, truth=np.array(truth)))
+    records.append(make(6, peak=1.0, condition="dry"))
+    options = FitOptions(full_order=False, bootstrap=12, grid=3, rounds=20, optimizer=["pso", "de"])
+    return fit_records(records, double_module.HereditaryModel(), options)
+
+
+def test_fit_finds_the_truth_without_noise(double) -> None:
+    problem = double.make_problem()
+    fit = fit_condition(problem, FitOptions(**QUICK))
+    assert fit.composite_E == pytest.approx(composite_modulus(double.TRUTH), rel=0.01)
+    assert fit.parameters[3] == pytest.approx(double.TRUTH[3], rel=0.03)
+    assert fit.cost * MM4 < 0.05
+    assert fit.pso.best[1] >= fit.cost, "the swarm's own result is kept apart from the polish"
+    assert fit.polish is not None and fit.polish.evaluations > 0
+
+
+def test_fit_costs_no_more_than_the_truth_and_keeps_the_gap_to_the_power_law(double) -> None:
+    problem = double.make_problem(noise=1.5e-6)
+    fit = fit_condition(problem, FitOptions(**QUICK))
+    at_truth = problem.cost(double.TRUTH)[0]
+    assert fit.cost <= 1.05 * at_truth
+    gap, true_gap = fit.power_law.cost - fit.cost, fit.power_law.cost - at_truth
+    assert abs(gap - true_gap) <= max(0.1 * true_gap, 5 / MM4)
+
+
+def test_fit_is_repeatable_to_the_bit(double) -> None:
+    problem = double.make_problem(noise=1.5e-6, trials=5)
+    options = FitOptions(full_order=False, bootstrap=3, profiles=False, grid=3, rounds=10)
+    first, second = (fit_condition(problem, options) for _ in range(2))
+    np.testing.assert_array_equal(first.parameters, second.parameters)
+    np.testing.assert_array_equal(first.samples, second.samples)
+
+
+def test_top_candidates_are_distinct_and_sorted(study) -> None:
+    for fit in study.fits.values():
+        assert len(fit.top) == 5
+        assert (np.diff(fit.top_costs) >= 0).all()
+        assert fit.top_costs[0] == fit.cost
+        for i in range(5):
+            for j in range(i):
+                assert np.abs(np.log(fit.top[i] / fit.top[j])).max() > 0.02
+
+
+def test_referee_is_reported_with_its_verdict(study) -> None:
+    for fit in study.fits.values():
+        (referee,) = fit.referees
+        assert referee.name == "de"
+        assert referee.agrees == (abs(referee.polished_cost / fit.cost - 1) < 0.02)
+        assert referee.agrees
+
+
+def test_conditions_come_apart_and_the_weak_trial_is_listed(study) -> None:
+    assert list(study.fits) == ["dry", "natural"]
+    assert [len(f.problem) for f in study.fits.values()] == [6, 6]
+    (exclusion,) = study.exclusions
+    assert exclusion.label == "dry_06 trial 6" and "below the target" in exclusion.reason
+
+
+@pytest.mark.parametrize("stop_at", ["grid", "pso", "bootstrap"])
+@pytest.mark.parametrize("signal", [KeyboardInterrupt, Stopped])
+def test_interruption_leaves_the_best_so_far(double, stop_at: str, signal: type) -> None:
+    problem = double.make_problem(noise=1e-6, trials=4)
+    options = FitOptions(full_order=False, profiles=False, bootstrap=5, grid=4, rounds=10)
+
+    def report(condition: str, stage: str, number: int, *_: object) -> None:
+        if stage == stop_at and number == 2:
+            raise signal
+
+    fit = fit_condition(problem, options, report=report)
+    assert fit.status == "interrupted" and fit.reasons
+    assert np.isfinite(fit.cost) and problem.cost(fit.parameters)[0] == pytest.approx(fit.cost)
+    assert len(fit.top) >= 1
+    report_ = FitReport(options, {"natural": fit}, [])
+    assert json.dumps(output._plain(output.fit_dict(report_)))
+
+
+def test_resumed_fit_equals_the_uninterrupted_one(double, tmp_path: Path) -> None:
+    problem = double.make_problem(noise=1e-6, trials=4)
+    options = dict(full_order=False, profiles=False, bootstrap=0, grid=3, rounds=12)
+    whole = fit_condition(problem, FitOptions(**options))
+
+    def stop(condition: str, stage: str, number: int, *_: object) -> None:
+        if stage == "pso" and number == 5:
+            raise KeyboardInterrupt
+
+    cut = fit_condition(problem, FitOptions(**options), folder=tmp_path, report=stop)
+    assert cut.status == "interrupted"
+    rest = fit_condition(problem, FitOptions(resume=True, **options), folder=tmp_path)
+    np.testing.assert_array_equal(rest.pso.candidates, whole.pso.candidates)
+    np.testing.assert_array_equal(rest.parameters, whole.parameters)
+    other = double.make_problem(noise=1e-6, trials=5)
+    with pytest.raises(InputError, match="another search"):
+        fit_condition(other, FitOptions(resume=True, **options), folder=tmp_path)
+
+
+def test_files_hold_what_the_design_says(study, tmp_path: Path) -> None:
+    study.sources = {"geometry_hash": "abc", "reduced_model_hash": "def"}
+    output.write(study, tmp_path)
+    data = json.loads((tmp_path / "fit.json").read_text())
+    for name, fit in study.fits.items():
+        entry = data["conditions"][name]
+        for key in ("E0", "E1", "E2", "tau1", "composite_E", "J", "J_full_order", "J_power_law", "power_law",
+                    "moisture_mean", "moisture_sd", "trials"):  # fmt: skip
+            assert key in entry
+        assert entry["J"] == pytest.approx(fit.cost * 1e12)
+        assert entry["composite_E"] == pytest.approx(1 / (1 / entry["E0"] + 1 / entry["E1"]))
+        assert set(entry["power_law"]) >= {"k", "m"}
+        assert entry["interval_95"]["composite_E"]["low"] < entry["composite_E"]
+
+
+def test_parameter_file_is_what_the_model_node_loads(study, tmp_path: Path) -> None:
+    study.sources = {"geometry_hash": "abc", "reduced_model_hash": "def"}
+    output.write(study, tmp_path)
+    sets = ParameterSets.load(tmp_path / "parameters.yaml")
+    assert (sets.geometry_hash, sets.reduced_model_hash) == ("abc", "def")
+    # Both conditions of the double carry the same moisture; the file keeps both.
+    assert {s.condition for s in sets.sets} == {"dry", "natural"}
+    for entry in sets.sets:
+        np.testing.assert_allclose(entry.parameters, study.fits[entry.condition].parameters)
+        assert entry.moisture == pytest.approx(70.0, abs=0.01)
+        eigenvalues = np.linalg.eigvalsh(np.array(entry.covariance_log))
+        assert eigenvalues.min() > -1e-12 and eigenvalues.max() > 0
+
+
+def test_report_is_one_self_contained_page_with_its_figures_beside_it(
+    study, tmp_path: Path
+) -> None:
+    from finger_fit.report import write_report
+
+    page = write_report(study, tmp_path).read_text()
+    pictures = sorted(p.name for p in (tmp_path / "figures").glob("*.png"))
+    assert page.count("data:image/png;base64,") == len(pictures) >= 8
+    assert not re.search(r"(src|href)\s*=\s*[\"']?(?!data:)(https?:|/|\w+\.(png|css|js))", page)
+    for words in ("dry_06 trial 6", "below the target", "power law", "Provenance", "not checked"):
+        assert words in page
+    assert not re.search(r"\bnan\b", re.sub(r"base64,[^\"]*", "", page))
+
+
+def test_dask_gives_the_local_result_and_survives_a_killed_worker(double) -> None:
+    distributed = pytest.importorskip("distributed")
+    problem = double.make_problem(noise=1e-6, trials=4)
+    options = FitOptions(full_order=False, profiles=False, bootstrap=24, grid=3, rounds=5)
+    local = fit_condition(problem, options)
+    killed = []
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+    ) as cluster:
+        engine = DaskEngine(cluster.scheduler_address)
+
+        def report(condition: str, stage: str, number: int, *_: object) -> None:
+            if stage == "bootstrap" and number == 4 and not killed:
+                worker = next(iter(cluster.workers.values()))
+                killed.append(worker.process.pid)
+                os.kill(worker.process.pid, signal.SIGKILL)
+
+        remote = fit_condition(problem, options, engine=engine, report=report)
+        engine.close()
+    assert killed
+    np.testing.assert_array_equal(remote.samples, local.samples)
+    np.testing.assert_array_equal(remote.parameters, local.parameters)
+
+
+def test_no_scheduler_is_refused_with_the_address() -> None:
+    with pytest.raises(InputError, match=r"tcp://127\.0\.0\.1:1"):
+        DaskEngine("tcp://127.0.0.1:1", timeout=1)

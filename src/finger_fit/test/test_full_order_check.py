@@ -1,0 +1,98 @@
+"""The check of a fit against a better model, with the stand-in as the better one and a biased copy as the reduced."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from finger_fit.engine import LocalEngine
+from finger_fit.full_order_check import check, correct, full_order_areas, thinned
+from finger_fit.local import refine, whole_box
+from finger_fit.options import FitOptions
+from finger_fit.problem import MM4, FitProblem, composite_modulus
+from finger_model.geometry import Geometry
+from finger_model.material import Material
+
+
+@pytest.fixture
+def biased(double):
+    """A problem whose model is wrong by up to 3 %, and what the better model says."""
+    exact = double.make_problem()
+
+    class Biased(double.HereditaryModel):
+        def batch(self, parameters, trials):
+            areas = super().batch(parameters, trials)
+            return [a * (1.0 + 0.03 * np.cos(6.0 * t[1][t[2]])) for a, t in zip(areas, trials)]
+
+    def better(shared, item):
+        trial = shared[3][item[1]]
+        rows = [(trial.time, trial.force, trial.frames)]
+        return double.HereditaryModel().batch(np.array([item[0]]), rows)[0][0]
+
+    return FitProblem(exact.trials, Biased(), exact.options), better
+
+
+class Inline(LocalEngine):
+    spread = LocalEngine.map
+
+
+def test_correction_undoes_the_bias_of_the_reduced_model(biased, double) -> None:
+    problem, better = biased
+    plain = refine(problem, whole_box(problem.box), np.log(double.TRUTH))
+    before = abs(np.log(plain.parameters / double.TRUTH))
+    fit, correction = correct(
+        problem, plain.parameters, Geometry(), Inline(), rounds=4, simulate=better
+    )
+    after = abs(np.log(fit.parameters / double.TRUTH))
+    assert after.max() < 0.02 < before.max()
+    assert fit.cost * MM4 < 0.05 < plain.cost * MM4
+    assert correction.cost_before == pytest.approx(plain.cost)
+    assert 0.02 < correction.largest_factor < 0.05
+
+
+def test_check_measures_the_raw_difference_and_says_what_is_not_final(biased, double) -> None:
+    problem, better = biased
+    fit = refine(problem, whole_box(problem.box), np.log(double.TRUTH))
+    other = fit.parameters * np.array([1.0, 1.1, 1.0, 1.0])
+    found = check(problem, np.array([fit.parameters, other]), Geometry(), Inline(), simulate=better)
+    raw = problem.raw_areas(fit.parameters)[0]
+    expected = np.sqrt(np.mean((found.areas[0] - raw) ** 2)) / found.areas[0].max()
+    assert found.rms_difference == pytest.approx(expected)
+    assert found.rms_difference > 0.01 and not found.final and "differ" in found.reasons[0]
+    problem.correction = found.areas[0] / raw
+    again = check(problem, found.parameters, Geometry(), Inline(), simulate=better)
+    assert again.rms_difference == pytest.approx(found.rms_difference), "of the model itself"
+    assert again.reduced_costs[0] == pytest.approx(again.full_costs[0])
+
+
+def test_re_ranking_that_moves_the_modulus_is_not_final(double) -> None:
+    problem = double.make_problem()
+    first = double.TRUTH * np.array([1.0, 1.05, 1.0, 1.0])
+
+    def better(shared, item):
+        trial = shared[3][item[1]]
+        return double.HereditaryModel().batch(
+            np.array([item[0]]), [(trial.time, trial.force, trial.frames)]
+        )[0][0]
+
+    found = check(problem, np.array([first, double.TRUTH]), Geometry(), Inline(), simulate=better)
+    expected = composite_modulus(double.TRUTH) / composite_modulus(first) - 1
+    assert found.best == 1 and found.modulus_change == pytest.approx(abs(expected))
+    assert any("re-ranking" in reason for reason in found.reasons)
+
+
+def test_thinned_drive_keeps_frames_and_step(double) -> None:
+    trial = double.make_problem(trials=1).trials[0]
+    steps = thinned(trial, 0.04)
+    assert set(trial.frames) <= set(steps)
+    assert steps[0] == 0 and np.diff(trial.time[steps]).max() < 0.05
+    assert len(steps) < 0.75 * len(trial.time)
+
+
+def test_full_order_areas_follow_the_drive_and_a_failure_is_nan(double) -> None:
+    problem = double.make_problem(trials=1, options=FitOptions())
+    shared = (Geometry(), 0.5, Material(), problem.trials)
+    stiff = full_order_areas(shared, ((140e3, 60e3, 0.5, 1795e3), 0))
+    soft = full_order_areas(shared, ((140e3, 22e3, 0.5, 1795e3), 0))
+    assert (soft > stiff).all() and (np.diff(soft) > 0).all()
+    assert len(soft) == len(problem.trials[0].frames)

@@ -1,0 +1,121 @@
+"""Local fits, covariances, profiles and bootstrap tell what the data can."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from finger_fit.identifiability import (
+    bootstrap_sample,
+    covariance,
+    cramer_rao,
+    profile,
+    quantity,
+)
+from finger_fit.local import refine, whole_box, with_composite
+from finger_fit.options import FitOptions
+from finger_fit.problem import MM4, composite_modulus
+
+
+@pytest.fixture(scope="module")
+def fitted(request):
+    from types import SimpleNamespace
+
+    maker = request.getfixturevalue("double_module")
+    problem = maker.make_problem(noise=1.5e-6)
+    fit = refine(problem, whole_box(problem.box), np.log(maker.TRUTH))
+    return SimpleNamespace(
+        problem=problem, fit=fit, found=covariance(problem, fit.parameters), truth=maker.TRUTH
+    )
+
+
+def test_local_fit_returns_the_truth_without_noise(double) -> None:
+    problem = double.make_problem()
+    for start in ([60e3, 50e3, 0.5, 800e3], [150e3, 20e3, 0.02, 2000e3]):
+        fit = refine(problem, whole_box(problem.box), np.log(start))
+        np.testing.assert_allclose(fit.parameters, double.TRUTH, rtol=0.02)
+        assert fit.cost * MM4 < 0.01
+
+
+def test_local_fit_stays_in_the_box_and_lands_on_its_faces(double) -> None:
+    outside = np.array([200e3, 25e3, 0.2, 1500e3])
+    problem = double.make_problem(truth=outside)
+    fit = refine(problem, whole_box(problem.box), np.log([100e3, 40e3, 0.1, 1000e3]))
+    assert fit.parameters[0] == pytest.approx(problem.box[0, 1], rel=1e-12)
+    found = covariance(problem, fit.parameters)
+    assert found.active == {"E0": "high"}
+    assert found.covariance[0, 0] == 0.0 and found.covariance[1, 1] > 0.0
+
+
+def test_composite_coordinates_hold_the_modulus_and_the_box(double) -> None:
+    box = FitOptions().box()
+    for modulus in (12e3, 20e3, 40e3):
+        coordinates = with_composite(box, modulus)
+        u = np.random.default_rng(0).uniform(*coordinates.box.T, (50, 3))
+        points = coordinates.parameters(u)
+        np.testing.assert_allclose(composite_modulus(points), modulus, rtol=1e-9)
+        assert (points >= box[:, 0] * (1 - 1e-9)).all() and (points <= box[:, 1] * (1 + 1e-9)).all()
+    assert with_composite(box, 5e3) is None and with_composite(box, 60e3) is None
+
+
+def test_covariance_agrees_with_the_scatter_of_repeated_fits(double) -> None:
+    wide = ["E0=10e3:900e3", "E1=3e3:300e3", "tau1=0.001:8", "E2=100e3:9000e3"]
+    logs, claimed = [], []
+    for seed in range(24):
+        problem = double.make_problem(noise=1.5e-6, seed=seed, options=FitOptions(bounds=wide))
+        fit = refine(problem, whole_box(problem.box), np.log(double.TRUTH))
+        logs.append(np.log(fit.parameters))
+        claimed.append(np.sqrt(np.diag(covariance(problem, fit.parameters).covariance)))
+    scatter = np.std(logs, axis=0, ddof=1)
+    ratio = np.median(claimed, axis=0) / scatter
+    # 24 fits give a standard deviation to 15 %; the claim errs on the safe side.
+    assert (ratio > 0.7).all() and (ratio < 1.9).all(), ratio
+
+
+def test_no_estimate_beats_the_cramer_rao_bound_by_claim(fitted) -> None:
+    bound = cramer_rao(fitted.problem, fitted.fit.parameters, fitted.found.noise)
+    claimed = np.sqrt(np.diag(fitted.found.covariance))
+    for name, value in zip(("E0", "E1", "tau1", "E2"), claimed):
+        assert value >= 0.99 * bound[name]
+    held = cramer_rao(fitted.problem, fitted.fit.parameters, fitted.found.noise, ("E0", "E1"))
+    assert held["E0"] < bound["E0"], "knowing the others can only help"
+
+
+@pytest.mark.parametrize("name", ["E0", "tau1", "composite_E"])
+def test_profile_is_least_at_the_best_and_brackets_the_truth(fitted, name: str) -> None:
+    p = profile(
+        fitted.problem, name, fitted.fit.parameters, fitted.fit.cost, fitted.found, points=3
+    )
+    assert p.costs.min() == pytest.approx(fitted.fit.cost, rel=1e-3)
+    low, high = p.interval
+    assert low < quantity(name, fitted.fit.parameters) < high
+    assert low <= quantity(name, fitted.truth) <= high
+    # Near the minimum the profile is the parabola the covariance says.
+    assert np.log(high / low) == pytest.approx(2 * 2.14 * _deviation(fitted, name), rel=0.5)
+
+
+def _deviation(fitted, name: str) -> float:
+    if name == "composite_E":
+        return fitted.found.composite_sd
+    index = ("E0", "E1", "tau1", "E2").index(name)
+    return float(np.sqrt(fitted.found.covariance[index, index]))
+
+
+def test_a_parameter_the_data_cannot_tell_is_said_to_be_so(double) -> None:
+    problem = double.make_problem(
+        noise=8e-6, trials=4, truth=np.array([100e3, 25e3, 0.012, 1500e3])
+    )
+    fit = refine(problem, whole_box(problem.box), np.log([100e3, 25e3, 0.012, 1500e3]))
+    found = covariance(problem, fit.parameters)
+    told = profile(problem, "composite_E", fit.parameters, fit.cost, found, points=5)
+    untold = profile(problem, "E0", fit.parameters, fit.cost, found, points=5)
+    assert told.told and not untold.told
+    assert untold.open_low or untold.open_high
+
+
+def test_bootstrap_samples_are_repeatable_and_spread_like_the_covariance(fitted) -> None:
+    best = fitted.fit.parameters
+    samples = np.array([bootstrap_sample(fitted.problem, best, 3, i) for i in range(24)])
+    np.testing.assert_array_equal(samples[5], bootstrap_sample(fitted.problem, best, 3, 5))
+    spread = np.log(composite_modulus(samples)).std(ddof=1)
+    assert 0.4 < spread / fitted.found.composite_sd < 1.7

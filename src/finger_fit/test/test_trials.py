@@ -1,0 +1,192 @@
+"""Which frames count, which trials do not, and how they are grouped."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from finger_common.errors import InputError
+from finger_fit.fit import group_trials
+from finger_fit.options import FitOptions
+from finger_fit.trials import Unfit, moisture_clusters, prepare, prepare_all
+
+
+def test_frames_count_from_onset_to_the_first_at_or_after_the_target(double) -> None:
+    record = double.make_record(ramp=1.0)
+    trial = prepare(record, FitOptions())
+    force = trial.frame_force
+    assert force[0] >= 0.05
+    assert (force[:-1] < 1.35).all() and force[-1] >= 1.35
+    times = (record.area_stamp_ns - record.stamp_ns[0]) * 1e-9
+    onset, target = 0.4 + 0.05 / 1.35, 0.4 + 1.0
+    expected = times[(times >= onset) & (times < target)]
+    assert len(force) == len(expected) + 1
+
+
+def test_window_contact_goes_on_to_lift_off(double) -> None:
+    record = double.make_record(ramp=1.0, release=0.5)
+    loading = prepare(record, FitOptions())
+    contact = prepare(record, FitOptions(window="contact"))
+    assert len(contact.frames) > len(loading.frames)
+    assert contact.frame_force[-1] < 1.0 < contact.frame_force.max()
+    assert contact.frame_force[-1] >= 0.05
+
+
+def test_drive_hits_every_frame_and_keeps_its_step(double) -> None:
+    trial = prepare(double.make_record(), FitOptions(step=0.01))
+    assert trial.force[0] == 0.0 and trial.time[0] == 0.0
+    assert np.diff(trial.time).max() <= 0.01 + 1e-9
+    assert np.diff(trial.time).min() > 0
+    assert np.allclose(np.diff(trial.frame_time), 0.1, atol=1e-6)
+
+
+def test_force_mode_paper_steps_at_frames_only(double) -> None:
+    trial = prepare(double.make_record(), FitOptions(force="paper"))
+    assert len(trial.time) <= len(trial.frames) + 2
+    assert np.median(np.diff(trial.time)) == pytest.approx(0.1, abs=1e-6)
+
+
+def test_tremor_passes_in_mode_full_and_not_in_mode_paper(double) -> None:
+    record = double.make_record(ramp=2.0)
+    time = (record.stamp_ns - record.stamp_ns[0]) * 1e-9
+    pressing = record.force > 0.2
+    tremor = 0.05 * np.sin(2 * np.pi * 9.0 * time) * pressing
+    shaken = replace(record, force=record.force + tremor)
+
+    def ripple(mode: str) -> float:
+        plain = prepare(record, FitOptions(force=mode))
+        rough = prepare(shaken, FitOptions(force=mode))
+        inside = (plain.time > 0.5) & (plain.time < 1.5)
+        instants = plain.time[inside]
+        return float(np.ptp(np.interp(instants, rough.time, rough.force) - plain.force[inside]))
+
+    assert ripple("full") > 0.08
+    assert ripple("paper") < 0.02
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda r: replace(r, force=r.force * 0.8), "below the target"),
+        (lambda r: replace(r, area_flags=r.area_flags | 4), "image border"),
+        (lambda r: replace(r, moisture_before=[], moisture_after=[]), "no moisture"),
+        (
+            lambda r: replace(
+                r,
+                area_stamp_ns=np.delete(r.area_stamp_ns, 8),
+                area=np.delete(r.area, 8),
+                area_sd=np.delete(r.area_sd, 8),
+                area_flags=np.delete(r.area_flags, 8),
+            ),
+            "dropped",
+        ),
+        (
+            lambda r: replace(
+                r,
+                stamp_ns=np.delete(r.stamp_ns, slice(400, 450)),
+                force=np.delete(r.force, slice(400, 450)),
+            ),
+            "samples are missing",
+        ),
+        (
+            lambda r: replace(r, area_stamp_ns=r.area_stamp_ns[:0], area=r.area[:0]),
+            "no contact area",
+        ),
+        (
+            lambda r: replace(r, force=np.where(np.arange(len(r.force)) == 300, np.nan, r.force)),
+            "not finite",
+        ),
+    ],
+)
+def test_unfit_trials_are_excluded_with_the_reason(double, change, words: str) -> None:
+    good, bad = double.make_record(0), change(double.make_record(1))
+    trials, exclusions = prepare_all([good, bad], FitOptions())
+    assert [t.index for t in trials] == [0]
+    assert len(exclusions) == 1 and words in exclusions[0].reason
+    assert exclusions[0].label == "natural_01 trial 1"
+
+
+def test_frames_without_contact_in_the_window_are_dropped_and_counted(double) -> None:
+    record = double.make_record()
+    first = np.flatnonzero(record.area > 0)[0]
+    flags = record.area_flags.copy()
+    flags[first : first + 2] = 1
+    plain = prepare(record, FitOptions())
+    trial = prepare(replace(record, area_flags=flags), FitOptions())
+    assert trial.dropped + len(trial.frames) == len(plain.frames)
+    assert trial.dropped >= 1
+
+
+def test_too_short_a_press_says_so(double) -> None:
+    with pytest.raises(Unfit, match="frames in the contact"):
+        prepare(double.make_record(ramp=0.05), FitOptions())
+
+
+def test_moisture_clusters_find_the_study_groups() -> None:
+    rng = np.random.default_rng(3)
+    truth = np.repeat([0, 1, 2], 15)
+    moisture = rng.normal(np.array([37.56, 69.31, 105.33])[truth], np.array([3.3, 6.5, 4.9])[truth])
+    order = rng.permutation(45)
+    labels = moisture_clusters(moisture[order], 3)
+    np.testing.assert_array_equal(labels, truth[order])
+
+
+def test_moisture_clusters_are_the_exact_optimum() -> None:
+    x = np.random.default_rng(5).uniform(0, 100, 9)
+    labels = moisture_clusters(x, 3)
+
+    def spread(cut_low: int, cut_high: int) -> float:
+        s = np.sort(x)
+        parts = (s[:cut_low], s[cut_low:cut_high], s[cut_high:])
+        return sum(((p - p.mean()) ** 2).sum() for p in parts)
+
+    best = min(spread(i, j) for i in range(1, 8) for j in range(i + 1, 9))
+    found = sum(((x[labels == k] - x[labels == k].mean()) ** 2).sum() for k in range(3))
+    assert found == pytest.approx(best)
+
+
+def test_trials_without_condition_are_grouped_by_moisture(double) -> None:
+    records = []
+    for k, level in enumerate((37.0, 69.0, 105.0)):
+        for i in range(3):
+            record = double.make_record(3 * k + i)
+            records.append(
+                replace(record, condition="", moisture_before=[level + i], moisture_after=[])
+            )
+    trials, _ = prepare_all(records, FitOptions())
+    groups, notes = group_trials(trials, FitOptions())
+    assert list(groups) == ["dry", "natural", "moist"]
+    assert [len(g) for g in groups.values()] == [3, 3, 3]
+    assert "moisture clusters" in notes[0]
+
+
+def test_unknown_condition_is_refused_with_the_known_ones(double) -> None:
+    trials, _ = prepare_all([double.make_record(i) for i in range(3)], FitOptions())
+    with pytest.raises(InputError, match=r"'wet'.*natural"):
+        group_trials(trials, FitOptions(), ["wet"])
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"bounds": ["E0=5:1"]}, "E0=5:1"),
+        ({"bounds": ["E9=1:2"]}, "E0, E1, tau1, E2"),
+        ({"window": "all"}, "loading, contact"),
+        ({"onset_force": 2.0}, "onset_force"),
+        ({"grid": 1}, "2 … 20"),
+    ],
+)
+def test_bad_options_are_refused_with_key_and_remedy(values, words: str) -> None:
+    with pytest.raises(InputError) as error:
+        FitOptions(**values)
+    assert words in str(error.value)
+
+
+def test_options_from_json_name_the_unknown_key() -> None:
+    assert FitOptions.from_json('{"rounds": 7}').rounds == 7
+    with pytest.raises(InputError, match="'round'"):
+        FitOptions.from_json('{"round": 7}')
+    with pytest.raises(InputError, match="JSON"):
+        FitOptions.from_json("[1")
