@@ -1,0 +1,178 @@
+"""The command `finger-rig`: the suite without ros2 launch, and the paper's study in simulation."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from finger_common.cli import Parser, run
+from finger_common.errors import InputError
+from finger_sim.conditions import STUDY
+from finger_sim.rig import RigAddresses
+
+from . import nodes
+from .supervisor import Supervisor
+
+EXAMPLE = """\
+finger-rig up --simulated                     # the whole suite on simulated devices, page at http://127.0.0.1:8080
+finger-rig up --simulated --unattended 3      # three presses per condition without an operator, then end
+finger-rig up --parameters rig.yaml           # real devices, as the file says
+finger-rig study --seed 1 --no-images -o out/study"""
+
+
+def parser() -> argparse.ArgumentParser:
+    """Arguments of the command."""
+    top = Parser(
+        prog="finger-rig",
+        description="Run the finger contact suite, or simulate the paper's study.",
+        example=EXAMPLE,
+    )
+    commands = top.add_subparsers(dest="command", required=True, parser_class=Parser)
+    up = commands.add_parser(
+        "up",
+        help="start the suite as separate processes and keep it running",
+        description=(
+            "Start the nodes of the rig in order, show their output, start again what dies, and end all on "
+            "Ctrl-C."
+        ),
+        example=(
+            "finger-rig up --simulated\n"
+            "finger-rig up --parameters rig.yaml --without moisture\n"
+            "finger-rig up --nodes force model --parameters robot.yaml"
+        ),
+    )
+    up.add_argument("--simulated", action="store_true", help="simulated devices and participant")
+    up.add_argument("--parameters", type=Path, metavar="FILE", help="ROS parameter file (YAML)")
+    up.add_argument(
+        "--namespace", default=nodes.DEFAULT_NAMESPACE, help="of all nodes (default: %(default)s)"
+    )
+    up.add_argument("--nodes", nargs="+", metavar="NODE", help="run only these nodes")
+    up.add_argument("--without", nargs="+", default=[], metavar="NODE", help="leave these out")
+    up.add_argument(
+        "--unattended",
+        type=int,
+        metavar="N",
+        help="with --simulated: run N trials per condition without an operator, then end",
+    )
+    up.add_argument(
+        "--folder",
+        type=Path,
+        default=Path("out/rig"),
+        help="of sessions and of the simulated devices (default: %(default)s)",
+    )
+    up.add_argument("--seed", type=int, default=1, help="of the simulated rig (default: 1)")
+    study = commands.add_parser(
+        "study",
+        help="simulate the paper's study into bags",
+        description="Simulate the 45 trials of the paper (3 conditions × 15) into bags.",
+        example="finger-rig study --seed 1 -o out/study\nfinger-rig study --no-images -o out/study",
+    )
+    study.add_argument("--seed", type=int, default=1, help="of the whole study (default: 1)")
+    study.add_argument(
+        "--no-images",
+        action="store_true",
+        help="write areas with measurement noise in place of images; the bags say so",
+    )
+    study.add_argument("--misfit", action="store_true", help="with a finger unlike the model")
+    study.add_argument(
+        "--trials", type=int, default=15, help="per condition (default: 15, as in the paper)"
+    )
+    study.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
+    return top
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Entry point with the conventions of all commands."""
+    return run(_main, argv)
+
+
+def _main(argv: Sequence[str] | None) -> int:
+    arguments = parser().parse_args(argv)
+    return _up(arguments) if arguments.command == "up" else _study(arguments)
+
+
+# finger-rig up -------------------------------------------------------------------------------
+
+
+def chosen_nodes(arguments: argparse.Namespace) -> list[str]:
+    """Names of the nodes to run; raises InputError for contradictory options."""
+    if arguments.unattended is not None:
+        if not arguments.simulated:
+            raise InputError("--unattended needs --simulated: nobody would press a real sensor")
+        if arguments.unattended < 1:
+            raise InputError(f"--unattended is {arguments.unattended}, at least 1 trial is needed")
+    if arguments.nodes:
+        names = list(arguments.nodes)
+    else:
+        names = [*nodes.RIG, "protocol", "unattended" if arguments.unattended else "page"]
+        if arguments.simulated:
+            names.insert(0, "simulated_rig")
+    for name in arguments.without:
+        if name not in names:
+            raise InputError(f"--without {name}: it would not run anyway; leave the option out")
+        names.remove(name)
+    return names
+
+
+def _up(arguments: argparse.Namespace) -> int:
+    folder = arguments.folder.absolute()
+    names = chosen_nodes(arguments)
+    parameters: dict[str, dict[str, Any]] = {}
+    if "protocol" in names:
+        parameters["protocol"] = {"output": str(folder / "sessions")}
+    if arguments.simulated:
+        addresses = RigAddresses.private(folder / "devices")
+        for name, values in nodes.simulated_devices(addresses).items():
+            parameters[name] = {**parameters.get(name, {}), **values}
+        parameters["simulated_rig"]["seed"] = arguments.seed
+    if arguments.unattended:
+        parameters["protocol"].update(
+            subject="SIM1",
+            conditions=list(STUDY),
+            trials=arguments.unattended,
+            confirm_preparation=False,
+        )
+        parameters["simulated_rig"]["upcoming"] = [
+            f"{name}:{arguments.unattended}" for name in STUDY
+        ]
+    entries = nodes.select(names, {k: v for k, v in parameters.items() if k in names})
+    specs = nodes.process_specs(entries, folder, arguments.namespace, arguments.parameters)
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    supervisor = Supervisor(specs)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        supervisor.start()
+        while not supervisor.wait(1.0):
+            pass
+    except KeyboardInterrupt:
+        print("finger-rig: ending all nodes", flush=True)
+    finally:
+        # A second Ctrl-C must not leave processes behind.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        supervisor.stop()
+    return supervisor.exit_code
+
+
+# finger-rig study ----------------------------------------------------------------------------
+
+
+def _study(arguments: argparse.Namespace) -> int:
+    from finger_sim.study import simulate_study
+
+    simulate_study(
+        arguments.seed,
+        arguments.output,
+        images=not arguments.no_images,
+        misfit=arguments.misfit,
+        trials=arguments.trials,
+    )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,288 @@
+"""The main job: a simulated study in small, from the finger on the plate to fitted parameters and a report.
+
+    python -m finger_bringup.demo -o out/demo
+
+Nine processes run over DDS: the simulated rig, drivers, vision, model, recorder and protocol. Each press is recorded
+into a bag; while the next one is recorded, the bag is replayed through vision and model from its images alone. Then
+the parameters are fitted and laid beside the truth that the simulated finger was made of.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import shutil
+import sys
+import time
+from collections.abc import Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from finger_common.cli import Parser, run
+from finger_common.errors import FingerError, InputError
+
+from .demo_session import SessionRequest, record_session
+
+STAGES = {
+    "prepare": "preparing the finger",
+    "moisture_before": "moisture readings before",
+    "clear": "waiting for an empty frame",
+    "press": "press",
+    "lift": "lift",
+    "moisture_after": "moisture readings after",
+    "closing": "closing the bag",
+    "done": "done",
+    "failed": "to be redone",
+    "finished": "finished",
+}
+
+
+@dataclass
+class DemoResult:
+    """What the demo made. seconds: by stage."""
+
+    folder: Path
+    bags: list[Path] = field(default_factory=list)
+    processed: list[Path] = field(default_factory=list)
+    fit: Any = None
+    repeated: int = 0
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+def parser() -> Parser:
+    """Arguments."""
+    arguments = Parser(
+        prog="python -m finger_bringup.demo",
+        description="Record, replay and fit a small simulated study; write report.html.",
+        example="python -m finger_bringup.demo -o out/demo",
+    )
+    arguments.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
+    arguments.add_argument(
+        "--trials", type=int, default=3, help="presses per condition, at least 3 (default: 3)"
+    )
+    arguments.add_argument(
+        "--conditions",
+        nargs="+",
+        default=["dry", "natural", "moist"],
+        help="moisture conditions (default: all three)",
+    )
+    arguments.add_argument("--seed", type=int, default=1, help="of the simulated study")
+    arguments.add_argument(
+        "--quick", action="store_true", help="leave out profiles and the full-order check"
+    )
+    return arguments
+
+
+# Replay --------------------------------------------------------------------------------------
+
+
+def _begin_worker() -> None:
+    import signal
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Live nodes come first.
+    os.nice(10)
+
+
+def replay(bag: Path, target: Path) -> tuple[Path, int, int, float]:
+    """Measure a bag's images anew and run the model over it; gives target, states, areas and seconds taken."""
+    from finger_bag.process import ProcessOptions, process
+
+    start = time.monotonic()
+    result = process(bag, target, ProcessOptions(images=True))
+    return target, result.states, result.areas, time.monotonic() - start
+
+
+# The job -------------------------------------------------------------------------------------
+
+
+class Demo:
+    """Carries the job out and shows how far it is."""
+
+    def __init__(self, arguments: Any, console: Console) -> None:
+        if arguments.trials < 3:
+            raise InputError(
+                f"--trials is {arguments.trials}; a fit needs at least 3 presses per condition"
+            )
+        folder = arguments.output.absolute()
+        self.console = console
+        self.arguments = arguments
+        self.result = DemoResult(folder)
+        self.request = SessionRequest(
+            folder, tuple(arguments.conditions), arguments.trials, arguments.seed
+        )
+        self.progress = Progress(
+            TextColumn("{task.description:<34}"),
+            BarColumn(28),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TextColumn("{task.fields[state]}", style="dim"),
+            console=console,
+        )
+        self.clock = time.monotonic()
+
+    def say(self, text: str) -> None:
+        """A line that stays."""
+        self.progress.print(f"[dim]{time.monotonic() - self.clock:5.0f} s[/dim]  {text}")
+
+    def go(self) -> DemoResult:
+        """All stages; raises FingerError."""
+        clear_folder(self.result.folder)
+        with self.progress:
+            self._record_and_replay()
+            self._fit()
+            self._write()
+        self.result.seconds["all"] = time.monotonic() - self.clock
+        return self.result
+
+    def _record_and_replay(self) -> None:
+        number = len(self.request.conditions) * self.request.trials
+        recording = self.progress.add_task("record presses", total=number, state="starting")
+        replaying = self.progress.add_task("replay bags", total=number, state="", start=False)
+        target = self.result.folder / "processed"
+        start = time.monotonic()
+        context = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(1, mp_context=context, initializer=_begin_worker) as pool:
+            futures: list[Future[Any]] = []
+
+            def replay_next(bag: Path) -> None:
+                self.result.bags.append(bag)
+                if not futures:
+                    self.progress.start_task(replaying)
+                future = pool.submit(replay, bag, target / bag.name)
+                future.add_done_callback(lambda _: self.progress.advance(replaying))
+                futures.append(future)
+
+            # Closed whatever happens, so that no process outlives the demo.
+            with contextlib.closing(record_session(self.request)) as events:
+                for event in events:
+                    self._on_event(event, recording, replay_next)
+            self.result.seconds["record"] = time.monotonic() - start
+            self.progress.update(recording, state="")
+            for future in futures:
+                path, states, areas, _ = future.result()
+                self.result.processed.append(path)
+                self.progress.update(replaying, state=f"{states} states, {areas} areas")
+        self.progress.update(replaying, state="")
+        self.result.seconds["replay after recording"] = (
+            time.monotonic() - start - self.result.seconds["record"]
+        )
+        self.say(f"{len(self.result.processed)} bags replayed through vision and model")
+
+    def _on_event(self, event: dict[str, Any], recording: Any, replay_next: Any) -> None:
+        kind = event["event"]
+        if kind == "started":
+            self.say(f"{event['processes']} processes started")
+            self.progress.update(recording, state="waiting for all topics")
+        elif kind == "ready":
+            self.say("force, images, areas and contact states flow")
+        elif kind == "tared":
+            self.say(event["message"])
+        elif kind == "step":
+            stage = event["waiting_for"] or STAGES.get(event["step"], event["step"])
+            self.progress.update(
+                recording, state=f"{event['condition']} {event['index'] + 1}: {stage}"
+            )
+        elif kind == "trial" and event["verdict"] == "done":
+            self.progress.advance(recording)
+            self.say(
+                f"press {event['index'] + 1} ({event['condition']}): "
+                f"{event['time_to_target']:.2f} s to the cue, {event['peak_force']:.2f} N at most"
+            )
+            name = f"{event['index']:03d}_{event['condition']}_{event['attempts'] - 1}"
+            replay_next(self.request.bags / name)
+        elif kind == "trial" and event["reason"]:
+            self.result.repeated += 1
+            self.say(
+                f"press {event['index'] + 1} ({event['condition']}) is redone: {event['reason']}"
+            )
+
+    def _fit(self) -> None:
+        from finger_fit.fit import fit_bags
+        from finger_fit.options import FitOptions
+
+        quick = self.arguments.quick
+        options = FitOptions(
+            full_order=not quick,
+            top=1,
+            profiles=not quick,
+            bootstrap=0,
+            seed=self.arguments.seed,
+        )
+        task = self.progress.add_task("fit parameters", total=None, state="reading bags")
+        start = time.monotonic()
+        last: list[str] = [""]
+
+        def report(
+            condition: str, stage: str, number: int, rounds: int, cost: float, best: np.ndarray
+        ) -> None:
+            state = f"{condition} {stage}"
+            if np.isfinite(cost):
+                state += f", J = {cost * 1e12:.4g} mm⁴"
+            if last[0] != stage + condition:
+                last[0] = stage + condition
+                self.progress.reset(task, total=rounds)
+            self.progress.update(task, completed=number, total=rounds, state=state)
+
+        self.result.fit = fit_bags(
+            self.result.processed, options, self.result.folder / "fit", report=report
+        )
+        self.progress.update(task, completed=1, total=1, state="")
+        self.result.seconds["fit"] = time.monotonic() - start
+        self.say(f"{len(self.result.fit.fits)} conditions fitted")
+
+    def _write(self) -> None:
+        from .demo_report import write_report
+
+        task = self.progress.add_task("write report", total=1, state="")
+        start = time.monotonic()
+        write_report(self.result, self.request)
+        self.progress.update(task, completed=1)
+        self.result.seconds["report"] = time.monotonic() - start
+
+
+def clear_folder(folder: Path) -> None:
+    """Remove what an earlier demo left; raises InputError for a folder that holds anything else."""
+    known = {
+        "devices", "sessions", "processed", "fit", "figures", "report.html", "suite.log",
+        "parameters.yaml", "summary.json",
+    }  # fmt: skip
+    if not folder.exists():
+        return
+    foreign = sorted(p.name for p in folder.iterdir() if p.name not in known)
+    if foreign:
+        raise InputError(
+            f"{folder}: '{foreign[0]}' is not of the demo; choose another folder with -o"
+        )
+    shutil.rmtree(folder)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Entry point with the conventions of all commands."""
+    return run(_main, argv)
+
+
+def _main(argv: Sequence[str] | None) -> int:
+    arguments = parser().parse_args(argv)
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    console = Console(highlight=False)
+    demo = Demo(arguments, console)
+    try:
+        result = demo.go()
+    except FingerError as error:
+        raise type(error)(f"{error}; all output is in {demo.result.folder}") from None
+    from .demo_report import print_summary
+
+    print_summary(result, console)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,159 @@
+"""Records a session with the whole suite on simulated devices, and reports what happens as it happens."""
+
+from __future__ import annotations
+
+import json
+import os
+import queue
+import random
+import signal
+import socket
+import threading
+import time
+from collections.abc import Generator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from finger_common.errors import FingerError
+from finger_sim.rig import RigAddresses
+
+from . import nodes
+from .supervisor import Supervisor
+
+SUITE = (
+    "simulated_rig",
+    "force",
+    "camera",
+    "moisture",
+    "vision",
+    "model",
+    "recorder",
+    "protocol",
+    "unattended",
+)
+"""Every process of the session, each an OS process of its own."""
+
+SUBJECT = "SIM1"
+SESSION = "session"
+
+
+@dataclass(frozen=True)
+class SessionRequest:
+    """What to record. Frame size in pixels, reading_time in s per moisture reading; parameters by node name."""
+
+    folder: Path
+    conditions: tuple[str, ...] = ("dry", "natural", "moist")
+    trials: int = 3
+    seed: int = 1
+    width: int = 640
+    height: int = 512
+    reading_time: float = 0.3
+    parameters: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    @property
+    def bags(self) -> Path:
+        """Folder of the recorded bags."""
+        return self.folder / "sessions" / SESSION
+
+    @property
+    def truth(self) -> Path:
+        """Folder of what really happened, one JSON file a press."""
+        return self.folder / "devices" / "truth"
+
+
+def _free_domain() -> int:
+    """A ROS domain without a listener on its discovery port (RTPS: 7400 + 250 domain + 10)."""
+    domains = list(range(1, 101))
+    random.SystemRandom().shuffle(domains)
+    for domain in domains:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(("", 7400 + 250 * domain + 10))
+                return domain
+            except OSError:
+                continue
+    raise FingerError("no ROS domain from 1 to 100 is free; end other ROS programs on this machine")
+
+
+def node_parameters(request: SessionRequest) -> dict[str, dict[str, Any]]:
+    """Parameters of all nodes of the session, by node name."""
+    addresses = RigAddresses.private(request.folder / "devices")
+    parameters = nodes.simulated_devices(addresses)
+    parameters["simulated_rig"] |= {
+        "seed": request.seed,
+        "width": request.width,
+        "height": request.height,
+        "reading_time": request.reading_time,
+        "upcoming": [f"{name}:{request.trials}" for name in request.conditions],
+    }
+    parameters["protocol"] = {
+        "subject": SUBJECT,
+        "session": SESSION,
+        "conditions": list(request.conditions),
+        "trials": request.trials,
+        "output": str(request.folder / "sessions"),
+        "confirm_preparation": False,
+        "verdict_time": 0.3,
+        # What a fit would leave out is done again at once.
+        "gap_limit": 0.045,
+        "frame_gap_limit": 0.14,
+        "stale_after": 1.0,
+        "max_attempts": 20,
+    }
+    parameters["unattended"] = {"max_failures": 20}
+    for name, values in request.parameters.items():
+        parameters[name] = {**parameters.get(name, {}), **values}
+    return parameters
+
+
+def record_session(request: SessionRequest) -> Generator[dict[str, Any], None, None]:
+    """Run the session; yields events until it is finished.
+
+    Events are those of the unattended node ("ready", "tared", "step", "trial", "finished"), and "started" with the
+    number of processes. All output goes to `suite.log` in the request's folder. Raises FingerError when the session
+    cannot be completed; all processes have ended when the iterator does.
+    """
+    request.folder.mkdir(parents=True, exist_ok=True)
+    if threading.current_thread() is threading.main_thread():
+        # Whoever ends this program ends the suite with it.
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+    os.environ["ROS_DOMAIN_ID"] = str(_free_domain())
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    entries = nodes.select(SUITE, node_parameters(request))
+    specs = nodes.process_specs(entries, request.folder)
+    events: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
+    last_words: list[str] = []
+    deaths: list[str] = []
+    log_file = request.folder / "suite.log"
+    with log_file.open("w") as log:
+
+        def line(name: str, text: str) -> None:
+            log.write(f"{name}: {text}\n")
+            log.flush()
+            if name == "unattended" and text.startswith("{"):
+                events.put(json.loads(text))
+            elif name == "unattended" and "[supervisor]" not in text:
+                last_words.append(text.removeprefix("unattended: "))
+            elif "[supervisor]" in text and " ended " in text:
+                deaths.append(name)
+
+        supervisor = Supervisor(specs, line=line)
+        try:
+            supervisor.start()
+            yield {"event": "started", "time": time.time(), "processes": len(specs)}
+            finished = False
+            while not finished:
+                try:
+                    event = events.get(timeout=0.2)
+                except queue.Empty:
+                    if supervisor.wait(0) and events.empty():
+                        reason = last_words[-1] if last_words else "the session ended early"
+                        if deaths:
+                            reason += f" (died: {', '.join(sorted(set(deaths)))})"
+                        raise FingerError(f"{reason}; log: {log_file}") from None
+                    continue
+                finished = event["event"] == "finished"
+                yield event
+        finally:
+            supervisor.stop()

@@ -1,0 +1,97 @@
+"""Node that asks the fit node for one fit, shows its progress and ends: exit code 0 done, 1 refused or failed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from finger_msgs.action import FitParameters
+from rclpy.action import ActionClient
+
+from finger_common.diagnostics import Health
+from finger_common.errors import FingerError, InputError
+from finger_common.node import LifecycleShell, main_of
+from finger_common.parameters import Parameter, ParameterTable
+
+PARAMETERS = ParameterTable(
+    Parameter("bags", [""], "Bag files or folders to fit."),
+    Parameter("output", "out/fit", "Folder for parameters.yaml, fit.json and report.html."),
+    Parameter("conditions", [""], "Conditions to fit; empty: all."),
+    Parameter("options", "", "JSON object of options of finger-fit; empty: defaults."),
+    Parameter("server_timeout", 30.0, "Longest wait for the fit node.", "s", 1.0, 600.0),
+)
+
+
+class FitFailed(FingerError):
+    """The fit did not succeed; the message says why."""
+
+
+class FitRequestNode(LifecycleShell):
+    """Sends one goal."""
+
+    TABLE = PARAMETERS
+    NAME = "fit_request"
+
+    def configure(self) -> None:
+        self._health = Health("fit_request")
+        self.healths = [self._health]
+        self._bags = [bag for bag in self.values["bags"] if bag]
+        if not self._bags:
+            raise InputError("parameter 'bags' is empty; name the bags to fit")
+        self._client = ActionClient(self, FitParameters, "fit/fit")
+
+    def activate(self) -> None:
+        self._waited = 0.0
+        self._sent = False
+        self._failure = ""
+        self._stage = ""
+        self._timer = self.create_timer(0.5, self._look)
+
+    def _look(self) -> None:
+        if self._failure:
+            raise FitFailed(self._failure)
+        if self._sent:
+            return
+        self._waited += 0.5
+        if self._client.server_is_ready():
+            self._send()
+        elif self._waited > self.values["server_timeout"]:
+            raise FitFailed("the fit node does not answer; see whether it runs")
+
+    def _send(self) -> None:
+        self._sent = True
+        goal = FitParameters.Goal(
+            bags=self._bags,
+            conditions=[c for c in self.values["conditions"] if c],
+            output=self.values["output"],
+            options=self.values["options"],
+        )
+        sent = self._client.send_goal_async(goal, feedback_callback=self._show)
+        sent.add_done_callback(self._accepted)
+
+    def _accepted(self, future: Any) -> None:
+        handle = future.result()
+        if not handle.accepted:
+            self._failure = "the fit node refused: it is busy, or the goal cannot be used"
+            return
+        handle.get_result_async().add_done_callback(self._finished)
+
+    def _show(self, message: Any) -> None:
+        feedback = message.feedback
+        stage = f"{feedback.condition} {feedback.stage}"
+        if stage != self._stage:
+            self._stage = stage
+            self.get_logger().info(stage)
+
+    def _finished(self, future: Any) -> None:
+        result = future.result().result
+        if not result.success:
+            self._failure = f"the fit failed: {result.message}"
+            return
+        self.get_logger().info(f"parameters: {result.parameter_file}, report: {result.report}")
+        raise KeyboardInterrupt  # done: the same quiet end as Ctrl-C
+
+
+main = main_of(FitRequestNode)
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""The operator's page: web server and data feed, without ROS."""

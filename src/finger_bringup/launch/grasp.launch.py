@@ -1,0 +1,32 @@
+"""On a robot: force and contact state only, no camera, no moisture probe, no page.
+
+ros2 launch finger_bringup grasp.launch.py parameters:=robot.yaml
+ros2 launch finger_bringup grasp.launch.py force:=false wrench:=/wrist/wrench
+"""
+
+from launch import LaunchContext, LaunchDescription
+from launch.action import Action
+from launch.actions import OpaqueFunction
+from launch_ros.actions import SetRemap
+
+from finger_bringup import nodes
+from finger_bringup.launch.actions import arguments, node_actions, truth, value
+
+
+def grasp(context: LaunchContext) -> list[Action]:
+    """Actions by the arguments given."""
+    names = [name for name in nodes.GRASP if name != "force" or truth(context, "force")]
+    actions = node_actions(context, nodes.select(names))
+    if value(context, "wrench"):
+        actions.insert(0, SetRemap("wrench", value(context, "wrench")))
+    return actions
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Entry point of ros2 launch."""
+    further = {
+        "force": ("true", "Run this suite's force driver; false where another vendor's runs."),
+        "wrench": ("", "Topic of another vendor's wrench in place of this suite's."),
+    }
+    declared = arguments("namespace", "parameters", "respawn", "log_level", **further)
+    return LaunchDescription([*declared, OpaqueFunction(function=grasp)])

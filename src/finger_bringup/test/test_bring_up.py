@@ -1,0 +1,103 @@
+"""Bringing lifecycle nodes up in order: the rule on plain data, then over DDS with real nodes."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from finger_bringup.bring_up import ACTIVATE, ACTIVE, CONFIGURE, INACTIVE, UNCONFIGURED, BringUp
+
+
+def test_groups_come_up_one_after_the_other() -> None:
+    plan = BringUp([["force", "camera"], ["model"]], patience=10.0)
+    states = dict.fromkeys(plan.nodes, UNCONFIGURED)
+    assert plan.steps(states, 0.0) == [("force", CONFIGURE), ("camera", CONFIGURE)]
+    states.update(force=INACTIVE)
+    assert plan.steps(states, 1.0) == [("force", ACTIVATE), ("camera", CONFIGURE)]
+    states.update(force=ACTIVE, camera=ACTIVE)
+    assert plan.steps(states, 2.0) == [("model", CONFIGURE)]
+    states.update(model=ACTIVE)
+    assert plan.steps(states, 3.0) == [] and plan.missing(states) == []
+
+
+def test_a_device_that_is_not_there_holds_up_the_rest_only_for_a_while() -> None:
+    plan = BringUp([["camera"], ["model"]], patience=10.0, retry=5.0)
+    states = dict.fromkeys(plan.nodes, UNCONFIGURED)
+    assert plan.steps(states, 0.0) == [("camera", CONFIGURE)]
+    plan.failed("camera", 1.0)
+    assert plan.steps(states, 2.0) == []
+    assert plan.steps(states, 6.5) == [("camera", CONFIGURE)]
+    plan.failed("camera", 7.0)
+    assert plan.steps(states, 10.5) == [("model", CONFIGURE)]
+    assert plan.missing(states) == ["camera", "model"]
+
+
+def test_a_restarted_node_is_brought_up_again_and_a_silent_one_is_left_alone() -> None:
+    plan = BringUp([["force"], ["model"]])
+    assert plan.steps({"force": ACTIVE, "model": UNCONFIGURED}, 100.0) == [("model", CONFIGURE)]
+    assert plan.steps({"force": UNCONFIGURED, "model": ACTIVE}, 200.0) == [("force", CONFIGURE)]
+    assert plan.steps({"force": ACTIVE}, 300.0) == []
+
+
+def test_nodes_come_up_over_dds_and_again_after_a_kill(
+    ros_domain: int, process: Any, tmp_path: Path
+) -> None:
+    pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+    import rclpy
+    from lifecycle_msgs.msg import Transition
+    from lifecycle_msgs.srv import ChangeState, GetState
+
+    def start(module: str, *parameters: str) -> Any:
+        flags = [flag for p in parameters for flag in ("-p", p)]
+        return process("-m", f"finger_bringup.{module}", "--ros-args", *flags)
+
+    def start_protocol() -> Any:
+        return start("protocol_node", "autostart:=false", f"output:={tmp_path}")
+
+    protocol = start_protocol()
+    start("page_node", "autostart:=false", "port:=0")
+    manager = start("bring_up_node", "order:=[protocol, page]")
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=ros_domain)
+    node = rclpy.create_node("observer", context=context)
+    executor = rclpy.executors.SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    clients = {n: node.create_client(GetState, f"{n}/get_state") for n in ("protocol", "page")}
+
+    def call(client: Any, request: Any) -> Any:
+        future = client.call_async(request)
+        executor.spin_until_future_complete(future, timeout_sec=3.0)
+        return future.result()
+
+    def wait(condition: Callable[[], bool], seconds: float = 60.0) -> None:
+        end = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < end, manager.output.read_text()
+
+    def active(name: str) -> bool:
+        answer = call(clients[name], GetState.Request())
+        return answer is not None and answer.current_state.id == ACTIVE
+
+    try:
+        wait(lambda: active("protocol") and active("page"))
+        wait(lambda: "all nodes are active: protocol, page" in manager.output.read_text())
+        # A transition the state does not have is refused and ends nothing.
+        change = node.create_client(ChangeState, "page/change_state")
+        request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_CONFIGURE))
+        answer = call(change, request)
+        assert answer is not None and not answer.success
+        assert active("page")
+        os.killpg(protocol.pid, signal.SIGKILL)
+        protocol.wait(5)
+        start_protocol()
+        wait(lambda: active("protocol"))
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.shutdown(context=context)

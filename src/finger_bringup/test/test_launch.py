@@ -1,0 +1,234 @@
+"""Launch files, with the real ros2 command line where launch_ros is installed."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+pytest.importorskip(
+    "launch_ros", reason="launch_ros is not on PyPI; it comes with apt ROS or from its sources"
+)
+
+FILES = ("rig", "replay", "grasp", "fit")
+ROS2 = [sys.executable, "-c", "import sys; from ros2cli.cli import main; sys.exit(main())"]
+
+
+@pytest.fixture
+def launch_folder(project_root: Path) -> Path:
+    return project_root / "src" / "finger_bringup" / "launch"
+
+
+@pytest.fixture
+def environment(ros_domain: int) -> dict[str, str]:
+    variables = dict(os.environ)
+    prefix = variables.get("AMENT_PREFIX_PATH", "")
+    variables["AMENT_PREFIX_PATH"] = f"{prefix}{os.pathsep}{sys.prefix}".lstrip(os.pathsep)
+    variables["PYTHONUNBUFFERED"] = "1"
+    return variables
+
+
+def ros2(environment: dict[str, str], *arguments: str, seconds: float = 60.0) -> str:
+    """Output of one ros2 command; what it printed until then where it runs until Ctrl-C."""
+    child = subprocess.Popen(
+        [*ROS2, *arguments],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    )
+    try:
+        return child.communicate(timeout=seconds)[0]
+    except subprocess.TimeoutExpired:
+        os.killpg(child.pid, signal.SIGINT)
+        return child.communicate(timeout=10)[0]
+
+
+class Launch:
+    """A running `ros2 launch`."""
+
+    def __init__(self, environment: dict[str, str], folder: Path, *arguments: str) -> None:
+        self.output = folder / "launch.log"
+        with self.output.open("w") as log:
+            self.child = subprocess.Popen(
+                [*ROS2, "launch", "finger_bringup", *arguments],
+                env={**environment, "ROS_LOG_DIR": str(folder / "ros")},
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                cwd=folder,
+                start_new_session=True,
+            )
+
+    @property
+    def text(self) -> str:
+        return self.output.read_text()
+
+    def until(self, condition: Callable[[], Any], seconds: float = 120.0) -> Any:
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            result = condition()
+            if result:
+                return result
+            time.sleep(0.2)
+        raise AssertionError(f"nothing came in {seconds:g} s:\n{self.text[-5000:]}")
+
+    def said(self, text: str, times: int = 1, seconds: float = 120.0) -> None:
+        self.until(lambda: self.text.count(text) >= times, seconds)
+
+    def pids(self, executable: str) -> list[int]:
+        found = re.findall(rf"\[{executable}-\d+\]: process started with pid \[(\d+)\]", self.text)
+        return [int(pid) for pid in found]
+
+    def end(self) -> int:
+        """Ctrl-C as a terminal gives it, then the exit code."""
+        if self.child.poll() is None:
+            self.child.send_signal(signal.SIGINT)
+        return self.child.wait(40)
+
+
+@pytest.fixture
+def launch(environment: dict[str, str], tmp_path: Path) -> Iterator[Callable[..., Launch]]:
+    running: list[Launch] = []
+
+    def start(*arguments: str) -> Launch:
+        running.append(Launch(environment, tmp_path, *arguments))
+        return running[-1]
+
+    yield start
+    for one in running:
+        try:
+            one.end()
+        except subprocess.TimeoutExpired:
+            os.killpg(one.child.pid, signal.SIGKILL)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_arguments_have_defaults_and_meanings(launch_folder: Path, name: str) -> None:
+    from launch.actions import DeclareLaunchArgument
+
+    spec = importlib.util.spec_from_file_location(name, launch_folder / f"{name}.launch.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    declared = [
+        e
+        for e in module.generate_launch_description().entities
+        if isinstance(e, DeclareLaunchArgument)
+    ]
+    names = {d.name for d in declared}
+    assert {"namespace", "parameters", "respawn", "log_level"} <= names
+    assert all(d.description and d.default_value is not None for d in declared)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("replay.launch.py", "bag:=missing"), "no such bag"),
+        (("fit.launch.py", "bags:=missing"), "no such bag"),
+        (("grasp.launch.py", "parameters:=missing.yaml"), "missing.yaml"),
+        (("rig.launch.py", "record:=perhaps"), "give true or false"),
+    ],
+)
+def test_wrong_arguments_are_named(
+    launch: Callable[..., Launch], arguments: tuple[str, ...], words: str
+) -> None:
+    running = launch(*arguments)
+    assert running.child.wait(60) != 0
+    assert words in running.text
+
+
+@pytest.mark.slow
+def test_rig_comes_up_in_order_answers_ros2_and_survives_a_kill(
+    launch: Callable[..., Launch],
+    environment: dict[str, str],
+    tmp_path: Path,
+    project_root: Path,
+    free_port: Callable[[], int],
+) -> None:
+    parameters = tmp_path / "rig.yaml"
+    parameters.write_text(
+        (project_root / "src/finger_bringup/config/rig.yaml")
+        .read_text()
+        .replace("target_force: 1.35", "target_force: 1.2")
+    )
+    running = launch(
+        "rig.launch.py",
+        "simulated:=true",
+        "namespace:=lab",
+        f"folder:={tmp_path / 'rig'}",
+        f"page_port:={free_port()}",
+        f"parameters:={parameters}",
+    )
+    running.said("all nodes are active: simulated_rig, force, camera, moisture")
+    options = ("--no-daemon", "--spin-time", "10")
+    state = ros2(environment, "lifecycle", "get", "/lab/force", *options)
+    assert "active [3]" in state, state
+    value = ros2(environment, "param", "get", "/lab/protocol", "target_force", *options)
+    assert "1.2" in value, value
+    refused = ros2(environment, "param", "set", "/lab/protocol", "target_force", "99.0", *options)
+    assert "0.06 … 50" in refused, refused
+    rate = ros2(environment, "topic", "hz", "/lab/wrench", seconds=15.0)
+    rates = [float(r) for r in re.findall(r"average rate: ([\d.]+)", rate)]
+    assert rates and rates[-1] > 20, rate
+
+    first = running.pids("vision_node")
+    os.kill(first[0], signal.SIGKILL)
+    running.until(lambda: len(running.pids("vision_node")) == 2)
+    assert re.search(r"\[vision_node-\d+\]: process has died", running.text)
+    running.said("all nodes are active", times=2)
+    state = ros2(environment, "lifecycle", "get", "/lab/vision", *options)
+    assert "active [3]" in state, state
+
+    pids = re.findall(r"process started with pid \[(\d+)\]", running.text)
+    assert running.end() == 0
+    assert not [pid for pid in pids if Path(f"/proc/{pid}").exists()], "all processes have ended"
+    assert "Traceback" not in running.text
+
+
+@pytest.mark.slow
+def test_grasp_listens_to_another_vendors_wrench(
+    launch: Callable[..., Launch], environment: dict[str, str]
+) -> None:
+    running = launch("grasp.launch.py", "force:=false", "wrench:=/wrist/wrench")
+    running.said("all nodes are active: model")
+    info = ros2(environment, "topic", "info", "/wrist/wrench", "--no-daemon", "--spin-time", "8")
+    assert "Subscription count: 1" in info, info
+    assert running.end() == 0
+
+
+@pytest.mark.slow
+def test_replay_of_a_bag_gives_contact_states_and_ends(
+    launch: Callable[..., Launch], environment: dict[str, str], project_root: Path, tmp_path: Path
+) -> None:
+    bags = sorted(p.parent for p in (project_root / "bags").glob("*/metadata.yaml"))
+    if not bags:
+        pytest.skip("no sample bag in bags/")
+    running = launch("replay.launch.py", f"bag:={bags[0]}", "wait_for:=12.0")
+    running.said("all nodes are active: vision, model")
+    rate = ros2(environment, "topic", "hz", "/finger/contact_state", seconds=20.0)
+    assert "average rate" in rate, rate + running.text[-2000:]
+    assert running.child.wait(180) == 0, running.text[-3000:]
+
+
+@pytest.mark.slow
+def test_fit_of_sample_bags_writes_parameters_and_ends(
+    launch: Callable[..., Launch], project_root: Path, tmp_path: Path
+) -> None:
+    if not list((project_root / "bags").glob("*/metadata.yaml")):
+        pytest.skip("no sample bag in bags/")
+    running = launch(
+        "fit.launch.py", f"bags:={project_root / 'bags'}", f"output:={tmp_path / 'fit'}"
+    )
+    running.child.wait(280)
+    assert (tmp_path / "fit" / "parameters.yaml").exists(), running.text[-3000:]

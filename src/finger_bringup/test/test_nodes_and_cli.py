@@ -1,0 +1,96 @@
+"""The node table is true to the packages, and `finger-rig` refuses what makes no sense in one sentence."""
+
+import importlib.util
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+
+from finger_bringup import nodes
+from finger_bringup.cli import chosen_nodes, main, parser
+from finger_common.errors import InputError
+from finger_sim.rig import RigAddresses
+
+
+@pytest.mark.parametrize("entry", nodes.TABLE.values(), ids=lambda e: e.name)
+def test_every_entry_is_an_executable_of_its_package(
+    entry: nodes.NodeEntry, project_root: Path
+) -> None:
+    assert importlib.util.find_spec(entry.module) is not None
+    setup = (project_root / "src" / entry.package / "setup.py").read_text()
+    assert f'"{entry.executable} = {entry.module}:main"' in setup
+
+
+def test_devices_are_up_before_what_needs_them() -> None:
+    order = [
+        e.name for e in nodes.select(["recorder", "model", "vision", "force", "simulated_rig"])
+    ]
+    assert order[0] == "simulated_rig" and order[1] == "force" and order[-1] == "recorder"
+
+
+def test_parameters_reach_the_file_under_the_full_node_name(tmp_path: Path) -> None:
+    addresses = RigAddresses(tmp_path / "rig", can_port=4711)
+    entries = nodes.select(["force", "camera"], nodes.simulated_devices(addresses) | {})
+    specs = nodes.process_specs(entries, tmp_path, "left_hand")
+    data = yaml.safe_load((tmp_path / "parameters.yaml").read_text())
+    force = data["/left_hand/force"]["ros__parameters"]
+    assert force["can_options"] == "port=4711" and force["can_interface"] == "udp_multicast"
+    assert data["/left_hand/camera"]["ros__parameters"]["path"].endswith("spool")
+    for spec in specs:
+        assert "__ns:=/left_hand" in spec.command
+        assert spec.command[-1] == str(tmp_path / "parameters.yaml")
+
+
+def test_the_users_parameters_come_first_so_that_simulated_addresses_win(tmp_path: Path) -> None:
+    own = tmp_path / "rig.yaml"
+    own.write_text("/**/force:\n  ros__parameters: {can_channel: can7}\n")
+    specs = nodes.process_specs(nodes.select(["force"]), tmp_path, parameter_file=own)
+    files = [
+        w for w, before in zip(specs[0].command[1:], specs[0].command) if before == "--params-file"
+    ]
+    assert files == [str(own), str(tmp_path / "parameters.yaml")]
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("force: {rate: 500.0}\n", "'force' has no 'ros__parameters'"),
+        ("/**/force:\n  ros__parameters: 5\n", "has no 'ros__parameters'"),
+        ("a: [1\n", "not valid YAML"),
+    ],
+)
+def test_a_file_that_is_no_parameter_file_is_named(tmp_path: Path, text: str, says: str) -> None:
+    path = tmp_path / "bad.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=re.escape(str(path))) as error:
+        nodes.check_parameter_file(path)
+    assert says in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["up", "--unattended", "3"], "--unattended needs --simulated"),
+        (["up", "--simulated", "--unattended", "0"], "at least 1"),
+        (["up", "--nodes", "forse"], "node 'forse' does not exist; known are simulated_rig, force"),
+        (["up", "--without", "simulated_rig"], "would not run anyway"),
+        (["up", "--parameters", "missing.yaml"], "missing.yaml: no such parameter file"),
+    ],
+)
+def test_bad_arguments_end_with_code_2_and_one_sentence(
+    arguments: list[str], says: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    folder = ["--folder", str(tmp_path)]
+    assert main([*arguments, *folder]) == 2
+    error = capsys.readouterr().err
+    assert says in error and error.count("\n") == 1 and "Traceback" not in error
+
+
+def test_the_whole_rig_runs_by_default_and_nodes_can_be_left_out() -> None:
+    given = parser().parse_args(["up", "--simulated", "--without", "page"])
+    assert chosen_nodes(given) == ["simulated_rig", *nodes.RIG, "protocol"]
+    alone = parser().parse_args(["up", "--simulated", "--unattended", "2"])
+    assert chosen_nodes(alone)[-2:] == ["protocol", "unattended"]
+    robot = parser().parse_args(["up", "--nodes", "force", "model"])
+    assert tuple(chosen_nodes(robot)) == nodes.GRASP

@@ -1,0 +1,371 @@
+"""The page's server over real sockets: who may see what, who may command, what bad messages do."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import random
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import aiohttp
+import pytest
+
+from finger_bringup.page.feed import ForceMemory, HealthBoard, measured_point, model_point
+from finger_bringup.page.server import (
+    COMMANDS,
+    PageServer,
+    PageSettings,
+    check_command,
+    is_loopback,
+)
+from finger_common.errors import InputError
+
+
+class Served:
+    """A running server and the commands that reached it."""
+
+    def __init__(self, **settings: Any) -> None:
+        self.commands: list[tuple[str, dict[str, Any]]] = []
+        self.server = PageServer(PageSettings(port=0, **settings), self.command)
+        self.server.start()
+        self.host = f"127.0.0.1:{self.server.port}"
+
+    async def command(self, name: str, arguments: dict[str, Any]) -> tuple[bool, str]:
+        self.commands.append((name, arguments))
+        return name != "skip", f"did {name}"
+
+    def url(self, path: str = "/") -> str:
+        return f"http://{self.host}{path}"
+
+    def connect(self, session: aiohttp.ClientSession, view: str = "operator") -> Any:
+        return session.ws_connect(self.url(f"/ws?view={view}"), origin=f"http://{self.host}")
+
+
+@pytest.fixture
+def served() -> Iterator[Served]:
+    served = Served()
+    yield served
+    served.server.stop()
+
+
+def run(coroutine: Callable[[aiohttp.ClientSession], Any]) -> Any:
+    async def body() -> Any:
+        async with aiohttp.ClientSession() as session:
+            return await asyncio.wait_for(coroutine(session), 30)
+
+    return asyncio.run(body())
+
+
+async def next_of(socket: Any, kind: str) -> dict[str, Any]:
+    while True:
+        message = await asyncio.wait_for(socket.receive(), 10)
+        assert message.type is not aiohttp.WSMsgType.CLOSED, "the server closed the connection"
+        if message.type is aiohttp.WSMsgType.TEXT:
+            data = json.loads(message.data)
+            if data["type"] == kind:
+                return data
+
+
+def test_operator_page_carries_the_token_and_loads_nothing_from_elsewhere(served: Served) -> None:
+    async def body(session: aiohttp.ClientSession) -> None:
+        async with session.get(served.url()) as page:
+            text = await page.text()
+            assert page.status == 200 and served.server.token in text
+            assert "frame-ancestors 'none'" in page.headers["Content-Security-Policy"]
+            assert "default-src 'self'" in page.headers["Content-Security-Policy"]
+        for name in ("app.js", "cue.js", "plot.js", "participant.js", "style.css", "icon.svg"):
+            async with session.get(served.url(f"/static/{name}")) as file:
+                assert file.status == 200
+                text += (await file.text()).replace("http://www.w3.org/2000/svg", "")
+        assert "http://" not in text and "https://" not in text
+        async with session.get(served.url("/participant")) as page:
+            assert served.server.token not in await page.text()
+        for path in ("/static/../server.py", "/static/index.html", "/etc/passwd"):
+            async with session.get(served.url(path)) as missing:
+                assert missing.status == 404
+
+    run(body)
+
+
+@pytest.mark.parametrize("host", ["evil.example", "evil.example:{port}", "127.0.0.1:1", "", "["])
+def test_requests_under_a_foreign_name_are_refused(served: Served, host: str) -> None:
+    async def body(session: aiohttp.ClientSession) -> None:
+        headers = {"Host": host.format(port=served.server.port)}
+        async with session.get(served.url(), headers=headers) as page:
+            assert page.status in (400, 403)
+            assert served.server.token not in await page.text()
+
+    run(body)
+
+
+@pytest.mark.parametrize(
+    "origin", ["http://evil.example", "null", "", "http://127.0.0.1:1", "file://{host}"]
+)
+def test_other_origins_cannot_connect(served: Served, origin: str) -> None:
+    async def body(session: aiohttp.ClientSession) -> None:
+        headers = {"Origin": origin.format(host=served.host)} if origin else {}
+        with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
+            await session.ws_connect(served.url("/ws"), headers=headers)
+        assert refused.value.status == 403
+
+    run(body)
+
+
+def test_command_with_the_token_is_carried_out_and_answered(served: Served) -> None:
+    async def body(session: aiohttp.ClientSession) -> None:
+        async with served.connect(session) as socket:
+            base = {"type": "command", "token": served.server.token}
+            await socket.send_json({**base, "name": "start", "id": 1})
+            assert await next_of(socket, "answer") == {
+                "type": "answer", "id": 1, "success": True, "message": "did start",
+            }  # fmt: skip
+            await socket.send_json({**base, "name": "repeat", "arguments": {"index": 3}, "id": 2})
+            assert (await next_of(socket, "answer"))["success"]
+            await socket.send_json({**base, "name": "skip", "id": 3})
+            assert not (await next_of(socket, "answer"))["success"]
+
+    run(body)
+    assert served.commands == [("start", {}), ("repeat", {"index": 3}), ("skip", {})]
+
+
+@pytest.mark.parametrize(
+    ("view", "token"), [("operator", "wrong"), ("operator", None), ("participant", True)]
+)
+def test_without_token_or_from_the_participants_view_nothing_is_commanded(
+    served: Served, view: str, token: Any
+) -> None:
+    async def body(session: aiohttp.ClientSession) -> None:
+        async with served.connect(session, view) as socket:
+            given = served.server.token if token is True else token
+            await socket.send_json({"type": "command", "name": "start", "token": given, "id": 1})
+            answer = await next_of(socket, "answer")
+            assert not answer["success"] and "may not command" in answer["message"]
+
+    run(body)
+    assert served.commands == []
+
+
+def test_bad_messages_do_no_harm_and_end_in_a_closed_connection(served: Served) -> None:
+    rng = random.Random(1)
+    pieces = [
+        "{",
+        "}",
+        "[",
+        '"',
+        ":",
+        ",",
+        "command",
+        "type",
+        "null",
+        "1e999",
+        "\\u0000",
+        "shown",
+        "id",
+    ]
+    bad = [
+        "", "no json", "[]", "3", "null", "{}", "[" * 5000, '{"type": []}', '{"type": "command"}',
+        '{"type": "command", "name": ["start"], "token": 3}', '{"type": "shown", "id": "x"}',
+        '{"type": "shown", "id": 99999999999999999999}', '{"type": "watch", "images": 3}',
+        *("".join(rng.choices(pieces, k=rng.randrange(1, 40))) for _ in range(300)),
+    ]  # fmt: skip
+
+    async def body(session: aiohttp.ClientSession) -> None:
+        closed = 0
+        socket = await served.connect(session)
+        for text in bad:
+            if socket.closed:
+                closed += 1
+                socket = await served.connect(session)
+            try:
+                await socket.send_str(text)
+            except (aiohttp.ClientError, ConnectionError):
+                continue
+            if rng.random() < 0.2:
+                while not socket.closed:
+                    try:
+                        await asyncio.wait_for(socket.receive(), 0.02)
+                    except asyncio.TimeoutError:
+                        break
+        await socket.close()
+        assert closed > 3
+        async with served.connect(session) as huge:
+            await huge.send_str("x" * 100_000)
+            while (await huge.receive()).type is not aiohttp.WSMsgType.CLOSE:
+                pass
+        async with served.connect(session) as binary:
+            await binary.send_bytes(b"\x00" * 100)
+            assert "must be text" in (await next_of(binary, "answer"))["message"]
+        async with served.connect(session) as good:
+            await good.send_json({"type": "command", "name": "tare", "token": served.server.token})
+            assert (await next_of(good, "answer"))["success"]
+
+    run(body)
+    assert served.commands == [("tare", {})]
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        {"name": "shutdown"},
+        {"name": "start", "arguments": {"x": 1}},
+        {"name": "start", "arguments": []},
+        {"name": "repeat"},
+        {"name": "repeat", "arguments": {"index": -1}},
+        {"name": "repeat", "arguments": {"index": True}},
+        {"name": "repeat", "arguments": {"index": 1.5}},
+        {"name": "moisture", "arguments": {"value": float("nan")}},
+        {"name": "moisture", "arguments": {"value": "50"}},
+        {"name": "preparation", "arguments": {"condition": 1, "text": ""}},
+    ],
+)
+def test_commands_of_a_wrong_form_are_refused(message: dict[str, Any]) -> None:
+    with pytest.raises(InputError):
+        check_command(message)
+
+
+def test_every_command_of_the_page_is_one_the_server_knows(project_root: Any) -> None:
+    script = (project_root / "src/finger_bringup/finger_bringup/page/static/app.js").read_text()
+    for name in COMMANDS:
+        assert f'"{name}"' in script, name
+
+
+def test_cues_are_never_dropped_and_come_before_the_rest(served: Served) -> None:
+    async def body(session: aiohttp.ClientSession) -> list[int]:
+        seen = []
+        async with served.connect(session) as socket:
+            await next_of(socket, "hello")
+            for number in range(50):
+                served.server.publish("status", {"number": number, "padding": "x" * 20000})
+                served.server.publish_cue(time.time_ns(), {"phase": number})
+            while len(seen) < 50:
+                seen.append((await next_of(socket, "cue"))["phase"])
+        return seen
+
+    assert run(body) == list(range(50))
+
+
+def test_late_browser_learns_state_and_cue_participant_only_the_cue(served: Served) -> None:
+    served.server.publish("status", {"step": "prepare"})
+    served.server.publish("health", {"items": []})
+    served.server.publish_cue(time.time_ns(), {"phase": 1})
+
+    async def body(session: aiohttp.ClientSession) -> None:
+        async with served.connect(session) as socket:
+            assert (await next_of(socket, "cue"))["phase"] == 1
+            assert (await next_of(socket, "status"))["step"] == "prepare"
+        async with served.connect(session, "participant") as socket:
+            await next_of(socket, "cue")
+            served.server.publish("status", {"step": "press"})
+            served.server.publish_force(0.0, 1.0)
+            served.server.publish_cue(time.time_ns(), {"phase": 4})
+            kinds = []
+            while "cue" not in kinds:
+                kinds.append(json.loads((await socket.receive()).data)["type"])
+            assert set(kinds) <= {"cue", "hello"}
+
+    run(body)
+
+
+def test_images_go_to_watchers_only(served: Served) -> None:
+    async def body(session: aiohttp.ClientSession) -> None:
+        async with served.connect(session) as watcher, served.connect(session) as other:
+            assert (await next_of(watcher, "hello"))["images"] is True
+            await watcher.send_json({"type": "watch", "images": True})
+            for _ in range(100):
+                if served.server.watchers:
+                    break
+                await asyncio.sleep(0.02)
+            assert served.server.watchers == 1
+            served.server.publish_image(b"jpeg", 7)
+            message = await watcher.receive()
+            assert message.type is aiohttp.WSMsgType.BINARY
+            assert message.data == (7).to_bytes(8, "little") + b"jpeg"
+            served.server.publish_cue(time.time_ns(), {"phase": 1})
+            await next_of(other, "hello")
+            assert (await other.receive()).type is aiohttp.WSMsgType.TEXT, "no image for the other"
+        async with served.connect(session, "participant") as participant:
+            await participant.send_json({"type": "watch", "images": True})
+            await asyncio.sleep(0.1)
+            assert served.server.watchers == 0
+
+    run(body)
+
+
+@pytest.mark.parametrize("share", [False, True])
+def test_beyond_this_machine_no_image_unless_told_and_no_operator_page_without_token(
+    monkeypatch: pytest.MonkeyPatch, share: bool
+) -> None:
+    monkeypatch.setattr("finger_bringup.page.server.is_loopback", lambda address: False)
+    served = Served(share_images=share)
+
+    async def body(session: aiohttp.ClientSession) -> None:
+        async with session.get(served.url()) as page:
+            assert page.status == 403 and served.server.token not in await page.text()
+        async with session.get(served.url("/?token=wrong")) as page:
+            assert page.status == 403
+        async with session.get(served.url(f"/?token={served.server.token}")) as page:
+            assert page.status == 200
+        async with served.connect(session) as socket:
+            assert (await next_of(socket, "hello"))["images"] is share
+            await socket.send_json({"type": "watch", "images": True})
+            await asyncio.sleep(0.1)
+            assert served.server.watchers == (1 if share else 0)
+
+    try:
+        run(body)
+    finally:
+        served.server.stop()
+
+
+def test_port_in_use_is_told_in_one_sentence(served: Served) -> None:
+    second = PageServer(PageSettings(port=served.server.port), served.command)
+    with pytest.raises(InputError, match="choose another host or port"):
+        second.start()
+
+
+def test_loopback_addresses() -> None:
+    assert all(map(is_loopback, ["127.0.0.1", "127.1.2.3", "::1", "::ffff:127.0.0.1"]))
+    assert not any(map(is_loopback, ["192.168.0.7", "::ffff:10.0.0.1", "fe80::1%eth0", "", None]))
+
+
+def test_shown_cue_gives_its_delay_from_the_force_sample(served: Served) -> None:
+    async def body(session: aiohttp.ClientSession) -> None:
+        async with served.connect(session) as socket:
+            await next_of(socket, "hello")
+            served.server.publish_cue(time.time_ns() - 30_000_000, {"phase": 4})
+            cue = await next_of(socket, "cue")
+            await socket.send_json({"type": "shown", "id": cue["id"]})
+            await socket.send_json({"type": "shown", "id": 12345})
+            for _ in range(100):
+                if served.server.latencies:
+                    break
+                await asyncio.sleep(0.02)
+
+    run(body)
+    assert len(served.server.latencies) == 1 and 0.03 <= served.server.latencies[0] < 5.0
+
+
+def test_force_memory_interpolates_and_forgets() -> None:
+    memory = ForceMemory()
+    for k in range(3000):
+        memory.add(k * 2_000_000, k * 0.001)
+    assert memory.at(5_000_000_000 + 1_000_000) == pytest.approx(2.5005)
+    assert memory.at(100) is None and memory.at(7_000_000_000) is None
+    assert measured_point(memory, 5_000_000_000, 42e-6, 0) == [2.5, 42.0]
+    assert measured_point(memory, 5_000_000_000, 42e-6, 1) is None
+    assert model_point(1.0, float("nan")) is None and model_point(1.0, 5e-5) == [1.0, 50.0]
+    memory.add(0, 9.0)  # time began again
+    assert memory.at(0) == 9.0
+
+
+def test_health_not_heard_of_is_stale() -> None:
+    board = HealthBoard()
+    board.add(0.0, "finger/force: sensor", 0, "active", {"measured_rate_hz": "500"})
+    assert board.snapshot(1.0)[0]["level"] == 0
+    late = board.snapshot(5.0)[0]
+    assert late["level"] == 3 and "not heard" in late["message"]
+    for k in range(1000):
+        board.add(1.0, f"n{k}", 0, "", {})
+    assert len(board.snapshot(1.0)) <= HealthBoard.LIMIT

@@ -1,0 +1,692 @@
+"""The guided study, walked through every path on simulated time, without ROS."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from finger_bringup.protocol import (
+    Announcement,
+    Effect,
+    Limits,
+    Phase,
+    Protocol,
+    StartRecording,
+    Step,
+    StopRecording,
+)
+from finger_bringup.study_plan import PREPARATIONS, StudyPlan, parse_preparations
+from finger_common.errors import InputError
+
+SECOND = 1_000_000_000
+START = 1_700_000_000 * SECOND
+
+
+class Rig:
+    """A finger, a force sensor at 500 Hz, a camera at 10 Hz, a probe and a recorder on simulated time."""
+
+    def __init__(self, folder: Path, **plan: Any) -> None:
+        self.limits = plan.pop("limits", Limits())
+        plan = {"conditions": ("dry", "natural"), "trials": 2, **plan}
+        self.now = START
+        self.effects: list[Effect] = []
+        self.recorder_answers = True
+        self.lost = 0
+        self.force_on = self.camera_on = True
+        self.print_left = False
+        self.force = 0.0
+        self.folder = folder
+        self.protocol = Protocol(
+            StudyPlan("S01", "S01_test", **plan), folder, self.take, self.limits
+        )
+        self.next_force = self.next_frame = self.next_tick = self.now
+
+    def take(self, effect: Effect) -> None:
+        self.effects.append(effect)
+
+    @property
+    def phases(self) -> list[Phase]:
+        return [e.phase for e in self.effects if isinstance(e, Announcement)]
+
+    @property
+    def last(self) -> Announcement:
+        return [e for e in self.effects if isinstance(e, Announcement)][-1]
+
+    def answer_recorder(self) -> None:
+        pending = [e for e in self.effects if not isinstance(e, Announcement)]
+        for effect in pending[getattr(self, "answered", 0) :]:
+            if self.recorder_answers:
+                started = isinstance(effect, StartRecording)
+                self.protocol.recorder_answered(started, True, "", self.now, lost=self.lost)
+        self.answered = len(pending)
+
+    def run(self, seconds: float, force: float | None = None, ramp: bool = False) -> None:
+        """Let time pass with the force held at, or going in a straight line to, `force` (N)."""
+        begin, first = self.now, self.force
+        end = begin + round(seconds * SECOND)
+        target = first if force is None else force
+        while self.now < end:
+            self.now += 2_000_000
+            share = (self.now - begin) / (end - begin)
+            self.force = first + (target - first) * share if ramp else target
+            if self.force_on:
+                self.protocol.wrench(self.now, self.force)
+            if self.now >= self.next_frame:
+                self.next_frame += 100_000_000
+                if self.camera_on:
+                    touching = self.force > 0.02 or self.print_left
+                    area = 40e-6 * max(self.force, 0.1) ** 0.7 if touching else 0.0
+                    self.protocol.area(self.now, area, 0 if touching else 1)
+            if self.now >= self.next_tick:
+                self.next_tick += 50_000_000
+                self.protocol.tick(self.now)
+                self.answer_recorder()
+        self.force = target
+
+    def readings(self, *values: float) -> None:
+        for value in values:
+            self.run(0.2)
+            self.protocol.moisture(self.now, value)
+
+    def to_press(self) -> None:
+        """From prepare to the cue to press."""
+        self.run(0.2)
+        self.protocol.start(self.now)
+        self.run(0.2)
+        self.readings(37.0, 38.0, 39.0)
+        self.run(1.0)
+        assert self.protocol.step is Step.PRESS
+
+    def press(self, peak: float = 1.45) -> None:
+        """Press over the target, hold for a moment, lift."""
+        self.run(1.0, peak, ramp=True)
+        self.run(0.3)
+        self.run(0.2, 0.0, ramp=True)
+        self.run(0.7)
+
+    def trial(self) -> None:
+        """A good trial from prepare to its verdict."""
+        self.to_press()
+        self.press()
+        self.readings(36.0, 37.0, 38.0)
+        self.run(0.2)
+        assert self.protocol.step is Step.DONE
+
+    @property
+    def attempt(self) -> Any:
+        return self.protocol.trials[self.protocol.current].attempts[-1]
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Rig:
+    rig = Rig(tmp_path / "session")
+    rig.run(0.5)
+    rig.protocol.start(rig.now)
+    return rig
+
+
+def test_a_good_trial_goes_through_all_phases_and_is_recorded(rig: Rig) -> None:
+    rig.trial()
+    assert rig.phases == [
+        Phase.PREPARE,
+        Phase.MOISTURE_BEFORE,
+        Phase.PRESS,
+        Phase.LIFT,
+        Phase.MOISTURE_AFTER,
+        Phase.DONE,
+    ]
+    started = next(e for e in rig.effects if isinstance(e, StartRecording))
+    assert started.path.endswith("000_dry_0") and started.trial.condition == "dry"
+    assert isinstance(
+        [e for e in rig.effects if not isinstance(e, Announcement)][-1], StopRecording
+    )
+    attempt = rig.attempt
+    assert attempt.verdict == "done"
+    assert attempt.moisture_before == [37, 38, 39] and attempt.moisture_after == [36, 37, 38]
+    assert attempt.peak_force == pytest.approx(1.45)
+    # 1.45 N in 1 s: from 0.05 N to 1.35 N takes 1.30 / 1.45 s.
+    assert attempt.time_to_target == pytest.approx(1.30 / 1.45, abs=0.004)
+    assert attempt.longest_gap == pytest.approx(0.002)
+
+
+def test_cue_to_lift_comes_with_the_first_sample_at_the_target(rig: Rig) -> None:
+    rig.to_press()
+    rig.run(1.0, 1.3499, ramp=True)
+    assert rig.last.phase is Phase.PRESS
+    stamp = rig.now + 2_000_000
+    rig.protocol.wrench(stamp, 1.35)
+    assert rig.last.phase is Phase.LIFT
+    assert rig.last.stamp_ns == stamp == rig.attempt.cue_ns
+
+
+def test_whole_session_runs_in_blocks_and_finishes(rig: Rig) -> None:
+    for _ in range(4):
+        rig.trial()
+        rig.run(2.0)
+    assert rig.protocol.step is Step.FINISHED
+    assert [t.condition for t in rig.protocol.trials] == ["dry", "dry", "natural", "natural"]
+    assert rig.last.phase is Phase.IDLE
+    with (rig.folder / "trials.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [r["verdict"] for r in rows] == ["done"] * 4
+    assert [r["moisture_before_au"] for r in rows] == ["38.00"] * 4
+    assert [r["bag"] for r in rows] == ["000_dry_0", "001_dry_0", "002_natural_0", "003_natural_0"]
+    with pytest.raises(InputError, match="finished"):
+        rig.protocol.start(rig.now)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "restore", "words"),
+    [
+        (("print_left", True), ("print_left", False), "on the plate"),
+        (("force", 0.4), ("force", 0.0), "0.40 N on the plate"),
+        (("force_on", False), ("force_on", True), "force sensor is silent"),
+        (("camera_on", False), ("camera_on", True), "no contact area"),
+        (("recorder_answers", False), None, "recorder is not running"),
+    ],
+)
+def test_press_is_not_asked_for_until_the_frame_is_empty_and_all_is_well(
+    rig: Rig, spoil: Any, restore: Any, words: str
+) -> None:
+    setattr(rig, *spoil)
+    rig.run(0.2)
+    rig.protocol.start(rig.now)
+    rig.run(0.2)
+    rig.readings(1.0, 2.0, 3.0)
+    rig.run(3.0)
+    assert rig.protocol.step is Step.CLEAR
+    assert words in rig.protocol.waiting_for()
+    assert words in rig.protocol.snapshot()["waiting_for"]
+    if restore:
+        setattr(rig, *restore)
+    else:
+        rig.protocol.recorder_answered(True, True, "", rig.now)
+    rig.run(1.0)
+    assert rig.protocol.step is Step.PRESS
+
+
+def test_clear_frame_must_last_before_the_press(rig: Rig) -> None:
+    rig.run(0.2)
+    rig.protocol.start(rig.now)
+    rig.readings(1.0, 2.0, 3.0)
+    rig.run(0.4)
+    assert rig.protocol.step is Step.CLEAR
+    rig.run(0.1, 0.3)
+    rig.run(0.45, 0.0)
+    assert rig.protocol.step is Step.CLEAR, "the touch begins the wait again"
+    rig.run(0.5)
+    assert rig.protocol.step is Step.PRESS
+
+
+def expect_failure(rig: Rig, words: str) -> None:
+    failed = [e for e in rig.effects if isinstance(e, Announcement) and e.phase is Phase.FAILED]
+    assert failed and words in failed[-1].note, failed
+    assert rig.protocol.trials[0].attempts[0].verdict == "failed"
+    assert StopRecording() in rig.effects
+
+
+def test_press_lifted_too_early_fails_and_is_redone(rig: Rig) -> None:
+    rig.to_press()
+    rig.run(0.5, 0.8, ramp=True)
+    rig.run(0.1, 0.0)
+    rig.run(0.7)
+    expect_failure(rig, "lifted at 0.80 N")
+    rig.run(2.0)
+    assert rig.protocol.step is Step.PREPARE and rig.last.index == 0 and rig.last.attempt == 1
+    rig.trial()
+    assert [a.verdict for a in rig.protocol.trials[0].attempts] == ["failed", "done"]
+    assert rig.attempt.bag.endswith("000_dry_1")
+
+
+def test_no_press_at_all_fails(rig: Rig) -> None:
+    rig.to_press()
+    rig.run(30.2)
+    expect_failure(rig, "no press within 30 s")
+
+
+def test_target_never_reached_fails(rig: Rig) -> None:
+    rig.to_press()
+    rig.run(0.5, 1.0, ramp=True)
+    rig.run(10.5)
+    expect_failure(rig, "1.00 of 1.35 N")
+
+
+def test_finger_not_lifted_fails(rig: Rig) -> None:
+    rig.to_press()
+    rig.run(0.5, 1.4, ramp=True)
+    rig.run(10.5)
+    expect_failure(rig, "not lifted")
+
+
+def test_dropped_force_samples_fail_the_trial(rig: Rig) -> None:
+    rig.to_press()
+    rig.run(0.5, 0.7, ramp=True)
+    rig.force_on = False
+    rig.run(0.12)
+    rig.force_on = True
+    rig.press()
+    expect_failure(rig, "force samples missing for 0.12 s")
+
+
+def test_missing_frames_fail_the_trial(rig: Rig) -> None:
+    rig.to_press()
+    rig.run(0.5, 0.7, ramp=True)
+    rig.camera_on = False
+    rig.run(0.6)
+    rig.camera_on = True
+    rig.press()
+    expect_failure(rig, "camera frames missing for 0.")
+
+
+def test_camera_that_stops_before_lift_off_fails_the_trial(rig: Rig) -> None:
+    rig.to_press()
+    rig.run(1.0, 1.2, ramp=True)
+    rig.camera_on = False
+    rig.run(0.8)
+    rig.press()
+    expect_failure(rig, "camera frames missing")
+
+
+def test_contact_not_seen_fails_the_trial(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig.to_press()
+    area = rig.protocol.area
+    monkeypatch.setattr(rig.protocol, "area", lambda stamp, *_: area(stamp, 0.0, 1))
+    rig.press()
+    expect_failure(rig, "contact seen in 0 frames")
+
+
+def test_sensor_silent_during_the_press_fails_at_once_and_waits_until_it_is_back(rig: Rig) -> None:
+    rig.to_press()
+    rig.run(0.5, 0.7, ramp=True)
+    rig.force_on = False
+    rig.run(0.8)
+    expect_failure(rig, "force sensor fell silent")
+    rig.force = 0.0
+    rig.run(2.0)
+    rig.protocol.start(rig.now)
+    rig.readings(1.0, 2.0, 3.0)
+    rig.run(2.0)
+    assert rig.protocol.step is Step.CLEAR
+    rig.force_on = True
+    rig.run(1.0)
+    assert rig.protocol.step is Step.PRESS
+
+
+def test_invalid_force_and_device_errors_fail_the_trial(rig: Rig) -> None:
+    rig.to_press()
+    rig.run(0.5, 0.7, ramp=True)
+    rig.protocol.wrench(rig.now + 1_000_000, math.nan)
+    rig.protocol.health("force", 2, "gauge saturated", rig.now)
+    rig.press()
+    expect_failure(rig, "invalid samples")
+    expect_failure(rig, "force: gauge saturated")
+    rig.protocol.health("force", 2, "gauge saturated", rig.now)
+    assert "gauge saturated" in rig.protocol.waiting_for()
+    rig.protocol.health("force", 0, "", rig.now)
+    assert "gauge" not in rig.protocol.waiting_for()
+
+
+def test_messages_lost_by_the_recorder_fail_the_trial(rig: Rig) -> None:
+    rig.to_press()
+    rig.press()
+    rig.lost = 7
+    rig.readings(1.0, 2.0, 3.0)
+    rig.run(0.2)
+    expect_failure(rig, "recorder lost 7")
+    rig.lost = 0
+    rig.run(2.0)
+    assert rig.protocol.step is Step.PREPARE and rig.last.attempt == 1
+
+
+def test_recorder_that_refuses_holds_the_session(rig: Rig) -> None:
+    rig.recorder_answers = False
+    rig.run(0.2)
+    rig.protocol.start(rig.now)
+    rig.protocol.recorder_answered(True, False, "disk is full", rig.now)
+    assert rig.protocol.paused and "recorder" in rig.protocol.snapshot()["message"]
+    expect_failure(rig, "disk is full")
+
+
+def test_recorder_that_never_answers_holds_the_session(rig: Rig) -> None:
+    rig.recorder_answers = False
+    rig.run(0.2)
+    rig.protocol.start(rig.now)
+    rig.readings(1.0, 2.0, 3.0)
+    rig.run(11.0)
+    assert rig.protocol.paused
+    expect_failure(rig, "did not start: no answer")
+
+
+def test_recorder_that_does_not_close_fails_the_trial(rig: Rig) -> None:
+    rig.to_press()
+    rig.press()
+    rig.recorder_answers = False
+    rig.readings(1.0, 2.0, 3.0)
+    assert rig.protocol.step is Step.CLOSING
+    rig.run(11.0)
+    expect_failure(rig, "did not close the bag: no answer")
+
+
+def test_late_answer_to_an_old_stop_leaves_the_next_recording_alone(rig: Rig) -> None:
+    rig.to_press()
+    rig.recorder_answers = False
+    rig.protocol.redo(rig.now)
+    rig.protocol.start(rig.now)
+    rig.protocol.recorder_answered(False, True, "", rig.now)
+    rig.protocol.recorder_answered(True, True, "", rig.now)
+    assert rig.protocol.snapshot()["recording"] == "on"
+
+
+def test_readings_outside_the_scale_or_of_another_time_do_not_count(rig: Rig) -> None:
+    rig.run(0.2)
+    rig.protocol.moisture(rig.now, 50.0)  # nobody asked yet
+    rig.protocol.start(rig.now)
+    rig.run(0.2)
+    rig.protocol.moisture(rig.now - SECOND, 50.0)  # taken before the trial began
+    rig.protocol.moisture(rig.now, 131.0, flags=1)
+    assert "131" in rig.last.note
+    assert rig.attempt.moisture_before == []
+    rig.readings(50.0)
+    assert rig.attempt.moisture_before == [50.0]
+
+
+def test_study_without_moisture_goes_straight_to_the_press(tmp_path: Path) -> None:
+    rig = Rig(tmp_path, readings=0, trials=1, conditions=("natural",))
+    rig.protocol.start(rig.now)
+    rig.run(0.1)
+    rig.protocol.start(rig.now)
+    rig.run(1.5)
+    rig.press()
+    rig.run(2.0)
+    assert rig.protocol.step is Step.FINISHED
+
+
+def test_trials_begin_by_themselves_when_no_confirmation_is_wanted(tmp_path: Path) -> None:
+    rig = Rig(tmp_path, limits=Limits(confirm_preparation=False), readings=0, trials=1)
+    rig.protocol.start(rig.now)
+    rig.run(4.0)
+    assert rig.protocol.step is Step.PRESS
+
+
+def test_rig_without_camera_and_recorder(tmp_path: Path) -> None:
+    limits = Limits(need_camera=False, need_recorder=False)
+    rig = Rig(tmp_path, limits=limits, trials=1, conditions=("natural",))
+    rig.camera_on = False
+    rig.protocol.start(rig.now)
+    rig.trial()
+    assert not any(isinstance(e, (StartRecording, StopRecording)) for e in rig.effects)
+
+
+@pytest.mark.parametrize("when", ["prepare", "moisture_before", "clear", "press", "lift"])
+def test_pause_before_the_press_is_over_begins_the_trial_again(rig: Rig, when: str) -> None:
+    rig.run(0.2)
+    if when in ("press", "lift"):
+        rig.to_press()
+        rig.run(1.0, 1.4 if when == "lift" else 0.7, ramp=True)
+    elif when != "prepare":
+        rig.protocol.start(rig.now)
+        if when == "clear":
+            rig.print_left = True
+            rig.readings(1.0, 2.0, 3.0)
+    assert rig.protocol.step.value == when
+    rig.protocol.pause(rig.now)
+    assert rig.last.phase is Phase.PAUSED
+    with pytest.raises(InputError, match="paused"):
+        rig.protocol.start(rig.now)
+    with pytest.raises(InputError, match="already"):
+        rig.protocol.pause(rig.now)
+    rig.print_left = False
+    rig.run(60.0, 0.0)
+    assert rig.last.phase is Phase.PAUSED, "nothing happens during a pause"
+    rig.protocol.resume(rig.now)
+    assert rig.protocol.step is Step.PREPARE
+    assert rig.last.index == 0 and rig.last.attempt == (0 if when == "prepare" else 1)
+    rig.trial()
+
+
+def test_pause_after_the_press_keeps_the_press(rig: Rig) -> None:
+    rig.to_press()
+    rig.press()
+    rig.readings(36.0)
+    rig.protocol.pause(rig.now)
+    rig.readings(99.0)
+    rig.run(30.0)
+    rig.protocol.resume(rig.now)
+    assert rig.protocol.step is Step.MOISTURE_AFTER
+    rig.readings(37.0, 38.0)
+    rig.run(0.2)
+    assert rig.attempt.verdict == "done" and rig.attempt.moisture_after == [36, 37, 38]
+
+
+def test_redo_in_the_middle_and_after_the_verdict(rig: Rig) -> None:
+    rig.to_press()
+    rig.run(0.5, 0.5, ramp=True)
+    rig.protocol.redo(rig.now)
+    assert rig.protocol.step is Step.PREPARE and rig.last.attempt == 1
+    rig.run(0.5, 0.0)
+    rig.trial()
+    rig.protocol.redo(rig.now)
+    assert rig.protocol.step is Step.PREPARE and rig.last.index == 0 and rig.last.attempt == 2
+    assert [a.verdict for a in rig.protocol.trials[0].attempts] == ["failed", "superseded"]
+    rig.trial()
+    rig.run(2.0)
+    assert rig.last.index == 1
+
+
+def test_redo_after_the_next_trial_was_announced_redoes_the_last_one_done(rig: Rig) -> None:
+    with pytest.raises(InputError, match="no trial was done"):
+        rig.protocol.redo(rig.now)
+    rig.trial()
+    rig.run(2.0)
+    assert rig.last.index == 1
+    rig.protocol.redo(rig.now)
+    assert rig.last.index == 0 and rig.last.attempt == 1
+
+
+def test_repeat_of_an_earlier_trial_and_return(rig: Rig) -> None:
+    for _ in range(3):
+        rig.trial()
+        rig.run(2.0)
+    rig.protocol.repeat(1, rig.now)
+    assert rig.last.index == 1 and rig.last.attempt == 1
+    rig.trial()
+    rig.run(2.0)
+    assert rig.last.index == 3
+    with pytest.raises(InputError, match="0 to 3"):
+        rig.protocol.repeat(4, rig.now)
+    rig.to_press()
+    with pytest.raises(InputError, match="under way"):
+        rig.protocol.repeat(0, rig.now)
+
+
+def test_repeat_after_the_end_of_the_session(rig: Rig) -> None:
+    for _ in range(4):
+        rig.trial()
+        rig.run(2.0)
+    rig.protocol.repeat(2, rig.now)
+    rig.trial()
+    rig.run(2.0)
+    assert rig.protocol.step is Step.FINISHED
+
+
+def test_skip_leaves_the_trial_out(rig: Rig) -> None:
+    rig.protocol.skip(rig.now)
+    assert rig.last.index == 1 and rig.protocol.trials[0].verdict == "skipped"
+    rig.to_press()
+    rig.protocol.skip(rig.now)
+    assert rig.last.index == 2
+    rig.protocol.repeat(0, rig.now)
+    rig.run(0.2)
+    rig.trial()
+    rig.run(2.0)
+    assert rig.last.index == 2, "a skipped trial stays skipped until it is repeated"
+    for _ in range(2):
+        rig.protocol.skip(rig.now)
+    assert rig.protocol.step is Step.FINISHED
+    with pytest.raises(InputError, match="no open trial"):
+        rig.protocol.skip(rig.now)
+
+
+def test_trial_that_fails_again_and_again_holds_the_session(rig: Rig) -> None:
+    for _ in range(5):
+        rig.to_press()
+        rig.run(0.3, 0.5, ramp=True)
+        rig.run(0.7, 0.0)
+        rig.run(2.0)
+    assert rig.protocol.paused and "failed 5 times" in rig.protocol.snapshot()["message"]
+    rig.protocol.resume(rig.now)
+    assert rig.protocol.step is Step.PREPARE
+
+
+@pytest.mark.parametrize(
+    "when",
+    ["idle", "prepare", "moisture_before", "clear", "press", "lift", "moisture_after", "closing",
+     "done", "failed", "finished"],
+)  # fmt: skip
+def test_crash_at_any_moment_resumes_at_the_same_trial(tmp_path: Path, when: str) -> None:
+    rig = Rig(tmp_path / "session", trials=1 if when == "finished" else 2, conditions=("dry",))
+    rig.run(0.2)
+    if when != "idle":
+        rig.protocol.start(rig.now)
+    if when in ("moisture_before", "clear"):
+        rig.protocol.start(rig.now)
+        rig.readings(1.0)
+        if when == "clear":
+            rig.print_left = True
+            rig.readings(2.0, 3.0)
+    elif when == "failed":
+        rig.to_press()
+        rig.run(0.3, 0.5, ramp=True)
+        rig.run(0.7, 0.0)
+    elif when not in ("idle", "prepare"):
+        rig.to_press()
+        if when == "lift":
+            rig.run(1.0, 1.4, ramp=True)
+        elif when != "press":
+            rig.press()
+            if when != "moisture_after":
+                rig.recorder_answers = when != "closing"
+                rig.readings(36.0, 37.0, 38.0)
+                rig.run(2.5 if when == "finished" else 0.2)
+    assert rig.protocol.step.value == when
+    before = json.loads((rig.folder / "session.json").read_text()) if when != "idle" else None
+    rig.protocol.save()
+    effects: list[Effect] = []
+    again = Protocol.resume_from(rig.folder, effects.append, rig.now + 60 * SECOND, rig.limits)
+    assert effects[0] == StopRecording(), "what the recorder still writes is closed"
+    if when == "idle":
+        assert again.step is Step.IDLE
+        return
+    assert before is not None
+    if when == "finished":
+        assert again.step is Step.FINISHED and not again.paused
+        return
+    assert again.paused and again.step is Step.PREPARE
+    kept = when in ("closing", "done")
+    assert again.current == (1 if kept else 0)
+    assert again.trials[0].verdict == ("done" if kept else "pending")
+    attempts = again.trials[0].attempts
+    expected = {"prepare": [], "closing": ["done"], "done": ["done"]}.get(when, ["failed"])
+    assert [a.verdict for a in attempts] == expected
+    if expected == ["failed"] and when != "failed":
+        assert "interrupted" in attempts[0].reason
+    # The session runs on to its end with the same machine.
+    rig.protocol = again
+    rig.effects = effects
+    rig.answered = 1
+    rig.recorder_answers, rig.print_left = True, False
+    rig.now += 61 * SECOND
+    rig.next_tick = rig.next_frame = rig.now
+    rig.force = 0.0
+    rig.run(0.5)
+    again.resume(rig.now)
+    while again.step is not Step.FINISHED:
+        rig.trial()
+        rig.run(2.0)
+    assert [t.verdict for t in again.trials] == ["done", "done"]
+
+
+def test_state_file_is_whole_at_every_effect(tmp_path: Path) -> None:
+    """A crash in the middle of any change finds the file of before or after it, never a broken one."""
+    rig = Rig(tmp_path / "session", trials=1, conditions=("dry",))
+    seen = []
+
+    def take(effect: Effect) -> None:
+        rig.effects.append(effect)
+        if rig.protocol.state_file.exists():
+            seen.append(json.loads(rig.protocol.state_file.read_text())["step"])
+
+    rig.protocol._effects = take
+    rig.run(0.2)
+    rig.protocol.start(rig.now)
+    rig.trial()
+    assert {"prepare", "clear", "press", "lift", "moisture_after"} <= set(seen)
+    assert not [f for f in rig.folder.iterdir() if f.name.startswith(".")]
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "[]", "{}", "not json", '{"version": 1}', '{"version": 99}', '{"version": 1, "plan": 3}'],
+)
+def test_unusable_state_file_is_refused_in_one_sentence(tmp_path: Path, text: str) -> None:
+    (tmp_path / "session.json").write_text(text)
+    with pytest.raises(InputError, match=re.escape("session.json")):
+        Protocol.resume_from(tmp_path, lambda effect: None, START)
+
+
+def test_commands_that_make_no_sense_are_refused(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    for command in (rig.protocol.pause, rig.protocol.resume, rig.protocol.skip, rig.protocol.redo):
+        with pytest.raises(InputError):
+            command(rig.now)
+    rig.protocol.start(rig.now)
+    rig.to_press()
+    with pytest.raises(InputError, match="under way"):
+        rig.protocol.start(rig.now)
+    assert rig.protocol.step is Step.PRESS
+
+
+def test_preparation_texts_can_be_edited_and_survive(rig: Rig) -> None:
+    assert rig.protocol.snapshot()["preparation"] == PREPARATIONS["dry"]
+    rig.protocol.set_preparation("dry", "Talcum powder.")
+    assert rig.protocol.snapshot()["preparation"] == "Talcum powder."
+    again = Protocol.resume_from(rig.folder, lambda e: None, rig.now)
+    assert again.plan.preparation("dry") == "Talcum powder."
+    with pytest.raises(InputError, match="moist"):
+        rig.protocol.set_preparation("moist", "x")
+    with pytest.raises(InputError, match="characters"):
+        rig.protocol.set_preparation("dry", " ")
+    assert parse_preparations(["wet: Dip in water."])["wet"] == "Dip in water."
+    with pytest.raises(InputError, match="condition: text"):
+        parse_preparations(["no colon"])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"subject": "Maria"}, "never a name"),
+        ({"subject": "../S1"}, "code"),
+        ({"session": "a/b"}, "folder"),
+        ({"conditions": ()}, "no condition"),
+        ({"conditions": ("dry", "dry")}, "twice"),
+        ({"conditions": ("d y",)}, "plain name"),
+        ({"trials": 0}, "trials"),
+        ({"readings": -1}, "readings"),
+        ({"target_force": 0.0}, "target force"),
+    ],
+)
+def test_plans_that_cannot_be_run_are_refused(change: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        StudyPlan(**{"subject": "S01", "session": "a", **change})
+
+
+def test_phases_are_those_of_the_message(project_root: Path) -> None:
+    text = (project_root / "src" / "finger_msgs" / "msg" / "Trial.msg").read_text()
+    declared = {n: int(v) for n, v in re.findall(r"uint8 PHASE_(\w+) = (\d+)", text)}
+    assert declared == {phase.name: phase.value for phase in Phase}

@@ -1,0 +1,243 @@
+"""The protocol node over DDS: a trial with a recorder that answers, commands, and a restart after SIGKILL."""
+
+from __future__ import annotations
+
+import json
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+
+class Suite:
+    """Stands for the rest of the suite: force, areas, readings and a recorder, published from this process."""
+
+    def __init__(self, domain: int) -> None:
+        from finger_msgs.msg import ContactArea, Moisture, Trial
+        from finger_msgs.srv import Record
+        from geometry_msgs.msg import WrenchStamped
+        from rclpy.qos import qos_profile_sensor_data as stream
+        from std_msgs.msg import String
+
+        from finger_common.node import LATCHED_QOS
+
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=domain)
+        self.node = rclpy.create_node("suite", context=self.context)
+        self.executor = rclpy.executors.SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.trials: list[Any] = []
+        self.status: dict[str, Any] = {}
+        self.requests: list[Any] = []
+        self.force = 0.0
+        self.wrench = self.node.create_publisher(WrenchStamped, "wrench", stream)
+        self.areas = self.node.create_publisher(ContactArea, "contact_area", stream)
+        self.moisture = self.node.create_publisher(Moisture, "moisture", stream)
+        self.node.create_subscription(Trial, "trial", self.trials.append, LATCHED_QOS)
+        self.node.create_subscription(String, "protocol/status", self._take_status, LATCHED_QOS)
+        self.node.create_service(Record, "recorder/record", self._record)
+        self.node.create_timer(0.01, self._publish_force)
+        self.node.create_timer(0.1, self._publish_area)
+
+    def _take_status(self, message: Any) -> None:
+        self.status = json.loads(message.data)
+
+    def _record(self, request: Any, response: Any) -> Any:
+        self.requests.append(request)
+        response.success = True
+        response.path = request.path
+        return response
+
+    def _publish_force(self) -> None:
+        from geometry_msgs.msg import WrenchStamped
+
+        message = WrenchStamped()
+        message.header.stamp = self.node.get_clock().now().to_msg()
+        message.wrench.force.z = -self.force
+        self.wrench.publish(message)
+
+    def _publish_area(self) -> None:
+        from finger_msgs.msg import ContactArea
+
+        message = ContactArea(gross_area=4e-5 if self.force > 0.02 else 0.0)
+        message.flags = 0 if self.force > 0.02 else ContactArea.FLAG_NO_CONTACT
+        message.header.stamp = self.node.get_clock().now().to_msg()
+        self.areas.publish(message)
+
+    def read_moisture(self, value: float) -> None:
+        from finger_msgs.msg import Moisture
+
+        message = Moisture(value=value)
+        message.header.stamp = self.node.get_clock().now().to_msg()
+        self.moisture.publish(message)
+
+    def until(self, condition: Callable[[], Any], seconds: float = 20.0) -> Any:
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.executor.spin_once(timeout_sec=0.05)
+            result = condition()
+            if result:
+                return result
+        raise AssertionError(f"nothing came in time; status {self.status}")
+
+    def command(self, name: str) -> Any:
+        from std_srvs.srv import Trigger
+
+        client = self.node.create_client(Trigger, f"protocol/{name}")
+        self.until(client.service_is_ready)
+        future = client.call_async(Trigger.Request())
+        self.until(future.done)
+        return future.result()
+
+    def set_parameter(self, name: str, **value: Any) -> Any:
+        from rcl_interfaces.msg import Parameter, ParameterValue
+        from rcl_interfaces.srv import SetParameters
+
+        client = self.node.create_client(SetParameters, "protocol/set_parameters")
+        self.until(client.service_is_ready)
+        value = ParameterValue(**value)
+        future = client.call_async(
+            SetParameters.Request(parameters=[Parameter(name=name, value=value)])
+        )
+        self.until(future.done)
+        return future.result().results[0]
+
+    def step(self, name: str) -> None:
+        self.until(lambda: self.status.get("step") == name)
+
+    def to_press(self) -> None:
+        assert self.command("start").success
+        self.step("moisture_before")
+        for value in (36.0, 37.0, 38.0):
+            self.read_moisture(value)
+        self.step("press")
+
+    def press(self) -> None:
+        self.force = 0.7
+        self.spin(0.5)
+        self.force = 1.4
+        self.step("lift")
+        self.force = 0.0
+
+    def spin(self, seconds: float) -> None:
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.executor.spin_once(timeout_sec=0.02)
+
+    def close(self) -> None:
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+
+@pytest.fixture
+def suite(ros_domain: int) -> Any:
+    suite = Suite(ros_domain)
+    yield suite
+    suite.close()
+
+
+def start_node(process: Any, output: Path, *parameters: str) -> Any:
+    arguments = [
+        "output:=" + str(output),
+        "subject:=S01",
+        "session:=run",
+        "conditions:=[natural]",
+        "trials:=2",
+        "verdict_time:=0.3",
+        "gap_limit:=0.3",
+        "frame_gap_limit:=1.0",
+        *parameters,
+    ]
+    flags = [flag for argument in arguments for flag in ("-p", argument)]
+    return process("-m", "finger_bringup.protocol_node", "--ros-args", *flags)
+
+
+def test_trial_over_dds_restart_after_sigkill_and_commands(
+    suite: Suite, process: Any, tmp_path: Path
+) -> None:
+    from finger_msgs.msg import Trial
+
+    child = start_node(process, tmp_path)
+    suite.until(lambda: suite.status.get("step") == "closed")
+    assert not suite.command("pause").success
+    assert suite.command("start").success
+    suite.step("prepare")
+    assert suite.trials[-1].phase == Trial.PHASE_PREPARE and suite.trials[-1].subject == "S01"
+
+    suite.to_press()
+    suite.press()
+    suite.step("moisture_after")
+    for value in (35.0, 36.0, 37.0):
+        suite.read_moisture(value)
+    suite.until(lambda: suite.status["trials"][0]["verdict"] == "done")
+    starts = [r for r in suite.requests if r.command == r.COMMAND_START]
+    assert starts[0].path == str(tmp_path / "run" / "000_natural_0")
+    assert starts[0].trial.condition == "natural"
+    lift = next(t for t in suite.trials if t.phase == Trial.PHASE_LIFT)
+    assert lift.header.stamp.sec > 1_600_000_000, (
+        "the stamp of the force sample that reached the target"
+    )
+
+    # Killed in the middle of the second press, the node comes back at the same trial, paused.
+    suite.until(lambda: suite.status.get("index") == 1 and suite.status.get("step") == "prepare")
+    suite.to_press()
+    suite.force = 0.7
+    suite.spin(0.3)
+    child.send_signal(signal.SIGKILL)
+    child.wait(5)
+    suite.force = 0.0
+    suite.status = {}
+    child = start_node(process, tmp_path)
+    suite.until(lambda: suite.status.get("paused"))
+    assert suite.status["index"] == 1 and suite.status["attempt"] == 1
+    assert suite.status["trials"][0]["verdict"] == "done"
+    assert "interrupted" in suite.status["trials"][1]["reason"]
+    suite.until(lambda: suite.requests[-1].command == 0)
+
+    # Every other command, and the refusals.
+    assert suite.command("resume").success
+    refused = suite.set_parameter("trials", type=2, integer_value=5)
+    assert not refused.successful and "close the session" in refused.reason
+    texts = ["natural: Wash with water."]
+    assert suite.set_parameter("preparations", type=9, string_array_value=texts).successful
+    suite.until(lambda: suite.status["preparation"] == "Wash with water.")
+    assert suite.set_parameter("selected_trial", type=2, integer_value=0).successful
+    assert suite.command("repeat").success
+    suite.until(lambda: suite.status["index"] == 0 and suite.status["attempt"] == 1)
+    assert suite.command("skip").success
+    suite.until(lambda: suite.status["index"] == 1)
+    assert suite.command("redo").success is False
+    assert suite.command("close").success
+    suite.until(lambda: suite.status.get("step") == "closed")
+    again = suite.command("start")
+    assert not again.success and "exists already" in again.message
+    child.send_signal(signal.SIGINT)
+    assert child.wait(10) == 0, child.output.read_text()
+    assert "Traceback" not in child.output.read_text()
+
+
+def test_names_are_refused_and_a_missing_recorder_is_reported(
+    ros_domain: int, process: Any, tmp_path: Path
+) -> None:
+    suite = Suite(ros_domain)
+    try:
+        for service in list(suite.node.services):
+            if service.srv_name.endswith("/record"):
+                suite.node.destroy_service(service)
+        start_node(process, tmp_path, "subject:=Maria", "record_timeout:=0.6")
+        suite.until(lambda: suite.status.get("step") == "closed")
+        refused = suite.command("start")
+        assert not refused.success and "never a name" in refused.message
+        assert suite.set_parameter("subject", type=4, string_value="S07").successful
+        assert suite.command("start").success
+        assert suite.command("start").success
+        suite.until(lambda: suite.status.get("paused"))
+        assert "recorder is not running" in suite.status["trials"][0]["reason"]
+    finally:
+        suite.close()

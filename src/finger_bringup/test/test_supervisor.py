@@ -1,0 +1,124 @@
+"""The supervisor starts in order, restarts what dies, and leaves nothing behind."""
+
+import os
+import signal
+import sys
+import threading
+
+import pytest
+
+from finger_bringup.supervisor import ProcessSpec, Supervisor
+from finger_common.errors import FingerError
+
+FOREVER = "import time; print('alive', flush=True)\nwhile True: time.sleep(0.05)"
+STUBBORN = "import signal, time; signal.signal(signal.SIGINT, signal.SIG_IGN); " + FOREVER
+
+
+def python(code: str) -> tuple[str, ...]:
+    return (sys.executable, "-c", code)
+
+
+class Log:
+    """Collects lines and lets a test wait for one."""
+
+    def __init__(self) -> None:
+        self.lines: list[tuple[str, str]] = []
+        self._new = threading.Condition()
+
+    def __call__(self, name: str, text: str) -> None:
+        with self._new:
+            self.lines.append((name, text))
+            self._new.notify_all()
+
+    def wait_for(self, text: str, count: int = 1, timeout: float = 15.0) -> None:
+        def seen() -> bool:
+            return sum(text in line for _, line in self.lines) >= count
+
+        with self._new:
+            assert self._new.wait_for(seen, timeout), (text, self.lines)
+
+
+def gone(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return True
+    return False
+
+
+def test_a_rank_starts_only_when_the_rank_before_is_ready() -> None:
+    slow = "import time; time.sleep(0.4); print('device is READY', flush=True)\n" + FOREVER
+    log = Log()
+    specs = [
+        ProcessSpec("node", python(FOREVER), rank=1),
+        ProcessSpec("device", python(slow), rank=0, ready_text="READY"),
+    ]
+    with Supervisor(specs, line=log):
+        log.wait_for("alive", count=2)
+    names = [name for name, _ in log.lines]
+    assert names.index("node") > [text for _, text in log.lines].index("device is READY")
+
+
+def test_a_process_that_dies_is_started_again_and_reported() -> None:
+    log = Log()
+    with Supervisor([ProcessSpec("node", python(FOREVER))], line=log, respawn_delay=0.05) as all_:
+        log.wait_for("alive")
+        first = all_.process_id("node")
+        assert first is not None
+        os.kill(first, signal.SIGKILL)
+        log.wait_for("was ended by signal 9")
+        log.wait_for("alive", count=2)
+        assert all_.restarts() == {"node": 1}
+        second = all_.process_id("node")
+        assert second is not None and second != first
+    assert gone(second)
+
+
+def test_stop_ends_even_what_ignores_interrupts_and_its_children() -> None:
+    parent = f"import subprocess, sys; subprocess.Popen([sys.executable, '-c', {FOREVER!r}]); "
+    log = Log()
+    specs = [
+        ProcessSpec("stubborn", python(STUBBORN)),
+        ProcessSpec("parent", python(parent + FOREVER)),
+    ]
+    supervisor = Supervisor(specs, line=log)
+    supervisor.start()
+    log.wait_for("alive", count=3)
+    pids = [supervisor.process_id(name) for name in ("stubborn", "parent")]
+    supervisor.stop(patience=0.5)
+    assert all(pid is not None and gone(pid) for pid in pids)
+    assert any("sent SIGTERM" in text for name, text in log.lines if name == "stubborn")
+
+
+def test_the_end_of_an_essential_process_ends_all_with_its_exit_code() -> None:
+    log = Log()
+    specs = [
+        ProcessSpec("node", python(FOREVER)),
+        ProcessSpec("session", python("import sys; sys.exit(3)"), essential=True),
+    ]
+    supervisor = Supervisor(specs, line=log)
+    supervisor.start()
+    assert supervisor.wait(10)
+    supervisor.stop()
+    assert supervisor.exit_code == 3
+    assert not any(supervisor.alive().values())
+
+
+def test_a_process_that_never_becomes_ready_is_named_and_all_are_ended() -> None:
+    specs = [
+        ProcessSpec("other", python(FOREVER)),
+        ProcessSpec("device", python("raise SystemExit(2)"), rank=1, ready_text="READY"),
+    ]
+    supervisor = Supervisor(specs, line=Log())
+    with pytest.raises(FingerError, match="'device' ended with exit code 2"):
+        supervisor.start()
+    assert not any(supervisor.alive().values())
+
+
+def test_restarts_slow_down_for_what_cannot_run() -> None:
+    log = Log()
+    specs = [ProcessSpec("broken", python("raise SystemExit(1)"))]
+    with Supervisor(specs, line=log, respawn_delay=0.05, longest_delay=0.2):
+        log.wait_for("starting it again", count=4)
+    delays = [text.split(" in ")[1] for _, text in log.lines if "starting it again" in text]
+    assert delays[:4] == ["0.05 s", "0.1 s", "0.2 s", "0.2 s"]
