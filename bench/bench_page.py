@@ -1,0 +1,214 @@
+"""Operator's page: time from the force sample that reaches the target to the cue on the screen.
+
+A stand-in rig in this process publishes force at 500 Hz, areas at 10 Hz and readings; the protocol node, the page node and
+a headless browser run as processes of their own. The browser notes when the frame with the cue to lift was handed to
+the screen (on the same clock, this being one machine). page_cue_latency_p50 and _p99 are over all presses.
+What is missing: the screen's own delay, and a real sensor's and driver's.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import urllib.request
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+TARGET = 1.35  # N
+OPTIONS = "--no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking --disable-component-update --disable-sync".split()
+
+WATCH = """
+window.shown = [];
+new MutationObserver(() => {
+  const look = document.getElementById("cue").dataset.look;
+  requestAnimationFrame(() => {
+    const channel = new MessageChannel();
+    channel.port1.onmessage = () => window.shown.push([look, performance.timeOrigin + performance.now()]);
+    channel.port2.postMessage(0);
+  });
+}).observe(document.getElementById("cue"), {attributes: true, attributeFilter: ["data-look"]});
+"""
+
+
+class StandIn(threading.Thread):
+    """Publishes what a rig would: presses when the cue says press, lifts 0.3 s after the cue to lift."""
+
+    def __init__(self, domain: int) -> None:
+        super().__init__(daemon=True)
+        self.domain = domain
+        self.stop = threading.Event()
+        self.crossings: list[float] = []
+        self.step = ""
+
+    def run(self) -> None:
+        import rclpy
+        from finger_msgs.msg import ContactArea, Trial
+        from geometry_msgs.msg import WrenchStamped
+        from rclpy.qos import qos_profile_sensor_data as stream
+        from std_msgs.msg import String
+
+        from finger_common.node import LATCHED_QOS
+
+        context = rclpy.Context()
+        rclpy.init(context=context, domain_id=self.domain)
+        node = rclpy.create_node("stand_in", namespace="finger", context=context)
+        executor = rclpy.executors.SingleThreadedExecutor(context=context)
+        executor.add_node(node)
+        wrench = node.create_publisher(WrenchStamped, "wrench", stream)
+        areas = node.create_publisher(ContactArea, "contact_area", stream)
+        phase = [0]
+
+        def on_status(message: String) -> None:
+            self.step = json.loads(message.data)["step"]
+
+        node.create_subscription(
+            Trial, "trial", lambda m: phase.__setitem__(0, m.phase), LATCHED_QOS
+        )
+        node.create_subscription(String, "protocol/status", on_status, LATCHED_QOS)
+        force, lifting, rising = 0.0, 0.0, True
+        next_time = time.time()
+        count = 0
+        while not self.stop.is_set():
+            executor.spin_once(timeout_sec=0.0)
+            now = time.time()
+            if now < next_time:
+                time.sleep(max(min(next_time - now, 0.002), 0))
+                continue
+            next_time = max(next_time + 0.002, now - 0.02)
+            if phase[0] == Trial.PHASE_PRESS and rising:
+                force += 0.004 + random.random() * 0.0005
+            if force >= TARGET and rising:
+                self.crossings.append(now)
+                rising, lifting = False, now + 0.3
+            if not rising and now > lifting:
+                force = max(force - 0.02, 0.0)
+                if force == 0.0 and phase[0] != Trial.PHASE_LIFT:
+                    rising = True
+            message = WrenchStamped()
+            message.header.stamp.sec = int(now)
+            message.header.stamp.nanosec = int((now % 1) * 1e9)
+            message.wrench.force.z = -force
+            wrench.publish(message)
+            count += 1
+            if count % 50 == 0:
+                area = ContactArea(
+                    gross_area=4e-5 if force > 0.02 else 0.0, flags=0 if force > 0.02 else 1
+                )
+                area.header.stamp = message.header.stamp
+                areas.publish(area)
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
+def chromium() -> str | None:
+    """Path of an installed browser."""
+    return next(
+        filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+    )
+
+
+def start_node(
+    module: str, env: dict[str, str], log: Any, *parameters: str
+) -> subprocess.Popen[bytes]:
+    """One node as a process."""
+    flags = [flag for p in parameters for flag in ("-p", p)]
+    command = [sys.executable, "-m", module, "--ros-args", "-r", "__ns:=/finger", *flags]
+    return subprocess.Popen(command, env=env, stdout=log, stderr=log, start_new_session=True)
+
+
+def run(report: Any) -> None:
+    """Register the figures with the benchmark's report."""
+    path = chromium()
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError:
+        path = None
+    if path is None:
+        report.note("page: no browser or no playwright here, cue latency not measured")
+        return
+    presses = 12 if report.quick else 40
+    domain = random.randrange(102, 160)
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    env = {**os.environ, "ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    os.environ.update({k: env[k] for k in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")})
+    folder = Path(tempfile.mkdtemp(prefix="bench_page_"))
+    rig = StandIn(domain)
+    children = []
+    try:
+        with (folder / "log").open("wb") as log:
+            children.append(
+                start_node(
+                    "finger_bringup.protocol_node", env, log, f"output:={folder}", "subject:=S01",
+                    "conditions:=[natural]", f"trials:={presses}", "readings:=0", "need_recorder:=false",
+                    "confirm_preparation:=false", "verdict_time:=0.2", "clear_time:=0.2",
+                    "release_time:=0.1", "gap_limit:=1.0", "frame_gap_limit:=2.0", "stale_after:=2.0",
+                )
+            )  # fmt: skip
+            children.append(start_node("finger_bringup.page_node", env, log, f"port:={port}"))
+        rig.start()
+        url = f"http://127.0.0.1:{port}/"
+        end = time.monotonic() + 60
+        while True:
+            try:
+                urllib.request.urlopen(url, timeout=1).close()
+                break
+            except OSError:
+                if time.monotonic() > end:
+                    raise
+                time.sleep(0.2)
+        with sync_playwright() as driver:
+            browser = driver.chromium.launch(executable_path=path, args=OPTIONS)
+            page = browser.new_page(viewport={"width": 1280, "height": 800})
+            page.goto(url)
+            page.wait_for_selector("#cue[data-look=closed]", timeout=60000)
+            page.evaluate(WATCH)
+            page.keyboard.press("Space")
+            page.fill("#plan-subject", "S01")
+            page.click("#plan-start")
+            end = time.monotonic() + 30 + 8 * presses
+            while rig.step != "finished" and time.monotonic() < end:
+                page.wait_for_timeout(200)
+            shown = page.evaluate("window.shown")
+            browser.close()
+        lifts = np.array([t / 1e3 for look, t in shown if look == "lift"])
+        delays = []
+        for crossing in rig.crossings:
+            after = lifts[lifts >= crossing]
+            if len(after) and after[0] - crossing < 1.0:
+                delays.append((after[0] - crossing) * 1e3)
+        if not delays:
+            report.note("page: no cue was seen; see whether the nodes ran")
+            return
+        report.add("page_cue_latency_p50", float(np.percentile(delays, 50)), "ms", 50, "lower")
+        report.add("page_cue_latency_p99", float(np.percentile(delays, 99)), "ms", 50, "lower")
+        report.note(
+            f"page: {len(delays)} presses, worst {max(delays):.1f} ms, from the stamp of the force sample to the "
+            "frame with the cue in a headless browser on this machine"
+        )
+    finally:
+        rig.stop.set()
+        for child in children:
+            if child.poll() is None:
+                os.killpg(child.pid, signal.SIGINT)
+        for child in children:
+            try:
+                child.wait(8)
+            except subprocess.TimeoutExpired:
+                os.killpg(child.pid, signal.SIGKILL)
+                child.wait()
+        rig.join(3)
+        shutil.rmtree(folder, ignore_errors=True)

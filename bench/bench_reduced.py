@@ -1,0 +1,107 @@
+"""Speed and accuracy of the reduced model."""
+
+from __future__ import annotations
+
+import gc
+import time
+from typing import Any
+
+import numba
+import numpy as np
+
+from finger_model.estimator import ContactEstimator
+from finger_model.force_histories import PAPER_BOX, human_press
+from finger_model.reduced import ReducedModel
+from finger_model.reduction_error import error_table
+from finger_model.reduction_runs import held_out_case, pool, run_all
+
+SETS, TRIALS, FRAMES = 900, 15, 20
+"""The paper's optimisation: five candidates and 60 rounds for three conditions, 15 trials each."""
+
+PAIRS = 204
+SEED = 20211
+"""As `finger-model verify --reduced`: pairs no training saw."""
+
+
+def step_times(number: int = 20000) -> np.ndarray:
+    """Times (number,) in s of single steps through Python, on a press with 500 Hz."""
+    model = ReducedModel.load()
+    state = model.start(np.array([140e3, 22.35e3, 0.5, 1795e3]))
+    force = 0.7 + 0.6 * np.sin(np.arange(number) * 0.01)
+    for i in range(1000):
+        model.step(state, 0.002, force[i])
+    times = np.empty(number)
+    gc.collect()
+    gc.disable()
+    for i in range(number):
+        start = time.perf_counter()
+        model.step(state, 0.002, force[i])
+        times[i] = time.perf_counter() - start
+    gc.enable()
+    return times
+
+
+def sample_times(number: int = 20000) -> np.ndarray:
+    """Times (number,) in s of `ContactEstimator.add_wrench`."""
+    estimator = ContactEstimator(ReducedModel.load())
+    force = 0.7 + 0.6 * np.sin(np.arange(number) * 0.01)
+    times = np.empty(number)
+    gc.collect()
+    gc.disable()
+    for i in range(number):
+        start = time.perf_counter()
+        estimator.add_wrench(10**18 + 2_000_000 * i, (0.0, 0.0, -force[i]))
+        times[i] = time.perf_counter() - start
+    gc.enable()
+    return times
+
+
+def batch_seconds(full_rate: bool) -> float:
+    """Time (s) of 900 parameter sets over 15 trials on two threads; the best of three."""
+    rng = np.random.default_rng(0)
+    low, high = np.log(np.array(PAPER_BOX)).T
+    parameters = np.exp(rng.uniform(low, high, (SETS, 4)))
+    trials: list[tuple[np.ndarray, ...]] = []
+    for _ in range(TRIALS):
+        instants, force = human_press(rng, rate=500.0)
+        rise = int(np.argmax(force >= 1.35))
+        frames = np.linspace(rise // FRAMES, rise, FRAMES).astype(int)
+        if full_rate:
+            trials.append((instants[: rise + 1], force[: rise + 1], frames))
+        else:
+            trials.append((instants[frames], force[frames]))
+    model = ReducedModel.load()
+    before = numba.get_num_threads()
+    numba.set_num_threads(min(2, before))
+    try:
+        model.batch(parameters[:2], trials)
+        times = []
+        for _ in range(1 if full_rate else 3):
+            start = time.perf_counter()
+            found = model.batch(parameters, trials)
+            times.append(time.perf_counter() - start)
+            assert all(np.all(np.isfinite(f)) for f in found)
+    finally:
+        numba.set_num_threads(before)
+    return min(times)
+
+
+def run(report: Any) -> None:
+    """Benchmark entry point."""
+    times = step_times() * 1e6
+    report.add("reduced_step_p99", np.percentile(times, 99), "µs", 20)
+    report.note(f"one step: median {np.median(times):.1f} µs")
+    times = sample_times() * 1e6
+    report.add("estimator_sample_p99", np.percentile(times, 99), "µs")
+    report.note(f"one sample through the estimator: median {np.median(times):.1f} µs")
+    report.add("reduced_paper_batch", batch_seconds(False), "s", 2)
+    report.add("reduced_full_rate_batch", batch_seconds(True), "s")
+    model = ReducedModel.load()
+    number = 24 if report.quick else PAIRS
+    with pool(2, model.geometry, 1.0, model.friction, None) as executor:
+        runs = [r for r, _ in run_all(executor, [held_out_case(SEED, i) for i in range(number)])]
+    table = error_table(model, runs)
+    summary = table.summary()
+    report.add("reduced_rms_error", 100 * summary["rms_p99"], "%", 1)
+    report.add("reduced_max_error", 100 * summary["worst_p99"], "%", 2)
+    report.note(table.text())

@@ -1,0 +1,78 @@
+"""Time of one 1280×1024 frame to a ContactArea's fields, one core, plate calibration on."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any
+
+import cv2
+import numpy as np
+
+from finger_sim.ftir import AREA_PER_PIXEL, Contact, FtirRenderer, Scene
+from finger_vision.calibration import PlateCalibration
+from finger_vision.contact import ContactSegmenter, SegmenterSettings
+from finger_vision.messages import contact_area_fields
+
+
+def _median(segmenter: ContactSegmenter, frames: list[np.ndarray], number: int) -> float:
+    times = []
+    for index in range(number):
+        start = time.perf_counter()
+        contact_area_fields(segmenter.process(frames[index % len(frames)]))
+        times.append(time.perf_counter() - start)
+    return 1e3 * float(np.median(times))
+
+
+def run(report: Any) -> None:
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        renderer = FtirRenderer("natural", 3, Scene(tilt=math.radians(15), tilt_direction=0.4))
+        calibration = PlateCalibration(
+            AREA_PER_PIXEL,
+            np.linalg.inv(renderer.homography),
+            renderer.camera_matrix,
+            np.array([-0.12, 0.15, 0.0008, -0.0005, 0.0]),
+            (renderer.width, renderer.height),
+        )
+        contacts = [Contact(radius * 1e-3, aspect=1.3) for radius in (1.5, 2.5, 3.5, 4.5, 5.5)]
+        frames = [renderer.render_frame([contact]).image for contact in contacts]
+        learned = ContactSegmenter(SegmenterSettings(), calibration)
+        for _ in range(5):
+            learned.learn(renderer.empty())
+        number = 50 if report.quick else 400
+        _median(learned, frames, 20)
+        report.add("vision_frame", _median(learned, frames, number), "ms", goal=3.0)
+        guessed = ContactSegmenter(SegmenterSettings(learn_background=False), calibration)
+        report.add("vision_frame_without_background", _median(guessed, frames, number // 4), "ms")
+        report.add("vision_frame_empty", _median(learned, [renderer.empty()], number // 4), "ms")
+        times = []
+        for contact in contacts * 8:
+            start = time.perf_counter()
+            renderer.render_frame([contact])
+            times.append(time.perf_counter() - start)
+        report.add("ftir_render_frame", 1e3 * float(np.median(times)), "ms", goal=25.0)
+        _memory(report, learned, [renderer.empty(), *frames])
+    finally:
+        cv2.setNumThreads(threads)
+
+
+def _memory(report: Any, segmenter: ContactSegmenter, frames: list[np.ndarray]) -> None:
+    """Growth of the process's resident memory over many frames."""
+
+    def resident() -> float:
+        with open("/proc/self/status") as file:
+            for line in file:
+                if line.startswith("VmRSS"):
+                    return float(line.split()[1]) / 1024
+        return math.nan
+
+    number = 300 if report.quick else 10_000
+    for index in range(100):
+        segmenter.process(frames[index % len(frames)])
+    before = resident()
+    for index in range(number):
+        segmenter.process(frames[index % len(frames)])
+    report.add("vision_memory_growth", resident() - before, "MB", goal=5.0)
+    report.note(f"memory over {number} frames")
