@@ -1,0 +1,24 @@
+# Finger contact suite on Ubuntu 24.04 with ROS 2 Jazzy from apt. Written for those who have a container engine;
+# it was not built where the suite was developed.
+#
+#   docker build -t finger-contact .
+#   docker run --rm -it --network host finger-contact finger-rig up --simulated
+FROM ros:jazzy-ros-base
+
+RUN apt-get update && apt-get install -y --no-install-recommends \
+      build-essential make python3-venv python3-pip python3-colcon-common-extensions \
+      ros-jazzy-diagnostic-msgs ros-jazzy-sensor-msgs ros-jazzy-rosbag2-storage-mcap \
+    && rm -rf /var/lib/apt/lists/*
+
+WORKDIR /finger
+COPY requirements.txt ./
+# Ubuntu 24.04 refuses pip outside a virtual environment (PEP 668); this one sees apt's rclpy.
+RUN python3 -m venv --system-site-packages venv && venv/bin/pip install --no-cache-dir -r requirements.txt colcon-common-extensions
+
+COPY . .
+RUN . /opt/ros/jazzy/setup.sh && . venv/bin/activate && python -m colcon build --base-paths src \
+    && printf '#!/bin/sh\n. /opt/ros/jazzy/setup.sh\n. /finger/venv/bin/activate\n. /finger/install/setup.sh\nexec "$@"\n' > /entry.sh \
+    && chmod +x /entry.sh
+
+ENTRYPOINT ["/entry.sh"]
+CMD ["finger-rig", "up", "--simulated"]

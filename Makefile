@@ -1,0 +1,53 @@
+# Finger contact suite. `make demo` and `make test` set up everything they need.
+PYTHON ?= python3
+ENV := .venv
+RUN := $(ENV)/bin/python
+export OMP_NUM_THREADS ?= 1
+
+.PHONY: help setup setup-test demo test test-slow test-compat lint bench soak bags clean
+
+help:
+	@echo "make demo         set up, run the simulated rig, record, fit, write out/demo/report.html"
+	@echo "make test         set up and run the tests (test-slow: the long ones)"
+	@echo "make test-compat  the core tests with NumPy 1.26 and OpenCV 4, as on apt Jazzy"
+	@echo "make bench        measure the key figures into bench/results.json"
+	@echo "make soak         record the full rig load for 30 minutes"
+	@echo "make bags         make the sample bags again"
+	@echo "make setup        only set up the environment in $(ENV)"
+
+setup:
+	@command -v $(PYTHON) >/dev/null || { echo "setup: $(PYTHON) not found: install Python 3.10 to 3.13 or name one with PYTHON=…" >&2; exit 2; }
+	@$(PYTHON) scripts/setup_env.py --env $(ENV)
+
+setup-test:
+	@command -v $(PYTHON) >/dev/null || { echo "setup: $(PYTHON) not found: install Python 3.10 to 3.13 or name one with PYTHON=…" >&2; exit 2; }
+	@$(PYTHON) scripts/setup_env.py --env $(ENV) --test
+
+demo: setup
+	@$(RUN) -m finger_bringup.demo -o out/demo
+
+lint: setup-test
+	@$(RUN) -m ruff check .
+	@$(RUN) -m ruff format --check .
+	@$(RUN) scripts/type_check.py
+
+test: lint
+	@$(RUN) -m pytest
+
+test-slow: setup-test
+	@$(RUN) -m pytest -m slow
+
+test-compat:
+	@$(PYTHON) scripts/test_compat.py
+
+bench: setup
+	@$(RUN) bench/run.py
+
+soak: setup
+	@$(RUN) scripts/soak.py
+
+bags: setup
+	@$(RUN) -m finger_bringup.sample_bags
+
+clean:
+	rm -rf out build install log .pytest_cache .ruff_cache .mypy_cache

@@ -1,0 +1,107 @@
+"""Fixtures for all tests: isolated ROS domains and child processes that end with the test."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent
+
+# Compiled kernels and BLAS share two cores with the nodes under test.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("MPLBACKEND", "Agg")
+os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
+
+@pytest.fixture(scope="session")
+def project_root() -> Path:
+    """Folder of the checkout."""
+    return ROOT
+
+
+@pytest.fixture(scope="session")
+def fingerprints(project_root: Path) -> Path:
+    """Folder of the real fingerprint images; skips where they are absent."""
+    folder = project_root.parent / "shared" / "data" / "fingerprints"
+    if not folder.is_dir():
+        pytest.skip("real fingerprint images are not on this machine")
+    return folder
+
+
+def _domain_is_free(domain: int) -> bool:
+    """Whether nobody listens on the domain's discovery port (RTPS: 7400 + 250 domain + 10)."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind(("", 7400 + 250 * domain + 10))
+        except OSError:
+            return False
+    return True
+
+
+@pytest.fixture
+def ros_domain(monkeypatch: pytest.MonkeyPatch) -> int:
+    """A ROS_DOMAIN_ID of its own, set in the environment, discovery kept on this host."""
+    domains = list(range(1, 101))
+    random.SystemRandom().shuffle(domains)
+    domain = next(d for d in domains if _domain_is_free(d))
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    return domain
+
+
+@pytest.fixture
+def free_port() -> Callable[[], int]:
+    """Function that gives an unused UDP and TCP port."""
+
+    def port() -> int:
+        with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
+            probe.bind(("127.0.0.1", 0))
+            return int(probe.getsockname()[1])
+
+    return port
+
+
+@pytest.fixture
+def process(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Function that starts a child process (its own group), ended with the test whatever happens.
+
+    `process("-m", "finger_model.model_node", "--ros-args", …)` runs this Python; output goes to a file whose
+    path is `child.output`.
+    """
+    children: list[subprocess.Popen[str]] = []
+
+    def start(*arguments: str | Path, env: dict[str, str] | None = None, **options: Any) -> Any:
+        output = tmp_path / f"process_{len(children)}.log"
+        with output.open("w") as log:
+            child = subprocess.Popen(
+                [sys.executable, *map(str, arguments)],
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                text=True,
+                start_new_session=True,
+                env={**os.environ, **(env or {})},
+                **options,
+            )
+        child.output = output  # type: ignore[attr-defined]
+        children.append(child)
+        return child
+
+    yield start
+    for child in children:
+        if child.poll() is None:
+            os.killpg(child.pid, signal.SIGINT)
+    for child in children:
+        try:
+            child.wait(5)
+        except subprocess.TimeoutExpired:
+            os.killpg(child.pid, signal.SIGKILL)
+            child.wait()

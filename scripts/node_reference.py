@@ -1,0 +1,321 @@
+"""Write docs/nodes.md and src/finger_bringup/config/rig.yaml from the nodes' own descriptions.
+
+`python scripts/node_reference.py` writes both; `--check` only says whether they are current (exit code 1 if not). The
+parameters come from the tables the nodes declare, topics and services from the calls in their sources, the meaning of
+topics from the bag schema, messages from the comments of the interface files.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import importlib
+import re
+import sys
+import textwrap
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from finger_bag.schema import TOPICS
+from finger_common.files import atomic_write
+from finger_common.node import COMMON_PARAMETERS, LifecycleShell
+from finger_common.parameters import Parameter
+
+ROOT = Path(__file__).resolve().parent.parent
+REFERENCE = ROOT / "docs" / "nodes.md"
+RIG_FILE = ROOT / "src" / "finger_bringup" / "config" / "rig.yaml"
+
+ORDER = (
+    "force camera moisture vision model recorder fit protocol page bring_up fit_request unattended simulated_rig"
+).split()
+"""Nodes in the reader's order."""
+
+IN_RIG_FILE = "force camera moisture vision model recorder protocol page".split()
+
+OTHER_TOPICS = {
+    "contact_image": "the image with the contact's outline, made only while somebody listens",
+    "/diagnostics": "health of every source, once a second",
+    "trial": "the trial at hand and its phase, latched",
+    "~/status": "everything the operator's page shows of the session (JSON, latched)",
+    "protocol/status": "the protocol node's `~/status`",
+    "~/entered": "a reading entered by the operator, in a.u.",
+}
+
+SERVICE_MEANINGS = {
+    "~/tare": "take the present reading, if it is still, as zero",
+    "~/reset_tare": "back to the untared reading",
+    "~/reset": "forget the past: a finger at rest (model), a new background (vision)",
+    "~/record": "start or stop a recording",
+    "~/fit": "fit parameters to bags; feedback per round, cancel keeps the best so far",
+    "~/force_for_area": "the force that, held from now on, gives an area",
+    "~/predict": "contact under a future force history",
+    "~/set_moisture": "a reading entered by the operator",
+    "~/set_camera_info": "store a lens calibration",
+}
+
+CALLS = {
+    "create_stream_publisher": "publishes",
+    "create_publisher": "publishes",
+    "create_lifecycle_publisher": "publishes",
+    "create_stream_subscription": "subscribes",
+    "create_subscription": "subscribes",
+    "create_service": "serves",
+    "ActionServer": "serves",
+    "create_client": "calls",
+    "ActionClient": "calls",
+}
+
+
+@dataclass
+class NodeDescription:
+    """One node: class, its module and what its source says about topics and services."""
+
+    cls: type[LifecycleShell]
+    module: Any
+    package: str
+    uses: dict[str, list[tuple[str, str]]] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        return self.cls.NAME
+
+    @property
+    def executable(self) -> str:
+        return str(self.module.__name__.rsplit(".", 1)[-1])
+
+
+def text_of(node: ast.expr, module: Any) -> str | None:
+    """Topic named by an expression: a string, or a parameter's default where it is a parameter."""
+    if isinstance(node, ast.Constant) and isinstance(node.value, str):
+        return node.value
+    if (
+        isinstance(node, ast.Subscript)
+        and isinstance(node.slice, ast.Constant)
+        and ast.unparse(node.value).endswith("values")
+    ):
+        table = next(
+            (c.TABLE for c in vars(module).values() if isinstance(c, type) and hasattr(c, "TABLE")
+             and c.__module__ == module.__name__),
+            None,
+        )  # fmt: skip
+        if table is not None and node.slice.value in table:
+            return str(table[node.slice.value].default)
+    return None
+
+
+def uses_of(module: Any) -> dict[str, list[tuple[str, str]]]:
+    """Kind of use -> (name, interface type) from the calls in a module's source."""
+    tree = ast.parse(Path(module.__file__).read_text())
+    found: dict[str, list[tuple[str, str]]] = {}
+    for call in [n for n in ast.walk(tree) if isinstance(n, ast.Call)]:
+        function = (
+            call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
+        )
+        kind = CALLS.get(str(function))
+        arguments = call.args[1:] if function in ("ActionServer", "ActionClient") else call.args
+        if kind is None or len(arguments) < 2:
+            continue
+        name = text_of(arguments[1], module)
+        if name is not None:
+            entry = (name, ast.unparse(arguments[0]))
+            if entry not in found.setdefault(kind, []):
+                found[kind].append(entry)
+    for name in (
+        getattr(module, "SERVICES", {})
+        if isinstance(getattr(module, "SERVICES", None), dict)
+        else ()
+    ):
+        found.setdefault("serves", []).append((f"~/{name}", "Trigger"))
+    return found
+
+
+def descriptions() -> list[NodeDescription]:
+    """All nodes of the suite in the reader's order."""
+    found = {}
+    for file in sorted((ROOT / "src").glob("*/*/*_node.py")):
+        package = file.parent.name
+        if file.parent.parent.name != package:
+            continue
+        module = importlib.import_module(f"{package}.{file.stem}")
+        for cls in vars(module).values():
+            if (
+                isinstance(cls, type)
+                and issubclass(cls, LifecycleShell)
+                and cls.__module__ == module.__name__
+                and hasattr(module, "main")
+            ):
+                found[cls.NAME] = NodeDescription(cls, module, package, uses_of(module))
+    unknown = sorted(set(found) - set(ORDER))
+    return [found[name] for name in [*ORDER, *unknown] if name in found]
+
+
+# The reference ------------------------------------------------------------------------------------
+
+
+def topic_meaning(name: str) -> str:
+    """What a topic carries."""
+    spec = TOPICS.get(name)
+    return spec.meaning if spec else OTHER_TOPICS.get(name, "")
+
+
+def uses_markdown(node: NodeDescription) -> list[str]:
+    """Tables of topics and services."""
+    lines = []
+    services = getattr(node.module, "SERVICES", {})
+    topics = [
+        (direction, name, kind)
+        for direction in ("publishes", "subscribes")
+        for name, kind in node.uses.get(direction, [])
+    ]
+    if topics:
+        lines += ["| | topic | type | carries |", "|---|---|---|---|"]
+        lines += [f"| {d} | `{n}` | {t} | {topic_meaning(n)} |" for d, n, t in topics]
+        lines.append("")
+    offered = node.uses.get("serves", [])
+    if offered:
+        lines += ["| service or action | type | does |", "|---|---|---|"]
+        for name, kind in offered:
+            own = services.get(name.removeprefix("~/"), "") if isinstance(services, dict) else ""
+            lines.append(f"| `{name}` | {kind} | {own or SERVICE_MEANINGS.get(name, '')} |")
+        lines.append("")
+    called = node.uses.get("calls", [])
+    if called:
+        names = ", ".join(f"`{name}`" for name, _ in called)
+        lines += [f"Calls: {names}.", ""]
+    return lines
+
+
+def summary(node: NodeDescription) -> str:
+    """The module's docstring without what is for developers only."""
+    return (node.module.__doc__ or "").strip()
+
+
+def escaped(table: str) -> str:
+    """A table whose code spans may hold vertical bars."""
+    return re.sub(r"`[^`\n]*`", lambda code: code.group().replace("|", "\\|"), table)
+
+
+def messages_markdown() -> list[str]:
+    """Interface files as they are."""
+    lines = ["## Messages, services and actions", ""]
+    for folder, kind in (("msg", "Message"), ("srv", "Service"), ("action", "Action")):
+        for file in sorted((ROOT / "src" / "finger_msgs" / folder).iterdir()):
+            lines += [
+                f"### {kind} finger_msgs/{file.stem}",
+                "",
+                "```",
+                file.read_text().strip(),
+                "```",
+                "",
+            ]
+    return lines
+
+
+def reference() -> str:
+    """Text of docs/nodes.md."""
+    nodes = descriptions()
+    lines = [
+        "# Nodes, topics, services and parameters",
+        "",
+        "<!-- Written by scripts/node_reference.py from the sources; a test holds it against them. -->",
+        "",
+        "Names without a leading `/` are relative to the namespace (`finger` in the launch files); `~` is the "
+        "node's own name. Units are SI on every topic and in every parameter. Each node publishes its health on "
+        "`/diagnostics` once a second and is a lifecycle node: `configure` connects and checks, `activate` "
+        "begins to publish. Start one with `ros2 run PACKAGE EXECUTABLE` or `python -m PACKAGE.EXECUTABLE`.",
+        "",
+        "| node | package | executable |",
+        "|---|---|---|",
+        *(f"| [{n.name}](#{n.name}) | {n.package} | `{n.executable}` |" for n in nodes),
+        "",
+        "Parameters that every node has:",
+        "",
+        COMMON_PARAMETERS.markdown(),
+        "",
+        "Frames and axes are on the page about [setting up the rig](rig_setup.md#frames-and-axes).",
+        "",
+    ]
+    for node in nodes:
+        lines += [f"## {node.name}", "", summary(node), ""]
+        lines += uses_markdown(node)
+        if list(node.cls.TABLE):
+            lines += [escaped(node.cls.TABLE.markdown()), ""]
+    lines += messages_markdown()
+    return "\n".join(lines).rstrip() + "\n"
+
+
+# The rig's parameter file --------------------------------------------------------------------------
+
+
+def comment(parameter: Parameter) -> str:
+    """Comment lines of one key: meaning, unit, default, range, when it counts, advice."""
+    text = parameter.meaning.rstrip()
+    if not text.endswith((".", "!", "?")):
+        text += "."
+    facts = []
+    if parameter.unit:
+        facts.append(f"unit {parameter.unit}")
+    facts.append(f"default {yaml_text(parameter.default)}")
+    allowed = parameter.range_text()
+    if allowed:
+        facts.append(f"{'one of' if parameter.choices else 'range'} {allowed}")
+    facts.append("may change while running" if parameter.runtime else "read at configure")
+    text += f" [{'; '.join(facts)}]"
+    if parameter.advice:
+        text += f" In trouble: {parameter.advice}"
+    return textwrap.fill(
+        text, 100, initial_indent="    # ", subsequent_indent="    # ", break_on_hyphens=False
+    )
+
+
+def yaml_text(value: Any) -> str:
+    """A value as YAML on one line."""
+    text = yaml.safe_dump(value, default_flow_style=True, allow_unicode=True, width=10**6)
+    return text.removesuffix("\n...\n").strip()
+
+
+def rig_file() -> str:
+    """Text of config/rig.yaml."""
+    lines = [
+        "# Parameters of the rig, for `ros2 launch finger_bringup rig.launch.py parameters:=…` and",
+        "# `finger-rig up --parameters …`. Copy it, change what your rig needs, delete the rest: what is not",
+        "# named here keeps its default. Units are SI. `/**/` fits every namespace.",
+        "#",
+        "# Written by scripts/node_reference.py from the nodes' own tables; values are the defaults.",
+    ]
+    by_name = {node.name: node for node in descriptions()}
+    for name in IN_RIG_FILE:
+        node = by_name[name]
+        lines += ["", f"/**/{name}:", "  ros__parameters:"]
+        for parameter in [*node.cls.TABLE, *COMMON_PARAMETERS]:
+            if parameter.name == "autostart":
+                continue  # the launch files and finger-rig say
+            lines += [comment(parameter), f"    {parameter.name}: {yaml_text(parameter.default)}"]
+    return "\n".join(lines) + "\n"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument(
+        "--check", action="store_true", help="only say whether the files are current"
+    )
+    args = parser.parse_args()
+    stale = []
+    for file, text in ((REFERENCE, reference()), (RIG_FILE, rig_file())):
+        if file.exists() and file.read_text() == text:
+            continue
+        stale.append(str(file.relative_to(ROOT)))
+        if not args.check:
+            with atomic_write(file) as out:
+                out.write(text)
+    if args.check and stale:
+        print(f"not current: {', '.join(stale)}; run python scripts/node_reference.py")
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,19 @@
+"""Run mypy over each package with the messages of the environment."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def main() -> int:
+    packages = sorted(p.name for p in (ROOT / "src").iterdir() if (p / p.name).is_dir())
+    arguments = [argument for name in packages for argument in ("-p", name)]
+    return subprocess.run([sys.executable, "-m", "mypy", *arguments], cwd=ROOT).returncode
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,74 @@
+"""The same sources build with colcon, over the project's environment in place of an apt ROS."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("colcon_core", reason="colcon is not installed")
+
+
+@pytest.fixture(scope="module")
+def workspace(tmp_path_factory: pytest.TempPathFactory, project_root: Path) -> Path:
+    """Workspace built with colcon from the sources of this checkout."""
+    folder = tmp_path_factory.mktemp("colcon")
+    prefix = Path(sys.prefix)
+    env = {
+        **os.environ,
+        "PATH": f"{prefix / 'bin'}{os.pathsep}{os.environ['PATH']}",
+        "AMENT_PREFIX_PATH": str(prefix),
+        "CMAKE_PREFIX_PATH": str(prefix),
+        "COLCON_DEFAULTS_FILE": os.devnull,
+        "COLCON_HOME": str(folder / "home"),
+    }
+    command = [sys.executable, "-m", "colcon", "--log-base", str(folder / "log"), "build"]
+    command += ["--base-paths", str(project_root / "src"), "--build-base", str(folder / "build")]
+    command += ["--install-base", str(folder / "install"), "--executor", "sequential"]
+    command += ["--cmake-args", "-G", "Ninja", f"-DPython3_EXECUTABLE={sys.executable}"]
+    command += [f"-DPYTHON_EXECUTABLE={sys.executable}", "-DBUILD_TESTING=OFF"]
+    result = subprocess.run(command, env=env, cwd=folder, capture_output=True, text=True)
+    assert result.returncode == 0, result.stdout[-3000:] + result.stderr[-3000:]
+    return folder / "install"
+
+
+def packages(project_root: Path) -> list[str]:
+    return sorted(p.name for p in (project_root / "src").iterdir() if (p / "package.xml").exists())
+
+
+def test_every_package_is_in_the_ament_index_with_its_package_xml(
+    workspace: Path, project_root: Path
+) -> None:
+    for name in packages(project_root):
+        share = workspace / name / "share"
+        assert (share / "ament_index" / "resource_index" / "packages" / name).exists(), name
+        assert (share / name / "package.xml").exists(), name
+
+
+def test_executables_are_where_ros2_run_looks(workspace: Path, project_root: Path) -> None:
+    for name in packages(project_root):
+        setup = project_root / "src" / name / "setup.py"
+        if not setup.exists():
+            continue
+        for script in re.findall(r'"([\w-]+) = [\w.]+:\w+"', setup.read_text()):
+            path = workspace / name / "lib" / name / script
+            assert path.exists() and os.access(path, os.X_OK), path
+
+
+def test_messages_import_from_the_workspace_and_carry_their_constants(workspace: Path) -> None:
+    site = next((workspace / "finger_msgs").glob("lib/python*/site-packages"))
+    code = (
+        "from finger_msgs.msg import ContactArea; import finger_msgs; "
+        "print(finger_msgs.__file__, ContactArea.FLAG_CLIPPED)"
+    )
+    library = workspace / "finger_msgs" / "lib"
+    search = os.pathsep.join([str(library), os.environ.get("LD_LIBRARY_PATH", "")])
+    env = {**os.environ, "PYTHONPATH": str(site), "LD_LIBRARY_PATH": search}
+    out = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=env, check=True
+    ).stdout.split()
+    assert out[0].startswith(str(workspace)) and out[1] == "4"

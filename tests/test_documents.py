@@ -1,0 +1,106 @@
+"""Commands shown in README.md and docs/ run, and links between documents lead somewhere.
+
+A fenced block marked `sh` is a script. It runs in an empty folder that holds links to `bags`, `examples` and
+`docs`, with the environment's commands on the path. Blocks of one document run in order in the same folder. A
+comment line before the fence changes that: `<!-- not run: reason -->` leaves the block out and says why,
+`<!-- slow -->` runs it with the slow tests only.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), ROOT / "bags" / "README.md"]
+
+
+@dataclass
+class Block:
+    """One fenced `sh` block of a document."""
+
+    document: Path
+    line: int
+    script: str
+    slow: bool
+
+
+def blocks(document: Path) -> list[Block]:
+    """The blocks of a document that are to run."""
+    found: list[Block] = []
+    comment = ""
+    script: list[str] | None = None
+    line = 0
+    for number, text in enumerate(document.read_text().splitlines(), 1):
+        if script is not None:
+            if text.startswith("```"):
+                if not comment.startswith("not run"):
+                    found.append(Block(document, line, "\n".join(script), comment == "slow"))
+                script, comment = None, ""
+            else:
+                script.append(text)
+        elif re.match(r"```sh\s*$", text):
+            script, line = [], number
+        elif match := re.match(r"<!-- (.*) -->", text):
+            comment = match.group(1).strip()
+        elif text.strip():
+            comment = ""
+    return found
+
+
+def with_blocks(slow: bool) -> list[Path]:
+    existing = [d for d in DOCUMENTS if d.exists()]
+    return [d for d in existing if any(b.slow == slow for b in blocks(d))]
+
+
+def run_blocks(document: Path, folder: Path, slow: bool) -> None:
+    for name in ("bags", "examples", "docs", "src"):
+        (folder / name).symlink_to(ROOT / name)
+    env = {
+        **os.environ,
+        "PATH": f"{Path(sys.prefix) / 'bin'}{os.pathsep}{os.environ['PATH']}",
+        "MPLBACKEND": "Agg",
+    }
+    for block in blocks(document):
+        if block.slow and not slow:
+            continue
+        result = subprocess.run(
+            ["bash", "-euo", "pipefail", "-c", block.script],
+            cwd=folder,
+            env=env,
+            capture_output=True,
+            text=True,
+            timeout=900 if slow else 240,
+        )
+        assert result.returncode == 0, (
+            f"{document.name}, line {block.line}:\n{block.script}\n{result.stdout[-2000:]}"
+            f"{result.stderr[-2000:]}"
+        )
+
+
+@pytest.mark.parametrize("document", with_blocks(slow=False), ids=lambda d: d.name)
+def test_commands_shown_run(document: Path, tmp_path: Path, ros_domain: int) -> None:
+    run_blocks(document, tmp_path, slow=False)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("document", with_blocks(slow=True), ids=lambda d: d.name)
+def test_long_commands_shown_run(document: Path, tmp_path: Path, ros_domain: int) -> None:
+    run_blocks(document, tmp_path, slow=True)
+
+
+@pytest.mark.parametrize("document", [d for d in DOCUMENTS if d.exists()], ids=lambda d: d.name)
+def test_links_between_documents_lead_somewhere(document: Path) -> None:
+    broken = []
+    text = re.sub(r"`[^`\n]*`", "", document.read_text())  # what stands in code is no link
+    for target in re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", text):
+        if "://" not in target and not (document.parent / target).exists():
+            broken.append(target)
+    assert not broken, f"{document.name}: {broken}"

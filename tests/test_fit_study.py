@@ -1,0 +1,215 @@
+"""From bags on disk to fit.json: the fit against known truth, through bytes."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from finger_model.reduced import ReducedModel
+from finger_sim.conditions import STUDY
+from finger_sim.press import plan_press
+from finger_sim.study import (
+    FRAME_RATE,
+    START_NS,
+    Misfit,
+    StudyTrial,
+    plan_study_trial,
+    simulate_study,
+    stream,
+    write_bag,
+)
+
+QUICK = ["--no-full-order", "--no-profiles", "--bootstrap", "0", "--grid", "3", "--quiet"]
+
+
+def reduced_trial(name: str, index: int, model: ReducedModel) -> StudyTrial:
+    """A press of the study, its areas by the reduced model: fast, and exact to fit."""
+    press = plan_press(stream(1, name, index, "press"))
+    frames = np.arange(0.03, press.duration, 1.0 / FRAME_RATE)
+    knots = np.union1d(press.time[::2], frames)
+    force = np.interp(knots, press.time, press.force)
+    area = np.interp(frames, knots, model.simulate(STUDY[name].material, knots, force).area)
+    moisture = STUDY[name].draw_moisture(stream(1, name, index, "moisture"))
+    return StudyTrial(name, index, press, frames, area, moisture, Misfit())
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Five presses of the natural finger without area noise, one bag each."""
+    folder = tmp_path_factory.mktemp("study")
+    model = ReducedModel.load()
+    for index in range(5):
+        start = START_NS + index * 60_000_000_000
+        trial = reduced_trial("natural", index, model)
+        write_bag(folder / f"natural_{index:02d}", trial, 1, False, start, noise=1e-12)
+    return folder
+
+
+def finger_fit(*arguments: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "finger_fit.cli", *map(str, arguments)],
+        capture_output=True, text=True, timeout=240,
+    )  # fmt: skip
+
+
+def test_bags_in_parameters_and_report_out(bags: Path, tmp_path: Path) -> None:
+    done = finger_fit(bags, "-o", tmp_path, *QUICK)
+    assert done.returncode == 0, done.stderr
+    entry = json.loads((tmp_path / "fit.json").read_text())["conditions"]["natural"]
+    truth = STUDY["natural"].material
+    assert entry["composite_E"] == pytest.approx(truth.composite_modulus, rel=0.02)
+    assert entry["E2"] == pytest.approx(truth.E2, rel=0.05)
+    assert entry["J"] < 0.05 * entry["J_power_law"]
+    assert entry["trials"] == 5
+    for name in ("parameters.yaml", "report.html", "figures/area_over_force.png"):
+        assert (tmp_path / name).is_file()
+    assert "natural" in done.stdout and "report.html" in done.stdout
+
+
+def test_ctrl_c_leaves_the_best_so_far_and_resume_goes_on(bags: Path, tmp_path: Path) -> None:
+    arguments = [str(bags), "-o", str(tmp_path), *QUICK, "--rounds", "4000"]
+    child = subprocess.Popen(
+        [sys.executable, "-m", "finger_fit.cli", *arguments],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+    )  # fmt: skip
+    checkpoint = tmp_path / "checkpoint_natural_pso.json"
+    try:
+        for _ in range(2400):
+            if checkpoint.exists() or child.poll() is not None:
+                break
+            time.sleep(0.05)
+        os.kill(child.pid, signal.SIGINT)
+        _, errors = child.communicate(timeout=120)
+    finally:
+        if child.poll() is None:
+            child.kill()
+    assert child.returncode == 130, errors
+    assert "Traceback" not in errors
+    entry = json.loads((tmp_path / "fit.json").read_text())["conditions"]["natural"]
+    assert entry["status"] == "interrupted" and entry["J"] > 0
+    done = len(json.loads(checkpoint.read_text())["costs"])
+    again = finger_fit(*arguments[:-1], done + 2, "--resume")
+    assert again.returncode == 0, again.stderr
+    resumed = json.loads((tmp_path / "fit.json").read_text())["conditions"]["natural"]
+    assert resumed["pso"]["rounds"] == done + 2 and resumed["J"] <= entry["J"]
+
+
+def test_a_mapping_file_says_where_the_force_is_and_its_unit(bags: Path, tmp_path: Path) -> None:
+    mapping = tmp_path / "map.yaml"
+    mapping.write_text("topics: {wrench: {topic: /finger/wrench, unit: N}}\n")
+    done = finger_fit(bags, "-o", tmp_path / "a", *QUICK, "--rounds", "2", "--mapping", mapping)
+    assert done.returncode == 0, done.stderr
+    mapping.write_text("topics: {wrench: {topic: /finger/wrench, unit: mN}}\n")
+    done = finger_fit(bags, "-o", tmp_path / "b", *QUICK, "--mapping", mapping)
+    assert done.returncode == 2 and "no trial can be fitted" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["missing.mcap"], ["missing.mcap", "no such bag"]),
+        (["{bags}", "--condition", "wet"], ["'wet'", "natural"]),
+        (["{bags}", "--bounds", "E0=9:1"], ["E0=9:1", "NAME=LOW:HIGH"]),
+        (["{bags}", "--target-force", "9"], ["no trial can be fitted", "below the target"]),
+        (["{bags}", "--bootstrap", "3", "--dask", "tcp://127.0.0.1:9"], ["tcp://127.0.0.1:9"]),
+    ],
+)
+def test_bad_input_ends_with_one_sentence(bags: Path, tmp_path: Path, arguments, words) -> None:
+    filled = [a.replace("{bags}", str(bags)) for a in arguments]
+    done = finger_fit(*filled, "-o", tmp_path, "--quiet")
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr and len(done.stderr.strip().splitlines()) == 1
+    for word in words:
+        assert word in done.stderr
+
+
+def test_study_writes_bags_with_what_the_metadata_says(tmp_path: Path) -> None:
+    from finger_bag.reader import open_bag
+    from finger_fit.loading import load
+    from finger_fit.options import FitOptions
+
+    folders = []
+    for images in (False, True):
+        folder = tmp_path / ("images" if images else "areas")
+        simulate_study(
+            3,
+            folder,
+            images,
+            trials=1,
+            conditions=["natural"],
+            processes=1,
+            refinement=0.6,
+            report=None,
+        )
+        folders.append(folder)
+    with open_bag(folders[0] / "natural_00") as reader:
+        topics = {t.rsplit("/", 1)[-1] for t in reader.info.topics}
+        assert "contact_area" in topics and "image_raw" not in topics
+        assert "noise" in reader.info.metadata.extra["area_source"]
+    with open_bag(folders[1] / "natural_00") as reader:
+        topics = {t.rsplit("/", 1)[-1] for t in reader.info.topics}
+        assert "contact_area" not in topics and "image_raw" in topics
+    noisy, seen = (load([f], FitOptions()) for f in folders)
+    truth = plan_study_trial(3, "natural", 0, refinement=0.6)
+    assert noisy.sources[0]["areas"] == ["topic"] and seen.sources[0]["areas"] == ["images"]
+    times = (noisy.records[0].area_stamp_ns - START_NS) * 1e-9
+    true = np.interp(times, truth.frame_time, truth.area)
+    error = noisy.records[0].area - true
+    assert 0.5e-6 < error.std() < 3e-6
+    times = (seen.records[0].area_stamp_ns - START_NS) * 1e-9
+    true = np.interp(times, truth.frame_time, truth.area)
+    large = true > 20e-6
+    assert np.abs(seen.records[0].area[large] / true[large] - 1).max() < 0.08
+    assert len(noisy.records[0].moisture_before) == len(noisy.records[0].moisture_after) == 3
+
+
+def test_study_is_repeatable_and_misfit_changes_it() -> None:
+    plain = plan_study_trial(5, "dry", 2, refinement=0.5)
+    again = plan_study_trial(5, "dry", 2, refinement=0.5)
+    other = plan_study_trial(5, "dry", 2, misfit=True, refinement=0.5)
+    np.testing.assert_array_equal(plain.area, again.area)
+    np.testing.assert_array_equal(plain.press.force, other.press.force)
+    assert abs(other.area.max() / plain.area.max() - 1) > 0.005
+    assert other.misfit.aspect == 1.3 and other.misfit.epidermis_factor in (0.75, 1.25)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(7200)
+def test_recovery_over_twenty_seeds(project_root: Path) -> None:
+    spec = importlib.util.spec_from_file_location(
+        "recovery", project_root / "scripts" / "recovery.py"
+    )
+    assert spec and spec.loader
+    recovery = importlib.util.module_from_spec(spec)
+    sys.modules["recovery"] = recovery
+    spec.loader.exec_module(recovery)
+    folder = project_root / "out" / "recovery"
+    result = recovery.run(folder, 20)
+    for row in result["clean"]:
+        assert abs(row["error_log"]["composite_E"]) < 0.01, row
+        assert abs(row["error_log"]["E2"]) < 0.03, row
+    assert all(r["J"] <= 1.05 * r["J_truth"] for r in result["rows"])
+    for r in result["rows"]:
+        gap, true = r["J_power_law"] - r["J"], r["J_power_law"] - r["J_truth"]
+        assert abs(gap - true) <= max(0.1 * abs(true), 5.0), r
+    covered = []
+    for window in recovery.WINDOWS:
+        for name in STUDY:
+            for quantity in ("composite_E", "E2", "tau1"):
+                if quantity == "tau1" and name != "natural":
+                    continue
+                s = recovery.statistics(result["rows"], name, window, quantity)
+                covered.append(s["coverage"])
+                assert abs(s["bias"]) < 0.5 * s["spread"], (window, name, quantity, s)
+                if s["at_bound"] < 0.1:
+                    assert s["spread"] <= 1.2 * s["bound"], (window, name, quantity, s)
+    assert 0.90 <= np.mean(covered) <= 0.99
