@@ -14,6 +14,8 @@ from typing import Any
 
 import pytest
 
+from finger_common.processes import bound_to_parent
+
 ROOT = Path(__file__).resolve().parent
 
 # Compiled kernels and BLAS share two cores with the nodes under test.
@@ -75,7 +77,7 @@ def process(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
     """Function that starts a child process (its own group), ended with the test whatever happens.
 
     `process("-m", "finger_model.model_node", "--ros-args", …)` runs this Python; output goes to a file whose
-    path is `child.output`.
+    path is `child.output`. A killed pytest takes its children with it.
     """
     children: list[subprocess.Popen[str]] = []
 
@@ -83,7 +85,7 @@ def process(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
         output = tmp_path / f"process_{len(children)}.log"
         with output.open("w") as log:
             child = subprocess.Popen(
-                [sys.executable, *map(str, arguments)],
+                bound_to_parent([sys.executable, *map(str, arguments)]),
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 text=True,

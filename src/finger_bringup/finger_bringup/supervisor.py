@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from finger_common.errors import FingerError
+from finger_common.processes import bound_to_parent
 
 COLOURS = (36, 33, 32, 35, 34, 96, 93, 92, 95, 94)
 """ANSI foreground colours of the prefixes, in the order of the processes."""
@@ -52,7 +53,7 @@ class _Running:
 
 
 class Supervisor:
-    """Runs processes until `stop`, or until an essential one ends.
+    """Runs processes until `stop`, or until an essential one ends. When the supervisor itself is killed, they end, too.
 
     respawn_delay: s before the first restart, doubled for each further one up to `longest_delay`, back to the
     first after a minute without a death. `line` receives every line of output as (process, text); None prints
@@ -78,6 +79,8 @@ class Supervisor:
         self._lock = threading.Lock()
         self._stopping = threading.Event()
         self._monitor: threading.Thread | None = None
+        self._idle = threading.Event()
+        self._stopped = threading.Event()
         self._ended = threading.Event()
         self.exit_code = 0
 
@@ -106,8 +109,8 @@ class Supervisor:
     def stop(self, patience: float = 8.0) -> None:
         """End all processes, highest rank first: SIGINT, then SIGTERM, then SIGKILL. Safe to call twice."""
         self._stopping.set()
-        if self._monitor is not None and self._monitor is not threading.current_thread():
-            self._monitor.join()
+        if self._monitor is not None:
+            self._idle.wait()
         for rank in sorted({r.spec.rank for r in self._running.values()}, reverse=True):
             group = [r for r in self._running.values() if r.spec.rank == rank]
             for sign, wait in (
@@ -133,6 +136,7 @@ class Supervisor:
         for running in self._running.values():
             if running.reader is not None:
                 running.reader.join(2.0)
+        self._stopped.set()
         self._ended.set()
 
     def alive(self) -> dict[str, bool]:
@@ -166,7 +170,7 @@ class Supervisor:
     def _start(self, running: _Running) -> None:
         # A group of its own: Ctrl-C in the terminal reaches only the supervisor, which ends all in order.
         process = subprocess.Popen(
-            running.spec.command,
+            bound_to_parent(running.spec.command),
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             stdin=subprocess.DEVNULL,
@@ -212,6 +216,9 @@ class Supervisor:
         while not self._stopping.wait(0.1):
             for running in self._running.values():
                 self._look_at(running)
+        self._idle.set()
+        # What this thread started again would be told to end with it, out of order.
+        self._stopped.wait()
 
     def _look_at(self, running: _Running) -> None:
         now = time.monotonic()

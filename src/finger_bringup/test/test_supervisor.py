@@ -2,8 +2,12 @@
 
 import os
 import signal
+import subprocess
 import sys
 import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -30,7 +34,7 @@ class Log:
             self.lines.append((name, text))
             self._new.notify_all()
 
-    def wait_for(self, text: str, count: int = 1, timeout: float = 15.0) -> None:
+    def wait_for(self, text: str, count: int = 1, timeout: float = 60.0) -> None:
         def seen() -> bool:
             return sum(text in line for _, line in self.lines) >= count
 
@@ -44,6 +48,13 @@ def gone(pid: int) -> bool:
     except ProcessLookupError:
         return True
     return False
+
+
+def until(condition: Callable[[], bool], seconds: float = 30.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.02)
 
 
 def test_a_rank_starts_only_when_the_rank_before_is_ready() -> None:
@@ -88,6 +99,30 @@ def test_stop_ends_even_what_ignores_interrupts_and_its_children() -> None:
     supervisor.stop(patience=0.5)
     assert all(pid is not None and gone(pid) for pid in pids)
     assert any("sent SIGTERM" in text for name, text in log.lines if name == "stubborn")
+
+
+def test_what_a_killed_supervisor_leaves_ends_by_itself(tmp_path: Path) -> None:
+    pids = [tmp_path / "first", tmp_path / "again"]
+    again = f"import os, signal, pathlib; first = not pathlib.Path({str(pids[0])!r}).exists(); "
+    again += f"path = pathlib.Path([{str(pids[1])!r}, {str(pids[0])!r}][first]); "
+    again += (
+        "part = path.with_suffix('.part'); part.write_text(str(os.getpid())); part.rename(path); "
+    )
+    again += "first and os.kill(os.getpid(), signal.SIGKILL); " + FOREVER
+    code = (
+        "import sys, time\n"
+        "from finger_bringup.supervisor import ProcessSpec, Supervisor\n"
+        f"spec = ProcessSpec('node', (sys.executable, '-c', {again!r}))\n"
+        "Supervisor([spec], respawn_delay=0.05).start()\n"
+        "time.sleep(600)\n"
+    )
+    parent = subprocess.Popen(python(code), stdout=subprocess.DEVNULL)
+    try:
+        until(lambda: pids[1].exists())
+    finally:
+        parent.kill()
+        parent.wait()
+    until(lambda: gone(int(pids[1].read_text())))
 
 
 def test_the_end_of_an_essential_process_ends_all_with_its_exit_code() -> None:

@@ -32,6 +32,9 @@ TABLE = SOURCE_TABLE + ParameterTable(
     ),
 )
 
+STAMP_RESOLUTION = 1_000_000_000
+"""ns; exports write times in whole seconds."""
+
 
 class MoistureNode(DeviceNode):
     """Thin shell around a MoistureSource. Readings may be entered by hand whatever the source."""
@@ -68,8 +71,15 @@ class MoistureNode(DeviceNode):
         """Publish one reading; called by the device thread and, for entered ones, by the executor."""
         reading, health = sample, self.device.health
         with self._publish_lock:
-            if not self.accept_stamp(reading.stamp_ns):
+            stamp = self._later(reading.stamp_ns)
+            if not self.accept_stamp(stamp):
+                self.device.note(
+                    "backwards",
+                    f"reading {reading.value:g} a.u. is older than the one before it and is left out; "
+                    "check the clock that stamps it",
+                )
                 return
+            self.device.cleared("backwards")
             if reading.flags & FLAG_OUT_OF_RANGE:
                 self.device.note(
                     "out_of_range",
@@ -81,9 +91,19 @@ class MoistureNode(DeviceNode):
             else:
                 self.device.cleared("out_of_range")
             health.sample()
-            reading = replace(reading, index=self._index)
+            reading = replace(reading, stamp_ns=stamp, index=self._index)
             self._index += 1
             self._publisher.publish(fill_moisture(Moisture(), reading, self.values["frame_id"]))
+
+    def _later(self, stamp_ns: int) -> int:
+        """The stamp, or the first one after the last reading's where it lies behind by less than a source resolves.
+
+        Two lines that come in one piece have the same time of arrival, rows of a table often the same second.
+        """
+        last = self._stamps.last
+        if last is not None and last - STAMP_RESOLUTION < stamp_ns <= last:
+            return last + 1
+        return stamp_ns
 
     def _on_set_moisture(self, request: Any, response: Any) -> Any:
         low, high = MOISTURE_RANGE

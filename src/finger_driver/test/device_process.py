@@ -13,13 +13,17 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from finger_common.processes import bound_to_parent
+
 
 class DeviceProcess:
     """`finger-device-sim …` in a process; `say` sends a command and waits until it is carried out."""
 
     def __init__(self, *arguments: object) -> None:
         self._child = subprocess.Popen(
-            [sys.executable, "-m", "finger_driver.simulators.cli", *map(str, arguments)],
+            bound_to_parent(
+                [sys.executable, "-m", "finger_driver.simulators.cli", *map(str, arguments)]
+            ),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,

@@ -197,6 +197,10 @@ def board() -> Iterator[tuple[DeviceProcess, NodeUnderTest]]:
         can_bus.open_bus = real
 
 
+def stamp_of(message: Any) -> int:
+    return int(message.header.stamp.sec) * 10**9 + int(message.header.stamp.nanosec)
+
+
 def force_of(message: Any) -> np.ndarray:
     f = message.wrench.force
     return np.array([f.x, f.y, f.z])
@@ -235,7 +239,7 @@ def run_force_fault(
     if deaf:
         assert not during
     published = topic.since(start)
-    stamps = np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in published])
+    stamps = np.array([stamp_of(m) for m in published])
     assert np.all(np.diff(stamps) > 0), "stamps went back"
     ages = [t - (m.header.stamp.sec + m.header.stamp.nanosec * 1e-9) for t, m in topic.messages]
     shift = min(ages)
@@ -588,6 +592,7 @@ SERIAL_FAULTS = [
     ("bytes that are not text", ["garbage 1", "send 1", "send 43.0"], [43.0], 1, "not ASCII"),
     ("no end of line", ["no_end 1", "send 1", "wait 0.7", "send 44.0"], [44.0], 1, "broke off"),
     ("unplugged and back", ["unplug", "wait 0.5", "plug", "reconnect", "send 45.0"], [45.0], 2, "port"),
+    ("two readings in one piece", ["held 1", "send 47.0", "send 48.0"], [47.0, 48.0], 0, ""),
     ("reading 131", ["send 131", "send 46.0"], [131.0, 46.0], 1, "131 a.u. is outside"),
 ]  # fmt: skip
 EXPORT_FAULTS = [
@@ -621,6 +626,8 @@ def run_moisture_fault(rig: tuple[DeviceProcess, NodeUnderTest], who: str, case:
     messages = test.topic.since(start)
     assert [m.value for m in messages] == values
     assert [m.flags & 1 for m in messages] == [int(v > 130) for v in values]
+    stamps = [stamp_of(m) for m in messages]
+    assert stamps == sorted(set(stamps)), "stamps that do not increase"
     worst, message = test.worst(start)
     if level is not None:
         assert worst == level, message

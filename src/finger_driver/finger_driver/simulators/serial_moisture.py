@@ -20,6 +20,7 @@ FAULTS = {
     "half_line": "sends the first half of a line without an end",
     "garbage": "sends bytes that are not text",
     "no_end": "sends digits without any end of line",
+    "held": "keeps a reading back and sends it in one piece with the next",
 }
 
 
@@ -36,6 +37,7 @@ class SerialMoistureSimulator:
         self._link = Path(link) if link is not None else None
         self._line = line
         self._controller = self._far = -1
+        self._held = b""
         self.plug_in()
 
     @property
@@ -79,6 +81,10 @@ class SerialMoistureSimulator:
             data = bytes(range(128, 200)) + b"\r\n"
         if self.faults.take("no_end"):
             data = b"7" * 4000
+        data, self._held = self._held + data, b""
+        if self.faults.take("held"):
+            self._held = data
+            return
         self._write(data)
 
     def _write(self, data: bytes) -> None:
