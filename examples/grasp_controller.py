@@ -2,8 +2,8 @@
 
     python examples/grasp_controller.py --ros-args -r __ns:=/finger -p target_area:=30.0e-6
 
-Subscribes `contact_state`, publishes the force to press with on `grasp_force` (std_msgs/Float64, N) at 100 Hz. The
-controller itself, `AreaController`, knows no ROS. It opens (0 N) when the state is stale, invalid or has been reset,
+Subscribes `contact_state` and answers every state with the force to press with on `grasp_force` (std_msgs/Float64, N).
+The controller itself, `AreaController`, knows no ROS. It opens (0 N) when the state is stale, invalid or has been reset,
 and stays open until the state has been good for a while.
 """
 
@@ -21,7 +21,8 @@ class AreaController:
     """Integral control of the normal force, scaled by the model's slope dA/dF.
 
     target_area: m²; gain: 1/s, of the error in area; approach_rate: N/s before contact; largest_force: N;
-    largest_rate: N/s; stale_after: s without a state until it opens; settle: s of good states before it presses again.
+    largest_rate: N/s; largest_step: s, a longer time between two states counts as this; stale_after: s without a
+    state until it opens; settle: s of good states before it presses again. `force` is what to press with (N).
     """
 
     target_area: float
@@ -29,47 +30,57 @@ class AreaController:
     approach_rate: float = 1.0
     largest_force: float = 2.5
     largest_rate: float = 3.0
+    largest_step: float = 0.02
     stale_after: float = 0.05
     settle: float = 0.2
     force: float = 0.0
     reason: str = "no contact state yet"
-    _last: float = -math.inf
+    _received: float = -math.inf
+    _stamp: float = -math.inf
     _good_since: float = math.inf
-    _area: float = 0.0
-    _slope: float = 0.0
-    _contact: bool = False
 
-    def on_state(self, now: float, area: float, slope: float, in_contact: bool, flags: int) -> None:
-        """Take a contact state received at `now` (s)."""
-        good = not flags & OPENING_FLAGS and math.isfinite(area) and math.isfinite(slope)
-        if not good:
-            self._open(f"contact state not valid (flags {flags})")
-            return
-        if not math.isfinite(self._good_since) or now - self._last > self.stale_after:
-            self._good_since = now
-        self._last = now
-        self._area, self._slope, self._contact = area, slope, in_contact
+    def on_state(
+        self,
+        received: float,
+        stamp: float,
+        area: float,
+        slope: float,
+        in_contact: bool,
+        flags: int,
+    ) -> float:
+        """Force to press with (N), after a contact state with a header `stamp` (s), received at `received` (s).
 
-    def command(self, now: float, dt: float) -> float:
-        """Force to press with (N); called every `dt` (s)."""
-        if now - self._last > self.stale_after:
-            self._open("contact state is stale")
-        if now - self._good_since < self.settle or not math.isfinite(self._good_since):
-            self.force = 0.0
-            return 0.0
+        The two clocks need not be the same: the stamp tells how long the force has acted, the other what is stale.
+        """
+        self.watch(received)
+        self._received = received
+        elapsed = min(max(stamp - self._stamp, 0.0), self.largest_step)
+        self._stamp = stamp
+        if flags & OPENING_FLAGS or not (math.isfinite(area) and math.isfinite(slope)):
+            return self._open(f"contact state not valid (flags {flags})")
+        self._good_since = min(self._good_since, stamp)
+        if stamp - self._good_since < self.settle:
+            return self.force
         self.reason = ""
-        if not self._contact or self._slope <= 0:
+        if not in_contact or slope <= 0:
             rate = self.approach_rate
         else:
-            rate = self.gain * (self.target_area - self._area) / self._slope
+            rate = self.gain * (self.target_area - area) / slope
         rate = min(max(rate, -self.largest_rate), self.largest_rate)
-        self.force = min(max(self.force + rate * dt, 0.0), self.largest_force)
+        self.force = min(max(self.force + rate * elapsed, 0.0), self.largest_force)
         return self.force
 
-    def _open(self, reason: str) -> None:
+    def watch(self, now: float) -> float:
+        """Force to press with (N) at `now` (s, the clock of `received`): opens when the newest state is stale."""
+        if now - self._received > self.stale_after:
+            self._open("contact state is stale")
+        return self.force
+
+    def _open(self, reason: str) -> float:
         self.force = 0.0
         self.reason = reason
         self._good_since = math.inf
+        return self.force
 
 
 def main() -> None:
@@ -82,31 +93,34 @@ def main() -> None:
 
     rclpy.init()
     node = rclpy.create_node("grasp_controller")
-    target = node.declare_parameter("target_area", 30.0e-6).value
-    controller = AreaController(target)
+    controller = AreaController(
+        target_area=node.declare_parameter("target_area", 30.0e-6).value,
+        stale_after=node.declare_parameter("stale_after", 0.05).value,
+    )
     publisher = node.create_publisher(Float64, "grasp_force", 1)
+    # A steady clock: what is stale must not depend on a clock that may stop or be set.
     steady = rclpy.clock.Clock(clock_type=rclpy.clock.ClockType.STEADY_TIME)
     said = controller.reason
 
     def now() -> float:
         return steady.now().nanoseconds * 1e-9
 
-    def on_state(state: ContactState) -> None:
-        controller.on_state(
-            now(), state.area, state.area_force_slope, state.in_contact, state.flags
-        )
-
-    def tick() -> None:
+    def command(force: float) -> None:
         nonlocal said
-        publisher.publish(Float64(data=controller.command(now(), 0.01)))
+        publisher.publish(Float64(data=force))
         if controller.reason != said:
             said = controller.reason
             node.get_logger().info(f"open: {said}" if said else "pressing")
 
+    def on_state(state: ContactState) -> None:
+        stamp = state.header.stamp.sec + state.header.stamp.nanosec * 1e-9
+        area, slope = state.area, state.area_force_slope
+        command(controller.on_state(now(), stamp, area, slope, state.in_contact, state.flags))
+
     # Only the newest state matters to a controller.
     qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
     node.create_subscription(ContactState, "contact_state", on_state, qos)
-    node.create_timer(0.01, tick, clock=steady)
+    node.create_timer(0.01, lambda: command(controller.watch(now())), clock=steady)
     try:
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):

@@ -55,6 +55,7 @@ def test_the_area_is_within_five_percent_after_one_second(example: Any) -> None:
     frames: list[tuple[int, float]] = []
     areas = []
     begin = None
+    command = 0.0
     for n in range(2000):
         now, stamp = n * 0.002, 10**18 + n * 2_000_000
         if n % 50 == 25:
@@ -65,17 +66,16 @@ def test_the_area_is_within_five_percent_after_one_second(example: Any) -> None:
             estimator.add_area(taken, area + sd * rng.normal(), sd, 0 if area > 2e-6 else 1)
         normal = finger.force + 0.003 * rng.normal()
         for estimate in estimator.add_wrench(stamp, (0.0, 0.0, -normal)):
-            controller.on_state(
+            command = controller.on_state(
+                now,
                 now,
                 estimate.area,
                 estimate.area_force_slope,
                 estimate.in_contact,
                 estimate.flags,
             )
-        if n % 5 == 0:
-            command = controller.command(now, 0.01)
-            if command > 0 and begin is None:
-                begin = n
+        if command > 0 and begin is None:
+            begin = n
         finger.step(command)
         areas.append(finger.area)
     assert begin is not None
@@ -90,8 +90,8 @@ def test_it_opens_on_a_stale_or_invalid_state_and_waits_before_pressing_again(ex
         for _ in range(round(seconds / 0.01)):
             at += 0.01
             if flags is not None:
-                controller.on_state(at, 20e-6, 40e-6, True, flags)
-            force = controller.command(at, 0.01)
+                controller.on_state(at, at, 20e-6, 40e-6, True, flags)
+            force = controller.watch(at)
         return force, at
 
     force, at = run(1.0, 0.0)
@@ -108,8 +108,7 @@ def test_it_opens_on_a_stale_or_invalid_state_and_waits_before_pressing_again(ex
         assert force == 0.0
         force, at = run(0.5, at)
         assert force > 0
-    controller.on_state(at + 0.01, float("nan"), 40e-6, True, 0)
-    assert controller.command(at + 0.01, 0.01) == 0.0
+    assert controller.on_state(at + 0.01, at + 0.01, float("nan"), 40e-6, True, 0) == 0.0
 
 
 @pytest.fixture
@@ -127,36 +126,57 @@ def test_the_nodes_together_hold_the_area_and_open_without_state(
     ros: Any, process: Callable[..., Any], project_root: Path
 ) -> None:
     import rclpy
-    from finger_msgs.msg import ContactArea
+    from finger_msgs.msg import ContactArea, ContactState
     from geometry_msgs.msg import WrenchStamped
     from rclpy.qos import QoSProfile, ReliabilityPolicy
     from std_msgs.msg import Float64
 
     finger = Finger()
-    command = [0.0]
+    commands: list[float] = []
+    answered: list[int] = []
     best = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
     wrench = ros.create_publisher(WrenchStamped, "/finger/wrench", best)
     seen = ros.create_publisher(ContactArea, "/finger/contact_area", best)
+    ros.create_subscription(Float64, "/finger/grasp_force", lambda m: commands.append(m.data), 10)
     ros.create_subscription(
-        Float64, "/finger/grasp_force", lambda m: command.__setitem__(0, m.data), 1
+        ContactState,
+        "/finger/contact_state",
+        lambda m: answered.append(m.header.stamp.sec * 10**9 + m.header.stamp.nanosec),
+        best,
     )
     process("-m", "finger_model.model_node", "--ros-args", "-r", "__ns:=/finger")
     controller = project_root / "examples" / "grasp_controller.py"
-    process(controller, "--ros-args", "-r", "__ns:=/finger", "-p", f"target_area:={TARGET!r}")
+    # The plant waits for each answer, so what is tested does not hang on how fast this machine is today; the
+    # controller is told to bear with that.
+    arguments = ("-p", f"target_area:={TARGET!r}", "-p", "stale_after:=20.0")
+    process(controller, "--ros-args", "-r", "__ns:=/finger", *arguments)
+
+    def wait(condition: Callable[[], bool], seconds: float) -> bool:
+        end = time.monotonic() + seconds
+        while not condition() and time.monotonic() < end:
+            rclpy.spin_once(ros, timeout_sec=0.05)
+        return condition()
+
     message, picture = WrenchStamped(), ContactArea()
-    frames: list[tuple[int, float]] = []
-    areas: list[tuple[float, float]] = []
-    pressed_at = None
-    begin = time.monotonic()
-    due = stepped = begin
-    n = 0
-    while time.monotonic() - begin < 90:
-        due = max(due + 0.002, time.monotonic() - 0.05)
-        stamp = time.time_ns()
+
+    def push(stamp: int) -> None:
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
         message.wrench.force.z = -finger.force
         wrench.publish(message)
-        n += 1
+
+    # Until all three have found one another.
+    for _ in range(600):
+        push(time.time_ns())
+        if wait(lambda: len(answered) > 0 and len(commands) > 0, 0.1):
+            break
+    frames: list[tuple[int, float]] = []
+    areas: list[float] = []
+    begin, pressed_at = time.time_ns(), None
+    for n in range(2500):
+        stamp = begin + n * 2_000_000
+        commands.clear()
+        push(stamp)
+        assert wait(lambda stamp=stamp: stamp in answered[-3:] and len(commands) > 0, 20.0), n
         if n % 50 == 0:
             frames.append((stamp, finger.area))
         if frames and stamp - frames[0][0] > 40_000_000:
@@ -165,23 +185,14 @@ def test_the_nodes_together_hold_the_area_and_open_without_state(
             picture.gross_area, picture.area_stddev = area, 0.02 * area + 0.2e-6
             picture.flags = 0 if area > 2e-6 else 1
             seen.publish(picture)
-        rclpy.spin_once(ros, timeout_sec=max(due - time.monotonic(), 0.0))
-        while (wait := due - time.monotonic()) > 0:
-            rclpy.spin_once(ros, timeout_sec=wait)
-        finger.step(command[0], time.monotonic() - stepped)
-        stepped = time.monotonic()
-        if pressed_at is None and command[0] > 0:
-            pressed_at = time.monotonic()
-        if pressed_at is not None:
-            areas.append((time.monotonic() - pressed_at, finger.area))
-            if areas[-1][0] > 3.0:
-                break
+        finger.step(commands[-1])
+        areas.append(finger.area)
+        if pressed_at is None and commands[-1] > 0:
+            pressed_at = n
     assert pressed_at is not None, "the controller never pressed"
-    held = np.array([a for t, a in areas if t > 1.0])
-    assert np.abs(np.median(held) / TARGET - 1) < 0.05
-    assert np.mean(np.abs(held / TARGET - 1) < 0.05) > 0.95
-    # No more wrench, so no more contact state.
-    quiet = time.monotonic()
-    while command[0] > 0 and time.monotonic() - quiet < 2.0:
-        rclpy.spin_once(ros, timeout_sec=0.05)
-    assert command[0] == 0.0
+    held = np.array(areas[pressed_at + 500 :])
+    assert len(held) > 1000
+    assert np.abs(held / TARGET - 1).max() < 0.05
+    # No more wrench, so no more contact state: it opens.
+    assert commands[-1] > 0
+    assert wait(lambda: commands[-1] == 0.0, 60.0)
