@@ -14,7 +14,7 @@ from finger_model.parameter_sets import PARAMETER_NAMES
 
 from .engine import DaskEngine, LocalEngine
 from .full_order_check import full_order_areas
-from .identifiability import _inverse
+from .identifiability import inverse_of
 from .local import Coordinates, refine
 from .options import FitOptions
 from .problem import MM4, FitProblem
@@ -152,7 +152,7 @@ def thickness_fit(
     slope = (areas[:5] - areas[5:]) / (2 * step)
     residual = extended.areas(vector[None])[0] - problem.measured
     noise = np.sqrt((residual**2).sum() / max(len(residual) - 5, 1))
-    deviation = np.sqrt(np.diag(_inverse(slope @ slope.T / noise**2)))
+    deviation = np.sqrt(np.diag(inverse_of(slope @ slope.T / noise**2)))
     return {
         **dict(zip(PARAMETER_NAMES, map(float, vector))),
         "epidermis_thickness": float(vector[4]),

@@ -50,7 +50,7 @@ class Covariance:
 
     def correlation(self, first: str, second: str) -> float:
         """Correlation of two parameters' logarithms as if no bound were active; NaN if one has no variance."""
-        inverse = _inverse(self.curvature)
+        inverse = inverse_of(self.curvature)
         i, j = PARAMETER_NAMES.index(first), PARAMETER_NAMES.index(second)
         scale = np.sqrt(inverse[i, i] * inverse[j, j])
         return float(inverse[i, j] / scale) if scale > 0 else float("nan")
@@ -137,7 +137,7 @@ def covariance(problem: FitProblem, parameters: np.ndarray) -> Covariance:
     )
 
 
-def _inverse(matrix: np.ndarray) -> np.ndarray:
+def inverse_of(matrix: np.ndarray) -> np.ndarray:
     """Inverse of a positive semidefinite matrix; a direction without information gets a very large variance."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     values, vectors = np.linalg.eigh(matrix * np.outer(scale, scale))
@@ -154,7 +154,7 @@ def _sandwich(
 ) -> np.ndarray:
     """Covariance of the free logarithms: the larger of the two estimates, as said above."""
     index = np.ix_(free, free)
-    inverse = _inverse(curvature[index])
+    inverse = inverse_of(curvature[index])
     by_frames = inverse @ information[index] @ inverse
     part = scores[list(free)]
     part = part - part.mean(axis=1, keepdims=True)
@@ -175,7 +175,7 @@ def cramer_rao(
     slope = sensitivities(problem, parameters)
     index = [PARAMETER_NAMES.index(name) for name in free]
     fisher = slope[index] @ slope[index].T / noise**2
-    inverse = _inverse(fisher)
+    inverse = inverse_of(fisher)
     out = {name: float(np.sqrt(inverse[k, k])) for k, name in enumerate(free)}
     gradient = composite_gradient(parameters)[index]
     out["composite_E"] = float(np.sqrt(gradient @ inverse @ gradient))
@@ -197,7 +197,8 @@ def quantity_box(name: str, box: np.ndarray) -> tuple[float, float]:
     return float(quantity(name, box[:, 0])), float(quantity(name, box[:, 1]))
 
 
-def _held(name: str, box: np.ndarray, value: float) -> Coordinates | None:
+def held(name: str, box: np.ndarray, value: float) -> Coordinates | None:
+    """Coordinates of all that is free while a quantity is held at a value (SI); None where box (4, 2) has no such."""
     if name == "composite_E":
         return with_composite(box, value)
     return with_fixed(box, PARAMETER_NAMES.index(name), value)
@@ -228,7 +229,7 @@ def quantity_deviation(
         if not {0, 1} & set(free):
             free = [i for i, n in enumerate(PARAMETER_NAMES) if n not in found.active or n == "E1"]
     full = _sandwich(found.curvature, found.frame_information, found.scores, free, len(problem))
-    inverse = _inverse(found.curvature[np.ix_(free, free)])
+    inverse = inverse_of(found.curvature[np.ix_(free, free)])
     part = gradient[free]
     variance = float(part @ full @ part)
     rise = variance / max(float(part @ inverse @ part), 1e-300)
@@ -265,7 +266,7 @@ def profile(
         start = best
         for log in side:
             value = float(np.clip(np.exp(log), low, high))
-            coordinates = _held(name, box, value)
+            coordinates = held(name, box, value)
             if coordinates is None:
                 continue
             fit = refine(problem, coordinates, _free_start(name, start), tolerance=1e-5)
@@ -290,6 +291,32 @@ def profile(
         open_high,
         np.array(parameters)[order],
     )
+
+
+def in_interval(
+    problem: FitProblem,
+    name: str,
+    value: float,
+    best: np.ndarray,
+    best_cost: float,
+    found: Covariance,
+    confidence: float = 0.95,
+) -> bool:
+    """Whether a value (SI) lies in the interval that `profile` reports, by one refit there instead of a whole profile.
+
+    A value on a bound of the box counts as inside it.
+    """
+    low, high = quantity_box(name, problem.box)
+    if not low * (1 - AT_BOUND) <= value <= high * (1 + AT_BOUND):
+        return False
+    inside = float(np.clip(value, low * (1 + 1e-9), high * (1 - 1e-9)))
+    coordinates = held(name, problem.box, inside)
+    if coordinates is None:
+        return False
+    _, rise = quantity_deviation(problem, name, best, found)
+    factor = student.ppf(0.5 + 0.5 * confidence, max(len(problem) - 1, 1))
+    fit = refine(problem, coordinates, _free_start(name, best), tolerance=1e-5)
+    return bool(fit.cost <= best_cost + factor**2 * rise)
 
 
 def _crossing(

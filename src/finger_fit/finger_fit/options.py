@@ -123,7 +123,6 @@ FIT_PARAMETERS = ParameterTable(
     Parameter(
         "vision", False, "Measure areas anew from image_raw, even where contact_area is recorded."
     ),
-    Parameter("show_prints", False, "Show prints unpixelated in the report's pictures."),
     Parameter("resume", False, "Go on from the checkpoints in the output folder."),
     Parameter(
         "dask",
@@ -165,7 +164,6 @@ class FitOptions:
     moisture_required: bool = True
     seed: int = 0
     vision: bool = False
-    show_prints: bool = False
     resume: bool = False
     dask: str = ""
 

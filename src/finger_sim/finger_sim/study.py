@@ -113,16 +113,19 @@ def plan_study_trial(
     seed: int,
     name: str,
     index: int,
-    misfit: bool = False,
+    misfit: bool | Misfit = False,
     refinement: float = REFINEMENT,
     style: PressStyle | None = None,
 ) -> StudyTrial:
-    """Press and contact of one trial; equal arguments give equal trials."""
+    """Press and contact of one trial; equal arguments give equal trials. misfit: drawn when True, or as given."""
     setting = condition(name)
     press = plan_press(stream(seed, name, index, "press"), style=style)
     phase = stream(seed, name, index, "camera").uniform(0.0, 1.0 / FRAME_RATE)
     frame_time = np.arange(phase, press.duration, 1.0 / FRAME_RATE)
-    off = misfit_of(seed, name, index) if misfit else Misfit()
+    if isinstance(misfit, Misfit):
+        off = misfit
+    else:
+        off = misfit_of(seed, name, index) if misfit else Misfit()
     geometry = Geometry()
     if off.epidermis_factor != 1.0:
         geometry = replace(
