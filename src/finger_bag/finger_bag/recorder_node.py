@@ -149,7 +149,7 @@ class RecorderNode(LifecycleShell):
             ),
             on_error=self._on_error,
         )
-        self._topics: dict[str, tuple[str, bool, str]] = {}
+        self._topics: dict[str, tuple[str, int, str]] = {}
         self._names: dict[str, str] = {}
         for entry in v["topics"]:
             name, _, kind = entry.partition("=")
@@ -164,7 +164,7 @@ class RecorderNode(LifecycleShell):
             # The schema fixes the period of streams; others are not checked for gaps.
             stream = "stamped" if spec is not None and (spec.rate or 0) >= 5 else ""
             self._names[absolute] = name
-            self._topics[absolute] = (kind, spec is not None and spec.latched, stream)
+            self._topics[absolute] = (kind, spec.latched if spec is not None else 0, stream)
         self._health = Health("recording")
         self.healths = [self._health]
         self._subs: dict[str, Any] = {}
@@ -199,7 +199,7 @@ class RecorderNode(LifecycleShell):
         kind, latched, _ = self._topics[topic]
         if latched:
             qos: QoSProfile = LATCHED_QOS
-            self._latched.setdefault(topic, deque(maxlen=LATCHED_QOS.depth))
+            self._latched.setdefault(topic, deque(maxlen=latched))
         else:
             spec = TOPICS.get(self._names[topic])
             rate = (spec.rate if spec is not None else None) or 50.0
@@ -227,10 +227,10 @@ class RecorderNode(LifecycleShell):
             event_callbacks=events,
             raw=True,
         )
-        self._subs[topic] = (subscription, reliable or latched)
+        self._subs[topic] = (subscription, reliable or bool(latched))
 
     def _on_message(
-        self, topic: str, kind: str, latched: bool, cdr: bytes, info: dict[str, Any]
+        self, topic: str, kind: str, latched: int, cdr: bytes, info: dict[str, Any]
     ) -> None:
         """One message, and those that wait behind it: the executor's round trip costs more than taking one."""
         self._take(topic, kind, latched, cdr, info)
@@ -245,7 +245,7 @@ class RecorderNode(LifecycleShell):
                 return
             self._take(topic, kind, latched, *taken)
 
-    def _take(self, topic: str, kind: str, latched: bool, cdr: bytes, info: dict[str, Any]) -> None:
+    def _take(self, topic: str, kind: str, latched: int, cdr: bytes, info: dict[str, Any]) -> None:
         received = info.get("received_timestamp") or time.time_ns()
         message = Serialized(topic, kind, cdr, received, info.get("source_timestamp") or received)
         if latched:

@@ -34,7 +34,8 @@ class TopicSpec:
     type: str
     rate: float | None
     """Hz, None where messages come when something happens."""
-    latched: bool = False
+    latched: int = 0
+    """Messages kept for those who come later."""
     needed: bool = False
     """Without it, a bag cannot be fitted."""
     meaning: str = ""
@@ -86,14 +87,14 @@ TOPICS: dict[str, TopicSpec] = {
             "model_events",
             "finger_msgs/msg/ModelEvent",
             None,
-            latched=True,
+            latched=10,
             meaning="settings and resets of the estimator",
         ),
         TopicSpec(
             "trial",
             "finger_msgs/msg/Trial",
             None,
-            latched=True,
+            latched=1,
             meaning="which trial and phase is at hand",
         ),
         TopicSpec("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", 1.0, meaning="health"),
@@ -172,7 +173,7 @@ class SessionMetadata:
         return {k: v for k, v in {**named, **self.extra}.items() if v}
 
 
-def offered_qos(latched: bool) -> list[dict[str, Any]]:
+def offered_qos(latched: int) -> list[dict[str, Any]]:
     """Quality of service of a topic as rosbag2 stores it, so that `ros2 bag play` offers the same."""
 
     def forever() -> dict[str, int]:
@@ -181,7 +182,7 @@ def offered_qos(latched: bool) -> list[dict[str, Any]]:
     return [
         {
             "history": 1,  # keep last
-            "depth": 10 if latched else 200,
+            "depth": latched or 200,
             "reliability": 1 if latched else 2,  # reliable, best effort
             "durability": 1 if latched else 2,  # transient local, volatile
             "deadline": forever(),

@@ -203,7 +203,7 @@ class BagWriter:
                 )
             return name
         if qos is None:
-            profile = offered_qos(latched=spec is not None and spec.latched)
+            profile = offered_qos(spec.latched if spec is not None else 0)
             qos = yaml.safe_dump(profile, sort_keys=False).strip()
         known = definition_text(message_type) if definition is None or _known(message_type) else ""
         if definition is None:

@@ -12,6 +12,9 @@ from collections.abc import Mapping, Sequence
 UNCONFIGURED, INACTIVE, ACTIVE = 1, 2, 3
 """Primary states, numbered as in lifecycle_msgs/State."""
 
+ALL_ACTIVE = "all nodes are active"
+"""Begins the line that says so; launch files wait for it."""
+
 CONFIGURE, ACTIVATE = 1, 3
 """Transitions, numbered as in lifecycle_msgs/Transition."""
 

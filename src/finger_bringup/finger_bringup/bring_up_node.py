@@ -17,7 +17,7 @@ from finger_common.diagnostics import WARN, Health
 from finger_common.node import LifecycleShell, main_of
 from finger_common.parameters import Parameter, ParameterTable
 
-from .bring_up import ACTIVE, BringUp
+from .bring_up import ACTIVE, ALL_ACTIVE, BringUp
 
 PARAMETERS = ParameterTable(
     Parameter(
@@ -139,7 +139,7 @@ class BringUpNode(LifecycleShell):
             self._health.recovered()
             if not self._complete:
                 self._complete = True
-                self.get_logger().info(f"all nodes are active: {', '.join(self._bring_up.nodes)}")
+                self.get_logger().info(f"{ALL_ACTIVE}: {', '.join(self._bring_up.nodes)}")
         elif missing and self._complete:
             # A state that is just being asked for is not known for a moment; only silence counts.
             gone = [n for n in missing if n in self._states or n not in self._asked]

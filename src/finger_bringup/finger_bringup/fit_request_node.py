@@ -1,10 +1,12 @@
-"""Node that asks the fit node for one fit, shows its progress and ends: exit code 0 done, 1 refused or failed."""
+"""Node that asks the fit node for one fit, shows its progress and ends: exit code 0 done, 2 refused or failed."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from finger_msgs.action import FitParameters
+from lifecycle_msgs.msg import State
+from lifecycle_msgs.srv import GetState
 from rclpy.action import ActionClient
 
 from finger_common.diagnostics import Health
@@ -17,7 +19,9 @@ PARAMETERS = ParameterTable(
     Parameter("output", "out/fit", "Folder for parameters.yaml, fit.json and report.html."),
     Parameter("conditions", [""], "Conditions to fit; empty: all."),
     Parameter("options", "", "JSON object of options of finger-fit; empty: defaults."),
-    Parameter("server_timeout", 30.0, "Longest wait for the fit node.", "s", 1.0, 600.0),
+    Parameter(
+        "server_timeout", 60.0, "Longest wait for the fit node to be active.", "s", 1.0, 600.0
+    ),
 )
 
 
@@ -38,10 +42,12 @@ class FitRequestNode(LifecycleShell):
         if not self._bags:
             raise InputError("parameter 'bags' is empty; name the bags to fit")
         self._client = ActionClient(self, FitParameters, "fit/fit")
+        self._state_client = self.create_client(GetState, "fit/get_state")
 
     def activate(self) -> None:
         self._waited = 0.0
         self._sent = False
+        self._state: Any = None
         self._failure = ""
         self._stage = ""
         self._timer = self.create_timer(0.5, self._look)
@@ -52,10 +58,20 @@ class FitRequestNode(LifecycleShell):
         if self._sent:
             return
         self._waited += 0.5
-        if self._client.server_is_ready():
+        if self._fit_is_active() and self._client.server_is_ready():
             self._send()
         elif self._waited > self.values["server_timeout"]:
-            raise FitFailed("the fit node does not answer; see whether it runs")
+            raise FitFailed("the fit node is not active; see whether it runs and was configured")
+
+    def _fit_is_active(self) -> bool:
+        """Whether the fit node says so; it refuses goals before."""
+        asked, self._state = self._state, None
+        if asked is not None and not asked.done():
+            self._state = asked
+        elif self._state_client.service_is_ready():
+            self._state = self._state_client.call_async(GetState.Request())
+        answered = asked is not None and asked.done() and asked.result() is not None
+        return bool(answered and asked.result().current_state.id == State.PRIMARY_STATE_ACTIVE)
 
     def _send(self) -> None:
         self._sent = True

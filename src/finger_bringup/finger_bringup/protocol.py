@@ -432,6 +432,10 @@ class Protocol:
         if not math.isfinite(normal_force):
             self._problem("the force sensor reported invalid samples")
             return
+        if self.step is Step.PRESS and attempt.onset_ns is None:
+            if normal_force >= limits.onset_force:
+                # Before the samples are looked at for gaps: what is missing at the first touch is missing.
+                attempt.onset_ns = stamp_ns
         if attempt.onset_ns is not None and previous is not None:
             gap = (stamp_ns - previous[0]) * 1e-9
             attempt.longest_gap = max(attempt.longest_gap, gap)
@@ -442,8 +446,6 @@ class Protocol:
         attempt.samples += 1
         attempt.peak_force = max(attempt.peak_force, normal_force)
         if self.step is Step.PRESS:
-            if attempt.onset_ns is None and normal_force >= limits.onset_force:
-                attempt.onset_ns = stamp_ns
             if attempt.onset_ns is not None and normal_force >= self.plan.target_force:
                 attempt.cue_ns = stamp_ns
                 self._below_since = None

@@ -20,7 +20,6 @@ from finger_msgs.msg import ContactArea, Moisture, Trial
 from finger_msgs.srv import Record
 from geometry_msgs.msg import WrenchStamped
 from rclpy.clock import Clock, ClockType
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -28,7 +27,7 @@ from finger_common.cli import one_line
 from finger_common.diagnostics import WARN, Health
 from finger_common.errors import FingerError, InputError
 from finger_common.files import atomic_write
-from finger_common.node import LATCHED_QOS, LifecycleShell, main_of
+from finger_common.node import STATE_QOS, LifecycleShell, main_of
 from finger_common.parameters import Parameter, ParameterTable
 
 from .protocol import (
@@ -44,10 +43,6 @@ from .study_plan import PREPARATIONS, StudyPlan, parse_preparations
 
 POINTER = "current_session"
 """File in `output` that names the session under way, so that a restarted node finds it again."""
-
-STATUS_QOS = QoSProfile(
-    depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
-)
 
 _DEFAULT = Limits()
 
@@ -233,8 +228,8 @@ class ProtocolNode(LifecycleShell):
         self._axis, self._sign = axis[1], -1.0 if axis[0] == "-" else 1.0
         parse_preparations(self.values["preparations"])
         self._output = Path(self.values["output"]).expanduser().resolve()
-        self._trial_publisher = self.create_publisher(Trial, "trial", LATCHED_QOS)
-        self._status_publisher = self.create_publisher(String, "~/status", STATUS_QOS)
+        self._trial_publisher = self.create_publisher(Trial, "trial", STATE_QOS)
+        self._status_publisher = self.create_publisher(String, "~/status", STATE_QOS)
         self._recorder = self.create_client(Record, self.values["recorder_service"])
         self._command_services = [
             self.create_service(Trigger, f"~/{name}", self._command(getattr(self, f"_{name}")))

@@ -10,6 +10,7 @@ from launch.action import Action
 from launch.actions import EmitEvent, OpaqueFunction, RegisterEventHandler
 from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
+from launch.events.process import ProcessExited
 from launch_ros.actions import Node
 
 from finger_bringup import nodes
@@ -41,11 +42,16 @@ def fit(context: LaunchContext) -> list[Action]:
             }
         ],
     )
-    end = EmitEvent(event=Shutdown(reason="fit ended"))
+
+    def ended(event: ProcessExited, context: LaunchContext) -> list[Action]:
+        if event.returncode:
+            raise RuntimeError("the fit failed; the lines above say why")
+        return [EmitEvent(event=Shutdown(reason="fit ended"))]
+
     return [
         *actions,
         request,
-        RegisterEventHandler(OnProcessExit(target_action=request, on_exit=[end])),
+        RegisterEventHandler(OnProcessExit(target_action=request, on_exit=ended)),
     ]
 
 

@@ -15,11 +15,13 @@ from launch.actions import (
     RegisterEventHandler,
     TimerAction,
 )
-from launch.event_handlers import OnProcessExit
+from launch.event_handlers import OnProcessExit, OnProcessIO
 from launch.events import Shutdown
+from launch.events.process import ProcessIO
 
 from finger_bag.reader import open_bag
 from finger_bringup import nodes
+from finger_bringup.bring_up import ALL_ACTIVE
 from finger_bringup.launch.actions import arguments, node_actions, truth, value
 from finger_common.errors import InputError
 
@@ -42,8 +44,16 @@ def replay(context: LaunchContext) -> list[Action]:
         cmd=command, name="player", output="screen", additional_env={"PYTHONUNBUFFERED": "1"}
     )
     actions = node_actions(context, nodes.select(names), use_sim_time=True)
-    # The nodes must be active before the first message; wait_for gives them time.
-    actions.append(TimerAction(period=float(value(context, "wait_for")), actions=[player]))
+    waiting: list[Action] = [player]
+
+    def said(event: ProcessIO) -> list[Action]:
+        # The nodes must be active before the first message.
+        return [waiting.pop()] if ALL_ACTIVE.encode() in event.text and waiting else []
+
+    # The node that brings the others up is the last one.
+    actions.append(
+        RegisterEventHandler(OnProcessIO(target_action=actions[-1], on_stdout=said, on_stderr=said))
+    )
     if truth(context, "end"):
         done = [TimerAction(period=1.0, actions=[EmitEvent(event=Shutdown(reason="bag played"))])]
         actions.append(RegisterEventHandler(OnProcessExit(target_action=player, on_exit=done)))
@@ -60,7 +70,6 @@ def generate_launch_description() -> LaunchDescription:
             "true",
             "Measure areas anew from the bag's images; false takes the recorded areas.",
         ),
-        "wait_for": ("6.0", "s for the nodes to come up before the first message."),
         "end": ("true", "End everything when the bag is played."),
     }
     declared = arguments("namespace", "parameters", "respawn", "log_level", **further)

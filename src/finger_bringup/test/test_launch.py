@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import os
 import re
 import signal
@@ -214,11 +215,14 @@ def test_replay_of_a_bag_gives_contact_states_and_ends(
     bags = sorted(p.parent for p in (project_root / "bags").glob("*/metadata.yaml"))
     if not bags:
         pytest.skip("no sample bag in bags/")
-    running = launch("replay.launch.py", f"bag:={bags[0]}", "wait_for:=12.0")
+    running = launch("replay.launch.py", f"bag:={bags[0]}", "rate:=0.5")
     running.said("all nodes are active: vision, model")
+    running.said("process started with pid", times=4)
     rate = ros2(environment, "topic", "hz", "/finger/contact_state", seconds=20.0)
     assert "average rate" in rate, rate + running.text[-2000:]
-    assert running.child.wait(180) == 0, running.text[-3000:]
+    assert running.child.wait(240) == 0, running.text[-3000:]
+    sent = int(re.search(r"(\d+) messages; late by", running.text)[1])
+    assert sent > 1000
 
 
 @pytest.mark.slow
@@ -228,7 +232,29 @@ def test_fit_of_sample_bags_writes_parameters_and_ends(
     if not list((project_root / "bags").glob("*/metadata.yaml")):
         pytest.skip("no sample bag in bags/")
     running = launch(
-        "fit.launch.py", f"bags:={project_root / 'bags'}", f"output:={tmp_path / 'fit'}"
+        "fit.launch.py",
+        f"bags:={project_root / 'bags'}",
+        f"output:={tmp_path / 'fit'}",
+        "conditions:=dry natural",
+        'options:={"full_order": false, "profiles": false, "bootstrap": 0}',
     )
-    running.child.wait(280)
-    assert (tmp_path / "fit" / "parameters.yaml").exists(), running.text[-3000:]
+    assert running.child.wait(500) == 0, running.text[-3000:]
+    fitted = json.loads((tmp_path / "fit" / "fit.json").read_text())["conditions"]
+    assert set(fitted) == {"dry", "natural"}
+    assert (tmp_path / "fit" / "parameters.yaml").exists()
+    assert "Traceback" not in running.text
+
+
+@pytest.mark.slow
+def test_a_fit_that_fails_is_told_and_ends_with_an_error(
+    launch: Callable[..., Launch], project_root: Path, tmp_path: Path
+) -> None:
+    running = launch(
+        "fit.launch.py",
+        f"bags:={project_root / 'bags'}",
+        f"output:={tmp_path / 'fit'}",
+        "conditions:=oily",
+    )
+    assert running.child.wait(300) == 1, running.text[-3000:]
+    assert "oily" in running.text
+    assert not (tmp_path / "fit" / "parameters.yaml").exists()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import re
@@ -16,6 +17,8 @@ from typing import Any
 
 import pytest
 
+from finger_bag.reader import open_bag
+from finger_bag.streams import stamp_ns
 from finger_bringup import nodes
 from finger_bringup.supervisor import Supervisor
 from finger_sim.rig import RigAddresses
@@ -44,15 +47,11 @@ class Rig:
         parameters["simulated_rig"].update(
             width=640, height=512, reading_time=0.5, upcoming=[f"{c}:{trials}" for c in conditions]
         )
-        # Patience for a machine that runs other tests beside this one. Gaps in the force are not forgiven: the
-        # protocol finds them on the spot, has the trial done again, and the bags that are left can be fitted.
+        # All limits as at a real rig: what a busy machine spoils, the protocol finds on the spot and has done again.
         parameters["protocol"] = {
             "output": str(self.sessions),
             "trials": trials,
-            "frame_gap_limit": 0.8,
-            "stale_after": 1.0,
             "record_timeout": 30.0,
-            "lost_limit": 100000,
             **(FOR_PICTURES if os.environ.get("PAGE_FIGURES") else {}),
         }
         parameters["page"] = {"port": page_port}
@@ -75,6 +74,13 @@ class Rig:
         process = self.supervisor.process_id(name)
         assert process is not None
         os.kill(process, signal.SIGKILL)
+
+
+def longest_frame_gap(bag: Path) -> float:
+    """Longest time (s) between two contact areas of a bag, which begins and ends with frames."""
+    with open_bag(bag) as reader:
+        stamps = [stamp_ns(m.message) for m in reader.messages([reader.topic("contact_area")])]
+    return max(b - a for a, b in itertools.pairwise(sorted(stamps))) * 1e-9
 
 
 HISTORY = """
@@ -274,13 +280,12 @@ def test_nine_trials_from_the_page_with_a_redo_a_killed_node_and_an_unplugged_ca
     reports = json.loads(subprocess.run(command, capture_output=True, text=True).stdout)
     assert len(reports) == 9
     failing = {
-        (check["name"], check["detail"])
-        for report in reports
-        for check in report["checks"]
-        if check["status"] == "fail"
+        report["bag"]: [c for c in report["checks"] if c["status"] == "fail"] for report in reports
     }
-    # A machine busy with other tests does not keep 500 Hz; everything else must hold.
-    assert {name for name, _ in failing} <= {"gaps in wrench", "rate of wrench"}, failing
+    assert not any(failing.values()), failing
+    # Areas are missing only where vision was killed and where the camera was away, which no press has seen.
+    away_in = {bag.name[:3] for bag in session.glob("???_*_*") if longest_frame_gap(bag) > 1.5}
+    assert {"005"} <= away_in <= {"003", "005"}, away_in
     command = [sys.executable, "-m", "finger_fit.cli", *bags, "-o", str(tmp_path / "fit")]
     result = subprocess.run(command, capture_output=True, text=True)
     assert result.returncode == 0, result.stdout[-3000:] + result.stderr[-3000:]

@@ -274,6 +274,15 @@ def test_dropped_force_samples_fail_the_trial(rig: Rig) -> None:
     expect_failure(rig, "force samples missing for 0.12 s")
 
 
+def test_samples_missing_at_the_first_touch_fail_the_trial(rig: Rig) -> None:
+    rig.to_press()
+    rig.force_on = False
+    rig.run(0.12, 0.15, ramp=True)
+    rig.force_on = True
+    rig.press()
+    expect_failure(rig, "force samples missing for 0.12 s")
+
+
 def test_missing_frames_fail_the_trial(rig: Rig) -> None:
     rig.to_press()
     rig.run(0.5, 0.7, ramp=True)

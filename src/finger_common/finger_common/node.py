@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import threading
 import traceback
 from collections.abc import Sequence
 from pathlib import Path
@@ -28,6 +29,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
 
 from .cli import EXIT_BAD_INPUT, one_line
 from .diagnostics import WARN, Health
@@ -62,7 +64,20 @@ LATCHED_QOS = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
-"""QoS of `trial` and `model_events`: late joiners receive what was said before."""
+"""QoS of `model_events`, and of readers that must not miss a message of `trial`: late joiners receive what was said
+before, a recorder that begins after the model the events that made it what it is."""
+
+STATE_QOS = QoSProfile(
+    depth=1,
+    history=HistoryPolicy.KEEP_LAST,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+"""QoS of publishers of a state, `trial` and the protocol's `status`: late joiners receive the newest alone."""
+
+
+ENDING = (signal.SIGINT, signal.SIGTERM)
+"""Signals that end a node."""
 
 
 class LifecycleShell(LifecycleNode):
@@ -310,6 +325,24 @@ def use_large_shared_memory() -> None:
         os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(profile))
 
 
+def _interrupt_on_signals(executor: SingleThreadedExecutor) -> None:
+    """Let SIGINT and SIGTERM raise KeyboardInterrupt in the main thread, also while it waits in the middleware.
+
+    rclpy's own handlers end the context at once, before a node could say its last word.
+    """
+    for number in ENDING:
+        signal.signal(number, signal.default_int_handler)
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+
+    def wake() -> None:
+        while os.read(reading, 64):
+            executor.wake()
+
+    threading.Thread(target=wake, name="signals", daemon=True).start()
+
+
 def run_node(node_class: type[LifecycleShell], argv: Sequence[str] | None = None) -> int:
     """Run one node until it is told to stop; returns the exit code.
 
@@ -318,7 +351,10 @@ def run_node(node_class: type[LifecycleShell], argv: Sequence[str] | None = None
     """
     use_large_shared_memory()
     try:
-        rclpy.init(args=list(argv) if argv is not None else None)
+        rclpy.init(
+            args=list(argv) if argv is not None else None,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
     except Exception as error:
         print(
             f"{node_class.NAME}: ROS arguments cannot be used ({one_line(error)}); "
@@ -328,6 +364,7 @@ def run_node(node_class: type[LifecycleShell], argv: Sequence[str] | None = None
         return EXIT_BAD_INPUT
     node: LifecycleShell | None = None
     executor = SingleThreadedExecutor()
+    _interrupt_on_signals(executor)
     try:
         node = node_class()
         executor.add_node(node)
@@ -339,13 +376,10 @@ def run_node(node_class: type[LifecycleShell], argv: Sequence[str] | None = None
     except FingerError as error:
         print(f"{node_class.NAME}: {one_line(error)}", file=sys.stderr)
         return EXIT_BAD_INPUT
-    except Exception:
-        # A take that Ctrl-C interrupts fails in rclpy after the context is gone; that is an end, not a defect.
-        if rclpy.ok():
-            raise
     finally:
         # A second Ctrl-C during release would leave devices open.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        for number in ENDING:
+            signal.signal(number, signal.SIG_IGN)
         if node is not None:
             node.release()
             executor.remove_node(node)

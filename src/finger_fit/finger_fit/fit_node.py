@@ -110,7 +110,7 @@ class FitNode(LifecycleShell):
             self._server = None
 
     def _on_goal(self, goal: Any) -> GoalResponse:
-        if self._job is not None or not hasattr(self, "_timer"):
+        if self._job is not None or not self._active:
             self.get_logger().warning("goal refused: a fit is running, or the node is not active")
             return GoalResponse.REJECT
         return GoalResponse.ACCEPT

@@ -97,7 +97,8 @@ def node_actions(
             name="bring_up",
             parameters=[{"order": order}],
             respawn=respawn,
-            **options,
+            # Always told: a launch file may wait for its word that all nodes are active.
+            **{**options, "ros_arguments": []},
         )
     )
     return actions

@@ -1,0 +1,174 @@
+"""A recording of the real nodes over DDS, from the model's first sample on, gives again what was published then."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from finger_bag.process import ProcessOptions
+from finger_bag.process import process as run_offline
+from finger_bag.reader import open_bag
+
+rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+SAMPLES = 3000
+RELIABLE = ("-p", "qos_reliability:=reliable", "-p", "qos_depth:=20000")
+
+
+class Rig:
+    """Publishes forces, areas and readings at their rates, and hears what the model says."""
+
+    def __init__(self, domain: int) -> None:
+        from diagnostic_msgs.msg import DiagnosticArray
+        from finger_msgs.msg import ContactArea, ContactState, ModelEvent, Moisture
+        from geometry_msgs.msg import WrenchStamped
+        from rclpy.qos import QoSProfile
+
+        from finger_common.node import LATCHED_QOS
+
+        deep = QoSProfile(depth=20000)
+        rclpy.init(domain_id=domain)
+        self.node = rclpy.create_node("rig", namespace="/finger")
+        self.wrench = self.node.create_publisher(WrenchStamped, "wrench", deep)
+        self.area = self.node.create_publisher(ContactArea, "contact_area", deep)
+        self.moisture = self.node.create_publisher(Moisture, "moisture", deep)
+        self.states: list[Any] = []
+        self.events: list[Any] = []
+        self.sent = 0
+        self.recorded = 0
+        self.node.create_subscription(ContactState, "contact_state", self.states.append, deep)
+        self.node.create_subscription(ModelEvent, "model_events", self.events.append, LATCHED_QOS)
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
+
+    def _on_diagnostics(self, array: Any) -> None:
+        for status in array.status:
+            values = {v.key: v.value for v in status.values}
+            if "recorder" in status.name:
+                self.recorded = int(values.get("messages", 0))
+
+    def until(self, condition: Callable[[], Any], what: str, seconds: float = 120.0) -> None:
+        end = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < end, what
+            rclpy.spin_once(self.node, timeout_sec=0.05)
+
+    def call(self, kind: Any, name: str, request: Any) -> Any:
+        client = self.node.create_client(kind, name)
+        self.until(client.service_is_ready, name)
+        future = client.call_async(request)
+        self.until(future.done, name)
+        return future.result()
+
+    def send(self, publisher: Any, stamp_ns: int, **fields: Any) -> None:
+        message = publisher.msg_type(**fields)
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
+        message.header.frame_id = "force_sensor"
+        publisher.publish(message)
+        self.sent += 1
+
+    def force(self, number: int, stamp_ns: int) -> None:
+        from geometry_msgs.msg import Vector3, Wrench
+
+        force = Vector3(x=0.01, z=-max(0.0, 1.2 * math.sin(number / 300)))
+        self.send(self.wrench, stamp_ns, wrench=Wrench(force=force))
+
+    def press(self) -> None:
+        """Some seconds at 500 Hz, with areas that come too late, a setting changed and a reset on the way."""
+        from rcl_interfaces.msg import Parameter, ParameterValue
+        from rcl_interfaces.srv import SetParameters
+        from std_srvs.srv import Trigger
+
+        change = SetParameters.Request(
+            parameters=[
+                Parameter(name="onset_force", value=ParameterValue(type=3, double_value=0.06))
+            ]
+        )
+        begin, begin_ns = time.monotonic(), time.time_ns()
+        for number in range(SAMPLES):
+            while time.monotonic() < begin + number * 0.002:
+                rclpy.spin_once(self.node, timeout_sec=0.0)
+            stamp = begin_ns + number * 2_000_000
+            self.force(number, stamp)
+            if number % 50 == 49:
+                # Every third frame is 200 ms old: beyond the fusion delay.
+                age = 200_000_000 if number % 150 == 149 else 20_000_000
+                force = max(0.0, 1.2 * math.sin(number / 300))
+                flags = 0 if force > 0.05 else 1
+                area = {"gross_area": 38e-6 * force**0.7, "area_stddev": 1e-6, "flags": flags}
+                self.send(self.area, stamp - age, **area)
+            if number in (100, 2500):
+                self.send(self.moisture, stamp, value=60.0 + number / 100)
+            if number == 1000:
+                assert (
+                    self.call(SetParameters, "model/set_parameters", change).results[0].successful
+                )
+            if number == 2000:
+                assert self.call(Trigger, "model/reset", Trigger.Request()).success
+
+    def close(self) -> None:
+        self.node.destroy_node()
+        rclpy.shutdown()
+
+
+@pytest.fixture
+def rig(ros_domain: int) -> Any:
+    rig = Rig(ros_domain)
+    yield rig
+    rig.close()
+
+
+def test_processing_a_live_recording_gives_the_published_states_bit_for_bit(
+    rig: Rig, process: Any, tmp_path: Path
+) -> None:
+    from finger_msgs.srv import Record
+
+    names = ("--ros-args", "-r", "__ns:=/finger")
+    model = process("-m", "finger_model.model_node", *names, *RELIABLE)
+    recorder = process("-m", "finger_bag.recorder_node", *names, *RELIABLE)
+    for publisher in (rig.wrench, rig.area, rig.moisture):
+        rig.until(lambda p=publisher: p.get_subscription_count() == 2, "model and recorder")
+    for topic in ("/finger/contact_state", "/finger/model_events"):
+        rig.until(
+            lambda t=topic: (
+                rig.node.count_publishers(t) == 1 and rig.node.count_subscribers(t) == 2
+            ),
+            topic,
+        )
+    started = rig.call(
+        Record, "recorder/record", Record.Request(command=1, path=str(tmp_path / "live"))
+    )
+    assert started.success, started.message
+    rig.press()
+    rig.until(lambda: len(rig.states) == SAMPLES, "a state for each force")
+    rig.until(lambda: rig.recorded >= rig.sent + SAMPLES + len(rig.events), "the recorder")
+    stopped = rig.call(Record, "recorder/record", Record.Request(command=0))
+    assert stopped.success and stopped.lost_count == 0, stopped.message
+    assert model.poll() is None and recorder.poll() is None
+    # Start, settings, reset, and late areas, which depend on this run alone.
+    assert len(rig.events) > 10
+
+    result = run_offline(tmp_path / "live", tmp_path / "again")
+    assert result.replayed
+    assert states(tmp_path / "again") == states(tmp_path / "live")
+    assert len(states(tmp_path / "live")) == SAMPLES
+    # The events matter: without the change of the setting other states come out.
+    run_offline(
+        tmp_path / "live", tmp_path / "other", ProcessOptions(settings={"onset_force": 0.06})
+    )
+    assert states(tmp_path / "other") != states(tmp_path / "live")
+
+
+def states(bag: Path) -> list[bytes]:
+    with open_bag(bag) as reader:
+        found = list(reader.messages(["/finger/contact_state"]))
+    return [
+        m.raw
+        for m in sorted(
+            found, key=lambda m: m.message.header.stamp.sec * 10**9 + m.message.header.stamp.nanosec
+        )
+    ]
