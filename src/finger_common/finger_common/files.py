@@ -10,13 +10,19 @@ import os
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import fields
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import yaml
 
 from .errors import InputError
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+Record = TypeVar("Record", bound="DataclassInstance")
 
 
 @contextmanager
@@ -108,6 +114,22 @@ def number(data: dict[str, Any], key: str, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
         raise InputError(f"{where}: '{key}' is {value!r}, a finite number is needed")
     return float(value)
+
+
+def from_numbers(cls: type[Record], data: dict[str, Any], where: str) -> Record:
+    """Dataclass of numbers from a mapping; keys left out keep their default.
+
+    Raises InputError for unknown keys and for what the class itself refuses, naming `where` instead of the class.
+    """
+    known = [field.name for field in fields(cls)]
+    for key in data:
+        if key not in known:
+            raise InputError(f"{where}: unknown key '{key}'; the keys are {', '.join(known)}")
+    values = {key: number(data, key, where) for key in data}
+    try:
+        return cls(**values)
+    except InputError as error:
+        raise InputError(str(error).replace(f"{cls.__name__.lower()}:", f"{where}:", 1)) from None
 
 
 def read_csv(path: str | Path, columns: Sequence[str]) -> dict[str, np.ndarray]:

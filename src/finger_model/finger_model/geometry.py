@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from finger_common.errors import InputError
-from finger_common.files import load_yaml, number, sha256_of
+from finger_common.files import from_numbers, load_yaml, sha256_of
 
 
 @dataclass(frozen=True)
@@ -128,15 +128,7 @@ class Geometry:
     @classmethod
     def from_dict(cls, data: dict[str, Any], where: str = "geometry") -> Geometry:
         """Geometry from a mapping; keys left out keep their default, unknown keys raise InputError."""
-        known = [field.name for field in fields(cls)]
-        for key in data:
-            if key not in known:
-                raise InputError(f"{where}: unknown key '{key}'; the keys are {', '.join(known)}")
-        values = {key: number(data, key, where) for key in data}
-        try:
-            return cls(**values)
-        except InputError as error:
-            raise InputError(str(error).replace("geometry:", f"{where}:", 1)) from None
+        return from_numbers(cls, data, where)
 
     @classmethod
     def load(cls, path: str | Path) -> Geometry:
