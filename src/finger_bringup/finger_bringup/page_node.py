@@ -11,6 +11,7 @@ import json
 import queue
 import sys
 import time
+from collections.abc import Iterator
 from concurrent.futures import Future
 from typing import Any
 
@@ -23,12 +24,14 @@ from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
+from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from finger_bag.streams import stamp_of_cdr
 from finger_common.diagnostics import Health
 from finger_common.node import LATCHED_QOS, LifecycleShell, main_of
 from finger_common.parameters import Parameter, ParameterTable
@@ -87,6 +90,41 @@ PARAMETERS = ParameterTable(
 )
 
 
+POLL = 0.04
+"""s between looks for force samples and estimates."""
+
+
+class NotWaitedFor(CallbackGroup):
+    """Group of entities whose messages the node takes when it wants them.
+
+    A round of the executor costs far more than taking a message: two streams of 500 Hz would leave the cue waiting for
+    the processor.
+    """
+
+    def can_execute(self, entity: Any) -> bool:
+        return False
+
+    def beginning_execution(self, entity: Any) -> bool:
+        return False
+
+    def ending_execution(self, entity: Any) -> None:
+        pass
+
+
+def _unused(message: Any) -> None:
+    """Callback of subscriptions that are not waited for."""
+
+
+def take_all(subscription: Any, message_type: Any) -> Iterator[bytes]:
+    """Serialized messages that have come."""
+    while True:
+        with subscription.handle:
+            taken = subscription.handle.take_message(message_type, True)
+        if taken is None:
+            return
+        yield taken[0]
+
+
 def stamp_of(header: Any) -> int:
     """Stamp of a header in ns."""
     return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
@@ -143,7 +181,7 @@ class PageNode(LifecycleShell):
         self._memory = ForceMemory()
         self._board = HealthBoard()
         self._status: dict[str, Any] = {"step": "closed"}
-        self._next_force = self._next_state = 0.0
+        self._last_force = self._last_state = 0
         self._image_subscription: Any = None
         self._server.start()
         local = is_loopback(self.values["host"])
@@ -151,13 +189,13 @@ class PageNode(LifecycleShell):
         self.get_logger().info(f"operator's page: {address}")
         self._health.notes["address"] = self._server.url
         qos = self.stream_qos()
+        self._wrench = self.create_stream_subscription(WrenchStamped, "wrench", _unused, qos)
+        self._state = self.create_stream_subscription(ContactState, "contact_state", _unused, qos)
+        for subscription in (self._wrench, self._state):
+            subscription.callback_group = NotWaitedFor()
         self._inputs = [
-            self.create_stream_subscription(
-                WrenchStamped, "wrench", self._on_wrench, qos, raw=True
-            ),
-            self.create_stream_subscription(
-                ContactState, "contact_state", self._on_state, qos, raw=True
-            ),
+            self._wrench,
+            self._state,
             self.create_stream_subscription(ContactArea, "contact_area", self._on_area, qos),
             self.create_stream_subscription(Moisture, "moisture", self._on_moisture, qos),
             self.create_subscription(Trial, "trial", self._on_trial, LATCHED_QOS),
@@ -166,10 +204,11 @@ class PageNode(LifecycleShell):
         ]
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._fast_timer = self.create_timer(0.02, self._serve_jobs, clock=steady)
+        self._poll_timer = self.create_timer(POLL, self._poll, clock=steady)
         self._slow_timer = self.create_timer(0.5, self._slow, clock=steady)
 
     def deactivate(self) -> None:
-        for timer in (self._fast_timer, self._slow_timer):
+        for timer in (self._fast_timer, self._poll_timer, self._slow_timer):
             self.destroy_timer(timer)
         for subscription in self._inputs:
             self.destroy_subscription(subscription)
@@ -182,25 +221,27 @@ class PageNode(LifecycleShell):
 
     # What is shown ---------------------------------------------------------------------------
 
-    def _on_wrench(self, data: bytes) -> None:
-        now = time.monotonic()
-        if now < self._next_force:
-            return
-        self._next_force = now + 1.0 / self.values["display_rate"]
-        message = deserialize_message(data, WrenchStamped)
-        stamp = stamp_of(message.header)
+    def _poll(self) -> None:
+        period = 1e9 / self.values["display_rate"]
+        for data in take_all(self._wrench, WrenchStamped):
+            stamp = stamp_of_cdr(data)
+            if not 0 <= stamp - self._last_force < period:
+                self._last_force = stamp
+                self._show_force(stamp, deserialize_message(data, WrenchStamped))
+        for data in take_all(self._state, ContactState):
+            stamp = stamp_of_cdr(data)
+            if not 0 <= stamp - self._last_state < 4 * period:
+                self._last_state = stamp
+                self._show_state(deserialize_message(data, ContactState))
+
+    def _show_force(self, stamp: int, message: WrenchStamped) -> None:
         force = self._sign * getattr(message.wrench.force, self._axis)
         self._memory.add(stamp, force)
         if force == force:
             self._server.publish_force(stamp * 1e-9, force)
         self._health.sample()
 
-    def _on_state(self, data: bytes) -> None:
-        now = time.monotonic()
-        if now < self._next_state:
-            return
-        self._next_state = now + 4.0 / self.values["display_rate"]
-        message = deserialize_message(data, ContactState)
+    def _show_state(self, message: ContactState) -> None:
         point = (
             model_point(message.normal_force, message.model_area) if message.in_contact else None
         )
@@ -208,6 +249,7 @@ class PageNode(LifecycleShell):
             self._server.publish_point("model", point)
 
     def _on_area(self, message: ContactArea) -> None:
+        self._poll()
         point = measured_point(
             self._memory, stamp_of(message.header), message.gross_area, message.flags
         )

@@ -21,7 +21,7 @@ from .messages import calibration_of, fill_camera_info, fill_image
 
 TABLE = SOURCE_TABLE + ParameterTable(
     *DEVICE_PARAMETERS,
-    Parameter("frame_id", "camera", "Optical frame of the camera."),
+    Parameter("frame_id", "camera_optical", "Optical frame of the camera."),
     Parameter("camera_name", "camera", "Name of the camera in its calibration file."),
     Parameter(
         "camera_info_url",

@@ -335,7 +335,7 @@ def _frames(
             float(np.sqrt(area / np.pi)), (float(x), float(y)), trial.misfit.aspect
         )
         add(
-            stamp(seconds), "image_raw", "camera", height=image.shape[0], width=image.shape[1],
+            stamp(seconds), "image_raw", "camera_optical", height=image.shape[0], width=image.shape[1],
             encoding="mono8", is_bigendian=0, step=image.shape[1], data=image.reshape(-1),
         )  # fmt: skip
     import tempfile

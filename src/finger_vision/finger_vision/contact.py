@@ -209,23 +209,23 @@ class ContactSegmenter:
                 points = self.calibration.to_pixels(points, width, height)
                 points = np.rint(np.clip(points, -1e4, 1e4)).astype(np.int32)
                 cv2.polylines(picture, [points], True, colour, 2, cv2.LINE_AA)
+        flags = [f.name for f in ContactFlag if measurement.flags & f and f.name]
         lines = [
             f"gross {measurement.gross_area * 1e6:.1f} mm2, real {measurement.real_area * 1e6:.1f} mm2",
-            " ".join(f.name.lower() for f in ContactFlag if measurement.flags & f and f.name),
+            ", ".join(flags).lower().replace("_", " "),
         ]
-        for index, line in enumerate(lines):
-            where = (12, 32 + 30 * index)
-            for colour, thickness in (((0, 0, 0), 4), ((255, 255, 255), 1)):
-                cv2.putText(
-                    picture,
-                    line,
-                    where,
-                    cv2.FONT_HERSHEY_SIMPLEX,
-                    0.8,
-                    colour,
-                    thickness,
-                    cv2.LINE_AA,
-                )
+        # Text on a dark bar: drawn twice, thick and thin, letters of OpenCV 5 are of different width.
+        scale = max(width / 1280, 0.4)
+        line_height = round(38 * scale)
+        for index, line in enumerate(filter(None, lines)):
+            (text_width, _), _ = cv2.getTextSize(line, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)
+            top = index * line_height
+            corner = (text_width + round(24 * scale), top + line_height)
+            cv2.rectangle(picture, (0, top), corner, (0, 0, 0), cv2.FILLED)
+            where = (round(12 * scale), top + round(27 * scale))
+            cv2.putText(
+                picture, line, where, cv2.FONT_HERSHEY_SIMPLEX, scale, (255,) * 3, 1, cv2.LINE_AA
+            )
         return picture
 
     # Steps -----------------------------------------------------------------------------------

@@ -99,6 +99,13 @@ class _Client:
     image: bytes | None = None
     wake: asyncio.Event = field(default_factory=asyncio.Event)
 
+    def add(self, batch: list[tuple[str, list[float]]]) -> None:
+        """Samples and points for the plots; a browser that does not take them in time misses some."""
+        for kind, value in batch:
+            values = self.force if kind == "force" else self.points.setdefault(kind, [])
+            if len(values) < 5000:
+                values.append(value)
+
 
 def is_loopback(address: str | None) -> bool:
     """Whether a peer's address is this machine."""
@@ -161,6 +168,7 @@ class PageServer:
         self._next_cue = 0
         self._last_cue = ""
         self._latencies: deque[float] = deque(maxlen=1000)
+        self._curve: deque[tuple[str, list[float]]] = deque(maxlen=5000)
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread: threading.Thread | None = None
         self._stop: asyncio.Event | None = None
@@ -423,10 +431,15 @@ class PageServer:
             pass
 
     async def _flush_force(self) -> None:
+        """Hand on what has gathered: a call into this thread for each sample would cost the cue its turn."""
         while True:
             await asyncio.sleep(BATCH)
+            batch = []
+            while self._curve:
+                batch.append(self._curve.popleft())
             for client in self._clients:
-                if client.force or client.points:
+                if batch and client.operator:
+                    client.add(batch)
                     client.wake.set()
 
     # What the node publishes -----------------------------------------------------------------
@@ -468,23 +481,11 @@ class PageServer:
 
     def publish_force(self, time_s: float, force: float) -> None:
         """A force sample (s, N) for the live curve."""
-        self._call(self._publish_force, [round(time_s, 4), round(force, 4)])
-
-    def _publish_force(self, sample: list[float]) -> None:
-        for client in self._clients:
-            if client.operator and len(client.force) < 5000:
-                client.force.append(sample)
+        self._curve.append(("force", [round(time_s, 4), round(force, 4)]))
 
     def publish_point(self, kind: str, point: list[float]) -> None:
         """A pair [force N, area mm²], `kind` "measured" or "model"."""
-        self._call(self._publish_point, kind, point)
-
-    def _publish_point(self, kind: str, point: list[float]) -> None:
-        for client in self._clients:
-            if client.operator:
-                points = client.points.setdefault(kind, [])
-                if len(points) < 5000:
-                    points.append(point)
+        self._curve.append((kind, point))
 
     def publish_image(self, jpeg: bytes, stamp_ns: int) -> None:
         """A picture for those who watch and may."""

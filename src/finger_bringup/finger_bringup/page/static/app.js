@@ -82,9 +82,13 @@ function showCue(message) {
   const began = phase === "press" && (!state.cue || state.cue.phase !== message.phase);
   state.cue = message;
   drawCue();
-  // The frame that carries the cue carries nothing that takes time to draw.
+  // The frame that carries the cue carries nothing else that takes time to draw.
   drawn = performance.now() + 80;
-  if (message.id >= 0) whenShown(() => link.send({ type: "shown", id: message.id }));
+  if (!document.hidden) waiting ??= [];
+  whenShown(() => {
+    if (message.id >= 0) link.send({ type: "shown", id: message.id });
+    goOn();
+  });
   if (began) {
     state.before = state.now;
     state.now = { measured: [], model: [] };
@@ -232,6 +236,8 @@ const LEVELS = [["ok", "✓"], ["warn", "▲"], ["error", "✖"], ["stale", "◌
 function showHealth(items) {
   const list = $("health").querySelector("ul");
   const open = new Set([...list.querySelectorAll("details[open]")].map((d) => d.dataset.name));
+  // What needs a look comes first; the server sends them by name.
+  items.sort((a, b) => b.level - a.level);
   list.replaceChildren(...items.map((item) => {
     const [level, mark] = LEVELS[item.level] || LEVELS[3];
     const row = document.createElement("li");
@@ -272,10 +278,20 @@ function showImage(buffer) {
 
 // The link ------------------------------------------------------------------------------------
 
+// Messages held back until the frame with a cue is on the screen; null when there is none.
+let waiting = null;
+
+function goOn() {
+  const messages = waiting || [];
+  waiting = null;
+  messages.forEach(receive);
+}
+
 function receive(data) {
-  if (typeof data !== "string") return showImage(data);
+  if (typeof data !== "string") return waiting ? waiting.push(data) : showImage(data);
   const m = JSON.parse(data);
   if (m.type === "cue") showCue(m);
+  else if (waiting && m.type !== "answer") waiting.push(data);
   else if (m.type === "force") {
     state.force.push(...m.samples);
     const newest = state.force[state.force.length - 1][0];
@@ -312,6 +328,8 @@ const link = new Link("operator", receive, (connected) => {
 });
 
 document.addEventListener("visibilitychange", () => {
+  // A hidden page shows no frame to wait for.
+  if (document.hidden) goOn();
   if (state.images) link.send({ type: "watch", images: !document.hidden });
 });
 
