@@ -10,7 +10,7 @@ import zipfile
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,12 +22,22 @@ from .geometry import Geometry
 from .history import ContactHistory, ContactPoint, check_force_history
 from .material import Material
 
-FORMAT = 1
+FORMAT = 2
 """Version of the file's layout."""
 
 SHIPPED = "reduced_default.npz"
 
 RANGE_NAMES = ("E0", "E1", "tau1", "E2")
+
+
+class _Folded(NamedTuple):
+    """A network for the kernels: width, first bias, the row of ln E2/E0 in it, layers, bias of the last."""
+
+    width: int
+    first_bias: np.ndarray
+    stiffness_row: np.ndarray
+    layers: np.ndarray
+    last_bias: np.ndarray
 
 
 class ReducedState:
@@ -80,29 +90,22 @@ class ReducedModel:
 
     def _prepare(self) -> None:
         a = self.arrays
-        self._mean, self._scale = a["input_mean"], a["input_scale"]
-        first, self._hidden_bias = a["weights_1"], a["bias_1"]
-        hidden = len(self._hidden_bias)
-        latents = a["weights_3"].shape[1] - rk.OUTPUTS
-        frictions = len(a["betas"])
-        inputs = 2 + 2 * latents + frictions
-        if first.shape != (inputs + 1, hidden) or a["weights_2"].shape != (hidden, hidden):
-            raise ValueError("layers of unequal width")
-        # Scaling of inputs and outputs goes into the weights.
-        first = first / self._scale[:, None]
-        self._first_shift = self._hidden_bias - self._mean @ first
-        self._parameter_row = first[inputs]
-        last = a["weights_3"] * a["output_scale"]
-        self._last_bias = a["bias_3"] * a["output_scale"] + a["output_mean"]
-        header = np.zeros(rk.HEADER)
-        header[rk.LATENTS], header[rk.FRICTIONS], header[rk.HIDDEN] = latents, frictions, hidden
-        header[rk.BETAS : rk.BETAS + frictions] = a["betas"]
-        self.weights = np.concatenate(
-            [header, first[:inputs].ravel(), a["bias_2"], a["weights_2"].ravel(), last.ravel()]
+        self._latents = a["drive_weights_3"].shape[1] - 1
+        self._frictions = len(a["betas"])
+        drive = self._network("drive", 2 + 2 * self._latents, 1 + self._latents)
+        contact = self._network(
+            "contact", 2 + 2 * self._latents + self._frictions, rk.CONTACT_OUTPUTS
         )
-        self._latents, self._frictions, self._hidden = latents, frictions, hidden
+        self._drive, self._contact = drive, contact
+        header = np.zeros(rk.HEADER)
+        header[rk.LATENTS], header[rk.FRICTIONS] = self._latents, self._frictions
+        header[rk.DRIVE_WIDTH], header[rk.CONTACT_WIDTH] = drive.width, contact.width
+        header[rk.BETAS : rk.BETAS + self._frictions] = a["betas"]
+        self.weights = np.concatenate([header, drive.layers, contact.layers, contact.last_bias])
+        widths = (drive.width, contact.width)
+        self._constants_size = rk.constants_size(self._latents, *widths)
         self._limit = a["force_limit"]
-        self.state_size = rk.state_size(latents, frictions, hidden)
+        self.state_size = rk.state_size(self._latents, self._frictions, *widths)
         self.hash = sha256_of(
             {
                 "geometry": self.geometry_hash,
@@ -110,6 +113,28 @@ class ReducedModel:
             }
         )
         self.rms_error = float(self.measured_error.get("rms_p99", 0.01))
+
+    def _network(self, name: str, inputs: int, outputs: int) -> _Folded:
+        """Layers of a network as the kernels take them; raises ValueError for layers that do not fit together."""
+        a = {k.removeprefix(name + "_"): v for k, v in self.arrays.items() if k.startswith(name)}
+        first, second, last = (a[f"weights_{i}"] for i in (1, 2, 3))
+        width = len(a["bias_1"])
+        if (
+            first.shape != (inputs + 1, width)
+            or second.shape != (width, width)
+            or last.shape != (width, outputs)
+        ):
+            raise ValueError(f"layers of the {name} network do not fit together")
+        # Scaling of inputs and outputs goes into the weights; the last input, ln E2/E0, into the bias.
+        first = first / a["input_scale"][:, None]
+        last = last * a["output_scale"]
+        return _Folded(
+            width,
+            a["bias_1"] - a["input_mean"] @ first,
+            first[inputs],
+            np.concatenate([first[:inputs].ravel(), a["bias_2"], second.ravel(), last.ravel()]),
+            a["bias_3"] * a["output_scale"] + a["output_mean"],
+        )
 
     # Files -----------------------------------------------------------------------------------
 
@@ -162,22 +187,22 @@ class ReducedModel:
         vector = self._vector(parameters)
         E0, E1, tau1, E2 = vector
         length = self.geometry.pad_semi_axis_radial
-        p = np.zeros(rk.constants_size(self._latents, self._hidden))
+        p = np.zeros(self._constants_size)
         p[rk.LENGTH] = length
         p[rk.FORCE_SCALE] = E0 * length**2
         p[rk.TAU] = tau1
         p[rk.RATIO] = E0 / E1
         p[rk.FORCE_LIMIT] = self.force_limit(vector)
-        end = rk.FIRST_BIAS + self._hidden
-        p[rk.FIRST_BIAS : end] = self._first_shift + math.log(E2 / E0) * self._parameter_row
-        # Outputs at rest, for those that are zero there; the bias of the last layer for the others.
-        p[end:] = 0.0
+        stiffness = math.log(E2 / E0)
+        end = rk.FIRST_BIAS + self._drive.width
+        p[rk.FIRST_BIAS : end] = self._drive.first_bias + stiffness * self._drive.stiffness_row
+        contact = end + 1 + self._latents
+        p[contact:] = self._contact.first_bias + stiffness * self._contact.stiffness_row
+        # Indentation and drive at rest, which the kernels subtract.
         state = np.zeros(self.state_size)
         rk.rest(self.weights, p, state)
         at = rk.INTERNAL + 3 * self._latents + self._frictions
-        p[end:] = state[at : at + rk.OUTPUTS + self._latents]
-        for area_or_pressure in (0, 2):
-            p[end + area_or_pressure] = -self._last_bias[area_or_pressure]
+        p[end:contact] = state[at : at + 1 + self._latents]
         return p
 
     def _vector(self, parameters: Any) -> np.ndarray:
@@ -288,6 +313,13 @@ class ReducedModel:
         return ContactHistory(
             time, force, area, np.sqrt(area / math.pi), table[:, 1], table[:, 2], mean
         )
+
+    def visited(self, parameters: np.ndarray, time: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """Amplitudes a and friction states q (n, k + m) under forces (n,) in N at times (n,) in s; see the kernels."""
+        out = np.empty((len(time), self._latents + self._frictions))
+        constants = self.constants(parameters)
+        rk.visited(self.weights, constants, np.zeros(self.state_size), time, force, out)
+        return out
 
     def batch(
         self,

@@ -27,7 +27,6 @@ from .geometry import Geometry
 from .material import Material
 from .reduced import RANGE_NAMES, ReducedModel
 from .reduction_error import ErrorTable, error_table
-from .reduction_rollout import fit_histories, prepare
 from .reduction_runs import (
     Case,
     Run,
@@ -38,12 +37,20 @@ from .reduction_runs import (
     training_case,
     weight_of,
 )
-from .reduction_training import Network, fit_samples, samples_of, stack
+from .reduction_training import (
+    BETAS,
+    Network,
+    Samples,
+    contact_samples,
+    drive_samples,
+    fit,
+    stack,
+)
 
 LARGEST_FORCE = 3.0
 """N, end of the range the model is built for."""
 
-FAR_WEIGHT = 0.35
+FAR_WEIGHT = 0.5
 """Weight of errors far from the paper's box, where they are larger and would rule the training."""
 
 CHUNK = 12
@@ -58,20 +65,20 @@ class BuildSettings:
     """What a build depends on beside the geometry.
 
     histories: training histories; held_out: histories the error is measured on; pilots: histories that choose the
-    coordinates; latents: coordinates of the internal strain; hidden: width of the network's layers; betas: memory
-    of the friction states; epochs, sample_iterations, history_iterations: of the trainings; seed; refinement of the
-    full-order mesh; friction.
+    coordinates; latents: coordinates of the internal strain; drive_width, contact_width: of the networks' layers;
+    betas: memory of the friction states; drive_iterations, contact_iterations: of their trainings; seed; refinement
+    of the full-order mesh; friction.
     """
 
     histories: int = 540
     held_out: int = 204
     pilots: int = 42
     latents: int = 4
-    hidden: int = 32
-    betas: tuple[float, ...] = (0.03, 0.15)
-    epochs: int = 2500
-    sample_iterations: int = 500
-    history_iterations: int = 150
+    drive_width: int = 24
+    contact_width: int = 32
+    betas: tuple[float, ...] = BETAS
+    drive_iterations: int = 60
+    contact_iterations: int = 60
     seed: int = 1
     refinement: float = 1.0
     friction: float = 0.25
@@ -137,31 +144,33 @@ def train(
     runs: list[Run], geometry: Geometry, settings: BuildSettings, tell: Progress
 ) -> dict[str, np.ndarray]:
     """Arrays of the reduced model from full-order runs."""
-    length = geometry.pad_semi_axis_radial
-    betas = np.array(settings.betas)
-    outside = np.array([not _near_box(r) for r in runs])
-    parts = [samples_of(r, length, settings.latents, betas) for r in runs]
-    for part, far in zip(parts, outside):
-        part.weights *= FAR_WEIGHT if far else 1.0
-    samples = stack(parts)
-    network = Network(samples, settings.hidden, settings.seed)
-    fit_samples(
-        network,
+    length, k = geometry.pad_semi_axis_radial, settings.latents
+    counts = [1.0 if _near_box(r) else FAR_WEIGHT for r in runs]
+    others = {"betas": np.array(settings.betas), "force_limit": _force_limit(runs, length)}
+
+    samples = stack([drive_samples(r, length, k, count) for r, count in zip(runs, counts)])
+    drive = Network(samples, settings.drive_width, settings.seed)
+    fit(drive, samples, settings.drive_iterations, lambda share: tell("training the drive", share))
+
+    def contact_of(states: list[np.ndarray]) -> tuple[Network, Samples]:
+        parts = [contact_samples(r, length, k, s, n) for r, s, n in zip(runs, states, counts)]
+        samples = stack(parts)
+        return Network(samples, settings.contact_width, settings.seed), samples
+
+    def arrays_with(contact: Network) -> dict[str, np.ndarray]:
+        return {**drive.arrays("drive"), **contact.arrays("contact"), **others}
+
+    # States need a drive only: an untrained contact network stands in.
+    idle, _ = contact_of([np.ones((len(r.time), k + len(settings.betas))) for r in runs])
+    model = ReducedModel(arrays_with(idle), _meta(geometry, settings))
+    contact, samples = contact_of([model.visited(r.parameters, r.time, r.force) for r in runs])
+    fit(
+        contact,
         samples,
-        settings.epochs,
-        settings.sample_iterations,
-        lambda share: tell("training on samples", share),
+        settings.contact_iterations,
+        lambda share: tell("training the contact", share),
     )
-    histories = prepare(runs, length, settings.latents, betas)
-    histories.weights[:, outside] *= FAR_WEIGHT
-    fit_histories(
-        network,
-        histories,
-        settings.history_iterations,
-        lambda share: tell("training on histories", share),
-        robust=20.0,
-    )
-    return {**network.arrays(betas), "force_limit": _force_limit(runs, length)}
+    return arrays_with(contact)
 
 
 def _near_box(run: Run) -> bool:

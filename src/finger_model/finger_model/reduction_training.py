@@ -1,17 +1,18 @@
-"""Training of the reduced model's network on full-order runs.
+"""Training of the reduced model's networks on full-order runs, by Levenberg and Marquardt's method.
 
-First the maps themselves, sample by sample (`fit_samples`); then the whole model along the histories
-(`reduction_rollout.fit_histories`), where the error that counts is. Smooth sigmoid v/√(1 + v²), two hidden layers,
-L-BFGS on all samples.
+Two hidden layers of the smooth sigmoid v/√(1 + v²), weighted least squares over all rows of the runs. First the
+drive, on the full order's own states; then the contact network on the states that the reduced model visits with that
+drive, so that it makes up for what the drive leaves (`reduction.train`).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from . import reduced_kernels as rk
 from .reduction_runs import Run
@@ -19,83 +20,65 @@ from .reduction_runs import Run
 BETAS = (0.03, 0.15)
 """Memory of the friction states, in logarithm of indentation."""
 
+FIRST_FORCE = 0.04
+"""N; below it the area is not trained on."""
+
+ROWS = 2048
+"""Rows of the Jacobian that are held at a time."""
+
 
 @dataclass
 class Samples:
-    """Inputs (n, 2 + 2k + m + 1), targets (n, 3 + k) and weights (n, 3 + k) of the network."""
+    """Inputs (n, i), targets (n, o) and weights (n, o) of a network."""
 
     inputs: np.ndarray
     targets: np.ndarray
     weights: np.ndarray
 
 
-def friction_states(indentation: np.ndarray, force: np.ndarray, betas: np.ndarray) -> np.ndarray:
-    """q (n, m) along δ/L (n,): see reduced_kernels."""
-    q = np.ones((len(force), len(betas)))
-    now = np.ones(len(betas))
-    before = 0.01
-    for i, (delta, f) in enumerate(zip(np.maximum(indentation, 0.01), force)):
-        if f > 0:
-            change = math.log(delta / before)
-            sign = 1.0 if change > 0 else -1.0
-            now = sign + (now - sign) * np.exp(-abs(change) / betas)
-        else:
-            now = np.ones(len(betas))
-        q[i] = now
-        before = delta
-    return q
+def features(
+    x: np.ndarray, a: np.ndarray, q: np.ndarray | None, stiffness: np.ndarray
+) -> np.ndarray:
+    """Inputs of a network (n, 2 + 2k + m + 1): x, ln(x + …), a, a/(x + …), q, ln E2/E0; see reduced_kernels."""
+    columns = [x, np.log(x + rk.SHIFT_LOG), a, a / (x + rk.SHIFT_RATIO)[:, None]]
+    columns += [q] if q is not None else []
+    return np.column_stack([*columns, stiffness])
 
 
-def features(x: np.ndarray, a: np.ndarray, q: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
-    """Inputs of the network (…, 2 + 2k + m + 1): x, ln(x + …), a, a/(x + …), q, ln E2/E0; see reduced_kernels."""
-    return np.concatenate(
-        [
-            x[..., None],
-            np.log(x + rk.SHIFT_LOG)[..., None],
-            a,
-            a / (x + rk.SHIFT_RATIO)[..., None],
-            q,
-            stiffness[..., None],
-        ],
-        axis=-1,
-    )
+def load_measure(run: Run, length: float) -> np.ndarray:
+    """x (n,) along a run."""
+    return np.cbrt(np.maximum(run.force, 0.0) / (run.parameters[0] * length**2))
 
 
-def samples_of(run: Run, length: float, latents: int, betas: np.ndarray) -> Samples:
-    """Samples of one run; the errors of area and indentation count relative to the run's largest."""
-    E0, _, _, E2 = run.parameters
-    force = np.maximum(run.force, 0.0)
-    x = np.cbrt(force / (E0 * length**2))
+def drive_samples(run: Run, length: float, latents: int, count: float = 1.0) -> Samples:
+    """Samples of δ/L and c of one run that counts so much."""
+    x = load_measure(run, length)
+    stiffness = np.full(len(x), math.log(run.parameters[3] / run.parameters[0]))
+    inputs = features(x, run.internal[:, :latents], None, stiffness)
     delta = run.indentation / length
-    inputs = features(
-        x,
-        run.internal[:, :latents],
-        friction_states(delta, force, betas),
-        np.full(len(x), math.log(E2 / E0)),
-    )
-    touching = (force > 0.02) & (run.area > 0)
-    safe = np.where(touching, x, 1.0)
-    area = np.where(touching, run.area, length**2)
-    peak = np.where(touching & (run.peak > 0), run.peak, 1.0)
-    ratio = np.where(touching & (run.peak > 0), peak * area / np.where(touching, force, 1.0), 1.0)
-    targets = np.column_stack(
-        [
-            np.where(touching, np.log(area / (length * safe) ** 2), 0.0),
-            delta,
-            np.log(ratio),
-            (run.total - run.internal)[:, :latents],
-        ]
-    )
-    share = np.where(touching, run.area / run.area.max(), 0.0)
-    weights = np.column_stack(
-        [
-            share / 0.01,
-            np.full(len(x), 0.01 / max(delta.max(), 0.06) / 1e-4),
-            share / 0.1,
-            np.ones((len(x), latents)),
-        ]
-    )
-    return Samples(inputs, targets, weights)
+    targets = np.column_stack([delta, (run.total - run.internal)[:, :latents]])
+    weights = np.ones_like(targets)
+    # Indentation counts relative to the run's largest.
+    weights[:, 0] = 0.5 / max(delta.max(), 0.06)
+    return Samples(inputs, targets, count * weights)
+
+
+def contact_samples(
+    run: Run, length: float, latents: int, states: np.ndarray, count: float = 1.0
+) -> Samples:
+    """Samples of ln(A/(L² x²)) and ln(p_max/p_mean) of one run that counts so much.
+
+    states (n, k + m): a and q that were visited. The error of the area counts relative to the run's largest area.
+    """
+    touching = (run.force >= FIRST_FORCE) & (run.area > 0) & (run.peak > 0)
+    x = load_measure(run, length)[touching]
+    area, peak, force = run.area[touching], run.peak[touching], run.force[touching]
+    states = states[touching]
+    stiffness = np.full(len(x), math.log(run.parameters[3] / run.parameters[0]))
+    inputs = features(x, states[:, :latents], states[:, latents:], stiffness)
+    targets = np.column_stack([np.log(area / (length * x) ** 2), np.log(peak * area / force)])
+    share = count * area / run.area.max()
+    return Samples(inputs, targets, np.column_stack([share, 0.1 * share]))
 
 
 def stack(parts: list[Samples]) -> Samples:
@@ -109,16 +92,11 @@ class Network:
     """Two hidden layers with sigmoid v/√(1 + v²); inputs and outputs scaled."""
 
     def __init__(self, samples: Samples, hidden: int, seed: int = 0) -> None:
-        x, t, w = samples.inputs, samples.targets, samples.weights
-        touching = w[:, 0] > 0
+        x, t = samples.inputs, samples.targets
         self.input_mean = x.mean(0)
         self.input_scale = x.std(0) + 1e-12
-        self.output_mean = np.zeros(t.shape[1])
-        self.output_mean[0] = t[touching, 0].mean()
-        self.output_mean[2] = t[touching, 2].mean()
+        self.output_mean = t.mean(0)
         self.output_scale = t.std(0) + 1e-12
-        self.output_scale[0] = t[touching, 0].std()
-        self.output_scale[2] = max(t[touching, 2].std(), 0.05)
         n, outputs = x.shape[1], t.shape[1]
         self.shapes = [
             (n, hidden),
@@ -145,17 +123,50 @@ class Network:
             at += size
         return parts
 
-    def arrays(self, betas: np.ndarray) -> dict[str, np.ndarray]:
-        """As stored in the file of the reduced model."""
+    def outputs(self, values: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Scaled outputs (n, o) of scaled inputs x (n, i)."""
+        w1, b1, w2, b2, w3, b3 = self.split(values)
+        return sigmoid(sigmoid(x @ w1 + b1)[0] @ w2 + b2)[0] @ w3 + b3
+
+    def jacobians(self, values: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Scaled outputs (n, o), and for each the derivatives (n, P) with respect to all values."""
+        w1, b1, w2, b2, w3, b3 = self.split(values)
+        z1, s1 = sigmoid(x @ w1 + b1)
+        z2, s2 = sigmoid(z1 @ w2 + b2)
+        n, outputs = len(x), w3.shape[1]
+        found = []
+        for j in range(outputs):
+            matrix = np.zeros((n, len(values)), values.dtype)
+            parts = [
+                matrix[:, at : at + int(np.prod(shape))].reshape(n, *shape)
+                for at, shape in zip(self._starts(), self.shapes)
+            ]
+            g2 = s2 * w3[:, j]
+            g1 = (g2 @ w2.T) * s1
+            np.multiply(x[:, :, None], g1[:, None, :], out=parts[0])
+            parts[1][...] = g1
+            np.multiply(z1[:, :, None], g2[:, None, :], out=parts[2])
+            parts[3][...] = g2
+            parts[4][:, :, j] = z2
+            parts[5][:, j] = 1.0
+            found.append(matrix)
+        return z2 @ w3 + b3, found
+
+    def _starts(self) -> list[int]:
+        sizes = [int(np.prod(shape)) for shape in self.shapes]
+        return [sum(sizes[:i]) for i in range(len(sizes))]
+
+    def arrays(self, name: str) -> dict[str, np.ndarray]:
+        """As stored in the file of the reduced model, with the network's name before each."""
         names = ("weights_1", "bias_1", "weights_2", "bias_2", "weights_3", "bias_3")
-        return {
+        found = {
             **dict(zip(names, (v.copy() for v in self.split(self.values)))),
             "input_mean": self.input_mean,
             "input_scale": self.input_scale,
             "output_mean": self.output_mean,
             "output_scale": self.output_scale,
-            "betas": np.asarray(betas, float),
         }
+        return {f"{name}_{key}": value for key, value in found.items()}
 
 
 def sigmoid(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -164,97 +175,73 @@ def sigmoid(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return v * root, root**3
 
 
-def _adam(
+def fit(
     network: Network,
-    x: np.ndarray,
-    t: np.ndarray,
-    w: np.ndarray,
-    epochs: int,
-    report=None,
-    size: int = 256,
-) -> None:
-    """Adam (Kingma and Ba 2015) in batches, in single precision, the rate falling as a cosine."""
-    rng = np.random.default_rng(0)
-    x, t, w = (np.ascontiguousarray(v, np.float32) for v in (x, t, w))
-    # Large weights would let few samples rule the batch.
-    w = w / np.sqrt(np.mean(w**2, axis=0, keepdims=True)) + 1e-9
-    values = network.values.astype(np.float32)
-    first, second = np.zeros_like(values), np.zeros_like(values)
-    gradient = np.zeros_like(values)
-    parts, slopes = network.split(values), network.split(gradient)
-    w1, b1, w2, b2, w3, b3 = parts
-    number, step = len(x), 0
-    for epoch in range(epochs):
-        rate = 4e-3 * (0.5 + 0.5 * math.cos(math.pi * epoch / epochs)) + 1e-5
-        order = rng.permutation(number)
-        for begin in range(0, number - size + 1, size):
-            rows = order[begin : begin + size]
-            u = x[rows]
-            z1, s1 = sigmoid(u @ w1 + b1)
-            z2, s2 = sigmoid(z1 @ w2 + b2)
-            g = (z2 @ w3 + b3 - t[rows]) * w[rows] ** 2 / size
-            g2 = (g @ w3.T) * s2
-            g1 = (g2 @ w2.T) * s1
-            for part, value in zip(
-                slopes, (u.T @ g1, g1.sum(0), z1.T @ g2, g2.sum(0), z2.T @ g, g.sum(0))
-            ):
-                part[...] = value
-            step += 1
-            first += 0.1 * (gradient - first)
-            second += 0.001 * (gradient * gradient - second)
-            scale = rate * math.sqrt(1 - 0.999**step) / (1 - 0.9**step)
-            values -= scale * first / (np.sqrt(second) + 1e-10)
-        if report is not None:
-            report(0.6 * (epoch + 1) / epochs)
-    network.values = values.astype(float)
-
-
-def fit_samples(
-    network: Network, samples: Samples, epochs: int, iterations: int, report=None
+    samples: Samples,
+    iterations: int,
+    report: Callable[[float], None] | None = None,
+    ridge: float = 1e-6,
 ) -> float:
-    """Least squares over all samples: Adam, then L-BFGS; returns the mean squared weighted error."""
+    """Weighted least squares by Levenberg and Marquardt's method; returns the root mean square weighted error.
+
+    The Jacobian is formed in single precision, a block of rows at a time; ridge weighs the squares of the values.
+    Steps are taken on a quarter of the rows for the first half of the iterations.
+    """
     x = (samples.inputs - network.input_mean) / network.input_scale
     t = (samples.targets - network.output_mean) / network.output_scale
-    w = samples.weights * network.output_scale
-    w[:, rk.OUTPUTS :] = 50.0
-    number = len(x)
-
-    def loss(values: np.ndarray) -> tuple[float, np.ndarray]:
-        w1, b1, w2, b2, w3, b3 = network.split(values)
-        z1, s1 = sigmoid(x @ w1 + b1)
-        z2, s2 = sigmoid(z1 @ w2 + b2)
-        residual = (z2 @ w3 + b3 - t) * w
-        g = residual * w / number
-        g2 = (g @ w3.T) * s2
-        g1 = (g2 @ w2.T) * s1
-        gradient = np.concatenate(
-            [
-                (x.T @ g1).ravel(),
-                g1.sum(0),
-                (z1.T @ g2).ravel(),
-                g2.sum(0),
-                (z2.T @ g).ravel(),
-                g.sum(0),
-            ]
-        )
-        return 0.5 * float(np.sum(residual**2)) / number, gradient
-
-    _adam(network, x, t, w, epochs, report)
-    count = 0
-
-    def each(_: np.ndarray) -> None:
-        nonlocal count
-        count += 1
+    scale = math.sqrt(np.mean(np.sum((samples.weights * network.output_scale) ** 2, axis=1)))
+    w = samples.weights * network.output_scale / scale
+    order = np.random.default_rng(0).permutation(len(x))
+    few = order[: max(len(x) // 4, min(len(x), 4 * len(network.values)))]
+    damping = 1e-2
+    loss = math.inf
+    for iteration in range(iterations):
+        early = iteration < iterations // 2
+        if iteration == 0 or iteration == iterations // 2:
+            rows = few if early else order
+            u, goal, weight = x[rows], t[rows], w[rows]
+            loss = _loss(network, network.values, u, goal, weight, ridge)
+        hessian, slope = _normal_equations(network, u, goal, weight)
+        hessian[np.diag_indices_from(hessian)] += ridge
+        slope += ridge * network.values
+        mean = float(np.mean(np.diag(hessian)))
+        for _ in range(10):
+            shifted = hessian.copy()
+            shifted[np.diag_indices_from(shifted)] += 1e-3 * damping * mean
+            try:
+                step = cho_solve(cho_factor(shifted, overwrite_a=True), -slope)
+            except LinAlgError:
+                damping *= 5.0
+                continue
+            found = _loss(network, network.values + step, u, goal, weight, ridge)
+            if found < loss:
+                network.values = network.values + step
+                loss = found
+                damping = max(damping / 3.0, 1e-9)
+                break
+            damping *= 4.0
         if report is not None:
-            report(0.6 + 0.4 * count / iterations)
+            report((iteration + 1) / iterations)
+    error = (network.outputs(network.values, x) - t) * w * scale
+    return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
 
-    result = minimize(
-        loss,
-        network.values,
-        jac=True,
-        method="L-BFGS-B",
-        callback=each,
-        options={"maxiter": iterations, "maxfun": 2 * iterations, "maxcor": 30},
-    )
-    network.values = result.x
-    return float(result.fun)
+
+def _loss(network, values, x, t, w, ridge) -> float:
+    error = (network.outputs(values, x) - t) * w
+    return 0.5 * float(np.sum(error**2)) / len(x) + 0.5 * ridge * float(values @ values)
+
+
+def _normal_equations(network, x, t, w) -> tuple[np.ndarray, np.ndarray]:
+    """JᵀJ (P, P) and Jᵀr (P,) of the weighted errors, over the number of rows."""
+    values = network.values.astype(np.float32)
+    hessian = np.zeros((len(values), len(values)), np.float32)
+    slope = np.zeros(len(values))
+    for begin in range(0, len(x), ROWS):
+        rows = slice(begin, begin + ROWS)
+        y, jacobians = network.jacobians(values, x[rows].astype(np.float32))
+        error = (y - t[rows]) * w[rows]
+        for j, matrix in enumerate(jacobians):
+            matrix *= w[rows, j, None].astype(np.float32)
+            hessian += matrix.T @ matrix
+            slope += matrix.T @ error[:, j].astype(np.float32)
+    return hessian.astype(float) / len(x), slope / len(x)

@@ -12,14 +12,20 @@ from finger_model.full_order import FullOrderModel
 from finger_model.geometry import Geometry
 from finger_model.reduced import ReducedModel
 from finger_model.reduction import BuildSettings, build
-from finger_model.reduction_rollout import Rollout, prepare
 from finger_model.reduction_runs import (
     principal_modes,
     run_case,
     training_case,
     weight_of,
 )
-from finger_model.reduction_training import BETAS, Network, fit_samples, samples_of, stack
+from finger_model.reduction_training import (
+    Network,
+    drive_samples,
+    features,
+    fit,
+    sigmoid,
+    stack,
+)
 
 LENGTH = 8.5e-3
 SMALL = BuildSettings(
@@ -27,10 +33,10 @@ SMALL = BuildSettings(
     held_out=6,
     pilots=3,
     latents=2,
-    hidden=6,
-    epochs=5,
-    sample_iterations=5,
-    history_iterations=3,
+    drive_width=8,
+    contact_width=8,
+    drive_iterations=6,
+    contact_iterations=6,
     refinement=0.5,
 )
 
@@ -74,20 +80,61 @@ def test_the_internal_strain_follows_its_equation_in_the_coordinates(runs: list)
         assert np.quantile(error, 0.9) < 1e-4
 
 
-def test_the_gradient_along_histories_is_that_of_the_loss(runs: list) -> None:
-    betas = np.array(BETAS)
-    samples = stack([samples_of(r, LENGTH, 2, betas) for r in runs])
+def test_the_jacobian_of_a_network_is_that_of_its_outputs(runs: list) -> None:
+    samples = stack([drive_samples(r, LENGTH, 2) for r in runs])
     network = Network(samples, 8)
-    fit_samples(network, samples, 30, 30)
-    rollout = Rollout(network, prepare(runs, LENGTH, 2, betas), robust=5.0)
-    _, gradient = rollout(network.values)
+    x = ((samples.inputs - network.input_mean) / network.input_scale)[::7]
+    outputs, jacobians = network.jacobians(network.values, x)
+    assert np.array_equal(outputs, network.outputs(network.values, x))
     rng = np.random.default_rng(0)
     for _ in range(3):
-        direction = rng.normal(size=len(gradient))
-        step = 1e-5
-        ahead = rollout(network.values + step * direction)[0]
-        behind = rollout(network.values - step * direction)[0]
-        assert (ahead - behind) / (2 * step) == pytest.approx(gradient @ direction, rel=1e-3)
+        step = 1e-5 * rng.normal(size=len(network.values))
+        ahead = network.outputs(network.values + step, x)
+        behind = network.outputs(network.values - step, x)
+        for j, matrix in enumerate(jacobians):
+            assert np.allclose((ahead - behind)[:, j], 2 * matrix @ step, rtol=1e-4, atol=1e-9)
+
+
+def test_training_brings_the_drive_down_to_a_percent_of_its_spread(runs: list) -> None:
+    samples = stack([drive_samples(r, LENGTH, 2) for r in runs])
+    network = Network(samples, 12)
+    shares: list[float] = []
+    fit(network, samples, 40, shares.append)
+    x = (samples.inputs - network.input_mean) / network.input_scale
+    found = network.outputs(network.values, x) * network.output_scale + network.output_mean
+    error = np.sqrt(np.mean((found - samples.targets) ** 2, axis=0))
+    assert np.all(error < 0.02 * samples.targets.std(0))
+    assert shares[-1] == 1.0
+
+
+def test_the_kernels_evaluate_the_networks_of_the_file() -> None:
+    """Along a history the compiled model has what the networks give at the states it visits."""
+    model = ReducedModel.load()
+    k, m = model.arrays["drive_weights_3"].shape[1] - 1, len(model.arrays["betas"])
+    vector = np.array([90e3, 30e3, 0.1, 1500e3])
+    time, force = random_history(np.random.default_rng(3), "reload")
+    states = model.visited(vector, time, force)
+    found = model.simulate(vector, time, force)
+    assert states.shape == (len(time), k + m)
+
+    def evaluate(name: str, inputs: np.ndarray) -> np.ndarray:
+        a = {key.removeprefix(name + "_"): value for key, value in model.arrays.items()}
+        z = (inputs - a["input_mean"]) / a["input_scale"]
+        for layer in ("1", "2"):
+            z = sigmoid(z @ a["weights_" + layer] + a["bias_" + layer])[0]
+        return (z @ a["weights_3"] + a["bias_3"]) * a["output_scale"] + a["output_mean"]
+
+    x = np.cbrt(force / (vector[0] * LENGTH**2))
+    stiffness = np.full(len(x), np.log(vector[3] / vector[0]))
+    nothing = np.zeros_like(states[:, :k])
+    drive = evaluate("drive", features(x, states[:, :k], None, stiffness))
+    rest = evaluate("drive", features(0 * x, nothing, None, stiffness))
+    assert np.allclose(found.indentation, LENGTH * (drive - rest)[:, 0], rtol=1e-9, atol=1e-12)
+    contact = evaluate("contact", features(x, states[:, :k], states[:, k:], stiffness))
+    on = force > 0
+    area = (LENGTH * x[on]) ** 2 * np.exp(contact[on, 0])
+    assert np.allclose(found.area[on], area, rtol=1e-9)
+    assert np.allclose(found.peak_pressure[on], force[on] / area * np.exp(contact[on, 1]))
 
 
 @pytest.mark.slow

@@ -40,7 +40,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         help="training histories; fewer is faster and less exact",
     )
     parser.add_argument(
-        "--epochs", type=int, metavar="N", help="passes of the first training; more is more exact"
+        "--iterations", type=int, metavar="N", help="steps of each training; more is more exact"
     )
     parser.add_argument("--seed", type=int, default=1, help="of the random histories (default: 1)")
     parser.add_argument("--workers", type=int, default=2, help="processes (default: 2)")
@@ -58,10 +58,10 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.histories < 12:
             raise InputError(f"--histories is {arguments.histories}, 12 or more are needed")
         options["histories"] = arguments.histories
-    if arguments.epochs is not None:
-        if arguments.epochs < 1:
-            raise InputError(f"--epochs is {arguments.epochs}, 1 or more are needed")
-        options["epochs"] = arguments.epochs
+    if arguments.iterations is not None:
+        if arguments.iterations < 1:
+            raise InputError(f"--iterations is {arguments.iterations}, 1 or more are needed")
+        options["drive_iterations"] = options["contact_iterations"] = arguments.iterations
     if arguments.workers < 1:
         raise InputError(f"--workers is {arguments.workers}, 1 or more are needed")
     if not 0 <= arguments.friction <= 1:
