@@ -75,7 +75,7 @@ def test_nodes_come_up_over_dds_and_again_after_a_kill(
         executor.spin_until_future_complete(future, timeout_sec=3.0)
         return future.result()
 
-    def wait(condition: Callable[[], bool], seconds: float = 60.0) -> None:
+    def wait(condition: Callable[[], bool], seconds: float = 150.0) -> None:
         end = time.monotonic() + seconds
         while not condition():
             assert time.monotonic() < end, manager.output.read_text()

@@ -133,7 +133,7 @@ def test_the_end_of_an_essential_process_ends_all_with_its_exit_code() -> None:
     ]
     supervisor = Supervisor(specs, line=log)
     supervisor.start()
-    assert supervisor.wait(10)
+    assert supervisor.wait(60)
     supervisor.stop()
     assert supervisor.exit_code == 3
     assert not any(supervisor.alive().values())

@@ -40,7 +40,7 @@ sys.exit(run_node(Gauge))
 """
 
 
-def wait_for(condition: Callable[[], Any], spin: Callable[[], None], seconds: float = 20) -> Any:
+def wait_for(condition: Callable[[], Any], spin: Callable[[], None], seconds: float = 90) -> Any:
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         spin()
@@ -111,7 +111,7 @@ def test_shell_publishes_checks_parameters_reports_and_ends_cleanly(
     assert status.name == "gauge: gauge" and status.hardware_id == "no. 7"
     assert {v.key: v.value for v in status.values}["state"] == "active"
     child.send_signal(signal.SIGINT)
-    assert child.wait(10) == 0, child.output.read_text()
+    assert child.wait(60) == 0, child.output.read_text()
 
 
 def test_failed_configuration_leaves_the_node_up_to_try_again(
@@ -144,6 +144,6 @@ def test_parameter_file_that_is_not_yaml_ends_with_one_sentence(
     bad = tmp_path / "bad.yaml"
     bad.write_text("[:")
     child = process(script, "--ros-args", "--params-file", bad)
-    assert child.wait(20) == 2
+    assert child.wait(60) == 2
     output = child.output.read_text()
     assert "bad.yaml" in output and "Traceback" not in output

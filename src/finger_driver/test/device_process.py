@@ -34,7 +34,7 @@ class DeviceProcess:
         self._news = threading.Condition()
         self._answered = 0
         threading.Thread(target=self._listen, daemon=True).start()
-        self.ready = self._wait(lambda: self._find("ready"), 30)
+        self.ready = self._wait(lambda: self._find("ready"), 90)
 
     def _listen(self) -> None:
         assert self._child.stdout is not None
@@ -61,7 +61,7 @@ class DeviceProcess:
         def answers() -> list[str]:
             return [line for line in self._lines if re.match("ok|refused", line)]
 
-        self._wait(lambda: len(answers()) >= self._answered, 10)
+        self._wait(lambda: len(answers()) >= self._answered, 60)
         assert answers()[self._answered - 1].startswith("ok"), answers()[-1]
 
     def port(self, name: str) -> int:

@@ -32,7 +32,7 @@ class Observer:
         )
         return got
 
-    def until(self, condition: Callable[[], Any], seconds: float = 40, what: str = "") -> Any:
+    def until(self, condition: Callable[[], Any], seconds: float = 120, what: str = "") -> Any:
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             result = condition()
@@ -86,7 +86,7 @@ def test_force_node_streams_tares_when_asked_and_follows_its_lifecycle(
             "-p", "can_interface:=udp_multicast", "-p", f"can_options:='port={port}'",
             "-p", "response_timeout:=0.2",
         )  # fmt: skip
-        observer.until(lambda: len(raw) > 200, what="wrench_raw")
+        observer.until(lambda: len(raw) > 200 and tared, what="wrench_raw and wrench")
         stamps = np.array([stamp(m) for m in raw[-200:]])
         assert np.all(np.diff(stamps) > 0)
         assert abs(stamps[-1] - time.time_ns()) < 5e9
@@ -150,8 +150,8 @@ def test_camera_node_publishes_every_frame_with_its_calibration(
     from sensor_msgs.msg import CameraInfo, Image
     from sensor_msgs.srv import SetCameraInfo
 
-    images = observer.listen(Image, "image_raw", 10)
-    infos = observer.listen(CameraInfo, "camera_info", 50)
+    images = observer.listen(Image, "image_raw", 50)
+    infos = observer.listen(CameraInfo, "camera_info", 200)
     frames, url = tmp_path / "frames", tmp_path / "ftir.yaml"
     with device("images", frames, "--keep", 300):
         process(
@@ -160,18 +160,22 @@ def test_camera_node_publishes_every_frame_with_its_calibration(
             "-p", "image_time_offset:=-0.25",
             env={"ROS_HOME": str(tmp_path)},
         )  # fmt: skip
-        observer.until(lambda: images, what="image_raw")
+        observer.until(lambda: images and infos, what="image_raw")
         images.clear()
-        observer.until(lambda: len(images) >= 20, what="twenty images")
+        infos.clear()
+        observer.until(lambda: len(infos) >= 20, what="twenty frames")
+        observer.until(
+            lambda: images and stamp(images[-1]) >= stamp(infos[19]), what="their images"
+        )
         assert images[0].encoding == "mono8" and images[0].step == 1280
         assert (images[0].height, images[0].width, len(images[0].data)) == (1024, 1280, 1280 * 1024)
         received = [stamp(m) + 250_000_000 for m in images]
         written = {int(p.name.split("_")[0]) for p in frames.glob("*.pgm")}
         assert set(received) <= written, "stamp is not acquisition plus offset"
-        due = [s for s in written if received[0] <= s <= received[-1]]
-        assert len(received) >= 0.8 * len(due), f"{len(due) - len(received)} images were lost"
-        by_stamp = {stamp(m): m for m in infos}
-        assert sum(stamp(m) in by_stamp for m in images) >= 18
+        # Each image goes with a small message of the same stamp: what the busy node skipped is not sent at all.
+        sent = {stamp(m) for m in infos}
+        arrived = sent & {stamp(m) for m in images}
+        assert len(arrived) >= 0.8 * len(sent), f"{len(sent) - len(arrived)} images were lost"
         assert infos[-1].k[0] == 0.0 and infos[-1].width == 1280
 
         request = SetCameraInfo.Request()
