@@ -32,6 +32,8 @@ def atomic_write(path: str | Path, mode: str = "w", **options: Any) -> Iterator[
     `mode` is "w" or "wb"; `options` go to `open`. Raises InputError when the folder cannot be written to.
     """
     path = Path(path)
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; give the name of a file")
     if "b" not in mode:
         options.setdefault("encoding", "utf-8")
         options.setdefault("newline", "")

@@ -33,6 +33,8 @@ SMALLEST_CUT = 2.0**-14
 
 SMALLEST_PART = 1.0 / 64.0
 """A step is not divided further than this for the sake of its path."""
+SMALLEST_VOLUME = 0.2
+"""Tissue squeezed below this fraction of its volume has left what the law describes: the finger is crushed."""
 FRESH_NODES = 1
 """A step is divided so that not more than so many skin nodes touch anew in one part."""
 
@@ -202,7 +204,7 @@ class Stepper:
                     what = f"{value:.4g} N" if loaded else f"{value * 1e3:.4g} mm"
                     raise ModelError(
                         f"no equilibrium at t = {instant:.4g} s, {what}: {error}; the load is beyond what this "
-                        "finger carries, lower it or use stiffer moduli"
+                        "finger carries: lower it or use stiffer moduli"
                     ) from None
                 continue
             done = goal
@@ -292,6 +294,8 @@ class Stepper:
             inverse,
             jacobian,
         )
+        if jacobian.min() < SMALLEST_VOLUME:
+            raise NotConverged(f"tissue is squeezed below {SMALLEST_VOLUME:g} of its volume")
         viscous = decay * state.viscous + old * state.c_bar_inverse + new * inverse
         stored, dissipated = elements.energies(
             equilibrium.weight,

@@ -15,6 +15,18 @@ from finger_common.files import from_numbers, load_yaml
 LARGEST_POISSON_RATIO = 0.4999
 """Above it the pressure loses more digits than Newton's criterion leaves."""
 
+MODULUS_RANGES = {
+    "E0": (1e3, 1e8),
+    "E1": (1e3, math.inf),
+    "E2": (1e3, 1e8),
+    "nail_modulus": (1e3, 1e12),
+}
+"""Moduli (Pa) taken for meant. Below, a number in kPa or MPa is likelier than a finger; under a stiffer epidermis the
+contact at 1 N is no wider than three elements of the default mesh, and its area is not found to a few per cent."""
+
+LARGEST_BULK_OVER_SHEAR = 2e5
+"""Largest bulk modulus over long-term shear modulus of the bulk: beyond it Newton's method loses its digits."""
+
 
 @dataclass(frozen=True)
 class Material:
@@ -24,8 +36,9 @@ class Material:
     damper's shear viscosity η1 (Nam and Kuchenbecker 2021, eq. 2). Epidermis (E2) and nail are elastic. An elastic
     bulk is written with E1 very large against E0. The default is the natural set of the study.
 
-    Raises InputError for moduli or times that are not positive, a Poisson's ratio outside 0 … 0.4999 or a
-    friction coefficient outside 0 … 1.
+    Raises InputError for moduli or times that are not positive, moduli outside MODULUS_RANGES, a Poisson's ratio
+    outside 0 … 0.4999, E0 so far above E1 that the bulk is all but incompressible, or a friction coefficient
+    outside 0 … 1.
     """
 
     E0: float = 140e3  # paper, Fig. 3 (natural)
@@ -57,6 +70,12 @@ class Material:
                 raise InputError(
                     f"material: '{name}' is {getattr(self, name):g} {unit}, a positive value is needed"
                 )
+        for name, (low, high) in MODULUS_RANGES.items():
+            if not low <= getattr(self, name) <= high:
+                span = f"{low:g} … {high:g} Pa" if math.isfinite(high) else f"{low:g} Pa and more"
+                raise InputError(
+                    f"material: '{name}' is {getattr(self, name):g} Pa, outside {span}; give moduli in Pa"
+                )
         for name in ("poisson_ratio_bulk", "poisson_ratio_epidermis", "poisson_ratio_nail"):
             value = getattr(self, name)
             if not 0 <= value <= LARGEST_POISSON_RATIO:
@@ -64,6 +83,12 @@ class Material:
                     f"material: '{name}' is {value:g}, outside 0 … {LARGEST_POISSON_RATIO}; "
                     "use 0.48 for soft tissue"
                 )
+        ratio = self.bulk_modulus / self.long_term_shear_modulus
+        if ratio > LARGEST_BULK_OVER_SHEAR:
+            raise InputError(
+                f"material: the bulk modulus is {ratio:.2g} times the long-term shear modulus, more than "
+                f"{LARGEST_BULK_OVER_SHEAR:g}; lower 'E0' against 'E1' or 'poisson_ratio_bulk'"
+            )
         if not 0 <= self.friction <= 1:
             raise InputError(f"material: 'friction' is {self.friction:g}, outside 0 … 1; use 0.25")
 

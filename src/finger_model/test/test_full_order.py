@@ -151,6 +151,14 @@ def test_load_beyond_what_the_finger_carries_names_time_force_and_cause(model):
     assert stepper.state.force > 3.0 and stepper.state.radius > 0
 
 
+@pytest.mark.parametrize("steps", [1, 20])
+def test_crushed_tissue_is_an_error_and_no_area(model, steps):
+    """30 N press the natural set to a tenth of its volume: there the law means nothing, however it is reached."""
+    time, force = ramp(30.0, 1.0, steps)
+    with pytest.raises(ModelError, match="squeezed below 0.2 of its volume"):
+        model.simulate(Material(), time, force)
+
+
 @pytest.mark.parametrize(
     ("time", "force", "words"),
     [
@@ -192,6 +200,9 @@ def test_impossible_geometries_are_refused(values, words):
         ({"poisson_ratio_bulk": 0.5}, "poisson_ratio_bulk"),
         ({"poisson_ratio_nail": -0.1}, "poisson_ratio_nail"),
         ({"friction": 1.5}, "friction"),
+        ({"E0": 140.0, "E1": 22.35, "E2": 1795.0}, "'E0' is 140 Pa, .* give moduli in Pa"),
+        ({"E2": 1e10}, "'E2' is 1e\\+10 Pa"),
+        ({"E0": 1e8, "E1": 2e3}, "lower 'E0' against 'E1'"),
     ],
 )
 def test_impossible_materials_are_refused(values, words):

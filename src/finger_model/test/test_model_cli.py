@@ -93,6 +93,25 @@ def test_contradictory_options_are_refused(tmp_path, force_file, capsys):
     assert "--solver full" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("solver", ["full", "reduced"])
+def test_a_folder_as_output_is_one_sentence(tmp_path, force_file, capsys, solver):
+    arguments = ["simulate", "--force", str(force_file), "--solver", solver, "-o", str(tmp_path)]
+    assert run(_main, arguments) == 2
+    assert "is a folder" in capsys.readouterr().err
+
+
+def test_moduli_in_kilopascals_and_a_crushed_finger_are_refused(tmp_path, force_file, capsys):
+    (tmp_path / "m.yaml").write_text("E0: 140\nE1: 22\nE2: 1795\n")
+    arguments = ["simulate", "--force", str(force_file), "--solver", "full"]
+    assert run(_main, [*arguments, "--material", str(tmp_path / "m.yaml")]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and "give moduli in Pa" in error and "m.yaml" in error
+    (tmp_path / "high.csv").write_text("time_s,force_n\n0,0\n1,300\n")
+    assert run(_main, ["simulate", "--force", str(tmp_path / "high.csv"), "--solver", "full"]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and "s, " in error and "N: tissue is squeezed" in error
+
+
 def test_help_shows_an_example():
     for command in ([], ["simulate"], ["verify"]):
         done = subprocess.run(

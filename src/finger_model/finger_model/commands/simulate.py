@@ -126,6 +126,8 @@ def _full(
     for path in (arguments.plot, arguments.vtu, arguments.output):
         if path and not Path(path).resolve().parent.is_dir():
             raise InputError(f"{path}: the folder does not exist; create it first")
+        if path and Path(path).is_dir():
+            raise InputError(f"{path}: is a folder; give the name of a file")
     stepper = FullOrderModel(geometry, arguments.refinement).start(material, float(time[0]))
     points = []
     console = Console(stderr=True)
