@@ -155,7 +155,7 @@ def test_load_beyond_what_the_finger_carries_names_time_force_and_cause(model):
 def test_crushed_tissue_is_an_error_and_no_area(model, steps):
     """30 N press the natural set to a tenth of its volume: there the law means nothing, however it is reached."""
     time, force = ramp(30.0, 1.0, steps)
-    with pytest.raises(ModelError, match="squeezed below 0.2 of its volume"):
+    with pytest.raises(ModelError, match=r"squeezed below 0\.2 of its volume"):
         model.simulate(Material(), time, force)
 
 
