@@ -10,24 +10,15 @@ from typing import Any
 
 import pytest
 
+from finger_bag.definitions import typestore
 from finger_bag.schema import TOPICS
 
 
-def fields_of(root: Path, type_name: str) -> set[str] | None:
-    """Field names of a message of this suite; None for messages of other packages."""
-    package, _, name = type_name.split("/")
-    if package != "finger_msgs":
-        return None
-    text = (root / "src" / "finger_msgs" / "msg" / f"{name}.msg").read_text()
-    return set(re.findall(r"^[\w/\[\]]+ (\w+)(?: |$)", text, re.M))
-
-
-def check(root: Path, topic: str, field: str | None) -> None:
+def check(topic: str, field: str | None) -> None:
     short = topic.removeprefix("/finger/")
     assert short in TOPICS, topic
-    fields = fields_of(root, TOPICS[short].type)
-    if field and fields is not None:
-        assert field in fields, f"{topic} has no field {field}"
+    _, fields = typestore().fielddefs[TOPICS[short].type]
+    assert not field or field in {name for name, _ in fields}, f"{topic} has no field {field}"
 
 
 @pytest.fixture
@@ -35,7 +26,7 @@ def config(project_root: Path) -> Path:
     return project_root / "src" / "finger_bringup" / "config"
 
 
-def test_foxglove_layout(config: Path, project_root: Path) -> None:
+def test_foxglove_layout(config: Path) -> None:
     layout = json.loads((config / "foxglove_layout.json").read_text())
     panels: list[str] = []
 
@@ -51,11 +42,13 @@ def test_foxglove_layout(config: Path, project_root: Path) -> None:
     assert sorted(panels) == sorted(layout["configById"])
     paths = re.findall(r'"(/[\w/]+)(?:\.(\w+))?"', json.dumps(layout))
     assert len(paths) > 8
+    # "currentCustom" would show the newest pair alone.
+    assert layout["configById"]["Plot!area_over_force"]["xAxisVal"] == "custom"
     for topic, field in paths:
-        check(project_root, topic, field)
+        check(topic, field)
 
 
-def test_plotjuggler_layout(config: Path, project_root: Path) -> None:
+def test_plotjuggler_layout(config: Path) -> None:
     root = ElementTree.parse(config / "plotjuggler_layout.xml").getroot()
     curves = [
         path
@@ -66,4 +59,4 @@ def test_plotjuggler_layout(config: Path, project_root: Path) -> None:
     assert len(curves) > 6
     for path in curves:
         topic, _, field = path.rpartition("/")
-        check(project_root, topic, field)
+        check(topic, field)
