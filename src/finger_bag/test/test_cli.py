@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from session_bags import START, press_force, wrench
+from session_bags import START, image, press_force, wrench
 
 from finger_bag.cli import command, parser
 from finger_bag.reader import open_bag
@@ -121,7 +121,10 @@ def damaged(path: Path, kind: str) -> Path:
                 late = 0.3 if kind == "late images" else 0.0
                 area = 4e-5 * max(float(press_force(np.array(t - late))), 0.0) ** 0.7
                 fields = {"header": {"stamp": stamp}, "gross_area": area, "flags": 0}
-                bag.write("contact_area", fields, log)
+                if kind == "pictures without calibration":
+                    bag.write("image_raw", image(stamp, area), log)
+                else:
+                    bag.write("contact_area", fields, log)
     return path
 
 
@@ -139,6 +142,7 @@ def damaged(path: Path, kind: str) -> Path:
         ("stamps back", "stamp order of wrench"),
         ("clock", "log time of wrench"),
         ("late images", "sync of force and image"),
+        ("pictures without calibration", "calibration"),
     ],
 )
 def test_each_fault_fails_its_check(

@@ -68,6 +68,17 @@ def test_offset_and_duration_cut(short: Path) -> None:
         played(short, rate=0.0)
 
 
+def test_only_the_topics_asked_for_are_given(session: Callable[..., Path]) -> None:
+    path = session(trials=1)
+    times, items = played(path, topics=["/finger/moisture", "/finger/trial"])
+    assert {i.message.topic for i in items} == {"/finger/moisture", "/finger/trial"}
+    with open_bag(path) as reader:
+        counts = reader.info.topics
+        assert len(items) == counts["/finger/moisture"].count + counts["/finger/trial"].count
+    logs = np.array([i.message.log_time_ns for i in items])
+    assert np.allclose(np.diff(times), np.diff(logs) * 1e-9, atol=1e-6)
+
+
 def test_loop_goes_on_without_time_running_back(short: Path) -> None:
     clock = Clock()
     found = []
