@@ -70,9 +70,9 @@ def test_nodes_come_up_over_dds_and_again_after_a_kill(
     executor.add_node(node)
     clients = {n: node.create_client(GetState, f"{n}/get_state") for n in ("protocol", "page")}
 
-    def call(client: Any, request: Any) -> Any:
+    def call(client: Any, request: Any, seconds: float = 3.0) -> Any:
         future = client.call_async(request)
-        executor.spin_until_future_complete(future, timeout_sec=3.0)
+        executor.spin_until_future_complete(future, timeout_sec=seconds)
         return future.result()
 
     def wait(condition: Callable[[], bool], seconds: float = 150.0) -> None:
@@ -90,11 +90,12 @@ def test_nodes_come_up_over_dds_and_again_after_a_kill(
         # A transition the state does not have is refused and ends nothing.
         change = node.create_client(ChangeState, "page/change_state")
         request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_CONFIGURE))
-        answer = call(change, request)
+        wait(change.service_is_ready)
+        answer = call(change, request, 90.0)
         assert answer is not None and not answer.success
-        assert active("page")
+        wait(lambda: active("page"))
         os.killpg(protocol.pid, signal.SIGKILL)
-        protocol.wait(5)
+        protocol.wait(60)
         start_protocol()
         wait(lambda: active("protocol"))
     finally:

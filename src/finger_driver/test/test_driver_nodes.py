@@ -93,8 +93,13 @@ def test_force_node_streams_tares_when_asked_and_follows_its_lifecycle(
         assert tared[-1].wrench.force.z == pytest.approx(-1.5, abs=0.03), "tared unasked"
         assert raw[-1].header.frame_id == "force_sensor"
 
-        answer = observer.call(Trigger, "/force/tare", Trigger.Request())
-        assert answer.success and "-1.5" in answer.message
+        def tare() -> str | None:
+            answer = observer.call(Trigger, "/force/tare", Trigger.Request())
+            # A busy machine may deliver too few samples for one.
+            assert answer.success or "samples came" in answer.message, answer.message
+            return str(answer.message) if answer.success else None
+
+        assert "-1.5" in observer.until(tare, what="tare")
         count = len(tared)
         observer.until(lambda: len(tared) > count + 300, what="tared wrench")
         assert np.mean([m.wrench.force.z for m in tared[-100:]]) == pytest.approx(0, abs=0.005)
