@@ -1,6 +1,7 @@
 """Put measured tables into docs/study.md.
 
-python scripts/study_tables.py --fit out/study_fit/fit.json --recovery out/recovery/recovery.json --write
+python scripts/study_tables.py --fit out/study_fit/fit.json --recovery out/recovery/recovery.json \\
+    --misfit out/recovery/recovery_misfit.json --write
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from recovery import tables
+from recovery import misfit_table, tables
 from throughput import replace_between
 
 from finger_common.files import atomic_write
@@ -78,7 +79,7 @@ def main() -> None:
     for marker, path, make in (
         ("paper", args.fit, paper_table),
         ("recovery", args.recovery, tables),
-        ("misfit", args.misfit, tables),
+        ("misfit", args.misfit, misfit_table),
     ):
         if path is None:
             continue

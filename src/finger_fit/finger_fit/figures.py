@@ -268,7 +268,10 @@ def _fine_areas(problem: Any, index: int, parameters: np.ndarray) -> np.ndarray:
     rows = np.arange(len(trial.time))
     areas = problem.model.batch(parameters[None], [(trial.time, trial.force, rows)])[0][0]
     part = slice(problem.starts[index], problem.starts[index + 1])
-    return areas * np.interp(trial.time, trial.frame_time, problem.correction[part])
+    if problem.correction is None:
+        return areas
+    factor = problem.correction.factor(parameters)[0, part]
+    return areas * np.interp(trial.time, trial.frame_time, factor)
 
 
 def _deformed(axes: Axes, geometry: Geometry, fit: ConditionFit, trial: FitTrial) -> None:

@@ -16,7 +16,7 @@ from finger_model.material import Material
 
 from .engine import DaskEngine, Done, LocalEngine
 from .local import LocalFit, refine, whole_box
-from .problem import FitProblem, composite_modulus
+from .problem import AreaCorrection, FitProblem, composite_modulus
 from .trials import FitTrial
 
 STEP = 0.04
@@ -134,40 +134,82 @@ class Correction:
     largest_factor: float
 
 
+SHIFTS = (0.08, 0.3, 0.3, 0.12)
+"""Steps of the logarithms of composite modulus, E0, tau1 and E2 over which the correction's slope is taken: about a
+standard deviation of what 15 presses tell."""
+
+FAR = 0.5
+"""Move of a logarithm after which the slope is taken anew."""
+
+SETTLED = 0.03
+"""Move of a logarithm below which the correction is done; far below what 15 presses tell."""
+
+
+def shifted(parameters: np.ndarray, box: np.ndarray) -> np.ndarray:
+    """Parameters (5, 4): as given, and with one of composite modulus, E0 (the composite held), tau1 and E2 moved by its
+    step of SHIFTS, towards the middle of box (4, 2)."""
+    E0, _, tau1, E2 = parameters
+    E = float(composite_modulus(parameters))
+    middle = np.sqrt(box[:, 0] * box[:, 1])
+    inwards = np.where(
+        np.array([E, E0, tau1, E2]) < [composite_modulus(middle), *middle[[0, 2, 3]]], 1.0, -1.0
+    )
+    if E0 * np.exp(-SHIFTS[1]) < 1.1 * E:
+        inwards[1] = 1.0
+    if E * np.exp(SHIFTS[0]) > 0.95 * E0:
+        inwards[0] = -1.0
+    factors = np.vstack([np.ones(4), np.exp(np.diag(inwards * np.array(SHIFTS)))])
+    factors[1:][~np.eye(4, dtype=bool)] = 1.0
+    e, e0, t, e2 = (factors * [E, E0, tau1, E2]).T
+    return np.column_stack([e0, 1.0 / (1.0 / e - 1.0 / e0), t, e2])
+
+
 def correct(
     problem: FitProblem,
     best: np.ndarray,
     geometry: Geometry,
     engine: LocalEngine | DaskEngine,
-    rounds: int = 2,
+    rounds: int = 3,
     done: Done | None = None,
     simulate: Simulator = full_order_areas,
 ) -> tuple[LocalFit, Correction]:
     """Refit with the reduced model's areas corrected to full order around the best parameters (4,).
 
-    Each frame's area is multiplied by the ratio of full to reduced order at the best parameters (manifold mapping:
-    Echeverría and Hemker 2005), the fit polished, and the ratio renewed at the result. The problem keeps the last
-    ratio. Frames of a trial that full order cannot simulate keep the reduced model's area.
+    Each frame's area is multiplied by the ratio of full to reduced order, linear around the best parameters (space
+    mapping with the fine model's derivatives: Bandler et al. 2004), the fit polished, and the ratio renewed at the
+    result. The slope matters as much as the ratio: in the direction of E0 against E1 the reduced model's error changes
+    as fast as the area does, and a fit with the ratio alone stays where it started. The problem keeps the last
+    correction. Frames of a trial that full order cannot simulate keep the reduced model's area.
     """
-    before = problem.cost(best)[0]
-    start = best
-    fit = LocalFit(np.log(best), best, float(before), 0)
+    before = float(problem.cost(best)[0])
+    start, slope_at, slope = best, None, np.zeros((4, len(problem.measured)))
+    fit = LocalFit(np.log(best), best, before, 0)
     done_rounds = 0
     while done_rounds < rounds:
         done_rounds += 1
-        full = candidate_areas(
-            problem, start[None], geometry, engine, done=done, simulate=simulate
-        )[0]
-        raw = problem.raw_areas(start)[0]
-        problem.correction = np.where(np.isfinite(full) & (raw > 0), full / raw, 1.0)
+        anew = slope_at is None or _moved(start, slope_at) > FAR
+        points = shifted(start, problem.box) if anew else start[None]
+        full = candidate_areas(problem, points, geometry, engine, done=done, simulate=simulate)
+        raw = problem.raw_areas(points)
+        usable = (np.isfinite(full) & (full > 0) & (raw > 0)).all(axis=0)
+        log_ratio = np.log(np.where(usable, full / raw, 1.0))
+        if anew:
+            places = AreaCorrection.place(points)
+            slope = np.linalg.solve(places[1:] - places[0], log_ratio[1:] - log_ratio[0])
+            slope_at = start
+        problem.correction = AreaCorrection(start, log_ratio[0], slope)
         fit = refine(problem, whole_box(problem.box), np.log(start))
-        moved = float(np.abs(np.log(fit.parameters / start)).max())
+        moved = _moved(fit.parameters, start)
         start = fit.parameters
-        if moved < 0.02:
+        if moved < SETTLED:
             break
-    return fit, Correction(
-        float(before), best, done_rounds, float(np.abs(problem.correction - 1.0).max())
-    )
+    largest = float(np.abs(problem.correction.factor(start) - 1.0).max())
+    return fit, Correction(before, best, done_rounds, largest)
+
+
+def _moved(to: np.ndarray, since: np.ndarray) -> float:
+    """Largest change of a coordinate of the correction."""
+    return float(np.abs(AreaCorrection.place(to) - AreaCorrection.place(since)).max())
 
 
 def thinned(trial: FitTrial, step: float) -> np.ndarray:

@@ -50,11 +50,36 @@ class PowerLaw:
         return self.k * np.maximum(force, 0.0) ** self.m
 
 
+@dataclass(frozen=True)
+class AreaCorrection:
+    """Factor that turns a model's areas into a better model's, around some parameters.
+
+    The logarithm of the factor is linear in the logarithms of composite modulus, E0, tau1 and E2: log_ratio (n,) at
+    `centre` (4,), a parameter set, and slope (4, n).
+    """
+
+    centre: np.ndarray
+    log_ratio: np.ndarray
+    slope: np.ndarray
+
+    @staticmethod
+    def place(parameters: np.ndarray) -> np.ndarray:
+        """Coordinates (P, 4) of parameters (P, 4)."""
+        logs = np.log(np.atleast_2d(parameters))
+        logs[:, 1] = np.log(composite_modulus(np.atleast_2d(parameters)))
+        return logs[:, [1, 0, 2, 3]]
+
+    def factor(self, parameters: np.ndarray) -> np.ndarray:
+        """Factor (P, n) for parameters (P, 4)."""
+        away = self.place(parameters) - self.place(self.centre)
+        return np.exp(self.log_ratio + away @ self.slope)
+
+
 class FitProblem:
     """Trials of one condition, the model and the options: everything J depends on.
 
     Arrays over all frames, trial after trial: measured (n,) m², force (n,) N, trial_of (n,), weight (n,), which
-    sums to one within a trial; correction (n,): factor on the model's areas, ones unless full order was consulted
+    sums to one within a trial. correction: of the model's areas, None unless full order was consulted
     (`full_order_check.correct`). Calls are deterministic and safe from several threads.
     """
 
@@ -72,7 +97,7 @@ class FitProblem:
         sums = np.add.reduceat(raw, self.starts[:-1])
         # A trial all of whose frames carry no weight takes no part.
         self.weight = raw / np.where(sums > 0, sums, 1.0)[self.trial_of]
-        self.correction = np.ones(len(self.measured))
+        self.correction: AreaCorrection | None = None
         self._drives = [(t.time, t.force, t.frames) for t in self.trials]
         self.evaluations = 0
 
@@ -85,16 +110,19 @@ class FitProblem:
         return float(self.measured.max())
 
     def areas(self, parameters: np.ndarray) -> np.ndarray:
-        """Model areas (P, n) in m² at the frames that count, for parameters (P, 4)."""
+        """Areas (P, n) in m² at the frames that count, for parameters (P, 4): the model's, corrected."""
+        raw = self.raw_areas(parameters)
+        if self.correction is None:
+            return raw
+        return raw * self.correction.factor(parameters)
+
+    def raw_areas(self, parameters: np.ndarray) -> np.ndarray:
+        """As `areas`, without the correction."""
         parameters = np.atleast_2d(np.asarray(parameters, dtype=float))
         with _batch_lock:
             parts = self.model.batch(parameters, self._drives)
         self.evaluations += len(parameters)
-        return np.concatenate(parts, axis=1) * self.correction
-
-    def raw_areas(self, parameters: np.ndarray) -> np.ndarray:
-        """As `areas`, without the correction."""
-        return self.areas(parameters) / self.correction
+        return np.concatenate(parts, axis=1)
 
     def losses(self, areas: np.ndarray) -> np.ndarray:
         """Loss in m⁴ of every frame, the residual's square unless a robust loss is set; areas (…, n)."""

@@ -6,10 +6,17 @@ import numpy as np
 import pytest
 
 from finger_fit.engine import LocalEngine
-from finger_fit.full_order_check import check, correct, full_order_areas, thinned
+from finger_fit.full_order_check import (
+    SHIFTS,
+    check,
+    correct,
+    full_order_areas,
+    shifted,
+    thinned,
+)
 from finger_fit.local import refine, whole_box
 from finger_fit.options import FitOptions
-from finger_fit.problem import MM4, FitProblem, composite_modulus
+from finger_fit.problem import MM4, AreaCorrection, FitProblem, composite_modulus
 from finger_model.geometry import Geometry
 from finger_model.material import Material
 
@@ -50,6 +57,42 @@ def test_correction_undoes_the_bias_of_the_reduced_model(biased, double) -> None
     assert 0.02 < correction.largest_factor < 0.05
 
 
+def test_correction_undoes_a_bias_that_changes_along_the_valley(double) -> None:
+    """An error that depends on E0 as strongly as the area does: with the ratio at one point alone, a fit stays near its
+    start."""
+    exact = double.make_problem(options=FitOptions(window="contact"))
+
+    class Biased(double.HereditaryModel):
+        def batch(self, parameters, trials):
+            tilt = np.log(np.atleast_2d(parameters)[:, :1] / 120e3)
+            areas = super().batch(parameters, trials)
+            return [
+                a * (1.0 + 0.03 * tilt * np.sin(3.0 * t[0][t[2]])) for a, t in zip(areas, trials)
+            ]
+
+    def better(shared, item):
+        trial = shared[3][item[1]]
+        rows = [(trial.time, trial.force, trial.frames)]
+        return double.HereditaryModel().batch(np.array([item[0]]), rows)[0][0]
+
+    problem = FitProblem(exact.trials, Biased(), exact.options)
+    start = np.array([75e3, 30e3, 0.25, 1500e3])
+    fit, _ = correct(problem, start, Geometry(), Inline(), rounds=4, simulate=better)
+    np.testing.assert_allclose(fit.parameters, double.TRUTH, rtol=0.01)
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [[160e3, 15e3, 0.01, 700e3], [50e3, 60e3, 0.8, 2200e3], [50e3, 15e3, 0.1, 1500e3]],
+)
+def test_shifted_sets_move_one_coordinate_each_and_stay_physical(parameters) -> None:
+    points = shifted(np.array(parameters), FitOptions().box())
+    assert (points > 0).all() and np.isfinite(points).all()
+    moves = AreaCorrection.place(points[1:]) - AreaCorrection.place(points[0])
+    np.testing.assert_allclose(np.abs(np.diag(moves)), SHIFTS)
+    np.testing.assert_allclose(moves - np.diag(np.diag(moves)), 0.0, atol=1e-9)
+
+
 def test_check_measures_the_raw_difference_and_says_what_is_not_final(biased, double) -> None:
     problem, better = biased
     fit = refine(problem, whole_box(problem.box), np.log(double.TRUTH))
@@ -59,7 +102,8 @@ def test_check_measures_the_raw_difference_and_says_what_is_not_final(biased, do
     expected = np.sqrt(np.mean((found.areas[0] - raw) ** 2)) / found.areas[0].max()
     assert found.rms_difference == pytest.approx(expected)
     assert found.rms_difference > 0.01 and not found.final and "differ" in found.reasons[0]
-    problem.correction = found.areas[0] / raw
+    flat = np.zeros((4, len(raw)))
+    problem.correction = AreaCorrection(fit.parameters, np.log(found.areas[0] / raw), flat)
     again = check(problem, found.parameters, Geometry(), Inline(), simulate=better)
     assert again.rms_difference == pytest.approx(found.rms_difference), "of the model itself"
     assert again.reduced_costs[0] == pytest.approx(again.full_costs[0])
