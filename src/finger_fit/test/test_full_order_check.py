@@ -67,7 +67,7 @@ def test_correction_undoes_a_bias_that_changes_along_the_valley(double) -> None:
             tilt = np.log(np.atleast_2d(parameters)[:, :1] / 120e3)
             areas = super().batch(parameters, trials)
             return [
-                a * (1.0 + 0.03 * tilt * np.sin(3.0 * t[0][t[2]])) for a, t in zip(areas, trials)
+                a * (1.0 + 0.2 * tilt * np.sin(3.0 * t[0][t[2]])) for a, t in zip(areas, trials)
             ]
 
     def better(shared, item):
