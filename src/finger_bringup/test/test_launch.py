@@ -150,6 +150,7 @@ def test_wrong_arguments_are_named(
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_rig_comes_up_in_order_answers_ros2_and_survives_a_kill(
     launch: Callable[..., Launch],
     environment: dict[str, str],
@@ -198,6 +199,7 @@ def test_rig_comes_up_in_order_answers_ros2_and_survives_a_kill(
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_grasp_listens_to_another_vendors_wrench(
     launch: Callable[..., Launch], environment: dict[str, str]
 ) -> None:
@@ -209,6 +211,7 @@ def test_grasp_listens_to_another_vendors_wrench(
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_replay_of_a_bag_gives_contact_states_and_ends(
     launch: Callable[..., Launch], environment: dict[str, str], project_root: Path, tmp_path: Path
 ) -> None:
@@ -226,6 +229,7 @@ def test_replay_of_a_bag_gives_contact_states_and_ends(
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_fit_of_sample_bags_writes_parameters_and_ends(
     launch: Callable[..., Launch], project_root: Path, tmp_path: Path
 ) -> None:
@@ -246,6 +250,7 @@ def test_fit_of_sample_bags_writes_parameters_and_ends(
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_a_fit_that_fails_is_told_and_ends_with_an_error(
     launch: Callable[..., Launch], project_root: Path, tmp_path: Path
 ) -> None:
