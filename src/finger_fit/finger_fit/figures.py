@@ -326,15 +326,16 @@ def _deformed(axes: Axes, geometry: Geometry, fit: ConditionFit, trial: FitTrial
         "", (radius, plate - 0.85), (-radius, plate - 0.85),
         arrowprops={"arrowstyle": "<->", "lw": 0.7, "shrinkA": 0, "shrinkB": 0},
     )  # fmt: skip
+    below = min(plate - 0.98, float(rest[:, 1].min()) - 0.15)
     axes.text(
-        0, plate - 0.98,
+        0, below,
         f"contact diameter {2 * radius:.1f} mm, area {point.area * MM2:.1f} mm$^2$, "
         f"indentation {point.indentation * 1e3:.2f} mm",
         ha="center", va="top", fontsize=7,
     )  # fmt: skip
     axes.set_aspect("equal")
     axes.set_xlim(-width, width)
-    axes.set_ylim(plate - 1.7, geometry.nail_thickness * 1e3 + 0.2)
+    axes.set_ylim(below - 0.72, geometry.nail_thickness * 1e3 + 0.2)
     axes.set_axis_off()
     axes.set_title(f"(b) full-order finger at {trial.force[-1]:.2f} N", loc="left")
     if image is not None:
@@ -489,7 +490,7 @@ def profiles_figure(report: FitReport) -> Figure | None:
         _plain_log_ticks(panel, min(ticks), max(ticks))
         panel.set_title(f"{symbol} ({unit})")
     panels[0].set_ylabel(r"$(J - J_\mathrm{min})\,/\,(J_{95} - J_\mathrm{min})$")
-    panels[0].legend(loc="upper center", handlelength=1.2)
+    panels[1].legend(loc="upper center", handlelength=1.2)
     return figure
 
 
@@ -538,11 +539,12 @@ def residuals_figure(report: FitReport) -> Figure:
 
 
 def convergence_figure(report: FitReport) -> Figure:
-    """Best J over the rounds of the search, relative to the final one."""
+    """Best J over the rounds of the search, relative to what the polish made of it."""
     figure, axes = plt.subplots(figsize=(0.6 * COLUMN, 2.0))
     for name, fit in report.fits.items():
         colour = colour_of(report, name)
-        curve = fit.pso.convergence / fit.cost
+        reference = fit.polish.cost if fit.polish is not None else fit.pso.best[1]
+        curve = fit.pso.convergence / reference
         rounds = np.arange(1, len(curve) + 1)
         axes.plot(rounds, curve, color=colour, drawstyle="steps-post")
         axes.plot(
@@ -551,7 +553,7 @@ def convergence_figure(report: FitReport) -> Figure:
         )  # fmt: skip
     axes.axhline(1.0, color="0.3", lw=0.7, ls=(0, (4, 2)))
     axes.set_xlabel("PSO round")
-    axes.set_ylabel("best $J$ over final $J$")
+    axes.set_ylabel("best $J$ over polished $J$")
     axes.set_xlim(0, None)
     axes.legend(title="at the end")
     return figure
@@ -573,6 +575,6 @@ def captions(names: Sequence[str]) -> dict[str, str]:
         "profiles": "Profile likelihoods: rise of J above its minimum along each quantity, in units of the 95 % limit (dashed). "
         "A flat curve means the data cannot tell the quantity.",
         "residuals": "Residuals of the fitted model and of the power law over force, on the same scale, and the model's distribution.",
-        "convergence": "Best J over the rounds of the particle swarm, relative to the J of the result (dashed), which the bounded local polish found.",
+        "convergence": "Best J over the rounds of the particle swarm, relative to the J that the bounded local polish then found (dashed); both by the reduced model.",
     }
     return {name: texts[name] for name in names}

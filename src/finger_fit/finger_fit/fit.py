@@ -449,9 +449,14 @@ def force_modes(
 
     other = "paper" if options.force == "full" else "full"
     out = {options.force: {"J": fit.cost * MM4, "composite_E": fit.composite_E}}
-    wanted = {trial.label for trial in fit.problem.trials}
+
+    def identity(trial: FitTrial) -> tuple[str, bytes]:
+        # Names of trials may recur from condition to condition; the measured areas do not.
+        return trial.label, trial.area.tobytes()
+
+    wanted = {identity(trial) for trial in fit.problem.trials}
     trials, _ = prepare_all(records, replace(options, force=other))
-    problem = FitProblem([t for t in trials if t.label in wanted], model, options)
+    problem = FitProblem([t for t in trials if identity(t) in wanted], model, options)
     if len(problem.measured) == len(fit.problem.measured):
         problem.correction = fit.problem.correction
     found = refine(problem, whole_box(problem.box), np.log(fit.parameters), tolerance=1e-5)

@@ -20,7 +20,7 @@ from finger_model.parameter_sets import PARAMETER_NAMES
 from .figures import STYLE, all_figures, captions
 from .fit import ConditionFit, FitReport
 from .full_order_check import AREA_LIMIT, MODULUS_LIMIT
-from .identifiability import QUANTITIES, quantity
+from .identifiability import QUANTITIES, quantity, quantity_deviation
 from .problem import MM2, MM4, composite_modulus
 
 PAPER_EVALUATIONS = "2 min a trial, 27,000 min (19 days) in COMSOL"
@@ -36,7 +36,7 @@ DISPLAY = {
 """Symbol, unit, factor from SI and decimals in tables."""
 
 CSS = """
-:root{--ink:#1c1c1a;--soft:#6b6a64;--line:#dcd9d0;--paper:#fffefb;--accent:#2a7f62;--warn:#b03a48}
+:root{--ink:#1c1c1a;--soft:#6b6a64;--line:#dcd9d0;--paper:#fff;--accent:#2a7f62;--warn:#b03a48}
 *{box-sizing:border-box}
 body{font:16px/1.55 Georgia,'STIX Two Text','Times New Roman',serif;color:var(--ink);background:var(--paper);
  max-width:62rem;margin:2.5rem auto 5rem;padding:0 1.5rem}
@@ -145,6 +145,10 @@ def render(result: FitReport, pictures: dict[str, bytes]) -> str:
 def _number(value: float, name: str) -> str:
     _, _, factor, decimals = DISPLAY[name]
     return f"{value * factor:,.{decimals}f}"
+
+
+def _signed(value: float) -> str:
+    return f"{value:.2f}".replace("-", "−")
 
 
 def _table(header: Sequence[str], rows: Sequence[Sequence[str]], text: Sequence[int] = ()) -> str:
@@ -323,13 +327,14 @@ def _identifiability(result: FitReport) -> str:
         untold = [DISPLAY[q][0] for q, p in fit.profiles.items() if not p.told]
         active = ", ".join(f"{DISPLAY[n][0]} ({end})" for n, end in c.active.items()) or "none"
         interval = fit.bootstrap_interval("composite_E")
+        deviation, _ = quantity_deviation(fit.problem, "composite_E", fit.parameters, c)
         rows.append(
             [
                 html.escape(name),
                 active,
-                f"{c.correlation('E0', 'E1'):.2f}",
-                f"{c.correlation('E1', 'E2'):.2f}",
-                f"{100 * c.composite_sd:.1f}",
+                _signed(c.correlation("E0", "E1")),
+                _signed(c.correlation("E1", "E2")),
+                f"{100 * deviation:.1f}",
                 f"{interval[0] * 1e-3:.2f} – {interval[1] * 1e-3:.2f}" if interval else "–",
                 f"{c.noise * MM2:.2f}",
             ]
@@ -434,7 +439,7 @@ def _candidates_table(result: FitReport) -> str:
     text = ""
     if changed:
         text = (
-            "<p>After the search, the reduced model's areas were corrected to full order at the best candidate, frame by "
+            "<p>After the search, the reduced model's areas were corrected to full order around the best candidate, frame by "
             f"frame, and the fit polished once more:</p><ul>{''.join(changed)}</ul>"
         )
     header = ["candidate"] + [f"{DISPLAY[q][0]} ({DISPLAY[q][1]})" for q in QUANTITIES]
@@ -479,7 +484,7 @@ def _provenance(result: FitReport) -> str:
         ["seed", str(result.options.seed)],
         ["geometry", f"<code>{html.escape(str(sources.get('geometry_hash', '–')))}</code>"],
         ["reduced model", f"<code>{html.escape(str(sources.get('reduced_model_hash', '–')))}</code>"],
-        ["reduced model's measured error", html.escape(", ".join(f"{k} {v:.4g}" if isinstance(v, float) else f"{k} {v}" for k, v in dict(sources.get("reduced_model_error", {})).items()))],
+        ["reduced model's measured error", _model_error(dict(sources.get("reduced_model_error", {})))],
         ["search box", "the paper's" if not result.options.bounds else html.escape(", ".join(result.options.bounds))],
         ["time", html.escape(", ".join(f"{k} {v:.1f} s" for k, v in result.seconds.items()) + f" (the paper: {PAPER_EVALUATIONS})")],
     ]  # fmt: skip
@@ -507,6 +512,16 @@ def _provenance(result: FitReport) -> str:
             (2, 3, 4),
         ) + "</details>"  # fmt: skip
     return table
+
+
+def _model_error(error: dict[str, float]) -> str:
+    """The reduced model's error against full order, as its file records it."""
+    if not {"pairs", "rms_p99", "worst_p99"} <= set(error):
+        return "–"
+    return (
+        f"area {100 * error['rms_p99']:.2f} % RMS and {100 * error['worst_p99']:.2f} % at the worst instant, in % of a "
+        f"history's largest area, at the 99th percentile of {error['pairs']:g} histories held out from its training"
+    )
 
 
 def _version(package: str) -> str:

@@ -84,6 +84,21 @@ def test_referee_is_reported_with_its_verdict(study) -> None:
         assert referee.agrees
 
 
+def test_other_force_mode_is_fitted_to_the_same_trials(double) -> None:
+    """Two conditions in one bag, whose trials bear the same numbers."""
+    records = []
+    for name, E1 in (("dry", 43e3), ("natural", 22e3)):
+        truth = np.array([120e3, E1, 0.2, 1500e3])
+        records += [double.make_record(i, 0.8, condition=name, truth=truth) for i in range(3)]
+    for record in records:
+        record.bag = "session"
+    result = fit_records(records, double.HereditaryModel(), FitOptions(**QUICK, rounds=5))
+    for name, modes in result.force_modes.items():
+        expected = result.fits[name].composite_E
+        assert modes["full"]["composite_E"] == pytest.approx(expected)
+        assert modes["paper"]["composite_E"] == pytest.approx(expected, rel=0.1)
+
+
 def test_conditions_come_apart_and_the_weak_trial_is_listed(study) -> None:
     assert list(study.fits) == ["dry", "natural"]
     assert [len(f.problem) for f in study.fits.values()] == [6, 6]
