@@ -219,8 +219,12 @@ def run_force_fault(
     deaf: bool = False,
     level: int | None = None,
     says: str = "",
+    momentary: bool = False,
 ) -> None:
-    """Show a fault for a while; then good data must come back. deaf: nothing may be published meanwhile."""
+    """Show a fault for a while; then good data must come back.
+
+    deaf: nothing may be published meanwhile. momentary: the fault ends by itself.
+    """
     _, test = rig
     topic = test.topic
     settle(
@@ -229,9 +233,13 @@ def run_force_fault(
     )
     start = time.monotonic()
     begin()
-    # What was on its way when the fault began has been published by then.
-    quiet_from = time.monotonic() + 0.1
-    time.sleep(duration)
+    # What was on its way when the fault began is published first.
+    if deaf:
+        silence = 0.15 if momentary else 0.3
+        wait_until(lambda: not topic.since(time.monotonic() - silence), 60, "silence")
+    quiet_from = time.monotonic() + (0.0 if deaf else 0.1)
+    if not (deaf and momentary):
+        time.sleep(duration)
     quiet_to = time.monotonic()
     end()
     over = time.monotonic()
@@ -310,6 +318,7 @@ def test_netcanoem_fault(
         deaf,
         level,
         says,
+        not end,
     )
     counted = {k: v - before.get(k, 0) for k, v in test.counters.items()}
     expected = {
@@ -433,6 +442,7 @@ def test_netft_fault(box: tuple[DeviceProcess, NodeUnderTest], case: Any) -> Non
         deaf,
         level,
         says,
+        not end,
     )
     for key in counter:
         assert test.counters.get(key, 0) > before.get(key, 0)
