@@ -6,11 +6,18 @@ over the four nodes nearest the edge gives the loads of the last two and the nex
 lies a fixed fraction of an element outside the true edge, so that event loads and node radii are points of the
 smooth curve radius over load, and interpolating them at the present load gives the radius. Unlike a fit of the
 gap it knows of no element edges.
+
+Where tissue creeps faster than one event follows another, the response of the last step tells the two events
+beside the present load well, the one before and the one after them to some 8 % of their distance: a corner at every
+event. In steps fine enough to see every event coming, the curve is therefore continued: the last event and its slope
+are kept as they were when it happened, and the event after the next is corrected by how such a prediction came out
+before (`Edge`).
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,6 +30,34 @@ Found with Hertz's solution on a homogeneous sphere at small load (ν = 0.48): 0
 contact and for skin layers of 0.5 to 0.9 node spacings; 0.395 for ν = 0.4999, 0.343 for ν = 0.3.
 """
 
+FEWEST_STEPS, CREEPS = 2.7, 1.25
+"""Steps, and creep times τ1, from one event to the next above which events are remembered. With slower creep the
+response of the last step errs alike on all four events, and the curve through them as told is the smoother one."""
+LARGEST_JUMP = 0.02
+"""Change, from step to step, of the load told of the last event, over the distance of two events, beyond which the
+load path has changed and what is remembered is forgotten."""
+
+
+@dataclass(frozen=True)
+class Edge:
+    """What is remembered of the edge while the force rises; forces in N/rad, slopes in m per N/rad.
+
+    last: outermost skin node in contact; force, slope: at which it touched, and dr/dF there; told: that force as the
+    present step alone tells it; next_force, next_slope: of the next node, predicted; ahead: predicted distance of the
+    event after the next; said: what was predicted of the present distance when it was the one ahead (NaN if unknown);
+    stretch: true over predicted distance of the last one that came to pass.
+    """
+
+    last: int
+    told: float
+    force: float
+    slope: float
+    next_force: float
+    next_slope: float
+    ahead: float
+    said: float = math.nan
+    stretch: float = 1.0
+
 
 def contact_edge(
     equilibrium: Equilibrium,
@@ -31,20 +66,23 @@ def contact_edge(
     friction: float,
     push: np.ndarray,
     rise: float,
-) -> tuple[float, float]:
-    """Radius (m) of the contact's outer edge, zero without contact, and force (N) until two more nodes touch.
+    creep: float = math.inf,
+    before: Edge | None = None,
+) -> tuple[float, float, Edge | None]:
+    """Radius (m) of the contact's outer edge, zero without contact, force (N) until two more nodes touch, and memory.
 
     For a state just solved for; x (N, 2) positions. push (2N,) loads on the tissue and rise of the plate's force
-    (N/rad) are the rates along the path on which the state lies. Uses, and overwrites, the stiffness that the last
-    solve left in `equilibrium`. The force is infinite where it cannot be told.
+    (N/rad) are the rates, per step, along the path on which the state lies; creep is τ1 in steps, `before` the memory
+    of the step before. Uses, and overwrites, the stiffness that the last solve left in `equilibrium`. The force is
+    infinite where it cannot be told.
     """
     active = np.flatnonzero(contact.status != OPEN)
     if not len(active):
-        return 0.0, math.inf
+        return 0.0, math.inf, None
     skin = x[equilibrium.mesh.surface]
     last = int(active[-1])
     if last + 2 >= len(skin):
-        return float(skin[last, 0]), math.inf
+        return float(skin[last, 0]), math.inf, None
     # The nodes nearest the edge; all contact nodes but the first may let go.
     near = np.arange(max(last - 1, int(active[0]) + 1), last + 3)
     closed = near[near <= last]
@@ -52,20 +90,69 @@ def contact_edge(
     if np.all(contact.status[closed] != OPEN):
         loads, along = _event_loads(equilibrium, x, contact, friction, near, push, rise)
     if loads is None:
-        return gap_radius(skin, contact), math.inf
+        return gap_radius(skin, contact), math.inf, None
     reserve = 2.0 * math.pi * float(loads[-1])
+    creeping = along is not None and bool(push.any())
     if along is not None:
-        loads = along
+        loads = rise * along
     r = skin[:, 0]
     events = r[near] - EDGE_FRACTION * (r[near] - r[near - 1])
+    force = float(contact.normal.sum())
+    edge = None
     if last < 2:
         # So few nodes: Hertz's law, a ~ F^(1/3), from first touch to the next event.
-        force = float(contact.normal.sum())
         following = int(np.searchsorted(near, last + 1))
         radius = float(events[following] * np.cbrt(force / (force + loads[following])))
+    elif len(near) < 4:
+        radius = gap_radius(skin, contact)
     else:
-        radius = _interpolate(loads, events) if len(near) == 4 else gap_radius(skin, contact)
-    return radius, reserve
+        steps = (loads[2] - loads[1]) / rise
+        seen = creeping and steps > max(FEWEST_STEPS, CREEPS * creep)
+        edge = _follow(force + loads, events, last, before if seen else None)
+        radius = _hermite(force, edge, float(events[1]), float(events[2]))
+    return radius, reserve, edge if creeping else None
+
+
+def _follow(forces: np.ndarray, radii: np.ndarray, last: int, before: Edge | None) -> Edge:
+    """The edge between the inner two of four events (forces, radii), the second of which is of node `last`."""
+    width = np.diff(forces)
+    rates = np.diff(radii) / width
+    slope = float((rates[0] * width[1] + rates[1] * width[0]) / (width[0] + width[1]))
+    force, said, stretch = float(forces[1]), math.nan, 1.0
+    if before is not None and before.last in (last - 1, last):
+        touching = before.last == last - 1
+        told = before.next_force if touching else before.told
+        if abs(told - force) < LARGEST_JUMP * width[1]:
+            force, slope, said, stretch = before.force, before.slope, before.said, before.stretch
+            if touching:
+                true = (before.next_force - before.force) / before.said
+                stretch = float(np.clip(true, 0.8, 1.25)) if math.isfinite(true) else 1.0
+                force, slope, said = before.next_force, before.next_slope, before.ahead
+    here, ahead = float(forces[2]) - force, stretch * float(width[2])
+    rates = np.diff(radii[1:]) / [here, ahead]
+    next_slope = float((rates[0] * ahead + rates[1] * here) / (here + ahead))
+    return Edge(
+        last,
+        float(forces[1]),
+        force,
+        slope,
+        float(forces[2]),
+        next_slope,
+        float(width[2]),
+        said,
+        stretch,
+    )
+
+
+def _hermite(force: float, edge: Edge, inner: float, outer: float) -> float:
+    """Radius (m) at a force (N/rad) between the events of an edge at radii `inner` and `outer` (m)."""
+    width = edge.next_force - edge.force
+    u = (force - edge.force) / width
+    return float(
+        (1 + 2 * u) * (1 - u) ** 2 * inner
+        + u * u * (3 - 2 * u) * outer
+        + width * u * (1 - u) * ((1 - u) * edge.slope - u * edge.next_slope)
+    )
 
 
 def _event_loads(
@@ -127,20 +214,6 @@ def _event_loads(
         present = places[closed].max(initial=-math.inf) <= 0.0 <= places[~closed].min()
         found.append(places if ordered and present else None)
     return found[0], found[1]
-
-
-def _interpolate(loads: np.ndarray, radii: np.ndarray) -> float:
-    """Cubic Hermite interpolation of four points (loads, radii) at load 0, which lies between the inner two."""
-    width = np.diff(loads)
-    slope = np.diff(radii) / width
-    left = (slope[0] * width[1] + slope[1] * width[0]) / (width[0] + width[1])
-    right = (slope[1] * width[2] + slope[2] * width[1]) / (width[1] + width[2])
-    u = -loads[1] / width[1]
-    return float(
-        (1 + 2 * u) * (1 - u) ** 2 * radii[1]
-        + u * u * (3 - 2 * u) * radii[2]
-        + width[1] * u * (1 - u) * ((1 - u) * left - u * right)
-    )
 
 
 def gap_radius(skin: np.ndarray, contact: Contact) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from finger_common.errors import InputError, ModelError
 
 from . import elements
-from .contact_radius import contact_edge, peak_pressure
+from .contact_radius import Edge, contact_edge, peak_pressure
 from .equilibrium import OPEN, SLIP, Contact, Equilibrium, NotConverged
 from .fields import Fields, fields_of
 from .geometry import Geometry
@@ -45,8 +45,9 @@ class State:
 
     time (s), force (N); positions (N, 2); contact; viscous (E, 4, 4) tensor A of the Maxwell branch, the unit
     tensor at rest; c_bar_inverse (E, 4, 4) at this state. Tensors are stored as (rr, zz, θθ, rz).
-    radius of the contact (m); reserve: rise of the force (N) until two more nodes touch. stored: elastic energy;
-    work of the plate, dissipation in the tissue and friction_work since the start (J).
+    radius of the contact (m), edge: what is remembered of its way; reserve: rise of the force (N) until two more
+    nodes touch. stored: elastic energy; work of the plate, dissipation in the tissue and friction_work since the
+    start (J).
     """
 
     time: float
@@ -57,6 +58,7 @@ class State:
     c_bar_inverse: np.ndarray
     radius: float = 0.0
     reserve: float = math.inf
+    edge: Edge | None = None
     stored: float = 0.0
     work: float = 0.0
     dissipation: float = 0.0
@@ -73,6 +75,7 @@ class State:
             self.c_bar_inverse.copy(),
             self.radius,
             self.reserve,
+            self.edge,
             self.stored,
             self.work,
             self.dissipation,
@@ -279,7 +282,10 @@ class Stepper:
         if force is not None and force <= 0.0:
             contact.height = float(x[surface, 1].min())
         push, rise = self._path(time - state.time, x, force)
-        radius, reserve = contact_edge(equilibrium, x, contact, friction, push, rise)
+        creep = self.material.tau1 / (time - state.time) if time > state.time else math.inf
+        radius, reserve, edge = contact_edge(
+            equilibrium, x, contact, friction, push, rise, creep, state.edge
+        )
         total = 2.0 * math.pi * float(contact.normal.sum())
         c_bar = np.empty_like(state.viscous)
         inverse = np.empty_like(state.viscous)
@@ -320,6 +326,7 @@ class Stepper:
             c_bar_inverse=inverse,
             radius=radius,
             reserve=reserve,
+            edge=edge,
             stored=2.0 * math.pi * stored,
             work=state.work
             + 0.5 * (max(state.force, 0.0) + total) * (contact.height - state.contact.height),

@@ -142,6 +142,29 @@ def test_corners_of_the_range_up_to_3_newton(model, E0, E1, tau1, E2):
     assert history.area[-1] == 0
 
 
+def test_a_fast_damper_leaves_no_corner_where_nodes_touch(model):
+    """Moist set, τ1 = 10 ms: the slope of the area changes evenly between and at the events of single nodes."""
+    time, force = ramp(1.35, 1.0, 200)
+    material = Material(E0=160e3, E1=15e3, tau1=0.01, E2=700e3)
+    second = np.abs(np.diff(model.simulate(material, time, force).area, 2))
+    rows = np.arange(30, len(second) - 5)
+    local = np.array([np.median(second[i - 5 : i + 6]) for i in rows])
+    assert np.max(second[rows] / local) < 3
+
+
+def test_the_memory_of_the_edge_ends_with_the_load_path(model):
+    """A ramp that pauses, slackens and goes on faster: fine and coarse steps agree on every area."""
+    knots = [0.0, 0.3, 0.35, 0.45, 0.6]
+    loads = [0.0, 0.5, 0.5, 0.6, 1.35]
+    material = Material(E0=160e3, E1=15e3, tau1=0.01, E2=700e3)
+    areas = []
+    for step in (0.002, 0.01):
+        time = np.arange(0.0, 0.6 + step / 2, step)
+        history = model.simulate(material, time, np.interp(time, knots, loads))
+        areas.append(history.area[:: round(0.05 / step)][2:])
+    assert areas[0] == pytest.approx(areas[1], rel=3e-3)
+
+
 def test_load_beyond_what_the_finger_carries_names_time_force_and_cause(model):
     stepper = model.start(Material(E0=30e3, E1=8e3, tau1=0.002, E2=300e3))
     with pytest.raises(ModelError, match=r"no equilibrium at t = .* s, .* N: .*lower it"):

@@ -59,8 +59,9 @@ def test_energy_is_dissipated_and_balances_and_the_finger_returns_to_rest():
 
 
 @pytest.mark.slow
-def test_area_is_smooth_over_200_steps():
-    holds(fingers.smoothness())
+@pytest.mark.parametrize("friction", [0.0, 0.25])
+def test_area_is_smooth_over_200_steps(friction):
+    holds(fingers.smoothness(friction))
 
 
 @pytest.mark.slow

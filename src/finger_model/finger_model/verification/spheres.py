@@ -88,37 +88,33 @@ def lee_radok() -> Check:
         poisson_ratio_epidermis=INCOMPRESSIBLE,
     )
     table = reference("lee_radok")
-    # The whole ball is viscoelastic here: no elastic skin.
-    model = sphere(RADIUS, 1.5)
-    mesh = replace(model.mesh, part=np.zeros_like(model.mesh.part))
-    model = FullOrderModel(model.geometry, 1.5, mesh)
     measures, curves = [], []
-    for name in ("05", "10", "20"):
-        rows = table["t_s"] <= float(name) / 10 + 0.4
-        time = table["t_s"][rows]
-        load = table[f"F_N_T{name}"][rows]
-        exact = table[f"a_mm_T{name}"][rows] * 1e-3
-        history = model.simulate(material, time, load)
-        ramp = (load > 0.005) & (time <= float(name) / 10 + 1e-9)
-        holding = time > float(name) / 10
-        error = 100 * (history.radius / np.where(exact > 0, exact, 1) - 1)
-        measures.append(
-            Measure(
-                f"largest radius error, ramp of {float(name) / 10:g} s",
-                float(np.abs(error[ramp]).max()),
-                "%",
-                high=2.0,
-            )
-        )
-        measures.append(
-            Measure(
-                f"radius error at the end, hold after {float(name) / 10:g} s",
-                float(np.abs(error[holding][-1])),
-                "%",
-                high=2.0,
-            )
-        )
-        curves.append((float(name) / 10, time, history.radius, exact))
+    for refinement in (1.0, 1.5):
+        # The whole ball is viscoelastic here: no elastic skin.
+        model = sphere(RADIUS, refinement)
+        mesh = replace(model.mesh, part=np.zeros_like(model.mesh.part))
+        model = FullOrderModel(model.geometry, refinement, mesh)
+        for name in ("05", "10", "20"):
+            duration = float(name) / 10
+            rows = table["t_s"] <= duration + 0.4
+            time = table["t_s"][rows]
+            load = table[f"F_N_T{name}"][rows]
+            exact = table[f"a_mm_T{name}"][rows] * 1e-3
+            history = model.simulate(material, time, load)
+            ramp = (load > 0.005) & (time <= duration + 1e-9)
+            error = 100 * np.abs(history.radius / np.where(exact > 0, exact, 1) - 1)
+            where = f"{duration:g} s, refinement {refinement:g}"
+            measures += [
+                Measure(f"largest radius error, ramp of {where}", error[ramp].max(), "%", high=2.0),
+                Measure(
+                    f"radius error at the end, hold after {where}",
+                    error[-1],
+                    "%",
+                    high=2.0 if refinement > 1.0 else None,
+                ),
+            ]
+            if refinement == 1.0:
+                curves.append((duration, time, history.radius, exact))
 
     def draw(figure: Figure) -> None:
         axes = figure.add_subplot()
@@ -133,8 +129,8 @@ def lee_radok() -> Check:
         "Lee–Radok sphere",
         "Incompressible standard linear solid sphere, R = 10 mm, (140 kPa, 20 kPa, 0.5 s), ramps to 0.1 N and hold "
         "in steps of 0.05 s against a³ = (9R/16) ∫ D(t − s) dF(s). The solution is of small strain; a/R reaches "
-        "0.31. Mesh of refinement 1.5: where the skin itself creeps, unlike the finger's elastic epidermis, the edge is "
-        "found to 0.15 of an element only.",
+        "0.31. Where the skin itself creeps, unlike the finger's elastic epidermis, the edge is found to 0.15 of an "
+        "element only: 2 % of the radius on the default mesh, held for 0.4 s.",
         measures,
         draw,
     )
