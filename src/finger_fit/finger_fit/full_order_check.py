@@ -168,6 +168,28 @@ def shifted(parameters: np.ndarray, box: np.ndarray) -> np.ndarray:
     return np.column_stack([e0, 1.0 / (1.0 / e - 1.0 / e0), t, e2])
 
 
+def correction_around(
+    problem: FitProblem,
+    centre: np.ndarray,
+    geometry: Geometry,
+    engine: LocalEngine | DaskEngine,
+    slope: np.ndarray | None = None,
+    done: Done | None = None,
+    simulate: Simulator = full_order_areas,
+) -> AreaCorrection:
+    """Ratio of full to reduced order around parameters `centre` (4,), with its slope (4, n): by differences, or as
+    given. Frames of a trial that full order cannot simulate keep the reduced model's area."""
+    points = shifted(centre, problem.box) if slope is None else centre[None]
+    full = candidate_areas(problem, points, geometry, engine, done=done, simulate=simulate)
+    raw = problem.raw_areas(points)
+    usable = (np.isfinite(full) & (full > 0) & (raw > 0)).all(axis=0)
+    log_ratio = np.log(np.where(usable, full / raw, 1.0))
+    if slope is None:
+        places = AreaCorrection.place(points)
+        slope = np.linalg.solve(places[1:] - places[0], log_ratio[1:] - log_ratio[0])
+    return AreaCorrection(centre, log_ratio[0], slope)
+
+
 def correct(
     problem: FitProblem,
     best: np.ndarray,
@@ -183,32 +205,23 @@ def correct(
     mapping with the fine model's derivatives: Bandler et al. 2004), the fit polished, and the ratio renewed at the
     result. The slope matters as much as the ratio: in the direction of E0 against E1 the reduced model's error changes
     as fast as the area does, and a fit with the ratio alone stays where it started. The problem keeps the last
-    correction. Frames of a trial that full order cannot simulate keep the reduced model's area.
+    correction.
     """
     before = float(problem.cost(best)[0])
-    start, slope_at, slope = best, None, np.zeros((4, len(problem.measured)))
-    fit = LocalFit(np.log(best), best, before, 0)
-    done_rounds = 0
-    while done_rounds < rounds:
-        done_rounds += 1
-        anew = slope_at is None or _moved(start, slope_at) > FAR
-        points = shifted(start, problem.box) if anew else start[None]
-        full = candidate_areas(problem, points, geometry, engine, done=done, simulate=simulate)
-        raw = problem.raw_areas(points)
-        usable = (np.isfinite(full) & (full > 0) & (raw > 0)).all(axis=0)
-        log_ratio = np.log(np.where(usable, full / raw, 1.0))
-        if anew:
-            places = AreaCorrection.place(points)
-            slope = np.linalg.solve(places[1:] - places[0], log_ratio[1:] - log_ratio[0])
-            slope_at = start
-        problem.correction = AreaCorrection(start, log_ratio[0], slope)
+    start, slope_at, slope = best, best, None
+    used = 0
+    while used < rounds:
+        used += 1
+        if _moved(start, slope_at) > FAR:
+            slope, slope_at = None, start
+        correction = correction_around(problem, start, geometry, engine, slope, done, simulate)
+        problem.correction, slope = correction, correction.slope
         fit = refine(problem, whole_box(problem.box), np.log(start))
-        moved = _moved(fit.parameters, start)
-        start = fit.parameters
+        moved, start = _moved(fit.parameters, start), fit.parameters
         if moved < SETTLED:
             break
-    largest = float(np.abs(problem.correction.factor(start) - 1.0).max())
-    return fit, Correction(before, best, done_rounds, largest)
+    largest = float(np.abs(correction.factor(start) - 1.0).max())
+    return fit, Correction(before, best, used, largest)
 
 
 def _moved(to: np.ndarray, since: np.ndarray) -> float:
