@@ -16,13 +16,13 @@ LARGEST_POISSON_RATIO = 0.4999
 """Above it the pressure loses more digits than Newton's criterion leaves."""
 
 MODULUS_RANGES = {
-    "E0": (1e3, 1e8),
+    "E0": (1e3, 3e7),
     "E1": (1e3, math.inf),
-    "E2": (1e3, 1e8),
+    "E2": (1e3, 3e7),
     "nail_modulus": (1e3, 1e12),
 }
 """Moduli (Pa) taken for meant. Below, a number in kPa or MPa is likelier than a finger; under a stiffer epidermis the
-contact at 1 N is no wider than three elements of the default mesh, and its area is not found to a few per cent."""
+contact at 1 N is narrower than a few elements of the default mesh, and its area is not found."""
 
 LARGEST_BULK_OVER_SHEAR = 2e5
 """Largest bulk modulus over long-term shear modulus of the bulk: beyond it Newton's method loses its digits."""
