@@ -12,6 +12,7 @@ import os
 import signal
 import sys
 import threading
+import time
 import traceback
 from collections.abc import Sequence
 from pathlib import Path
@@ -325,22 +326,40 @@ def use_large_shared_memory() -> None:
         os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(profile))
 
 
-def _interrupt_on_signals(executor: SingleThreadedExecutor) -> None:
-    """Let SIGINT and SIGTERM raise KeyboardInterrupt in the main thread, also while it waits in the middleware.
+class _Ending:
+    """What SIGINT and SIGTERM do to a node's main thread.
 
-    rclpy's own handlers end the context at once, before a node could say its last word.
+    rclpy's own handlers end the context at once, before a node could say its last word. Here a signal interrupts what
+    comes before `spin`; during it, the callback at hand is finished first, unless another signal insists a second later.
     """
-    for number in ENDING:
-        signal.signal(number, signal.default_int_handler)
-    reading, writing = os.pipe()
-    os.set_blocking(writing, False)
-    signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
 
-    def wake() -> None:
+    def __init__(self, executor: SingleThreadedExecutor) -> None:
+        self._executor = executor
+        self._spinning = False
+        self._asked: float | None = None
+        reading, writing = os.pipe()
+        os.set_blocking(writing, False)
+        for number in ENDING:
+            signal.signal(number, self._on_signal)
+        # Python's handlers run only when the main thread is back from the middleware.
+        signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+        threading.Thread(target=self._wake, args=(reading,), name="signals", daemon=True).start()
+
+    def _on_signal(self, number: int, frame: Any) -> None:
+        now = time.monotonic()
+        if not self._spinning or (self._asked is not None and now - self._asked > 1.0):
+            raise KeyboardInterrupt
+        self._asked = self._asked or now
+
+    def _wake(self, reading: int) -> None:
         while os.read(reading, 64):
-            executor.wake()
+            self._executor.wake()
 
-    threading.Thread(target=wake, name="signals", daemon=True).start()
+    def spin(self) -> None:
+        """Serve callbacks until a signal comes."""
+        self._spinning = True
+        while self._asked is None:
+            self._executor.spin_once()
 
 
 def run_node(node_class: type[LifecycleShell], argv: Sequence[str] | None = None) -> int:
@@ -364,13 +383,13 @@ def run_node(node_class: type[LifecycleShell], argv: Sequence[str] | None = None
         return EXIT_BAD_INPUT
     node: LifecycleShell | None = None
     executor = SingleThreadedExecutor()
-    _interrupt_on_signals(executor)
+    ending = _Ending(executor)
     try:
         node = node_class()
         executor.add_node(node)
         if node.autostart:
             node.bring_up()
-        executor.spin()
+        ending.spin()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except FingerError as error:

@@ -35,6 +35,7 @@ class Gauge(LifecycleShell):
         self.timer = self.create_timer(0.02, lambda: self.publisher.publish(Float64(data=self.values["gain"])))
     def deactivate(self):
         self.destroy_timer(self.timer)
+        self.publisher.publish(Float64(data=-1.0))
 
 sys.exit(run_node(Gauge))
 """
@@ -110,7 +111,9 @@ def test_shell_publishes_checks_parameters_reports_and_ends_cleanly(
     status = wait_for(lambda: states, spin)[-1].status[0]
     assert status.name == "gauge: gauge" and status.hardware_id == "no. 7"
     assert {v.key: v.value for v in status.values}["state"] == "active"
+    # Ctrl-C: the node says its last word.
     child.send_signal(signal.SIGINT)
+    wait_for(lambda: values[-1] == -1.0, spin)
     assert child.wait(60) == 0, child.output.read_text()
 
 

@@ -215,7 +215,7 @@ class ContactSegmenter:
             ", ".join(flags).lower().replace("_", " "),
         ]
         # Text on a dark bar: drawn twice, thick and thin, letters of OpenCV 5 are of different width.
-        scale = max(width / 1280, 0.4)
+        scale = max(width / 1100, 0.4)
         line_height = round(38 * scale)
         for index, line in enumerate(filter(None, lines)):
             (text_width, _), _ = cv2.getTextSize(line, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)
