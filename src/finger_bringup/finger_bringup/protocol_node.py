@@ -20,6 +20,7 @@ from finger_msgs.msg import ContactArea, Moisture, Trial
 from finger_msgs.srv import Record
 from geometry_msgs.msg import WrenchStamped
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -256,6 +257,8 @@ class ProtocolNode(LifecycleShell):
         if self._protocol is not None and not self._protocol.paused:
             if self._protocol.step not in (Step.IDLE, Step.FINISHED):
                 self._protocol.pause(self._now())
+                # The publisher may be destroyed next.
+                self._trial_publisher.wait_for_all_acked(Duration(seconds=0.5))
 
     def cleanup(self) -> None:
         for service in getattr(self, "_command_services", []):

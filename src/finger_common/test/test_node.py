@@ -14,6 +14,7 @@ rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 NODE = """
 import sys
+from rclpy.duration import Duration
 from std_msgs.msg import Float64
 from finger_common.diagnostics import Health
 from finger_common.errors import InputError
@@ -36,6 +37,7 @@ class Gauge(LifecycleShell):
     def deactivate(self):
         self.destroy_timer(self.timer)
         self.publisher.publish(Float64(data=-1.0))
+        self.publisher.wait_for_all_acked(Duration(seconds=30))
 
 sys.exit(run_node(Gauge))
 """
@@ -78,19 +80,16 @@ def test_shell_publishes_checks_parameters_reports_and_ends_cleanly(
     from diagnostic_msgs.msg import DiagnosticArray
     from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
     from rcl_interfaces.srv import SetParameters
-    from rclpy.qos import qos_profile_sensor_data
     from std_msgs.msg import Float64
 
     node, spin = observer
     values: list[float] = []
     states: list[Any] = []
-    node.create_subscription(
-        Float64, "value", lambda m: values.append(m.data), qos_profile_sensor_data
-    )
+    node.create_subscription(Float64, "value", lambda m: values.append(m.data), 10)
     node.create_subscription(DiagnosticArray, "/diagnostics", states.append, 10)
     script = tmp_path / "gauge.py"
     script.write_text(NODE)
-    child = process(script)
+    child = process(script, "--ros-args", "-p", "qos_reliability:=reliable")
     wait_for(lambda: values, spin)
     assert values[-1] == 1.0
 
