@@ -9,6 +9,7 @@ from typing import Any
 import numba
 import numpy as np
 
+from finger_model.commands.verify_reduced import SEED
 from finger_model.estimator import ContactEstimator
 from finger_model.force_histories import PAPER_BOX, human_press
 from finger_model.reduced import ReducedModel
@@ -19,8 +20,6 @@ SETS, TRIALS, FRAMES = 900, 15, 20
 """The paper's optimisation: five candidates and 60 rounds for three conditions, 15 trials each."""
 
 PAIRS = 204
-SEED = 20211
-"""As `finger-model verify --reduced`: pairs no training saw."""
 
 
 def step_times(number: int = 20000) -> np.ndarray:

@@ -59,7 +59,7 @@ def drive_samples(run: Run, length: float, latents: int, count: float = 1.0) -> 
     targets = np.column_stack([delta, (run.total - run.internal)[:, :latents]])
     weights = np.ones_like(targets)
     # Indentation counts relative to the run's largest.
-    weights[:, 0] = 0.5 / max(delta.max(), 0.06)
+    weights[:, 0] = 0.2 / max(delta.max(), 0.06)
     return Samples(inputs, targets, count * weights)
 
 
