@@ -19,6 +19,8 @@ BULK, EPIDERMIS, NAIL = 0, 1, 2
 
 CONTACT_SPACING = 0.02
 """Node spacing in the contact over the pad's radial semi-axis, at refinement 1 (0.17 mm by default)."""
+SKIN_SPACING = 1.0 / 3.0
+"""Largest node spacing in the contact over the thickness of the epidermis, down to half of CONTACT_SPACING."""
 BULK_LAYERS = 13
 SKIN_LAYER = 0.72
 """Thickness of a layer of skin elements over the node spacing in the contact."""
@@ -53,7 +55,9 @@ def finger_mesh(geometry: Geometry, refinement: float = 1.0) -> Mesh:
     """
     if not 0.25 <= refinement <= 8:
         raise InputError(f"refinement is {refinement:g}, outside 0.25 … 8; 1 is the default mesh")
-    spacing = CONTACT_SPACING * geometry.pad_semi_axis_radial / refinement
+    # A thin stiff skin bends: elements longer than a third of its thickness would be too stiff for that.
+    even = CONTACT_SPACING * geometry.pad_semi_axis_radial
+    spacing = min(max(SKIN_SPACING * geometry.epidermis_thickness, 0.5 * even), even) / refinement
     angles = _surface_angles(geometry, spacing)
     layers = max(3, round(geometry.epidermis_thickness / (SKIN_LAYER * spacing)))
     bulk = _bulk_fractions(max(4, round(BULK_LAYERS * refinement)))

@@ -51,7 +51,10 @@ def test_time_limits_within_01_percent_of_all_sets():
 
 
 def test_calculix_area_within_2_and_indentation_within_1_percent():
-    holds(fingers.calculix())
+    check = holds(fingers.calculix())
+    # Soft tissue under a thin, stiff skin: no limit on the page, but known.
+    unlimited = [m for m in check.measures if "area difference" in m.what and m.high is None]
+    assert all(abs(m.value) < 3 for m in unlimited)
 
 
 def test_energy_is_dissipated_and_balances_and_the_finger_returns_to_rest():
