@@ -336,8 +336,8 @@ document.addEventListener("visibilitychange", () => {
 // Drawing -------------------------------------------------------------------------------------
 
 function frame(now) {
-  // Twenty pictures a second are enough for the eye; the cue does not wait for them.
-  if (dirty && now - drawn > 45) {
+  // Ten pictures a second are enough for the eye; the cue does not wait for them.
+  if (dirty && now - drawn > 90) {
     dirty = false;
     drawn = now;
     const force = state.force.length ? state.force[state.force.length - 1][1] : null;
