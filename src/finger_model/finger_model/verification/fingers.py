@@ -121,7 +121,8 @@ def calculix() -> Check:
         "log force and log area through the rows of a file, for the file of four rows with the rows themselves. Then "
         "fingers of other shapes and elastic materials, at one load each, named by the pad's semi-axes, epidermis, "
         "height of the bone's centre, E and E2; CalculiX's mesh is refined around the edge there. "
-        "**Soft tissue under a thin, very stiff skin misses 2 % of area**, so that figure is given without a limit.",
+        "Soft tissue under a thin, very stiff skin: with friction the area is given without a limit, for CalculiX's "
+        "three increments hardly see friction there; without friction it has one.",
         measures,
         draw,
     )
