@@ -13,8 +13,8 @@ fit's full-order model (its mesh and step) on every press without noise, at para
 fall; the ratio to the reduced model is interpolated between them. `--exact N` runs the model itself for N seeds and says
 what difference that makes.
 
-`--misfit` fits fingers that differ from the fit's assumptions: epidermis a quarter thinner or thicker, areas of whole
-trials scattered by 5 %, and both. Writes recovery.json (recovery_misfit.json) and prints the tables of docs/study.md.
+`--misfit` fits fingers that differ from the fit's assumptions: an epidermis a quarter thinner or thicker (a few presses
+without noise), and areas of whole trials scattered by 5 % (many seeds). Writes recovery.json (recovery_misfit.json) and prints the tables of docs/study.md.
 """
 
 from __future__ import annotations
@@ -89,8 +89,10 @@ SEARCHED = 2
 STEP = 0.04
 """s, time step of the reduced model: half the time of the default's 0.02 s, and the correction takes up the difference."""
 
-THIN, THICK = 0.75, 1.25
-FINGERS = {"true": 1.0, "thin": THIN, "thick": THICK}
+FEW = 5
+"""Presses per condition of a finger with another epidermis: what it does is no matter of chance."""
+
+FINGERS = {"true": 1.0, "thin": 0.75, "thick": 1.25}
 """Epidermis of the simulated finger over the one the fit assumes."""
 
 
@@ -118,7 +120,7 @@ def _plan(job: tuple[str, int, float]) -> StudyTrial:
 
 def pool(folder: Path, finger: str = "true") -> dict[str, list[StudyTrial]]:
     """Presses of one finger with their true areas, simulated once and kept in `folder`."""
-    number = POOL if finger == "true" else TRIALS
+    number = POOL if finger == "true" else FEW
     path = folder / ("pool.npz" if finger == "true" else f"pool_{finger}.npz")
     if path.exists():
         return {name: trials[:number] for name, trials in _read(path).items()}
@@ -389,7 +391,11 @@ def _one_seed(folder: Path, job: tuple[int, str, bool, bool, bool]) -> list[dict
     rows = []
     for trials in _shared[finger].values():
         rng = np.random.default_rng([seed, 7])
-        chosen = np.sort(rng.permutation(len(trials))[:TRIALS]) if noise else np.arange(TRIALS)
+        chosen = (
+            np.sort(rng.permutation(len(trials))[:TRIALS])
+            if noise
+            else np.arange(min(TRIALS, len(trials)))
+        )
         factors = np.exp(rng.normal(0.0, AREA_SCATTER, TRIALS)) if scatter else None
         for window in WINDOWS:
             row = fit_one(
@@ -407,10 +413,8 @@ def run(folder: Path, seeds: int, misfit: bool = False, exact: int = 0) -> dict[
     full_order_table(folder)
     seed_numbers = range(FIRST_SEED, FIRST_SEED + seeds)
     if misfit:
-        cases = [(f, s) for f in ("thin", "true", "thick") for s in (False, True)]
-        jobs = [
-            (seed, f, s, True, False) for seed in seed_numbers for f, s in cases if f != "true" or s
-        ]
+        jobs = [(0, finger, False, False, False) for finger in ("true", "thin", "thick")]
+        jobs += [(seed, "true", True, True, False) for seed in reversed(seed_numbers)]
     else:
         # Last those that search, which take longest.
         jobs = [(seed, "true", False, True, False) for seed in reversed(seed_numbers)]
@@ -547,37 +551,38 @@ def _searches(result: dict[str, Any]) -> str:
 
 def misfit_table(result: dict[str, Any]) -> str:
     """Markdown table of the bias that misfit makes."""
+    seeds = len({r["seed"] for r in result["rows"]})
     lines = [
-        "| window | condition | epidermis | areas scattered | "
-        + " | ".join(f"{SYMBOL[q]} bias ± spread (%)" for q in TOLD)
-        + " | "
-        + " | ".join(f"{SYMBOL[q]} covered" for q in TOLD)
-        + " | J fit (mm⁴) |",
-        "|---" * 11 + "|",
+        f"| window | condition | quantity | epidermis −25 % | epidermis +25 % | areas scattered by 5 %: bias ± spread, {seeds} seeds "
+        "| covered |",
+        "|---|---|---|---|---|---|---|",
     ]
-    words = {"thin": "−25 %", "true": "as assumed", "thick": "+25 %"}
     for window in WINDOWS:
         for name in STUDY:
-            for finger in ("true", "thin", "thick"):
-                for scatter in (False, True):
-                    rows = [
-                        r
-                        for r in result["rows"]
-                        if r["finger"] == finger and r["scatter"] == scatter
-                    ]
-                    if not rows:
-                        continue
-                    found = [statistics(rows, name, window, q) for q in TOLD]
-                    part = [r for r in rows if r["condition"] == name and r["window"] == window]
-                    lines.append(
-                        f"| {window} | {name} | {words[finger]} | {'5 %' if scatter else 'no'} | "
-                        + " | ".join(
-                            f"{100 * s['bias']:+.0f} ± {100 * s['spread']:.0f}" for s in found
-                        )
-                        + " | "
-                        + " | ".join(f"{100 * s['coverage']:.0f} %" for s in found)
-                        + f" | {np.mean([r['J'] for r in part]):.0f} |"
-                    )
+            for q in TOLD:
+                shift = {
+                    r["finger"]: 100 * np.expm1(r["error_log"][q])
+                    for r in result["clean"]
+                    if r["condition"] == name and r["window"] == window
+                }
+                cells = [f"{shift[finger]:+.0f} %" for finger in ("thin", "thick")]
+                s = statistics(result["rows"], name, window, q)
+                cells.append(f"{100 * s['bias']:+.0f} ± {100 * s['spread']:.0f} %")
+                cells.append(f"{100 * s['coverage']:.0f} %")
+                lines.append(f"| {window} | {name} | {SYMBOL[q]} | {' | '.join(cells)} |")
+    lines += ["", "J of the fit without noise (mm⁴), epidermis thinner, as assumed, thicker:", ""]
+    for window in WINDOWS:
+        costs = []
+        for name in STUDY:
+            by_finger = {
+                r["finger"]: r["J"]
+                for r in result["clean"]
+                if r["condition"] == name and r["window"] == window
+            }
+            costs.append(
+                f"{name} " + ", ".join(f"{by_finger[f]:.2f}" for f in ("thin", "true", "thick"))
+            )
+        lines.append(f"- {window}: " + "; ".join(costs) + ".")
     return "\n".join(lines)
 
 
