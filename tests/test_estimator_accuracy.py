@@ -105,9 +105,9 @@ def session(trials: list[Trial], parameters: np.ndarray, seed: int) -> Score:
 
 
 def check(score: Score, off: bool) -> None:
-    best = min(rms(score.model), rms(score.measured))
-    assert rms(score.fused) <= 1.1 * best
+    assert rms(score.fused) <= rms(score.measured)
     if off:
+        assert rms(score.fused) <= 1.1 * min(rms(score.model), rms(score.measured))
         assert rms(score.fused) <= 0.5 * rms(score.model)
     assert 0.7 <= score.normalised.std() <= 1.3
     assert 0.90 <= score.coverage <= 0.99
@@ -130,7 +130,7 @@ def test_fusion_halves_the_error_of_wrong_parameters(which: str) -> None:
 @pytest.mark.parametrize("which", list(OFF))
 def test_the_standard_deviation_is_honest_and_sharp(which: str, misfit: bool) -> None:
     scores = []
-    for seed in (1, 2):
+    for seed in (1, 2, 3):
         trials = [trial_of(seed, i, misfit, None) for i in range(10)]
         scores.append(session(trials, OFF[which], seed))
     pooled = Score(

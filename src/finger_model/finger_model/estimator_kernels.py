@@ -7,7 +7,12 @@ The error of the model is a filter's state: with φ = ln(F / 1 N),
 where m and g belong to the finger (they last over contacts), d and e to the contact (drawn anew at each onset), and
 d wanders within a contact. A measured area of stamp t updates the filter at t, against the model's area at t from a
 ring of past samples; since measurements enter in the order of their stamps, carrying the filter from t to now is
-only the wandering of d. The variance of d and e between contacts is learned from contact to contact.
+only the wandering of d.
+
+How much contacts of one finger differ is not known beforehand: presses of a simulated finger are all alike, real ones
+scatter by 5 %. So a bank of such filters runs side by side, with SCALES times the deviations of d and e and WANDERING
+times the drift that the settings name, each weighted by how well it foretold the areas measured so far (Bayesian model
+averaging: Hoeting et al., Stat. Sci. 14(4), 1999); the estimate is the mixture's mean and variance.
 
 Everything the estimator remembers lies in three arrays (`model` of the reduced model, `real`, `whole`) and the ring,
 so that a copy of them is a copy of the estimator.
@@ -65,9 +70,16 @@ WHOLE_COLUMNS = 4
 ) = range(16)
 CFG_SIZE = 16
 
-# Offsets of `real`: mean (4,) and covariance (4, 4) of the filter at FILTER_TIME, and what goes with it.
-MEAN, COVARIANCE, MEASURED, LEARNED_CONTACT, LEARNED_SLOPE, LEARNED_COUNT = 0, 4, 20, 21, 22, 23
-REAL_SIZE = 24
+SCALES = (0.1, 0.4, 1.5, 0.1, 0.4, 1.5)
+"""Of the deviations of d and e, one for each filter."""
+WANDERING = (0.1, 0.1, 0.1, 2.0, 2.0, 2.0)
+"""Of the wandering, likewise."""
+
+# Offsets of `real`: the last measured area, then for each filter, STRIDE apart from BANK on, mean (4,) and covariance
+# (4, 4) at FILTER_TIME and the logarithm of its weight.
+MEASURED, BANK = 0, 1
+MEAN, COVARIANCE, LOG_WEIGHT, STRIDE = 0, 4, 20, 21
+REAL_SIZE = BANK + len(SCALES) * STRIDE
 
 # Offsets of `whole` (int64).
 (
@@ -107,8 +119,8 @@ FLAG_AREA_STALE = 512
 FLAG_AREA_REJECTED = 2048
 FLAG_MODEL_FAILED = 4096
 
-_LONGEST_MEMORY = 20.0
-"""Contacts over which the variance between contacts is averaged."""
+_FORGETTING = 0.95
+"""What remains of the filters' logarithmic weights from one contact to the next: fingers dry and tire."""
 _SMALLEST_AREA = 5e-6
 """m²; below it a measured area is not compared with the model's."""
 
@@ -120,29 +132,42 @@ def load_shape(force):
 
 
 @njit(cache=True)
+def _open(real, cfg):
+    """Covariances as for a finger not seen before, all filters alike probable."""
+    for k in range(len(SCALES)):
+        at = BANK + k * STRIDE
+        for i in range(16):
+            real[at + COVARIANCE + i] = 0.0
+        square = SCALES[k] * SCALES[k]
+        real[at + COVARIANCE + 0] = cfg[PRIOR_VARIANCE]
+        real[at + COVARIANCE + 5] = cfg[SLOPE_VARIANCE]
+        real[at + COVARIANCE + 10] = square * cfg[CONTACT_VARIANCE]
+        real[at + COVARIANCE + 15] = square * cfg[SLOPE_VARIANCE]
+        real[at + LOG_WEIGHT] = 0.0
+
+
+@njit(cache=True)
 def reset_filter(real, cfg):
-    """Filter as for a finger not seen before."""
+    """Filters as for a finger not seen before."""
     real[:] = 0.0
-    real[LEARNED_CONTACT] = cfg[CONTACT_VARIANCE]
-    real[LEARNED_SLOPE] = cfg[SLOPE_VARIANCE]
-    real[LEARNED_COUNT] = 1.0
-    real[COVARIANCE + 0] = cfg[PRIOR_VARIANCE]
-    real[COVARIANCE + 5] = cfg[SLOPE_VARIANCE]
-    real[COVARIANCE + 10] = cfg[CONTACT_VARIANCE]
-    real[COVARIANCE + 15] = cfg[SLOPE_VARIANCE]
+    _open(real, cfg)
     real[MEASURED] = math.nan
 
 
 @njit(cache=True)
-def _begin_contact(real, whole, stamp):
-    """Draw the contact's own errors anew. Order of the filter's state: m, g, d, e."""
-    for i in range(2, 4):
-        real[MEAN + i] = 0.0
-        for j in range(4):
-            real[COVARIANCE + 4 * i + j] = 0.0
-            real[COVARIANCE + 4 * j + i] = 0.0
-    real[COVARIANCE + 10] = real[LEARNED_CONTACT]
-    real[COVARIANCE + 15] = real[LEARNED_SLOPE]
+def _begin_contact(real, whole, cfg, stamp):
+    """Draw the contact's own errors anew. Order of a filter's state: m, g, d, e."""
+    for k in range(len(SCALES)):
+        at = BANK + k * STRIDE
+        for i in range(2, 4):
+            real[at + MEAN + i] = 0.0
+            for j in range(4):
+                real[at + COVARIANCE + 4 * i + j] = 0.0
+                real[at + COVARIANCE + 4 * j + i] = 0.0
+        square = SCALES[k] * SCALES[k]
+        real[at + COVARIANCE + 10] = square * cfg[CONTACT_VARIANCE]
+        real[at + COVARIANCE + 15] = square * cfg[SLOPE_VARIANCE]
+        real[at + LOG_WEIGHT] *= _FORGETTING
     real[MEASURED] = math.nan
     whole[CONTACT] = 1
     whole[CONTACTS] += 1
@@ -153,69 +178,66 @@ def _begin_contact(real, whole, stamp):
 
 
 @njit(cache=True)
-def _learn_variances(real):
-    """One step of expectation–maximisation on the variances between contacts (at the end of a contact)."""
-    count = real[LEARNED_COUNT]
-    contact = real[MEAN + 2] ** 2 + real[COVARIANCE + 10]
-    slope = real[MEAN + 3] ** 2 + real[COVARIANCE + 15]
-    real[LEARNED_CONTACT] = (count * real[LEARNED_CONTACT] + contact) / (count + 1.0)
-    real[LEARNED_SLOPE] = (count * real[LEARNED_SLOPE] + slope) / (count + 1.0)
-    real[LEARNED_COUNT] = min(count + 1.0, _LONGEST_MEMORY)
-
-
-@njit(cache=True)
-def _variance(real, shape):
-    """Variance of m + d + (g + e) φ."""
+def _variance(real, at, shape):
+    """Variance of m + d + (g + e) φ in the filter at real[at:]."""
     total = 0.0
     for i in range(4):
         hi = 1.0 if i % 2 == 0 else shape
         for j in range(4):
             hj = 1.0 if j % 2 == 0 else shape
-            total += hi * hj * real[COVARIANCE + 4 * i + j]
+            total += hi * hj * real[at + COVARIANCE + 4 * i + j]
     return total
 
 
 @njit(cache=True)
-def _bias(real, shape):
-    """Mean of m + d + (g + e) φ."""
-    return real[MEAN] + real[MEAN + 2] + (real[MEAN + 1] + real[MEAN + 3]) * shape
+def _bias(real, at, shape):
+    """Mean of m + d + (g + e) φ in the filter at real[at:]."""
+    return real[at] + real[at + 2] + (real[at + 1] + real[at + 3]) * shape
 
 
 @njit(cache=True)
-def _reopen(real, cfg):
-    """Variances back to their first values, mean kept: the filter was too sure of itself."""
-    for i in range(16):
-        real[COVARIANCE + i] = 0.0
-    real[COVARIANCE + 0] = cfg[PRIOR_VARIANCE]
-    real[COVARIANCE + 5] = cfg[SLOPE_VARIANCE]
-    real[COVARIANCE + 10] = cfg[CONTACT_VARIANCE]
-    real[COVARIANCE + 15] = cfg[SLOPE_VARIANCE]
+def _innovation(real, at, cfg, shape, model_area, area, sd):
+    """Relative innovation of a measured area and its variance in the filter at real[at:].
+
+    ln(area / predicted) to first order: unbiased for noise that adds to the area.
+    """
+    predicted = model_area * math.exp(_bias(real, at, shape))
+    noise = (sd / predicted) ** 2 + cfg[MODEL_VARIANCE]
+    return area / predicted - 1.0, _variance(real, at, shape) + noise
 
 
 @njit(cache=True)
 def _update(real, whole, cfg, shape, model_area, area, sd):
-    """Scalar Kalman update with one measured area; false when rejected as an outlier."""
-    predicted = model_area * math.exp(_bias(real, shape))
-    noise = (sd / predicted) ** 2 + cfg[MODEL_VARIANCE]
-    # ln(area / predicted) to first order: unbiased for noise that adds to the area.
-    innovation = area / predicted - 1.0
-    total = _variance(real, shape) + noise
-    if innovation * innovation > cfg[OUTLIER_LIMIT] ** 2 * total:
+    """Kalman update of all filters with one measured area; false when none of them can explain it."""
+    explained = False
+    for k in range(len(SCALES)):
+        innovation, total = _innovation(real, BANK + k * STRIDE, cfg, shape, model_area, area, sd)
+        if innovation * innovation <= cfg[OUTLIER_LIMIT] ** 2 * total:
+            explained = True
+    if not explained:
         whole[REJECTED_IN_A_ROW] += 1
         if whole[REJECTED_IN_A_ROW] < 3:
             return False
-        _reopen(real, cfg)
-        total = _variance(real, shape) + noise
+        # The filters were too sure of themselves.
+        _open(real, cfg)
     whole[REJECTED_IN_A_ROW] = 0
     gain = np.empty(4)
-    for i in range(4):
-        gain[i] = 0.0
-        for j in range(4):
-            gain[i] += real[COVARIANCE + 4 * i + j] * (1.0 if j % 2 == 0 else shape)
-    for i in range(4):
-        real[MEAN + i] += gain[i] / total * innovation
-        for j in range(4):
-            real[COVARIANCE + 4 * i + j] -= gain[i] * gain[j] / total
+    largest = -math.inf
+    for k in range(len(SCALES)):
+        at = BANK + k * STRIDE
+        innovation, total = _innovation(real, at, cfg, shape, model_area, area, sd)
+        for i in range(4):
+            gain[i] = 0.0
+            for j in range(4):
+                gain[i] += real[at + COVARIANCE + 4 * i + j] * (1.0 if j % 2 == 0 else shape)
+        for i in range(4):
+            real[at + MEAN + i] += gain[i] / total * innovation
+            for j in range(4):
+                real[at + COVARIANCE + 4 * i + j] -= gain[i] * gain[j] / total
+        real[at + LOG_WEIGHT] -= 0.5 * (math.log(total) + innovation * innovation / total)
+        largest = max(largest, real[at + LOG_WEIGHT])
+    for k in range(len(SCALES)):
+        real[BANK + k * STRIDE + LOG_WEIGHT] -= largest
     return True
 
 
@@ -245,9 +267,11 @@ def _fuse(real, whole, ring_stamp, ring, cfg, stamp, area, sd):
         return False
     elapsed = max((stamp - whole[FILTER_TIME]) * 1e-9, 0.0)
     drift = cfg[DRIFT_VARIANCE] * elapsed
-    real[COVARIANCE + 10] += drift
+    for k in range(len(SCALES)):
+        real[BANK + k * STRIDE + COVARIANCE + 10] += WANDERING[k] ** 2 * drift
     if not _update(real, whole, cfg, load_shape(force), model_area, area, sd):
-        real[COVARIANCE + 10] -= drift
+        for k in range(len(SCALES)):
+            real[BANK + k * STRIDE + COVARIANCE + 10] -= WANDERING[k] ** 2 * drift
         return False
     whole[FILTER_TIME] = max(stamp, whole[FILTER_TIME])
     whole[FUSED_STAMP] = stamp
@@ -262,21 +286,30 @@ def _contact(real, whole, cfg, normal, stamp):
     """Onset and lift-off by threshold with hysteresis."""
     if whole[CONTACT] == 0:
         if normal >= cfg[ONSET_FORCE]:
-            _begin_contact(real, whole, stamp)
+            _begin_contact(real, whole, cfg, stamp)
     elif normal < cfg[LIFTOFF_FORCE]:
         whole[CONTACT] = 0
         whole[LIFTOFF_STAMP] = stamp
-        if whole[FUSED_IN_CONTACT]:
-            _learn_variances(real)
 
 
 @njit(cache=True)
 def fused_area(real, whole, cfg, force, model_area, stamp):
     """Best estimate of the area (m²) and its standard deviation at `stamp`."""
     shape = load_shape(force)
-    area = model_area * math.exp(_bias(real, shape))
-    elapsed = max((stamp - whole[FILTER_TIME]) * 1e-9, 0.0)
-    variance = _variance(real, shape) + cfg[DRIFT_VARIANCE] * elapsed + cfg[MODEL_VARIANCE]
+    drift = cfg[DRIFT_VARIANCE] * max((stamp - whole[FILTER_TIME]) * 1e-9, 0.0)
+    weight = 0.0
+    mean = 0.0
+    square = 0.0
+    for k in range(len(SCALES)):
+        at = BANK + k * STRIDE
+        w = math.exp(real[at + LOG_WEIGHT])
+        bias = _bias(real, at, shape)
+        weight += w
+        mean += w * bias
+        square += w * (_variance(real, at, shape) + WANDERING[k] ** 2 * drift + bias * bias)
+    mean /= weight
+    variance = max(square / weight - mean * mean, 0.0) + cfg[MODEL_VARIANCE]
+    area = model_area * math.exp(mean)
     return area, area * math.sqrt(variance)
 
 

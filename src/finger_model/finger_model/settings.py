@@ -143,14 +143,14 @@ ESTIMATOR_PARAMETERS = ParameterTable(
         "contact_area_sd",
         0.05,
         "Relative standard deviation of the area from one contact of the same finger to the next; "
-        "the estimator refines it as contacts with measured areas go by.",
+        "a first value: the estimator weighs 0.1 to 1.5 times this as contacts with measured areas go by.",
         minimum=0.001,
         maximum=1.0,
         runtime=True,
     ),
     Parameter(
         "slope_sd",
-        0.04,
+        0.017,
         "Standard deviation of the model's error in the exponent of area over force, d ln A / d ln F.",
         minimum=0.0,
         maximum=1.0,
@@ -159,7 +159,8 @@ ESTIMATOR_PARAMETERS = ParameterTable(
     Parameter(
         "drift_sd",
         0.02,
-        "Relative standard deviation by which the model's error wanders within one second of contact.",
+        "Relative standard deviation by which the model's error wanders within one second of contact; a first "
+        "value: the estimator weighs 0.1 and 2 times this as contacts with measured areas go by.",
         minimum=0.0,
         maximum=1.0,
         runtime=True,
@@ -187,7 +188,7 @@ class EstimatorSettings:
     default_moisture: float = 69.31
     prior_area_sd: float = 0.1
     contact_area_sd: float = 0.05
-    slope_sd: float = 0.04
+    slope_sd: float = 0.017
     drift_sd: float = 0.02
 
     def __post_init__(self) -> None:
