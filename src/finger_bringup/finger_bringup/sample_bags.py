@@ -3,7 +3,7 @@
     python -m finger_bringup.sample_bags            # into bags/ of the checkout
 
 The whole suite records them over DDS, as at a rig; then the presses of a condition are put into one bag, message by
-message as they were recorded. The camera's frame is an area of interest of 480×400 pixels with little noise, stored
+message as they were recorded. The camera's frame is an area of interest of 480×440 pixels with little noise, stored
 as lossless PNG, so that a bag stays small.
 """
 
@@ -112,7 +112,7 @@ def make_bags(folder: Path, trials: int, seed: int, console: Console) -> list[Pa
         trials=trials,
         seed=seed,
         width=480,
-        height=400,
+        height=440,
         reading_time=0.2,
         parameters=REQUEST_PARAMETERS,
     )
