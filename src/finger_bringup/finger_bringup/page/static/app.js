@@ -12,6 +12,7 @@ const state = {
 };
 let dirty = true;
 let drawn = 0;
+let plotted = 0;
 
 // Commands ------------------------------------------------------------------------------------
 
@@ -348,8 +349,13 @@ function frame(now) {
     bar.style.setProperty("--share", share);
     bar.setAttribute("aria-valuenow", (force || 0).toFixed(2));
     bar.setAttribute("aria-valuemax", (state.target * 1.25).toFixed(2));
-    forcePlot($("force-plot"), state.force, state.target, SPAN);
-    areaPlot($("area-plot"), state.now, state.before, state.target);
+    // Just before the cue to lift the plots wait, for half a second at most: a plot being drawn would hold the cue up.
+    const pressing = state.cue && PHASES[state.cue.phase] === "press";
+    if (!(pressing && force > 0.8 * state.target && now - plotted < 500)) {
+      plotted = now;
+      forcePlot($("force-plot"), state.force, state.target, SPAN);
+      areaPlot($("area-plot"), state.now, state.before, state.target);
+    }
   }
   requestAnimationFrame(frame);
 }
