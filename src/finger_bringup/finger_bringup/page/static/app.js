@@ -154,6 +154,13 @@ function showStatus(s) {
   dirty = true;
 }
 
+// The status comes beside the cue, now before and now after it, and takes long to draw: it lets the cue go first.
+let soon = 0;
+function showStatusSoon(s) {
+  clearTimeout(soon);
+  soon = setTimeout(() => (waiting ? showStatusSoon(s) : showStatus(s)), 60);
+}
+
 function chips(id, values = [], wanted = 3, now = false) {
   const cells = [];
   for (let i = 0; i < Math.max(wanted, values.length); i++) {
@@ -305,7 +312,7 @@ function receive(data) {
     for (const kind of ["measured", "model"]) state.now[kind] = state.now[kind].slice(-3000);
     dirty = true;
   } else if (m.type === "contact") { state.area = m.area; dirty = true; }
-  else if (m.type === "status") showStatus(m);
+  else if (m.type === "status") showStatusSoon(m);
   else if (m.type === "health") showHealth(m.items);
   else if (m.type === "hello") {
     $("image-none").textContent = m.images ? "no image yet" : "images stay on the rig's own computer";
