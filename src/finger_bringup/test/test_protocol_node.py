@@ -222,7 +222,10 @@ def test_trial_over_dds_restart_after_sigkill_and_commands(
     assert suite.command("redo").success is False
     assert suite.command("close").success
     suite.until(lambda: suite.status.get("step") == "closed")
-    again = suite.command("start")
+    # Until the recorder has answered its last request, the node asks for a moment.
+    end = time.monotonic() + 60
+    while "busy" in (again := suite.command("start")).message and time.monotonic() < end:
+        pass
     assert not again.success and "exists already" in again.message
     child.send_signal(signal.SIGINT)
     assert child.wait(60) == 0, child.output.read_text()
