@@ -9,10 +9,8 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import random
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -24,6 +22,7 @@ import numpy as np
 
 from finger_bag.definitions import encode
 from finger_bag.reader import open_bag
+from finger_bringup.demo_session import free_domain
 
 WIDTH, HEIGHT = 1280, 1024
 TOPICS = {
@@ -128,20 +127,6 @@ def publish(seconds: float, result: Path, reliability: str) -> None:
     result.write_text(json.dumps({"sent": sent, "late": worst}))
     node.destroy_node()
     rclpy.shutdown()
-
-
-def free_domain() -> int:
-    """A ROS domain that nobody on this machine uses."""
-    domains = list(range(1, 101))
-    random.SystemRandom().shuffle(domains)
-    for domain in domains:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            try:
-                probe.bind(("", 7400 + 250 * domain + 10))
-                return domain
-            except OSError:
-                continue
-    raise RuntimeError("no free ROS domain")
 
 
 def measure(

@@ -5,13 +5,14 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import IO, Any
 
 import numpy as np
 
 from finger_common.errors import InputError
 from finger_model.estimator import EstimateBlock
+
+from .closing import Closing
 
 
 def serialize(block: EstimateBlock, frame_id: str = "") -> list[bytes]:
@@ -116,7 +117,7 @@ def columns(block: EstimateBlock, start_ns: int) -> list[Any]:
     return [*found, whole[:, 2], whole[:, 1], whole[:, 0], block.parameter_set]
 
 
-class TableExport:
+class TableExport(Closing):
     """Writes estimates as CSV or Parquet (by the file's suffix) block by block; takes its name when it closes."""
 
     def __init__(self, path: str | Path) -> None:
@@ -166,22 +167,12 @@ class TableExport:
                 part.close()
         self._temporary.replace(self.path)
 
-    def __enter__(self) -> TableExport:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        if kind is None:
-            self.close()
-        else:
-            for part in (self._csv, self._parquet):
-                if part is not None:
-                    part.close()
-            self._temporary.unlink(missing_ok=True)
+    def abandon(self) -> None:
+        """Leave no file."""
+        for part in (self._csv, self._parquet):
+            if part is not None:
+                part.close()
+        self._temporary.unlink(missing_ok=True)
 
 
 def _text(value: float | int) -> str:

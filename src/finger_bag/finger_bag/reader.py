@@ -13,7 +13,6 @@ import tempfile
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath, PureWindowsPath
-from types import TracebackType
 from typing import Any
 
 import yaml
@@ -22,6 +21,7 @@ import zstandard
 from finger_common.errors import InputError
 from finger_common.files import load_yaml
 
+from .closing import Closing
 from .definitions import FORMS, Decoder, decoder
 from .mcap_file import MAXIMUM_CHUNK, AttachmentEntry, McapFile, RawMessage
 from .schema import SESSION_RECORD, SessionMetadata, spec_of
@@ -123,7 +123,7 @@ class BagMessage:
         return f"BagMessage({self.topic!r}, {self.type!r}, {self.log_time_ns}, {len(self.raw)} B)"
 
 
-class BagReader:
+class BagReader(Closing):
     """A bag opened for reading; a context manager. Use `open_bag`."""
 
     def __init__(self, path: str | Path) -> None:
@@ -540,17 +540,6 @@ class BagReader:
         if self._temporary is not None:
             self._temporary.cleanup()
             self._temporary = None
-
-    def __enter__(self) -> BagReader:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 _SQLITE_BROKEN = (OSError, ValueError, KeyError, TypeError, AssertionError, yaml.YAMLError)

@@ -9,7 +9,6 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
 from typing import IO, Any
 
 import yaml
@@ -17,6 +16,7 @@ import yaml
 from finger_common.errors import InputError
 from finger_common.files import atomic_write
 
+from .closing import Closing
 from .definitions import definition_text, encode, type_hash
 from .mcap_writer import McapWriter
 from .schema import NAMESPACE, SESSION_RECORD, SessionMetadata, full_name, offered_qos, spec_of
@@ -62,7 +62,7 @@ def _known(message_type: str) -> bool:
     return bool(type_hash(message_type))
 
 
-class BagWriter:
+class BagWriter(Closing):
     """Writes one bag; a context manager.
 
     path: folder of the bag; must not exist or be empty. The folder takes its name only when the writer closes without
@@ -437,17 +437,3 @@ class BagWriter:
                 "ros_distro": "jazzy",
             }
         }
-
-    def __enter__(self) -> BagWriter:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        if kind is None:
-            self.close()
-        else:
-            self.abandon()

@@ -62,7 +62,7 @@ class SessionRequest:
         return self.folder / "devices" / "truth"
 
 
-def _free_domain() -> int:
+def free_domain() -> int:
     """A ROS domain without a listener on its discovery port (RTPS: 7400 + 250 domain + 10)."""
     domains = list(range(1, 101))
     random.SystemRandom().shuffle(domains)
@@ -118,7 +118,7 @@ def record_session(request: SessionRequest) -> Generator[dict[str, Any], None, N
     if threading.current_thread() is threading.main_thread():
         # Whoever ends this program ends the suite with it.
         signal.signal(signal.SIGTERM, signal.default_int_handler)
-    os.environ["ROS_DOMAIN_ID"] = str(_free_domain())
+    os.environ["ROS_DOMAIN_ID"] = str(free_domain())
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     entries = nodes.select(SUITE, node_parameters(request))
     specs = nodes.process_specs(entries, request.folder)

@@ -18,6 +18,7 @@ from enum import Enum, IntEnum
 from pathlib import Path
 from typing import Any
 
+from finger_bag.streams import TrialEvent
 from finger_common.errors import InputError
 from finger_common.files import atomic_write, read_text
 
@@ -146,26 +147,11 @@ class TrialState:
 
 
 @dataclass(frozen=True)
-class Announcement:
-    """The fields of a Trial message."""
-
-    stamp_ns: int
-    session: str
-    subject: str
-    condition: str
-    index: int
-    attempt: int
-    phase: Phase
-    target_force: float
-    note: str
-
-
-@dataclass(frozen=True)
 class StartRecording:
     """Ask the recorder to begin a bag."""
 
     path: str
-    trial: Announcement
+    trial: TrialEvent
 
 
 @dataclass(frozen=True)
@@ -173,7 +159,7 @@ class StopRecording:
     """Ask the recorder to close its bag."""
 
 
-Effect = Announcement | StartRecording | StopRecording
+Effect = TrialEvent | StartRecording | StopRecording
 
 
 class Protocol:
@@ -713,12 +699,12 @@ class Protocol:
                 f"This trial failed {in_a_row} times; look for the cause, then resume or skip it."
             )
 
-    def _announcement(self, phase: Phase) -> Announcement:
+    def _announcement(self, phase: Phase) -> TrialEvent:
         trial = self.trials[self.current]
         number = len(trial.attempts)
         open_attempt = trial.attempts and self.step not in (Step.IDLE, Step.PREPARE)
         reason = trial.attempts[-1].reason if phase is Phase.FAILED and trial.attempts else ""
-        return Announcement(
+        return TrialEvent(
             self._step_began if self.step in PRESSING else self._now,
             self.plan.session,
             self.plan.subject,

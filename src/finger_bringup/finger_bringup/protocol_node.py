@@ -24,6 +24,7 @@ from rclpy.duration import Duration
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from finger_bag.streams import TrialEvent
 from finger_common.cli import one_line
 from finger_common.diagnostics import WARN, Health
 from finger_common.errors import FingerError, InputError
@@ -33,9 +34,9 @@ from finger_common.parameters import Parameter, ParameterTable
 
 from .protocol import (
     STATE_FILE,
-    Announcement,
     Effect,
     Limits,
+    Phase,
     Protocol,
     StartRecording,
     Step,
@@ -424,10 +425,12 @@ class ProtocolNode(LifecycleShell):
         if not rclpy.ok(context=self.context):
             # Ctrl-C: nobody hears us any more; the state file is still written.
             return
-        if isinstance(effect, Announcement):
+        if isinstance(effect, TrialEvent):
             self._trial_publisher.publish(self._trial_message(effect))
             self._health.sample()
-            self._health.notes["trial"] = f"{effect.index} {effect.condition} {effect.phase.name}"
+            self._health.notes["trial"] = (
+                f"{effect.index} {effect.condition} {Phase(effect.phase).name}"
+            )
             return
         request = Record.Request()
         if isinstance(effect, StartRecording):
@@ -439,7 +442,7 @@ class ProtocolNode(LifecycleShell):
         if self._limits.need_recorder:
             self._requests.append((request, time.monotonic()))
 
-    def _trial_message(self, said: Announcement) -> Trial:
+    def _trial_message(self, said: TrialEvent) -> Trial:
         message = Trial(
             session=said.session,
             subject=said.subject,

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
+from finger_bag.streams import TrialEvent
 from finger_bringup.protocol import (
-    Announcement,
     Effect,
     Limits,
     Phase,
@@ -52,14 +52,14 @@ class Rig:
 
     @property
     def phases(self) -> list[Phase]:
-        return [e.phase for e in self.effects if isinstance(e, Announcement)]
+        return [e.phase for e in self.effects if isinstance(e, TrialEvent)]
 
     @property
-    def last(self) -> Announcement:
-        return [e for e in self.effects if isinstance(e, Announcement)][-1]
+    def last(self) -> TrialEvent:
+        return [e for e in self.effects if isinstance(e, TrialEvent)][-1]
 
     def answer_recorder(self) -> None:
-        pending = [e for e in self.effects if not isinstance(e, Announcement)]
+        pending = [e for e in self.effects if not isinstance(e, TrialEvent)]
         for effect in pending[getattr(self, "answered", 0) :]:
             if self.recorder_answers:
                 started = isinstance(effect, StartRecording)
@@ -143,9 +143,7 @@ def test_a_good_trial_goes_through_all_phases_and_is_recorded(rig: Rig) -> None:
     ]
     started = next(e for e in rig.effects if isinstance(e, StartRecording))
     assert started.path.endswith("000_dry_0") and started.trial.condition == "dry"
-    assert isinstance(
-        [e for e in rig.effects if not isinstance(e, Announcement)][-1], StopRecording
-    )
+    assert isinstance([e for e in rig.effects if not isinstance(e, TrialEvent)][-1], StopRecording)
     attempt = rig.attempt
     assert attempt.verdict == "done"
     assert attempt.moisture_before == [37, 38, 39] and attempt.moisture_after == [36, 37, 38]
@@ -225,7 +223,7 @@ def test_clear_frame_must_last_before_the_press(rig: Rig) -> None:
 
 
 def expect_failure(rig: Rig, words: str) -> None:
-    failed = [e for e in rig.effects if isinstance(e, Announcement) and e.phase is Phase.FAILED]
+    failed = [e for e in rig.effects if isinstance(e, TrialEvent) and e.phase is Phase.FAILED]
     assert failed and words in failed[-1].note, failed
     assert rig.protocol.trials[0].attempts[0].verdict == "failed"
     assert StopRecording() in rig.effects
