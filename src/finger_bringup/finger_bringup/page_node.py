@@ -11,7 +11,6 @@ import json
 import queue
 import sys
 import time
-from collections.abc import Iterator
 from concurrent.futures import Future
 from typing import Any
 
@@ -24,7 +23,6 @@ from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
-from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Image
@@ -33,7 +31,7 @@ from std_srvs.srv import Trigger
 
 from finger_bag.streams import stamp_of_cdr
 from finger_common.diagnostics import Health
-from finger_common.node import LATCHED_QOS, LifecycleShell, main_of
+from finger_common.node import LATCHED_QOS, LifecycleShell, PolledSubscription, main_of
 from finger_common.parameters import Parameter, ParameterTable
 
 from .page.feed import ForceMemory, HealthBoard, measured_point, model_point
@@ -92,37 +90,6 @@ PARAMETERS = ParameterTable(
 
 POLL = 0.04
 """s between looks for force samples and estimates."""
-
-
-class NotWaitedFor(CallbackGroup):
-    """Group of entities whose messages the node takes when it wants them.
-
-    A round of the executor costs far more than taking a message: two streams of 500 Hz would leave the cue waiting for
-    the processor.
-    """
-
-    def can_execute(self, entity: Any) -> bool:
-        return False
-
-    def beginning_execution(self, entity: Any) -> bool:
-        return False
-
-    def ending_execution(self, entity: Any) -> None:
-        pass
-
-
-def _unused(message: Any) -> None:
-    """Callback of subscriptions that are not waited for."""
-
-
-def take_all(subscription: Any, message_type: Any) -> Iterator[bytes]:
-    """Serialized messages that have come."""
-    while True:
-        with subscription.handle:
-            taken = subscription.handle.take_message(message_type, True)
-        if taken is None:
-            return
-        yield taken[0]
 
 
 def stamp_of(header: Any) -> int:
@@ -189,13 +156,10 @@ class PageNode(LifecycleShell):
         self.get_logger().info(f"operator's page: {address}")
         self._health.notes["address"] = self._server.url
         qos = self.stream_qos()
-        self._wrench = self.create_stream_subscription(WrenchStamped, "wrench", _unused, qos)
-        self._state = self.create_stream_subscription(ContactState, "contact_state", _unused, qos)
-        for subscription in (self._wrench, self._state):
-            subscription.callback_group = NotWaitedFor()
+        # Two streams of 500 Hz would leave the cue waiting for the processor if the executor went round for each sample.
+        self._wrench = PolledSubscription(self, WrenchStamped, "wrench", qos)
+        self._state = PolledSubscription(self, ContactState, "contact_state", qos)
         self._inputs = [
-            self._wrench,
-            self._state,
             self.create_stream_subscription(ContactArea, "contact_area", self._on_area, qos),
             self.create_stream_subscription(Moisture, "moisture", self._on_moisture, qos),
             self.create_subscription(Trial, "trial", self._on_trial, LATCHED_QOS),
@@ -212,6 +176,8 @@ class PageNode(LifecycleShell):
             self.destroy_timer(timer)
         for subscription in self._inputs:
             self.destroy_subscription(subscription)
+        for polled in (self._wrench, self._state):
+            polled.destroy()
         self._watch_images(False)
         self._server.stop()
 
@@ -223,12 +189,12 @@ class PageNode(LifecycleShell):
 
     def _poll(self) -> None:
         period = 1e9 / self.values["display_rate"]
-        for data in take_all(self._wrench, WrenchStamped):
+        for data in self._wrench.take():
             stamp = stamp_of_cdr(data)
             if not 0 <= stamp - self._last_force < period:
                 self._last_force = stamp
                 self._show_force(stamp, deserialize_message(data, WrenchStamped))
-        for data in take_all(self._state, ContactState):
+        for data in self._state.take():
             stamp = stamp_of_cdr(data)
             if not 0 <= stamp - self._last_state < 4 * period:
                 self._last_state = stamp
@@ -277,6 +243,8 @@ class PageNode(LifecycleShell):
             self._board.add(now, status.name, status.level[0], status.message, values)
 
     def _slow(self) -> None:
+        for polled in (self._wrench, self._state):
+            self.look_for_mismatch(polled)
         self._server.publish("health", {"items": self._board.snapshot(time.monotonic())})
         self._watch_images(self._server.watchers > 0)
         latencies = self._server.latencies

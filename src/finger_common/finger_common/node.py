@@ -14,19 +14,22 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import (
     PublisherEventCallbacks,
+    QoSSubscriptionEventType,
     SubscriptionEventCallbacks,
 )
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -79,6 +82,65 @@ STATE_QOS = QoSProfile(
 
 ENDING = (signal.SIGINT, signal.SIGTERM)
 """Signals that end a node."""
+
+
+class _NotWaitedFor(CallbackGroup):
+    """Group of entities that the executor leaves alone."""
+
+    def can_execute(self, entity: Any) -> bool:
+        return False
+
+    def beginning_execution(self, entity: Any) -> bool:
+        return False
+
+    def ending_execution(self, entity: Any) -> None:
+        pass
+
+
+class PolledSubscription:
+    """Subscription whose messages a node takes when it wants them, for streams that need no prompt answer.
+
+    A round of the executor costs far more than taking a message. QoS events are asked for in the same way: Fast DDS
+    wakes a wait for them again and again while messages lie unread, which would keep a core busy.
+    """
+
+    def __init__(self, node: LifecycleNode, message_type: Any, topic: str, qos: QoSProfile) -> None:
+        self.topic = topic
+        self._node = node
+        self._type = message_type
+        self._subscription = node.create_subscription(
+            message_type,
+            topic,
+            lambda message: None,
+            qos,
+            callback_group=_NotWaitedFor(),
+            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+        )
+        with self._subscription.handle:
+            self._mismatch = rclpy_implementation.EventHandle(
+                self._subscription.handle,
+                QoSSubscriptionEventType.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS,
+            )
+
+    def take(self) -> Iterator[bytes]:
+        """Serialized messages that have come since."""
+        while True:
+            with self._subscription.handle:
+                taken = self._subscription.handle.take_message(self._type, True)
+            if taken is None:
+                return
+            yield taken[0]
+
+    def new_mismatches(self) -> int:
+        """Publishers found since the last call whose QoS does not fit."""
+        with self._mismatch:
+            event = self._mismatch.take_event()
+        return event.total_count_change if event is not None else 0
+
+    def destroy(self) -> None:
+        """End the subscription."""
+        self._mismatch.destroy_when_not_in_use()
+        self._node.destroy_subscription(self._subscription)
 
 
 class LifecycleShell(LifecycleNode):
@@ -187,6 +249,11 @@ class LifecycleShell(LifecycleNode):
         return self.create_subscription(
             message_type, topic, callback, qos, event_callbacks=events, **options
         )
+
+    def look_for_mismatch(self, polled: PolledSubscription) -> None:
+        """Report publishers of a polled topic whose QoS does not fit."""
+        if polled.new_mismatches():
+            self._report_mismatch(polled.topic, "publisher")
 
     def _report_mismatch(self, topic: str, who: str) -> None:
         message = (

@@ -149,3 +149,59 @@ def test_parameter_file_that_is_not_yaml_ends_with_one_sentence(
     assert child.wait(60) == 2
     output = child.output.read_text()
     assert "bad.yaml" in output and "Traceback" not in output
+
+
+def test_messages_that_are_polled_for_neither_wake_the_executor_nor_get_lost(
+    ros_domain: int,
+) -> None:
+    from rclpy.duration import Duration
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.lifecycle import LifecycleNode
+    from rclpy.qos import QoSProfile, ReliabilityPolicy
+    from rclpy.serialization import deserialize_message
+    from std_msgs.msg import Float64
+
+    from finger_common.node import PolledSubscription
+
+    class Counting(SingleThreadedExecutor):
+        """Counts how often the executor gathers what it may wait for."""
+
+        rounds = 0
+
+        def can_execute(self, entity: Any) -> bool:
+            self.rounds += 1
+            return super().can_execute(entity)
+
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=ros_domain)
+    talker = rclpy.create_node("talker", context=context)
+    listener = LifecycleNode("listener", context=context)
+    executor = Counting(context=context)
+    executor.add_node(listener)
+    qos = QoSProfile(depth=200, reliability=ReliabilityPolicy.RELIABLE)
+    try:
+        publisher = talker.create_publisher(Float64, "value", qos)
+        polled = PolledSubscription(listener, Float64, "value", qos)
+        wait_for(publisher.get_subscription_count, lambda: time.sleep(0.02))
+        for number in range(100):
+            publisher.publish(Float64(data=float(number)))
+        publisher.wait_for_all_acked(Duration(seconds=30))
+        # One round to see what there is, then it sleeps although messages lie unread.
+        executor.spin_once(timeout_sec=0.1)
+        executor.rounds = 0
+        executor.spin_once(timeout_sec=0.5)
+        assert executor.rounds < 500  # about twenty entities a round
+        received = [deserialize_message(m, Float64).data for m in polled.take()]
+        assert received == [float(n) for n in range(100)]
+        assert list(polled.take()) == []
+        assert polled.new_mismatches() == 0
+        best_effort = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+        talker.create_publisher(Float64, "value", best_effort)
+        wait_for(polled.new_mismatches, lambda: time.sleep(0.02))
+        assert polled.new_mismatches() == 0
+        polled.destroy()
+    finally:
+        executor.shutdown()
+        listener.destroy_node()
+        talker.destroy_node()
+        rclpy.shutdown(context=context)
