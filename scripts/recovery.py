@@ -1,17 +1,20 @@
 """How well a fit recovers the finger that made its data: bias, spread, Cramér–Rao bound, coverage, over many seeds.
 
-    python scripts/recovery.py [--seeds 24] [--misfit] [--output out/recovery]
+    python scripts/recovery.py [--seeds 24] [--mirror] [--misfit] [--output out/recovery]
 
 Presses and true areas come from the full-order model on the study's finer mesh, simulated once and kept. Every seed
 draws 15 presses per condition and gives them new sensor and area noise, so that seeds share presses but no noise. Each
 draw is fitted over the loading alone and over the whole contact, as `finger-fit` fits: grid, polish, correction to full
-order, polish, intervals. (The swarm is left out: the polish ends in the same valley; `start_from_truth` in the result
+order, polish, intervals, bias. (The swarm is left out: the polish ends in the same valley; `start_from_truth` in the result
 tells whether it did.)
 
 The correction needs full-order areas at each fit's own parameters. For thousands of fits they come from a table: the
 fit's full-order model (its mesh and step) on every press without noise, at parameter sets spread over where the fits
 fall; the ratio to the reduced model is interpolated between them. `--exact N` runs the model itself for N seeds and says
 what difference that makes.
+
+`--mirror` fits every draw once more with its area noise turned round: the error's odd part cancels in the mean, which then
+tells a bias from chance with far fewer seeds.
 
 `--misfit` fits fingers that differ from the fit's assumptions: an epidermis a quarter thinner or thicker (a few presses
 without noise), and areas of whole trials scattered by 5 % (many seeds). Writes recovery.json (recovery_misfit.json) and prints the tables of docs/study.md.
@@ -20,6 +23,7 @@ without noise), and areas of whole trials scattered by 5 % (many seeds). Writes 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import multiprocessing
 import sys
@@ -29,12 +33,13 @@ from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.interpolate import RBFInterpolator
 
 from finger_common.files import atomic_write
+from finger_fit.bias import bias_pair, unbiased
 from finger_fit.engine import LocalEngine
 from finger_fit.fit import polish
 from finger_fit.full_order_check import (
@@ -48,6 +53,7 @@ from finger_fit.identifiability import (
     cramer_rao,
     in_interval,
     quantity,
+    quantity_box,
     quantity_deviation,
 )
 from finger_fit.local import refine, whole_box
@@ -88,6 +94,9 @@ SEARCHED = 2
 
 STEP = 0.04
 """s, time step of the reduced model: half the time of the default's 0.02 s, and the correction takes up the difference."""
+
+PAIRS = 10
+"""Of the bias's bootstrap, half the default's: what one fit's bias then errs by averages out over the seeds."""
 
 FEW = 5
 """Presses per condition of a finger with another epidermis: what it does is no matter of chance."""
@@ -156,14 +165,19 @@ def _read(path: Path) -> dict[str, list[StudyTrial]]:
     return {name: sorted(trials, key=lambda t: t.index) for name, trials in out.items()}
 
 
-def record(trial: StudyTrial, seed: int, noise: bool, factor: float = 1.0) -> Any:
-    """A recorded trial of the pool with this seed's noise; `factor` on its areas before the noise."""
+def record(
+    trial: StudyTrial, seed: int, noise: bool, factor: float = 1.0, mirror: bool = False
+) -> Any:
+    """A recorded trial of the pool with this seed's noise, mirrored with its areas' noise turned round; `factor` on its
+    areas before the noise."""
     from dataclasses import replace
 
     trial = replace(trial, area=trial.area * factor)
     if noise:
         time_, force = measured_force(trial, seed)
         area, normal = measured_area(trial, seed), -force[:, 2]
+        if mirror:
+            area = np.maximum(2.0 * trial.area - area, 0.0)
     else:
         time_, normal, area = trial.press.time, trial.press.force, trial.area
     return SimpleNamespace(
@@ -305,6 +319,7 @@ def fit_one(
     table: Tabulated | None,
     factors: np.ndarray | None = None,
     search: bool = True,
+    mirror: bool = False,
 ) -> dict[str, Any]:
     """Fit one condition of one seed; everything the tables need. table: None runs the full-order model itself;
     search: False begins at the truth."""
@@ -312,7 +327,7 @@ def fit_one(
     truth = STUDY[name].material.vector()
     options = FitOptions(window=window, seed=seed, step=STEP)
     factors = np.ones(len(trials)) if factors is None else factors
-    recorded = [record(t, seed, noise, f) for t, f in zip(trials, factors)]
+    recorded = [record(t, seed, noise, f, mirror) for t, f in zip(trials, factors)]
     prepared, excluded = prepare_all(recorded, options)
     problem = FitProblem(prepared, model, options)
     simulate = full_order_areas if table is None else table.simulator(recorded)
@@ -354,7 +369,10 @@ def fit_one(
         "excluded": len(excluded),
         "frames": len(problem.measured),
         "error_log": errors(fit.parameters, truth),
+        "corrected_error_log": {},
+        "bias_log": {},
         "covered": {},
+        "corrected_covered": {},
         "interval_sd": {},
         **searched,
     }
@@ -365,19 +383,38 @@ def fit_one(
             at_truth, truth, Geometry(), Here(), simulate=simulate
         )
         out["cramer_rao"] = cramer_rao(at_truth, truth, AREA_NOISE)
+    pairs = [bias_pair(problem, fit.parameters, seed, i) for i in range(PAIRS)]
+    corrected = unbiased(fit.parameters, np.array(pairs))
     for q in TOLD:
         true = float(quantity(q, truth))
+        out["bias_log"][q] = corrected[q].bias
+        out["corrected_error_log"][q] = float(np.log(corrected[q].value / true))
         out["interval_sd"][q], _ = quantity_deviation(problem, q, fit.parameters, told)
         out["covered"][q] = in_interval(problem, q, true, fit.parameters, fit.cost, told)
+        # The truth lies in an interval moved by −bias where truth · exp(bias) lies in the interval itself.
+        low, high = quantity_box(q, problem.box)
+        moved = float(np.clip(true * np.exp(corrected[q].bias), low, high))
+        out["corrected_covered"][q] = in_interval(problem, q, moved, fit.parameters, fit.cost, told)
     return out
 
 
 _shared: dict[str, Any] = {}
 
 
-def _one_seed(folder: Path, job: tuple[int, str, bool, bool, bool]) -> list[dict[str, Any]]:
-    """Fits of one seed: (seed, finger, scatter of areas, noise, exact)."""
-    seed, finger, scatter, noise, exact = job
+class Job(NamedTuple):
+    """The fits of one seed."""
+
+    seed: int
+    finger: str = "true"
+    scatter: bool = False
+    noise: bool = True
+    exact: bool = False
+    mirror: bool = False
+
+
+def _one_seed(folder: Path, job: Job) -> list[dict[str, Any]]:
+    """Fits of one seed."""
+    seed, finger, scatter, noise, exact, mirror = job
     if "model" not in _shared:
         import numba
 
@@ -400,34 +437,38 @@ def _one_seed(folder: Path, job: tuple[int, str, bool, bool, bool]) -> list[dict
         for window in WINDOWS:
             row = fit_one(
                 [trials[i] for i in chosen], seed, window, noise, _shared["model"], table, factors,
-                search=seed < FIRST_SEED + SEARCHED,
+                search=seed < FIRST_SEED + SEARCHED and not mirror, mirror=mirror,
             )  # fmt: skip
-            rows.append({**row, "finger": finger, "scatter": scatter, "exact": exact})
+            about = {"finger": finger, "scatter": scatter, "exact": exact, "mirror": mirror}
+            rows.append({**row, **about})
     return rows
 
 
-def run(folder: Path, seeds: int, misfit: bool = False, exact: int = 0) -> dict[str, Any]:
+def run(
+    folder: Path, seeds: int, misfit: bool = False, exact: int = 0, mirror: bool = False
+) -> dict[str, Any]:
     """All seeds on two processes, and fits without noise; kept on disk after every seed."""
     for finger in FINGERS if misfit else ("true",):
         pool(folder, finger)
     full_order_table(folder)
     seed_numbers = range(FIRST_SEED, FIRST_SEED + seeds)
     if misfit:
-        jobs = [(0, finger, False, False, False) for finger in ("true", "thin", "thick")]
-        jobs += [(seed, "true", True, True, False) for seed in reversed(seed_numbers)]
+        jobs = [Job(0, finger, noise=False) for finger in ("true", "thin", "thick")]
+        jobs += [Job(seed, scatter=True) for seed in reversed(seed_numbers)]
     else:
+        jobs = [Job(0, noise=False)]
+        if mirror:
+            jobs += [Job(seed, mirror=True) for seed in reversed(seed_numbers)]
         # Last those that search, which take longest.
-        jobs = [(seed, "true", False, True, False) for seed in reversed(seed_numbers)]
-        jobs.insert(2, (0, "true", False, False, False))
+        jobs += [Job(seed) for seed in reversed(seed_numbers)]
         if exact:
-            jobs += [(0, "true", False, False, True)]
-            jobs += [(seed, "true", False, True, True) for seed in seed_numbers[:exact]]
+            jobs += [Job(0, noise=False, exact=True)]
+            jobs += [Job(seed, exact=True) for seed in seed_numbers[:exact]]
     model = ReducedModel.load()
     result: dict[str, Any] = {"rows": [], "clean": [], "exact": [], "model": model.hash}
     began, saved = time.time(), 0.0
     for job, rows in zip(jobs, _spread(partial(_one_seed, folder), jobs, "fits")):
-        _, _, _, noise, by_full_order = job
-        kind = "exact" if by_full_order else "rows" if noise else "clean"
+        kind = "exact" if job.exact else "rows" if job.noise else "clean"
         result[kind] += rows
         if time.time() - saved > 20 or job is jobs[-1]:
             saved = time.time()
@@ -446,42 +487,62 @@ def result_file(folder: Path, misfit: bool) -> Path:
 
 
 def statistics(
-    rows: list[dict[str, Any]], name: str, window: str, q: str, error: str = "error_log"
+    rows: list[dict[str, Any]], name: str, window: str, q: str, kind: str = ""
 ) -> dict[str, float]:
-    """Bias and spread in logarithm, the Cramér–Rao bound, and coverage of one quantity."""
+    """Bias and spread in logarithm, the Cramér–Rao bound, and coverage of one quantity; kind: "corrected_" for the
+    bias-corrected values and the intervals moved with them."""
     chosen = [r for r in rows if r["condition"] == name and r["window"] == window]
-    errors = np.array([r[error][q] for r in chosen])
+    errors = np.array([r[f"{kind}error_log"][q] for r in chosen])
     bounds = [r["cramer_rao"][q] for r in chosen if "cramer_rao" in r]
     free = [r for r in chosen if not r["active"]]
     return {
         "bias": float(errors.mean()),
         "spread": float(errors.std(ddof=1)) if len(errors) > 1 else 0.0,
         "bound": float(np.mean(bounds)) if bounds else np.nan,
-        "coverage": float(np.mean([r["covered"][q] for r in chosen])),
+        "coverage": float(np.mean([r[f"{kind}covered"][q] for r in chosen])),
         "seeds": len(chosen),
         "at_bound": 1.0 - len(free) / len(chosen),
     }
+
+
+def _cells() -> Iterable[tuple[str, str, str]]:
+    """Window, condition and quantity of every row."""
+    return itertools.product(WINDOWS, STUDY, TOLD)
+
+
+def _row(s: dict[str, float], window: str, name: str, q: str) -> str:
+    return (
+        f"| {window} | {name} | {SYMBOL[q]} | {100 * s['bias']:+.1f} | {100 * s['spread']:.1f} | "
+        f"{100 * s['bound']:.1f} | {s['bias'] / max(s['spread'], 1e-12):+.2f} | {s['spread'] / s['bound']:.2f} | "
+        f"{100 * s['coverage']:.0f} % |"
+    )
 
 
 def tables(result: dict[str, Any]) -> str:
     """Markdown tables of a run without misfit."""
     rows, clean = result["rows"], result["clean"]
     lines = [
+        "Estimates, which minimise J:",
+        "",
         "| window | condition | quantity | bias (%) | spread (%) | Cramér–Rao (%) | bias / spread | spread / bound "
         "| covered | mean interval SD (%) | fits on a bound |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
-    for window in WINDOWS:
-        for name in STUDY:
-            part = [r for r in rows if r["condition"] == name and r["window"] == window]
-            for q in TOLD:
-                s = statistics(rows, name, window, q)
-                told = np.mean([r["interval_sd"][q] for r in part])
-                lines.append(
-                    f"| {window} | {name} | {SYMBOL[q]} | {100 * s['bias']:+.1f} | {100 * s['spread']:.1f} | "
-                    f"{100 * s['bound']:.1f} | {s['bias'] / max(s['spread'], 1e-12):+.2f} | {s['spread'] / s['bound']:.2f} | "
-                    f"{100 * s['coverage']:.0f} % | {100 * told:.1f} | {100 * s['at_bound']:.0f} % |"
-                )
+    for window, name, q in _cells():
+        part = [r for r in rows if r["condition"] == name and r["window"] == window]
+        told = np.mean([r["interval_sd"][q] for r in part])
+        s = statistics(rows, name, window, q)
+        lines.append(f"{_row(s, window, name, q)} {100 * told:.1f} | {100 * s['at_bound']:.0f} % |")
+    lines += [
+        "",
+        "Bias-corrected (covered: by the interval moved with the value):",
+        "",
+        "| window | condition | quantity | bias (%) | spread (%) | Cramér–Rao (%) | bias / spread | spread / bound "
+        "| covered |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for window, name, q in _cells():
+        lines.append(_row(statistics(rows, name, window, q, "corrected_"), window, name, q))
     lines += [
         "",
         "Without noise (in brackets: before the correction to full order):",
@@ -530,14 +591,17 @@ def _searches(result: dict[str, Any]) -> str:
     rows = result["rows"]
     searched = [r for r in rows if "start_from_truth" in r]
     missed = sum(r["start_from_truth"] < 0.999 for r in searched)
+    turned = sum(bool(r.get("mirror")) for r in rows)
     text = (
-        f"{len({r['seed'] for r in rows})} seeds, {len(rows)} fits. {len(searched)} of them began with the search; in "
+        f"{len({r['seed'] for r in rows})} seeds, {len(rows)} fits"
+        + (f", {turned} of them with the noise turned round" if turned else "")
+        + f". {len(searched)} of them began with the search; in "
         f"{missed} of these a start at the truth found a J lower by more than 0.1 %. "
     )
     exact = {(r["seed"], r["condition"], r["window"]): r for r in result["exact"]}
     pairs = [
         (r, exact[key])
-        for r in rows + result["clean"]
+        for r in [r for r in rows if not r.get("mirror")] + result["clean"]
         if (key := (r["seed"], r["condition"], r["window"])) in exact
     ]
     if pairs:
@@ -554,8 +618,8 @@ def misfit_table(result: dict[str, Any]) -> str:
     seeds = len({r["seed"] for r in result["rows"]})
     lines = [
         f"| window | condition | quantity | epidermis −25 % | epidermis +25 % | areas scattered by 5 %: bias ± spread, {seeds} seeds "
-        "| covered |",
-        "|---|---|---|---|---|---|---|",
+        "| bias-corrected | covered, estimate and corrected |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for window in WINDOWS:
         for name in STUDY:
@@ -566,9 +630,9 @@ def misfit_table(result: dict[str, Any]) -> str:
                     if r["condition"] == name and r["window"] == window
                 }
                 cells = [f"{shift[finger]:+.0f} %" for finger in ("thin", "thick")]
-                s = statistics(result["rows"], name, window, q)
-                cells.append(f"{100 * s['bias']:+.0f} ± {100 * s['spread']:.0f} %")
-                cells.append(f"{100 * s['coverage']:.0f} %")
+                both = [statistics(result["rows"], name, window, q, k) for k in ("", "corrected_")]
+                cells += [f"{100 * s['bias']:+.0f} ± {100 * s['spread']:.0f} %" for s in both]
+                cells.append(", ".join(f"{100 * s['coverage']:.0f} %" for s in both))
                 lines.append(f"| {window} | {name} | {SYMBOL[q]} | {' | '.join(cells)} |")
     lines += ["", "J of the fit without noise (mm⁴), epidermis thinner, as assumed, thicker:", ""]
     for window in WINDOWS:
@@ -592,6 +656,9 @@ def main() -> None:
     parser.add_argument(
         "--exact", type=int, default=0, help="seeds also corrected by the model itself"
     )
+    parser.add_argument(
+        "--mirror", action="store_true", help="fit every seed's area noise turned round as well"
+    )
     parser.add_argument("--output", type=Path, default=Path("out/recovery"))
     parser.add_argument("--misfit", action="store_true", help="fingers that differ from the model")
     parser.add_argument("--pool-only", action="store_true", help="only simulate the presses")
@@ -606,7 +673,7 @@ def main() -> None:
     if args.tables:
         print(make(json.loads(result_file(args.output, args.misfit).read_text())))
         return
-    print(make(run(args.output, args.seeds, args.misfit, args.exact)))
+    print(make(run(args.output, args.seeds, args.misfit, args.exact, args.mirror)))
 
 
 if __name__ == "__main__":

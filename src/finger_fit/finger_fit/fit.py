@@ -17,6 +17,7 @@ from finger_model.geometry import Geometry
 from finger_model.parameter_sets import PARAMETER_NAMES
 
 from . import identifiability
+from .bias import Unbiased, bias_pair, unbiased
 from .engine import DaskEngine, LocalEngine, engine_for
 from .full_order_check import Correction, FullOrderCheck, check, correct
 from .identifiability import QUANTITIES, Covariance, Profile
@@ -53,7 +54,8 @@ class ConditionFit:
 
     parameters (4,): the result; cost: its J by the reduced model. pso: the search by itself; polish: what the local
     least squares added, None without. top (C, 4), top_costs (C,): best distinct candidates. status: "final", "not
-    checked", "not final" or "interrupted", with reasons. samples (B, 4): bootstrap.
+    checked", "not final" or "interrupted", with reasons. unbiased: quantities without the bias of their estimates, empty without. samples
+    (B, 4): bootstrap.
     """
 
     condition: str
@@ -71,6 +73,7 @@ class ConditionFit:
     referees: list[Referee] = field(default_factory=list)
     covariance: Covariance | None = None
     profiles: dict[str, Profile] = field(default_factory=dict)
+    unbiased: dict[str, Unbiased] = field(default_factory=dict)
     samples: np.ndarray | None = None
     status: str = "not checked"
     reasons: list[str] = field(default_factory=list)
@@ -195,7 +198,7 @@ def _after_search(
     count_of: Callable[[str], Any],
     lap: Callable[[str], None],
 ) -> None:
-    """Polish, referees, full order, covariance, profiles, bootstrap; fills `fit`."""
+    """Polish, referees, full order, covariance, profiles, bias, bootstrap; fills `fit`."""
     problem, box = fit.problem, fit.problem.box
     if options.polish:
         fit.polish = polish(problem, fit.parameters, fit.cost, start)
@@ -238,6 +241,14 @@ def _after_search(
         )  # fmt: skip
         fit.profiles = dict(zip(QUANTITIES, found_profiles))
         lap("profiles")
+    if options.bias_pairs and options.polish:
+        # What the swarm alone ends on is no minimum, and has no bias that refits could tell.
+        pairs = engine.map(
+            _bias_pair, (problem, fit.parameters, options.seed), range(options.bias_pairs),
+            count_of("bias"),
+        )  # fmt: skip
+        fit.unbiased = unbiased(fit.parameters, np.array(pairs))
+        lap("bias")
     if options.bootstrap:
         samples = engine.map(
             _bootstrap, (problem, fit.parameters, options.seed), range(options.bootstrap),
@@ -250,6 +261,11 @@ def _after_search(
 def _profile(shared: Any, name: str) -> Profile:
     problem, best, cost, covariance = shared
     return identifiability.profile(problem, name, best, cost, covariance)
+
+
+def _bias_pair(shared: Any, index: int) -> np.ndarray:
+    problem, best, seed = shared
+    return bias_pair(problem, best, seed, index)
 
 
 def _bootstrap(shared: Any, index: int) -> np.ndarray:

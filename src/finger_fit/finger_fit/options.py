@@ -97,6 +97,14 @@ FIT_PARAMETERS = ParameterTable(
     Parameter(
         "profiles", True, "Profile likelihood of each parameter and of the composite modulus."
     ),
+    Parameter(
+        "bias_pairs",
+        20,
+        "Pairs of synthetic data sets that measure the bias of the polished estimate; 0 for none.",
+        "",
+        0,
+        10000,
+    ),
     Parameter("bootstrap", 200, "Bootstrap samples over trials; 0 for none.", "", 0, 100000),
     Parameter(
         "shared",
@@ -127,7 +135,7 @@ FIT_PARAMETERS = ParameterTable(
     Parameter(
         "dask",
         "",
-        "Address of a Dask scheduler that runs bootstrap and profiles; empty: this process.",
+        "Address of a Dask scheduler that runs profiles, bias, bootstrap and full order; empty: this process.",
     ),
 )
 """Every option, with unit, range and meaning."""
@@ -157,6 +165,7 @@ class FitOptions:
     full_order: bool = True
     correct: bool = True
     profiles: bool = True
+    bias_pairs: int = 20
     bootstrap: int = 200
     shared: list[str] = field(default_factory=list)
     extra: str = "none"

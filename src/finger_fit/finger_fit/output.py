@@ -17,6 +17,7 @@ from finger_model.parameter_sets import (
     ParameterSets,
 )
 
+from .bias import shifted_interval
 from .fit import ConditionFit, FitReport, parameter_vector
 from .problem import MM4
 
@@ -107,11 +108,29 @@ def condition_dict(fit: ConditionFit) -> dict[str, Any]:
             }
             for name, p in fit.profiles.items()
         }
+    if fit.unbiased:
+        out["bias_corrected"] = {
+            name: {
+                "value": found.value,
+                "bias_log": found.bias,
+                "bias_log_error": found.bias_error,
+                **_moved_interval(fit, name, found.bias),
+            }
+            for name, found in fit.unbiased.items()
+        }
     if fit.samples is not None:
         out["bootstrap_95"] = {
             name: fit.bootstrap_interval(name) for name in (*PARAMETER_NAMES, "composite_E")
         }
     return out
+
+
+def _moved_interval(fit: ConditionFit, name: str, bias: float) -> dict[str, float]:
+    """The 95 % interval of a bias-corrected value, where there is a profile."""
+    if name not in fit.profiles:
+        return {}
+    low, high = shifted_interval(fit.profiles[name], bias)
+    return {"low": low, "high": high}
 
 
 def fit_dict(report: FitReport) -> dict[str, Any]:

@@ -64,6 +64,14 @@ def test_fit_is_repeatable_to_the_bit(double) -> None:
     first, second = (fit_condition(problem, options) for _ in range(2))
     np.testing.assert_array_equal(first.parameters, second.parameters)
     np.testing.assert_array_equal(first.samples, second.samples)
+    assert first.unbiased == second.unbiased
+
+
+def test_a_swarm_without_polish_has_no_bias_to_correct(double) -> None:
+    problem = double.make_problem(noise=1.5e-6, trials=4)
+    fit = fit_condition(problem, FitOptions(**QUICK, rounds=5, polish=False))
+    assert fit.unbiased == {}
+    assert "bias_corrected" not in output.condition_dict(fit)
 
 
 def test_top_candidates_are_distinct_and_sorted(study) -> None:
@@ -156,6 +164,10 @@ def test_files_hold_what_the_design_says(study, tmp_path: Path) -> None:
         assert entry["composite_E"] == pytest.approx(1 / (1 / entry["E0"] + 1 / entry["E1"]))
         assert set(entry["power_law"]) >= {"k", "m"}
         assert entry["interval_95"]["composite_E"]["low"] < entry["composite_E"]
+        for q, found in entry["bias_corrected"].items():
+            assert np.log(entry[q] / found["value"]) == pytest.approx(found["bias_log"])
+            assert 0 <= found["bias_log_error"] < 0.2
+            assert found["low"] <= found["value"] <= found["high"]
 
 
 def test_parameter_file_is_what_the_model_node_loads(study, tmp_path: Path) -> None:
@@ -181,7 +193,14 @@ def test_report_is_one_self_contained_page_with_its_figures_beside_it(
     pictures = sorted(p.name for p in (tmp_path / "figures").glob("*.png"))
     assert page.count("data:image/png;base64,") == len(pictures) >= 8
     assert not re.search(r"(src|href)\s*=\s*[\"']?(?!data:)(https?:|/|\w+\.(png|css|js))", page)
-    for words in ("dry_06 trial 6", "below the target", "power law", "Provenance", "not checked"):
+    for words in (
+        "dry_06 trial 6",
+        "below the target",
+        "power law",
+        "Provenance",
+        "not checked",
+        "bias-corrected",
+    ):
         assert words in page
     assert not re.search(r"\bnan\b", re.sub(r"base64,[^\"]*", "", page))
 
@@ -207,6 +226,7 @@ def test_dask_gives_the_local_result_and_survives_a_killed_worker(double) -> Non
         engine.close()
     assert killed
     np.testing.assert_array_equal(remote.samples, local.samples)
+    assert remote.unbiased == local.unbiased != {}
     np.testing.assert_array_equal(remote.parameters, local.parameters)
 
 
