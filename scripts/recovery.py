@@ -1,6 +1,6 @@
 """How well a fit recovers the finger that made its data: bias, spread, Cramér–Rao bound, coverage, over many seeds.
 
-    python scripts/recovery.py [--seeds 24] [--mirror] [--misfit] [--output out/recovery]
+    python scripts/recovery.py [--seeds 24] [--mirror 12] [--misfit] [--output out/recovery]
 
 Presses and true areas come from the full-order model on the study's finer mesh, simulated once and kept. Every seed
 draws 15 presses per condition and gives them new sensor and area noise, so that seeds share presses but no noise. Each
@@ -13,8 +13,8 @@ fit's full-order model (its mesh and step) on every press without noise, at para
 fall; the ratio to the reduced model is interpolated between them. `--exact N` runs the model itself for N seeds and says
 what difference that makes.
 
-`--mirror` fits every draw once more with its area noise turned round: the error's odd part cancels in the mean, which then
-tells a bias from chance with far fewer seeds.
+`--mirror N` fits N of the draws once more with their area noise turned round: the error's odd part cancels in the mean, which
+then tells a bias from chance with far fewer seeds.
 
 `--misfit` fits fingers that differ from the fit's assumptions: an epidermis a quarter thinner or thicker (a few presses
 without noise), and areas of whole trials scattered by 5 % (many seeds). Writes recovery.json (recovery_misfit.json) and prints the tables of docs/study.md.
@@ -100,6 +100,9 @@ PAIRS = 10
 
 FEW = 5
 """Presses per condition of a finger with another epidermis: what it does is no matter of chance."""
+
+FEWEST_FREE = 15
+"""Fits that a spread of their own is told for."""
 
 FINGERS = {"true": 1.0, "thin": 0.75, "thick": 1.25}
 """Epidermis of the simulated finger over the one the fit assumes."""
@@ -445,7 +448,7 @@ def _one_seed(folder: Path, job: Job) -> list[dict[str, Any]]:
 
 
 def run(
-    folder: Path, seeds: int, misfit: bool = False, exact: int = 0, mirror: bool = False
+    folder: Path, seeds: int, misfit: bool = False, exact: int = 0, mirror: int = 0
 ) -> dict[str, Any]:
     """All seeds on two processes, and fits without noise; kept on disk after every seed."""
     for finger in FINGERS if misfit else ("true",):
@@ -457,18 +460,19 @@ def run(
         jobs += [Job(seed, scatter=True) for seed in reversed(seed_numbers)]
     else:
         jobs = [Job(0, noise=False)]
-        if mirror:
-            jobs += [Job(seed, mirror=True) for seed in reversed(seed_numbers)]
+        jobs += [Job(seed, mirror=True) for seed in seed_numbers[:mirror]]
         # Last those that search, which take longest.
         jobs += [Job(seed) for seed in reversed(seed_numbers)]
         if exact:
             jobs += [Job(0, noise=False, exact=True)]
             jobs += [Job(seed, exact=True) for seed in seed_numbers[:exact]]
     model = ReducedModel.load()
-    result: dict[str, Any] = {"rows": [], "clean": [], "exact": [], "model": model.hash}
+    result: dict[str, Any] = {"rows": [], "mirrored": [], "clean": [], "exact": []}
+    result["model"] = model.hash
     began, saved = time.time(), 0.0
     for job, rows in zip(jobs, _spread(partial(_one_seed, folder), jobs, "fits")):
-        kind = "exact" if job.exact else "rows" if job.noise else "clean"
+        kind = "rows" if job.noise else "clean"
+        kind = "exact" if job.exact else "mirrored" if job.mirror else kind
         result[kind] += rows
         if time.time() - saved > 20 or job is jobs[-1]:
             saved = time.time()
@@ -490,11 +494,12 @@ def statistics(
     rows: list[dict[str, Any]], name: str, window: str, q: str, kind: str = ""
 ) -> dict[str, float]:
     """Bias and spread in logarithm, the Cramér–Rao bound, and coverage of one quantity; kind: "corrected_" for the
-    bias-corrected values and the intervals moved with them."""
+    bias-corrected values and the intervals moved with them. "free" counts the fits with no parameter on a bound,
+    "free_spread" is theirs."""
     chosen = [r for r in rows if r["condition"] == name and r["window"] == window]
     errors = np.array([r[f"{kind}error_log"][q] for r in chosen])
     bounds = [r["cramer_rao"][q] for r in chosen if "cramer_rao" in r]
-    free = [r for r in chosen if not r["active"]]
+    free = np.array([r[f"{kind}error_log"][q] for r in chosen if not r["active"]])
     return {
         "bias": float(errors.mean()),
         "spread": float(errors.std(ddof=1)) if len(errors) > 1 else 0.0,
@@ -502,6 +507,8 @@ def statistics(
         "coverage": float(np.mean([r[f"{kind}covered"][q] for r in chosen])),
         "seeds": len(chosen),
         "at_bound": 1.0 - len(free) / len(chosen),
+        "free": len(free),
+        "free_spread": float(free.std(ddof=1)) if len(free) > 1 else np.nan,
     }
 
 
@@ -511,10 +518,11 @@ def _cells() -> Iterable[tuple[str, str, str]]:
 
 
 def _row(s: dict[str, float], window: str, name: str, q: str) -> str:
+    free = f"{s['free_spread'] / s['bound']:.2f}" if s["free"] >= FEWEST_FREE else "–"
     return (
         f"| {window} | {name} | {SYMBOL[q]} | {100 * s['bias']:+.1f} | {100 * s['spread']:.1f} | "
         f"{100 * s['bound']:.1f} | {s['bias'] / max(s['spread'], 1e-12):+.2f} | {s['spread'] / s['bound']:.2f} | "
-        f"{100 * s['coverage']:.0f} % |"
+        f"{free} | {100 * s['coverage']:.0f} % |"
     )
 
 
@@ -525,8 +533,8 @@ def tables(result: dict[str, Any]) -> str:
         "Estimates, which minimise J:",
         "",
         "| window | condition | quantity | bias (%) | spread (%) | Cramér–Rao (%) | bias / spread | spread / bound "
-        "| covered | mean interval SD (%) | fits on a bound |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
+        "| the same, fits off the bounds | covered | mean interval SD (%) | fits on a bound |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for window, name, q in _cells():
         part = [r for r in rows if r["condition"] == name and r["window"] == window]
@@ -538,11 +546,12 @@ def tables(result: dict[str, Any]) -> str:
         "Bias-corrected (covered: by the interval moved with the value):",
         "",
         "| window | condition | quantity | bias (%) | spread (%) | Cramér–Rao (%) | bias / spread | spread / bound "
-        "| covered |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "| the same, fits off the bounds | covered |",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for window, name, q in _cells():
         lines.append(_row(statistics(rows, name, window, q, "corrected_"), window, name, q))
+    lines += _mirrored_table(result)
     lines += [
         "",
         "Without noise (in brackets: before the correction to full order):",
@@ -586,22 +595,61 @@ def tables(result: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def mirrored_bias(
+    result: dict[str, Any], name: str, window: str, q: str, kind: str = ""
+) -> tuple[float, float, int]:
+    """Bias over spread, its standard error, and pairs: means of two fits whose area noise has opposite signs."""
+    error = f"{kind}error_log"
+    first, second = (
+        {
+            r["seed"]: r[error][q]
+            for r in result.get(part, [])
+            if (r["condition"], r["window"]) == (name, window)
+        }
+        for part in ("rows", "mirrored")
+    )
+    means = np.array([0.5 * (first[s] + second[s]) for s in sorted(second) if s in first])
+    spread = statistics(result["rows"], name, window, q, kind)["spread"]
+    if len(means) < 2:
+        return np.nan, np.nan, len(means)
+    chance = means.std(ddof=1) / np.sqrt(len(means))
+    return float(means.mean() / spread), float(chance / spread), len(means)
+
+
+def _mirrored_table(result: dict[str, Any]) -> list[str]:
+    """Lines of the table of biases with the noise's odd part cancelled; none without mirrored fits."""
+    pairs = len({r["seed"] for r in result.get("mirrored", [])})
+    if pairs < 2:
+        return []
+    lines = [
+        "",
+        f"Bias / spread of {pairs} seeds, each fitted also with its area noise turned round (± standard error of the mean):",
+        "",
+        "| window | condition | E, estimate | E, corrected | E2, estimate | E2, corrected | τ1, estimate | τ1, corrected |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for window, name in itertools.product(WINDOWS, STUDY):
+        cells = []
+        for q, kind in itertools.product(TOLD, ("", "corrected_")):
+            bias, chance, _ = mirrored_bias(result, name, window, q, kind)
+            cells.append(f"{bias:+.2f} ± {chance:.2f}")
+        lines.append(f"| {window} | {name} | {' | '.join(cells)} |")
+    return lines
+
+
 def _searches(result: dict[str, Any]) -> str:
     """What the search and the full-order table may have missed, in words."""
     rows = result["rows"]
     searched = [r for r in rows if "start_from_truth" in r]
     missed = sum(r["start_from_truth"] < 0.999 for r in searched)
-    turned = sum(bool(r.get("mirror")) for r in rows)
     text = (
-        f"{len({r['seed'] for r in rows})} seeds, {len(rows)} fits"
-        + (f", {turned} of them with the noise turned round" if turned else "")
-        + f". {len(searched)} of them began with the search; in "
+        f"{len({r['seed'] for r in rows})} seeds, {len(rows)} fits. {len(searched)} of them began with the search; in "
         f"{missed} of these a start at the truth found a J lower by more than 0.1 %. "
     )
     exact = {(r["seed"], r["condition"], r["window"]): r for r in result["exact"]}
     pairs = [
         (r, exact[key])
-        for r in [r for r in rows if not r.get("mirror")] + result["clean"]
+        for r in rows + result["clean"]
         if (key := (r["seed"], r["condition"], r["window"])) in exact
     ]
     if pairs:
@@ -657,7 +705,7 @@ def main() -> None:
         "--exact", type=int, default=0, help="seeds also corrected by the model itself"
     )
     parser.add_argument(
-        "--mirror", action="store_true", help="fit every seed's area noise turned round as well"
+        "--mirror", type=int, default=0, help="seeds fitted again with their noise turned round"
     )
     parser.add_argument("--output", type=Path, default=Path("out/recovery"))
     parser.add_argument("--misfit", action="store_true", help="fingers that differ from the model")
