@@ -37,10 +37,11 @@ def paper_table(data: dict[str, Any]) -> str:
 
     def interval(entry: dict[str, Any], name: str, factor: float, digits: int) -> str:
         span = entry.get("interval_95", {}).get(name)
-        value = f"{entry[name] * factor:.{digits}f}"
-        if not span:
-            return value
-        return f"{value} ({span['low'] * factor:.{digits}f}–{span['high'] * factor:.{digits}f})"
+        text = f"{entry[name] * factor:.{digits}f}"
+        if span:
+            text += f" ({span['low'] * factor:.{digits}f}–{span['high'] * factor:.{digits}f})"
+        corrected = entry.get("bias_corrected", {}).get(name)
+        return text + (f"; {corrected['value'] * factor:.{digits}f}" if corrected else "")
 
     ours = {
         "moisture (a.u.)": lambda e: f"{e['moisture_mean']:.2f} ± {e['moisture_sd']:.2f}",
