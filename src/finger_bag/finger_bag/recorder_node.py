@@ -11,18 +11,17 @@ import math
 import time
 from collections import deque
 from datetime import datetime
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from finger_msgs.srv import Record
-from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.clock import Clock, ClockType
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from finger_common.diagnostics import ERROR, WARN, Health
 from finger_common.errors import FingerError, InputError
 from finger_common.files import read_bytes
-from finger_common.node import LATCHED_QOS, LifecycleShell, main_of
+from finger_common.node import LATCHED_QOS, LifecycleShell, PolledSubscription, main_of
 from finger_common.parameters import Parameter, ParameterTable
 
 from .recorder import Recorder, RecorderSettings, Serialized, StampGaps
@@ -114,8 +113,8 @@ PARAMETERS = ParameterTable(
 )
 
 
-DRAIN = 50
-"""Waiting messages of a topic taken in one go before others have their turn."""
+POLL = 0.02
+"""s between looks for messages; the middleware keeps them, with their time of arrival, for `buffer_time`."""
 
 
 def message_class(message_type: str) -> Any:
@@ -167,7 +166,7 @@ class RecorderNode(LifecycleShell):
             self._topics[absolute] = (kind, spec.latched if spec is not None else 0, stream)
         self._health = Health("recording")
         self.healths = [self._health]
-        self._subs: dict[str, Any] = {}
+        self._subs: dict[str, tuple[PolledSubscription, bool]] = {}
         self._latched: dict[str, deque[Serialized]] = {}
         self._gaps: dict[str, StampGaps] = {}
         self._announced: dict[str, int] = {}
@@ -176,16 +175,22 @@ class RecorderNode(LifecycleShell):
     def activate(self) -> None:
         for topic in self._topics:
             self._subscribe(topic, self.values["qos_reliability"] == "reliable")
-        self._timer = self.create_timer(1.0, self._each_second)
+        # Steady time: recording goes on when simulated time stands still or jumps.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._rounds = [
+            self.create_timer(POLL, self._poll, clock=steady),
+            self.create_timer(1.0, self._each_second, clock=steady),
+        ]
         if self.values["record_at_start"]:
             self._start("", None)
 
     def deactivate(self) -> None:
-        self.destroy_timer(self._timer)
+        for timer in self._rounds:
+            self.destroy_timer(timer)
         if self._recorder.recording:
             self._finish()
         for subscription, _ in self._subs.values():
-            self.destroy_subscription(subscription)
+            subscription.destroy()
         self._subs.clear()
 
     def cleanup(self) -> None:
@@ -208,42 +213,16 @@ class RecorderNode(LifecycleShell):
                 qos.reliability = ReliabilityPolicy.RELIABLE
         old = self._subs.pop(topic, None)
         if old is not None:
-            self.destroy_subscription(old[0])
-        events = SubscriptionEventCallbacks(
-            incompatible_qos=lambda event: self.log_fault(
-                self._health,
-                "qos_mismatch",
-                f"a publisher of '{topic}' has a QoS that does not fit and is not recorded; "
-                "set qos_reliability alike on both sides",
-                WARN,
-            ),
-            message_lost=partial(self._on_lost, topic),
-        )
-        subscription = self.create_subscription(
-            message_class(kind),
-            topic,
-            partial(self._on_message, topic, kind, latched),
-            qos,
-            event_callbacks=events,
-            raw=True,
-        )
+            old[0].destroy()
+        subscription = PolledSubscription(self, message_class(kind), topic, qos)
         self._subs[topic] = (subscription, reliable or bool(latched))
 
-    def _on_message(
-        self, topic: str, kind: str, latched: int, cdr: bytes, info: dict[str, Any]
-    ) -> None:
-        """One message, and those that wait behind it: the executor's round trip costs more than taking one."""
-        self._take(topic, kind, latched, cdr, info)
-        subscription = self._subs.get(topic)
-        if subscription is None:
-            return
-        handle, message_type = subscription[0].handle, subscription[0].msg_type
-        for _ in range(DRAIN):
-            with handle:
-                taken = handle.take_message(message_type, True)
-            if taken is None:
-                return
-            self._take(topic, kind, latched, *taken)
+    def _poll(self) -> None:
+        """Take what has come."""
+        for topic, (subscription, _) in self._subs.items():
+            kind, latched, _ = self._topics[topic]
+            for cdr, info in subscription.take():
+                self._take(topic, kind, latched, cdr, info)
 
     def _take(self, topic: str, kind: str, latched: int, cdr: bytes, info: dict[str, Any]) -> None:
         received = info.get("received_timestamp") or time.time_ns()
@@ -256,12 +235,23 @@ class RecorderNode(LifecycleShell):
                 gaps.add(stamp_of_cdr(cdr))
             self._health.sample()
 
-    def _on_lost(self, topic: str, event: Any) -> None:
-        """The middleware says that samples were lost between publisher and here."""
-        if self._recorder.recording:
-            self._recorder.note_lost(topic, event.total_count_change)
+    def _look_for_events(self) -> None:
+        """What the middleware lost on the way, and publishers it does not connect."""
+        for topic, (subscription, _) in self._subs.items():
+            lost = subscription.newly_lost()
+            if lost and self._recorder.recording:
+                self._recorder.note_lost(topic, lost)
+            if subscription.new_mismatches():
+                self.log_fault(
+                    self._health,
+                    "qos_mismatch",
+                    f"a publisher of '{topic}' has a QoS that does not fit and is not recorded; "
+                    "set qos_reliability alike on both sides",
+                    WARN,
+                )
 
     def _each_second(self) -> None:
+        self._look_for_events()
         recorder = self._recorder
         lost = recorder.lost
         notes = self._health.notes
@@ -335,6 +325,9 @@ class RecorderNode(LifecycleShell):
             if file:
                 attachments[key] = read_bytes(Path(file).expanduser(), "file to attach")
         topics = {t: kind for t, (kind, _, _) in self._topics.items()}
+        # What came before the start does not belong to the bag.
+        self._poll()
+        self._look_for_events()
         self._gaps = {t: StampGaps() for t, (_, _, stream) in self._topics.items() if stream}
         self._announced.clear()
         self._health.recovered()
@@ -349,6 +342,8 @@ class RecorderNode(LifecycleShell):
         return started
 
     def _finish(self) -> Any:
+        self._poll()
+        self._look_for_events()
         result = self._recorder.stop()
         missing = {t: g.missing for t, g in self._gaps.items() if g.missing}
         self.get_logger().info(

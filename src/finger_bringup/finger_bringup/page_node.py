@@ -127,6 +127,7 @@ class PageNode(LifecycleShell):
         self._jobs: queue.SimpleQueue[tuple[str, dict[str, Any], Future[tuple[bool, str]]]] = (
             queue.SimpleQueue()
         )
+        self._job_waits = self.create_guard_condition(self._serve_jobs)
         self._server = PageServer(
             PageSettings(
                 host=values["host"],
@@ -167,12 +168,11 @@ class PageNode(LifecycleShell):
             self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50),
         ]
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._fast_timer = self.create_timer(0.02, self._serve_jobs, clock=steady)
         self._poll_timer = self.create_timer(POLL, self._poll, clock=steady)
         self._slow_timer = self.create_timer(0.5, self._slow, clock=steady)
 
     def deactivate(self) -> None:
-        for timer in (self._fast_timer, self._poll_timer, self._slow_timer):
+        for timer in (self._poll_timer, self._slow_timer):
             self.destroy_timer(timer)
         for subscription in self._inputs:
             self.destroy_subscription(subscription)
@@ -184,17 +184,19 @@ class PageNode(LifecycleShell):
     def cleanup(self) -> None:
         if hasattr(self, "_server"):
             self._server.stop()
+        if hasattr(self, "_job_waits"):
+            self.destroy_guard_condition(self._job_waits)
 
     # What is shown ---------------------------------------------------------------------------
 
     def _poll(self) -> None:
         period = 1e9 / self.values["display_rate"]
-        for data in self._wrench.take():
+        for data, _ in self._wrench.take():
             stamp = stamp_of_cdr(data)
             if not 0 <= stamp - self._last_force < period:
                 self._last_force = stamp
                 self._show_force(stamp, deserialize_message(data, WrenchStamped))
-        for data in self._state.take():
+        for data, _ in self._state.take():
             stamp = stamp_of_cdr(data)
             if not 0 <= stamp - self._last_state < 4 * period:
                 self._last_state = stamp
@@ -281,6 +283,7 @@ class PageNode(LifecycleShell):
         """Runs in the server's thread; the node's own thread does the work."""
         future: Future[tuple[bool, str]] = Future()
         self._jobs.put((name, arguments, future))
+        self._job_waits.trigger()
         return await asyncio.wrap_future(future)
 
     def _serve_jobs(self) -> None:

@@ -21,6 +21,7 @@ from finger_msgs.srv import Record
 from geometry_msgs.msg import WrenchStamped
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
+from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -29,7 +30,7 @@ from finger_common.cli import one_line
 from finger_common.diagnostics import WARN, Health
 from finger_common.errors import FingerError, InputError
 from finger_common.files import atomic_write
-from finger_common.node import STATE_QOS, LifecycleShell, main_of
+from finger_common.node import STATE_QOS, LifecycleShell, PolledSubscription, main_of
 from finger_common.parameters import Parameter, ParameterTable
 
 from .protocol import (
@@ -45,6 +46,12 @@ from .study_plan import PREPARATIONS, StudyPlan, parse_preparations
 
 POINTER = "current_session"
 """File in `output` that names the session under way, so that a restarted node finds it again."""
+
+TICK = 0.05
+"""s between looks at the clock, the recorder's answers and the force, and between messages to the page."""
+
+POLL = 0.004
+"""s between looks at the force during a press: the longest that the cue to lift waits for one."""
 
 _DEFAULT = Limits()
 
@@ -240,8 +247,8 @@ class ProtocolNode(LifecycleShell):
 
     def activate(self) -> None:
         qos = self.stream_qos()
+        self._wrench = PolledSubscription(self, WrenchStamped, "wrench", qos)
         self._inputs = [
-            self.create_stream_subscription(WrenchStamped, "wrench", self._on_wrench, qos),
             self.create_stream_subscription(ContactArea, "contact_area", self._on_area, qos),
             self.create_stream_subscription(Moisture, "moisture", self._on_moisture, qos),
             self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50),
@@ -249,12 +256,16 @@ class ProtocolNode(LifecycleShell):
         self._resume_pointer()
         # Steady time, so that the tick goes on when simulated time jumps.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._tick_timer = self.create_timer(0.05, self._tick, clock=steady)
+        self._tick_timer = self.create_timer(TICK, self._tick, clock=steady)
+        self._press_timer = self.create_timer(POLL, self._poll, clock=steady)
+        self._press_timer.cancel()
 
     def deactivate(self) -> None:
-        self.destroy_timer(self._tick_timer)
+        for timer in (self._tick_timer, self._press_timer):
+            self.destroy_timer(timer)
         for subscription in self._inputs:
             self.destroy_subscription(subscription)
+        self._wrench.destroy()
         if self._protocol is not None and not self._protocol.paused:
             if self._protocol.step not in (Step.IDLE, Step.FINISHED):
                 self._protocol.pause(self._now())
@@ -392,12 +403,16 @@ class ProtocolNode(LifecycleShell):
 
     # Inputs ----------------------------------------------------------------------------------
 
-    def _on_wrench(self, message: WrenchStamped) -> None:
-        if self._protocol is not None:
-            force = self._sign * getattr(message.wrench.force, self._axis)
-            self._protocol.wrench(stamp_of(message.header), force)
+    def _poll(self) -> None:
+        """Take the force samples that have come: a round of the executor for each would cost a fifth of a core."""
+        for data, _ in self._wrench.take():
+            if self._protocol is not None:
+                message = deserialize_message(data, WrenchStamped)
+                force = self._sign * getattr(message.wrench.force, self._axis)
+                self._protocol.wrench(stamp_of(message.header), force)
 
     def _on_area(self, message: ContactArea) -> None:
+        self._poll()
         if self._protocol is not None:
             self._protocol.area(stamp_of(message.header), message.gross_area, message.flags)
 
@@ -414,10 +429,17 @@ class ProtocolNode(LifecycleShell):
                 self._protocol.health(name, status.level[0], status.message, self._now())
 
     def _tick(self) -> None:
+        self._poll()
+        self.look_for_mismatch(self._wrench)
         if self._protocol is not None:
             self._protocol.tick(self._now())
         self._serve_recorder()
         self._publish_status()
+        pressing = self._protocol is not None and self._protocol.step is Step.PRESS
+        if pressing and self._press_timer.is_canceled():
+            self._press_timer.reset()
+        elif not pressing:
+            self._press_timer.cancel()
 
     # Effects ---------------------------------------------------------------------------------
 

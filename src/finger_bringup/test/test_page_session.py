@@ -77,10 +77,11 @@ class Rig:
 
 
 def longest_frame_gap(bag: Path) -> float:
-    """Longest time (s) between two contact areas of a bag, which begins and ends with frames."""
+    """Longest time (s) without a contact area from the first force sample of a bag on, which ends with frames."""
     with open_bag(bag) as reader:
-        stamps = [stamp_ns(m.message) for m in reader.messages([reader.topic("contact_area")])]
-    return max((b - a for a, b in itertools.pairwise(sorted(stamps))), default=0) * 1e-9
+        areas = [stamp_ns(m.message) for m in reader.messages([reader.topic("contact_area")])]
+        begin = stamp_ns(next(iter(reader.messages([reader.topic("wrench")]))).message)
+    return max(b - a for a, b in itertools.pairwise(sorted([begin, *areas]))) * 1e-9
 
 
 HISTORY = """

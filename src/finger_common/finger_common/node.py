@@ -31,6 +31,7 @@ from rclpy.event_handler import (
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
@@ -104,7 +105,7 @@ class PolledSubscription:
     wakes a wait for them again and again while messages lie unread, which would keep a core busy.
     """
 
-    def __init__(self, node: LifecycleNode, message_type: Any, topic: str, qos: QoSProfile) -> None:
+    def __init__(self, node: Node, message_type: Any, topic: str, qos: QoSProfile) -> None:
         self.topic = topic
         self._node = node
         self._type = message_type
@@ -116,30 +117,42 @@ class PolledSubscription:
             callback_group=_NotWaitedFor(),
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         )
-        with self._subscription.handle:
-            self._mismatch = rclpy_implementation.EventHandle(
-                self._subscription.handle,
+        self._events = {
+            kind: rclpy_implementation.EventHandle(self._subscription.handle, kind)
+            for kind in (
                 QoSSubscriptionEventType.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS,
+                QoSSubscriptionEventType.RCL_SUBSCRIPTION_MESSAGE_LOST,
             )
+        }
 
-    def take(self) -> Iterator[bytes]:
-        """Serialized messages that have come since."""
+    def take(self) -> Iterator[tuple[bytes, dict[str, Any]]]:
+        """Messages that have come since: serialized, with the middleware's `received_timestamp` and
+        `source_timestamp` in ns."""
         while True:
             with self._subscription.handle:
                 taken = self._subscription.handle.take_message(self._type, True)
             if taken is None:
                 return
-            yield taken[0]
+            yield taken
 
     def new_mismatches(self) -> int:
         """Publishers found since the last call whose QoS does not fit."""
-        with self._mismatch:
-            event = self._mismatch.take_event()
-        return event.total_count_change if event is not None else 0
+        return self._new(QoSSubscriptionEventType.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS)
+
+    def newly_lost(self) -> int:
+        """Messages that the middleware lost since the last call."""
+        return self._new(QoSSubscriptionEventType.RCL_SUBSCRIPTION_MESSAGE_LOST)
+
+    def _new(self, kind: QoSSubscriptionEventType) -> int:
+        handle = self._events[kind]
+        with handle:
+            event = handle.take_event()
+        return max(event.total_count_change, 0) if event is not None else 0
 
     def destroy(self) -> None:
         """End the subscription."""
-        self._mismatch.destroy_when_not_in_use()
+        for handle in self._events.values():
+            handle.destroy_when_not_in_use()
         self._node.destroy_subscription(self._subscription)
 
 

@@ -191,7 +191,7 @@ def test_messages_that_are_polled_for_neither_wake_the_executor_nor_get_lost(
         executor.rounds = 0
         executor.spin_once(timeout_sec=0.5)
         assert executor.rounds < 500  # about twenty entities a round
-        received = [deserialize_message(m, Float64).data for m in polled.take()]
+        received = [deserialize_message(m, Float64).data for m, _ in polled.take()]
         assert received == [float(n) for n in range(100)]
         assert list(polled.take()) == []
         assert polled.new_mismatches() == 0

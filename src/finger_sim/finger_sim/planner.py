@@ -16,7 +16,7 @@ from finger_common.errors import FingerError
 
 from .trial_plan import PlannedTrial, TrialRequest
 
-NICENESS = 5
+NICENESS = 15
 """Planning must not slow down the nodes, but a participant waits for it."""
 
 
