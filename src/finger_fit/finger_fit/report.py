@@ -213,9 +213,9 @@ def _parameters_table(result: FitReport) -> str:
     note += "<sup>†</sup> on a bound of the search box. ≤: the interval runs on to the bound."
     if any(fit.unbiased for fit in result.fits.values()):
         note += (
-            " <i class=corrected>Bias-corrected</i>: the same estimate without its own lean, as refits to synthetic data made "
-            "at the fitted parameters measure it; use it to compare fingers, and the estimate, which minimises <i>J</i> inside "
-            "the box, to simulate."
+            " <i class=corrected>Bias-corrected</i>: the estimate and its interval without the estimate's own lean, as refits to "
+            "synthetic data made at the fitted parameters measure it; they may leave the box a little. Use them to compare "
+            "fingers, and the estimate, which minimises <i>J</i> inside the box, to simulate."
         )
     return _table(header, rows) + note + "</p>"
 
