@@ -551,9 +551,12 @@ class ContactEstimator:
 
     def _take(self, event: EstimatorEvent) -> None:
         self.settings = EstimatorSettings.from_json(event.settings)
-        sets = ParameterSets.parse(event.parameter_sets, "recorded parameter sets")
-        changed = sets.hash != self.parameter_sets.hash
-        self.parameter_sets = sets
+        changed = False
+        # Events come often, as with every late area, and reading the sets takes longer than a sample may wait.
+        if event.parameter_sets != self.parameter_sets.to_yaml():
+            sets = ParameterSets.parse(event.parameter_sets, "recorded parameter sets")
+            changed = sets.hash != self.parameter_sets.hash
+            self.parameter_sets = sets
         if event.late_areas:
             self.counters["late_areas"] += len(event.late_areas)
             self._whole[ek.PENDING_FLAGS] |= StateFlag.AREA_LATE

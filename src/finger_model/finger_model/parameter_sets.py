@@ -141,6 +141,10 @@ class ParameterSets:
 
     def to_yaml(self) -> str:
         """Text of a parameters.yaml; `parse` of it gives equal sets, bit for bit."""
+        return self._text
+
+    @functools.cached_property
+    def _text(self) -> str:
         return yaml.safe_dump(
             {
                 "geometry_hash": self.geometry_hash,
