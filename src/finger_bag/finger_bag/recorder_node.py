@@ -6,6 +6,7 @@ start; latched messages that came before are repeated at its head. `~/record` st
 
 from __future__ import annotations
 
+import copy
 import importlib
 import math
 import time
@@ -16,7 +17,7 @@ from typing import Any
 
 from finger_msgs.srv import Record
 from rclpy.clock import Clock, ClockType
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import ReliabilityPolicy
 
 from finger_common.diagnostics import ERROR, WARN, Health
 from finger_common.errors import FingerError, InputError
@@ -175,23 +176,25 @@ class RecorderNode(LifecycleShell):
     def activate(self) -> None:
         for topic in self._topics:
             self._subscribe(topic, self.values["qos_reliability"] == "reliable")
+        if self.values["record_at_start"]:
+            try:
+                self._start("", None)
+            except FingerError:
+                self._unsubscribe()
+                raise
         # Steady time: recording goes on when simulated time stands still or jumps.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._rounds = [
             self.create_timer(POLL, self._poll, clock=steady),
             self.create_timer(1.0, self._each_second, clock=steady),
         ]
-        if self.values["record_at_start"]:
-            self._start("", None)
 
     def deactivate(self) -> None:
         for timer in self._rounds:
             self.destroy_timer(timer)
         if self._recorder.recording:
             self._finish()
-        for subscription, _ in self._subs.values():
-            subscription.destroy()
-        self._subs.clear()
+        self._unsubscribe()
 
     def cleanup(self) -> None:
         service = self.__dict__.pop("_service", None)
@@ -203,7 +206,9 @@ class RecorderNode(LifecycleShell):
     def _subscribe(self, topic: str, reliable: bool) -> None:
         kind, latched, _ = self._topics[topic]
         if latched:
-            qos: QoSProfile = LATCHED_QOS
+            # Deeper than those of other readers: several messages may come between two looks.
+            qos = copy.copy(LATCHED_QOS)
+            qos.depth = max(qos.depth, math.ceil(50.0 * self.values["buffer_time"]))
             self._latched.setdefault(topic, deque(maxlen=latched))
         else:
             spec = TOPICS.get(self._names[topic])
@@ -216,6 +221,11 @@ class RecorderNode(LifecycleShell):
             old[0].destroy()
         subscription = PolledSubscription(self, message_class(kind), topic, qos)
         self._subs[topic] = (subscription, reliable or bool(latched))
+
+    def _unsubscribe(self) -> None:
+        for subscription, _ in self._subs.values():
+            subscription.destroy()
+        self._subs.clear()
 
     def _poll(self) -> None:
         """Take what has come."""

@@ -172,3 +172,27 @@ def states(bag: Path) -> list[bytes]:
             found, key=lambda m: m.message.header.stamp.sec * 10**9 + m.message.header.stamp.nanosec
         )
     ]
+
+
+def test_a_burst_of_events_is_recorded_whole(rig: Rig, process: Any, tmp_path: Path) -> None:
+    from finger_msgs.msg import ModelEvent
+    from finger_msgs.srv import Record
+    from rclpy.duration import Duration
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+
+    process("-m", "finger_bag.recorder_node", "--ros-args", "-r", "__ns:=/finger")
+    keeping = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    publisher = rig.node.create_publisher(ModelEvent, "model_events", keeping)
+    rig.until(lambda: publisher.get_subscription_count() == 2, "recorder and rig")
+    started = rig.call(
+        Record, "recorder/record", Record.Request(command=1, path=str(tmp_path / "burst"))
+    )
+    assert started.success, started.message
+    for number in range(100):
+        publisher.publish(ModelEvent(reason=str(number)))
+    assert publisher.wait_for_all_acked(Duration(seconds=60))
+    stopped = rig.call(Record, "recorder/record", Record.Request(command=0))
+    assert stopped.success and stopped.lost_count == 0, stopped.message
+    with open_bag(tmp_path / "burst") as reader:
+        reasons = [m.message.reason for m in reader.messages(["/finger/model_events"])]
+    assert reasons == [str(number) for number in range(100)]

@@ -31,7 +31,13 @@ from std_srvs.srv import Trigger
 
 from finger_bag.streams import stamp_of_cdr
 from finger_common.diagnostics import Health
-from finger_common.node import LATCHED_QOS, LifecycleShell, PolledSubscription, main_of
+from finger_common.node import (
+    LATCHED_QOS,
+    POLLED_DEPTH,
+    LifecycleShell,
+    PolledSubscription,
+    main_of,
+)
 from finger_common.parameters import Parameter, ParameterTable
 
 from .page.feed import ForceMemory, HealthBoard, measured_point, model_point
@@ -157,9 +163,10 @@ class PageNode(LifecycleShell):
         self.get_logger().info(f"operator's page: {address}")
         self._health.notes["address"] = self._server.url
         qos = self.stream_qos()
+        deep = self.stream_qos(max(self.values["qos_depth"], POLLED_DEPTH))
         # Two streams of 500 Hz would leave the cue waiting for the processor if the executor went round for each sample.
-        self._wrench = PolledSubscription(self, WrenchStamped, "wrench", qos)
-        self._state = PolledSubscription(self, ContactState, "contact_state", qos)
+        self._wrench = PolledSubscription(self, WrenchStamped, "wrench", deep)
+        self._state = PolledSubscription(self, ContactState, "contact_state", deep)
         self._inputs = [
             self.create_stream_subscription(ContactArea, "contact_area", self._on_area, qos),
             self.create_stream_subscription(Moisture, "moisture", self._on_moisture, qos),
@@ -186,6 +193,13 @@ class PageNode(LifecycleShell):
             self._server.stop()
         if hasattr(self, "_job_waits"):
             self.destroy_guard_condition(self._job_waits)
+            for client in (
+                self._parameters_client,
+                self._moisture_client,
+                *self._triggers.values(),
+            ):
+                self.destroy_client(client)
+            del self._job_waits
 
     # What is shown ---------------------------------------------------------------------------
 

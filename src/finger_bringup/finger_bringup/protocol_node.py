@@ -30,7 +30,7 @@ from finger_common.cli import one_line
 from finger_common.diagnostics import WARN, Health
 from finger_common.errors import FingerError, InputError
 from finger_common.files import atomic_write
-from finger_common.node import STATE_QOS, LifecycleShell, PolledSubscription, main_of
+from finger_common.node import POLLED_DEPTH, STATE_QOS, LifecycleShell, PolledSubscription, main_of
 from finger_common.parameters import Parameter, ParameterTable
 
 from .protocol import (
@@ -247,7 +247,8 @@ class ProtocolNode(LifecycleShell):
 
     def activate(self) -> None:
         qos = self.stream_qos()
-        self._wrench = PolledSubscription(self, WrenchStamped, "wrench", qos)
+        deep = self.stream_qos(max(self.values["qos_depth"], POLLED_DEPTH))
+        self._wrench = PolledSubscription(self, WrenchStamped, "wrench", deep)
         self._inputs = [
             self.create_stream_subscription(ContactArea, "contact_area", self._on_area, qos),
             self.create_stream_subscription(Moisture, "moisture", self._on_moisture, qos),

@@ -15,6 +15,7 @@ import threading
 import time
 import traceback
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from rclpy.event_handler import (
     PublisherEventCallbacks,
     QoSSubscriptionEventType,
     SubscriptionEventCallbacks,
+    UnsupportedEventTypeError,
 )
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -98,6 +100,10 @@ class _NotWaitedFor(CallbackGroup):
         pass
 
 
+POLLED_DEPTH = 200
+"""Samples that a polled stream keeps at least, whatever `qos_depth` says: a look comes every 50 ms or so."""
+
+
 class PolledSubscription:
     """Subscription whose messages a node takes when it wants them, for streams that need no prompt answer.
 
@@ -117,13 +123,15 @@ class PolledSubscription:
             callback_group=_NotWaitedFor(),
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         )
-        self._events = {
-            kind: rclpy_implementation.EventHandle(self._subscription.handle, kind)
-            for kind in (
-                QoSSubscriptionEventType.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS,
-                QoSSubscriptionEventType.RCL_SUBSCRIPTION_MESSAGE_LOST,
-            )
-        }
+        self._events: dict[QoSSubscriptionEventType, Any] = {}
+        for kind in (
+            QoSSubscriptionEventType.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS,
+            QoSSubscriptionEventType.RCL_SUBSCRIPTION_MESSAGE_LOST,
+        ):
+            # Not every middleware tells both.
+            with suppress(UnsupportedEventTypeError):
+                handle = rclpy_implementation.EventHandle(self._subscription.handle, kind)
+                self._events[kind] = handle
 
     def take(self) -> Iterator[tuple[bytes, dict[str, Any]]]:
         """Messages that have come since: serialized, with the middleware's `received_timestamp` and
@@ -144,7 +152,9 @@ class PolledSubscription:
         return self._new(QoSSubscriptionEventType.RCL_SUBSCRIPTION_MESSAGE_LOST)
 
     def _new(self, kind: QoSSubscriptionEventType) -> int:
-        handle = self._events[kind]
+        handle = self._events.get(kind)
+        if handle is None:
+            return 0
         with handle:
             event = handle.take_event()
         return max(event.total_count_change, 0) if event is not None else 0
