@@ -8,8 +8,8 @@ from the estimate's logarithm, once.
 
 The noise is a wild cluster bootstrap (Cameron, Gelbach and Miller 2008): a trial's residuals are kept whole and their
 sign is drawn, so that errors which a trial's frames share stay shared, with no assumption about their size. Every draw is
-used with both signs: the part of an error that is odd in the noise cancels, and what is left is the bias. Twenty pairs know
-it to 0.06 standard deviations of the estimate or better.
+used with both signs: the part of an error that is odd in the noise cancels, and what is left is the bias. Twenty pairs
+know it to 0.02–0.11 standard deviations of the estimate (docs/study.md).
 
 A corrected value may lie outside the box by a fraction of a deviation. Cut off at the bound it would lean again: an
 estimate in a corner of the box can err to one side only.
@@ -72,7 +72,8 @@ def unbiased(best: np.ndarray, pairs: np.ndarray) -> dict[str, Unbiased]:
 
 def shifted_interval(profile: Profile, bias: float) -> tuple[float, float]:
     """The profile's interval moved with the corrected value; an end that runs to a bound of the box moves outwards only."""
-    low, high = (end * np.exp(-bias) for end in profile.interval)
+    # As `unbiased` computes the value: an estimate on a bound is its interval's end, which rounding must not part.
+    low, high = (np.exp(np.log(end) - bias) for end in profile.interval)
     if profile.open_low:
         low = min(low, profile.interval[0])
     if profile.open_high:

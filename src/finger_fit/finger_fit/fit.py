@@ -241,8 +241,8 @@ def _after_search(
         )  # fmt: skip
         fit.profiles = dict(zip(QUANTITIES, found_profiles))
         lap("profiles")
-    if options.bias_pairs and options.polish:
-        # What the swarm alone ends on is no minimum, and has no bias that refits could tell.
+    if options.bias_pairs and (options.polish or fit.correction is not None):
+        # What the swarm alone ends on is no minimum, and has no bias that refits could tell; polish and correction end on one.
         pairs = engine.map(
             _bias_pair, (problem, fit.parameters, options.seed), range(options.bias_pairs),
             count_of("bias"),

@@ -121,6 +121,20 @@ def test_corrected_value_may_leave_the_box(double) -> None:
     assert found.bias < 0 and found.value > problem.box[0, 1]
 
 
+def test_corrected_estimate_on_a_bound_stays_in_its_interval() -> None:
+    best = np.array([160e3, 25e3, 0.2, 1500e3])
+    empty = np.empty(0)
+    profile = Profile(
+        "E0", empty, empty, 0.0, (90e3, 160e3), (50e3, 160e3), False, True, np.empty((0, 4))
+    )
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        pairs = best * np.exp(-np.abs(0.2 * rng.normal(size=(3, 2, 4))))
+        found = unbiased(best, pairs)["E0"]
+        low, high = shifted_interval(profile, found.bias)
+        assert low < found.value <= high
+
+
 @pytest.mark.parametrize(
     ("bias", "open_low", "expected"),
     [

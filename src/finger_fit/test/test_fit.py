@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import re
@@ -12,12 +13,15 @@ import numpy as np
 import pytest
 
 from finger_common.errors import InputError
-from finger_fit import output
-from finger_fit.engine import DaskEngine
+from finger_fit import full_order_check, output
+from finger_fit.engine import DaskEngine, LocalEngine
 from finger_fit.fit import FitReport, fit_condition, fit_records
+from finger_fit.identifiability import QUANTITIES
+from finger_fit.local import refine, whole_box
 from finger_fit.options import FitOptions
 from finger_fit.problem import MM4, composite_modulus
 from finger_fit.search import Stopped
+from finger_model.geometry import Geometry
 from finger_model.parameter_sets import ParameterSets
 
 QUICK = dict(full_order=False, profiles=False, bootstrap=0, grid=3)
@@ -72,6 +76,29 @@ def test_a_swarm_without_polish_has_no_bias_to_correct(double) -> None:
     fit = fit_condition(problem, FitOptions(**QUICK, rounds=5, polish=False))
     assert fit.unbiased == {}
     assert "bias_corrected" not in output.condition_dict(fit)
+
+
+def test_a_corrected_fit_without_polish_is_a_minimum_and_has_its_bias(double, monkeypatch) -> None:
+    def better(shared, item):
+        trial = shared[3][item[1]]
+        rows = [(trial.time, trial.force, trial.frames)]
+        return 1.02 * double.HereditaryModel().batch(np.array([item[0]]), rows)[0][0]
+
+    for name in ("correct", "check"):
+        whole = getattr(full_order_check, name)
+        monkeypatch.setattr(f"finger_fit.fit.{name}", functools.partial(whole, simulate=better))
+    engine = LocalEngine()
+    engine.spread = engine.map
+    problem = double.make_problem(noise=1.5e-6, trials=4)
+    options = FitOptions(
+        polish=False, profiles=False, bootstrap=0, grid=3, rounds=5, top=1, bias_pairs=2
+    )
+    fit = fit_condition(problem, options, engine=engine, geometry=Geometry())
+    assert fit.polish is None and fit.correction is not None
+    further = refine(problem, whole_box(problem.box), np.log(fit.parameters))
+    assert further.cost == pytest.approx(fit.cost, rel=1e-4)
+    assert fit.pso.best[1] > 1.001 * fit.cost, "the swarm alone ended elsewhere"
+    assert set(output.condition_dict(fit)["bias_corrected"]) == set(QUANTITIES)
 
 
 def test_top_candidates_are_distinct_and_sorted(study) -> None:
