@@ -82,7 +82,7 @@ def run(report: Any) -> None:
         report.note(
             f"one condition with everything: {time.perf_counter() - start:.1f} s; its parts follow, times three for a study"
         )
-        for stage in ("grid", "polish", "full order", "profiles", "bootstrap"):
+        for stage in ("grid", "polish", "full order", "profiles", "bias", "bootstrap"):
             if stage in result.seconds:
                 report.add(f"fit_{stage.replace(' ', '_')}", result.seconds[stage], "s")
         report.note(
