@@ -75,7 +75,7 @@ def parser() -> Parser:
     )
     arguments.add_argument("--seed", type=int, default=1, help="of the simulated study")
     arguments.add_argument(
-        "--quick", action="store_true", help="leave out profiles and the full-order check"
+        "--quick", action="store_true", help="leave out profiles, bias and the full-order check"
     )
     return arguments
 
@@ -213,6 +213,7 @@ class Demo:
             full_order=not quick,
             top=1,
             profiles=not quick,
+            bias_pairs=0 if quick else FitOptions.bias_pairs,
             bootstrap=0,
             seed=self.arguments.seed,
         )
