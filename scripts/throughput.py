@@ -1,6 +1,8 @@
 """Measure trial simulations per second and core, and say what 1,000 subjects would take. Updates docs/scaling.md.
 
-python scripts/throughput.py [--write]
+    python scripts/throughput.py [--study out/study] [--write]
+
+Bootstrap samples and bias pairs are counted on the study of seed 1, which is simulated into the folder unless it is there.
 """
 
 from __future__ import annotations
@@ -9,22 +11,37 @@ import argparse
 import os
 import platform
 import time
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 os.environ["NUMBA_NUM_THREADS"] = "1"
 
 import numpy as np
 
 from finger_common.files import atomic_write
+from finger_fit.bias import bias_pair
+from finger_fit.fit import group_trials
 from finger_fit.full_order_check import REFINEMENT, STEP
+from finger_fit.identifiability import bootstrap_sample
+from finger_fit.loading import load
+from finger_fit.local import refine, whole_box
+from finger_fit.options import FitOptions
+from finger_fit.problem import FitProblem
+from finger_fit.trials import prepare_all
 from finger_model.full_order import FullOrderModel
 from finger_model.reduced import ReducedModel
 from finger_sim.conditions import STUDY
 from finger_sim.press import plan_press
+from finger_sim.study import simulate_study
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "scaling.md"
-SEARCH, BOOTSTRAP = 13_875, 66_000
-"""Trial simulations of one condition: grid and PSO; 200 bootstrap samples (docs/scaling.md)."""
+ROOT = Path(__file__).resolve().parent.parent
+PAGE = ROOT / "docs" / "scaling.md"
+SEARCH = 13_875
+"""Trial simulations of one condition: grid and PSO (docs/scaling.md)."""
+
+PROFILES = 22_000
+"""Trial simulations of one condition's five profiles (docs/scaling.md)."""
 
 FULL_ORDER = 180
 """Full-order runs of one condition: correction (105, the slope and two renewals) and check (75)."""
@@ -62,17 +79,89 @@ def full_order_seconds(runs: int = 6) -> float:
     return spent / runs
 
 
-def page_text(per_second: float, full_order: float) -> str:
-    """The measured paragraph."""
-    subjects = 1000 * 3
-    exact = subjects * FULL_ORDER * full_order
-    search, bootstrap = subjects * SEARCH / per_second, subjects * BOOTSTRAP / per_second
-    return (
+class Counting:
+    """A reduced model that counts the trial simulations it is asked for."""
+
+    def __init__(self, model: ReducedModel) -> None:
+        self.model = model
+        self.count = 0
+
+    def batch(self, parameters: np.ndarray, trials: Any, **options: Any) -> Any:
+        """As the model's own."""
+        self.count += len(parameters) * len(trials)
+        return self.model.batch(parameters, trials, **options)
+
+
+@dataclass(frozen=True)
+class Refits:
+    """Trial simulations and processor seconds of one condition's bootstrap samples and bias pairs, default numbers."""
+
+    bootstrap: int
+    bias: int
+    bootstrap_seconds: float
+    bias_seconds: float
+
+
+def refits(folder: Path) -> dict[str, Refits]:
+    """Refits of every condition of the study of seed 1, press alone, at its fit; areas without the correction to full
+    order."""
+    simulate_study(1, folder, images=False, report=None)
+    options, model = FitOptions(), Counting(ReducedModel.load())
+    trials, _ = prepare_all(load([folder], options).records, options)
+    out = {}
+    for name, group in group_trials(trials, options)[0].items():
+        problem = FitProblem(group, model, options)
+        start = np.log(STUDY[name].material.vector())
+        best = refine(problem, whole_box(problem.box), start).parameters
+        spent = []
+        for refit, number in (
+            (bootstrap_sample, options.bootstrap),
+            (bias_pair, options.bias_pairs),
+        ):
+            model.count, began = 0, time.process_time()
+            for index in range(number):
+                refit(problem, best, options.seed, index)
+            spent.append((model.count, time.process_time() - began))
+        (bootstrap, bootstrap_seconds), (bias, bias_seconds) = spent
+        out[name] = Refits(bootstrap, bias, bootstrap_seconds, bias_seconds)
+    return out
+
+
+def page_text(per_second: float, full_order: float, found: dict[str, Refits]) -> str:
+    """The measured table and paragraph."""
+    options = FitOptions()
+    subjects = 1000
+    conditions = len(found)
+    exact = subjects * conditions * FULL_ORDER * full_order
+    counts = {
+        "search": conditions * SEARCH,
+        "profiles": conditions * PROFILES,
+        "bias": sum(r.bias for r in found.values()),
+        "bootstrap": sum(r.bootstrap for r in found.values()),
+    }
+    hours = {name: subjects * count / per_second / 3600 for name, count in counts.items()}
+    whole = (sum(hours.values()) + exact / 3600) / 64
+    rows = [
+        f"| trial simulations of | {' | '.join(found)} |",
+        "|---|" + "---|" * conditions,
+        f"| {options.bootstrap} bootstrap samples | "
+        + " | ".join(f"{r.bootstrap:,}" for r in found.values())
+        + " |",
+        f"| {options.bias_pairs} bias pairs | "
+        + " | ".join(f"{r.bias:,}" for r in found.values())
+        + " |",
+        "| processor time of the pairs over that of the samples | "
+        + " | ".join(f"{r.bias_seconds / r.bootstrap_seconds:.2f}" for r in found.values())
+        + " |",
+    ]
+    return "\n".join(rows) + (
+        "\n\n"
         f"Measured ({platform.processor() or platform.machine()}, Python {platform.python_version()}): "
         f"{per_second:,.0f} trial simulations per second of one core's time, in steps of 20 ms. 1,000 subjects with three conditions then "
-        f"take {search / 3600:.1f} core hours of search and {bootstrap / 3600:.1f} core hours for 200 bootstrap samples "
+        f"take {hours['search']:.1f} core hours of search, {hours['profiles']:.1f} of profiles, {hours['bias']:.1f} of "
+        f"{options.bias_pairs} bias pairs each and {hours['bootstrap']:.1f} of {options.bootstrap} bootstrap samples "
         f"each. A full-order run of a fit takes {full_order:.2f} s, correction and check of all conditions "
-        f"{exact / 3600:.0f} core hours. On 64 cores the whole is {(search + bootstrap + exact) / 3600 / 64:.1f} hours. The "
+        f"{exact / 3600:.0f} core hours. On 64 cores the whole is {whole:.1f} hours. The "
         "paper's search for one subject took 450 hours."
     )
 
@@ -87,9 +176,10 @@ def replace_between(text: str, name: str, content: str) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--study", type=Path, default=ROOT / "out" / "study", metavar="FOLDER")
     parser.add_argument("--write", action="store_true", help="put it into docs/scaling.md")
     args = parser.parse_args()
-    text = page_text(rate(), full_order_seconds())
+    text = page_text(rate(), full_order_seconds(), refits(args.study))
     print(text)
     if args.write:
         page = replace_between(PAGE.read_text(encoding="utf-8"), "throughput", text)
