@@ -62,11 +62,15 @@ CALLS = {
     "create_lifecycle_publisher": "publishes",
     "create_stream_subscription": "subscribes",
     "create_subscription": "subscribes",
+    "PolledSubscription": "subscribes",
     "create_service": "serves",
     "ActionServer": "serves",
     "create_client": "calls",
     "ActionClient": "calls",
 }
+
+NODE_FIRST = ("PolledSubscription", "ActionServer", "ActionClient")
+"""Calls whose first argument is the node."""
 
 
 @dataclass
@@ -115,7 +119,7 @@ def uses_of(module: Any) -> dict[str, list[tuple[str, str]]]:
             call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
         )
         kind = CALLS.get(str(function))
-        arguments = call.args[1:] if function in ("ActionServer", "ActionClient") else call.args
+        arguments = call.args[1:] if function in NODE_FIRST else call.args
         if kind is None or len(arguments) < 2:
             continue
         name = text_of(arguments[1], module)
