@@ -15,16 +15,14 @@ import json
 import os
 import random
 import shutil
-import signal
 import socket
-import subprocess
 import sys
 import tempfile
 import threading
 import time
 import urllib.request
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +31,10 @@ import numpy as np
 from finger_bag.reader import open_bag
 from finger_bag.streams import stamp_ns
 from finger_bringup.demo_session import SessionRequest, free_domain, record_session
+from finger_bringup.supervisor import ProcessSpec, Supervisor
 
 TARGET = 1.35  # N
+NAMESPACE = ("-r", "__ns:=/finger")
 OPTIONS = "--no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking --disable-component-update --disable-sync".split()
 
 WATCH = """
@@ -128,13 +128,16 @@ def chromium() -> str | None:
     )
 
 
-def start_node(
-    module: str, env: dict[str, str], log: Any, *parameters: str
-) -> subprocess.Popen[bytes]:
-    """One node as a process."""
+def node(module: str, *parameters: str) -> ProcessSpec:
+    """One node of finger_bringup as a process."""
     flags = [flag for p in parameters for flag in ("-p", p)]
-    command = [sys.executable, "-m", module, "--ros-args", "-r", "__ns:=/finger", *flags]
-    return subprocess.Popen(command, env=env, stdout=log, stderr=log, start_new_session=True)
+    command = (sys.executable, "-m", f"finger_bringup.{module}", "--ros-args", *NAMESPACE, *flags)
+    return ProcessSpec(module, command, respawn=False)
+
+
+def quietly(*specs: ProcessSpec) -> Supervisor:
+    """Keeps nodes running for a `with` block, without their output."""
+    return Supervisor(specs, line=lambda name, text: None)
 
 
 @contextmanager
@@ -179,51 +182,31 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def end(children: list[subprocess.Popen[bytes]]) -> None:
-    """Ctrl-C for all, and worse for those that do not hear it."""
-    for child in children:
-        if child.poll() is None:
-            os.killpg(child.pid, signal.SIGINT)
-    for child in children:
-        try:
-            child.wait(8)
-        except subprocess.TimeoutExpired:
-            os.killpg(child.pid, signal.SIGKILL)
-            child.wait()
-
-
 def with_stand_in(path: str, presses: int, folder: Path) -> np.ndarray:
     """Delays (presses,) in ms with the stand-in rig."""
     domain, port = free_domain(), free_port()
-    env = {**os.environ, "ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    os.environ.update({k: env[k] for k in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")})
+    os.environ.update(ROS_DOMAIN_ID=str(domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
+    protocol = node(
+        "protocol_node", f"output:={folder}", "subject:=S01", "conditions:=[natural]", f"trials:={presses}",
+        "readings:=0", "need_recorder:=false", "confirm_preparation:=false", "verdict_time:=0.2", "clear_time:=0.2",
+        "release_time:=0.1", "gap_limit:=1.0", "frame_gap_limit:=2.0", "stale_after:=2.0",
+    )  # fmt: skip
     rig = StandIn(domain)
-    children = []
-    try:
-        with (folder / "log").open("wb") as log:
-            children.append(
-                start_node(
-                    "finger_bringup.protocol_node", env, log, f"output:={folder}", "subject:=S01",
-                    "conditions:=[natural]", f"trials:={presses}", "readings:=0", "need_recorder:=false",
-                    "confirm_preparation:=false", "verdict_time:=0.2", "clear_time:=0.2",
-                    "release_time:=0.1", "gap_limit:=1.0", "frame_gap_limit:=2.0", "stale_after:=2.0",
-                )
-            )  # fmt: skip
-            children.append(start_node("finger_bringup.page_node", env, log, f"port:={port}"))
+    with quietly(protocol, node("page_node", f"port:={port}")):
         rig.start()
-        with watched_page(path, port) as page:
-            page.wait_for_selector("#cue[data-look=closed]", timeout=60000)
-            page.keyboard.press("Space")
-            page.fill("#plan-subject", "S01")
-            page.click("#plan-start")
-            last = time.monotonic() + 30 + 8 * presses
-            while rig.step != "finished" and time.monotonic() < last:
-                page.wait_for_timeout(200)
-            return delays(page, rig.crossings)
-    finally:
-        rig.stop.set()
-        end(children)
-        rig.join(3)
+        try:
+            with watched_page(path, port) as page:
+                page.wait_for_selector("#cue[data-look=closed]", timeout=60000)
+                page.keyboard.press("Space")
+                page.fill("#plan-subject", "S01")
+                page.click("#plan-start")
+                last = time.monotonic() + 30 + 8 * presses
+                while rig.step != "finished" and time.monotonic() < last:
+                    page.wait_for_timeout(200)
+                return delays(page, rig.crossings)
+        finally:
+            rig.stop.set()
+            rig.join(3)
 
 
 def with_whole_rig(path: str, presses: int, folder: Path) -> np.ndarray:
@@ -233,20 +216,13 @@ def with_whole_rig(path: str, presses: int, folder: Path) -> np.ndarray:
     request = SessionRequest(
         folder, conditions=("natural",), trials=presses, parameters={"protocol": relaxed}
     )
-    children: list[subprocess.Popen[bytes]] = []
-    session = record_session(request)
-    try:
+    with closing(record_session(request)) as session:
+        # The session has chosen its domain when it has started.
         next(session)
-        with (folder / "page.log").open("wb") as log:
-            page_node = "finger_bringup.page_node"
-            children.append(start_node(page_node, dict(os.environ), log, f"port:={port}"))
-        with watched_page(path, port) as page:
+        with quietly(node("page_node", f"port:={port}")), watched_page(path, port) as page:
             for _ in session:
                 pass
             return delays(page, cues_to_lift(request.bags))
-    finally:
-        session.close()
-        end(children)
 
 
 def cues_to_lift(bags: Path) -> list[float]:
