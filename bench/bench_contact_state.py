@@ -39,9 +39,10 @@ def press(seconds: np.ndarray) -> np.ndarray:
 def send(rate: float, fingers: int, duration: float, result: Path) -> None:
     """Publish paced wrenches and areas; writes the number sent and how well the pace was kept."""
     import rclpy
-    from finger_msgs.msg import ContactArea, Moisture
     from geometry_msgs.msg import WrenchStamped
     from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+    from finger_msgs.msg import ContactArea, Moisture
 
     rclpy.init()
     node = rclpy.create_node("load")
@@ -121,8 +122,9 @@ def count(fingers: int, result: Path) -> None:
     """Count contact_state messages and their delay until SIGTERM; writes stamps, delays and the nodes' figures."""
     import rclpy
     from diagnostic_msgs.msg import DiagnosticArray
-    from finger_msgs.msg import ContactState
     from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+    from finger_msgs.msg import ContactState
 
     rclpy.init()
     node = rclpy.create_node("counter")

@@ -62,12 +62,12 @@ class StandIn(threading.Thread):
 
     def run(self) -> None:
         import rclpy
-        from finger_msgs.msg import ContactArea, Trial
         from geometry_msgs.msg import WrenchStamped
         from rclpy.qos import qos_profile_sensor_data as stream
         from std_msgs.msg import String
 
         from finger_common.node import LATCHED_QOS
+        from finger_msgs.msg import ContactArea, Trial
 
         context = rclpy.Context()
         rclpy.init(context=context, domain_id=self.domain)

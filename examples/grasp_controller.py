@@ -86,10 +86,11 @@ class AreaController:
 def main() -> None:
     """Run the node."""
     import rclpy
-    from finger_msgs.msg import ContactState
     from rclpy.executors import ExternalShutdownException
     from rclpy.qos import QoSProfile, ReliabilityPolicy
     from std_msgs.msg import Float64
+
+    from finger_msgs.msg import ContactState
 
     rclpy.init()
     node = rclpy.create_node("grasp_controller")

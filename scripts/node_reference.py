@@ -21,8 +21,8 @@ import yaml
 
 from finger_bag.schema import TOPICS
 from finger_common.files import atomic_write
-from finger_common.node import COMMON_PARAMETERS, LifecycleShell
-from finger_common.parameters import Parameter
+from finger_common.node import ManagedNode, NodeSettings
+from finger_common.parameters import Parameter, ParameterTable
 
 ROOT = Path(__file__).resolve().parent.parent
 REFERENCE = ROOT / "docs" / "nodes.md"
@@ -77,7 +77,7 @@ NODE_FIRST = ("PolledSubscription", "ActionServer", "ActionClient")
 class NodeDescription:
     """One node: class, its module and what its source says about topics and services."""
 
-    cls: type[LifecycleShell]
+    cls: type[ManagedNode]
     module: Any
     package: str
     uses: dict[str, list[tuple[str, str]]] = field(default_factory=dict)
@@ -101,10 +101,15 @@ def text_of(node: ast.expr, module: Any) -> str | None:
         and ast.unparse(node.value).endswith("values")
     ):
         table = next(
-            (c.TABLE for c in vars(module).values() if isinstance(c, type) and hasattr(c, "TABLE")
-             and c.__module__ == module.__name__),
+            (
+                c.parameter_table()
+                for c in vars(module).values()
+                if isinstance(c, type)
+                and issubclass(c, ManagedNode)
+                and c.__module__ == module.__name__
+            ),
             None,
-        )  # fmt: skip
+        )
         if table is not None and node.slice.value in table:
             return str(table[node.slice.value].default)
     return None
@@ -136,6 +141,12 @@ def uses_of(module: Any) -> dict[str, list[tuple[str, str]]]:
     return found
 
 
+def own_parameters(cls: type[ManagedNode]) -> ParameterTable:
+    """The node's parameters beside those of every node."""
+    common = NodeSettings.parameters()
+    return ParameterTable(*(p for p in cls.parameter_table() if p.name not in common))
+
+
 def descriptions() -> list[NodeDescription]:
     """All nodes of the suite in the reader's order."""
     found = {}
@@ -147,7 +158,7 @@ def descriptions() -> list[NodeDescription]:
         for cls in vars(module).values():
             if (
                 isinstance(cls, type)
-                and issubclass(cls, LifecycleShell)
+                and issubclass(cls, ManagedNode)
                 and cls.__module__ == module.__name__
                 and hasattr(module, "main")
             ):
@@ -237,7 +248,7 @@ def reference() -> str:
         "",
         "Parameters that every node has:",
         "",
-        COMMON_PARAMETERS.markdown(),
+        NodeSettings.parameters().markdown(),
         "",
         "Frames and axes are on the page about [setting up the rig](rig_setup.md#frames-and-axes).",
         "",
@@ -245,8 +256,8 @@ def reference() -> str:
     for node in nodes:
         lines += [f"## {node.name}", "", summary(node), ""]
         lines += uses_markdown(node)
-        if list(node.cls.TABLE):
-            lines += [escaped(node.cls.TABLE.markdown()), ""]
+        if list(own_parameters(node.cls)):
+            lines += [escaped(own_parameters(node.cls).markdown()), ""]
     lines += messages_markdown()
     return "\n".join(lines).rstrip() + "\n"
 
@@ -294,7 +305,7 @@ def rig_file() -> str:
     for name in IN_RIG_FILE:
         node = by_name[name]
         lines += ["", f"/**/{name}:", "  ros__parameters:"]
-        for parameter in [*node.cls.TABLE, *COMMON_PARAMETERS]:
+        for parameter in [*own_parameters(node.cls), *NodeSettings.parameters()]:
             if parameter.name == "autostart":
                 continue  # the launch files and finger-rig say
             lines += [comment(parameter), f"    {parameter.name}: {yaml_text(parameter.default)}"]

@@ -18,16 +18,7 @@ import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-PACKAGES = [
-    "finger_common",
-    "finger_driver",
-    "finger_vision",
-    "finger_model",
-    "finger_bag",
-    "finger_fit",
-    "finger_sim",
-    "finger_bringup",
-]
+PACKAGES = sorted(p.parent.name for p in (ROOT / "src").glob("*/setup.py"))
 SUPPORTED = [(3, 10), (3, 11), (3, 12), (3, 13)]
 
 

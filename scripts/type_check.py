@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -12,7 +13,10 @@ ROOT = Path(__file__).resolve().parent.parent
 def main() -> int:
     packages = sorted(p.name for p in (ROOT / "src").iterdir() if (p / p.name).is_dir())
     arguments = [argument for name in packages for argument in ("-p", name)]
-    return subprocess.run([sys.executable, "-m", "mypy", *arguments], cwd=ROOT).returncode
+    path = os.pathsep.join(str(ROOT / "src" / name) for name in packages)
+    return subprocess.run(
+        [sys.executable, "-m", "mypy", *arguments], cwd=ROOT, env={**os.environ, "MYPYPATH": path}
+    ).returncode
 
 
 if __name__ == "__main__":

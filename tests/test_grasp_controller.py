@@ -126,10 +126,11 @@ def test_the_nodes_together_hold_the_area_and_open_without_state(
     ros: Any, process: Callable[..., Any], project_root: Path
 ) -> None:
     import rclpy
-    from finger_msgs.msg import ContactArea, ContactState
     from geometry_msgs.msg import WrenchStamped
     from rclpy.qos import QoSProfile, ReliabilityPolicy
     from std_msgs.msg import Float64
+
+    from finger_msgs.msg import ContactArea, ContactState
 
     finger = Finger()
     commands: list[float] = []

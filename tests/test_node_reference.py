@@ -26,7 +26,7 @@ def test_every_key_of_the_rig_file_is_a_checked_parameter_with_its_comment(
     project_root: Path,
 ) -> None:
     from finger_bringup import nodes
-    from finger_common.node import COMMON_PARAMETERS, LifecycleShell
+    from finger_common.node import ManagedNode
 
     file = project_root / "src" / "finger_bringup" / "config" / "rig.yaml"
     text = file.read_text()
@@ -36,9 +36,9 @@ def test_every_key_of_the_rig_file_is_a_checked_parameter_with_its_comment(
         cls = next(
             c
             for c in vars(module).values()
-            if isinstance(c, type) and issubclass(c, LifecycleShell) and c.NAME == entry.name
+            if isinstance(c, type) and issubclass(c, ManagedNode) and c.NAME == entry.name
         )
-        (cls.TABLE + COMMON_PARAMETERS).check(section["ros__parameters"])
+        cls.parameter_table().check(section["ros__parameters"])
     lines = text.splitlines()
     for number, line in enumerate(lines):
         if line.startswith("    ") and not line.lstrip().startswith("#"):

@@ -15,15 +15,15 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from finger_msgs.srv import Record
 from rclpy.clock import Clock, ClockType
 from rclpy.qos import ReliabilityPolicy
 
 from finger_common.diagnostics import ERROR, WARN, Health
 from finger_common.errors import FingerError, InputError
 from finger_common.files import read_bytes
-from finger_common.node import LATCHED_QOS, LifecycleShell, PolledSubscription, main_of
+from finger_common.node import LATCHED_QOS, ManagedNode, PolledSubscription, main_of
 from finger_common.parameters import Parameter, ParameterTable
+from finger_msgs.srv import Record
 
 from .recorder import Recorder, RecorderSettings, Serialized, StampGaps
 from .schema import CALIBRATION_ATTACHMENT, TOPICS, SessionMetadata
@@ -129,7 +129,7 @@ def message_class(message_type: str) -> Any:
         ) from None
 
 
-class RecorderNode(LifecycleShell):
+class RecorderNode(ManagedNode):
     """Records topics into bags."""
 
     TABLE = PARAMETERS

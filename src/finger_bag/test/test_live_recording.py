@@ -25,11 +25,11 @@ class Rig:
 
     def __init__(self, domain: int) -> None:
         from diagnostic_msgs.msg import DiagnosticArray
-        from finger_msgs.msg import ContactArea, ContactState, ModelEvent, Moisture
         from geometry_msgs.msg import WrenchStamped
         from rclpy.qos import QoSProfile
 
         from finger_common.node import LATCHED_QOS
+        from finger_msgs.msg import ContactArea, ContactState, ModelEvent, Moisture
 
         deep = QoSProfile(depth=20000)
         rclpy.init(domain_id=domain)
@@ -175,10 +175,11 @@ def states(bag: Path) -> list[bytes]:
 
 
 def test_a_burst_of_events_is_recorded_whole(rig: Rig, process: Any, tmp_path: Path) -> None:
-    from finger_msgs.msg import ModelEvent
-    from finger_msgs.srv import Record
     from rclpy.duration import Duration
     from rclpy.qos import DurabilityPolicy, QoSProfile
+
+    from finger_msgs.msg import ModelEvent
+    from finger_msgs.srv import Record
 
     process("-m", "finger_bag.recorder_node", "--ros-args", "-r", "__ns:=/finger")
     keeping = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -239,14 +239,14 @@ def test_recorder_node_records_serialized_messages_over_dds(
 ) -> None:
     rclpy = pytest.importorskip("rclpy")
     from diagnostic_msgs.msg import DiagnosticArray
-    from finger_msgs.msg import Trial
-    from finger_msgs.srv import Record
     from geometry_msgs.msg import WrenchStamped
     from rclpy.duration import Duration
     from rclpy.qos import QoSProfile
     from rclpy.serialization import serialize_message
 
     from finger_common.node import STATE_QOS
+    from finger_msgs.msg import Trial
+    from finger_msgs.srv import Record
 
     calibration = tmp_path / "plate.yaml"
     calibration.write_text("a: 1\n")

@@ -14,7 +14,7 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.clock import Clock, ClockType
 
 from finger_common.diagnostics import WARN, Health
-from finger_common.node import LifecycleShell, main_of
+from finger_common.node import ManagedNode, main_of
 from finger_common.parameters import Parameter, ParameterTable
 
 from .bring_up import ACTIVE, ALL_ACTIVE, BringUp
@@ -48,7 +48,7 @@ STATE_TIMEOUT = 5.0
 """s to wait for a node's state; a node that was killed does not answer."""
 
 
-class BringUpNode(LifecycleShell):
+class BringUpNode(ManagedNode):
     """Configures and activates other nodes."""
 
     TABLE = PARAMETERS

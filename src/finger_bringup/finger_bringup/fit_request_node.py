@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
-from finger_msgs.action import FitParameters
 from lifecycle_msgs.msg import State
 from lifecycle_msgs.srv import GetState
 from rclpy.action import ActionClient
 
 from finger_common.diagnostics import Health
 from finger_common.errors import FingerError, InputError
-from finger_common.node import LifecycleShell, main_of
+from finger_common.node import ManagedNode, main_of
 from finger_common.parameters import Parameter, ParameterTable
+from finger_msgs.action import FitParameters
 
 PARAMETERS = ParameterTable(
     Parameter("bags", [""], "Bag files or folders to fit."),
@@ -29,7 +29,7 @@ class FitFailed(FingerError):
     """The fit did not succeed; the message says why."""
 
 
-class FitRequestNode(LifecycleShell):
+class FitRequestNode(ManagedNode):
     """Sends one goal."""
 
     TABLE = PARAMETERS

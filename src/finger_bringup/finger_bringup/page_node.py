@@ -17,8 +17,6 @@ from typing import Any
 import cv2
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from finger_msgs.msg import ContactArea, ContactState, Moisture, Trial
-from finger_msgs.srv import SetMoisture
 from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterType, ParameterValue
@@ -34,11 +32,13 @@ from finger_common.diagnostics import Health
 from finger_common.node import (
     LATCHED_QOS,
     POLLED_DEPTH,
-    LifecycleShell,
+    ManagedNode,
     PolledSubscription,
     main_of,
 )
 from finger_common.parameters import Parameter, ParameterTable
+from finger_msgs.msg import ContactArea, ContactState, Moisture, Trial
+from finger_msgs.srv import SetMoisture
 
 from .page.feed import ForceMemory, HealthBoard, measured_point, model_point
 from .page.server import PageServer, PageSettings, is_loopback
@@ -116,7 +116,7 @@ def picture(message: Image) -> np.ndarray | None:
     return image[:, :, ::-1] if message.encoding == "rgb8" else image
 
 
-class PageNode(LifecycleShell):
+class PageNode(ManagedNode):
     """Serves the page while active."""
 
     TABLE = PARAMETERS

@@ -16,8 +16,6 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from finger_msgs.msg import ContactArea, Moisture, Trial
-from finger_msgs.srv import Record
 from geometry_msgs.msg import WrenchStamped
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
@@ -30,8 +28,10 @@ from finger_common.cli import one_line
 from finger_common.diagnostics import WARN, Health
 from finger_common.errors import FingerError, InputError
 from finger_common.files import atomic_write
-from finger_common.node import POLLED_DEPTH, STATE_QOS, LifecycleShell, PolledSubscription, main_of
+from finger_common.node import POLLED_DEPTH, STATE_QOS, ManagedNode, PolledSubscription, main_of
 from finger_common.parameters import Parameter, ParameterTable
+from finger_msgs.msg import ContactArea, Moisture, Trial
+from finger_msgs.srv import Record
 
 from .protocol import (
     STATE_FILE,
@@ -216,7 +216,7 @@ def stamp_of(header: Any) -> int:
     return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
 
 
-class ProtocolNode(LifecycleShell):
+class ProtocolNode(ManagedNode):
     """Guides the participant and the operator through a session."""
 
     TABLE = PARAMETERS

@@ -11,7 +11,6 @@ import time
 from typing import Any
 
 import rclpy
-from finger_msgs.msg import ContactArea, ContactState
 from geometry_msgs.msg import WrenchStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo
@@ -19,8 +18,9 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from finger_common.errors import FingerError
-from finger_common.node import LifecycleShell, main_of
+from finger_common.node import ManagedNode, main_of
 from finger_common.parameters import Parameter, ParameterTable
+from finger_msgs.msg import ContactArea, ContactState
 
 PARAMETERS = ParameterTable(
     Parameter(
@@ -55,7 +55,7 @@ STEP_KEYS = ("step", "index", "attempt", "condition", "folder", "waiting_for")
 SERVICES = ("force/tare", "protocol/start")
 
 
-class UnattendedNode(LifecycleShell):
+class UnattendedNode(ManagedNode):
     """Starts and follows the protocol node's study."""
 
     TABLE = PARAMETERS

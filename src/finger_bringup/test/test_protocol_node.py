@@ -18,13 +18,13 @@ class Suite:
     """Stands for the rest of the suite: force, areas, readings and a recorder, published from this process."""
 
     def __init__(self, domain: int) -> None:
-        from finger_msgs.msg import ContactArea, Moisture, Trial
-        from finger_msgs.srv import Record
         from geometry_msgs.msg import WrenchStamped
         from rclpy.qos import QoSProfile
         from std_msgs.msg import String
 
         from finger_common.node import LATCHED_QOS
+        from finger_msgs.msg import ContactArea, Moisture, Trial
+        from finger_msgs.srv import Record
 
         # Nothing may be lost, however busy the machine is.
         stream = QoSProfile(depth=1000)
@@ -235,9 +235,8 @@ def test_trial_over_dds_restart_after_sigkill_and_commands(
 def test_late_joiners_hear_the_newest_alone_and_ctrl_c_is_the_last_word(
     suite: Suite, process: Any, tmp_path: Path
 ) -> None:
-    from finger_msgs.msg import Trial
-
     from finger_common.node import LATCHED_QOS
+    from finger_msgs.msg import Trial
 
     child = start_node(process, tmp_path)
     suite.until(lambda: suite.status.get("step") == "closed")

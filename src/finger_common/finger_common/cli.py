@@ -9,8 +9,10 @@ import argparse
 import os
 import sys
 from collections.abc import Callable, Sequence
+from typing import Any
 
 from .errors import FingerError
+from .settings import S, Settings
 
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
@@ -25,6 +27,44 @@ class Parser(argparse.ArgumentParser):
         if example is not None:
             kwargs["epilog"] = "example:\n  " + example.strip().replace("\n", "\n  ")
         super().__init__(*args, **kwargs)  # type: ignore[arg-type]
+
+
+def add_settings(parser: Any, cls: type[Settings]) -> None:
+    """Give a parser, or a group of one, an option ``--the-name`` for every field of a settings class."""
+    for item in cls.parameters():
+        flag = "--" + item.name.replace("_", "-")
+        allowed = "" if item.choices is not None else item.range_text()
+        # A range names the unit already.
+        note = f" [{allowed or item.unit}]" if allowed or item.unit else ""
+        meaning = f"{item.meaning}{note}".replace("%", "%%")
+        if isinstance(item.default, bool):
+            parser.add_argument(
+                flag, action=argparse.BooleanOptionalAction, default=item.default, help=meaning
+            )
+        elif isinstance(item.default, list):
+            parser.add_argument(
+                flag,
+                nargs="*",
+                default=item.default,
+                choices=item.choices,
+                metavar=None if item.choices else item.name.upper(),
+                help=meaning,
+            )
+        else:
+            default = "none" if item.default == "" else item.default
+            parser.add_argument(
+                flag,
+                type=type(item.default),
+                default=item.default,
+                choices=item.choices,
+                metavar=None if item.choices else item.name.upper(),
+                help=f"{meaning} (default: {default})",
+            )
+
+
+def settings_from(arguments: argparse.Namespace, cls: type[S]) -> S:
+    """Settings from parsed options; raises InputError for a value outside its range."""
+    return cls(**{p.name: getattr(arguments, p.name) for p in cls.parameters()})
 
 
 def one_line(error: BaseException) -> str:

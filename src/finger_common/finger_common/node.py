@@ -1,8 +1,8 @@
 """The rclpy shell that every node of the suite shares.
 
-`LifecycleShell` declares a described `ParameterTable`, refuses bad values with a reason, publishes `/diagnostics`
-at 1 Hz, brings itself up when `autostart` is true and maps errors of the core to failed transitions with one
-sentence in the log. A node overrides `configure`, `activate`, `deactivate` and `cleanup`, which raise a FingerError
+`ManagedNode` declares the parameters of its `Settings` classes, refuses bad values with a reason, publishes
+`/diagnostics` at 1 Hz, brings itself up when `autostart` is true and maps errors of the core to failed transitions with
+one sentence in the log. A node overrides `configure`, `activate`, `deactivate` and `cleanup`, which raise a FingerError
 to refuse.
 """
 
@@ -16,6 +16,7 @@ import time
 import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -41,29 +42,28 @@ from rclpy.signals import SignalHandlerOptions
 from .cli import EXIT_BAD_INPUT, one_line
 from .diagnostics import WARN, Health
 from .errors import FingerError, InputError
-from .parameters import Parameter, ParameterTable
+from .parameters import ParameterTable
+from .settings import S, Settings, parameters_of, setting
 
-COMMON_PARAMETERS = ParameterTable(
-    Parameter(
-        "autostart",
+
+@dataclass(frozen=True)
+class NodeSettings(Settings):
+    """Parameters of every node of the suite."""
+
+    autostart: bool = setting(
         True,
         "Configure and activate at start; false where a launch file or manager brings the node up.",
-    ),
-    Parameter(
-        "qos_reliability",
+    )
+    qos_reliability: str = setting(
         "best_effort",
         "Reliability of the streams this node publishes and subscribes to.",
         choices=("best_effort", "reliable"),
         advice="A reliable subscriber never connects to a best-effort publisher.",
-    ),
-    Parameter(
-        "qos_depth",
-        200,
-        "Samples a stream keeps for a slow reader.",
-        minimum=1,
-        maximum=100000,
-    ),
-)
+    )
+    qos_depth: int = setting(
+        200, "Samples a stream keeps for a slow reader.", minimum=1, maximum=100000
+    )
+
 
 LATCHED_QOS = QoSProfile(
     depth=10,
@@ -87,7 +87,7 @@ ENDING = (signal.SIGINT, signal.SIGTERM)
 """Signals that end a node."""
 
 
-class _NotWaitedFor(CallbackGroup):
+class _NeverExecuted(CallbackGroup):
     """Group of entities that the executor leaves alone."""
 
     def can_execute(self, entity: Any) -> bool:
@@ -120,7 +120,7 @@ class PolledSubscription:
             topic,
             lambda message: None,
             qos,
-            callback_group=_NotWaitedFor(),
+            callback_group=_NeverExecuted(),
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         )
         self._events: dict[QoSSubscriptionEventType, Any] = {}
@@ -166,15 +166,22 @@ class PolledSubscription:
         self._node.destroy_subscription(self._subscription)
 
 
-class LifecycleShell(LifecycleNode):
+class ManagedNode(LifecycleNode):
     """Lifecycle node with described parameters, health and autostart.
 
-    Class attributes: TABLE (ParameterTable of the node's own parameters) and NAME (default node name).
-    `self.values` holds the checked parameters from `configure` on; `self.healths` lists what `/diagnostics` shows.
+    Class attributes: SETTINGS (Settings classes that hold the node's own parameters) and NAME (default node name).
+    `self.values` holds the checked parameters from `configure` on, `self.settings(cls)` the same as an instance of one of
+    the classes; `self.healths` lists what `/diagnostics` shows.
     """
 
+    SETTINGS: tuple[type[Settings], ...] = ()
     TABLE: ParameterTable = ParameterTable()
     NAME = "node"
+
+    @classmethod
+    def parameter_table(cls) -> ParameterTable:
+        """All parameters of the node: those of every node, then its own."""
+        return parameters_of(NodeSettings, *cls.SETTINGS) + cls.TABLE
 
     def __init__(self, **options: Any) -> None:
         super().__init__(self.NAME, **options)
@@ -182,7 +189,7 @@ class LifecycleShell(LifecycleNode):
         self.values: dict[str, Any] = {}
         self._live = False
         self._active = False
-        self._all = COMMON_PARAMETERS + self.TABLE
+        self._all = self.parameter_table()
         for parameter in self._all:
             self.declare_parameter(
                 parameter.name,
@@ -223,6 +230,10 @@ class LifecycleShell(LifecycleNode):
         """Checked values of all parameters; raises InputError."""
         values = {p.name: self.get_parameter(p.name).value for p in self._all}
         return self._all.check(values)
+
+    def settings(self, cls: type[S]) -> S:
+        """The parameters that `cls` describes, as set when the node was configured or changed since."""
+        return cls.select(self.values)
 
     def _on_set_parameters(self, parameters: Sequence[RosParameter]) -> SetParametersResult:
         try:
@@ -452,7 +463,7 @@ class _Ending:
             self._executor.spin_once()
 
 
-def run_node(node_class: type[LifecycleShell], argv: Sequence[str] | None = None) -> int:
+def run_node(node_class: type[ManagedNode], argv: Sequence[str] | None = None) -> int:
     """Run one node until it is told to stop; returns the exit code.
 
     A configuration that fails leaves the node up, unconfigured, so that parameters can be corrected and the
@@ -471,7 +482,7 @@ def run_node(node_class: type[LifecycleShell], argv: Sequence[str] | None = None
             file=sys.stderr,
         )
         return EXIT_BAD_INPUT
-    node: LifecycleShell | None = None
+    node: ManagedNode | None = None
     executor = SingleThreadedExecutor()
     ending = _Ending(executor)
     try:
@@ -500,7 +511,7 @@ def run_node(node_class: type[LifecycleShell], argv: Sequence[str] | None = None
     return 0
 
 
-def main_of(node_class: type[LifecycleShell]) -> Any:
+def main_of(node_class: type[ManagedNode]) -> Any:
     """`main` function of a node's executable."""
 
     def main(argv: Sequence[str] | None = None) -> None:

@@ -18,10 +18,10 @@ from rclpy.duration import Duration
 from std_msgs.msg import Float64
 from finger_common.diagnostics import Health
 from finger_common.errors import InputError
-from finger_common.node import LifecycleShell, run_node
+from finger_common.node import ManagedNode, run_node
 from finger_common.parameters import Parameter, ParameterTable
 
-class Gauge(LifecycleShell):
+class Gauge(ManagedNode):
     NAME = "gauge"
     TABLE = ParameterTable(
         Parameter("gain", 1.0, "Gain.", minimum=0.0, maximum=10.0, runtime=True),

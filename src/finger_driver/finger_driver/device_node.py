@@ -6,7 +6,7 @@ from typing import Any
 
 from finger_common.diagnostics import ERROR, WARN
 from finger_common.errors import DeviceError
-from finger_common.node import LifecycleShell
+from finger_common.node import ManagedNode
 from finger_common.parameters import Parameter
 
 from .clock import HostClock, IncreasingStamps, StampStatistics
@@ -42,7 +42,7 @@ _CLOCK_STEP = 0.05
 """Step of the system clock, s, that is worth a warning."""
 
 
-class DeviceNode(LifecycleShell):
+class DeviceNode(ManagedNode):
     """Lifecycle of a node around one device.
 
     configure connects and checks, activate starts the reading thread, deactivate ends it, cleanup releases the

@@ -6,14 +6,14 @@ import threading
 from dataclasses import replace
 from typing import Any
 
-from finger_msgs.msg import Moisture
-from finger_msgs.srv import SetMoisture
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64
 
 from finger_common.diagnostics import Health
 from finger_common.node import main_of
 from finger_common.parameters import Parameter, ParameterTable
+from finger_msgs.msg import Moisture
+from finger_msgs.srv import SetMoisture
 
 from .device_node import DEVICE_PARAMETERS, DeviceNode
 from .messages import fill_moisture

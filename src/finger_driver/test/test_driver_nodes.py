@@ -197,9 +197,10 @@ def test_camera_node_publishes_every_frame_with_its_calibration(
 def test_moisture_node_publishes_readings_and_what_the_operator_enters(
     observer: Observer, process: Any, tmp_path: Path
 ) -> None:
+    from std_msgs.msg import Float64
+
     from finger_msgs.msg import Moisture
     from finger_msgs.srv import SetMoisture
-    from std_msgs.msg import Float64
 
     readings = observer.listen(Moisture, "moisture", 10, True)
     link = tmp_path / "port"

@@ -8,15 +8,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from finger_msgs.action import FitParameters
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.task import Future
 
 from finger_common.cli import one_line
 from finger_common.diagnostics import Health
 from finger_common.errors import FingerError, InputError
-from finger_common.node import LifecycleShell, main_of
+from finger_common.node import ManagedNode, main_of
 from finger_common.parameters import Parameter, ParameterTable
+from finger_msgs.action import FitParameters
 
 from .options import FitOptions
 from .search import Stopped
@@ -62,7 +62,7 @@ class _Job:
             self.error = f"defect: {type(error).__name__}: {one_line(error)}"
 
 
-class FitNode(LifecycleShell):
+class FitNode(ManagedNode):
     """Serves `~/fit`; one goal at a time."""
 
     NAME = "fit"

@@ -15,8 +15,9 @@ rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 @pytest.fixture
 def client(ros_domain: int, process: Any) -> Any:
-    from finger_msgs.action import FitParameters
     from rclpy.action import ActionClient
+
+    from finger_msgs.action import FitParameters
 
     context = rclpy.Context()
     rclpy.init(context=context, domain_id=ros_domain)

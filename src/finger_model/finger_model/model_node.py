@@ -8,8 +8,6 @@ import time
 from typing import Any
 
 import numpy as np
-from finger_msgs.msg import ContactArea, ContactState, ModelEvent, Moisture
-from finger_msgs.srv import ForceForArea, PredictContact
 from geometry_msgs.msg import WrenchStamped
 from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
@@ -18,8 +16,10 @@ from std_srvs.srv import Trigger
 from finger_common.cli import one_line
 from finger_common.diagnostics import WARN, Health
 from finger_common.errors import FingerError, InputError
-from finger_common.node import LATCHED_QOS, LifecycleShell, main_of
+from finger_common.node import LATCHED_QOS, ManagedNode, main_of
 from finger_common.parameters import Parameter, ParameterTable
+from finger_msgs.msg import ContactArea, ContactState, ModelEvent, Moisture
+from finger_msgs.srv import ForceForArea, PredictContact
 
 from .estimator import ContactEstimator, EstimatorEvent
 from .flags import StateFlag
@@ -96,7 +96,7 @@ class LatencyHistogram:
         return (at + 1) * self.STEP * 1e-6
 
 
-class ModelNode(LifecycleShell):
+class ModelNode(ManagedNode):
     """Thin shell around ContactEstimator."""
 
     TABLE = TABLE

@@ -15,8 +15,6 @@ rclpy = pytest.importorskip("rclpy")
 
 from builtin_interfaces.msg import Time  # noqa: E402
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from finger_msgs.msg import ContactArea, ContactState, ModelEvent, Moisture  # noqa: E402
-from finger_msgs.srv import ForceForArea, PredictContact  # noqa: E402
 from geometry_msgs.msg import WrenchStamped  # noqa: E402
 from lifecycle_msgs.srv import ChangeState  # noqa: E402
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue  # noqa: E402
@@ -38,6 +36,8 @@ from finger_model.messages import (  # noqa: E402
 )
 from finger_model.parameter_sets import ParameterSets  # noqa: E402
 from finger_model.reduced import ReducedModel  # noqa: E402
+from finger_msgs.msg import ContactArea, ContactState, ModelEvent, Moisture  # noqa: E402
+from finger_msgs.srv import ForceForArea, PredictContact  # noqa: E402
 
 RELIABLE = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
 T0 = 1_700_000_000_000_000_000

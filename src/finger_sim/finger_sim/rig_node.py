@@ -7,11 +7,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from finger_msgs.msg import Trial
-
 from finger_common.errors import InputError
-from finger_common.node import LATCHED_QOS, LifecycleShell, main_of
+from finger_common.node import LATCHED_QOS, ManagedNode, main_of
 from finger_common.parameters import Parameter, ParameterTable
+from finger_msgs.msg import Trial
 
 from .rig import RIG_READY, RigAddresses, RigSettings, SimulatedRig
 from .trial_plan import CameraView
@@ -69,7 +68,7 @@ def parse_blocks(blocks: list[str]) -> tuple[tuple[str, int], ...]:
     return tuple(parsed)
 
 
-class RigNode(LifecycleShell):
+class RigNode(ManagedNode):
     """The simulated rig as a process of the suite."""
 
     TABLE = PARAMETERS

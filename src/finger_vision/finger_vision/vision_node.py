@@ -10,14 +10,14 @@ import threading
 from typing import Any
 
 import cv2
-from finger_msgs.msg import ContactArea
 from geometry_msgs.msg import Point, Point32
 from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
 from finger_common.diagnostics import WARN, Health
 from finger_common.errors import FingerError
-from finger_common.node import LifecycleShell, main_of
+from finger_common.node import ManagedNode, main_of
+from finger_msgs.msg import ContactArea
 
 from .contact import ContactSegmenter
 from .flags import ContactFlag
@@ -37,7 +37,7 @@ def contact_area_message(fields: dict[str, Any]) -> ContactArea:
     return message
 
 
-class VisionNode(LifecycleShell):
+class VisionNode(ManagedNode):
     """See the module's description."""
 
     NAME = "vision"

@@ -11,11 +11,11 @@ finger_msgs = pytest.importorskip("finger_msgs.msg")
 
 import numpy as np  # noqa: E402
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from finger_msgs.msg import ContactArea  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 from sensor_msgs.msg import Image  # noqa: E402
 
+from finger_msgs.msg import ContactArea  # noqa: E402
 from finger_sim.ftir import FtirRenderer, Scene  # noqa: E402
 
 QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)

@@ -1,0 +1,44 @@
+"""Bits of `flags` in ContactState and ContactArea, as in the message definitions (a test keeps them equal)."""
+
+from __future__ import annotations
+
+from enum import IntFlag
+
+
+class StateFlag(IntFlag):
+    """Flags of an estimated contact state; 0 means: everything is valid and fresh."""
+
+    FORCE_INVALID = 1
+    FORCE_GAP = 2
+    FORCE_OUT_OF_RANGE = 4
+    LATERAL_LOAD = 8
+    PARAMETERS_OUT_OF_RANGE = 16
+    MOISTURE_MISSING = 32
+    MOISTURE_STALE = 64
+    MOISTURE_OUT_OF_RANGE = 128
+    AREA_MISSING = 256
+    AREA_STALE = 512
+    AREA_LATE = 1024
+    AREA_REJECTED = 2048
+    MODEL_FAILED = 4096
+    TIME_RESET = 8192
+    MOISTURE_LATE = 16384
+    OUT_OF_ORDER = 32768
+
+
+class AreaFlag(IntFlag):
+    """Flags of a measured area: what speaks against it; 0 means nothing."""
+
+    NO_CONTACT = 1
+    SPARSE = 2
+    CLIPPED = 4
+    LOW_CONTRAST = 8
+    SATURATED = 16
+    UNCALIBRATED = 32
+    MULTIPLE_REGIONS = 64
+    NO_BACKGROUND = 128
+
+
+def flag_names(flags: StateFlag | AreaFlag) -> str:
+    """Names of the bits set, lower case, joined by '|'; empty for 0."""
+    return "|".join(f.name.lower() for f in type(flags) if flags & f and f.name)

@@ -1,0 +1,13 @@
+"""The scale of the moisture probe, in arbitrary units (Courage + Khazaka Corneometer CM 825)."""
+
+from __future__ import annotations
+
+import math
+
+MOISTURE_RANGE = (0.0, 130.0)
+"""a.u., first and last value of the scale."""
+
+
+def is_moisture(value: float) -> bool:
+    """Whether a reading lies on the scale; false for NaN."""
+    return math.isfinite(value) and MOISTURE_RANGE[0] <= value <= MOISTURE_RANGE[1]

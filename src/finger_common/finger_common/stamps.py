@@ -1,0 +1,40 @@
+"""Time stamps: an `int` of nanoseconds since the epoch in the cores, seconds and nanoseconds in messages."""
+
+from __future__ import annotations
+
+from typing import Any
+
+NANOSECONDS = 1_000_000_000
+"""Nanoseconds in a second."""
+
+
+def stamp_of(time: Any) -> int:
+    """Nanoseconds of a builtin_interfaces/Time: of rclpy, of a bag reader, or with `nanoseconds` for `nanosec`."""
+    nanoseconds = time.nanosec if hasattr(time, "nanosec") else time.nanoseconds
+    return int(time.sec) * NANOSECONDS + int(nanoseconds)
+
+
+def header_stamp(message: Any) -> int:
+    """Nanoseconds of a message's header stamp."""
+    return stamp_of(message.header.stamp)
+
+
+def time_fields(stamp_ns: int) -> dict[str, int]:
+    """Fields of a builtin_interfaces/Time: sec and nanosec (0 … 999,999,999, also before 1970)."""
+    seconds, nanoseconds = divmod(int(stamp_ns), NANOSECONDS)
+    return {"sec": seconds, "nanosec": nanoseconds}
+
+
+def fill_time(time: Any, stamp_ns: int) -> None:
+    """Set sec and nanosec of a Time message."""
+    time.sec, time.nanosec = divmod(int(stamp_ns), NANOSECONDS)
+
+
+def seconds(duration_ns: int) -> float:
+    """Seconds of a duration in nanoseconds."""
+    return duration_ns / NANOSECONDS
+
+
+def nanoseconds(duration: float) -> int:
+    """Whole nanoseconds of a duration in seconds, rounded."""
+    return round(duration * NANOSECONDS)

@@ -1,0 +1,19 @@
+"""Phases of a guided trial, as in Trial.msg (a test keeps them equal)."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class TrialPhase(IntEnum):
+    """What the participant and the operator do now."""
+
+    IDLE = 0
+    PREPARE = 1
+    MOISTURE_BEFORE = 2
+    PRESS = 3
+    LIFT = 4
+    MOISTURE_AFTER = 5
+    DONE = 6
+    FAILED = 7
+    PAUSED = 8

@@ -1,0 +1,86 @@
+"""Settings that describe themselves, and plugins."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pytest
+
+from finger_common.cli import Parser, add_settings, settings_from
+from finger_common.errors import InputError
+from finger_common.plugins import Plugins
+from finger_common.settings import Settings, parameters_of, setting
+
+
+@dataclass(frozen=True)
+class Poll(Settings):
+    rate: float = setting(500.0, "Samples per second.", unit="Hz", minimum=1.0, maximum=7000.0)
+    axes: list[str] = setting(["x"], "Axes to read.", choices=("x", "y"))
+    low: float = setting(0.1, "Low end.", unit="N")
+    high: float = setting(0.2, "High end.", unit="N", runtime=True)
+    note: str = ""
+
+    def validate(self) -> None:
+        if self.low >= self.high:
+            raise InputError(f"low is {self.low} N, not below high ({self.high} N); lower it")
+
+
+@dataclass(frozen=True)
+class SharedRate(Poll):
+    more: int = setting(1, "One more.")
+
+
+def test_the_fields_are_the_table() -> None:
+    table = Poll.parameters()
+    assert [p.name for p in table] == ["rate", "axes", "low", "high"]
+    assert table["rate"].unit == "Hz" and table["high"].runtime
+    assert "1 … 7000 Hz" in table.markdown()
+
+
+def test_construction_checks_values_and_contradictions() -> None:
+    assert Poll(rate=100).rate == 100.0 and isinstance(Poll(rate=100).rate, float)
+    with pytest.raises(InputError, match=r"rate.*7000"):
+        Poll(rate=1e9)
+    with pytest.raises(InputError, match=r"low is 0\.3"):
+        Poll(low=0.3)
+    assert Poll().axes is not Poll().axes
+
+
+def test_mappings_and_json_round_trip_and_name_what_is_wrong() -> None:
+    settings = Poll(rate=10.0, axes=["y", "x"])
+    assert Poll.from_json(settings.to_json()) == settings
+    assert Poll.select({"rate": 10.0, "axes": ["y", "x"], "other": 3}) == settings
+    assert Poll.from_json("") == Poll()
+    for text, words in (("{", "goal: not valid JSON"), ("[1]", "goal: a JSON object")):
+        with pytest.raises(InputError, match=words):
+            Poll.from_json(text, "goal")
+    with pytest.raises(InputError, match=r"rig.yaml: 'rat' does not exist; known are rate"):
+        Poll.from_mapping({"rat": 1.0}, "rig.yaml")
+
+
+def test_classes_share_a_field_but_not_a_name() -> None:
+    assert [p.name for p in parameters_of(Poll, SharedRate)][-1] == "more"
+
+    @dataclass(frozen=True)
+    class Other(Settings):
+        rate: float = setting(10.0, "Another rate.")
+
+    with pytest.raises(ValueError, match="'rate' is declared twice"):
+        parameters_of(Poll, Other)
+
+
+def test_options_of_a_command_are_the_fields(capsys: pytest.CaptureFixture[str]) -> None:
+    parser = Parser(prog="poll")
+    add_settings(parser, Poll)
+    found = settings_from(parser.parse_args(["--rate", "20", "--axes", "y"]), Poll)
+    assert found == Poll(rate=20.0, axes=["y"])
+    with pytest.raises(SystemExit):
+        parser.parse_args(["--help"])
+    assert "1 … 7000 Hz" in capsys.readouterr().out
+
+
+def test_an_unknown_plugin_is_named_with_those_installed() -> None:
+    with pytest.raises(
+        InputError, match=r"console script 'x' is not installed; known are .*pytest"
+    ):
+        Plugins("console_scripts", "console script").load("x")
