@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from finger_bag.process import ProcessOptions, process
 from finger_bag.writer import BagWriter
+from finger_offline.process import ProcessOptions, process
 
 sys.path.insert(0, str(Path(__file__).parent))
 import rig_load

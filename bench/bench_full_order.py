@@ -16,7 +16,7 @@ STEPS = 20
 
 def trial(refinement: float = 1.0, repeats: int = 1) -> tuple[int, list[float], float]:
     """Unknowns, wall time (s) of each repeat and final area (m²) of the natural trial: 1.35 N in 1 s, friction."""
-    from finger_model.full_order import FullOrderModel
+    from finger_model.fem.full_order import FullOrderModel
     from finger_model.material import Material
 
     model = FullOrderModel(refinement=refinement)

@@ -11,10 +11,10 @@ import numpy as np
 
 from finger_model.commands.verify_reduced import SEED
 from finger_model.estimator import ContactEstimator
-from finger_model.force_histories import PAPER_BOX, human_press
 from finger_model.reduced import ReducedModel
-from finger_model.reduction_error import error_table
-from finger_model.reduction_runs import held_out_case, pool, run_all
+from finger_model.reduced.error import error_table
+from finger_model.reduced.force_histories import PAPER_BOX, human_press
+from finger_model.reduced.training_runs import held_out_case, pool, run_all
 
 SETS, TRIALS, FRAMES = 900, 15, 20
 """The paper's optimisation: five candidates and 60 rounds for three conditions, 15 trials each."""

@@ -29,7 +29,7 @@ from finger_fit.local import refine, whole_box
 from finger_fit.options import FitOptions
 from finger_fit.problem import FitProblem
 from finger_fit.trials import prepare_all
-from finger_model.full_order import FullOrderModel
+from finger_model.fem.full_order import FullOrderModel
 from finger_model.reduced import ReducedModel
 from finger_sim.conditions import STUDY
 from finger_sim.press import plan_press

@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from finger_bag.reader import open_bag
-from finger_bag.trials import load_trials
+from finger_offline.trials import load_trials
 
 CONDITIONS = {"dry": 37.56, "natural": 69.31, "moist": 105.33}
 TYPES = {

@@ -15,14 +15,23 @@ LAYERS = {
     "finger_driver": {"finger_common"},
     "finger_vision": {"finger_common"},
     "finger_model": {"finger_common"},
-    "finger_bag": {"finger_common", "finger_driver", "finger_vision", "finger_model"},
-    "finger_fit": {"finger_common", "finger_bag", "finger_vision", "finger_model"},
+    "finger_bag": {"finger_common", "finger_model", "finger_offline"},
+    "finger_offline": {"finger_common", "finger_bag", "finger_vision", "finger_model"},
+    "finger_fit": {
+        "finger_common",
+        "finger_bag",
+        "finger_offline",
+        "finger_vision",
+        "finger_model",
+    },
+    "finger_operator": {"finger_common", "finger_bag"},
     "finger_sim": {
         "finger_common",
         "finger_driver",
         "finger_vision",
         "finger_model",
         "finger_bag",
+        "finger_offline",
     },
     "finger_bringup": {
         "finger_common",
@@ -30,8 +39,10 @@ LAYERS = {
         "finger_vision",
         "finger_model",
         "finger_bag",
+        "finger_offline",
         "finger_fit",
         "finger_sim",
+        "finger_operator",
     },
 }
 """Package -> packages it may import (finger_msgs only in nodes)."""

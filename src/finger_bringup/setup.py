@@ -21,7 +21,7 @@ setup(
         (f"share/{PACKAGE}/launch", glob("launch/*.py")),
         (f"share/{PACKAGE}/config", glob("config/*")),
     ],
-    package_data={PACKAGE: ["data/*", "data/**/*", "page/static/*"]},
+    package_data={PACKAGE: ["data/*", "data/**/*"]},
     zip_safe=False,
     entry_points={
         "console_scripts": [
@@ -29,8 +29,6 @@ setup(
             "unattended_node = finger_bringup.unattended_node:main",
             "bring_up_node = finger_bringup.bring_up_node:main",
             "fit_request_node = finger_bringup.fit_request_node:main",
-            "protocol_node = finger_bringup.protocol_node:main",
-            "page_node = finger_bringup.page_node:main",
         ],
     },
 )

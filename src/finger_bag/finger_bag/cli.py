@@ -18,9 +18,9 @@ from rich.table import Table
 
 from finger_common.cli import Parser, run
 from finger_common.errors import FingerError, InputError
+from finger_offline.trials import AXES, TrialSettings, find_bags
 
 from .mapping import TopicMapping
-from .trials import AXES, TrialSettings, find_bags
 
 EXIT_CHECK_FAILS = 1
 
@@ -156,7 +156,7 @@ def _trial_settings(args: argparse.Namespace) -> TrialSettings:
 
 def _settings_of(pairs: Sequence[str]) -> dict[str, Any]:
     """NAME=VALUE pairs as estimator settings of the right type; raises InputError."""
-    from finger_model.settings import ESTIMATOR_PARAMETERS
+    from finger_model.estimator.settings import ESTIMATOR_PARAMETERS
 
     found: dict[str, Any] = {}
     for pair in pairs:
@@ -178,7 +178,7 @@ def _settings_of(pairs: Sequence[str]) -> dict[str, Any]:
 
 
 def _process_one(job: tuple[str, str, Any]) -> Any:
-    from .process import process
+    from finger_offline.process import process
 
     source, target, options = job
     try:
@@ -188,7 +188,7 @@ def _process_one(job: tuple[str, str, Any]) -> Any:
 
 
 def _process(args: argparse.Namespace) -> int:
-    from .process import ProcessOptions, process
+    from finger_offline.process import ProcessOptions, process
 
     bags = find_bags(args.bags)
     several = len(bags) > 1

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from finger_common.errors import InputError
+from finger_offline.trials import TrialRecord, TrialSet, TrialSettings, normal_and_lateral, split
 
 from .reader import BagReader, open_bag
 from .schema import CALIBRATION_ATTACHMENT, TOPICS
 from .streams import SessionStreams, find_topic, find_wrench, read_streams
-from .trials import TrialRecord, TrialSet, TrialSettings, normal_and_lateral, split
 
 OK, NOTE, FAIL = "ok", "note", "fail"
 

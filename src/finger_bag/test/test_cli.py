@@ -12,10 +12,10 @@ from session_bags import START, image, press_force, wrench
 
 from finger_bag.cli import command, parser
 from finger_bag.reader import open_bag
-from finger_bag.trials import TrialSettings, load_trials
 from finger_bag.validate import force_image_lag, validate
 from finger_bag.writer import BagWriter
 from finger_common.cli import run
+from finger_offline.trials import TrialSettings, load_trials
 
 COMMANDS = ("info", "validate", "process", "play", "record", "recover", "anonymise")
 

@@ -23,10 +23,10 @@ from finger_bag.anonymise import anonymise
 from finger_bag.mcap_file import McapFile
 from finger_bag.reader import open_bag
 from finger_bag.recover import recover
-from finger_bag.trials import load_trials
 from finger_bag.validate import validate
 from finger_bag.writer import BagWriter
 from finger_common.errors import InputError
+from finger_offline.trials import load_trials
 
 SECONDS_PER_BAG = 10.0
 
@@ -350,7 +350,7 @@ def test_impossible_times_are_left_out(tmp_path: Path) -> None:
 def test_png_that_claims_gigapixels_is_not_decoded() -> None:
     from types import SimpleNamespace
 
-    from finger_bag.image_areas import grey_image
+    from finger_offline.image_areas import grey_image
 
     size = (1 << 20).to_bytes(4, "big")
     data = b"\x89PNG\r\n\x1a\n" + b"\x00\x00\x00\rIHDR" + size * 2 + b"\x08\x00\x00\x00\x00" * 9

@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
-from finger_bag.process import ProcessOptions
-from finger_bag.process import process as run_offline
 from finger_bag.reader import open_bag
+from finger_offline.process import ProcessOptions
+from finger_offline.process import process as run_offline
 
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 

@@ -11,8 +11,8 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 from finger_bag.reader import open_bag
-from finger_bag.trials import find_bags, load_trials
 from finger_bag.validate import validate
+from finger_offline.trials import find_bags, load_trials
 
 CONDITIONS = {"dry", "natural", "moist"}
 

@@ -93,7 +93,7 @@ def _begin_worker() -> None:
 
 def replay(bag: Path, target: Path) -> tuple[Path, int, int, float]:
     """Measure a bag's images anew and run the model over it; gives target, states, areas and seconds taken."""
-    from finger_bag.process import ProcessOptions, process
+    from finger_offline.process import ProcessOptions, process
 
     start = time.monotonic()
     result = process(bag, target, ProcessOptions(images=True))

@@ -15,13 +15,13 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from finger_bag.image_areas import calibration_of
 from finger_bag.reader import open_bag
-from finger_bag.trials import TrialRecord, load_trials
 from finger_common.files import atomic_write
 from finger_fit.fit import ConditionFit
 from finger_fit.problem import MM2, MM4
 from finger_model.reduced import ReducedModel
+from finger_offline.image_areas import calibration_of
+from finger_offline.trials import TrialRecord, load_trials
 from finger_sim.conditions import STUDY
 from finger_vision.messages import image_of
 

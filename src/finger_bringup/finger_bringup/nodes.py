@@ -63,8 +63,8 @@ TABLE: dict[str, NodeEntry] = {
         NodeEntry("model", "finger_model", "model_node", 2),
         NodeEntry("fit", "finger_fit", "fit_node", 3),
         NodeEntry("recorder", "finger_bag", "recorder_node", 3),
-        NodeEntry("protocol", "finger_bringup", "protocol_node", 4),
-        NodeEntry("page", "finger_bringup", "page_node", 5, lifecycle=False),
+        NodeEntry("protocol", "finger_operator", "protocol_node", 4),
+        NodeEntry("page", "finger_operator", "page_node", 5, lifecycle=False),
         NodeEntry(
             "unattended",
             "finger_bringup",

@@ -14,10 +14,10 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
-from finger_model.full_order import FullOrderModel
+from finger_model.fem.full_order import FullOrderModel
+from finger_model.fem.mesh import BULK, EPIDERMIS
 from finger_model.geometry import Geometry
 from finger_model.material import Material
-from finger_model.mesh import BULK, EPIDERMIS
 
 from .fit import ConditionFit, FitReport
 from .identifiability import quantity

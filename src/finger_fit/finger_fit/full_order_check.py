@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from finger_common.errors import ModelError
-from finger_model.full_order import FullOrderModel
+from finger_model.fem.full_order import FullOrderModel
 from finger_model.geometry import Geometry
 from finger_model.material import Material
 

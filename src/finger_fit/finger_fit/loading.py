@@ -11,9 +11,9 @@ import numpy as np
 
 from finger_bag.mapping import TopicMapping
 from finger_bag.reader import open_bag
-from finger_bag.trials import TrialRecord, TrialSet, TrialSettings, find_bags, trials_of
 from finger_common.errors import InputError
 from finger_common.files import read_bytes, sha256_of
+from finger_offline.trials import TrialRecord, TrialSet, TrialSettings, find_bags, trials_of
 
 from .options import FitOptions
 from .trials import Exclusion
@@ -93,7 +93,7 @@ def _read(bag: Path, settings: TrialSettings) -> tuple[TrialSet, str, str]:
                 f"{bag}: holds neither 'wrench' nor 'wrench_raw'; record the force or name its topic "
                 "in a mapping file"
             )
-        from finger_bag.trials import split, streams_with_areas
+        from finger_offline.trials import split, streams_with_areas
 
         streams = streams_with_areas(reader, replace(settings, wrench_topic="wrench_raw"))
         tare = recorded_tare(metadata.extra, streams.force, streams.wrench_stamp_ns)

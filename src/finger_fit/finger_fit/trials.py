@@ -1,6 +1,6 @@
 """From recorded trials to what a fit compares: the model's drive and the frames that count.
 
-A recorded trial is any object with the fields of `finger_bag.trials.TrialRecord`. Which trials are left out, and
+A recorded trial is any object with the fields of `finger_offline.trials.TrialRecord`. Which trials are left out, and
 why, is part of the result.
 """
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from finger_common.files import atomic_write
 
-from .fields import Fields
+from .fem.fields import Fields
 from .geometry import Geometry
 from .history import ContactPoint
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from .estimator import ContactEstimate, EstimatorEvent, EventType
+from .estimator.estimator import ContactEstimate, EstimatorEvent, EventType
 
 NANOSECONDS = 1_000_000_000
 

@@ -21,13 +21,13 @@ from finger_common.parameters import Parameter, ParameterTable
 from finger_msgs.msg import ContactArea, ContactState, ModelEvent, Moisture
 from finger_msgs.srv import ForceForArea, PredictContact
 
-from .estimator import ContactEstimator, EstimatorEvent
+from .estimator.estimator import ContactEstimator, EstimatorEvent
+from .estimator.settings import ESTIMATOR_PARAMETERS, EstimatorSettings
 from .flags import StateFlag
 from .geometry import Geometry
 from .messages import area_of, event_fields, fill_contact_state, moisture_of, wrench_of
 from .parameter_sets import ParameterSets
-from .reduced import ReducedModel
-from .settings import ESTIMATOR_PARAMETERS, EstimatorSettings
+from .reduced.model import ReducedModel
 
 TABLE = ESTIMATOR_PARAMETERS + ParameterTable(
     Parameter("wrench_topic", "wrench", "Topic of the tared force."),

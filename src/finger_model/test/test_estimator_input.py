@@ -13,10 +13,10 @@ from finger_model.estimator import (
     EventType,
     replay,
 )
+from finger_model.estimator.settings import EstimatorSettings
 from finger_model.flags import StateFlag
 from finger_model.parameter_sets import ParameterSet, ParameterSets
 from finger_model.reduced import ReducedModel
-from finger_model.settings import EstimatorSettings
 
 T0 = 1_700_000_000_000_000_000
 MS = 1_000_000

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from finger_common.errors import InputError, ModelError
-from finger_model.full_order import FullOrderModel
+from finger_model.fem.full_order import FullOrderModel
+from finger_model.fem.mesh import finger_mesh
 from finger_model.geometry import Geometry
 from finger_model.material import Material
-from finger_model.mesh import finger_mesh
 from finger_model.verification.cases import elastic, ramp
 
 

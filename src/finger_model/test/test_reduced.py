@@ -9,13 +9,18 @@ import numpy as np
 import pytest
 
 from finger_common.errors import InputError
-from finger_model.force_histories import FULL_RANGE, PAPER_BOX, random_history, random_parameters
-from finger_model.full_order import FullOrderModel
+from finger_model.fem.full_order import FullOrderModel
 from finger_model.geometry import Geometry
 from finger_model.material import Material
 from finger_model.reduced import ReducedModel
-from finger_model.reduction_error import GOAL_RMS, GOAL_WORST, error_table
-from finger_model.reduction_runs import Run, held_out_case, run_case
+from finger_model.reduced.error import GOAL_RMS, GOAL_WORST, error_table
+from finger_model.reduced.force_histories import (
+    FULL_RANGE,
+    PAPER_BOX,
+    random_history,
+    random_parameters,
+)
+from finger_model.reduced.training_runs import Run, held_out_case, run_case
 
 NATURAL = np.array([140e3, 22.35e3, 0.5, 1795e3])
 SEED = 909

@@ -7,25 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from finger_model.force_histories import FULL_RANGE, KINDS, PAPER_BOX, random_history
-from finger_model.full_order import FullOrderModel
+from finger_model.fem.full_order import FullOrderModel
 from finger_model.geometry import Geometry
 from finger_model.reduced import ReducedModel
-from finger_model.reduction import BuildSettings, build
-from finger_model.reduction_runs import (
-    principal_modes,
-    run_case,
-    training_case,
-    weight_of,
-)
-from finger_model.reduction_training import (
-    Network,
-    drive_samples,
-    features,
-    fit,
-    sigmoid,
-    stack,
-)
+from finger_model.reduced.build import BuildSettings, build
+from finger_model.reduced.force_histories import FULL_RANGE, KINDS, PAPER_BOX, random_history
+from finger_model.reduced.training import Network, drive_samples, features, fit, sigmoid, stack
+from finger_model.reduced.training_runs import principal_modes, run_case, training_case, weight_of
 
 LENGTH = 8.5e-3
 SMALL = BuildSettings(

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from finger_common.errors import InputError
-from finger_model.full_order import FullOrderModel
+from finger_model.fem.full_order import FullOrderModel
 from finger_model.geometry import Geometry
 from finger_model.history import ContactHistory
 from finger_model.material import Material

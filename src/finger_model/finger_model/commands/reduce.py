@@ -50,7 +50,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out the subcommand."""
-    from ..reduction import BuildSettings, build
+    from ..reduced.build import BuildSettings, build
 
     geometry = Geometry.load(arguments.geometry) if arguments.geometry else Geometry()
     options = {"seed": arguments.seed, "friction": arguments.friction}

@@ -94,7 +94,7 @@ def _reduced(
     force: np.ndarray,
 ) -> ContactHistory | None:
     """History of the reduced model; None, with a note, where the full-order model has to do it."""
-    from ..reduced import ReducedModel
+    from ..reduced.model import ReducedModel
 
     try:
         model = ReducedModel.load(arguments.reduced_model, geometry=geometry)
@@ -114,7 +114,7 @@ def _full(
     force: np.ndarray,
 ) -> ContactHistory:
     """History of the full-order model, with figure and file of the fields on the way."""
-    from ..full_order import FullOrderModel
+    from ..fem.full_order import FullOrderModel
 
     row = int(np.argmax(force))
     if arguments.at is not None:

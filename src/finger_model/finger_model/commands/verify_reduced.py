@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 from finger_common.errors import InputError
 
 if TYPE_CHECKING:
-    from ..reduced import ReducedModel
-    from ..reduction_error import ErrorTable
-    from ..reduction_runs import Case, Run
+    from ..reduced.error import ErrorTable
+    from ..reduced.model import ReducedModel
+    from ..reduced.training_runs import Case, Run
 
 SEED = 64075
 """Not that of any build: pairs that no training saw and no choice was made on."""
@@ -39,8 +39,8 @@ def wide_case(seed: int, index: int) -> Case:
     """A pair over the whole range of parameters, to a peak of 0.15–3 N."""
     import numpy as np
 
-    from ..force_histories import FULL_RANGE, KINDS, random_history, random_parameters
-    from ..reduction_runs import Case
+    from ..reduced.force_histories import FULL_RANGE, KINDS, random_history, random_parameters
+    from ..reduced.training_runs import Case
 
     rng = np.random.default_rng([seed, index, 2])
     peak = float(np.exp(rng.uniform(np.log(0.15), np.log(3.0))))
@@ -53,9 +53,9 @@ def run(arguments: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.progress import Progress
 
-    from ..reduced import ReducedModel
-    from ..reduction_error import error_table
-    from ..reduction_runs import held_out_case, pool, run_all
+    from ..reduced.error import error_table
+    from ..reduced.model import ReducedModel
+    from ..reduced.training_runs import held_out_case, pool, run_all
 
     if arguments.checks or arguments.output:
         raise InputError("--reduced runs no other check and writes no page: leave out CHECK and -o")

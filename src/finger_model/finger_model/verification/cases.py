@@ -7,10 +7,10 @@ from importlib.resources import files
 
 import numpy as np
 
-from ..full_order import FullOrderModel
+from ..fem.full_order import FullOrderModel
+from ..fem.mesh import BULK, Mesh, finger_mesh
 from ..geometry import Geometry
 from ..material import Material
-from ..mesh import BULK, Mesh, finger_mesh
 
 ELASTIC = 1e9
 """E1 over E0 of a bulk written as elastic."""

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from matplotlib.figure import Figure
 
-from ..full_order import FullOrderModel
+from ..fem.full_order import FullOrderModel
 from ..geometry import Geometry
 from ..material import Material
 from .cases import ELASTIC, STUDY, elastic, long_term, ramp, reference

@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.integrate import solve_bvp, trapezoid
 
-from ..equilibrium import SLIP, STICK
-from ..full_order import FullOrderModel
+from ..fem.equilibrium import SLIP, STICK
+from ..fem.full_order import FullOrderModel
 from ..material import Material
 from .cases import block, elastic, ramp, reference
 from .check import Check, Measure

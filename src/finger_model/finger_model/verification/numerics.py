@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from ..full_order import FullOrderModel
+from ..fem.full_order import FullOrderModel
 from ..material import Material
 from .cases import STUDY, block, elastic, ramp
 from .check import Check, Measure

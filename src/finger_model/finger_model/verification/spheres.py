@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from matplotlib.figure import Figure
 
-from ..full_order import FullOrderModel
+from ..fem.full_order import FullOrderModel
 from ..material import Material
 from .cases import ELASTIC, reference, sphere
 from .check import Check, Measure

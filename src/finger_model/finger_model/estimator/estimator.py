@@ -39,12 +39,12 @@ import numpy as np
 
 from finger_common.errors import InputError
 
-from . import estimator_kernels as ek
-from . import reduced_kernels as rk
-from .flags import StateFlag
-from .history import ContactHistory, check_force_history
-from .parameter_sets import ParameterSets
-from .reduced import ReducedModel
+from ..flags import StateFlag
+from ..history import ContactHistory, check_force_history
+from ..parameter_sets import ParameterSets
+from ..reduced import kernels as rk
+from ..reduced.model import ReducedModel
+from . import kernels as ek
 from .settings import AXES, EstimatorSettings
 
 TIME_JUMP = "time jumped back"

@@ -9,10 +9,9 @@ from typing import IO, Any
 
 import numpy as np
 
+from finger_bag.closing import Closing
 from finger_common.errors import InputError
 from finger_model.estimator import EstimateBlock
-
-from .closing import Closing
 
 
 def serialize(block: EstimateBlock, frame_id: str = "") -> list[bytes]:

@@ -13,19 +13,19 @@ import numpy as np
 
 from finger_common.errors import InputError, ModelError
 
-from . import elements
-from .contact_radius import Edge, contact_edge, peak_pressure
-from .equilibrium import OPEN, SLIP, Contact, Equilibrium, NotConverged
-from .fields import Fields, fields_of
-from .geometry import Geometry
-from .history import (
+from ..geometry import Geometry
+from ..history import (
     ContactHistory,
     ContactPoint,
     check_force_history,
     mean_pressure,
     radius_to_area,
 )
-from .material import Material
+from ..material import Material
+from . import elements
+from .contact_radius import Edge, contact_edge, peak_pressure
+from .equilibrium import OPEN, SLIP, Contact, Equilibrium, NotConverged
+from .fields import Fields, fields_of
 from .mesh import BULK, EPIDERMIS, NAIL, Mesh, finger_mesh
 
 SMALLEST_CUT = 2.0**-14

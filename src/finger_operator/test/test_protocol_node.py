@@ -162,7 +162,7 @@ def start_node(process: Any, output: Path, *parameters: str) -> Any:
         *parameters,
     ]
     flags = [flag for argument in arguments for flag in ("-p", argument)]
-    return process("-m", "finger_bringup.protocol_node", "--ros-args", *flags)
+    return process("-m", "finger_operator.protocol_node", "--ros-args", *flags)
 
 
 def test_trial_over_dds_restart_after_sigkill_and_commands(

@@ -8,14 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from finger_bag.reader import BagMessage, BagReader
+from finger_bag.schema import CALIBRATION_ATTACHMENT
+from finger_bag.streams import stamp_ns
 from finger_common.errors import InputError
 from finger_vision.calibration import PlateCalibration
 from finger_vision.contact import ContactMeasurement, ContactSegmenter
 from finger_vision.messages import contact_area_fields, image_of
-
-from .reader import BagMessage, BagReader
-from .schema import CALIBRATION_ATTACHMENT
-from .streams import stamp_ns
 
 MAXIMUM_PIXELS = 64 << 20
 

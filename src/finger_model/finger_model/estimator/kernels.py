@@ -25,7 +25,7 @@ import math
 import numpy as np
 from numba import njit
 
-from . import reduced_kernels as rk
+from ..reduced import kernels as rk
 
 # Columns of the output, floats.
 (

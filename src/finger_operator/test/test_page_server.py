@@ -12,15 +12,15 @@ from typing import Any
 import aiohttp
 import pytest
 
-from finger_bringup.page.feed import ForceMemory, HealthBoard, measured_point, model_point
-from finger_bringup.page.server import (
+from finger_common.errors import InputError
+from finger_operator.page.feed import ForceMemory, HealthBoard, measured_point, model_point
+from finger_operator.page.server import (
     COMMANDS,
     PageServer,
     PageSettings,
     check_command,
     is_loopback,
 )
-from finger_common.errors import InputError
 
 
 class Served:
@@ -232,7 +232,7 @@ def test_commands_of_a_wrong_form_are_refused(message: dict[str, Any]) -> None:
 
 
 def test_every_command_of_the_page_is_one_the_server_knows(project_root: Any) -> None:
-    script = (project_root / "src/finger_bringup/finger_bringup/page/static/app.js").read_text()
+    script = (project_root / "src/finger_operator/finger_operator/page/static/app.js").read_text()
     for name in COMMANDS:
         assert f'"{name}"' in script, name
 
@@ -300,7 +300,7 @@ def test_images_go_to_watchers_only(served: Served) -> None:
 def test_beyond_this_machine_no_image_unless_told_and_no_operator_page_without_token(
     monkeypatch: pytest.MonkeyPatch, share: bool
 ) -> None:
-    monkeypatch.setattr("finger_bringup.page.server.is_loopback", lambda address: False)
+    monkeypatch.setattr("finger_operator.page.server.is_loopback", lambda address: False)
     served = Served(share_images=share)
 
     async def body(session: aiohttp.ClientSession) -> None:

@@ -13,12 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from finger_common.errors import InputError
-
-from .mapping import AXES, TopicMapping
-from .reader import BagReader, open_bag
-from .schema import SessionMetadata
-from .streams import (
+from finger_bag.mapping import AXES, TopicMapping
+from finger_bag.reader import BagReader, open_bag
+from finger_bag.schema import SessionMetadata
+from finger_bag.streams import (
     MOISTURE_AFTER,
     MOISTURE_BEFORE,
     PHASE_DONE,
@@ -34,6 +32,7 @@ from .streams import (
     missing,
     read_streams,
 )
+from finger_common.errors import InputError
 
 IMAGE_AREAS = ("absent", "always", "never")
 DEFAULT_TARGET = 1.35

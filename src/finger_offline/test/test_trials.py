@@ -13,9 +13,9 @@ from session_bags import AREA_PER_FORCE, START, press_force, wrench, write_sessi
 from finger_bag.bulk import stamps_and_wrenches
 from finger_bag.definitions import encode
 from finger_bag.mapping import TopicMapping
-from finger_bag.trials import TrialSettings, load_trials, normal_and_lateral, presses
 from finger_bag.writer import BagWriter
 from finger_common.errors import InputError
+from finger_offline.trials import TrialSettings, load_trials, normal_and_lateral, presses
 
 
 @pytest.mark.parametrize("messages", [True, False], ids=["trial messages", "force alone"])

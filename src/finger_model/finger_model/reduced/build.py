@@ -20,14 +20,15 @@ import numpy as np
 from finger_common.errors import InputError, ModelError
 from finger_common.files import atomic_write, sha256_of
 
-from . import reduced_kernels as rk
+from ..fem.full_order import FullOrderModel
+from ..geometry import Geometry
+from ..material import Material
+from . import kernels as rk
+from .error import ErrorTable, error_table
 from .force_histories import FULL_RANGE, PAPER_BOX
-from .full_order import FullOrderModel
-from .geometry import Geometry
-from .material import Material
-from .reduced import RANGE_NAMES, ReducedModel
-from .reduction_error import ErrorTable, error_table
-from .reduction_runs import (
+from .model import RANGE_NAMES, ReducedModel
+from .training import BETAS, Network, Samples, contact_samples, drive_samples, fit, stack
+from .training_runs import (
     Case,
     Run,
     held_out_case,
@@ -36,15 +37,6 @@ from .reduction_runs import (
     run_all,
     training_case,
     weight_of,
-)
-from .reduction_training import (
-    BETAS,
-    Network,
-    Samples,
-    contact_samples,
-    drive_samples,
-    fit,
-    stack,
 )
 
 LARGEST_FORCE = 3.0

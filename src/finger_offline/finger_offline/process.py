@@ -18,23 +18,23 @@ from typing import Any
 
 import numpy as np
 
+from finger_bag.bulk import WRENCH_TYPE, stamps_and_wrenches
+from finger_bag.definitions import encode
+from finger_bag.mapping import TopicMapping
+from finger_bag.reader import BagMessage, BagReader, open_bag
+from finger_bag.recover import announce, copy_attachments
+from finger_bag.schema import IMAGE_TOPICS, PARAMETERS_ATTACHMENT, spec_of
+from finger_bag.streams import field_value, find_topic, find_wrench, missing, stamp_ns, stamp_of_cdr
+from finger_bag.writer import BagWriter
 from finger_common.errors import FingerError, InputError
 from finger_model.estimator import ContactEstimator, EstimateBlock
+from finger_model.estimator.settings import EstimatorSettings
 from finger_model.messages import area_of, event_fields, event_of, moisture_of
 from finger_model.parameter_sets import ParameterSets
 from finger_model.reduced import ReducedModel
-from finger_model.settings import EstimatorSettings
 
-from .bulk import WRENCH_TYPE, stamps_and_wrenches
 from .contact_states import TableExport, first_frame_id, serialize
-from .definitions import encode
 from .image_areas import ImageAreas, area_fields
-from .mapping import TopicMapping
-from .reader import BagMessage, BagReader, open_bag
-from .recover import announce, copy_attachments
-from .schema import IMAGE_TOPICS, PARAMETERS_ATTACHMENT, spec_of
-from .streams import field_value, find_topic, find_wrench, missing, stamp_ns, stamp_of_cdr
-from .writer import BagWriter
 
 AREA_WAIT_NS = 1_000_000_000
 """Log time after which an area or reading is handed to the estimator; records of late ones have come by then."""

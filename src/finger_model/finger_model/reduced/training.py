@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
-from . import reduced_kernels as rk
-from .reduction_runs import Run
+from . import kernels as rk
+from .training_runs import Run
 
 BETAS = (0.03, 0.15)
 """Memory of the friction states, in logarithm of indentation."""

@@ -33,15 +33,7 @@ from finger_common.parameters import Parameter, ParameterTable
 from finger_msgs.msg import ContactArea, Moisture, Trial
 from finger_msgs.srv import Record
 
-from .protocol import (
-    STATE_FILE,
-    Effect,
-    Limits,
-    Phase,
-    Protocol,
-    StartRecording,
-    Step,
-)
+from .protocol import STATE_FILE, Effect, Limits, Phase, Protocol, StartRecording, Step
 from .study_plan import PREPARATIONS, StudyPlan, parse_preparations
 
 POINTER = "current_session"

@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 from session_bags import START, wrench
 
-from finger_bag.contact_states import serialize
 from finger_bag.definitions import encode
-from finger_bag.process import ProcessOptions, process
 from finger_bag.reader import open_bag
 from finger_bag.writer import BagWriter
 from finger_common.errors import InputError
 from finger_model.estimator import ContactEstimator, EstimateBlock
+from finger_model.estimator.settings import EstimatorSettings
 from finger_model.messages import (
     area_of,
     contact_state_fields,
@@ -24,7 +23,8 @@ from finger_model.messages import (
     wrench_of,
 )
 from finger_model.reduced import ReducedModel
-from finger_model.settings import EstimatorSettings
+from finger_offline.contact_states import serialize
+from finger_offline.process import ProcessOptions, process
 
 STATE = "finger_msgs/msg/ContactState"
 
@@ -194,7 +194,7 @@ def test_processing_again_is_the_same_whatever_the_blocks(
 ) -> None:
     path = session(trials=1)
     process(path, tmp_path / "a")
-    monkeypatch.setattr("finger_bag.process.BLOCK", 37)
+    monkeypatch.setattr("finger_offline.process.BLOCK", 37)
     process(path, tmp_path / "b")
 
     def states(name: str) -> list[bytes]:
@@ -207,7 +207,7 @@ def test_processing_again_is_the_same_whatever_the_blocks(
 def test_areas_from_images_are_those_of_the_segmenter(
     session: Callable[..., Path], tmp_path: Path
 ) -> None:
-    from finger_bag.image_areas import grey_image
+    from finger_offline.image_areas import grey_image
     from finger_vision.calibration import PlateCalibration
     from finger_vision.contact import ContactSegmenter
 
@@ -251,7 +251,7 @@ def test_exports_hold_the_estimates(session: Callable[..., Path], tmp_path: Path
 
 def test_memory_does_not_grow_with_the_bag(tmp_path: Path) -> None:
     """Wrenches and inputs that wait span two seconds of log time, whatever the length."""
-    from finger_bag import process as module
+    from finger_offline import process as module
 
     raw = encode("geometry_msgs/msg/WrenchStamped", wrench(START, 1.0))
     with BagWriter(tmp_path / "bag") as bag:

@@ -17,10 +17,10 @@ import numpy as np
 from finger_common.errors import InputError
 from finger_common.files import atomic_write, read_bytes, sha256_of
 
-from . import reduced_kernels as rk
-from .geometry import Geometry
-from .history import ContactHistory, ContactPoint, check_force_history
-from .material import Material
+from ..geometry import Geometry
+from ..history import ContactHistory, ContactPoint, check_force_history
+from ..material import Material
+from . import kernels as rk
 
 FORMAT = 2
 """Version of the file's layout."""
@@ -365,7 +365,7 @@ class ReducedModel:
 
 @functools.cache
 def _shipped() -> ReducedModel:
-    file = resources.files(__package__) / "data" / SHIPPED
+    file = resources.files("finger_model") / "data" / SHIPPED
     if not file.is_file():
         raise InputError("the shipped reduced model is missing; run 'finger-model reduce'")
     return ReducedModel._parse(file.read_bytes(), SHIPPED)

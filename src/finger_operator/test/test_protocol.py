@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 
 from finger_bag.streams import TrialEvent
-from finger_bringup.protocol import (
+from finger_common.errors import InputError
+from finger_operator.protocol import (
     Effect,
     Limits,
     Phase,
@@ -21,8 +22,7 @@ from finger_bringup.protocol import (
     Step,
     StopRecording,
 )
-from finger_bringup.study_plan import PREPARATIONS, StudyPlan, parse_preparations
-from finger_common.errors import InputError
+from finger_operator.study_plan import PREPARATIONS, StudyPlan, parse_preparations
 
 SECOND = 1_000_000_000
 START = 1_700_000_000 * SECOND

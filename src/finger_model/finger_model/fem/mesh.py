@@ -13,7 +13,7 @@ import numpy as np
 
 from finger_common.errors import InputError
 
-from .geometry import Geometry
+from ..geometry import Geometry
 
 BULK, EPIDERMIS, NAIL = 0, 1, 2
 

@@ -20,6 +20,10 @@ import numpy as np
 
 from finger_common.errors import ModelError
 
+from ..fem.full_order import FullOrderModel, Stepper
+from ..fem.mesh import BULK
+from ..geometry import Geometry
+from ..material import Material
 from .force_histories import (
     FULL_RANGE,
     KINDS,
@@ -28,10 +32,6 @@ from .force_histories import (
     random_parameters,
     training_parameters,
 )
-from .full_order import FullOrderModel, Stepper
-from .geometry import Geometry
-from .material import Material
-from .mesh import BULK
 
 COMPONENT_WEIGHTS = np.array([1.0, 1.0, 1.0, 2.0])
 """Of rr, zz, θθ and rz in the double contraction of symmetric tensors."""

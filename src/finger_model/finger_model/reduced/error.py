@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from .reduced import ReducedModel
-from .reduction_runs import Run
+from .model import ReducedModel
+from .training_runs import Run
 
 COUNTED_FORCE = 0.1
 """N; rows below it do not count."""

@@ -1,0 +1,1 @@
+"""Axisymmetric finite elements of the finger (full order)."""

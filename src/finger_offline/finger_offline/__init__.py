@@ -1,0 +1,1 @@
+"""Offline work on bags: vision and model over a recording, trials, tables."""

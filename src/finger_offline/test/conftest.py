@@ -1,0 +1,24 @@
+"""Fixtures of these tests: session bags as in the tests of finger_bag."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "finger_bag" / "test"))
+
+from session_bags import write_session
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Callable[..., Path]:
+    """Function that writes a session bag into the test's folder."""
+
+    def write(name: str = "session", **options: Any) -> Path:
+        return write_session(tmp_path / name, **options)
+
+    return write

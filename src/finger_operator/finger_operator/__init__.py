@@ -1,0 +1,1 @@
+"""Core of the guided study and the operator's page, and the nodes around them."""
