@@ -3,6 +3,7 @@ PYTHON ?= python3
 ENV := .venv
 RUN := $(ENV)/bin/python
 export OMP_NUM_THREADS ?= 1
+WORKERS ?= auto
 
 .PHONY: help setup setup-test demo test test-slow test-compat lint bench soak bags clean
 
@@ -32,7 +33,7 @@ lint: setup-test
 	@$(RUN) scripts/type_check.py
 
 test: lint
-	@$(RUN) -m pytest
+	@$(RUN) -m pytest -n $(WORKERS) --dist loadfile
 
 test-slow: setup-test
 	@$(RUN) -m pytest -m slow

@@ -57,7 +57,10 @@ def _domain_is_free(domain: int) -> bool:
 @pytest.fixture
 def ros_domain(monkeypatch: pytest.MonkeyPatch) -> int:
     """A ROS_DOMAIN_ID of its own, set in the environment, discovery kept on this host."""
-    domains = list(range(1, 101))
+    # Parallel workers draw from separate domains, so that none takes what another has just found free.
+    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
+    domains = [d for d in range(1, 101) if d % workers == worker]
     random.SystemRandom().shuffle(domains)
     domain = next(d for d in domains if _domain_is_free(d))
     monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))

@@ -204,8 +204,14 @@ def link_executables(env: Environment, name: str) -> None:
     folder = env.folder / "lib" / name
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    scripts = re.findall(r'"([\w-]+) = [\w.]+:\w+"', (ROOT / "src" / name / "setup.py").read_text())
-    for script in scripts:
+    listing = (
+        "import sys; from importlib.metadata import distribution; "
+        "print(*(e.name for e in distribution(sys.argv[1]).entry_points.select(group='console_scripts')))"
+    )
+    found = subprocess.run(
+        [str(env.python), "-c", listing, name], capture_output=True, text=True, check=True
+    )
+    for script in found.stdout.split():
         (folder / script).symlink_to(env.folder / "bin" / script)
 
 
