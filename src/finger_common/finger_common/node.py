@@ -14,7 +14,7 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,6 +43,7 @@ from .cli import EXIT_BAD_INPUT, one_line
 from .diagnostics import WARN, Health
 from .errors import FingerError, InputError
 from .parameters import ParameterTable
+from .plugins import Plugins
 from .settings import S, Settings, parameters_of, setting
 
 
@@ -169,18 +170,34 @@ class PolledSubscription:
 class ManagedNode(LifecycleNode):
     """Lifecycle node with described parameters, health and autostart.
 
-    Class attributes: SETTINGS (Settings classes that hold the node's own parameters) and NAME (default node name).
-    `self.values` holds the checked parameters from `configure` on, `self.settings(cls)` the same as an instance of one of
-    the classes; `self.healths` lists what `/diagnostics` shows.
+    Class attributes: SETTINGS (Settings classes that hold the node's own parameters), PLUGINS
+    (parameter name -> group of which it chooses a member; the member's attribute SETTINGS, a
+    Settings class, adds its parameters) and NAME (default node name).
+    `self.values` holds the checked parameters from `configure` on, `self.settings(cls)` the same
+    as an instance of one of the classes; `self.healths` lists what `/diagnostics` shows.
     """
 
     SETTINGS: tuple[type[Settings], ...] = ()
+    PLUGINS: Mapping[str, Plugins] = {}
     TABLE: ParameterTable = ParameterTable()
     NAME = "node"
 
     @classmethod
-    def parameter_table(cls) -> ParameterTable:
-        """All parameters of the node: those of every node, then its own."""
+    def parameter_table(cls, **chosen: str) -> ParameterTable:
+        """Parameters of every node, then the node's own, then those of the plugins `chosen`.
+
+        chosen: name of a plugin by parameter, the parameter's default where not given. Raises
+        InputError for a plugin that is not installed.
+        """
+        own = cls._own_table()
+        plugins = [
+            plugins.load(chosen.get(name, own[name].default)).SETTINGS
+            for name, plugins in cls.PLUGINS.items()
+        ]
+        return parameters_of(NodeSettings, *cls.SETTINGS, *plugins) + cls.TABLE
+
+    @classmethod
+    def _own_table(cls) -> ParameterTable:
         return parameters_of(NodeSettings, *cls.SETTINGS) + cls.TABLE
 
     def __init__(self, **options: Any) -> None:
@@ -189,17 +206,11 @@ class ManagedNode(LifecycleNode):
         self.values: dict[str, Any] = {}
         self._live = False
         self._active = False
-        self._all = self.parameter_table()
-        for parameter in self._all:
-            self.declare_parameter(
-                parameter.name,
-                parameter.default,
-                ParameterDescriptor(
-                    description=f"{parameter.meaning} {parameter.range_text()}".strip(),
-                    additional_constraints=parameter.range_text(),
-                    dynamic_typing=True,
-                ),
-            )
+        self._all = ParameterTable()
+        self._declare(self._own_table())
+        # An unknown plugin is refused by `configure`, so that it can be corrected.
+        with suppress(FingerError):
+            self._declare_plugins()
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # Steady time: diagnostics go on when simulated time stands still or jumps.
@@ -226,8 +237,36 @@ class ManagedNode(LifecycleNode):
 
     # Parameters ------------------------------------------------------------------------------
 
+    def _declare(self, table: ParameterTable) -> None:
+        """Declare the parameters of a table in place of those declared so far."""
+        known = list(self._all)
+        self._all = ParameterTable()
+        for parameter in known:
+            if parameter.name not in table or table[parameter.name] != parameter:
+                self.undeclare_parameter(parameter.name)
+        for parameter in table:
+            if not self.has_parameter(parameter.name):
+                allowed = parameter.range_text()
+                self.declare_parameter(
+                    parameter.name,
+                    parameter.default,
+                    ParameterDescriptor(
+                        description=f"{parameter.meaning} {allowed}".strip(),
+                        additional_constraints=allowed,
+                        dynamic_typing=True,
+                    ),
+                )
+        self._all = table
+
+    def _declare_plugins(self) -> None:
+        """Declare the parameters of the plugins that the node's parameters name."""
+        if self.PLUGINS:
+            chosen = {name: str(self.get_parameter(name).value) for name in self.PLUGINS}
+            self._declare(self.parameter_table(**chosen))
+
     def read_parameters(self) -> dict[str, Any]:
         """Checked values of all parameters; raises InputError."""
+        self._declare_plugins()
         values = {p.name: self.get_parameter(p.name).value for p in self._all}
         return self._all.check(values)
 
