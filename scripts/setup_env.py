@@ -265,7 +265,8 @@ def main() -> int:
             "building finger_msgs",
             lambda: build_messages(env),
         )
-        metadata = [ROOT / "src" / p / f for p in PACKAGES for f in ("setup.py", "setup.cfg")]
+        sources = ("setup.py", "setup.cfg", "package.xml")
+        metadata = [ROOT / "src" / p / f for p in PACKAGES for f in sources]
         env.step(
             "packages",
             digest(*metadata, text=str(ROOT)),

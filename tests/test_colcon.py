@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import configparser
 import os
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -51,11 +51,11 @@ def test_every_package_is_in_the_ament_index_with_its_package_xml(
 
 def test_executables_are_where_ros2_run_looks(workspace: Path, project_root: Path) -> None:
     for name in packages(project_root):
-        setup = project_root / "src" / name / "setup.py"
-        if not setup.exists():
-            continue
-        for script in re.findall(r'"([\w-]+) = [\w.]+:\w+"', setup.read_text()):
-            path = workspace / name / "lib" / name / script
+        setup = configparser.ConfigParser()
+        setup.read(project_root / "src" / name / "setup.cfg")
+        commands = setup.get("options.entry_points", "console_scripts", fallback="")
+        for command in commands.strip().splitlines():
+            path = workspace / name / "lib" / name / command.split("=")[0].strip()
             assert path.exists() and os.access(path, os.X_OK), path
 
 

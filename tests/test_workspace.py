@@ -208,8 +208,10 @@ def test_versions_agree(project_root: Path) -> None:
     for package in [*LAYERS, "finger_msgs"]:
         folder = project_root / "src" / package
         versions.add(ElementTree.parse(folder / "package.xml").findtext("version"))
-        if (folder / "setup.py").exists():
-            found = re.search(r'version="([^"]+)"', (folder / "setup.py").read_text())
-            assert found is not None
-            versions.add(found.group(1))
     assert len(versions) == 1, versions
+
+
+def test_setup_files_are_alike_and_take_all_facts_from_package_xml(project_root: Path) -> None:
+    texts = {file.read_text() for file in project_root.glob("src/*/setup.py")}
+    assert len(texts) == 1
+    assert 'ElementTree.parse("package.xml")' in texts.pop()

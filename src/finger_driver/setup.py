@@ -1,34 +1,28 @@
-"""Build description of finger_driver (pip and colcon)."""
+"""Build description for pip and colcon: facts from package.xml, entry points in setup.cfg."""
 
 from glob import glob
+from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
 
-PACKAGE = "finger_driver"
+package = ElementTree.parse("package.xml").getroot()
+name = package.findtext("name")
+maintainer = package.find("maintainer")
 
 setup(
-    name=PACKAGE,
-    version="0.1.0",
-    description="Force, camera and moisture drivers of the finger contact suite, with wire-level device simulators.",
-    license="Apache-2.0",
-    maintainer="Finger contact suite maintainers",
-    maintainer_email="maintainers@finger-contact.example",
+    name=name,
+    version=package.findtext("version"),
+    description=package.findtext("description"),
+    license=package.findtext("license"),
+    maintainer=maintainer.text,
+    maintainer_email=maintainer.get("email"),
     python_requires=">=3.10",
     packages=find_packages(exclude=["test"]),
+    package_data={name: ["data/*", "data/**/*", "*/static/*"]},
     data_files=[
-        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
-        (f"share/{PACKAGE}", ["package.xml"]),
-        (f"share/{PACKAGE}/launch", glob("launch/*.py")),
-        (f"share/{PACKAGE}/config", glob("config/*")),
+        ("share/ament_index/resource_index/packages", [f"resource/{name}"]),
+        (f"share/{name}", ["package.xml"]),
+        (f"share/{name}/launch", glob("launch/*.py")),
+        (f"share/{name}/config", glob("config/*")),
     ],
-    package_data={PACKAGE: ["data/*", "data/**/*"]},
-    zip_safe=True,
-    entry_points={
-        "console_scripts": [
-            "force_node = finger_driver.force_node:main",
-            "camera_node = finger_driver.camera_node:main",
-            "moisture_node = finger_driver.moisture_node:main",
-            "finger-device-sim = finger_driver.simulators.cli:main",
-        ],
-    },
 )

@@ -1,32 +1,28 @@
-"""Build description of finger_vision (pip and colcon)."""
+"""Build description for pip and colcon: facts from package.xml, entry points in setup.cfg."""
 
 from glob import glob
+from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
 
-PACKAGE = "finger_vision"
+package = ElementTree.parse("package.xml").getroot()
+name = package.findtext("name")
+maintainer = package.find("maintainer")
 
 setup(
-    name=PACKAGE,
-    version="0.1.0",
-    description="Contact area of a finger on glass from FTIR images.",
-    license="Apache-2.0",
-    maintainer="Finger contact suite maintainers",
-    maintainer_email="maintainers@finger-contact.example",
+    name=name,
+    version=package.findtext("version"),
+    description=package.findtext("description"),
+    license=package.findtext("license"),
+    maintainer=maintainer.text,
+    maintainer_email=maintainer.get("email"),
     python_requires=">=3.10",
     packages=find_packages(exclude=["test"]),
+    package_data={name: ["data/*", "data/**/*", "*/static/*"]},
     data_files=[
-        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
-        (f"share/{PACKAGE}", ["package.xml"]),
-        (f"share/{PACKAGE}/launch", glob("launch/*.py")),
-        (f"share/{PACKAGE}/config", glob("config/*")),
+        ("share/ament_index/resource_index/packages", [f"resource/{name}"]),
+        (f"share/{name}", ["package.xml"]),
+        (f"share/{name}/launch", glob("launch/*.py")),
+        (f"share/{name}/config", glob("config/*")),
     ],
-    package_data={PACKAGE: ["data/*", "data/**/*"]},
-    zip_safe=True,
-    entry_points={
-        "console_scripts": [
-            "vision_node = finger_vision.vision_node:main",
-            "finger-vision = finger_vision.cli:main",
-        ],
-    },
 )

@@ -18,8 +18,8 @@ def test_every_entry_is_an_executable_of_its_package(
     entry: nodes.NodeEntry, project_root: Path
 ) -> None:
     assert importlib.util.find_spec(entry.module) is not None
-    setup = (project_root / "src" / entry.package / "setup.py").read_text()
-    assert f'"{entry.executable} = {entry.module}:main"' in setup
+    setup = (project_root / "src" / entry.package / "setup.cfg").read_text()
+    assert f"    {entry.executable} = {entry.module}:main\n" in setup
 
 
 def test_devices_are_up_before_what_needs_them() -> None:
