@@ -112,7 +112,7 @@ def run(report: Any) -> None:
             report.note("time goes to: " + ", ".join(where_time_goes(folder / "bag", folder)))
         seconds = 4.0 if report.quick else 20.0
         make_bag(folder / "images", seconds, images=True)
-        options = ProcessOptions(images=True, area_per_pixel=PIXEL**2)
+        options = ProcessOptions(images="yes", area_per_pixel=PIXEL**2)
         found = speed(folder / "images", folder, seconds, options, 3)
         report.add("process_speed_images", found, "× real time", None, "higher")
 

@@ -15,7 +15,7 @@ LAYERS = {
     "finger_driver": {"finger_common"},
     "finger_vision": {"finger_common"},
     "finger_model": {"finger_common"},
-    "finger_bag": {"finger_common", "finger_model", "finger_offline"},
+    "finger_bag": {"finger_common"},
     "finger_offline": {"finger_common", "finger_bag", "finger_vision", "finger_model"},
     "finger_fit": {
         "finger_common",

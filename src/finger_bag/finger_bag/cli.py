@@ -4,42 +4,29 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from finger_common.cli import Parser, run
-from finger_common.errors import FingerError, InputError
-from finger_offline.trials import AXES, TrialSettings, find_bags
+from finger_common.errors import InputError
+from finger_common.plugins import Plugins
 
-from .mapping import TopicMapping
+from .bag_files import find_bags
+from .read_settings import ReadSettings, add_read_options, read_settings_from
 
 EXIT_CHECK_FAILS = 1
 
+COMMANDS = Plugins("finger_bag.commands", "subcommand")
+"""Further subcommands of installed packages: functions that add theirs with the `AddCommand` they get."""
 
-def _mapping(args: argparse.Namespace) -> TopicMapping:
-    return TopicMapping.load(args.mapping) if args.mapping else TopicMapping()
-
-
-def _reading_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--mapping", metavar="FILE", help="YAML file with other topic names, units")
-    parser.add_argument(
-        "--namespace", help="namespace of the rig's topics, where there are several"
-    )
-    parser.add_argument("--wrench-topic", default="wrench", help="force to use (default: wrench)")
-    parser.add_argument(
-        "--normal-axis",
-        choices=AXES,
-        help="sensor axis along which force is positive when the finger presses (default: -z)",
-    )
+AddCommand = Callable[[str, Callable[[argparse.Namespace], int], str, str], argparse.ArgumentParser]
+"""Adds a subcommand: name, what runs it, one sentence about it, example; gives its parser."""
 
 
 def _console() -> Console:
@@ -113,7 +100,7 @@ def _print_info(data: dict[str, Any]) -> None:
 def _validate(args: argparse.Namespace) -> int:
     from .validate import validate
 
-    settings = _trial_settings(args)
+    settings = read_settings_from(args, ReadSettings)
     results = []
     unreadable = 0
     for bag in find_bags(args.bags):
@@ -140,125 +127,6 @@ def _validate(args: argparse.Namespace) -> int:
     if unreadable:
         return 2
     return 0 if all(r.fit for r in results) else EXIT_CHECK_FAILS
-
-
-def _trial_settings(args: argparse.Namespace) -> TrialSettings:
-    return TrialSettings(
-        normal_axis=args.normal_axis,
-        wrench_topic=args.wrench_topic,
-        namespace=args.namespace,
-        mapping=_mapping(args),
-    )
-
-
-# process -------------------------------------------------------------------------------------
-
-
-def _settings_of(pairs: Sequence[str]) -> dict[str, Any]:
-    """NAME=VALUE pairs as estimator settings of the right type; raises InputError."""
-    from finger_model.estimator.settings import ESTIMATOR_PARAMETERS
-
-    found: dict[str, Any] = {}
-    for pair in pairs:
-        name, sign, text = pair.partition("=")
-        if not sign or name not in ESTIMATOR_PARAMETERS:
-            known = ", ".join(p.name for p in ESTIMATOR_PARAMETERS)
-            raise InputError(f"--set {pair}: give NAME=VALUE with a NAME of {known}")
-        value: Any = text
-        default = ESTIMATOR_PARAMETERS[name].default
-        try:
-            if isinstance(default, bool):
-                value = {"true": True, "false": False}[text.lower()]
-            elif isinstance(default, (int, float)):
-                value = type(default)(text)
-        except (ValueError, KeyError):
-            raise InputError(f"--set {pair}: '{text}' is no value for {name}") from None
-        found[name] = ESTIMATOR_PARAMETERS[name].check(value)
-    return found
-
-
-def _process_one(job: tuple[str, str, Any]) -> Any:
-    from finger_offline.process import process
-
-    source, target, options = job
-    try:
-        return process(source, target, options)
-    except FingerError as error:
-        return error
-
-
-def _process(args: argparse.Namespace) -> int:
-    from finger_offline.process import ProcessOptions, process
-
-    bags = find_bags(args.bags)
-    several = len(bags) > 1
-    if several and (args.csv or args.parquet):
-        raise InputError("--csv and --parquet take one bag; process the bags one by one")
-    if args.csv and args.parquet:
-        raise InputError("--csv and --parquet exclude each other; name one")
-    settings = _settings_of(args.set)
-    if args.normal_axis:
-        settings["normal_axis"] = args.normal_axis
-    options = ProcessOptions(
-        images={"auto": None, "yes": True, "no": False}[args.images],
-        calibration=args.calibration,
-        area_per_pixel=args.area_per_pixel,
-        parameter_file=args.parameters,
-        model_file=args.model,
-        settings=settings,
-        mapping=_mapping(args),
-        namespace=args.namespace,
-        wrench_topic=args.wrench_topic,
-        keep_images=args.keep_images,
-        table=args.csv or args.parquet,
-    )
-    output = Path(args.output)
-    targets = [output / bag.name.split(".")[0] if several else output for bag in bags]
-    for target in targets:
-        if target.exists():
-            raise InputError(f"{target}: exists already; choose another name or remove it")
-    began = time.perf_counter()
-    if not several:
-        with _progress() as bar:
-            task = bar.add_task(bags[0].name, total=1.0)
-            result = process(
-                bags[0], targets[0], options, lambda done: bar.update(task, completed=done)
-            )
-        results = [result]
-    else:
-        jobs = [(str(b), str(t), options) for b, t in zip(bags, targets)]
-        results = []
-        with ProcessPoolExecutor(min(args.jobs, len(bags))) as pool, _progress() as bar:
-            task = bar.add_task(f"{len(bags)} bags", total=len(bags))
-            for result in pool.map(_process_one, jobs):
-                results.append(result)
-                bar.advance(task)
-    took = time.perf_counter() - began
-    failed = [r for r in results if isinstance(r, FingerError)]
-    good = [r for r in results if not isinstance(r, FingerError)]
-    for result in good:
-        for problem in result.problems:
-            print(f"finger-bag: {result.path}: {problem}", file=sys.stderr)
-    total = sum(r.duration for r in good)
-    print(
-        f"{sum(r.states for r in good)} contact states, {sum(r.areas for r in good)} areas from "
-        f"{len(good)} bag(s) of {total:.1f} s in {took:.1f} s: {total / took:.0f} × real time"
-    )
-    for error in failed:
-        print(f"finger-bag: {error}", file=sys.stderr)
-    return 2 if failed else 0
-
-
-def _progress() -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:3.0f} %"),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-        transient=True,
-        disable=not sys.stderr.isatty(),
-    )
 
 
 # play ----------------------------------------------------------------------------------------
@@ -409,40 +277,8 @@ def parser() -> argparse.ArgumentParser:
         "finger-bag validate bags/dry --json",
     )
     check.add_argument("bags", nargs="+", metavar="BAG")
-    _reading_options(check)
+    add_read_options(check, ReadSettings)
     check.add_argument("--json", action="store_true")
-
-    work = command(
-        "process",
-        _process,
-        "Run vision and model over bags; writes new bags with contact_area and contact_state.",
-        "finger-bag process bags/dry -o out/dry --csv out/dry.csv\n"
-        "finger-bag process session1 session2 -o out --images yes --calibration plate.yaml",
-    )
-    work.add_argument("bags", nargs="+", metavar="BAG")
-    work.add_argument(
-        "-o", "--output", required=True, help="bag to write; with several bags, their folder"
-    )
-    work.add_argument(
-        "--images",
-        choices=("auto", "yes", "no"),
-        default="auto",
-        help="measure areas in the images (auto: where contact_area is absent)",
-    )
-    work.add_argument("--calibration", metavar="FILE", help="plate calibration for the images")
-    work.add_argument(
-        "--area-per-pixel", type=float, metavar="M2", help="area of a pixel, without calibration"
-    )
-    work.add_argument("--parameters", metavar="FILE", help="parameters.yaml for the model")
-    work.add_argument("--model", metavar="FILE", help="reduced model file")
-    work.add_argument(
-        "--set", action="append", default=[], metavar="NAME=VALUE", help="estimator setting"
-    )
-    work.add_argument("--keep-images", action="store_true", help="copy images to the new bag")
-    work.add_argument("--csv", metavar="FILE", help="also write the estimates as CSV")
-    work.add_argument("--parquet", metavar="FILE", help="also write the estimates as Parquet")
-    work.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="bags at once")
-    _reading_options(work)
 
     show = command(
         "play",
@@ -502,6 +338,8 @@ def parser() -> argparse.ArgumentParser:
     )
     hide.add_argument("bag", metavar="BAG")
     hide.add_argument("-o", "--output", required=True, help="bag to write")
+    for name in COMMANDS.names():
+        COMMANDS.load(name)(command)
     return top
 
 

@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from finger_common.axes import NORMAL_AXES
 from finger_common.errors import InputError
 from finger_common.files import load_yaml
 
@@ -50,7 +51,6 @@ _ALLOWED_UNITS = {
     "moisture": ("a.u.",),
 }
 _KEYS = {"topic", "unit", "field", "stamp"}
-AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 
 
 @dataclass(frozen=True)
@@ -93,8 +93,9 @@ class TopicMapping:
                     f"{where}: key '{key}' is not known; use topics, normal_axis and trial"
                 )
         axis = data.get("normal_axis")
-        if axis is not None and axis not in AXES:
-            raise InputError(f"{where}: normal_axis is {axis!r}, choose one of {', '.join(AXES)}")
+        if axis is not None and axis not in NORMAL_AXES:
+            allowed = ", ".join(NORMAL_AXES)
+            raise InputError(f"{where}: normal_axis is {axis!r}, choose one of {allowed}")
         topics = data.get("topics") or {}
         trial = data.get("trial") or {}
         if not isinstance(topics, Mapping) or not isinstance(trial, Mapping):

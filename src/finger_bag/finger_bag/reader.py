@@ -10,7 +10,7 @@ import bisect
 import heapq
 import shutil
 import tempfile
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath, PureWindowsPath
 from typing import Any
@@ -21,10 +21,11 @@ import zstandard
 from finger_common.errors import InputError
 from finger_common.files import load_yaml
 
+from .bag_files import file_order, storage_of
 from .closing import Closing
 from .definitions import FORMS, Decoder, decoder
 from .mcap_file import MAXIMUM_CHUNK, AttachmentEntry, McapFile, RawMessage
-from .schema import SESSION_RECORD, SessionMetadata, spec_of
+from .schema import SESSION_RECORD, SessionMetadata
 
 MAXIMUM_PENDING = 512 << 20
 """Bytes of messages held back to give them in the order of log time."""
@@ -150,7 +151,7 @@ class BagReader(Closing):
         if not self.path.exists():
             raise InputError(f"{self.path}: no such bag; check the path")
         if self.path.is_file():
-            return [self.path], _storage_of(self.path) or "mcap", {}
+            return [self.path], storage_of(self.path) or "mcap", {}
         custom: dict[str, str] = {}
         description = self.path / "metadata.yaml"
         files: list[Path] = []
@@ -163,11 +164,11 @@ class BagReader(Closing):
             self.problems.append("metadata.yaml is missing; 'finger-bag recover' writes it")
         if not files:
             files = sorted(
-                (p for p in self.path.iterdir() if _storage_of(p, None) and p.is_file()), key=_order
+                (p for p in self.path.iterdir() if storage_of(p) and p.is_file()), key=file_order
             )
         if not files:
             raise InputError(f"{self.path}: no .mcap or .db3 file in this folder; give a bag")
-        kinds = {_storage_of(file) or "mcap" for file in files}
+        kinds = {storage_of(file) or "mcap" for file in files}
         if len(kinds) > 1:
             raise InputError(f"{self.path}: MCAP and sqlite3 files mixed; keep one kind")
         return files, kinds.pop(), custom
@@ -186,7 +187,7 @@ class BagReader(Closing):
             if not name or not file.is_file():
                 self.problems.append(f"file '{entry}' of metadata.yaml is missing")
                 continue
-            if _storage_of(file, None) is None:
+            if storage_of(file) is None:
                 raise InputError(f"{description}: '{entry}' is neither .mcap nor .db3")
             files.append(file)
         self._message_compression = str(data.get("compression_mode", "")).lower() == "message"
@@ -335,13 +336,14 @@ class BagReader(Closing):
 
     # Reading ---------------------------------------------------------------------------------
 
-    def topic(self, name: str, namespace: str | None = None) -> str | None:
+    def topic(self, name: str, namespace: str = "") -> str | None:
         """Absolute name in this bag of a topic of the schema, such as "wrench"; None when it is absent.
 
-        Raises InputError when the bag holds it under several namespaces and `namespace` does not choose.
+        namespace: where to look, "/" for no namespace; empty: wherever it is. Raises InputError when the bag holds it
+        under several namespaces.
         """
-        if name.startswith("/") or namespace is not None:
-            absolute = name if name.startswith("/") else f"/{(namespace or '').strip('/')}/{name}"
+        if name.startswith("/") or namespace:
+            absolute = name if name.startswith("/") else f"/{namespace.strip('/')}/{name}"
             absolute = absolute.replace("//", "/")
             return absolute if absolute in self.info.topics else None
         found = [t for t in self.info.topics if t == name or t.endswith("/" + name)]
@@ -579,25 +581,5 @@ def _normal_type(name: str) -> str:
     return f"{parts[0]}/msg/{parts[1]}" if len(parts) == 2 else name
 
 
-def _storage_of(path: Path, default: str | None = "mcap") -> str | None:
-    name = path.name.removesuffix(".zstd")
-    if name.endswith(".db3"):
-        return "sqlite3"
-    return "mcap" if name.endswith(".mcap") else default
-
-
-def _order(path: Path) -> tuple[Any, ...]:
-    """NAME_2.mcap before NAME_10.mcap."""
-    stem = path.name.split(".")[0]
-    head, _, number = stem.rpartition("_")
-    return (head, int(number)) if number.isdigit() else (stem, -1)
-
-
 def _time(entry: tuple[Any, ...]) -> int:
     return int(entry[0])
-
-
-def matching(topics: Iterable[str], names: Iterable[str]) -> list[str]:
-    """Topics of the schema, by relative names, among absolute ones."""
-    wanted = set(names)
-    return [t for t in topics if (spec := spec_of(t)) is not None and spec.name in wanted]

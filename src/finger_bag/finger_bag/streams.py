@@ -11,13 +11,10 @@ import numpy as np
 from finger_common.errors import InputError
 
 from .bulk import WRENCH_TYPE, stamps_and_wrenches
-from .mapping import MappedTopic, TopicMapping
+from .mapping import MappedTopic
+from .read_settings import ReadSettings
 from .reader import BagMessage, BagReader
 from .schema import TOPICS
-
-PHASE_IDLE, PHASE_PREPARE, PHASE_MOISTURE_BEFORE, PHASE_PRESS, PHASE_LIFT = 0, 1, 2, 3, 4
-PHASE_MOISTURE_AFTER, PHASE_DONE, PHASE_FAILED, PHASE_PAUSED = 5, 6, 7, 8
-"""Phases of a trial, as in finger_msgs/Trial."""
 
 MOISTURE_BEFORE, MOISTURE_AFTER = 1, 2
 """Phases of a reading, as in finger_msgs/Moisture."""
@@ -101,16 +98,14 @@ def missing(reader: BagReader, name: str, hint: str = "") -> InputError:
     return InputError(f"{reader.path}: topic '{name}'{kind} is missing; {remedy}")
 
 
-def find_topic(
-    reader: BagReader, name: str, mapping: TopicMapping, namespace: str | None
-) -> str | None:
+def find_topic(reader: BagReader, name: str, settings: ReadSettings) -> str | None:
     """Absolute topic of a stream, None when the bag has none.
 
     Raises InputError when the mapping names a topic that the bag does not hold.
     """
-    mapped = mapping.topic(name).topic
+    mapped = settings.mapping.topic(name).topic
     if not mapped:
-        return reader.topic(name, namespace)
+        return reader.topic(name, settings.namespace)
     absolute = mapped if mapped.startswith("/") else "/" + mapped
     if absolute not in reader.info.topics:
         raise InputError(
@@ -120,9 +115,13 @@ def find_topic(
     return absolute
 
 
-def find_wrench(
-    reader: BagReader, mapping: TopicMapping, namespace: str | None, wrench_topic: str = "wrench"
-) -> str:
+def find_used(reader: BagReader, name: str, settings: ReadSettings) -> str | None:
+    """As `find_topic`, None also for a topic that is known to hold no message."""
+    topic = find_topic(reader, name, settings)
+    return None if topic is None or reader.info.topics[topic].count == 0 else topic
+
+
+def find_wrench(reader: BagReader, settings: ReadSettings) -> str:
     """Absolute topic of the wrench; raises InputError for a bag without messages or without a wrench."""
     if not reader.info.topics or reader.info.message_count == 0:
         problems = "; ".join(reader.all_problems()[:2])
@@ -130,38 +129,34 @@ def find_wrench(
             f"{reader.path}: bag holds no message{f' ({problems})' if problems else ''}; "
             "record it again"
         )
-    wrench = (
-        find_topic(reader, "wrench", mapping, namespace)
-        if wrench_topic == "wrench"
-        else reader.topic(wrench_topic, namespace)
-    )
+    if settings.wrench_topic == "wrench":
+        wrench = find_topic(reader, "wrench", settings)
+    else:
+        wrench = reader.topic(settings.wrench_topic, settings.namespace)
     if wrench is None:
-        raise missing(reader, wrench_topic)
+        raise missing(reader, settings.wrench_topic)
     return wrench
 
 
 def read_streams(
     reader: BagReader,
-    mapping: TopicMapping | None = None,
-    namespace: str | None = None,
-    wrench_topic: str = "wrench",
+    settings: ReadSettings,
     on_image: Callable[[BagMessage], None] | None = None,
     with_images: bool = True,
 ) -> SessionStreams:
     """Read all streams of a bag in one pass.
 
-    wrench_topic: "wrench", "wrench_raw" or an absolute name. on_image is called with each image message. Raises
-    InputError when there is no wrench or the bag holds no message at all; malformed messages are left out, counted
+    on_image is called with each image message. Raises InputError when there is no wrench or the bag holds no message at all; malformed messages are left out, counted
     and listed in `problems`.
     """
-    mapping = mapping or TopicMapping()
-    wrench = find_wrench(reader, mapping, namespace, wrench_topic)
+    mapping = settings.mapping
+    wrench = find_wrench(reader, settings)
     wrench_map = mapping.topic("wrench")
     places = {wrench: "wrench"}
     for name in ("contact_area", "moisture", "trial", "image_raw", "image_raw/compressed"):
         if name.startswith("image") and not with_images:
             continue
-        topic = find_topic(reader, name, mapping, namespace)
+        topic = find_topic(reader, name, settings)
         if topic is not None:
             places.setdefault(topic, name)
 

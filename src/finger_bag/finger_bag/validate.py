@@ -12,16 +12,21 @@ from typing import Any
 
 import numpy as np
 
+from finger_common.axes import normal_force
+from finger_common.contact_threshold import ONSET_FORCE
 from finger_common.errors import InputError
-from finger_offline.trials import TrialRecord, TrialSet, TrialSettings, normal_and_lateral, split
+from finger_common.flags import AreaFlag
+from finger_common.plugins import Plugins
 
+from .read_settings import ReadSettings
 from .reader import BagReader, open_bag
 from .schema import CALIBRATION_ATTACHMENT, TOPICS
-from .streams import SessionStreams, find_topic, find_wrench, read_streams
+from .streams import SessionStreams, find_topic, find_used, read_streams
 
 OK, NOTE, FAIL = "ok", "note", "fail"
 
-FLAG_CLIPPED, FLAG_SATURATED, FLAG_UNCALIBRATED = 4, 16, 32
+CHECKS = Plugins("finger_bag.checks", "bag check")
+"""Further checks of installed packages: functions that take a CheckedBag and a Validation."""
 
 
 @dataclass(frozen=True)
@@ -37,13 +42,8 @@ class Limits:
     """Of the log time behind the stamp (median)."""
     maximum_lead: float = 0.05
     """Of the stamp before the log time (median): clocks that disagree."""
-    maximum_lag: float = 0.15
-    """Between force and image."""
     saturated_samples: int = 25
     """Equal extreme values in a row that count as a saturated sensor."""
-    readings: int = 3
-    """Moisture readings expected before and after each press (paper, section III)."""
-    lateral_ratio: float = 0.25
 
 
 @dataclass(frozen=True)
@@ -79,19 +79,25 @@ class Validation:
         }
 
 
+@dataclass(frozen=True)
+class CheckedBag:
+    """What a check gets: the opened bag, its streams and how they were read."""
+
+    reader: BagReader
+    streams: SessionStreams
+    settings: ReadSettings
+
+
 def validate(
-    path: str | Path, settings: TrialSettings | None = None, limits: Limits | None = None
+    path: str | Path, settings: ReadSettings | None = None, limits: Limits | None = None
 ) -> Validation:
     """Check one bag. Raises InputError when it cannot be read at all."""
-    settings, limits = settings or TrialSettings(), limits or Limits()
+    settings, limits = settings or ReadSettings(), limits or Limits()
     with open_bag(path) as reader:
         result = Validation(str(path))
         _check_topics(reader, settings, result)
         try:
-            find_wrench(reader, settings.mapping, settings.namespace, settings.wrench_topic)
-            streams = read_streams(
-                reader, settings.mapping, settings.namespace, settings.wrench_topic
-            )
+            streams = read_streams(reader, settings)
         except InputError as error:
             _check_file(reader, [], result)
             result.add("content", FAIL, str(error).removeprefix(f"{reader.path}: "))
@@ -99,7 +105,10 @@ def validate(
         _check_file(reader, streams.problems, result)
         _check_streams(streams, settings, limits, result)
         _check_calibration(reader, streams, result)
-        _check_trials(reader, streams, settings, limits, result)
+        for name in CHECKS.names():
+            CHECKS.load(name)(CheckedBag(reader, streams, settings), result)
+        if "trials" not in CHECKS.names():
+            result.add("trials", NOTE, "not checked; install finger_offline")
     return result
 
 
@@ -113,10 +122,9 @@ def _check_file(reader: BagReader, problems: Iterable[str], result: Validation) 
         result.checks.insert(0, Check("file", OK, f"{count} messages, closed by its recorder"))
 
 
-def _check_topics(reader: BagReader, settings: TrialSettings, result: Validation) -> None:
+def _check_topics(reader: BagReader, settings: ReadSettings, result: Validation) -> None:
     def present(name: str) -> bool:
-        topic = find_topic(reader, name, settings.mapping, settings.namespace)
-        return topic is not None and reader.info.topics[topic].count != 0
+        return find_used(reader, name, settings) is not None
 
     missing, notes, wrong = [], [], []
     areas, images = present("contact_area"), present("image_raw") or present("image_raw/compressed")
@@ -129,7 +137,7 @@ def _check_topics(reader: BagReader, settings: TrialSettings, result: Validation
     if not present("trial"):
         notes.append("trial (trials are split by the force)")
     for name, spec in TOPICS.items():
-        topic = find_topic(reader, name, settings.mapping, settings.namespace)
+        topic = find_topic(reader, name, settings)
         if topic is None or settings.mapping.topic(name).field:
             continue
         kind = reader.info.topics[topic].type
@@ -160,7 +168,7 @@ def _rate(stamps: np.ndarray) -> float:
 
 
 def _check_streams(
-    streams: SessionStreams, settings: TrialSettings, limits: Limits, result: Validation
+    streams: SessionStreams, settings: ReadSettings, limits: Limits, result: Validation
 ) -> None:
     frames = streams.area_stamp_ns if len(streams.area_stamp_ns) else streams.image_stamp_ns
     rows = [
@@ -200,7 +208,7 @@ def _check_streams(
 
 
 def _check_gaps(
-    streams: SessionStreams, settings: TrialSettings, limits: Limits, result: Validation
+    streams: SessionStreams, settings: ReadSettings, limits: Limits, result: Validation
 ) -> None:
     stamps = np.sort(streams.wrench_stamp_ns)
     if len(stamps) < 2:
@@ -213,8 +221,8 @@ def _check_gaps(
         result.add("gaps in wrench", OK, f"longest step {steps.max() * 1e3:.1f} ms")
         return
     order = np.argsort(streams.wrench_stamp_ns, kind="stable")
-    normal, _ = normal_and_lateral(streams.force[order], settings.axis)
-    touching = np.fmax(normal[where], normal[where + 1]) >= settings.onset_force
+    normal = normal_force(streams.force[order], settings.axis)
+    touching = np.fmax(normal[where], normal[where + 1]) >= ONSET_FORCE
     count = int(touching.sum())
     result.add(
         "gaps in wrench",
@@ -241,8 +249,8 @@ def _check_saturation(streams: SessionStreams, limits: Limits, result: Validatio
                 axes.append(f"{name} stays at {extreme:.2f} N for {longest} samples")
     invalid = int((~np.isfinite(streams.force).all(axis=1)).sum())
     flags = streams.area_flags
-    clipped = int(((flags & FLAG_CLIPPED) != 0).sum())
-    bright = int(((flags & FLAG_SATURATED) != 0).sum())
+    clipped = int(((flags & AreaFlag.CLIPPED) != 0).sum())
+    bright = int(((flags & AreaFlag.SATURATED) != 0).sum())
     parts = [*axes]
     if invalid:
         parts.append(f"{invalid} forces are not finite")
@@ -256,7 +264,7 @@ def _check_saturation(streams: SessionStreams, limits: Limits, result: Validatio
 
 def _check_calibration(reader: BagReader, streams: SessionStreams, result: Validation) -> None:
     attached = CALIBRATION_ATTACHMENT in reader.info.attachments
-    uncalibrated = bool(((streams.area_flags & FLAG_UNCALIBRATED) != 0).any())
+    uncalibrated = bool(((streams.area_flags & AreaFlag.UNCALIBRATED) != 0).any())
     if attached:
         result.add("calibration", OK, f"{CALIBRATION_ATTACHMENT} is attached")
     elif len(streams.area_stamp_ns):
@@ -268,110 +276,3 @@ def _check_calibration(reader: BagReader, streams: SessionStreams, result: Valid
             FAIL,
             f"{CALIBRATION_ATTACHMENT} is not attached; areas need --calibration",
         )
-
-
-def _check_trials(
-    reader: BagReader,
-    streams: SessionStreams,
-    settings: TrialSettings,
-    limits: Limits,
-    result: Validation,
-) -> None:
-    if not len(streams.area_stamp_ns) and len(streams.image_stamp_ns):
-        # Frames stand for areas: they are there to be measured.
-        streams.area_stamp_ns = streams.image_stamp_ns
-        nothing = np.full(len(streams.image_stamp_ns), np.nan)
-        streams.area = streams.real_area = streams.area_sd = nothing
-        streams.area_flags = np.zeros(len(nothing), np.int64)
-    found = split(streams, reader.info.metadata, settings, str(reader.path))
-    if not found.trials:
-        reasons = "; ".join(dict.fromkeys(e.reason for e in found.exclusions[:3]))
-        result.add("trials", FAIL, f"none can be used ({reasons})")
-        return
-    conditions = ", ".join(f"{len(found.of(c))} {c or 'unnamed'}" for c in found.conditions)
-    left_out = f"; left out: {_exclusions(found)}" if found.exclusions else ""
-    result.add("trials", NOTE if left_out else OK, f"{conditions}{left_out}")
-    short = [t for t in found.trials if t.peak_force < t.target_force]
-    detail = f"{len(found) - len(short)} of {len(found)} reach it"
-    if short:
-        detail += "; " + ", ".join(
-            f"trial {t.index}: {t.peak_force:.2f} of {t.target_force:g} N" for t in short[:5]
-        )
-    result.add("target force", FAIL if short else OK, detail)
-    _check_moisture(found, limits, result)
-    _check_lateral(found, limits, result)
-    _check_sync(found, limits, result)
-
-
-def _exclusions(found: TrialSet) -> str:
-    return "; ".join(f"trial {e.index} ({e.reason})" for e in found.exclusions[:5])
-
-
-def _check_moisture(found: TrialSet, limits: Limits, result: Validation) -> None:
-    without = [t.index for t in found if not t.moisture_before and not t.moisture_after]
-    other = [
-        f"trial {t.index} has {len(t.moisture_before)} + {len(t.moisture_after)}"
-        for t in found
-        if (len(t.moisture_before), len(t.moisture_after)) != (limits.readings,) * 2
-    ]
-    if without:
-        status, detail = FAIL, f"no reading for trial {', '.join(map(str, without[:5]))}"
-    elif other:
-        status = NOTE
-        detail = f"{', '.join(other[:5])}; {limits.readings} + {limits.readings} are expected"
-    else:
-        status, detail = OK, f"{limits.readings} + {limits.readings} readings per trial"
-    result.add("moisture", status, detail)
-
-
-def _check_lateral(found: TrialSet, limits: Limits, result: Validation) -> None:
-    ratios = []
-    for trial in found:
-        pressed = trial.force >= 0.2
-        if pressed.any():
-            ratios.append(float(np.median(trial.lateral_force[pressed] / trial.force[pressed])))
-    worst = max(ratios, default=0.0)
-    status = NOTE if worst > limits.lateral_ratio else OK
-    result.add("lateral force", status, f"at most {worst:.2f} of the normal force (trial medians)")
-
-
-def _check_sync(found: TrialSet, limits: Limits, result: Validation) -> None:
-    lags = [lag for t in found if (lag := force_image_lag(t)) is not None]
-    if not lags:
-        result.add("sync of force and image", NOTE, "cannot be told: no areas over a rising force")
-        return
-    lag = float(np.median(lags))
-    status = OK if abs(lag) <= limits.maximum_lag else FAIL
-    result.add(
-        "sync of force and image",
-        status,
-        f"area lags force by {lag * 1e3:.0f} ms (median of {len(lags)} trials"
-        + (")" if status == OK else "); correct image_time_offset or the clocks"),
-    )
-
-
-def force_image_lag(trial: TrialRecord, longest: float = 0.4) -> float | None:
-    """Time (s) by which the area of a press lags the force, positive when the area comes late; None when unclear.
-
-    The lag at which ln A over ln F of the rising and falling flanks is most nearly one line. Creep of the skin
-    delays the area of a soft finger by some 10 ms, so this finds clocks that disagree, not the last frame's delay.
-    """
-    usable = np.isfinite(trial.area) & (trial.area > 0)
-    stamps, area = trial.area_stamp_ns[usable], trial.area[usable]
-    if len(stamps) < 6 or len(trial.stamp_ns) < 50:
-        return None
-    origin = int(trial.stamp_ns[0])
-    time, frame = (trial.stamp_ns - origin) * 1e-9, (stamps - origin) * 1e-9
-    lags = np.arange(-longest, longest + 1e-9, 0.01)
-    costs = np.full(len(lags), np.nan)
-    for index, lag in enumerate(lags):
-        force = np.interp(frame - lag, time, trial.force)
-        good = force >= 0.1
-        if good.sum() < 6 or np.ptp(np.log(force[good])) < 0.7:
-            continue
-        x, y = np.log(force[good]), np.log(area[good])
-        slope, offset = np.polyfit(x, y, 1)
-        costs[index] = float(np.mean((y - slope * x - offset) ** 2)) / max(slope, 0.05) ** 2
-    if np.isfinite(costs).sum() < 10:
-        return None
-    return float(lags[int(np.nanargmin(costs))])

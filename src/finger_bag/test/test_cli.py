@@ -11,11 +11,13 @@ import pytest
 from session_bags import START, image, press_force, wrench
 
 from finger_bag.cli import command, parser
+from finger_bag.read_settings import ReadSettings
 from finger_bag.reader import open_bag
-from finger_bag.validate import force_image_lag, validate
+from finger_bag.validate import validate
 from finger_bag.writer import BagWriter
 from finger_common.cli import run
-from finger_offline.trials import TrialSettings, load_trials
+from finger_offline.trial_checks import force_image_lag
+from finger_offline.trials import load_trials
 
 COMMANDS = ("info", "validate", "process", "play", "record", "recover", "anonymise")
 
@@ -70,7 +72,7 @@ def test_bad_input_is_one_sentence_and_exit_code_2(
 
 
 def checks(path: Path, **settings: object) -> dict[str, tuple[str, str]]:
-    found = validate(path, TrialSettings(**settings))  # type: ignore[arg-type]
+    found = validate(path, ReadSettings(**settings))  # type: ignore[arg-type]
     return {c.name: (c.status, c.detail) for c in found.checks}
 
 

@@ -158,7 +158,7 @@ def test_processing_a_live_recording_gives_the_published_states_bit_for_bit(
     assert len(states(tmp_path / "live")) == SAMPLES
     # The events matter: without the change of the setting other states come out.
     run_offline(
-        tmp_path / "live", tmp_path / "other", ProcessOptions(settings={"onset_force": 0.06})
+        tmp_path / "live", tmp_path / "other", ProcessOptions(estimator={"onset_force": 0.06})
     )
     assert states(tmp_path / "other") != states(tmp_path / "live")
 

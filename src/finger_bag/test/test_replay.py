@@ -185,7 +185,7 @@ def test_model_node_in_the_time_of_the_bag_estimates_as_offline(
     from finger_offline.process import ProcessOptions
     from finger_offline.process import process as run_offline
 
-    options = ProcessOptions(settings={"fusion_delay": 1.0})
+    options = ProcessOptions(estimator={"fusion_delay": 1.0})
     run_offline(path, tmp_path / "offline", options)
     with open_bag(tmp_path / "offline") as reader:
         expected = [m.message for m in reader.messages(["/finger/contact_state"])]

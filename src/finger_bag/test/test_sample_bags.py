@@ -10,9 +10,10 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
+from finger_bag.bag_files import find_bags
 from finger_bag.reader import open_bag
 from finger_bag.validate import validate
-from finger_offline.trials import find_bags, load_trials
+from finger_offline.trials import load_trials
 
 CONDITIONS = {"dry", "natural", "moist"}
 

@@ -96,7 +96,7 @@ def replay(bag: Path, target: Path) -> tuple[Path, int, int, float]:
     from finger_offline.process import ProcessOptions, process
 
     start = time.monotonic()
-    result = process(bag, target, ProcessOptions(images=True))
+    result = process(bag, target, ProcessOptions(images="yes"))
     return target, result.states, result.areas, time.monotonic() - start
 
 

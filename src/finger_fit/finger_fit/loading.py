@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from finger_bag.bag_files import find_bags
 from finger_bag.mapping import TopicMapping
 from finger_bag.reader import open_bag
 from finger_common.errors import InputError
 from finger_common.files import read_bytes, sha256_of
-from finger_offline.trials import TrialRecord, TrialSet, TrialSettings, find_bags, trials_of
+from finger_offline.trials import TrialRecord, TrialSet, TrialSettings, trials_of
 
 from .options import FitOptions
 from .trials import Exclusion
@@ -47,11 +48,11 @@ def load(
     """
     bags = find_bags(paths)
     settings = TrialSettings(
-        normal_axis=normal_axis,
+        normal_axis=normal_axis or "",
         onset_force=options.onset_force,
         liftoff_force=0.6 * options.onset_force,
         image_areas="always" if options.vision else "absent",
-        calibration=calibration,
+        calibration=calibration or "",
         mapping=TopicMapping.load(mapping) if mapping else TopicMapping(),
     )
     out = Loaded()

@@ -10,11 +10,14 @@ import numpy as np
 
 from finger_bag.reader import BagMessage, BagReader
 from finger_bag.schema import CALIBRATION_ATTACHMENT
-from finger_bag.streams import stamp_ns
 from finger_common.errors import InputError
+from finger_common.stamps import header_stamp
 from finger_vision.calibration import PlateCalibration
 from finger_vision.contact import ContactMeasurement, ContactSegmenter
 from finger_vision.messages import contact_area_fields, image_of
+
+IMAGES = ("image_raw", "image_raw/compressed")
+"""Topics of a bag that areas are measured in."""
 
 MAXIMUM_PIXELS = 64 << 20
 
@@ -42,15 +45,15 @@ def _refuse_large_png(data: np.ndarray) -> None:
 
 
 def calibration_of(
-    reader: BagReader, file: str | None = None, area_per_pixel: float | None = None
+    reader: BagReader, file: str = "", area_per_pixel: float = 0.0
 ) -> PlateCalibration:
-    """Plate calibration from a file or a number, else from the bag's attachment.
+    """Plate calibration from a file or an area (m²), else from the bag's attachment.
 
     Raises InputError when there is none.
     """
-    if file is not None:
+    if file:
         return PlateCalibration.load(file)
-    if area_per_pixel is not None:
+    if area_per_pixel:
         return PlateCalibration.from_area_per_pixel(area_per_pixel)
     data = reader.attachment(CALIBRATION_ATTACHMENT)
     if data is None:
@@ -73,7 +76,7 @@ class ImageAreas:
 
     @classmethod
     def for_bag(
-        cls, reader: BagReader, calibration: str | None = None, area_per_pixel: float | None = None
+        cls, reader: BagReader, calibration: str = "", area_per_pixel: float = 0.0
     ) -> ImageAreas:
         """With the vision node's default settings and the bag's calibration."""
         found = calibration_of(reader, calibration, area_per_pixel)
@@ -88,7 +91,7 @@ class ImageAreas:
         found = self.measure(item.message)
         self._rows.append(
             (
-                stamp_ns(item.message),
+                header_stamp(item.message),
                 item.log_time_ns,
                 found.gross_area,
                 found.real_area,

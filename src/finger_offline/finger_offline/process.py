@@ -20,11 +20,18 @@ import numpy as np
 
 from finger_bag.bulk import WRENCH_TYPE, stamps_and_wrenches
 from finger_bag.definitions import encode
-from finger_bag.mapping import TopicMapping
 from finger_bag.reader import BagMessage, BagReader, open_bag
 from finger_bag.recover import announce, copy_attachments
 from finger_bag.schema import IMAGE_TOPICS, PARAMETERS_ATTACHMENT, spec_of
-from finger_bag.streams import field_value, find_topic, find_wrench, missing, stamp_ns, stamp_of_cdr
+from finger_bag.streams import (
+    field_value,
+    find_topic,
+    find_used,
+    find_wrench,
+    missing,
+    stamp_ns,
+    stamp_of_cdr,
+)
 from finger_bag.writer import BagWriter
 from finger_common.errors import FingerError, InputError
 from finger_model.estimator import ContactEstimator, EstimateBlock
@@ -34,7 +41,8 @@ from finger_model.parameter_sets import ParameterSets
 from finger_model.reduced import ReducedModel
 
 from .contact_states import TableExport, first_frame_id, serialize
-from .image_areas import ImageAreas, area_fields
+from .image_areas import IMAGES, ImageAreas, area_fields
+from .process_options import ProcessOptions
 
 AREA_WAIT_NS = 1_000_000_000
 """Log time after which an area or reading is handed to the estimator; records of late ones have come by then."""
@@ -47,29 +55,6 @@ IMAGES_AHEAD = 6
 
 STATE_TYPE = "finger_msgs/msg/ContactState"
 AREA_TYPE = "finger_msgs/msg/ContactArea"
-
-
-@dataclass(frozen=True)
-class ProcessOptions:
-    """What to run and to write.
-
-    images: measure areas in the images; None does so where the bag holds no contact_area. calibration,
-    area_per_pixel (m²): plate calibration; None for the one attached. parameter_file, model_file: as for the model
-    node; None for what the recording used, else the shipped ones. settings: estimator settings by name that replace
-    those recorded. keep_images: copy images to the output. table: CSV or Parquet file of the estimates.
-    """
-
-    images: bool | None = None
-    calibration: str | None = None
-    area_per_pixel: float | None = None
-    parameter_file: str | None = None
-    model_file: str | None = None
-    settings: dict[str, Any] = field(default_factory=dict)
-    mapping: TopicMapping = field(default_factory=TopicMapping)
-    namespace: str | None = None
-    wrench_topic: str = "wrench"
-    keep_images: bool = False
-    table: str | None = None
 
 
 @dataclass
@@ -104,7 +89,7 @@ def process(
         # Checked and loaded before anything is written.
         if target is not None:
             run.writer = stack.enter_context(BagWriter(target, run.metadata()))
-        if options.table is not None:
+        if options.table:
             run.table = stack.enter_context(TableExport(options.table))
         run.on_block = on_block
         pool = stack.enter_context(ThreadPoolExecutor(1, "vision")) if run.measure else None
@@ -117,21 +102,17 @@ class _Run:
 
     def __init__(self, reader: BagReader, options: ProcessOptions) -> None:
         self.reader, self.options = reader, options
-        mapping, namespace = options.mapping, options.namespace
-        self.wrench = find_wrench(reader, mapping, namespace, options.wrench_topic)
-        self.area_topic = find_topic(reader, "contact_area", mapping, namespace)
-        self.moisture_topic = find_topic(reader, "moisture", mapping, namespace)
-        events = find_topic(reader, "model_events", mapping, namespace)
+        self.wrench = find_wrench(reader, options)
+        self.area_topic = find_topic(reader, "contact_area", options)
+        self.moisture_topic = find_topic(reader, "moisture", options)
+        events = find_topic(reader, "model_events", options)
         self.state_topic = self.wrench.rpartition("/")[0] + "/contact_state"
         self.measured_topic = self.wrench.rpartition("/")[0] + "/contact_area"
-        images = [
-            t
-            for name in ("image_raw", "image_raw/compressed")
-            if (t := find_topic(reader, name, mapping, namespace)) is not None
-            and reader.info.topics[t].count != 0
-        ]
-        has_areas = self.area_topic is not None and reader.info.topics[self.area_topic].count != 0
-        from_images = not has_areas and bool(images) if options.images is None else options.images
+        images = [t for name in IMAGES if (t := find_used(reader, name, options)) is not None]
+        has_areas = find_used(reader, "contact_area", options) is not None
+        from_images = options.images == "yes" or (
+            options.images == "auto" and not has_areas and bool(images)
+        )
         if from_images and not images:
             raise missing(reader, "image_raw")
         self.image_topic = images[0] if from_images else None
@@ -139,7 +120,9 @@ class _Run:
         if from_images:
             self.measure = ImageAreas.for_bag(reader, options.calibration, options.area_per_pixel)
         # Other settings or parameters than recorded: the recorded events no longer apply.
-        own = options.settings or options.parameter_file or options.model_file
+        own = (
+            options.estimator or options.parameter_file or options.model_file or options.normal_axis
+        )
         self.event_topic = None if own else events
         if self.event_topic is not None and reader.info.topics[self.event_topic].count == 0:
             self.event_topic = None
@@ -402,9 +385,7 @@ def _is_image(item: BagMessage) -> bool:
 
 
 def _estimator(options: ProcessOptions) -> ContactEstimator:
-    model = ReducedModel.load(options.model_file)
+    model = ReducedModel.load(options.model_file or None)
     sets = ParameterSets.load(options.parameter_file) if options.parameter_file else None
-    values = dict(options.settings)
-    if options.mapping.normal_axis and "normal_axis" not in values:
-        values["normal_axis"] = options.mapping.normal_axis
+    values = {"normal_axis": options.axis, **options.estimator}
     return ContactEstimator(model, sets, EstimatorSettings.from_mapping(values))

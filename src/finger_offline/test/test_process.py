@@ -184,7 +184,7 @@ def test_processing_a_recording_gives_what_the_live_node_published_bit_for_bit(
         again = [m.raw for m in reader.messages(["/finger/contact_state"])]
     assert again == published
     # Other settings than recorded give something else.
-    process(tmp_path / "live", tmp_path / "other", ProcessOptions(settings={"fuse_area": False}))
+    process(tmp_path / "live", tmp_path / "other", ProcessOptions(estimator={"fuse_area": False}))
     with open_bag(tmp_path / "other") as reader:
         assert [m.raw for m in reader.messages(["/finger/contact_state"])] != published
 
@@ -213,9 +213,9 @@ def test_areas_from_images_are_those_of_the_segmenter(
 
     path = session(trials=1, images=True)
     with pytest.raises(InputError, match=r"plate_calibration.yaml.*--area-per-pixel"):
-        process(path, tmp_path / "out", ProcessOptions(images=True))
+        process(path, tmp_path / "out", ProcessOptions(images="yes"))
     assert not (tmp_path / "out").exists()
-    options = ProcessOptions(images=True, area_per_pixel=0.04e-6)
+    options = ProcessOptions(images="yes", area_per_pixel=0.04e-6)
     result = process(path, tmp_path / "out", options)
     assert result.areas == 35
     segmenter = ContactSegmenter(calibration=PlateCalibration.from_area_per_pixel(0.04e-6))

@@ -14,8 +14,10 @@ from finger_bag.bulk import stamps_and_wrenches
 from finger_bag.definitions import encode
 from finger_bag.mapping import TopicMapping
 from finger_bag.writer import BagWriter
+from finger_common.axes import lateral_force, normal_force
 from finger_common.errors import InputError
-from finger_offline.trials import TrialSettings, load_trials, normal_and_lateral, presses
+from finger_offline.trial_split import TrialSettings, presses
+from finger_offline.trials import load_trials
 
 
 @pytest.mark.parametrize("messages", [True, False], ids=["trial messages", "force alone"])
@@ -66,7 +68,7 @@ def test_failed_redone_and_touching_presses_are_excluded_with_reasons(tmp_path: 
 
     light = write_session(tmp_path / "light", trials=1, messages=False, peak=0.1)
     assert load_trials(light).exclusions[0].reason.startswith("a touch of 0.10 N")
-    wrong_sign = load_trials(light, {"normal_axis": "+z"})
+    wrong_sign = load_trials(light, TrialSettings(normal_axis="+z"))
     assert not wrong_sign.trials and "along +z" in wrong_sign.exclusions[0].reason
 
 
@@ -88,7 +90,7 @@ def test_presses_have_hysteresis_and_merge_what_chatters() -> None:
 @pytest.mark.parametrize("axis", ["+x", "-x", "+y", "-y", "+z", "-z"])
 def test_normal_axis(axis: str) -> None:
     force = np.array([[1.0, 2.0, 3.0]])
-    normal, lateral = normal_and_lateral(force, axis)
+    normal, lateral = normal_force(force, axis), lateral_force(force, axis)
     value = force[0, "xyz".index(axis[1])]
     assert normal[0] == (value if axis[0] == "+" else -value)
     assert lateral[0] ** 2 + value**2 == pytest.approx(14.0)

@@ -1,0 +1,138 @@
+"""The subcommand `finger-bag process`. Vision and model are imported when it runs, not for its help."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+from rich.progress import Progress
+
+from finger_bag.bag_files import find_bags
+from finger_bag.cli import AddCommand
+from finger_bag.read_settings import add_read_options, read_settings_from
+from finger_common.cli import EXIT_BAD_INPUT
+from finger_common.errors import FingerError, InputError
+
+from .process_options import ProcessOptions
+
+if TYPE_CHECKING:
+    from .process import ProcessResult
+
+
+def add_command(add: AddCommand) -> None:
+    """Add `process` to the command `finger-bag`."""
+    parser = add(
+        "process",
+        run,
+        "Run vision and model over bags; writes new bags with contact_area and contact_state.",
+        "finger-bag process bags/dry -o out/dry --csv out/dry.csv\n"
+        "finger-bag process session1 session2 -o out --images yes --calibration plate.yaml",
+    )
+    parser.add_argument("bags", nargs="+", metavar="BAG")
+    parser.add_argument(
+        "-o", "--output", required=True, help="bag to write; with several bags, their folder"
+    )
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE", help="estimator setting"
+    )
+    parser.add_argument("--parameters", default="", metavar="FILE", help="parameters.yaml to use")
+    parser.add_argument("--model", default="", metavar="FILE", help="reduced model to use")
+    table = parser.add_mutually_exclusive_group()
+    table.add_argument(
+        "--csv", dest="table", default="", metavar="FILE", help="also write the estimates as CSV"
+    )
+    table.add_argument(
+        "--parquet", dest="table", metavar="FILE", help="also write the estimates as Parquet"
+    )
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="bags at once")
+    add_read_options(parser, ProcessOptions)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Process the bags named; gives the exit code."""
+    from .process import process
+
+    bags = find_bags(args.bags)
+    several = len(bags) > 1
+    if several and args.table:
+        raise InputError("--csv and --parquet take one bag; process the bags one by one")
+    options = read_settings_from(
+        args,
+        ProcessOptions,
+        estimator=estimator_settings(args.set),
+        parameter_file=args.parameters,
+        model_file=args.model,
+        table=args.table,
+    )
+    output = Path(args.output)
+    targets = [output / bag.name.split(".")[0] if several else output for bag in bags]
+    for target in targets:
+        if target.exists():
+            raise InputError(f"{target}: exists already; choose another name or remove it")
+    began = time.perf_counter()
+    hidden = not sys.stderr.isatty()
+    results: list[ProcessResult | FingerError] = []
+    with Progress(console=Console(stderr=True), transient=True, disable=hidden) as bar:
+        task = bar.add_task(f"{len(bags)} bags" if several else bags[0].name, total=len(bags))
+        if several:
+            jobs = [(bag, target, options) for bag, target in zip(bags, targets)]
+            with ProcessPoolExecutor(min(args.jobs, len(bags))) as pool:
+                for result in pool.map(_process_one, jobs):
+                    results.append(result)
+                    bar.advance(task)
+        else:
+            show = lambda done: bar.update(task, completed=done)  # noqa: E731
+            results.append(process(bags[0], targets[0], options, show))
+    return _report(results, time.perf_counter() - began)
+
+
+def estimator_settings(pairs: Sequence[str]) -> dict[str, Any]:
+    """NAME=VALUE pairs as checked settings of the estimator; raises InputError."""
+    from finger_model.estimator.settings import ESTIMATOR_PARAMETERS
+
+    found: dict[str, Any] = {}
+    for pair in pairs:
+        name, sign, text = pair.partition("=")
+        if not sign:
+            raise InputError(f"--set {pair}: give NAME=VALUE")
+        try:
+            found[name] = json.loads(text)
+        except ValueError:
+            found[name] = text
+    ESTIMATOR_PARAMETERS.check(found)
+    return found
+
+
+def _process_one(job: tuple[Path, Path, ProcessOptions]) -> ProcessResult | FingerError:
+    from .process import process
+
+    source, target, options = job
+    try:
+        return process(source, target, options)
+    except FingerError as error:
+        # One bad bag does not stop the others.
+        return error
+
+
+def _report(results: Sequence[ProcessResult | FingerError], took: float) -> int:
+    failed = [r for r in results if isinstance(r, FingerError)]
+    good = [r for r in results if not isinstance(r, FingerError)]
+    for result in good:
+        for problem in result.problems:
+            print(f"finger-bag: {result.path}: {problem}", file=sys.stderr)
+    total = sum(r.duration for r in good)
+    print(
+        f"{sum(r.states for r in good)} contact states, {sum(r.areas for r in good)} areas from "
+        f"{len(good)} bag(s) of {total:.1f} s in {took:.1f} s: {total / took:.0f} × real time"
+    )
+    for error in failed:
+        print(f"finger-bag: {error}", file=sys.stderr)
+    return EXIT_BAD_INPUT if failed else 0

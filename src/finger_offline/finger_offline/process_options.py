@@ -1,0 +1,35 @@
+"""What `finger-bag process` runs and writes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from finger_bag.read_settings import ReadSettings
+from finger_common.settings import setting
+
+
+@dataclass(frozen=True)
+class ProcessOptions(ReadSettings):
+    """What to run and to write.
+
+    estimator: settings of the estimator by name that replace those recorded. parameter_file, model_file: for the
+    model, empty for those of the suite. table: CSV or Parquet file of the estimates, empty for none. With a normal
+    axis, a file or settings of its own, the run does not follow the recorded events.
+    """
+
+    images: str = setting(
+        "auto",
+        "Measure areas in the images; auto: where contact_area is absent.",
+        choices=("auto", "yes", "no"),
+    )
+    calibration: str = setting("", "Plate calibration for the images; empty: the one attached.")
+    area_per_pixel: float = setting(
+        0.0, "Area of a pixel in place of a calibration; 0: not given.", unit="m²", minimum=0.0
+    )
+    keep_images: bool = setting(False, "Copy images to the new bag.")
+    estimator: Mapping[str, Any] = field(default_factory=dict)
+    parameter_file: str = ""
+    model_file: str = ""
+    table: str = ""

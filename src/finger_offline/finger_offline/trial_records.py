@@ -1,0 +1,86 @@
+"""Trials as read from bags: one press with its force, areas and moisture readings, and what was left out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class TrialRecord:
+    """One trial (SI). Stamps are acquisition times in ns.
+
+    stamp_ns (n,), force (n,): normal force, positive in compression, at full rate, from `margin` before onset to
+    `margin` after lift-off; lateral_force (n,). area_stamp_ns, area, area_sd (m², NaN where unknown), area_flags (k,):
+    gross areas; real_area (k,). moisture_before, moisture_after: readings (a.u.). onset_ns, liftoff_ns: first sample
+    at or above the onset force, first one below the lift-off force (None when the recording ends before).
+    area_source: "topic" or "images".
+    """
+
+    bag: str
+    session: str
+    subject: str
+    condition: str
+    index: int
+    attempt: int
+    target_force: float
+    stamp_ns: np.ndarray
+    force: np.ndarray
+    lateral_force: np.ndarray
+    area_stamp_ns: np.ndarray
+    area: np.ndarray
+    area_sd: np.ndarray
+    area_flags: np.ndarray
+    real_area: np.ndarray
+    moisture_before: list[float]
+    moisture_after: list[float]
+    onset_ns: int
+    liftoff_ns: int | None
+    area_source: str = "topic"
+
+    @property
+    def moisture(self) -> float:
+        """Mean of all readings (a.u.), NaN without any."""
+        readings = self.moisture_before + self.moisture_after
+        return float(np.mean(readings)) if readings else float("nan")
+
+    @property
+    def peak_force(self) -> float:
+        """Largest normal force (N)."""
+        return float(np.nanmax(self.force)) if len(self.force) else float("nan")
+
+
+@dataclass(frozen=True)
+class Exclusion:
+    """A press or trial that was left out, and the reason in words."""
+
+    bag: str
+    condition: str
+    index: int
+    reason: str
+
+
+@dataclass
+class TrialSet:
+    """Trials of one or more bags, what was left out, and what was wrong with the bags."""
+
+    trials: list[TrialRecord] = field(default_factory=list)
+    exclusions: list[Exclusion] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+
+    def __len__(self) -> int:
+        return len(self.trials)
+
+    def __iter__(self) -> Iterator[TrialRecord]:
+        return iter(self.trials)
+
+    @property
+    def conditions(self) -> list[str]:
+        """Conditions in the order they appear."""
+        return list(dict.fromkeys(t.condition for t in self.trials))
+
+    def of(self, condition: str) -> list[TrialRecord]:
+        """Trials of one condition."""
+        return [t for t in self.trials if t.condition == condition]

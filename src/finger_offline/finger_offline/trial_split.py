@@ -1,0 +1,295 @@
+"""Which press belongs to which trial: by `trial` messages where a bag has them, else by the force."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from finger_bag.read_settings import ReadSettings
+from finger_bag.schema import SessionMetadata
+from finger_bag.streams import (
+    MOISTURE_AFTER,
+    MOISTURE_BEFORE,
+    MoistureReading,
+    SessionStreams,
+    TrialEvent,
+    in_stamp_order,
+)
+from finger_common.axes import lateral_force, normal_force
+from finger_common.contact_threshold import LIFTOFF_FORCE, ONSET_FORCE, check_thresholds, contacts
+from finger_common.settings import setting
+from finger_common.stamps import nanoseconds, seconds
+from finger_common.trial_phases import TrialPhase
+
+from .trial_records import Exclusion, TrialRecord, TrialSet
+
+TARGET_FORCE = 1.35
+"""N; the paper's cue to lift, for bags that name no target."""
+
+
+@dataclass(frozen=True)
+class TrialSettings(ReadSettings):
+    """How trials are read."""
+
+    onset_force: float = setting(
+        ONSET_FORCE, "Normal force at which a press begins.", unit="N", minimum=0.0
+    )
+    liftoff_force: float = setting(
+        LIFTOFF_FORCE, "Normal force below which a press ends.", unit="N", minimum=0.0
+    )
+    merge_gap: float = setting(
+        0.1, "Presses closer in time than this are one.", unit="s", minimum=0.0
+    )
+    minimum_peak: float = setting(
+        0.2,
+        "Without trial messages, a touch that stays below this force is no trial.",
+        unit="N",
+        minimum=0.0,
+    )
+    margin: float = setting(
+        0.5, "Force and areas kept before onset and after lift-off.", unit="s", minimum=0.0
+    )
+    image_areas: str = setting(
+        "absent",
+        "Measure areas in the images: where contact_area is absent, or always.",
+        choices=("absent", "always"),
+    )
+    calibration: str = setting(
+        "", "Plate calibration file for the images; empty: the one attached to the bag."
+    )
+
+    def validate(self) -> None:
+        check_thresholds(self.onset_force, self.liftoff_force)
+
+    @classmethod
+    def of(cls, settings: ReadSettings) -> TrialSettings:
+        """Default settings for a bag that is read in this way."""
+        return cls(settings.mapping, **settings.to_dict())
+
+
+def presses(
+    stamp_ns: np.ndarray,
+    force: np.ndarray,
+    onset_force: float = ONSET_FORCE,
+    liftoff_force: float = LIFTOFF_FORCE,
+    merge_gap: float = 0.1,
+) -> list[tuple[int, int]]:
+    """Presses in normal forces (n,) as (first sample, first sample after); merge_gap (s) as in TrialSettings."""
+    found: list[tuple[int, int]] = []
+    for first, end in contacts(force, onset_force, liftoff_force):
+        if found and seconds(stamp_ns[first] - stamp_ns[found[-1][1] - 1]) < merge_gap:
+            found[-1] = (found[-1][0], end)
+        else:
+            found.append((first, end))
+    return found
+
+
+@dataclass
+class _Press:
+    """A press that may become a trial."""
+
+    first: int
+    end: int
+    event: TrialEvent | None
+    reason: str = ""
+
+
+def split(
+    streams: SessionStreams, metadata: SessionMetadata, settings: TrialSettings, bag: str
+) -> TrialSet:
+    """Trials in the streams of one bag."""
+    metadata = SessionMetadata.from_mapping(
+        {**metadata.to_mapping(), **{k: str(v) for k, v in settings.mapping.trial.items()}}
+    )
+    result = TrialSet(problems=[f"{bag}: {p}" for p in streams.problems])
+    normal = normal_force(streams.force, settings.axis)
+    lateral = lateral_force(streams.force, settings.axis)
+    finite = np.isfinite(normal)
+    if not finite.all():
+        result.problems.append(f"{bag}: {int((~finite).sum())} wrenches without a finite force")
+    stamp, normal, lateral = in_stamp_order(
+        streams.wrench_stamp_ns[finite], normal[finite], lateral[finite]
+    )
+    areas = list(
+        in_stamp_order(
+            streams.area_stamp_ns,
+            streams.area,
+            streams.area_sd,
+            streams.area_flags,
+            streams.real_area,
+        )
+    )
+    found = presses(stamp, normal, settings.onset_force, settings.liftoff_force, settings.merge_gap)
+    if streams.trials:
+        chosen, without = _by_messages(streams.trials, stamp, normal, found)
+    else:
+        chosen, without = _by_force(normal, found, settings.minimum_peak), []
+    result.exclusions += [Exclusion(bag, e.condition, e.index, reason) for e, reason in without]
+    if not chosen and not without:
+        result.exclusions.append(
+            Exclusion(
+                bag,
+                metadata.condition,
+                0,
+                f"no press: normal force along {settings.axis} stays below {settings.onset_force} N "
+                f"(it runs from {normal.min():.2f} to {normal.max():.2f} N)"
+                if len(normal)
+                else "no press: no usable wrench",
+            )
+        )
+    moistures = _assign_moistures(streams.moistures, chosen, stamp)
+    for number, press in enumerate(chosen):
+        record = _record(
+            press, number, stamp, normal, lateral, areas, moistures[number], metadata, settings, bag
+        )
+        record = replace(record, area_source=streams.area_source)
+        reason = press.reason
+        if not reason and not len(record.area_stamp_ns):
+            reason = "no contact area during the press"
+        if reason:
+            result.exclusions.append(Exclusion(bag, record.condition, record.index, reason))
+        else:
+            result.trials.append(record)
+    return result
+
+
+def _by_force(
+    normal: np.ndarray, found: Sequence[tuple[int, int]], minimum_peak: float
+) -> list[_Press]:
+    chosen = []
+    for first, end in found:
+        peak = float(normal[first:end].max())
+        reason = "" if peak >= minimum_peak else f"a touch of {peak:.2f} N, no press"
+        chosen.append(_Press(first, end, None, reason))
+    return chosen
+
+
+def _by_messages(
+    events: Sequence[TrialEvent],
+    stamp: np.ndarray,
+    normal: np.ndarray,
+    found: Sequence[tuple[int, int]],
+) -> tuple[list[_Press], list[tuple[TrialEvent, str]]]:
+    """The press of each announced trial, and trials without one."""
+    groups: dict[tuple[str, int, int], list[TrialEvent]] = {}
+    for event in sorted(events, key=lambda e: e.stamp_ns):
+        groups.setdefault((event.session, event.index, event.attempt), []).append(event)
+    starts = {
+        key: next(e.stamp_ns for e in group if e.phase == TrialPhase.PRESS)
+        for key, group in groups.items()
+        if any(e.phase == TrialPhase.PRESS for e in group)
+    }
+    ordered = sorted(starts, key=lambda key: starts[key])
+    chosen: list[_Press] = []
+    without: list[tuple[TrialEvent, str]] = []
+    for position, key in enumerate(ordered):
+        group = groups[key]
+        start = starts[key]
+        ends = [
+            e.stamp_ns
+            for e in group
+            if e.stamp_ns > start
+            and e.phase in (TrialPhase.MOISTURE_AFTER, TrialPhase.DONE, TrialPhase.FAILED)
+        ]
+        if position + 1 < len(ordered):
+            ends.append(starts[ordered[position + 1]])
+        low = np.searchsorted(stamp, start)
+        high = np.searchsorted(stamp, min(ends)) if ends else len(stamp)
+        inside = [p for p in found if p[0] < high and p[1] > low and p[0] >= low]
+        failed = next((e for e in group if e.phase == TrialPhase.FAILED), None)
+        if not inside:
+            text = f"marked as failed: {failed.note or 'no reason given'}" if failed else "no press"
+            without.append((group[0], text))
+            continue
+        best = max(inside, key=lambda p: float(normal[p[0] : p[1]].max()))
+        reason = f"marked as failed: {failed.note or 'no reason given'}" if failed else ""
+        chosen.append(_Press(*best, group[-1], reason))
+    # A trial that was only prepared in this bag has no press to lose.
+    return chosen, without
+
+
+def _assign_moistures(
+    readings: Sequence[MoistureReading], chosen: Sequence[_Press], stamp: np.ndarray
+) -> list[tuple[list[float], list[float]]]:
+    """Readings before and after each press: by their phase, else by the press that is nearer in time."""
+    result: list[tuple[list[float], list[float]]] = [([], []) for _ in chosen]
+    if not chosen:
+        return result
+    onsets = np.array([stamp[p.first] for p in chosen], np.int64)
+    ends = np.array([stamp[min(p.end, len(stamp)) - 1] for p in chosen], np.int64)
+    for reading in sorted(readings, key=lambda r: r.stamp_ns):
+        if not np.isfinite(reading.value):
+            continue
+        following = int(np.searchsorted(onsets, reading.stamp_ns))
+        previous = following - 1
+        after = reading.phase == MOISTURE_AFTER
+        if reading.phase not in (MOISTURE_BEFORE, MOISTURE_AFTER):
+            after = following >= len(chosen) or (
+                previous >= 0
+                and reading.stamp_ns - ends[previous] < onsets[following] - reading.stamp_ns
+            )
+        if after and previous >= 0:
+            result[previous][1].append(reading.value)
+        elif not after and following < len(chosen):
+            result[following][0].append(reading.value)
+    return result
+
+
+def _record(
+    press: _Press,
+    number: int,
+    stamp: np.ndarray,
+    normal: np.ndarray,
+    lateral: np.ndarray,
+    areas: list[np.ndarray],
+    moisture: tuple[list[float], list[float]],
+    metadata: SessionMetadata,
+    settings: TrialSettings,
+    bag: str,
+) -> TrialRecord:
+    margin = nanoseconds(settings.margin)
+    onset = int(stamp[press.first])
+    last = int(stamp[min(press.end, len(stamp)) - 1])
+    low = int(np.searchsorted(stamp, onset - margin))
+    high = int(np.searchsorted(stamp, last + margin, side="right"))
+    near = (areas[0] >= onset - margin) & (areas[0] <= last + margin)
+    event = press.event
+    index = _integer(metadata.trial_index, number) if event is None else event.index
+    target = event.target_force if event is not None else _number(metadata.target_force)
+    return TrialRecord(
+        bag=bag,
+        session=(event.session if event else "") or metadata.session,
+        subject=(event.subject if event else "") or metadata.subject,
+        condition=(event.condition if event else "") or metadata.condition,
+        index=index,
+        attempt=event.attempt if event else 0,
+        target_force=target if target > 0 else TARGET_FORCE,
+        stamp_ns=stamp[low:high],
+        force=normal[low:high],
+        lateral_force=lateral[low:high],
+        area_stamp_ns=areas[0][near],
+        area=areas[1][near],
+        area_sd=areas[2][near],
+        area_flags=areas[3][near],
+        real_area=areas[4][near],
+        moisture_before=moisture[0],
+        moisture_after=moisture[1],
+        onset_ns=onset,
+        liftoff_ns=int(stamp[press.end]) if press.end < len(stamp) else None,
+    )
+
+
+def _integer(text: str, default: int) -> int:
+    try:
+        return int(text) + default
+    except ValueError:
+        return default
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return 0.0
