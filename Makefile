@@ -25,7 +25,7 @@ setup-test:
 	@$(PYTHON) scripts/setup_env.py --env $(ENV) --test
 
 demo: setup
-	@$(RUN) -m finger_bringup.demo -o out/demo
+	@$(RUN) examples/demo -o out/demo
 
 lint: setup-test
 	@$(RUN) -m ruff check .
@@ -48,7 +48,7 @@ soak: setup
 	@$(RUN) scripts/soak.py
 
 bags: setup
-	@$(RUN) -m finger_bringup.sample_bags
+	@$(RUN) examples/sample_bags.py
 
 clean:
 	rm -rf out build install log .pytest_cache .ruff_cache .mypy_cache

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import random
 import signal
 import socket
 import subprocess
@@ -14,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from finger_common.domains import DOMAINS, free_domain
 from finger_common.processes import bound_to_parent
 
 ROOT = Path(__file__).resolve().parent
@@ -44,25 +44,21 @@ def fingerprints(project_root: Path) -> Path:
     return folder
 
 
-def _domain_is_free(domain: int) -> bool:
-    """Whether nobody listens on the domain's discovery port (RTPS: 7400 + 250 domain + 10)."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.bind(("", 7400 + 250 * domain + 10))
-        except OSError:
-            return False
-    return True
+@pytest.fixture(scope="session")
+def free_ros_domain() -> Callable[[], int]:
+    """Function that gives a ROS domain of this worker's share that nobody uses.
+
+    Parallel workers draw from separate domains, so that none takes what another has just found.
+    """
+    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
+    return lambda: free_domain(d for d in DOMAINS if d % workers == worker)
 
 
 @pytest.fixture
-def ros_domain(monkeypatch: pytest.MonkeyPatch) -> int:
+def ros_domain(monkeypatch: pytest.MonkeyPatch, free_ros_domain: Callable[[], int]) -> int:
     """A ROS_DOMAIN_ID of its own, set in the environment, discovery kept on this host."""
-    # Parallel workers draw from separate domains, so that none takes what another has just found free.
-    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
-    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
-    domains = [d for d in range(1, 101) if d % workers == worker]
-    random.SystemRandom().shuffle(domains)
-    domain = next(d for d in domains if _domain_is_free(d))
+    domain = free_ros_domain()
     monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     return domain

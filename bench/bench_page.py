@@ -30,8 +30,8 @@ import numpy as np
 
 from finger_bag.reader import open_bag
 from finger_bag.streams import stamp_ns
-from finger_bringup.demo_session import SessionRequest, free_domain, record_session
 from finger_bringup.supervisor import ProcessSpec, Supervisor
+from finger_common.domains import free_domain
 
 TARGET = 1.35  # N
 NAMESPACE = ("-r", "__ns:=/finger")
@@ -129,9 +129,9 @@ def chromium() -> str | None:
 
 
 def node(module: str, *parameters: str) -> ProcessSpec:
-    """One node of finger_bringup as a process."""
+    """One node of finger_operator as a process."""
     flags = [flag for p in parameters for flag in ("-p", p)]
-    command = (sys.executable, "-m", f"finger_bringup.{module}", "--ros-args", *NAMESPACE, *flags)
+    command = (sys.executable, "-m", f"finger_operator.{module}", "--ros-args", *NAMESPACE, *flags)
     return ProcessSpec(module, command, respawn=False)
 
 
@@ -211,6 +211,9 @@ def with_stand_in(path: str, presses: int, folder: Path) -> np.ndarray:
 
 def with_whole_rig(path: str, presses: int, folder: Path) -> np.ndarray:
     """Delays (presses,) in ms with the whole simulated rig, whose bags tell when the cues were due."""
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
+    from demo.session import SessionRequest, record_session
+
     port = free_port()
     relaxed = {"readings": 0, "gap_limit": 1.0, "frame_gap_limit": 2.0, "stale_after": 2.0}
     request = SessionRequest(

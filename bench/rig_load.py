@@ -22,7 +22,7 @@ import numpy as np
 
 from finger_bag.definitions import encode
 from finger_bag.reader import open_bag
-from finger_bringup.demo_session import free_domain
+from finger_common.domains import free_domain
 
 WIDTH, HEIGHT = 1280, 1024
 TOPICS = {

@@ -29,7 +29,7 @@ REFERENCE = ROOT / "docs" / "nodes.md"
 RIG_FILE = ROOT / "src" / "finger_bringup" / "config" / "rig.yaml"
 
 ORDER = (
-    "force camera moisture vision model recorder fit protocol page bring_up fit_request unattended simulated_rig"
+    "force camera moisture vision model recorder fit protocol page bring_up fit_request simulated_rig"
 ).split()
 """Nodes in the reader's order."""
 

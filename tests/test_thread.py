@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +17,10 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
+from demo.results import true_trials
+from demo.session import SESSION
 from finger_bag.reader import open_bag
-from finger_bringup.demo_report import true_trials
-from finger_bringup.demo_session import SESSION
-
-
-def stamp_of(message: Any) -> int:
-    return message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+from finger_common.stamps import header_stamp as stamp_of
 
 
 class Recording:
@@ -43,11 +41,16 @@ class Recording:
 
 
 @pytest.fixture(scope="module")
-def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+def demo(
+    tmp_path_factory: pytest.TempPathFactory,
+    project_root: Path,
+    free_ros_domain: Callable[[], int],
+) -> tuple[Path, str]:
     """Folder and output of the demo for one condition."""
     folder = tmp_path_factory.mktemp("thread") / "demo"
-    command = [sys.executable, "-m", "finger_bringup.demo", "-o", str(folder)]
+    command = [sys.executable, str(project_root / "examples" / "demo"), "-o", str(folder)]
     command += ["--conditions", "moist", "--quick", "--seed", "4"]
+    command += ["--domain", str(free_ros_domain())]
     result = subprocess.run(command, capture_output=True, text=True, timeout=280)
     assert result.returncode == 0, result.stdout[-2000:] + result.stderr[-2000:]
     return folder, result.stdout

@@ -12,7 +12,6 @@ from typing import Any
 
 from finger_common.cli import Parser, run
 from finger_common.errors import InputError
-from finger_sim.conditions import STUDY
 from finger_sim.rig import RigAddresses
 
 from . import nodes
@@ -20,7 +19,6 @@ from .supervisor import Supervisor
 
 EXAMPLE = """\
 finger-rig up --simulated                     # the whole suite on simulated devices, page at http://127.0.0.1:8080
-finger-rig up --simulated --unattended 3      # three presses per condition without an operator, then end
 finger-rig up --parameters rig.yaml           # real devices, as the file says
 finger-rig study --seed 1 --no-images -o out/study"""
 
@@ -53,12 +51,6 @@ def parser() -> argparse.ArgumentParser:
     )
     up.add_argument("--nodes", nargs="+", metavar="NODE", help="run only these nodes")
     up.add_argument("--without", nargs="+", default=[], metavar="NODE", help="leave these out")
-    up.add_argument(
-        "--unattended",
-        type=int,
-        metavar="N",
-        help="with --simulated: run N trials per condition without an operator, then end",
-    )
     up.add_argument(
         "--folder",
         type=Path,
@@ -101,15 +93,10 @@ def _main(argv: Sequence[str] | None) -> int:
 
 def chosen_nodes(arguments: argparse.Namespace) -> list[str]:
     """Names of the nodes to run; raises InputError for contradictory options."""
-    if arguments.unattended is not None:
-        if not arguments.simulated:
-            raise InputError("--unattended needs --simulated: nobody would press a real sensor")
-        if arguments.unattended < 1:
-            raise InputError(f"--unattended is {arguments.unattended}, at least 1 trial is needed")
     if arguments.nodes:
         names = list(arguments.nodes)
     else:
-        names = [*nodes.RIG, "protocol", "unattended" if arguments.unattended else "page"]
+        names = [*nodes.RIG, "protocol", "page"]
         if arguments.simulated:
             names.insert(0, "simulated_rig")
     for name in arguments.without:
@@ -130,16 +117,6 @@ def _up(arguments: argparse.Namespace) -> int:
         for name, values in nodes.simulated_devices(addresses).items():
             parameters[name] = {**parameters.get(name, {}), **values}
         parameters["simulated_rig"]["seed"] = arguments.seed
-    if arguments.unattended:
-        parameters["protocol"].update(
-            subject="SIM1",
-            conditions=list(STUDY),
-            trials=arguments.unattended,
-            confirm_preparation=False,
-        )
-        parameters["simulated_rig"]["upcoming"] = [
-            f"{name}:{arguments.unattended}" for name in STUDY
-        ]
     entries = nodes.select(names, {k: v for k, v in parameters.items() if k in names})
     specs = nodes.process_specs(entries, folder, arguments.namespace, arguments.parameters)
     os.environ.setdefault("OMP_NUM_THREADS", "1")

@@ -65,14 +65,6 @@ TABLE: dict[str, NodeEntry] = {
         NodeEntry("recorder", "finger_bag", "recorder_node", 3),
         NodeEntry("protocol", "finger_operator", "protocol_node", 4),
         NodeEntry("page", "finger_operator", "page_node", 5, lifecycle=False),
-        NodeEntry(
-            "unattended",
-            "finger_bringup",
-            "unattended_node",
-            5,
-            respawn=False,
-            essential=True,
-        ),
     )
 }
 """Every node there is, by name."""

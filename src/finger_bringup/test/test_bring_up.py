@@ -55,14 +55,14 @@ def test_nodes_come_up_over_dds_and_again_after_a_kill(
 
     def start(module: str, *parameters: str) -> Any:
         flags = [flag for p in parameters for flag in ("-p", p)]
-        return process("-m", f"finger_bringup.{module}", "--ros-args", *flags)
+        return process("-m", f"finger_{module}", "--ros-args", *flags)
 
     def start_protocol() -> Any:
-        return start("protocol_node", "autostart:=false", f"output:={tmp_path}")
+        return start("operator.protocol_node", "autostart:=false", f"output:={tmp_path}")
 
     protocol = start_protocol()
-    start("page_node", "autostart:=false", "port:=0")
-    manager = start("bring_up_node", "order:=[protocol, page]")
+    start("operator.page_node", "autostart:=false", "port:=0")
+    manager = start("bringup.bring_up_node", "order:=[protocol, page]")
     context = rclpy.Context()
     rclpy.init(context=context, domain_id=ros_domain)
     node = rclpy.create_node("observer", context=context)

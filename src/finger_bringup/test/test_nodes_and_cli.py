@@ -71,8 +71,6 @@ def test_a_file_that_is_no_parameter_file_is_named(tmp_path: Path, text: str, sa
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["up", "--unattended", "3"], "--unattended needs --simulated"),
-        (["up", "--simulated", "--unattended", "0"], "at least 1"),
         (["up", "--nodes", "forse"], "node 'forse' does not exist; known are simulated_rig, force"),
         (["up", "--without", "simulated_rig"], "would not run anyway"),
         (["up", "--parameters", "missing.yaml"], "missing.yaml: no such parameter file"),
@@ -90,7 +88,5 @@ def test_bad_arguments_end_with_code_2_and_one_sentence(
 def test_the_whole_rig_runs_by_default_and_nodes_can_be_left_out() -> None:
     given = parser().parse_args(["up", "--simulated", "--without", "page"])
     assert chosen_nodes(given) == ["simulated_rig", *nodes.RIG, "protocol"]
-    alone = parser().parse_args(["up", "--simulated", "--unattended", "2"])
-    assert chosen_nodes(alone)[-2:] == ["protocol", "unattended"]
     robot = parser().parse_args(["up", "--nodes", "force", "model"])
     assert tuple(chosen_nodes(robot)) == nodes.GRASP

@@ -1,46 +1,42 @@
-"""Node in the operator's place: waits for the suite, tares, starts the study and follows it to its end.
+"""Node in the operator's place: waits for the suite, tares, starts the study and follows it.
 
-For simulated participants, sample bags and tests. Each event is one line of JSON on standard output, for programs
-that watch it. Exit code 0 when the study is finished, 2 with one sentence when it cannot be.
+Each event is one line of JSON on standard output, for the program that started the node. Exit code
+0 when the study is finished, 2 with one sentence when it cannot be.
 """
 
 from __future__ import annotations
 
 import json
 import time
+from dataclasses import dataclass
 from typing import Any
 
 import rclpy
 from geometry_msgs.msg import WrenchStamped
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from finger_common.errors import FingerError
-from finger_common.node import ManagedNode, main_of
-from finger_common.parameters import Parameter, ParameterTable
+from finger_common.node import STATE_QOS, ManagedNode, main_of
+from finger_common.settings import Settings, setting
 from finger_msgs.msg import ContactArea, ContactState
 
-PARAMETERS = ParameterTable(
-    Parameter(
-        "suite_timeout",
-        90.0,
-        "Longest wait for all topics and services.",
-        unit="s",
-        minimum=1.0,
-        maximum=600.0,
-    ),
-    Parameter(
-        "trial_timeout",
-        60.0,
-        "Longest time without any progress of the study.",
-        unit="s",
-        minimum=5.0,
-        maximum=3600.0,
-    ),
-    Parameter("max_failures", 5, "Failed attempts after which the study is given up.", minimum=0),
-)
+
+@dataclass(frozen=True)
+class UnattendedSettings(Settings):
+    """Parameters of the node."""
+
+    suite_timeout: float = setting(
+        90.0, "Longest wait for all topics and services.", "s", 1.0, 600.0
+    )
+    trial_timeout: float = setting(
+        60.0, "Longest time without any progress of the study.", "s", 5.0, 3600.0
+    )
+    max_failures: int = setting(
+        5, "Number of failed attempts above which the study is given up.", minimum=0
+    )
+
 
 STREAMS = {
     "wrench": WrenchStamped,
@@ -48,7 +44,7 @@ STREAMS = {
     "contact_area": ContactArea,
     "contact_state": ContactState,
 }
-"""Topics that must be alive before the study starts."""
+"""Topics that must carry messages before the study starts."""
 
 STEP_KEYS = ("step", "index", "attempt", "condition", "folder", "waiting_for")
 
@@ -58,12 +54,12 @@ SERVICES = ("force/tare", "protocol/start")
 class UnattendedNode(ManagedNode):
     """Starts and follows the protocol node's study."""
 
-    TABLE = PARAMETERS
+    SETTINGS = (UnattendedSettings,)
     NAME = "unattended"
 
     def configure(self) -> None:
         self._alive: set[str] = set()
-        self._told: dict[int, tuple[str, int]] = {}
+        self._reported: dict[int, tuple[str, int]] = {}
         self._step: dict[str, Any] = {}
         self._failures = 0
         self._finished = False
@@ -72,22 +68,17 @@ class UnattendedNode(ManagedNode):
         self._since = time.monotonic()
         qos = self.stream_qos()
         self._listeners = {
-            topic: self.create_stream_subscription(kind, topic, self._noting(topic), qos)
+            topic: self.create_stream_subscription(kind, topic, self._marking(topic), qos)
             for topic, kind in STREAMS.items()
         }
         self._clients_by_name = {name: self.create_client(Trigger, name) for name in SERVICES}
-        latched = QoSProfile(
-            depth=1,
-            reliability=ReliabilityPolicy.RELIABLE,
-            durability=DurabilityPolicy.TRANSIENT_LOCAL,
-        )
-        self.create_subscription(String, "protocol/status", self._on_status, latched)
+        self.create_subscription(String, "protocol/status", self._on_status, STATE_QOS)
         self._emit("waiting")
         self._timer = self.create_timer(0.1, self._await_suite)
 
     # Start -------------------------------------------------------------------------------------
 
-    def _noting(self, topic: str) -> Any:
+    def _marking(self, topic: str) -> Any:
         def callback(message: Any) -> None:
             self._alive.add(topic)
 
@@ -139,19 +130,19 @@ class UnattendedNode(ManagedNode):
             self._step = step
             self._emit("step", **step)
         for trial in status["trials"]:
-            said = (trial["verdict"], trial["attempts"] if trial["reason"] else 0)
-            if said != self._told.get(trial["index"], ("pending", 0)):
-                self._told[trial["index"]] = said
+            state = (trial["verdict"], trial["attempts"] if trial["reason"] else 0)
+            if state != self._reported.get(trial["index"], ("pending", 0)):
+                self._reported[trial["index"]] = state
                 self._emit("trial", **trial)
                 if trial["reason"]:
                     self._failures += 1
         if self._failures > self.values["max_failures"]:
             raise FingerError(
-                f"{self._failures} attempts failed, the last because: {status['message'] or said[0]}; "
+                f"{self._failures} attempts failed, the last because: {status['message'] or state[0]}; "
                 "check the devices"
             )
         if status["paused"]:
-            raise FingerError(f"the study was paused: {status['message'] or 'by somebody'}")
+            raise FingerError(f"the study was paused: {status['message'] or 'by an operator'}")
         if status["step"] == "finished":
             self._finished = True
             self._emit("finished", folder=status["folder"])
@@ -160,7 +151,7 @@ class UnattendedNode(ManagedNode):
     def _watch(self) -> None:
         waited = time.monotonic() - self._since
         if waited > self.values["trial_timeout"]:
-            raise FingerError(f"the study stands still for {waited:.0f} s; see the nodes' output")
+            raise FingerError(f"no progress of the study for {waited:.0f} s; see the nodes' output")
 
     @staticmethod
     def _emit(event: str, **facts: Any) -> None:

@@ -1,10 +1,11 @@
-"""The main job: a simulated study in small, from the finger on the plate to fitted parameters and a report.
+"""A small simulated study, from the finger on the plate to fitted parameters and a report.
 
-    python -m finger_bringup.demo -o out/demo
+    python examples/demo -o out/demo
 
-Nine processes run over DDS: the simulated rig, drivers, vision, model, recorder and protocol. Each press is recorded
-into a bag; while the next one is recorded, the bag is replayed through vision and model from its images alone. Then
-the parameters are fitted and laid beside the truth that the simulated finger was made of.
+The simulated rig, drivers, vision, model, recorder and protocol run as processes over DDS. Each
+press is recorded into a bag; while the next one is recorded, the bag is replayed through vision and
+model from its images alone. Then the parameters are fitted and compared with the true ones of the
+simulated finger.
 """
 
 from __future__ import annotations
@@ -13,11 +14,9 @@ import contextlib
 import multiprocessing
 import os
 import shutil
-import sys
 import time
 from collections.abc import Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +27,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from finger_common.cli import Parser, run
 from finger_common.errors import FingerError, InputError
 
-from .demo_session import SessionRequest, record_session
+from .report import print_summary, write_report
+from .results import DemoResult
+from .session import SessionRequest, record_session
 
 STAGES = {
     "prepare": "preparing the finger",
@@ -44,24 +45,12 @@ STAGES = {
 }
 
 
-@dataclass
-class DemoResult:
-    """What the demo made. seconds: by stage."""
-
-    folder: Path
-    bags: list[Path] = field(default_factory=list)
-    processed: list[Path] = field(default_factory=list)
-    fit: Any = None
-    repeated: int = 0
-    seconds: dict[str, float] = field(default_factory=dict)
-
-
 def parser() -> Parser:
     """Arguments."""
     arguments = Parser(
-        prog="python -m finger_bringup.demo",
+        prog="python examples/demo",
         description="Record, replay and fit a small simulated study; write report.html.",
-        example="python -m finger_bringup.demo -o out/demo",
+        example="python examples/demo -o out/demo",
     )
     arguments.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
     arguments.add_argument(
@@ -74,6 +63,7 @@ def parser() -> Parser:
         help="moisture conditions (default: all three)",
     )
     arguments.add_argument("--seed", type=int, default=1, help="of the simulated study")
+    arguments.add_argument("--domain", type=int, help="ROS domain (default: a free one)")
     arguments.add_argument(
         "--quick", action="store_true", help="leave out profiles, bias and the full-order check"
     )
@@ -91,20 +81,19 @@ def _begin_worker() -> None:
     os.nice(10)
 
 
-def replay(bag: Path, target: Path) -> tuple[Path, int, int, float]:
-    """Measure a bag's images anew and run the model over it; gives target, states, areas and seconds taken."""
+def replay(bag: Path, target: Path) -> tuple[Path, int, int]:
+    """Run vision and model over a bag's images; returns target, number of states and of areas."""
     from finger_offline.process import ProcessOptions, process
 
-    start = time.monotonic()
     result = process(bag, target, ProcessOptions(images="yes"))
-    return target, result.states, result.areas, time.monotonic() - start
+    return target, result.states, result.areas
 
 
 # The job -------------------------------------------------------------------------------------
 
 
 class Demo:
-    """Carries the job out and shows how far it is."""
+    """Runs the study and shows its progress."""
 
     def __init__(self, arguments: Any, console: Console) -> None:
         if arguments.trials < 3:
@@ -116,7 +105,11 @@ class Demo:
         self.arguments = arguments
         self.result = DemoResult(folder)
         self.request = SessionRequest(
-            folder, tuple(arguments.conditions), arguments.trials, arguments.seed
+            folder,
+            tuple(arguments.conditions),
+            arguments.trials,
+            arguments.seed,
+            domain=arguments.domain,
         )
         self.progress = Progress(
             TextColumn("{task.description:<34}"),
@@ -128,11 +121,11 @@ class Demo:
         )
         self.clock = time.monotonic()
 
-    def say(self, text: str) -> None:
-        """A line that stays."""
+    def log(self, text: str) -> None:
+        """Print a line above the progress bars."""
         self.progress.print(f"[dim]{time.monotonic() - self.clock:5.0f} s[/dim]  {text}")
 
-    def go(self) -> DemoResult:
+    def run(self) -> DemoResult:
         """All stages; raises FingerError."""
         clear_folder(self.result.folder)
         with self.progress:
@@ -160,31 +153,31 @@ class Demo:
                 future.add_done_callback(lambda _: self.progress.advance(replaying))
                 futures.append(future)
 
-            # Closed whatever happens, so that no process outlives the demo.
+            # Closed also after an error, so that no process outlives the demo.
             with contextlib.closing(record_session(self.request)) as events:
                 for event in events:
                     self._on_event(event, recording, replay_next)
             self.result.seconds["record"] = time.monotonic() - start
             self.progress.update(recording, state="")
             for future in futures:
-                path, states, areas, _ = future.result()
+                path, states, areas = future.result()
                 self.result.processed.append(path)
                 self.progress.update(replaying, state=f"{states} states, {areas} areas")
         self.progress.update(replaying, state="")
         self.result.seconds["replay after recording"] = (
             time.monotonic() - start - self.result.seconds["record"]
         )
-        self.say(f"{len(self.result.processed)} bags replayed through vision and model")
+        self.log(f"{len(self.result.processed)} bags replayed through vision and model")
 
     def _on_event(self, event: dict[str, Any], recording: Any, replay_next: Any) -> None:
         kind = event["event"]
         if kind == "started":
-            self.say(f"{event['processes']} processes started")
+            self.log(f"{event['processes']} processes started")
             self.progress.update(recording, state="waiting for all topics")
         elif kind == "ready":
-            self.say("force, images, areas and contact states flow")
+            self.log("force, images, areas and contact states arrive")
         elif kind == "tared":
-            self.say(event["message"])
+            self.log(event["message"])
         elif kind == "step":
             stage = event["waiting_for"] or STAGES.get(event["step"], event["step"])
             self.progress.update(
@@ -192,7 +185,7 @@ class Demo:
             )
         elif kind == "trial" and event["verdict"] == "done":
             self.progress.advance(recording)
-            self.say(
+            self.log(
                 f"press {event['index'] + 1} ({event['condition']}): "
                 f"{event['time_to_target']:.2f} s to the cue, {event['peak_force']:.2f} N at most"
             )
@@ -200,7 +193,7 @@ class Demo:
             replay_next(self.request.bags / name)
         elif kind == "trial" and event["reason"]:
             self.result.repeated += 1
-            self.say(
+            self.log(
                 f"press {event['index'] + 1} ({event['condition']}) is redone: {event['reason']}"
             )
 
@@ -237,11 +230,9 @@ class Demo:
         )
         self.progress.update(task, completed=1, total=1, state="")
         self.result.seconds["fit"] = time.monotonic() - start
-        self.say(f"{len(self.result.fit.fits)} conditions fitted")
+        self.log(f"{len(self.result.fit.fits)} conditions fitted")
 
     def _write(self) -> None:
-        from .demo_report import write_report
-
         task = self.progress.add_task("write report", total=1, state="")
         start = time.monotonic()
         write_report(self.result, self.request)
@@ -260,7 +251,7 @@ def clear_folder(folder: Path) -> None:
     foreign = sorted(p.name for p in folder.iterdir() if p.name not in known)
     if foreign:
         raise InputError(
-            f"{folder}: '{foreign[0]}' is not of the demo; choose another folder with -o"
+            f"{folder}: '{foreign[0]}' was not written by the demo; choose another folder with -o"
         )
     shutil.rmtree(folder)
 
@@ -276,14 +267,8 @@ def _main(argv: Sequence[str] | None) -> int:
     console = Console(highlight=False)
     demo = Demo(arguments, console)
     try:
-        result = demo.go()
+        result = demo.run()
     except FingerError as error:
         raise type(error)(f"{error}; all output is in {demo.result.folder}") from None
-    from .demo_report import print_summary
-
     print_summary(result, console)
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,13 +1,11 @@
-"""Records a session with the whole suite on simulated devices, and reports what happens as it happens."""
+"""Records a session with the whole suite on simulated devices and reports its events."""
 
 from __future__ import annotations
 
 import json
 import os
 import queue
-import random
 import signal
-import socket
 import threading
 import time
 from collections.abc import Generator
@@ -15,11 +13,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from finger_bringup import nodes
+from finger_bringup.supervisor import Supervisor
+from finger_common.domains import free_domain
 from finger_common.errors import FingerError
 from finger_sim.rig import RigAddresses
-
-from . import nodes
-from .supervisor import Supervisor
 
 SUITE = (
     "simulated_rig",
@@ -30,9 +28,13 @@ SUITE = (
     "model",
     "recorder",
     "protocol",
-    "unattended",
 )
-"""Every process of the session, each an OS process of its own."""
+"""Nodes of the suite that the session needs."""
+
+UNATTENDED = nodes.NodeEntry(
+    "unattended", "demo", "unattended_node", 5, lifecycle=False, respawn=False, essential=True
+)
+"""The node in the operator's place; the session ends with it."""
 
 SUBJECT = "SIM1"
 SESSION = "session"
@@ -40,7 +42,11 @@ SESSION = "session"
 
 @dataclass(frozen=True)
 class SessionRequest:
-    """What to record. Frame size in pixels, reading_time in s per moisture reading; parameters by node name."""
+    """What to record.
+
+    width, height: of a frame in pixels. reading_time: s per moisture reading. parameters: by node
+    name, further ones. domain: ROS domain, None for a free one.
+    """
 
     folder: Path
     conditions: tuple[str, ...] = ("dry", "natural", "moist")
@@ -50,6 +56,7 @@ class SessionRequest:
     height: int = 512
     reading_time: float = 0.3
     parameters: dict[str, dict[str, Any]] = field(default_factory=dict)
+    domain: int | None = None
 
     @property
     def bags(self) -> Path:
@@ -58,22 +65,8 @@ class SessionRequest:
 
     @property
     def truth(self) -> Path:
-        """Folder of what really happened, one JSON file a press."""
+        """Folder of the true forces and areas, one JSON file per press."""
         return self.folder / "devices" / "truth"
-
-
-def free_domain() -> int:
-    """A ROS domain without a listener on its discovery port (RTPS: 7400 + 250 domain + 10)."""
-    domains = list(range(1, 101))
-    random.SystemRandom().shuffle(domains)
-    for domain in domains:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            try:
-                probe.bind(("", 7400 + 250 * domain + 10))
-                return domain
-            except OSError:
-                continue
-    raise FingerError("no ROS domain from 1 to 100 is free; end other ROS programs on this machine")
 
 
 def node_parameters(request: SessionRequest) -> dict[str, dict[str, Any]]:
@@ -95,7 +88,7 @@ def node_parameters(request: SessionRequest) -> dict[str, dict[str, Any]]:
         "output": str(request.folder / "sessions"),
         "confirm_preparation": False,
         "verdict_time": 0.3,
-        # What a fit would leave out is done again at once.
+        # A press that a fit would exclude is repeated at once.
         "gap_limit": 0.045,
         "frame_gap_limit": 0.14,
         "stale_after": 1.0,
@@ -110,20 +103,27 @@ def node_parameters(request: SessionRequest) -> dict[str, dict[str, Any]]:
 def record_session(request: SessionRequest) -> Generator[dict[str, Any], None, None]:
     """Run the session; yields events until it is finished.
 
-    Events are those of the unattended node ("ready", "tared", "step", "trial", "finished"), and "started" with the
-    number of processes. All output goes to `suite.log` in the request's folder. Raises FingerError when the session
-    cannot be completed; all processes have ended when the iterator does.
+    Events are those of the unattended node ("ready", "tared", "step", "trial", "finished"), and
+    "started" with the number of processes. All output goes to `suite.log` in the request's folder.
+    Raises FingerError when the session cannot be completed. When the iterator ends, so have all
+    processes.
     """
     request.folder.mkdir(parents=True, exist_ok=True)
     if threading.current_thread() is threading.main_thread():
-        # Whoever ends this program ends the suite with it.
+        # A signal that ends this program ends the suite, too.
         signal.signal(signal.SIGTERM, signal.default_int_handler)
-    os.environ["ROS_DOMAIN_ID"] = str(free_domain())
+    os.environ["ROS_DOMAIN_ID"] = str(request.domain or free_domain())
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    entries = nodes.select(SUITE, node_parameters(request))
+    examples = str(Path(__file__).resolve().parents[1])
+    search = os.environ.get("PYTHONPATH", "")
+    if examples not in search.split(os.pathsep):
+        os.environ["PYTHONPATH"] = f"{examples}{os.pathsep}{search}".rstrip(os.pathsep)
+    parameters = node_parameters(request)
+    operator = UNATTENDED.with_parameters(**parameters.pop("unattended"))
+    entries = [*nodes.select(SUITE, parameters), operator]
     specs = nodes.process_specs(entries, request.folder)
     events: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
-    last_words: list[str] = []
+    errors: list[str] = []
     deaths: list[str] = []
     log_file = request.folder / "suite.log"
     with log_file.open("w") as log:
@@ -134,7 +134,7 @@ def record_session(request: SessionRequest) -> Generator[dict[str, Any], None, N
             if name == "unattended" and text.startswith("{"):
                 events.put(json.loads(text))
             elif name == "unattended" and "[supervisor]" not in text:
-                last_words.append(text.removeprefix("unattended: "))
+                errors.append(text.removeprefix("unattended: "))
             elif "[supervisor]" in text and " ended " in text:
                 deaths.append(name)
 
@@ -148,7 +148,7 @@ def record_session(request: SessionRequest) -> Generator[dict[str, Any], None, N
                     event = events.get(timeout=0.2)
                 except queue.Empty:
                     if supervisor.wait(0) and events.empty():
-                        reason = last_words[-1] if last_words else "the session ended early"
+                        reason = errors[-1] if errors else "the session ended early"
                         if deaths:
                             reason += f" (died: {', '.join(sorted(set(deaths)))})"
                         raise FingerError(f"{reason}; log: {log_file}") from None

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib
@@ -12,52 +11,12 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
+from .results import PARAMETERS, ConditionResult, LivePress
+
 COLOURS = {"dry": "#D55E00", "natural": "#009E73", "moist": "#0072B2"}
 """Okabe and Ito's colour-blind-safe palette."""
 
 TRUTH = "#222222"
-PARAMETERS = (
-    ("composite_E", "E = 1/(1/E0+1/E1)", 1e-3, "kPa"),
-    ("E2", "E2", 1e-3, "kPa"),
-    ("E1", "E1", 1e-3, "kPa"),
-    ("E0", "E0", 1e-3, "kPa"),
-    ("tau1", "τ1", 1.0, "s"),
-)
-"""Key, label, factor from SI, unit; in the order of how well a press can tell them."""
-
-
-@dataclass(frozen=True)
-class TrialCurve:
-    """One press: measured frames (k,) and the model's curve (n,), s from onset, N, mm². counted: frames in J."""
-
-    index: int
-    frame_time: np.ndarray
-    frame_force: np.ndarray
-    frame_area: np.ndarray
-    counted: np.ndarray
-    time: np.ndarray
-    force: np.ndarray
-    area: np.ndarray
-    true_time: np.ndarray
-    true_area: np.ndarray
-
-
-@dataclass(frozen=True)
-class ConditionResult:
-    """One condition's result: parameters by name in SI, intervals (low, high) or None, J in mm⁴."""
-
-    name: str
-    fitted: Mapping[str, float]
-    true: Mapping[str, float]
-    intervals: Mapping[str, tuple[float, float] | None]
-    cost: float
-    power_law_cost: float
-    true_cost: float
-    k: float
-    m: float
-    moisture: Sequence[Sequence[float]]
-    paper_moisture: tuple[float, float]
-    curves: Sequence[TrialCurve]
 
 
 def style() -> None:
@@ -232,23 +191,6 @@ def cost_figure(results: Sequence[ConditionResult], path: Path) -> None:
     figure.tight_layout()
     figure.savefig(path)
     plt.close(figure)
-
-
-@dataclass(frozen=True)
-class LivePress:
-    """What the suite published live during one press: s from the first sample, N, mm²."""
-
-    condition: str
-    time: np.ndarray
-    force: np.ndarray
-    area: np.ndarray
-    area_sd: np.ndarray
-    frame_time: np.ndarray
-    frame_area: np.ndarray
-    true_time: np.ndarray
-    true_area: np.ndarray
-    picture: np.ndarray
-    picture_outline: np.ndarray
 
 
 def live_figure(press: LivePress, path: Path) -> None:

@@ -1,6 +1,6 @@
 """Makes the sample bags again: three presses per condition of the simulated rig, one small bag each.
 
-    python -m finger_bringup.sample_bags            # into bags/ of the checkout
+    python examples/sample_bags.py            # into bags/ of the checkout
 
 The whole suite records them over DDS, as at a rig; then the presses of a condition are put into one bag, message by
 message as they were recorded. The camera's frame is an area of interest of 480×440 pixels with little noise, stored
@@ -20,14 +20,13 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
+from demo.session import SessionRequest, record_session
 from finger_bag.reader import BagReader, open_bag
 from finger_bag.recover import announce, copy_attachments
 from finger_bag.schema import SessionMetadata
 from finger_bag.writer import BagWriter
 from finger_common.cli import Parser, run
 from finger_common.errors import InputError
-
-from .demo_session import SessionRequest, record_session
 
 SEED = 2021
 REQUEST_PARAMETERS: dict[str, dict[str, Any]] = {
@@ -142,9 +141,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _main(argv: Sequence[str] | None) -> int:
     arguments = Parser(
-        prog="python -m finger_bringup.sample_bags",
+        prog="python examples/sample_bags.py",
         description="Make the sample bags again with the simulated rig.",
-        example="python -m finger_bringup.sample_bags -o bags",
+        example="python examples/sample_bags.py -o bags",
     )
     arguments.add_argument("-o", "--output", type=Path, default=Path("bags"), metavar="DIR")
     arguments.add_argument("--trials", type=int, default=3, help="presses per bag (default: 3)")
