@@ -8,9 +8,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from finger_common.flags import AreaFlag, flag_names
 from finger_sim.ftir import Contact, FtirRenderer, Scene
-from finger_vision.contact import ContactSegmenter, SegmenterSettings
-from finger_vision.flags import flag_names
+from finger_vision.ftir import FtirSegmenter
 
 FOLDER = Path(__file__).resolve().parent.parent / "docs" / "figures"
 SIDE = 260
@@ -50,17 +50,17 @@ def steps_of(look: str, seed: int) -> np.ndarray:
     """Row of panels: frame, background, contrast, ridges, region, outline."""
     scene = Scene(vignetting=0.4, latent=0.08, dust=40, tilt=math.radians(10), tilt_direction=0.5)
     renderer = FtirRenderer(look, seed, scene)
-    segmenter = ContactSegmenter()
+    segmenter = FtirSegmenter()
     for _ in range(5):
         segmenter.process(renderer.empty())
     frame = renderer.render_frame([Contact(4.8e-3, (0, 0), 1.35)])
     measured = segmenter.process(frame.image)
     steps = segmenter.steps
-    assert steps is not None and steps.box is not None and steps.ridges is not None
+    assert steps is not None and steps.ridges is not None
     full = {}
-    for name in ("ridges", "region"):
+    for name in ("touching", "region"):
         full[name] = np.zeros_like(steps.frame)
-        full[name][steps.box] = getattr(steps, name)
+        full[name][steps.ridges.box] = getattr(steps.ridges, name)
     centre, half = (320, 256), 130
     overlay = cv2.cvtColor(frame.image, cv2.COLOR_GRAY2BGR)
     outline = segmenter.calibration.to_pixels(measured.hull, 1280, 1024)
@@ -69,7 +69,7 @@ def steps_of(look: str, seed: int) -> np.ndarray:
         label(panel(steps.frame, centre, half), f"{look}: frame"),
         label(panel(steps.background, centre, half), "learned background"),
         label(panel(cv2.convertScaleAbs(steps.contrast, alpha=1.5), centre, half), "contrast"),
-        label(panel(full["ridges"], centre, half), f"ridges {measured.real_area * 1e6:.1f} mm2"),
+        label(panel(full["touching"], centre, half), f"ridges {measured.real_area * 1e6:.1f} mm2"),
         label(panel(full["region"], centre, half), "region"),
         label(panel(overlay, (640, 512), 2 * half), f"outline {measured.gross_area * 1e6:.1f} mm2"),
     ]
@@ -81,9 +81,9 @@ def failures() -> np.ndarray:
     panels = []
 
     def add(title: str, renderer: FtirRenderer, contacts: list[Contact], x: int = 640) -> None:
-        segmenter = ContactSegmenter(SegmenterSettings(learn_background=False))
+        segmenter = FtirSegmenter()
         frame = renderer.render_frame(contacts)
-        measured = segmenter.process(frame.image)
+        measured = segmenter.measure(frame.image)
         overlay = cv2.cvtColor(frame.image, cv2.COLOR_GRAY2BGR)
         if len(measured.hull):
             outline = segmenter.calibration.to_pixels(measured.hull, 1280, 1024)
@@ -91,7 +91,9 @@ def failures() -> np.ndarray:
                 overlay, [np.rint(outline).astype(np.int32)], True, (0, 0, 220), 3, cv2.LINE_AA
             )
         error = 100 * (measured.gross_area / frame.gross_area - 1)
-        names = flag_names(measured.flags & ~(32 | 128))
+        names = flag_names(
+            AreaFlag(measured.flags) & ~(AreaFlag.UNCALIBRATED | AreaFlag.NO_BACKGROUND)
+        )
         panels.append(label(panel(overlay, (x, 512), 420), title, f"{error:+.0f} %  {names}"))
         print(f"{title}: {error:+.1f} % {names}")
 

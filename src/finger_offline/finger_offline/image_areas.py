@@ -1,4 +1,4 @@
-"""Contact areas from the images of a bag, through the same segmenter as the live vision node."""
+"""Contact areas from the images of a bag, through the same area sensor as the live vision node."""
 
 from __future__ import annotations
 
@@ -12,8 +12,13 @@ from finger_bag.reader import BagMessage, BagReader
 from finger_bag.schema import CALIBRATION_ATTACHMENT
 from finger_common.errors import InputError
 from finger_common.stamps import header_stamp
+from finger_vision.area_sensor import (
+    DEFAULT_AREA_SENSOR,
+    AreaSensor,
+    ContactMeasurement,
+    open_area_sensor,
+)
 from finger_vision.calibration import PlateCalibration
-from finger_vision.contact import ContactMeasurement, ContactSegmenter
 from finger_vision.messages import contact_area_fields, image_of
 
 IMAGES = ("image_raw", "image_raw/compressed")
@@ -23,14 +28,17 @@ MAXIMUM_PIXELS = 64 << 20
 
 
 def grey_image(message: Any) -> np.ndarray:
-    """Image (H, W) uint8 of a sensor_msgs Image or CompressedImage; raises InputError when it cannot be used."""
+    """Image (H, W) of a sensor_msgs Image or CompressedImage, uint8, uint16 or float32.
+
+    Raises InputError when it cannot be used.
+    """
     if not hasattr(message, "format"):
         return image_of(message)
     import cv2
 
     data = np.frombuffer(bytes(message.data), np.uint8)
     _refuse_large_png(data)
-    image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None
+    image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH) if len(data) else None
     if image is None:
         raise InputError(f"compressed image ('{message.format}') cannot be decoded")
     return image
@@ -70,21 +78,25 @@ def calibration_of(
 class ImageAreas:
     """Collects the areas of images as they come by; `add` one image message after the other, in order."""
 
-    def __init__(self, segmenter: ContactSegmenter) -> None:
-        self._segmenter = segmenter
+    def __init__(self, sensor: AreaSensor) -> None:
+        self._sensor = sensor
         self._rows: list[tuple[int, int, float, float, float, int]] = []
 
     @classmethod
     def for_bag(
-        cls, reader: BagReader, calibration: str = "", area_per_pixel: float = 0.0
+        cls,
+        reader: BagReader,
+        calibration: str = "",
+        area_per_pixel: float = 0.0,
+        area_sensor: str = DEFAULT_AREA_SENSOR,
     ) -> ImageAreas:
-        """With the vision node's default settings and the bag's calibration."""
+        """With the area sensor's default settings and the bag's calibration."""
         found = calibration_of(reader, calibration, area_per_pixel)
-        return cls(ContactSegmenter(calibration=found))
+        return cls(open_area_sensor(area_sensor, found))
 
     def measure(self, message: Any) -> ContactMeasurement:
         """Measure one image; raises InputError when it is no usable image."""
-        return self._segmenter.process(grey_image(message))
+        return self._sensor.process(grey_image(message))
 
     def add(self, item: BagMessage) -> None:
         """Measure one image and keep its area; raises InputError when it is no usable image."""

@@ -118,7 +118,9 @@ class _Run:
         self.image_topic = images[0] if from_images else None
         self.measure: ImageAreas | None = None
         if from_images:
-            self.measure = ImageAreas.for_bag(reader, options.calibration, options.area_per_pixel)
+            self.measure = ImageAreas.for_bag(
+                reader, options.calibration, options.area_per_pixel, options.area_sensor
+            )
         # Other settings or parameters than recorded: the recorded events no longer apply.
         own = (
             options.estimator or options.parameter_file or options.model_file or options.normal_axis

@@ -8,6 +8,7 @@ from typing import Any
 
 from finger_bag.read_settings import ReadSettings
 from finger_common.settings import setting
+from finger_vision.area_sensor import DEFAULT_AREA_SENSOR
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,9 @@ class ProcessOptions(ReadSettings):
     calibration: str = setting("", "Plate calibration for the images; empty: the one attached.")
     area_per_pixel: float = setting(
         0.0, "Area of a pixel in place of a calibration; 0: not given.", unit="m²", minimum=0.0
+    )
+    area_sensor: str = setting(
+        DEFAULT_AREA_SENSOR, "Area sensor that measures the contact in the images."
     )
     keep_images: bool = setting(False, "Copy images to the new bag.")
     estimator: Mapping[str, Any] = field(default_factory=dict)

@@ -22,6 +22,7 @@ from finger_common.contact_threshold import LIFTOFF_FORCE, ONSET_FORCE, check_th
 from finger_common.settings import setting
 from finger_common.stamps import nanoseconds, seconds
 from finger_common.trial_phases import TrialPhase
+from finger_vision.area_sensor import DEFAULT_AREA_SENSOR
 
 from .trial_records import Exclusion, TrialRecord, TrialSet
 
@@ -58,6 +59,9 @@ class TrialSettings(ReadSettings):
     )
     calibration: str = setting(
         "", "Plate calibration file for the images; empty: the one attached to the bag."
+    )
+    area_sensor: str = setting(
+        DEFAULT_AREA_SENSOR, "Area sensor that measures the contact in the images."
     )
 
     def validate(self) -> None:

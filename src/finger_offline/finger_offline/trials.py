@@ -68,7 +68,7 @@ def streams_with_areas(reader: BagReader, settings: TrialSettings) -> SessionStr
         raise missing(reader, "contact_area" if settings.image_areas == "absent" else "image_raw")
     measure = None
     if from_images:
-        measure = ImageAreas.for_bag(reader, settings.calibration)
+        measure = ImageAreas.for_bag(reader, settings.calibration, area_sensor=settings.area_sensor)
     streams = read_streams(
         reader,
         settings,

@@ -209,7 +209,7 @@ def test_areas_from_images_are_those_of_the_segmenter(
 ) -> None:
     from finger_offline.image_areas import grey_image
     from finger_vision.calibration import PlateCalibration
-    from finger_vision.contact import ContactSegmenter
+    from finger_vision.ftir import FtirSegmenter
 
     path = session(trials=1, images=True)
     with pytest.raises(InputError, match=r"plate_calibration.yaml.*--area-per-pixel"):
@@ -218,7 +218,7 @@ def test_areas_from_images_are_those_of_the_segmenter(
     options = ProcessOptions(images="yes", area_per_pixel=0.04e-6)
     result = process(path, tmp_path / "out", options)
     assert result.areas == 35
-    segmenter = ContactSegmenter(calibration=PlateCalibration.from_area_per_pixel(0.04e-6))
+    segmenter = FtirSegmenter(calibration=PlateCalibration.from_area_per_pixel(0.04e-6))
     with open_bag(path) as source, open_bag(tmp_path / "out") as made:
         expected = [
             segmenter.process(grey_image(m.message)) for m in source.messages(["/finger/image_raw"])

@@ -1,9 +1,11 @@
-"""What the plate looks like without a finger: learned from contact-free frames, or guessed from one frame.
+"""The plate without a finger: learned from contact-free frames, or guessed from one frame.
 
 All images here are at the segmenter's working resolution.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -11,12 +13,31 @@ import numpy as np
 TILE = 16
 """Working pixels per side of a tile, about 1 mm: more than a ridge, less than a finger."""
 
+POLARITIES = ("auto", "dark", "bright")
+"""Touching ridges are darker or brighter than the plate; "auto" finds out in each frame."""
+
+
+@dataclass(frozen=True)
+class Background:
+    """What one frame would show without the finger.
+
+    image: (h, w) uint8. bright_ridges: whether touching ridges are brighter than the plate.
+    learned: false where it was guessed from the frame itself. noise: standard deviation of a
+    pixel, greys.
+    """
+
+    image: np.ndarray
+    bright_ridges: bool
+    learned: bool
+    noise: float
+
 
 class LearnedBackground:
     """Running mean of contact-free frames.
 
-    memory: number of frames after which an old one counts 1/e. Memory is constant: one float image. `noise` is the
-    standard deviation of a pixel of the newest frame against the mean, in greys.
+    memory: number of frames after which an older one counts 1/e. One float image is kept, however
+    many frames come. `noise` is the standard deviation of a pixel of the newest frame against the
+    mean, in greys.
     """
 
     def __init__(self, memory: int = 50) -> None:
@@ -43,23 +64,49 @@ class LearnedBackground:
         return self._tiles
 
     def add(self, frame: np.ndarray) -> None:
-        """Take in a contact-free frame (h, w) uint8; a frame of another size starts afresh."""
+        """Add a contact-free frame (h, w) uint8; one of another size replaces all before it."""
         if self._mean is None or self._mean.shape != frame.shape:
             self._mean = frame.astype(np.float32)
             self.count = 1
             self.noise = float(np.percentile(tile_statistics(frame)[1], 10))
         else:
             self.count += 1
-            # Every fourth pixel both ways says enough.
+            # Every fourth pixel both ways is enough for this estimate.
             rest = frame[::4, ::4] - self._mean[::4, ::4]
             self.noise = float(np.median(np.abs(rest - np.median(rest)))) * 1.4826
             cv2.accumulateWeighted(frame, self._mean, 1 / min(self.count, self.memory))
         self._grey = None
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Forget all frames."""
         self.count, self.noise = 0, 0.0
         self._mean = self._grey = None
+
+
+def background_of(
+    frame: np.ndarray, learned: LearnedBackground, polarity: str, ridge_period: float
+) -> Background:
+    """Background of a frame (h, w) uint8: the learned one if there is one, else a guess.
+
+    polarity: one of POLARITIES. ridge_period: in working pixels.
+    """
+    if learned.image is not None and learned.image.shape == frame.shape:
+        # Gain and exposure may drift: the median tile is plate as long as a finger covers less
+        # than half of the frame.
+        reference = learned.tiles.astype(np.float32)
+        tiles = tile_means(frame).astype(np.float32)
+        gain = float(np.median(tiles / np.maximum(reference, 1)))
+        image = cv2.convertScaleAbs(learned.image, alpha=gain)
+        bright = float(np.sum(tiles - gain * reference)) > 0
+        return Background(image, _is_bright(polarity, bright), True, learned.noise)
+    mean, deviation = tile_statistics(frame)
+    bright = _is_bright(polarity, guess_polarity(mean, deviation))
+    image = guess_background(frame, mean, deviation, bright, round(1.6 * ridge_period))
+    return Background(image, bright, False, float(np.percentile(deviation, 10)))
+
+
+def _is_bright(polarity: str, found: bool) -> bool:
+    return found if polarity == "auto" else polarity == "bright"
 
 
 def tile_means(frame: np.ndarray) -> np.ndarray:
@@ -87,9 +134,9 @@ def smooth_tiles(deviation: np.ndarray) -> np.ndarray:
 
 
 def plate_tiles(deviation: np.ndarray) -> np.ndarray:
-    """Mask (rows, columns) of tiles that are plate: smooth, and joined to the image's border by smooth ones.
+    """Mask (rows, columns) of tiles that are plate.
 
-    A sweat-filled part of a print is smooth too, but enclosed by ridges.
+    They are smooth and connected with the image's border by smooth ones. A sweat-filled part of a print is smooth too, but enclosed by ridges.
     """
     smooth = smooth_tiles(deviation).astype(np.uint8)
     _, labels = cv2.connectedComponents(
@@ -119,11 +166,12 @@ def guess_background(
     bright_ridges: bool,
     envelope: int,
 ) -> np.ndarray:
-    """(h, w) uint8 background of one frame that may hold a finger; mean, deviation: from `tile_statistics`.
+    """(h, w) uint8 background of one frame that may hold a finger.
 
-    Plate tiles show it. Among ridges, the upper envelope (lower, for bright ridges) over `envelope` working pixels
-    reaches the plate in the furrows. Where sweat fills the furrows it does not: there a cubic surface through the
-    rest takes over.
+    mean, deviation: from `tile_statistics`. Plate tiles show the background. Among ridges, the
+    upper envelope (lower, for bright ridges) over `envelope` working pixels reaches the plate in
+    the furrows. Where sweat fills the furrows it does not: there a cubic surface through the other
+    tiles is used.
     """
     height, width = frame.shape
     half = cv2.resize(frame, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
@@ -147,7 +195,10 @@ def guess_background(
 
 
 def _surface(level: np.ndarray, plate: np.ndarray, sign: float) -> np.ndarray:
-    """Cubic surface (rows, columns) through the levels; those on the ridges' side lose weight step by step."""
+    """Cubic surface (rows, columns) through the levels, by reweighted least squares.
+
+    Levels on the ridges' side lose weight from step to step.
+    """
     shape = level.shape
     if min(shape) >= 8:
         # A cubic needs no more than every other tile.

@@ -1,7 +1,8 @@
 """Plate calibration from views of a board: lens by Zhang's method, plate by a homography.
 
-Z. Zhang, "A flexible new technique for camera calibration", IEEE Trans. PAMI 22(11), 2000, as in OpenCV's
-calibrateCamera. The lens comes from all views; the plate from those in which the board lies flat on it.
+Z. Zhang, "A flexible new technique for camera calibration", IEEE Trans. PAMI 22(11), 2000, as in
+OpenCV's calibrateCamera. All views give the lens; those in which the board lies flat on the plate
+give the plate.
 """
 
 from __future__ import annotations

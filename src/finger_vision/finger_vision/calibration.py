@@ -1,8 +1,9 @@
 """From pixels to metres on the plate: camera matrix, lens distortion, plate homography.
 
-A pixel is freed of lens distortion (Zhang's camera model as in OpenCV and sensor_msgs/CameraInfo, "plumb_bob"),
-then mapped by a homography to the plate frame: origin on the point the optical axis meets, x right and y down in
-the rectified image, metres. A plain area per pixel is the same thing without tilt and lens, and says so.
+Lens distortion is removed from a pixel (Zhang's camera model as in OpenCV and
+sensor_msgs/CameraInfo, "plumb_bob"), then a homography maps it to the plate frame: origin where
+the optical axis meets the plate, x right and y down in the rectified image, metres. A plain area
+per pixel is the same without tilt and lens; areas measured with it are flagged.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import yaml
 
 from finger_common.errors import InputError
 from finger_common.files import atomic_write, load_yaml, number
+from finger_common.settings import Settings, setting
 
 FILE_VERSION = 1
 PAPER_AREA_PER_PIXEL = 0.000986e-6
@@ -29,13 +31,14 @@ PAPER_AREA_PER_PIXEL = 0.000986e-6
 class PlateCalibration:
     """Mapping of the pixels of one camera to the plate.
 
-    plate_from_pixel: (3, 3) homography from undistorted pixels to metres, None where only the area is known.
-    camera_matrix: (3, 3), pixels. distortion: (5,) k1 k2 p1 p2 k3. image_size: (width, height) it holds for,
-    None for any. area_per_pixel: m² of a pixel of the rectified image. reprojection_error: root mean square, in
-    pixels, over the board's corners, NaN where nothing was measured. plate_error: the same on the plate, in m.
+    plate_from_pixel: (3, 3) homography from undistorted pixels to metres, None where only the area
+    is known. camera_matrix: (3, 3), pixels. distortion: (5,) k1 k2 p1 p2 k3. image_size: (width,
+    height) it holds for, None for any. area_per_pixel: m² of a pixel of the rectified image.
+    reprojection_error: root mean square, in pixels, over the board's corners, NaN where nothing
+    was measured. plate_error: the same on the plate, in m.
     """
 
-    area_per_pixel: float
+    area_per_pixel: float = PAPER_AREA_PER_PIXEL
     plate_from_pixel: np.ndarray | None = None
     camera_matrix: np.ndarray | None = None
     distortion: np.ndarray = field(default_factory=lambda: np.zeros(5))
@@ -48,12 +51,13 @@ class PlateCalibration:
     def __post_init__(self) -> None:
         if not (math.isfinite(self.area_per_pixel) and 0 < self.area_per_pixel < 1e-4):
             raise InputError(
-                f"area per pixel is {self.area_per_pixel:g} m², a number above 0 and below 1e-4 is needed"
+                f"area per pixel is {self.area_per_pixel:g} m², a number above 0 and below 1e-4 "
+                "is needed"
             )
 
     @classmethod
     def from_area_per_pixel(cls, area: float) -> PlateCalibration:
-        """A camera that looks squarely at the plate, `area` in m²; measurements with it are flagged."""
+        """A camera that looks squarely at the plate; `area` in m² of a pixel."""
         return cls(float(area))
 
     @property
@@ -82,7 +86,7 @@ class PlateCalibration:
         )
 
     def undistort(self, pixels: np.ndarray) -> np.ndarray:
-        """(n, 2) pixels freed of lens distortion."""
+        """(n, 2) pixels without lens distortion."""
         if self.camera_matrix is None or not np.any(self.distortion):
             return np.asarray(pixels, float)
         return cv2.undistortPoints(
@@ -132,7 +136,7 @@ class PlateCalibration:
         return (area / step**2).astype(np.float32)
 
     def rectified_map(self, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
-        """Maps for cv2.remap to a rectified image of the same size, pixels of `area_per_pixel`, origin centred."""
+        """Maps for cv2.remap to a rectified image of the same size, its centre at the origin."""
         pitch = math.sqrt(self.area_per_pixel)
         x = (np.arange(width) - (width - 1) / 2) * pitch
         y = (np.arange(height) - (height - 1) / 2) * pitch
@@ -154,7 +158,7 @@ class PlateCalibration:
     def camera_info_fields(self) -> dict[str, Any]:
         """Fields of a sensor_msgs/CameraInfo: height, width, distortion_model, d, k, r, p.
 
-        `r` is the identity: the plate's homography is not a rotation of the camera and is not sent in it.
+        `r` is the identity: the plate's homography is no rotation of the camera and is not sent.
         """
         if self.camera_matrix is None or self.image_size is None:
             raise InputError("this calibration holds no camera matrix; run finger-vision calibrate")
@@ -201,8 +205,9 @@ class PlateCalibration:
                 data[key] = float(getattr(self, key))
         with atomic_write(path) as file:
             file.write(
-                "# Plate calibration. area_per_pixel: m^2 of a rectified pixel. plate_homography: from\n"
-                "# undistorted pixels to m on the plate. reprojection_error: px RMS; plate_error: m RMS.\n"
+                "# Plate calibration. area_per_pixel: m^2 of a rectified pixel. plate_homography:\n"
+                "# from undistorted pixels to m on the plate. reprojection_error: px RMS;\n"
+                "# plate_error: m RMS.\n"
             )
             yaml.safe_dump(data, file, sort_keys=False, default_flow_style=None, width=100)
 
@@ -263,3 +268,27 @@ class PlateCalibration:
             )
         except InputError as error:
             raise InputError(f"{where}: {str(error).removeprefix(where + ': ')}") from None
+
+
+@dataclass(frozen=True)
+class CalibrationSettings(Settings):
+    """Where the plate calibration comes from."""
+
+    calibration_file: str = setting(
+        "",
+        "Plate calibration (YAML) made by `finger-vision calibrate`; empty for none.",
+    )
+    area_per_pixel: float = setting(
+        PAPER_AREA_PER_PIXEL,
+        "Area on the plate of one pixel, used without a calibration file and flagged; default: "
+        "the paper's.",
+        unit="m²",
+        minimum=1e-14,
+        maximum=1e-6,
+    )
+
+    def load(self) -> PlateCalibration:
+        """The calibration; raises InputError for a file that cannot be used."""
+        if self.calibration_file:
+            return PlateCalibration.load(self.calibration_file)
+        return PlateCalibration.from_area_per_pixel(self.area_per_pixel)

@@ -2,37 +2,42 @@
 
 from __future__ import annotations
 
+import argparse
 import csv
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import replace
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TypeVar
 
-from finger_common.cli import Parser, run
+import numpy as np
+
+from finger_common.cli import Parser, add_settings, run, settings_from
 from finger_common.errors import InputError
 from finger_common.files import atomic_write
+from finger_common.flags import AreaFlag, flag_names
 
+from .area_sensor import AREA_SENSORS, DEFAULT_AREA_SENSOR
 from .board import DICTIONARY, Board, View, find_board
 from .calibrate import calibrate_plate
 from .calibration import PAPER_AREA_PER_PIXEL, PlateCalibration
-from .contact import ContactSegmenter, SegmenterSettings
-from .flags import flag_names
-from .images import read_image
+from .images import read_signal
 from .sources import images_of
 
 COLUMNS = ("image", "gross_area_mm2", "real_area_mm2", "flags")
 
+Result = TypeVar("Result")
 
-def _parser() -> Parser:
+
+def _parser(area_sensor: str) -> Parser:
     parser = Parser(prog="finger-vision", description="Contact area of a finger from FTIR images.")
     commands = parser.add_subparsers(dest="command", required=True, parser_class=Parser)
     area = commands.add_parser(
         "area",
         help="images → gross and real contact area as CSV",
         description="Measure the contact in each image; one CSV row per image, areas in mm².",
-        example="finger-vision area press_01.png press_02.png --area-per-pixel 9.86e-10 -o areas.csv",
+        example="finger-vision area press_01.png press_02.png --area-per-pixel 9.86e-10 "
+        "-o areas.csv",
     )
     area.add_argument("images", nargs="+", type=Path, metavar="IMAGE")
     scale = area.add_mutually_exclusive_group()
@@ -40,8 +45,9 @@ def _parser() -> Parser:
     scale.add_argument(
         "--area-per-pixel",
         type=float,
+        default=PAPER_AREA_PER_PIXEL,
         metavar="M2",
-        help=f"area of one pixel in m² (default {PAPER_AREA_PER_PIXEL:g}, the paper's; flagged as uncalibrated)",
+        help="area of one pixel in m² (default %(default)g, the paper's; flagged as uncalibrated)",
     )
     area.add_argument(
         "--background",
@@ -51,24 +57,37 @@ def _parser() -> Parser:
         metavar="IMAGE",
         help="contact-free images of the same plate",
     )
-    area.add_argument("--outline", choices=("convex", "concave"), default="convex")
-    area.add_argument("--polarity", choices=("auto", "dark", "bright"), default="auto")
     area.add_argument("-o", "--output", type=Path, metavar="CSV", help="default: standard output")
+    area.add_argument(
+        "--area-sensor",
+        default=DEFAULT_AREA_SENSOR,
+        metavar="NAME",
+        help=f"area sensor that measures: {', '.join(AREA_SENSORS.names())} (default: %(default)s)",
+    )
+    settings = area.add_argument_group(f"settings of the area sensor '{area_sensor}'")
+    add_settings(settings, AREA_SENSORS.load(area_sensor).SETTINGS)
     _add_calibrate(commands)
     return parser
+
+
+def _chosen_area_sensor(argv: Sequence[str] | None) -> str:
+    """Area sensor named on the command line: its settings are options of the command."""
+    first = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    first.add_argument("--area-sensor", default=DEFAULT_AREA_SENSOR)
+    return str(first.parse_known_args(argv)[0].area_sensor)
 
 
 def _add_calibrate(commands: Any) -> None:
     calibrate = commands.add_parser(
         "calibrate",
         help="views of a board → plate calibration",
-        description="Calibrate camera and plate from images or bags that show a board through plate and prism. "
-        "The views give the lens (Zhang's method), those of --on-plate, in which the board lies flat on "
-        "the plate, the plate's homography.",
+        description="Calibrate camera and plate from images or bags that show a board through "
+        "plate and prism. All views give the lens (Zhang's method); those of --on-plate, in which "
+        "the board lies flat on the plate, give the plate's homography.",
         example="finger-vision calibrate view_*.png --on-plate flat.png --columns 12 --rows 9 "
         "--square 0.002 -o plate.yaml\n"
-        "finger-vision calibrate board.mcap --on-plate flat.png --board charuco --columns 10 --rows 8 "
-        "--square 0.003 --marker 0.0022 -o plate.yaml",
+        "finger-vision calibrate board.mcap --on-plate flat.png --board charuco --columns 10 "
+        "--rows 8 --square 0.003 --marker 0.0022 -o plate.yaml",
     )
     calibrate.add_argument("views", nargs="*", type=Path, metavar="VIEW", help="images or bags")
     calibrate.add_argument(
@@ -85,7 +104,11 @@ def _add_calibrate(commands: Any) -> None:
     )
     calibrate.add_argument("--topic", default="image_raw", help="of the images in a bag")
     calibrate.add_argument(
-        "--every", type=float, default=1.0, metavar="S", help="take one image in so many seconds"
+        "--every",
+        type=float,
+        default=1.0,
+        metavar="S",
+        help="time between the images used from a bag (default: %(default)g)",
     )
     calibrate.add_argument("--camera-name", default="finger_camera")
     calibrate.add_argument("-o", "--output", type=Path, required=True, metavar="YAML")
@@ -121,7 +144,8 @@ def _calibrate(arguments: Any) -> int:
         print(f"{name}: {error:.3f} px")
     print(
         f"reprojection error {calibration.reprojection_error:.3f} px, on the plate "
-        f"{calibration.plate_error * 1e6:.1f} µm; {calibration.area_per_pixel * 1e6:.6f} mm² per rectified pixel"
+        f"{calibration.plate_error * 1e6:.1f} µm; {calibration.area_per_pixel * 1e6:.6f} mm² per "
+        "rectified pixel"
     )
     print(f"written to {arguments.output}")
     return 0
@@ -134,34 +158,33 @@ def _output(path: Path | None) -> AbstractContextManager[IO[Any]]:
 def _area(arguments: Any) -> int:
     if arguments.calibration is not None:
         calibration = PlateCalibration.load(arguments.calibration)
-    elif arguments.area_per_pixel is not None:
-        calibration = PlateCalibration.from_area_per_pixel(arguments.area_per_pixel)
     else:
-        calibration = PlateCalibration.from_area_per_pixel(PAPER_AREA_PER_PIXEL)
-    settings = SegmenterSettings(outline=arguments.outline, polarity=arguments.polarity)
-    # Images on a command line need not follow each other in time: none becomes another's background.
-    segmenter = ContactSegmenter(replace(settings, learn_background=False), calibration)
+        calibration = PlateCalibration.from_area_per_pixel(arguments.area_per_pixel)
+    kind = AREA_SENSORS.load(arguments.area_sensor)
+    sensor = kind(settings_from(arguments, kind.SETTINGS), calibration)
     for path in arguments.background:
-        _named(path, segmenter.learn)
+        _apply(sensor.learn, path)
     with _output(arguments.output) as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(COLUMNS)
         for path in arguments.images:
-            measurement = _named(path, segmenter.process)
+            # Images on a command line need not follow each other in time: none becomes the
+            # background of another.
+            measurement = _apply(sensor.measure, path)
             writer.writerow(
                 [
                     path,
                     f"{measurement.gross_area * 1e6:.4f}",
                     f"{measurement.real_area * 1e6:.4f}",
-                    flag_names(measurement.flags),
+                    flag_names(AreaFlag(measurement.flags)),
                 ]
             )
     return 0
 
 
-def _named(path: Path, action: Any) -> Any:
-    """Apply `action` to an image; complaints name its file."""
-    image = read_image(path)
+def _apply(action: Callable[[np.ndarray], Result], path: Path) -> Result:
+    """Apply `action` to an image; errors name its file."""
+    image = read_signal(path)
     try:
         return action(image)
     except InputError as error:
@@ -169,7 +192,7 @@ def _named(path: Path, action: Any) -> Any:
 
 
 def _main(argv: Sequence[str] | None = None) -> int:
-    arguments = _parser().parse_args(argv)
+    arguments = _parser(_chosen_area_sensor(argv)).parse_args(argv)
     return _area(arguments) if arguments.command == "area" else _calibrate(arguments)
 
 

@@ -1,4 +1,4 @@
-"""Whatever a camera, a file or a message gives becomes an 8-bit grey image, or is refused with the reason."""
+"""Images of a camera, a file or a message as arrays, or refused with the reason."""
 
 from __future__ import annotations
 
@@ -10,8 +10,16 @@ import numpy as np
 from finger_common.errors import InputError
 
 MAX_PIXELS = 200_000_000
-MONO8 = ("mono8", "8UC1")
-MONO16 = ("mono16", "16UC1")
+
+PLAIN = {
+    "mono8": "u1",
+    "8UC1": "u1",
+    "mono16": "u2",
+    "16UC1": "u2",
+    "32FC1": "f4",
+}
+"""Encoding of one channel -> type of a value."""
+
 COLOUR = {
     "bgr8": cv2.COLOR_BGR2GRAY,
     "rgb8": cv2.COLOR_RGB2GRAY,
@@ -20,23 +28,22 @@ COLOUR = {
     "8UC3": cv2.COLOR_BGR2GRAY,
     "8UC4": cv2.COLOR_BGRA2GRAY,
 }
+"""Encoding of several channels of 8 bit -> OpenCV's conversion to grey."""
 
 
 def as_mono8(image: np.ndarray, where: str = "image") -> np.ndarray:
-    """(H, W) uint8 from (H, W), (H, W, 1), (H, W, 3) BGR or (H, W, 4) BGRA of uint8 or uint16.
+    """(H, W) uint8 of a grey or colour image of uint8 or uint16.
 
-    16-bit frames are scaled by 1/256, so that full scale stays full scale. Raises InputError for an empty image,
-    another shape or another type.
+    image: (H, W), (H, W, 1), (H, W, 3) BGR or (H, W, 4) BGRA. 16-bit images are scaled by 1/256,
+    so that full scale stays full scale. Raises InputError for an empty image, another shape or
+    another type.
     """
     image = np.asarray(image)
+    shape = "×".join(map(str, image.shape))
     if image.size == 0:
-        raise InputError(
-            f"{where}: image is empty ({'×'.join(map(str, image.shape))}); give pixels"
-        )
+        raise InputError(f"{where}: image is empty ({shape}); give pixels")
     if image.dtype == np.uint16:
         image = (image >> 8).astype(np.uint8)
-    elif image.dtype == bool:
-        image = image.astype(np.uint8) * 255
     elif image.dtype != np.uint8:
         raise InputError(
             f"{where}: pixels are {image.dtype}, 8-bit or 16-bit unsigned are needed; convert them"
@@ -50,9 +57,7 @@ def as_mono8(image: np.ndarray, where: str = "image") -> np.ndarray:
         elif channels == 4:
             image = cv2.cvtColor(image, cv2.COLOR_BGRA2GRAY)
     if image.ndim != 2:
-        raise InputError(
-            f"{where}: image has shape {'×'.join(map(str, image.shape))}, (height, width) is needed"
-        )
+        raise InputError(f"{where}: image has shape {shape}, (height, width) is needed")
     return image
 
 
@@ -65,47 +70,50 @@ def decode(
     bigendian: bool = False,
     where: str = "image",
 ) -> np.ndarray:
-    """(H, W) uint8 from the fields of a sensor_msgs/Image; mono, RGB(A) and BGR(A) of 8 or 16 bit.
+    """(H, W) uint8, uint16 or float32 from the fields of a sensor_msgs/Image.
 
-    No copy is made for mono8. Raises InputError for a zero size, an unknown encoding or too few bytes.
+    One channel of 8 bit, 16 bit or 32-bit float comes as sent; no copy is made for 8 bit. Colour
+    of 8 bit becomes grey. Raises InputError for a zero size, an unknown encoding or too few bytes.
     """
     if height <= 0 or width <= 0:
         raise InputError(f"{where}: image is {width}×{height}, a size above zero is needed")
     if height * width > MAX_PIXELS:
         raise InputError(f"{where}: image of {width}×{height} is too large; bin or crop it")
-    if encoding in MONO8:
-        channels, wide = 1, False
-    elif encoding in MONO16:
-        channels, wide = 1, True
+    if encoding in PLAIN:
+        kind, channels = np.dtype(PLAIN[encoding]), 1
     elif encoding in COLOUR:
-        channels, wide = (4 if encoding.endswith(("a8", "C4")) else 3), False
+        kind, channels = np.dtype("u1"), 4 if encoding.endswith(("a8", "C4")) else 3
     else:
-        known = ", ".join([*MONO8, *MONO16, *COLOUR])
+        known = ", ".join([*PLAIN, *COLOUR])
         raise InputError(
-            f"{where}: encoding '{encoding}' is not supported; set the camera to mono8 (known: {known})"
+            f"{where}: encoding '{encoding}' is not supported; set the camera to mono8 "
+            f"(known: {known})"
         )
-    row = width * channels * (2 if wide else 1)
+    row = width * channels * kind.itemsize
     step = step or row
     raw = np.frombuffer(data, np.uint8) if not isinstance(data, np.ndarray) else data.view(np.uint8)
     if step < row or raw.size < step * (height - 1) + row:
         raise InputError(
-            f"{where}: {raw.size} bytes with step {step} are too few for {width}×{height} {encoding}; "
-            "the sender fills the message wrongly"
+            f"{where}: {raw.size} bytes with step {step} are too few for {width}×{height} "
+            f"{encoding}; the sender fills the message wrongly"
         )
     rows = np.lib.stride_tricks.as_strided(
         raw.reshape(-1), (height, row), (step, 1), writeable=False
     )
-    if wide:
-        order = ">u2" if bigendian else "<u2"
-        return (np.ascontiguousarray(rows).view(order) >> 8).astype(np.uint8)
+    if kind.itemsize > 1:
+        sent = np.ascontiguousarray(rows).view(kind.newbyteorder(">" if bigendian else "<"))
+        return sent.astype(kind)
     if channels == 1:
         return rows
     pixels = np.ascontiguousarray(rows).reshape(height, width, channels)
     return cv2.cvtColor(pixels, COLOUR[encoding])
 
 
-def read_image(path: str | Path) -> np.ndarray:
-    """(H, W) uint8 from an image file; raises InputError naming the file."""
+def read_signal(path: str | Path) -> np.ndarray:
+    """Array of an image file as stored: (H, W) or (H, W, channels), any depth.
+
+    Raises InputError naming the file.
+    """
     path = Path(path)
     if not path.exists():
         raise InputError(f"{path}: no such image; check the path")
@@ -123,4 +131,9 @@ def read_image(path: str | Path) -> np.ndarray:
         image = None
     if image is None:
         raise InputError(f"{path}: not an image that can be decoded; give PNG, TIFF, JPEG or BMP")
-    return as_mono8(image, str(path))
+    return image
+
+
+def read_image(path: str | Path) -> np.ndarray:
+    """(H, W) uint8 from an image file; raises InputError naming the file."""
+    return as_mono8(read_signal(path), str(path))

@@ -6,19 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from .contact import ContactMeasurement
+from .area_sensor import ContactMeasurement
 from .images import decode
 
 
-def stamp_ns_of(message: Any) -> int:
-    """Acquisition time of a message with a header, ns since the epoch."""
-    stamp = message.header.stamp
-    # rosbags names the field nanosec as rclpy does; sec may be a numpy integer.
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
-
-
 def image_of(message: Any) -> np.ndarray:
-    """(H, W) uint8 from a sensor_msgs/Image; raises InputError with the reason when it cannot be used."""
+    """(H, W) array from a sensor_msgs/Image, as `images.decode` gives it.
+
+    Raises InputError with the reason when it cannot be used.
+    """
     return decode(
         message.data,
         int(message.height),

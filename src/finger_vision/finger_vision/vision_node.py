@@ -1,12 +1,16 @@
-"""Vision node: `image_raw` in, `contact_area` out with the image's stamp; `contact_image` when somebody listens.
+"""Vision node: `image_raw` in, `contact_area` out with the image's stamp.
 
-Frames are measured in a thread of their own, always the newest one: an older frame that was not begun is dropped
-and counted. A frame that cannot be used is refused with the reason, and the next one is taken.
+`contact_image` shows the measured contact; it is drawn only while it has subscribers. Images are
+measured in a thread of their own, always the newest: an older image that was not begun is dropped
+and counted. An image that cannot be used is refused with the reason, and the next one is measured.
 """
 
 from __future__ import annotations
 
+import queue
 import threading
+from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -16,14 +20,28 @@ from std_srvs.srv import Trigger
 
 from finger_common.diagnostics import WARN, Health
 from finger_common.errors import FingerError
+from finger_common.flags import AreaFlag
 from finger_common.node import ManagedNode, main_of
+from finger_common.settings import Settings, setting
 from finger_msgs.msg import ContactArea
 
-from .contact import ContactSegmenter
-from .flags import ContactFlag
-from .latest import LatestSlot
+from .area_sensor import AREA_SENSORS, AreaSensorSettings, open_area_sensor
+from .calibration import CalibrationSettings
 from .messages import contact_area_fields, image_of
-from .settings import NODE_PARAMETERS, make_segmenter
+from .overlay import draw_overlay
+
+
+@dataclass(frozen=True)
+class VisionSettings(Settings):
+    """Settings of the node itself."""
+
+    frame_id: str = setting("plate", "Name of the plate frame in the headers sent.")
+    opencv_threads: int = setting(
+        1,
+        "Threads OpenCV may use; 1 leaves the other cores to the force and model nodes.",
+        minimum=1,
+        maximum=64,
+    )
 
 
 def contact_area_message(fields: dict[str, Any]) -> ContactArea:
@@ -41,32 +59,35 @@ class VisionNode(ManagedNode):
     """See the module's description."""
 
     NAME = "vision"
-    TABLE = NODE_PARAMETERS
+    SETTINGS = (AreaSensorSettings, CalibrationSettings, VisionSettings)
+    PLUGINS = {"area_sensor": AREA_SENSORS}
 
     def configure(self) -> None:
         cv2.setNumThreads(self.values["opencv_threads"])
-        self.segmenter: ContactSegmenter = make_segmenter(self.values)
+        self.calibration = self.settings(CalibrationSettings).load()
+        choice = self.settings(AreaSensorSettings)
+        self.sensor = open_area_sensor(choice.area_sensor, self.calibration, self.values)
+        self._process = self.sensor.process if choice.learn_background else self.sensor.measure
         self.health = Health("vision")
         self.healths = [self.health]
         self._lock = threading.Lock()
         self._areas = self.create_stream_publisher(ContactArea, "contact_area", self.stream_qos())
         self._overlays = self.create_stream_publisher(Image, "contact_image", self.stream_qos(1))
         self._reset = self.create_service(Trigger, "~/reset", self._on_reset)
-        self._slot: LatestSlot[Image] | None = None
         self._images: Any = None
-        if not self.segmenter.calibration.calibrated:
+        if not self.calibration.calibrated:
             self.get_logger().warning(
                 "no plate calibration: a plain area per pixel is used and every area is flagged; "
                 "set calibration_file"
             )
 
     def activate(self) -> None:
-        self._slot = LatestSlot()
+        self._newest: queue.Queue[Image | None] = queue.Queue(1)
         self._worker = threading.Thread(
-            target=self._work, args=(self._slot,), name="vision", daemon=True
+            target=self._work, args=(self._newest,), name="vision", daemon=True
         )
         self._worker.start()
-        # A few frames of depth, so that the slot, not the middleware, drops and counts.
+        # A few images of depth, so that the node, not the middleware, drops and counts them.
         self._images = self.create_stream_subscription(
             Image, "image_raw", self._on_image, self.stream_qos(3)
         )
@@ -75,11 +96,8 @@ class VisionNode(ManagedNode):
         if getattr(self, "_images", None) is not None:
             self.destroy_subscription(self._images)
             self._images = None
-        slot = getattr(self, "_slot", None)
-        if slot is not None:
-            slot.close()
+            self._replace(None)
             self._worker.join(5)
-            self._slot = None
 
     def cleanup(self) -> None:
         for name in ("_areas", "_overlays"):
@@ -93,31 +111,35 @@ class VisionNode(ManagedNode):
     # Work ------------------------------------------------------------------------------------
 
     def _on_image(self, message: Image) -> None:
-        slot = self._slot
-        if slot is not None and slot.put(message):
+        if self._replace(message):
             self.health.count("dropped")
 
-    def _work(self, slot: LatestSlot[Image]) -> None:
-        while not slot.closed:
-            message = slot.take(1.0)
-            if message is not None:
-                try:
-                    self._measure(message)
-                except FingerError as error:
-                    self.health.count("refused")
-                    self.log_fault(self.health, "frame", str(error), WARN)
-                except Exception as error:
-                    # The worker must outlive any one frame.
-                    if slot.closed:
-                        return
+    def _replace(self, message: Image | None) -> bool:
+        """Hand the worker an image, or None to end; true when an image was still waiting."""
+        waiting = False
+        with suppress(queue.Empty):
+            waiting = self._newest.get_nowait() is not None
+        self._newest.put_nowait(message)
+        return waiting
+
+    def _work(self, newest: queue.Queue[Image | None]) -> None:
+        for message in iter(newest.get, None):
+            try:
+                self._measure(message)
+            except FingerError as error:
+                self.health.count("refused")
+                self.log_fault(self.health, "frame", str(error), WARN)
+            except Exception as error:
+                # One image must not end the worker. After deactivation its failure is no fault.
+                if self._images is not None:
                     self.health.count("failed")
                     self.log_fault(self.health, "failure", f"{type(error).__name__}: {error}")
 
     def _measure(self, message: Image) -> None:
         image = image_of(message)
         with self._lock:
-            measurement = self.segmenter.process(image)
-            learned = self.segmenter.background.count
+            measurement = self._process(image)
+            learned = self.sensor.learned
         area = contact_area_message(contact_area_fields(measurement))
         area.header.stamp = message.header.stamp
         area.header.frame_id = self.values["frame_id"]
@@ -126,10 +148,10 @@ class VisionNode(ManagedNode):
         self.health.notes["background_frames"] = str(learned)
         self.health.recovered("frame")
         self.health.recovered("failure")
-        if measurement.flags & ContactFlag.NO_CONTACT:
+        if measurement.flags & AreaFlag.NO_CONTACT:
             self.health.count("without_contact")
         if self._overlays.get_subscription_count() > 0:
-            picture = self.segmenter.overlay(image, measurement)
+            picture = draw_overlay(image, measurement, self.calibration)
             overlay = Image(
                 header=area.header,
                 height=picture.shape[0],
@@ -142,7 +164,7 @@ class VisionNode(ManagedNode):
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self._lock:
-            self.segmenter.reset()
+            self.sensor.reset()
         response.success = True
         response.message = "background forgotten; it is learned again from frames without contact"
         return response

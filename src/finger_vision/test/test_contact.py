@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from finger_common.errors import InputError
+from finger_common.flags import AreaFlag
 from finger_sim.ftir import AREA_PER_PIXEL, LOOKS, Contact, FtirRenderer, Scene
 from finger_vision.calibration import PlateCalibration
-from finger_vision.contact import ContactSegmenter, SegmenterSettings
-from finger_vision.flags import ContactFlag
+from finger_vision.ftir import FtirSegmenter, FtirSettings
 from finger_vision.messages import contact_area_fields
+from finger_vision.overlay import draw_overlay
 
 
 def calibration_of(renderer: FtirRenderer) -> PlateCalibration:
@@ -46,13 +47,11 @@ def study() -> list[dict]:
         scene = Scene.random(rng)
         renderer = FtirRenderer(look, int(rng.integers(2**31)), scene)
         calibration = calibration_of(renderer)
-        settings = SegmenterSettings(learn_background=False)
-        learned = ContactSegmenter(settings, calibration)
+        learned, guessed = (FtirSegmenter(calibration=calibration) for _ in range(2))
         for _ in range(5):
             learned.learn(renderer.empty())
-        guessed = ContactSegmenter(settings, calibration)
         empty = renderer.empty()
-        empties = [s.process(empty) for s in (learned, guessed)]
+        empties = [s.measure(empty) for s in (learned, guessed)]
         for _ in range(3):
             contact = random_contact(rng)
             frame = renderer.render_frame([contact])
@@ -64,8 +63,8 @@ def study() -> list[dict]:
                     "scene": scene,
                     "contact": contact,
                     "frame": frame,
-                    "learned": learned.process(frame.image),
-                    "guessed": guessed.process(frame.image),
+                    "learned": learned.measure(frame.image),
+                    "guessed": guessed.measure(frame.image),
                     "empties": empties,
                 }
             )
@@ -114,7 +113,7 @@ def test_empty_frames_give_exactly_zero(study) -> None:
         for measurement in row["empties"]:
             assert measurement.gross_area == 0.0 and measurement.real_area == 0.0
             assert measurement.area_sd == 0.0 and len(measurement.hull) == 0
-            assert measurement.flags & ContactFlag.NO_CONTACT
+            assert measurement.flags & AreaFlag.NO_CONTACT
 
 
 def test_standard_deviation_fits_the_errors(study) -> None:
@@ -141,8 +140,7 @@ def test_concave_outline_agrees_on_full_contacts_and_leaves_gaps_out() -> None:
     renderer = FtirRenderer("natural", 1, Scene(latent=0.0))
     frame = renderer.render_frame([Contact(5e-3, aspect=1.3)])
     convex, concave = (
-        ContactSegmenter(SegmenterSettings(outline=o)).process(frame.image)
-        for o in ("convex", "concave")
+        FtirSegmenter(FtirSettings(outline=o)).process(frame.image) for o in ("convex", "concave")
     )
     assert concave.gross_area == pytest.approx(convex.gross_area, rel=0.06)
     # A wedge wiped out of the print: the hull bridges it, the closed outline does not.
@@ -151,7 +149,7 @@ def test_concave_outline_agrees_on_full_contacts_and_leaves_gaps_out() -> None:
     mask = cv2.fillPoly(np.zeros_like(cut), [wedge], 255) > 0
     cut[mask] = renderer.empty()[mask]
     convex, concave = (
-        ContactSegmenter(SegmenterSettings(outline=o)).process(cut) for o in ("convex", "concave")
+        FtirSegmenter(FtirSettings(outline=o)).process(cut) for o in ("convex", "concave")
     )
     assert concave.gross_area < 0.9 * convex.gross_area
 
@@ -159,7 +157,7 @@ def test_concave_outline_agrees_on_full_contacts_and_leaves_gaps_out() -> None:
 def test_latent_prints_do_not_count_once_the_background_is_learned() -> None:
     renderer = FtirRenderer("dry", 5, Scene(latent=0.12))
     clean = FtirRenderer("dry", 5, Scene(latent=0.0))
-    with_latent, without = (ContactSegmenter() for _ in range(2))
+    with_latent, without = (FtirSegmenter() for _ in range(2))
     assert with_latent.process(renderer.empty()).gross_area == 0.0
     assert without.process(clean.empty()).gross_area == 0.0
     for radius in (2e-3, 3e-3, 4.5e-3):
@@ -170,7 +168,7 @@ def test_latent_prints_do_not_count_once_the_background_is_learned() -> None:
 def test_print_left_by_a_press_of_this_session_is_learned_away() -> None:
     before = FtirRenderer("natural", 6, Scene(latent=0.0))
     after = FtirRenderer("natural", 6, Scene(latent=0.10))
-    segmenter = ContactSegmenter()
+    segmenter = FtirSegmenter()
     for _ in range(3):
         segmenter.process(before.empty())
     truth = segmenter.process(before.render(4e-3)).gross_area
@@ -181,43 +179,43 @@ def test_print_left_by_a_press_of_this_session_is_learned_away() -> None:
 
 def test_pressing_finger_is_told_from_another_contact_and_dirt() -> None:
     renderer = FtirRenderer("natural", 7, Scene(latent=0.0, dust=60))
-    segmenter = ContactSegmenter()
+    segmenter = FtirSegmenter()
     segmenter.process(renderer.empty())
     alone = segmenter.process(renderer.render_frame([Contact(4.5e-3, (0, -4e-3))]).image)
     both = renderer.render_frame(
         [Contact(4.5e-3, (0, -4e-3)), Contact(2.5e-3, (0, 6e-3), 1.5, 0.0)]
     )
     seen = segmenter.process(both.image)
-    assert seen.flags & ContactFlag.MULTIPLE_REGIONS
-    assert not alone.flags & ContactFlag.MULTIPLE_REGIONS
+    assert seen.flags & AreaFlag.MULTIPLE_REGIONS
+    assert not alone.flags & AreaFlag.MULTIPLE_REGIONS
     assert seen.gross_area == pytest.approx(alone.gross_area, rel=0.02)
 
 
 def test_flags_say_what_speaks_against_a_frame() -> None:
     renderer = FtirRenderer("natural", 8, Scene(latent=0.0))
-    calibrated = ContactSegmenter(calibration=calibration_of(renderer))
+    calibrated = FtirSegmenter(calibration=calibration_of(renderer))
     good = renderer.render(4.5e-3)
-    first = ContactSegmenter(calibration=calibration_of(renderer)).process(good)
-    assert first.flags == ContactFlag.NO_BACKGROUND
+    first = FtirSegmenter(calibration=calibration_of(renderer)).process(good)
+    assert first.flags == AreaFlag.NO_BACKGROUND
     calibrated.process(renderer.empty())
     assert calibrated.process(good).flags == 0
-    assert calibrated.process(renderer.render(5e-3, (18e-3, 0.0))).flags == ContactFlag.CLIPPED
-    plain = ContactSegmenter()
+    assert calibrated.process(renderer.render(5e-3, (18e-3, 0.0))).flags == AreaFlag.CLIPPED
+    plain = FtirSegmenter()
     plain.process(renderer.empty())
-    assert plain.process(good).flags == ContactFlag.UNCALIBRATED
+    assert plain.process(good).flags == AreaFlag.UNCALIBRATED
     pale = np.clip(190 + (good.astype(float) - 190) * 0.36, 0, 255).astype(np.uint8)
-    assert ContactSegmenter().process(pale).flags & ContactFlag.LOW_CONTRAST
+    assert FtirSegmenter().process(pale).flags & AreaFlag.LOW_CONTRAST
     white = np.where(good > 140, 255, good).astype(np.uint8)
-    assert ContactSegmenter().process(white).flags & ContactFlag.SATURATED
+    assert FtirSegmenter().process(white).flags & AreaFlag.SATURATED
     tiny = calibrated.process(renderer.render(1.0e-3))
-    assert tiny.flags & ContactFlag.SPARSE and tiny.gross_area > 0
+    assert tiny.flags & AreaFlag.SPARSE and tiny.gross_area > 0
 
 
 @pytest.mark.parametrize("look", LOOKS)
 def test_crops_rotations_gain_and_gamma_move_the_area_by_less_than_3_percent(look: str) -> None:
     renderer = FtirRenderer(look, 9, Scene(latent=0.05, background=170))
     image = renderer.render(4.5e-3, aspect=1.4)
-    base = ContactSegmenter().process(image).gross_area
+    base = FtirSegmenter().process(image).gross_area
     rng = np.random.default_rng(1)
     variants = [np.clip(image * g, 0, 255).astype(np.uint8) for g in (0.6, 0.8, 1.25)]
     variants += [(255 * (image / 255) ** g).astype(np.uint8) for g in (0.7, 1.4)]
@@ -229,27 +227,27 @@ def test_crops_rotations_gain_and_gamma_move_the_area_by_less_than_3_percent(loo
         right, bottom = rng.integers(900, 1280), rng.integers(770, 1024)
         variants.append(np.ascontiguousarray(image[top:bottom, left:right]))
     for variant in variants:
-        assert ContactSegmenter().process(variant).gross_area == pytest.approx(base, rel=0.03)
+        assert FtirSegmenter().process(variant).gross_area == pytest.approx(base, rel=0.03)
 
 
 def test_gain_drift_after_the_background_was_learned() -> None:
     renderer = FtirRenderer("natural", 10, Scene(latent=0.05))
-    segmenter = ContactSegmenter(SegmenterSettings(learn_background=False))
+    segmenter = FtirSegmenter()
     segmenter.learn(renderer.empty())
     image = renderer.render(4.5e-3)
-    base = segmenter.process(image).gross_area
+    base = segmenter.measure(image).gross_area
     for gain in (0.6, 0.85, 1.2):
         dimmed = np.clip(image * gain, 0, 255).astype(np.uint8)
-        assert segmenter.process(dimmed).gross_area == pytest.approx(base, rel=0.03)
+        assert segmenter.measure(dimmed).gross_area == pytest.approx(base, rel=0.03)
         empty = np.clip(renderer.empty() * gain, 0, 255).astype(np.uint8)
-        assert segmenter.process(empty).gross_area == 0.0
+        assert segmenter.measure(empty).gross_area == 0.0
 
 
 def test_plain_frames_of_any_grey_are_empty() -> None:
     for grey in (0, 3, 128, 255):
-        assert ContactSegmenter().process(np.full((256, 320), grey, np.uint8)).gross_area == 0.0
+        assert FtirSegmenter().process(np.full((256, 320), grey, np.uint8)).gross_area == 0.0
     noise = np.random.default_rng(0).normal(100, 6, (512, 640)).clip(0, 255).astype(np.uint8)
-    assert ContactSegmenter().process(noise).gross_area == 0.0
+    assert FtirSegmenter().process(noise).gross_area == 0.0
 
 
 def test_same_frames_give_the_same_results_bit_for_bit() -> None:
@@ -257,7 +255,7 @@ def test_same_frames_give_the_same_results_bit_for_bit() -> None:
     frames = [renderer.empty(), renderer.render(2e-3), renderer.render(4e-3), renderer.empty()]
     first, second = (
         [contact_area_fields(s.process(f)) for f in frames]
-        for s in (ContactSegmenter(), ContactSegmenter())
+        for s in (FtirSegmenter(), FtirSegmenter())
     )
     for a, b in zip(first, second):
         np.testing.assert_array_equal(a.pop("hull"), b.pop("hull"))
@@ -266,27 +264,27 @@ def test_same_frames_give_the_same_results_bit_for_bit() -> None:
 
 def test_wrong_sizes_and_settings_are_refused() -> None:
     renderer = FtirRenderer("natural", 12)
-    segmenter = ContactSegmenter(calibration=calibration_of(renderer))
+    segmenter = FtirSegmenter(calibration=calibration_of(renderer))
     with pytest.raises(InputError, match="640×480, the plate calibration is for 1280×1024"):
         segmenter.process(np.zeros((480, 640), np.uint8))
     # The next frame is measured as if nothing had happened.
     assert segmenter.process(renderer.render(4e-3)).gross_area > 45e-6
     with pytest.raises(InputError, match="too small"):
-        ContactSegmenter().process(np.zeros((20, 20), np.uint8))
+        FtirSegmenter().process(np.zeros((20, 20), np.uint8))
     with pytest.raises(InputError, match="'outline'"):
-        SegmenterSettings(outline="round")
+        FtirSettings(outline="round")
     with pytest.raises(InputError, match="'ridge_period'"):
-        SegmenterSettings(ridge_period=math.nan)
+        FtirSettings(ridge_period=math.nan)
     with pytest.raises(InputError, match="area per pixel"):
         PlateCalibration.from_area_per_pixel(math.nan)
     for image in (np.zeros((64, 64, 3), np.uint8), np.zeros((64, 64), np.uint16)):
-        assert ContactSegmenter().process(np.repeat(np.repeat(image, 4, 0), 4, 1)).gross_area == 0
+        assert FtirSegmenter().process(np.repeat(np.repeat(image, 4, 0), 4, 1)).gross_area == 0
 
 
 def test_memory_does_not_grow_with_frames() -> None:
     renderer = FtirRenderer("natural", 13)
     frames = [renderer.empty(), renderer.render(2e-3), renderer.render(4e-3)]
-    segmenter = ContactSegmenter()
+    segmenter = FtirSegmenter()
     for frame in frames * 3:
         segmenter.process(frame)
     tracemalloc.start()
@@ -301,9 +299,9 @@ def test_memory_does_not_grow_with_frames() -> None:
 def test_overlay_marks_the_outline() -> None:
     renderer = FtirRenderer("natural", 14)
     image = renderer.render(4e-3)
-    segmenter = ContactSegmenter()
+    segmenter = FtirSegmenter()
     measurement = segmenter.process(image)
-    picture = segmenter.overlay(image, measurement)
+    picture = draw_overlay(image, measurement, segmenter.calibration)
     assert picture.shape == (1024, 1280, 3)
     radius = 4e-3 / math.sqrt(AREA_PER_PIXEL)
     green = np.argwhere((picture[..., 1] > 150) & (picture[..., 0] < 100) & (picture[..., 2] < 100))

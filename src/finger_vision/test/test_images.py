@@ -11,8 +11,7 @@ import pytest
 
 from finger_common.errors import InputError
 from finger_vision.images import as_mono8, decode, read_image
-from finger_vision.latest import LatestSlot
-from finger_vision.messages import image_of, stamp_ns_of
+from finger_vision.messages import image_of
 
 GREY = np.arange(12, dtype=np.uint8).reshape(3, 4) * 20
 
@@ -31,8 +30,18 @@ def test_mono8_is_not_copied_and_padding_is_skipped() -> None:
 def test_16_bit_keeps_full_scale(bigendian: bool) -> None:
     values = np.array([[0, 256, 65535]], np.uint16)
     data = values.astype(">u2" if bigendian else "<u2").tobytes()
-    np.testing.assert_array_equal(decode(data, 1, 3, "mono16", 6, bigendian), [[0, 1, 255]])
+    sent = decode(data, 1, 3, "mono16", 6, bigendian)
+    assert sent.dtype == np.uint16
+    np.testing.assert_array_equal(sent, values)
+    np.testing.assert_array_equal(as_mono8(sent), [[0, 1, 255]])
     np.testing.assert_array_equal(as_mono8(values), [[0, 1, 255]])
+
+
+def test_a_signal_of_floats_comes_as_sent() -> None:
+    values = np.array([[0.25, -3.0], [1e6, 7.0]], np.float32)
+    np.testing.assert_array_equal(decode(values.tobytes(), 2, 2, "32FC1", 8), values)
+    swapped = values.astype(">f4").tobytes()
+    np.testing.assert_array_equal(decode(swapped, 2, 2, "32FC1", 8, bigendian=True), values)
 
 
 @pytest.mark.parametrize("encoding", ["rgb8", "bgr8", "rgba8", "bgra8"])
@@ -89,9 +98,7 @@ def test_files_are_read_or_named(tmp_path: Path) -> None:
 
 
 def test_messages_are_read_by_attribute() -> None:
-    stamp = SimpleNamespace(sec=np.int32(1_700_000_000), nanosec=np.uint32(999_999_999))
     message = SimpleNamespace(
-        header=SimpleNamespace(stamp=stamp),
         height=3,
         width=4,
         encoding="mono8",
@@ -100,16 +107,3 @@ def test_messages_are_read_by_attribute() -> None:
         data=GREY.ravel(),
     )
     np.testing.assert_array_equal(image_of(message), GREY)
-    assert stamp_ns_of(message) == 1_700_000_000_999_999_999
-
-
-def test_slot_keeps_the_newest_and_counts_what_it_drops() -> None:
-    slot: LatestSlot[int] = LatestSlot()
-    assert [slot.put(i) for i in range(4)] == [False, True, True, True]
-    assert slot.take(0) == 3
-    assert slot.dropped == 3
-    assert slot.take(0.01) is None
-    assert not slot.put(5)
-    slot.close()
-    assert slot.take() == 5
-    assert slot.take() is None

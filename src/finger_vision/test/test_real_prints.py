@@ -12,16 +12,16 @@ import cv2
 import numpy as np
 import pytest
 
+from finger_common.flags import AreaFlag
 from finger_vision.calibration import PlateCalibration
 from finger_vision.cli import main
-from finger_vision.contact import ContactSegmenter, SegmenterSettings
-from finger_vision.flags import ContactFlag
+from finger_vision.ftir import FtirSegmenter
 from finger_vision.images import read_image
 
 
-def segmenter_for(dpi: float) -> ContactSegmenter:
+def segmenter_for(dpi: float) -> FtirSegmenter:
     calibration = PlateCalibration.from_area_per_pixel((25.4e-3 / dpi) ** 2)
-    return ContactSegmenter(SegmenterSettings(learn_background=False), calibration)
+    return FtirSegmenter(calibration=calibration)
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def prints(project_root: Path) -> list[dict]:
             image = read_image(folder / row["file"])
             mask = cv2.imread(str((folder / row["file"]).with_suffix("")) + "_mask.png", 0)
             dpi = float(row["dpi"])
-            measured = segmenter_for(dpi).process(image)
+            measured = segmenter_for(dpi).measure(image)
             rows.append(
                 {
                     "file": row["file"],
@@ -62,14 +62,14 @@ def test_whole_prints_within_6_percent_none_beyond_20(prints) -> None:
 
 def test_prints_over_the_edge_are_flagged_and_still_near(prints) -> None:
     over = [r for r in prints if r["edge"]]
-    assert [r["file"] for r in over if not r["measured"].flags & ContactFlag.CLIPPED] == []
+    assert [r["file"] for r in over if not r["measured"].flags & AreaFlag.CLIPPED] == []
     assert np.mean([abs(r["error"]) for r in over]) < 0.08
     assert [r["file"] for r in over if abs(r["error"]) > 0.2] == []
 
 
 def test_whole_prints_are_not_called_clipped(prints) -> None:
     inside = [r for r in prints if not r["edge"]]
-    assert [r["file"] for r in inside if r["measured"].flags & ContactFlag.CLIPPED] == []
+    assert [r["file"] for r in inside if r["measured"].flags & AreaFlag.CLIPPED] == []
 
 
 def test_crops_rotations_gain_and_gamma_move_the_area_by_less_than_3_percent(prints) -> None:
@@ -93,7 +93,7 @@ def test_crops_rotations_gain_and_gamma_move_the_area_by_less_than_3_percent(pri
             "gamma": (255 * (image / 255) ** rng.uniform(0.7, 1.4)).astype(np.uint8),
         }
         for name, variant in variants.items():
-            seen = segmenter_for(row["dpi"]).process(variant)
+            seen = segmenter_for(row["dpi"]).measure(variant)
             moved[f"{row['file']} {name}"] = seen.gross_area / base - 1
     assert {k: v for k, v in moved.items() if abs(v) > 0.03} == {}
 

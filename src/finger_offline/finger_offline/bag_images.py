@@ -1,0 +1,34 @@
+"""Images of a bag one at a time, for `finger-vision calibrate`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from finger_bag.reader import open_bag
+from finger_common.errors import InputError
+from finger_common.stamps import header_stamp, seconds
+from finger_vision.images import as_mono8
+
+from .image_areas import grey_image
+
+
+def images_of_bag(path: Path, topic: str, every: float) -> Iterator[tuple[str, np.ndarray]]:
+    """Name and (H, W) uint8 of a bag's images on a topic, at least `every` s apart by stamp.
+
+    topic: relative names are those of the rig ("image_raw" for "/finger/image_raw"). Raises
+    InputError naming the bag where it cannot be read or holds no such images.
+    """
+    last: int | None = None
+    with open_bag(path) as reader:
+        found = reader.topic(topic)
+        for item in reader.messages([found] if found is not None else []):
+            stamp = header_stamp(item.message)
+            if last is not None and 0 <= seconds(stamp - last) < every:
+                continue
+            last = stamp
+            yield f"{path} at {seconds(stamp):.3f} s", as_mono8(grey_image(item.message))
+    if last is None:
+        raise InputError(f"{path}: holds no images on '{topic}'; name their topic with --topic")

@@ -1,0 +1,110 @@
+"""What an area sensor is: an image or another signal in; contact area, outline and flags out.
+
+Area sensors are found by the entry-point group ``finger_vision.area_sensor``. The vision node,
+`finger-vision area` and the processing of bags choose one by the setting `area_sensor`;
+docs/add_an_area_sensor.md shows how to add one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+
+from finger_common.flags import AreaFlag
+from finger_common.plugins import Plugins
+from finger_common.settings import Settings, setting
+
+from .calibration import PlateCalibration
+
+AREA_SENSORS = Plugins("finger_vision.area_sensor", "area sensor")
+
+DEFAULT_AREA_SENSOR = "ftir"
+
+
+@dataclass(frozen=True)
+class AreaSensorSettings(Settings):
+    """Which area sensor measures the contact, and whether its background is learned."""
+
+    area_sensor: str = setting(
+        DEFAULT_AREA_SENSOR,
+        "Area sensor that measures the contact; its own parameters follow from this choice.",
+    )
+    learn_background: bool = setting(
+        True, "Learn the background from images without contact as they pass."
+    )
+
+
+@dataclass(frozen=True)
+class ContactMeasurement:
+    """The contact in one image or signal, in SI units and the plate frame.
+
+    gross_area, real_area, area_sd: m², exactly zero without contact; real_area may be NaN where
+    the sensor cannot measure it. centroid: (x, y) m. ellipse_major, ellipse_minor: full axes, m,
+    of the ellipse with the contact's second moments. ellipse_angle: rad in (−π/2, π/2], from +x
+    towards +y. hull: (n, 2) m, outline of the gross contact. flags: `AreaFlag` bits.
+    """
+
+    gross_area: float = 0.0
+    real_area: float = 0.0
+    area_sd: float = 0.0
+    centroid: tuple[float, float] = (0.0, 0.0)
+    ellipse_major: float = 0.0
+    ellipse_minor: float = 0.0
+    ellipse_angle: float = 0.0
+    hull: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    flags: int = 0
+
+
+class AreaSensor(Protocol):
+    """Measures the contact in the signals of one device, one after the other.
+
+    A signal is an array (H, W) as the device sent it: uint8, uint16 or float32; an image file may
+    also give (H, W, 3) BGR or (H, W, 4) BGRA. The same signals in the same order must give the
+    same results, and memory must not grow with them. A signal that cannot be used raises
+    InputError.
+    """
+
+    SETTINGS: ClassVar[type[Settings]]
+    """Settings of this kind of sensor: parameters of the node, options of the command."""
+
+    learned: int
+    """Number of signals without contact in the background, 0 after `reset`."""
+
+    def __init__(self, settings: Any, calibration: PlateCalibration) -> None: ...
+
+    def measure(self, signal: np.ndarray) -> ContactMeasurement:
+        """The contact in a signal; the background stays as it is."""
+        ...
+
+    def learn(self, signal: np.ndarray) -> None:
+        """Add a signal without contact to the background."""
+
+    def reset(self) -> None:
+        """Forget the background."""
+
+    def process(self, signal: np.ndarray) -> ContactMeasurement:
+        """Measure a signal and learn the background from it if it shows no contact."""
+        measurement = self.measure(signal)
+        if measurement.flags & AreaFlag.NO_CONTACT:
+            self.learn(signal)
+        return measurement
+
+
+def open_area_sensor(
+    name: str = DEFAULT_AREA_SENSOR,
+    calibration: PlateCalibration | None = None,
+    values: Mapping[str, Any] | None = None,
+) -> AreaSensor:
+    """The area sensor of that name.
+
+    values: settings by name, defaults where absent; names that are not the sensor's are ignored.
+    Raises InputError for an area sensor that is not installed or a bad value.
+    """
+    sensor = AREA_SENSORS.load(name)
+    opened: AreaSensor = sensor(
+        sensor.SETTINGS.select(values or {}), calibration or PlateCalibration()
+    )
+    return opened

@@ -1,0 +1,249 @@
+"""FTIR area sensor: from one frame of a finger on lit glass to the contact's areas and shape.
+
+Steps: reduce to about 60 µm a pixel; background (learned, or guessed from the frame); contrast
+against it; ridges by a threshold that follows the local contrast; the pressing finger's region by
+the density of ridges; its convex hull (gross area, as in Nam and Kuchenbecker, IEEE Trans. Haptics
+14(2), 2021) or closed outline; ridge pixels times their area on the plate (real area).
+`docs/vision.md` shows each step in pictures.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from finger_common.flags import AreaFlag
+from finger_common.settings import Settings, setting
+
+from .area_sensor import AreaSensor, ContactMeasurement
+from .background import POLARITIES, LearnedBackground, background_of, tile_means
+from .calibration import PlateCalibration
+from .images import as_mono8
+from .outline import Shape, closed_outline, convex_corners, shifted, widened
+from .ridges import Ridges, contrast_of, find_ridges
+from .working_grid import WorkingGrid
+
+FURROW = 0.26
+"""Skin outside the outermost ridge, in ridge periods times the squared share of the contact that
+does not touch. Half a furrow would be 0.5 where ridges run along the rim, 0 where they meet it."""
+
+GUESSED_MINIMUM = 0.5e-6
+"""m² of ridges below which a region is dust where no background was learned."""
+
+
+@dataclass(frozen=True)
+class FtirSettings(Settings):
+    """Settings of the FTIR segmentation."""
+
+    outline: str = setting(
+        "convex",
+        "Outline that bounds the gross area: the convex hull of the ridges, as in the paper, or a "
+        "closed outline that does not bridge gaps.",
+        choices=("convex", "concave"),
+    )
+    polarity: str = setting(
+        "auto",
+        "Whether touching ridges are darker or brighter than the plate.",
+        choices=POLARITIES,
+        advice="Set it where frames are very noisy or the finger fills the image.",
+    )
+    ridge_period: float = setting(
+        0.5e-3,
+        "Distance from ridge to ridge; 0.4 to 0.6 mm in adults.",
+        unit="m",
+        minimum=0.2e-3,
+        maximum=1.5e-3,
+    )
+    minimum_contrast: float = setting(
+        0.15,
+        "Weakest ridge that counts, as a fraction of the plate's brightness (dark ridges) or of "
+        "the grey range.",
+        minimum=0.02,
+        maximum=0.9,
+        advice="Raise it when latent prints count; lower it when dry rims are lost.",
+    )
+    minimum_area: float = setting(
+        0.5e-6,
+        "Smallest gross area that counts as a contact.",
+        unit="m²",
+        minimum=0.0,
+        maximum=1e-4,
+    )
+    working_pixel: float = setting(
+        60e-6,
+        "Frames are reduced to pixels of about this size before they are measured.",
+        unit="m",
+        minimum=10e-6,
+        maximum=150e-6,
+        advice="Larger is faster and less accurate.",
+    )
+    background_frames: int = setting(
+        50,
+        "Contact-free frames after which an older one counts 1/e in the background.",
+        minimum=1,
+        maximum=10000,
+    )
+
+
+@dataclass
+class Steps:
+    """Pictures (h, w) uint8 of the last frame's steps at working resolution, for documentation.
+
+    ridges: None without contact.
+    """
+
+    frame: np.ndarray
+    background: np.ndarray
+    contrast: np.ndarray
+    ridges: Ridges | None
+
+
+class FtirSegmenter(AreaSensor):
+    """Measures frames of one camera, one after the other; see `AreaSensor`."""
+
+    SETTINGS = FtirSettings
+
+    def __init__(
+        self,
+        settings: FtirSettings | None = None,
+        calibration: PlateCalibration | None = None,
+    ) -> None:
+        self.settings = settings or FtirSettings()
+        self.calibration = calibration or PlateCalibration()
+        self.steps: Steps | None = None
+        self._background = LearnedBackground(self.settings.background_frames)
+        self._grid: WorkingGrid | None = None
+
+    @property
+    def learned(self) -> int:  # type: ignore[override]
+        """Number of contact-free frames in the background."""
+        return self._background.count
+
+    def learn(self, signal: np.ndarray) -> None:
+        """Add a contact-free frame (H, W) to the background."""
+        self._background.add(self._reduced(signal)[0])
+
+    def reset(self) -> None:
+        """Forget the background."""
+        self._background.clear()
+
+    def measure(self, signal: np.ndarray) -> ContactMeasurement:
+        """The contact in a frame (H, W); raises InputError for one that cannot be used."""
+        return self._measure(*self._reduced(signal))
+
+    def process(self, signal: np.ndarray) -> ContactMeasurement:
+        """Measure a frame and learn the background from it if it shows no contact."""
+        frame, grid = self._reduced(signal)
+        measurement = self._measure(frame, grid)
+        if measurement.flags & AreaFlag.NO_CONTACT:
+            self._background.add(frame)
+        return measurement
+
+    def _reduced(self, signal: np.ndarray) -> tuple[np.ndarray, WorkingGrid]:
+        image = as_mono8(signal)
+        size = (image.shape[1], image.shape[0])
+        if self._grid is None or self._grid.size != size:
+            self._grid = WorkingGrid(
+                size, self.calibration, self.settings.working_pixel, self.settings.ridge_period
+            )
+        return self._grid.reduce(image), self._grid
+
+    def _measure(self, frame: np.ndarray, grid: WorkingGrid) -> ContactMeasurement:
+        settings = self.settings
+        background = background_of(frame, self._background, settings.polarity, grid.period)
+        contrast, noise = contrast_of(frame, background)
+        ridges = find_ridges(contrast, noise, background.learned, settings.minimum_contrast, grid)
+        self.steps = Steps(frame, background.image, contrast, ridges)
+        flags = AreaFlag(0)
+        if not background.learned:
+            flags |= AreaFlag.NO_BACKGROUND
+        if not self.calibration.calibrated:
+            flags |= AreaFlag.UNCALIBRATED
+        nothing = ContactMeasurement(flags=int(flags | AreaFlag.NO_CONTACT))
+        if ridges is None:
+            return nothing
+        outlined = self._outline(ridges, grid)
+        if outlined is None:
+            return nothing
+        shape, real_area, hull = outlined
+        if shape.area < settings.minimum_area:
+            return nothing
+        if not background.learned and real_area < GUESSED_MINIMUM:
+            return nothing
+        if ridges.other_regions:
+            flags |= AreaFlag.MULTIPLE_REGIONS
+        if self._is_clipped(hull, grid):
+            flags |= AreaFlag.CLIPPED
+        if real_area < 0.2 * shape.area or shape.area < 5e-6:
+            flags |= AreaFlag.SPARSE
+        mean_contrast = cv2.mean(contrast[ridges.box], ridges.touching)[0]
+        if mean_contrast < 1.7 * settings.minimum_contrast * 255:
+            flags |= AreaFlag.LOW_CONTRAST
+        if _is_saturated(frame, ridges):
+            flags |= AreaFlag.SATURATED
+        return ContactMeasurement(
+            gross_area=shape.area,
+            real_area=min(real_area, shape.area),
+            area_sd=self._standard_deviation(shape),
+            centroid=shape.centroid,
+            ellipse_major=shape.major,
+            ellipse_minor=shape.minor,
+            ellipse_angle=shape.angle,
+            hull=hull,
+            flags=int(flags),
+        )
+
+    def _outline(self, ridges: Ridges, grid: WorkingGrid) -> tuple[Shape, float, np.ndarray] | None:
+        """Shape, real area (m²) and outline (n, 2) m; None where nothing is left."""
+        convex = self.settings.outline == "convex"
+        if convex:
+            corners = convex_corners(ridges.outermost)
+        else:
+            corners = closed_outline(ridges.outermost, round(1.6 * grid.period))
+        if len(corners) < 3:
+            return None
+        outline = grid.to_plate(corners, ridges.box)
+        shape = Shape(outline)
+        if shape.area <= 0:
+            return None
+        pixel_area = float(cv2.mean(grid.areas[ridges.box], ridges.touching)[0])
+        real_area = pixel_area * cv2.countNonZero(ridges.touching)
+        touching_share = min(1.0, real_area / shape.area)
+        margin = FURROW * self.settings.ridge_period * (1 - touching_share) ** 2
+        outline = widened(outline, margin) if convex else shifted(outline, margin)
+        return Shape(outline), real_area, outline
+
+    def _is_clipped(self, hull: np.ndarray, grid: WorkingGrid) -> bool:
+        """Whether the outline comes within a ridge period of the image's border.
+
+        Skin beyond the last ridge may lie outside the image.
+        """
+        width, height = grid.size
+        pixels = self.calibration.to_pixels(hull, width, height)
+        margin = grid.period * grid.step
+        low, high = pixels.min(axis=0), pixels.max(axis=0)
+        return bool(
+            low.min() < margin or high[0] > width - 1 - margin or high[1] > height - 1 - margin
+        )
+
+    def _standard_deviation(self, shape: Shape) -> float:
+        """Standard deviation of the gross area, m².
+
+        Independent errors of the outline, one per ridge period along it, and a common relative
+        error. Both sizes come from rendered frames (docs/vision.md).
+        """
+        period = self.settings.ridge_period
+        edge = 0.25 * period * math.sqrt(period * shape.perimeter)
+        return math.hypot(edge, 0.015 * shape.area)
+
+
+def _is_saturated(frame: np.ndarray, ridges: Ridges) -> bool:
+    """Whether a fifth of the plate, or of the ridges, is at an end of the grey scale."""
+    tiles = tile_means(frame)
+    if np.mean((tiles >= 254) | (tiles <= 1)) > 0.2:
+        return True
+    inside = cv2.inRange(frame[ridges.box], 1, 254)
+    return bool(cv2.mean(inside, ridges.touching)[0] < 0.8 * 255)

@@ -1,0 +1,191 @@
+"""Which pixels are ridges of the pressing finger: contrast, local threshold, region.
+
+Images here are at working resolution; masks are uint8, 0 or 255.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from .background import Background
+from .working_grid import Box, WorkingGrid
+
+STRONG_SHARE = 0.25
+"""Contrast above this share of the frame's typical ridge contrast is certainly skin."""
+
+FAINT_SHARE, FAINT_SHARE_GUESSED = 0.12, 0.25
+"""Skin beside it counts down to this share. Without a learned background it might be the print of
+an earlier press, hence the higher figure."""
+
+FAINT_CONTRAST = 0.05
+"""… and down to this contrast, fraction of the grey range."""
+
+RIDGE_LEVEL, RIM_LEVEL = 0.5, 0.35
+"""A ridge ends for the real area where the contrast has fallen to half of its local height; the
+outline of the gross contact goes through the outermost trace, somewhat further out."""
+
+REACH = 2.5e-3
+"""Faint skin further than this (m) from certain skin does not count."""
+
+DENSITY = 0.06
+"""Share of ridge pixels about a point that makes it part of a region."""
+
+OTHER_REGION = 2e-6
+"""m², smallest region beside the finger's that is reported."""
+
+DARKEST = 80.0
+"""Grey below which a plate counts as dark: noise on it is not contrast."""
+
+GUESSED_CAUTION = 1.3
+"""Factor on the contrast of certain skin where no background was learned: an earlier print may be
+there."""
+
+
+@dataclass(frozen=True)
+class Ridges:
+    """Ridges of the pressing finger: masks of the working pixels inside `box`.
+
+    touching: down to half of the local contrast. outermost: down to the outermost trace. region:
+    what belongs to the finger. other_regions: whether other regions were left out.
+    """
+
+    box: Box
+    touching: np.ndarray
+    outermost: np.ndarray
+    region: np.ndarray
+    other_regions: bool
+
+
+def contrast_of(frame: np.ndarray, background: Background) -> tuple[np.ndarray, float]:
+    """Contrast (h, w) uint8 of touching skin, 255 for all of the light, and noise in that unit."""
+    if background.bright_ridges:
+        return cv2.subtract(frame, background.image), background.noise
+    # Relative to the light that falls there, so that vignetting does not matter.
+    light = cv2.max(background.image, np.array([DARKEST]))
+    contrast = cv2.divide(cv2.subtract(background.image, frame), light, scale=255)
+    return contrast, background.noise * 255 / float(cv2.mean(light[::8, ::8])[0])
+
+
+def find_ridges(
+    contrast: np.ndarray, noise: float, learned: bool, minimum_contrast: float, grid: WorkingGrid
+) -> Ridges | None:
+    """Ridges of the pressing finger in a contrast image (h, w) uint8; None without contact.
+
+    noise: standard deviation of the contrast. learned: whether the background was learned.
+    minimum_contrast: fraction of the grey range.
+    """
+    # Certain skin, at a quarter of the working resolution, says where to look closer.
+    columns, rows = contrast.shape[1] // 2, contrast.shape[0] // 2
+    half = cv2.resize(contrast, (columns, rows), interpolation=cv2.INTER_AREA)
+    floor = minimum_contrast * 255 * (1.0 if learned else GUESSED_CAUTION)
+    typical = _typical_contrast(half, floor)
+    if typical == 0:
+        return None
+    strong = max(floor, STRONG_SHARE * typical)
+    core = _density(_above(half, strong), 2, grid)
+    box = _box(core, grid)
+    if box is None:
+        return None
+    # A plate so even that it has no noise is clipped to white: no earlier print could show on it.
+    share = FAINT_SHARE if learned or noise < 0.5 else FAINT_SHARE_GUESSED
+    faint = max(FAINT_CONTRAST * 255, share * typical, min(5 * noise, 0.6 * strong))
+    touching, outermost = _threshold(contrast[box], faint, grid)
+    region, other_regions = _region(core[_quarter(box)], touching, grid)
+    if region is None:
+        return None
+    touching &= region
+    outermost &= region
+    if not learned and cv2.mean(contrast[box], touching)[0] < floor:
+        return None
+    return Ridges(box, touching, outermost, region, other_regions)
+
+
+def _above(image: np.ndarray, limit: float) -> np.ndarray:
+    """Mask of pixels above a limit."""
+    return cv2.threshold(image, limit, 255, cv2.THRESH_BINARY)[1]
+
+
+def _typical_contrast(contrast: np.ndarray, floor: float) -> float:
+    """Median contrast of what is above the floor; 0 without any."""
+    histogram = cv2.calcHist([contrast], [0], None, [256], [0, 256]).ravel()
+    histogram[: int(floor) + 1] = 0
+    total = histogram.sum()
+    return float(np.searchsorted(np.cumsum(histogram), 0.5 * total)) if total > 0 else 0.0
+
+
+def _density(mask: np.ndarray, step: int, grid: WorkingGrid) -> np.ndarray:
+    """Share (0…255) of a mask within 2.5 ridge periods, `step` times coarser than the mask."""
+    size = (-(-mask.shape[1] // step), -(-mask.shape[0] // step))
+    coarse = cv2.resize(mask, size, interpolation=cv2.INTER_AREA)
+    window = max(3, round(2.5 * grid.period / 4) | 1)
+    return cv2.blur(coarse, (window, window), borderType=cv2.BORDER_REPLICATE)
+
+
+def _box(core: np.ndarray, grid: WorkingGrid) -> Box | None:
+    """Rows and columns, multiples of 4, of all skin with the reach around it; None without any."""
+    left, top, width, height = cv2.boundingRect(_above(core, DENSITY * 255))
+    if width == 0:
+        return None
+    margin = math.ceil((REACH / grid.pitch + 2 * grid.period) / 4)
+    rows, columns = grid.shape
+    return (
+        slice(4 * max(top - margin, 0), min(4 * (top + height + margin), rows)),
+        slice(4 * max(left - margin, 0), min(4 * (left + width + margin), columns)),
+    )
+
+
+def _quarter(box: Box) -> Box:
+    """The box on a grid four times coarser."""
+    rows, columns = box
+    return (
+        slice(rows.start // 4, -(-rows.stop // 4)),
+        slice(columns.start // 4, -(-columns.stop // 4)),
+    )
+
+
+def _threshold(
+    contrast: np.ndarray, faint: float, grid: WorkingGrid
+) -> tuple[np.ndarray, np.ndarray]:
+    """Masks of pixels above RIDGE_LEVEL and RIM_LEVEL of the local contrast, and above `faint`."""
+    height, width = contrast.shape
+    half = cv2.resize(contrast, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
+    reach = max(3, round(0.5 * grid.period) | 1)
+    local = cv2.dilate(half, np.ones((reach, reach), np.uint8))
+    local = cv2.resize(
+        cv2.blur(local, (reach, reach)), (width, height), interpolation=cv2.INTER_LINEAR
+    )
+    lowest = np.array([faint])
+    touching, outermost = (
+        cv2.compare(contrast, cv2.max(cv2.convertScaleAbs(local, alpha=share), lowest), cv2.CMP_GT)
+        for share in (RIDGE_LEVEL, RIM_LEVEL)
+    )
+    return touching, outermost
+
+
+def _region(
+    core: np.ndarray, ridges: np.ndarray, grid: WorkingGrid
+) -> tuple[np.ndarray | None, bool]:
+    """Mask of the pressing finger's region in the box, and whether other regions were left out.
+
+    Regions are connected by the density of ridges; the one with most certain skin is the pressing
+    finger's.
+    """
+    certain = _above(core, DENSITY * 255)
+    size = round(REACH / (2 * grid.pitch)) | 1
+    near = cv2.dilate(certain, np.ones((size, size), np.uint8))
+    dense = cv2.bitwise_and(_above(_density(ridges, 4, grid), DENSITY * 255), near)
+    count, labels = cv2.connectedComponents(dense, connectivity=8)
+    weight = np.bincount(labels[certain > 0], minlength=count)
+    weight[0] = 0
+    best = int(np.argmax(weight))
+    if weight[best] == 0:
+        return None, False
+    other = max(0.05 * weight[best], OTHER_REGION / (4 * grid.pitch) ** 2)
+    main = np.where(labels == best, np.uint8(255), np.uint8(0))
+    rows, columns = ridges.shape
+    region = cv2.resize(main, (columns, rows), interpolation=cv2.INTER_NEAREST)
+    return region, int(np.sum(weight > other)) > 1
