@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 
@@ -17,7 +17,8 @@ from finger_common.flags import AreaFlag
 from finger_common.plugins import Plugins
 from finger_common.settings import Settings, setting
 
-from .calibration import PlateCalibration
+if TYPE_CHECKING:
+    from .calibration import PlateCalibration
 
 AREA_SENSORS = Plugins("finger_vision.area_sensor", "area sensor")
 
@@ -94,9 +95,7 @@ class AreaSensor(Protocol):
 
 
 def open_area_sensor(
-    name: str = DEFAULT_AREA_SENSOR,
-    calibration: PlateCalibration | None = None,
-    values: Mapping[str, Any] | None = None,
+    name: str, calibration: PlateCalibration, values: Mapping[str, Any] | None = None
 ) -> AreaSensor:
     """The area sensor of that name.
 
@@ -104,7 +103,5 @@ def open_area_sensor(
     Raises InputError for an area sensor that is not installed or a bad value.
     """
     sensor = AREA_SENSORS.load(name)
-    opened: AreaSensor = sensor(
-        sensor.SETTINGS.select(values or {}), calibration or PlateCalibration()
-    )
+    opened: AreaSensor = sensor(sensor.SETTINGS.select(values or {}), calibration)
     return opened
