@@ -1,0 +1,140 @@
+"""An area sensor of another package, as docs/add_an_area_sensor.md shows it, used unedited."""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+ELECTRODE = 0.5e-3
+"""m, side of an electrode; the array has 40 × 48 of them."""
+
+AREA_PER_PIXEL = ELECTRODE**2
+
+
+@pytest.fixture(scope="module")
+def outside(tmp_path_factory: pytest.TempPathFactory, project_root: Path) -> dict[str, str]:
+    """Environment in which the package of the page is installed: its module and its metadata."""
+    tomllib = pytest.importorskip("tomllib", reason="reading pyproject.toml needs Python 3.11")
+    page = (project_root / "docs" / "add_an_area_sensor.md").read_text()
+    module, project = (
+        re.search(rf"^```{kind}\n(.*?)^```$", page, re.M | re.S)[1] for kind in ("python", "toml")
+    )
+    folder = tmp_path_factory.mktemp("outside")
+    (folder / "capacitive_array.py").write_text(module)
+    described = tomllib.loads(project)["project"]
+    metadata = folder / f"capacitive_array-{described['version']}.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text(
+        f"Metadata-Version: 2.1\nName: {described['name']}\nVersion: {described['version']}\n"
+    )
+    entries = [
+        line
+        for group, members in described["entry-points"].items()
+        for line in (f"[{group}]", *(f"{name} = {value}" for name, value in members.items()))
+    ]
+    (metadata / "entry_points.txt").write_text("\n".join(entries) + "\n")
+    path = [str(folder), os.environ.get("PYTHONPATH", "")]
+    return {"PYTHONPATH": os.pathsep.join(filter(None, path))}
+
+
+def counts(radius: float, centre: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
+    """Counts (40, 48) uint16 under a disc (m): a baseline that varies, 800 more when covered."""
+    fine = 10
+    y, x = np.indices((40 * fine, 48 * fine)) + 0.5
+    pitch = ELECTRODE / fine
+    distance = np.hypot(x * pitch - 12e-3 - centre[0], y * pitch - 10e-3 - centre[1])
+    covered = (distance < radius).reshape(40, fine, 48, fine).mean(axis=(1, 3))
+    rng = np.random.default_rng(round(1e7 * radius))
+    baseline = 2000 + 50 * np.sin(np.arange(48) / 7)
+    return np.rint(baseline + 800 * covered + rng.normal(0, 5, covered.shape)).astype(np.uint16)
+
+
+def run(outside: dict[str, str], *arguments: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, *map(str, arguments)]
+    return subprocess.run(command, env={**os.environ, **outside}, capture_output=True, text=True)
+
+
+def test_the_node_runs_with_it(outside: dict[str, str], vision_node: Callable) -> None:
+    pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+    from finger_msgs.msg import ContactArea
+
+    peer = vision_node(
+        outside, area_sensor="capacitive_array", full_counts=800.0, area_per_pixel=AREA_PER_PIXEL
+    )
+    empty = peer.ask(peer.image(counts(0.0), 1, "mono16"))
+    assert empty.gross_area == 0.0 and empty.flags & ContactArea.FLAG_NO_CONTACT
+    pressed = peer.ask(peer.image(counts(5e-3, (2e-3, -1e-3)), 2, "mono16"))
+    assert pressed.flags == 0
+    assert pressed.gross_area == pytest.approx(np.pi * 5e-3**2, rel=0.02)
+    assert 0 < pressed.area_stddev < 2e-6
+    # The plate frame has its origin in the middle of the image.
+    assert (pressed.centroid.x, pressed.centroid.y) == pytest.approx((2e-3, -1e-3), abs=0.2e-3)
+    assert pressed.ellipse_major == pytest.approx(10e-3, rel=0.06)
+    assert len(pressed.hull) > 10
+    # Its own parameters, with their ranges, are those of the node now; those of FTIR are not.
+    names = peer.parameters("vision")
+    assert {"full_counts", "noise_counts"} <= set(names) and "polarity" not in names
+
+
+def test_the_command_measures_files_with_it(outside: dict[str, str], tmp_path: Path) -> None:
+    for name, radius in (("empty", 0.0), ("small", 2e-3), ("large", 6e-3)):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), counts(radius))
+    out = tmp_path / "areas.csv"
+    command = ("-m", "finger_vision.cli", "area", "--area-sensor", "capacitive_array")
+    result = run(
+        outside,
+        *command,
+        *(tmp_path / "small.png", tmp_path / "large.png"),
+        *("--background", tmp_path / "empty.png"),
+        *("--full-counts", 800, "--area-per-pixel", AREA_PER_PIXEL, "-o", out),
+    )
+    assert result.returncode == 0, result.stderr
+    areas = [float(row["gross_area_mm2"]) for row in csv.DictReader(out.open())]
+    assert areas == pytest.approx([np.pi * 2**2, np.pi * 6**2], rel=0.03)
+    help_text = run(outside, *command, "--help").stdout
+    assert "--full-counts" in help_text and "--polarity" not in help_text
+    refused = run(outside, *command, "--full-counts", 0, "x.png")
+    assert refused.returncode == 2 and "full_counts" in refused.stderr
+
+
+def test_bags_are_measured_with_it(
+    outside: dict[str, str], tmp_path: Path, write_image_bag: Callable
+) -> None:
+    write_image_bag(tmp_path / "bag", [counts(0.0), counts(4e-3)], 0.1)
+    result = run(
+        outside,
+        "-c",
+        "import sys\n"
+        "from finger_bag.reader import open_bag\n"
+        "from finger_offline.image_areas import ImageAreas\n"
+        "with open_bag(sys.argv[1]) as reader:\n"
+        "    areas = ImageAreas.for_bag(\n"
+        "        reader, area_per_pixel=float(sys.argv[2]), area_sensor='capacitive_array'\n"
+        "    )\n"
+        "    for item in reader.messages(['/finger/image_raw']):\n"
+        "        areas.add(item)\n"
+        "print(*areas.arrays()['area'])\n",
+        tmp_path / "bag",
+        AREA_PER_PIXEL,
+    )
+    assert result.returncode == 0, result.stderr
+    empty, pressed = map(float, result.stdout.split())
+    # Default settings: the array's counts are 80 % of what they take for full coverage.
+    assert empty == 0.0
+    assert pressed == pytest.approx(0.8 * np.pi * 4e-3**2, rel=0.03)
+
+
+def test_an_area_sensor_that_is_not_installed_is_refused(tmp_path: Path) -> None:
+    result = run({}, "-m", "finger_vision.cli", "area", "x.png", "--area-sensor", "absent")
+    assert result.returncode == 2
+    assert "area sensor 'absent' is not installed; known are ftir" in result.stderr
+    assert result.stderr.count("\n") == 1
