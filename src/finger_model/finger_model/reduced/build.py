@@ -23,7 +23,6 @@ from finger_common.files import atomic_write, sha256_of
 from ..fem.full_order import FullOrderModel
 from ..geometry import Geometry
 from ..material import Material
-from . import kernels as rk
 from .error import ErrorTable, error_table
 from .force_histories import FULL_RANGE, PAPER_BOX
 from .model import RANGE_NAMES, ReducedModel
@@ -313,8 +312,3 @@ def _unpacked(archive: Any) -> Iterator[Run]:
             *(data[field][rows] for field in _FIELDS[1:]),
             float(data["failed"][i]),
         )
-
-
-def latents_of(model: ReducedModel) -> int:
-    """Number of internal coordinates of a model."""
-    return int(model.weights[rk.LATENTS])

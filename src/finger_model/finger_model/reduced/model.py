@@ -8,6 +8,7 @@ import json
 import math
 import zipfile
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -31,31 +32,25 @@ RANGE_NAMES = ("E0", "E1", "tau1", "E2")
 
 
 class _Folded(NamedTuple):
-    """A network for the kernels: width, first bias, the row of ln E2/E0 in it, layers, bias of the last."""
+    """A network for the kernels: bias of the first layer, the row of ln E2/E0 in it, layers by name."""
 
-    width: int
     first_bias: np.ndarray
     stiffness_row: np.ndarray
-    layers: np.ndarray
-    last_bias: np.ndarray
+    layers: dict[str, np.ndarray]
 
 
+@dataclass
 class ReducedState:
-    """One finger on its way: `parameters` (4,), the kernel's constants and state arrays, and the time since rest."""
+    """One finger on its way: `parameters` (n,), the kernels' records and the time (s) since rest."""
 
-    __slots__ = ("constants", "parameters", "state", "time")
-
-    def __init__(self, parameters: np.ndarray, constants: np.ndarray, state: np.ndarray) -> None:
-        self.parameters = parameters
-        self.constants = constants
-        self.state = state
-        self.time = 0.0
+    parameters: np.ndarray
+    constants: np.ndarray
+    state: np.ndarray
+    time: float = 0.0
 
     def copy(self) -> ReducedState:
         """Independent copy."""
-        other = ReducedState(self.parameters, self.constants, self.state.copy())
-        other.time = self.time
-        return other
+        return replace(self, state=self.state.copy())
 
 
 class ReducedModel:
@@ -90,22 +85,22 @@ class ReducedModel:
 
     def _prepare(self) -> None:
         a = self.arrays
-        self._latents = a["drive_weights_3"].shape[1] - 1
-        self._frictions = len(a["betas"])
-        drive = self._network("drive", 2 + 2 * self._latents, 1 + self._latents)
-        contact = self._network(
-            "contact", 2 + 2 * self._latents + self._frictions, rk.CONTACT_OUTPUTS
+        self.latents = a["drive_weights_3"].shape[1] - 1
+        frictions = len(a["betas"])
+        drive = self._network("drive", 2 + 2 * self.latents, 1 + self.latents)
+        contact = self._network("contact", 2 + 2 * self.latents + frictions, rk.CONTACT_OUTPUTS)
+        self._first_bias = {"drive": drive.first_bias, "contact": contact.first_bias}
+        self._stiffness_row = {"drive": drive.stiffness_row, "contact": contact.stiffness_row}
+        self._types = rk.record_types(
+            self.latents, frictions, len(drive.first_bias), len(contact.first_bias)
         )
-        self._drive, self._contact = drive, contact
-        header = np.zeros(rk.HEADER)
-        header[rk.LATENTS], header[rk.FRICTIONS] = self._latents, self._frictions
-        header[rk.DRIVE_WIDTH], header[rk.CONTACT_WIDTH] = drive.width, contact.width
-        header[rk.BETAS : rk.BETAS + self._frictions] = a["betas"]
-        self.weights = np.concatenate([header, drive.layers, contact.layers, contact.last_bias])
-        widths = (drive.width, contact.width)
-        self._constants_size = rk.constants_size(self._latents, *widths)
+        self.networks = np.zeros(1, self._types.networks)
+        self.networks["betas"] = a["betas"]
+        for name, folded in (("drive", drive), ("contact", contact)):
+            for key, values in folded.layers.items():
+                self.networks[name][key] = values
+        self._work = np.zeros(1, self._types.work)
         self._limit = a["force_limit"]
-        self.state_size = rk.state_size(self._latents, self._frictions, *widths)
         self.hash = sha256_of(
             {
                 "geometry": self.geometry_hash,
@@ -115,7 +110,7 @@ class ReducedModel:
         self.rms_error = float(self.measured_error.get("rms_p99", 0.01))
 
     def _network(self, name: str, inputs: int, outputs: int) -> _Folded:
-        """Layers of a network as the kernels take them; raises ValueError for layers that do not fit together."""
+        """A network as the kernels take it; raises ValueError for layers that do not fit together."""
         a = {k.removeprefix(name + "_"): v for k, v in self.arrays.items() if k.startswith(name)}
         first, second, last = (a[f"weights_{i}"] for i in (1, 2, 3))
         width = len(a["bias_1"])
@@ -127,14 +122,19 @@ class ReducedModel:
             raise ValueError(f"layers of the {name} network do not fit together")
         # Scaling of inputs and outputs goes into the weights; the last input, ln E2/E0, into the bias.
         first = first / a["input_scale"][:, None]
-        last = last * a["output_scale"]
-        return _Folded(
-            width,
-            a["bias_1"] - a["input_mean"] @ first,
-            first[inputs],
-            np.concatenate([first[:inputs].ravel(), a["bias_2"], second.ravel(), last.ravel()]),
-            a["bias_3"] * a["output_scale"] + a["output_mean"],
-        )
+        k = self.latents
+        layers = {
+            "load": first[:2],
+            "amplitude": first[2 : 2 + k],
+            "amplitude_ratio": first[2 + k : 2 + 2 * k],
+            "bias_2": a["bias_2"],
+            "weights_2": second,
+            "weights_3": last * a["output_scale"],
+        }
+        if name == "contact":
+            layers["friction"] = first[2 + 2 * k : inputs]
+            layers["bias_3"] = a["bias_3"] * a["output_scale"] + a["output_mean"]
+        return _Folded(a["bias_1"] - a["input_mean"] @ first, first[inputs], layers)
 
     # Files -----------------------------------------------------------------------------------
 
@@ -182,28 +182,30 @@ class ReducedModel:
 
     # Parameters ------------------------------------------------------------------------------
 
-    def constants(self, parameters: np.ndarray) -> np.ndarray:
-        """The kernel's constants of one parameter set [E0, E1, tau1, E2]; raises InputError if not positive."""
+    def constants(self, parameters: np.ndarray | Material) -> np.ndarray:
+        """The kernels' record (1,) of one parameter set; raises InputError if it is not positive."""
         vector = self._vector(parameters)
         E0, E1, tau1, E2 = vector
         length = self.geometry.pad_semi_axis_radial
-        p = np.zeros(self._constants_size)
-        p[rk.LENGTH] = length
-        p[rk.FORCE_SCALE] = E0 * length**2
-        p[rk.TAU] = tau1
-        p[rk.RATIO] = E0 / E1
-        p[rk.FORCE_LIMIT] = self.force_limit(vector)
+        record = np.zeros(1, self._types.parameters)
+        record["length"] = length
+        record["force_scale"] = E0 * length**2
+        record["tau"] = tau1
+        record["modulus_ratio"] = E0 / E1
+        record["force_limit"] = self.force_limit(vector)
         stiffness = math.log(E2 / E0)
-        end = rk.FIRST_BIAS + self._drive.width
-        p[rk.FIRST_BIAS : end] = self._drive.first_bias + stiffness * self._drive.stiffness_row
-        contact = end + 1 + self._latents
-        p[contact:] = self._contact.first_bias + stiffness * self._contact.stiffness_row
+        for name in ("drive", "contact"):
+            record[f"{name}_bias"] = self._first_bias[name] + stiffness * self._stiffness_row[name]
         # Indentation and drive at rest, which the kernels subtract.
-        state = np.zeros(self.state_size)
-        rk.rest(self.weights, p, state)
-        at = rk.INTERNAL + 3 * self._latents + self._frictions
-        p[end:contact] = state[at : at + 1 + self._latents]
-        return p
+        state = self.state_at_rest(record)
+        record["drive_at_rest"] = state["drive"]
+        return record
+
+    def state_at_rest(self, constants: np.ndarray) -> np.ndarray:
+        """The kernels' record (1,) of a finger at rest."""
+        state = np.zeros(1, self._types.state)
+        rk.rest(self.networks, constants, state, self._work)
+        return state
 
     def _vector(self, parameters: Any) -> np.ndarray:
         if isinstance(parameters, Material):
@@ -260,26 +262,39 @@ class ReducedModel:
         """A finger of these parameters at rest."""
         vector = self._vector(parameters)
         constants = self.constants(vector)
-        state = np.zeros(self.state_size)
-        rk.rest(self.weights, constants, state)
-        return ReducedState(vector, constants, state)
+        return ReducedState(vector, constants, self.state_at_rest(constants))
 
     def step(self, state: ReducedState, dt: float, force: float) -> ContactPoint:
         """Advance by dt (s) to `force` (N, held at the force limit); time counts from rest."""
-        s = state.state
-        rk.advance(self.weights, state.constants, s, dt, force)
-        rk.outputs(self.weights, state.constants, s)
+        rk.step(self.networks, state.constants, state.state, self._work, dt, force)
         state.time += dt
-        area = float(s[rk.AREA])
+        found = state.state[0]
+        area = float(found["area"])
         return ContactPoint(
             state.time,
             force,
             area,
             math.sqrt(area / math.pi),
-            float(s[rk.INDENTATION]),
-            float(s[rk.PEAK]),
-            float(s[rk.FORCE]) / area if area > 0 else 0.0,
+            float(found["indentation"]),
+            float(found["peak_pressure"]),
+            float(found["force"]) / area if area > 0 else 0.0,
         )
+
+    def follow(
+        self,
+        constants: np.ndarray,
+        state: np.ndarray,
+        time: np.ndarray,
+        force: np.ndarray,
+        before: float,
+    ) -> np.ndarray:
+        """Area (m²), indentation (m) and peak pressure (Pa) as columns (n, 3); `state` goes along.
+
+        constants, state: the kernels' records; time (n,) in s, the state's own being `before`; force (n,) in N.
+        """
+        table = np.empty((len(time), 3))
+        rk.follow(self.networks, constants, state, self._work, before, time, force, table)
+        return table
 
     def simulate(
         self, material: np.ndarray | Material, time: np.ndarray, force: np.ndarray
@@ -299,27 +314,27 @@ class ReducedModel:
                 f"{low:g} … {high:g}; use --solver full"
             )
         constants = self.constants(vector)
-        limit = constants[rk.FORCE_LIMIT]
+        limit = float(constants["force_limit"][0])
         if force.max() > limit:
             row = int(np.argmax(force > limit))
             raise InputError(
                 f"force {force[row]:.3g} N at t = {time[row]:.4g} s is beyond the reduced model's limit of "
                 f"{limit:.3g} N for this material; lower the force or use --solver full"
             )
-        table = np.empty((len(time), 3))
-        rk.history(self.weights, constants, np.zeros(self.state_size), time, force, table)
-        area = table[:, 0]
-        mean = np.divide(np.maximum(force, 0), area, out=np.zeros_like(area), where=area > 0)
-        return ContactHistory(
-            time, force, area, np.sqrt(area / math.pi), table[:, 1], table[:, 2], mean
-        )
+        state = self.state_at_rest(constants)
+        table = self.follow(constants, state, time, force, before=time[0])
+        return history_of(time, force, table)
 
     def visited(self, parameters: np.ndarray, time: np.ndarray, force: np.ndarray) -> np.ndarray:
         """Amplitudes a and friction states q (n, k + m) under forces (n,) in N at times (n,) in s; see the kernels."""
-        out = np.empty((len(time), self._latents + self._frictions))
         constants = self.constants(parameters)
-        rk.visited(self.weights, constants, np.zeros(self.state_size), time, force, out)
-        return out
+        state = np.zeros(1, self._types.state)
+        amplitudes = np.empty((len(time), self.latents))
+        friction = np.empty((len(time), len(self.arrays["betas"])))
+        rk.visited(
+            self.networks, constants, state, self._work, time, force, amplitudes, friction
+        )
+        return np.hstack([amplitudes, friction])
 
     def batch(
         self,
@@ -333,7 +348,7 @@ class ReducedModel:
         Forces beyond the limit are held at it, parameters out of range are not refused: see `out_of_range`.
         """
         parameters = np.atleast_2d(np.asarray(parameters, dtype=float))
-        constants = np.array([self.constants(row) for row in parameters])
+        constants = np.concatenate([self.constants(row) for row in parameters])
         checked = [check_force_history(t[0], t[1], f"trial {i}") for i, t in enumerate(trials)]
         start = np.concatenate([[0], np.cumsum([len(time) for time, _ in checked])]).astype(
             np.int64
@@ -351,9 +366,10 @@ class ReducedModel:
         out = np.empty((len(parameters), count))
         if checked:
             rk.batch(
-                self.weights,
+                self.networks,
                 constants,
-                self.state_size,
+                np.zeros(1, self._types.state),
+                self._work,
                 np.concatenate([time for time, _ in checked]),
                 np.concatenate([force for _, force in checked]),
                 start,
@@ -361,6 +377,15 @@ class ReducedModel:
                 out,
             )
         return [out[:, part] for part in frames]
+
+
+def history_of(time: np.ndarray, force: np.ndarray, table: np.ndarray) -> ContactHistory:
+    """History with the columns area, indentation and peak pressure of `table` (n, 3)."""
+    area = table[:, 0]
+    mean = np.divide(np.maximum(force, 0), area, out=np.zeros_like(area), where=area > 0)
+    return ContactHistory(
+        time, force, area, np.sqrt(area / math.pi), table[:, 1], table[:, 2], mean
+    )
 
 
 @functools.cache
