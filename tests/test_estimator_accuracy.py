@@ -98,7 +98,7 @@ def session(trials: list[Trial], parameters: np.ndarray, seed: int) -> Score:
         stamps = start + np.round(trial.time * 1e9).astype(np.int64)
         force = trial.force + rng.normal(0.0, FORCE_NOISE, len(trial.force))
         block = estimator.add_wrenches(stamps, np.column_stack([0 * force, 0 * force, -force]))
-        counted = (block.whole[:, 2] > 0) & (trial.area > 0)
+        counted = block.column("in_contact") & (trial.area > 0)
         found[0].append((block.column("area") - trial.area)[counted])
         found[1].append((block.column("model_area") - trial.area)[counted])
         found[2].append((measured - truth)[truth > 0])

@@ -5,37 +5,29 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from .estimator.estimator import ContactEstimate, EstimatorEvent, EventType
+from finger_common.stamps import fill_time, header_stamp, time_fields
 
-NANOSECONDS = 1_000_000_000
+from .estimator import ContactEstimate, EstimatorEvent, EventType
+from .estimator.estimate import ESTIMATE_FIELDS
 
-
-def stamp_of(stamp: Any) -> int:
-    """Nanoseconds of a builtin_interfaces/Time."""
-    nanoseconds = stamp.nanosec if hasattr(stamp, "nanosec") else stamp.nanoseconds
-    return int(stamp.sec) * NANOSECONDS + int(nanoseconds)
+_COPIED = tuple(f.name for f in ESTIMATE_FIELDS if f.type != "time")
 
 
 def wrench_of(message: Any) -> tuple[int, tuple[float, float, float]]:
     """Arguments of `add_wrench` from a geometry_msgs/WrenchStamped."""
-    stamp = message.header.stamp
     force = message.wrench.force
-    return stamp.sec * NANOSECONDS + stamp.nanosec, (force.x, force.y, force.z)
+    return header_stamp(message), (force.x, force.y, force.z)
 
 
 def area_of(message: Any) -> tuple[int, float, float, int]:
     """Arguments of `add_area` from a finger_msgs/ContactArea."""
-    return (
-        stamp_of(message.header.stamp),
-        float(message.gross_area),
-        float(message.area_stddev),
-        int(message.flags),
-    )
+    area, sd = float(message.gross_area), float(message.area_stddev)
+    return header_stamp(message), area, sd, int(message.flags)
 
 
 def moisture_of(message: Any) -> tuple[int, float]:
     """Arguments of `add_moisture` from a finger_msgs/Moisture."""
-    return stamp_of(message.header.stamp), float(message.value)
+    return header_stamp(message), float(message.value)
 
 
 def event_of(message: Any) -> EstimatorEvent:
@@ -46,7 +38,7 @@ def event_of(message: Any) -> EstimatorEvent:
     except (ValueError, AttributeError):
         pass
     return EstimatorEvent(
-        stamp_of(message.header.stamp),
+        header_stamp(message),
         EventType(int(message.type)),
         str(message.settings),
         str(message.parameter_sets),
@@ -58,7 +50,7 @@ def event_of(message: Any) -> EstimatorEvent:
 
 
 def event_fields(event: EstimatorEvent, sequence: int) -> dict[str, Any]:
-    """Fields of a ModelEvent; "header" holds only the stamp as (sec, nanosec)."""
+    """Fields of a ModelEvent; header and stamp are dicts of their own fields."""
     settings = json.loads(event.settings)
     if event.late_areas or event.late_moistures:
         # Inputs that came too late and were not used: a replay leaves them out too.
@@ -67,7 +59,7 @@ def event_fields(event: EstimatorEvent, sequence: int) -> dict[str, Any]:
             "moistures": list(event.late_moistures),
         }
     return {
-        "stamp": divmod(event.stamp_ns, NANOSECONDS),
+        "header": {"stamp": time_fields(event.stamp_ns)},
         "type": int(event.type),
         "sequence": sequence,
         "settings": json.dumps(settings, sort_keys=True),
@@ -77,42 +69,9 @@ def event_fields(event: EstimatorEvent, sequence: int) -> dict[str, Any]:
     }
 
 
-def contact_state_fields(estimate: ContactEstimate) -> dict[str, Any]:
-    """Fields of a ContactState as a dict; `header` and `onset` are dicts of their own fields."""
-    fields = estimate._asdict()
-    seconds, nanoseconds = divmod(fields.pop("stamp_ns"), NANOSECONDS)
-    onset_seconds, onset_nanoseconds = divmod(fields.pop("onset_ns"), NANOSECONDS)
-    fields["header"] = {
-        "stamp": {"sec": seconds, "nanosec": nanoseconds},
-        "frame_id": "",
-    }
-    fields["onset"] = {"sec": onset_seconds, "nanosec": onset_nanoseconds}
-    return fields
-
-
 def fill_contact_state(message: Any, estimate: ContactEstimate) -> None:
     """Set the fields of a ContactState message that is used again and again (cheaper than a new one)."""
-    (
-        message.normal_force,
-        message.lateral_force,
-        message.model_area,
-        message.measured_area,
-        message.measured_area_age,
-        message.area,
-        message.area_stddev,
-        message.area_force_slope,
-        message.radius,
-        message.indentation,
-        message.mean_pressure,
-        message.peak_pressure,
-        message.moisture,
-        message.moisture_age,
-        stamp,
-        message.flags,
-        message.in_contact,
-        onset,
-        message.parameter_set,
-    ) = estimate
-    header = message.header.stamp
-    header.sec, header.nanosec = divmod(stamp, NANOSECONDS)
-    message.onset.sec, message.onset.nanosec = divmod(onset, NANOSECONDS)
+    fill_time(message.header.stamp, estimate.stamp_ns)
+    fill_time(message.onset, estimate.onset_ns)
+    for name in _COPIED:
+        setattr(message, name, getattr(estimate, name))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import json
 import time
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,49 +16,51 @@ from std_srvs.srv import Trigger
 
 from finger_common.cli import one_line
 from finger_common.diagnostics import WARN, Health
-from finger_common.errors import FingerError, InputError
+from finger_common.errors import FingerError
+from finger_common.flags import StateFlag
 from finger_common.node import LATCHED_QOS, ManagedNode, main_of
-from finger_common.parameters import Parameter, ParameterTable
+from finger_common.settings import Settings, setting
+from finger_common.stamps import fill_time
 from finger_msgs.msg import ContactArea, ContactState, ModelEvent, Moisture
 from finger_msgs.srv import ForceForArea, PredictContact
 
-from .estimator.estimator import ContactEstimator, EstimatorEvent
-from .estimator.settings import ESTIMATOR_PARAMETERS, EstimatorSettings
-from .flags import StateFlag
+from .estimator import ContactEstimator, EstimatorEvent, EstimatorSettings
+from .estimator.parameter_selection import check_sets
 from .geometry import Geometry
 from .messages import area_of, event_fields, fill_contact_state, moisture_of, wrench_of
 from .parameter_sets import ParameterSets
 from .reduced.model import ReducedModel
 
-TABLE = ESTIMATOR_PARAMETERS + ParameterTable(
-    Parameter("wrench_topic", "wrench", "Topic of the tared force."),
-    Parameter(
-        "parameter_file",
+
+@dataclass(frozen=True)
+class ModelSettings(Settings):
+    """What the node loads and listens to."""
+
+    wrench_topic: str = setting("wrench", "Topic of the tared force.")
+    parameter_file: str = setting(
         "",
         "parameters.yaml of a fit; empty for the shipped sets of the paper's three conditions.",
         runtime=True,
-    ),
-    Parameter(
-        "geometry_file",
+    )
+    geometry_file: str = setting(
         "",
         "geometry.yaml of the finger; empty for the default geometry.",
         advice="Another geometry needs its own reduced model: finger-model reduce --geometry.",
-    ),
-    Parameter(
-        "reduced_model_file",
+    )
+    reduced_model_file: str = setting(
         "",
-        "Reduced model made by 'finger-model reduce'; empty for the shipped one of the default geometry.",
-    ),
-    Parameter(
-        "force_stale_after",
+        "Reduced model made by 'finger-model reduce'; empty for the shipped one of the default "
+        "geometry.",
+    )
+    force_stale_after: float = setting(
         0.1,
         "Silence of the wrench from which diagnostics report an error.",
         unit="s",
         minimum=0.001,
         maximum=60.0,
         runtime=True,
-    ),
-)
+    )
+
 
 DRAIN = 64
 """Waiting samples taken in one go before other callbacks have their turn."""
@@ -99,7 +102,7 @@ class LatencyHistogram:
 class ModelNode(ManagedNode):
     """Thin shell around ContactEstimator."""
 
-    TABLE = TABLE
+    SETTINGS = (EstimatorSettings, ModelSettings)
     NAME = "model"
 
     def __init__(self, **options: Any) -> None:
@@ -128,7 +131,7 @@ class ModelNode(ManagedNode):
         geometry = Geometry.load(values["geometry_file"]) if values["geometry_file"] else Geometry()
         self._model = ReducedModel.load(values["reduced_model_file"] or None, geometry)
         self._sets = self._load_sets(values["parameter_file"])
-        settings = EstimatorSettings.from_mapping(values)
+        settings = self.settings(EstimatorSettings)
         ContactEstimator(self._model, self._sets, settings).add_wrench(1, (0.0, 0.0, 0.0))
         self.estimator = ContactEstimator(self._model, self._sets, settings)
         self._sequence = 0
@@ -174,9 +177,7 @@ class ModelNode(ManagedNode):
     def activate(self) -> None:
         """Begin with a finger at rest."""
         assert self._model is not None
-        self.estimator = ContactEstimator(
-            self._model, self._sets, EstimatorSettings.from_mapping(self.values)
-        )
+        self.estimator = ContactEstimator(self._model, self._sets, self.settings(EstimatorSettings))
         self._started = False
         self._jumped = False
         self._latency = LatencyHistogram()
@@ -204,27 +205,22 @@ class ModelNode(ManagedNode):
         """New settings or parameter sets, from the next sample on."""
         assert self.estimator is not None
         merged = {**self.values, **changes}
-        settings = EstimatorSettings.from_mapping(merged)
-        sets = None
-        if "parameter_file" in changes:
-            sets = self._load_sets(changes["parameter_file"])
+        settings = EstimatorSettings.select(merged)
+        sets = self._load_sets(merged["parameter_file"]) if "parameter_file" in changes else None
         self.health.stale_after = merged["force_stale_after"]
-        if any(name in ESTIMATOR_PARAMETERS for name in changes):
-            names = ", ".join(n for n in changes if n in ESTIMATOR_PARAMETERS)
-            self._tell(self.estimator.change_settings(settings, f"parameter {names} set"))
+        changed = [name for name in changes if name in EstimatorSettings.parameters()]
+        if changed:
+            reason = f"parameter {', '.join(changed)} set"
+            self._publish_event(self.estimator.change_settings(settings, reason))
         if sets is not None:
             self._sets = sets
             reason = f"parameter file {changes['parameter_file'] or 'unset, shipped sets'}"
-            self._tell(self.estimator.change_parameters(sets, reason))
+            self._publish_event(self.estimator.change_parameters(sets, reason))
 
     def _load_sets(self, path: str) -> ParameterSets:
         assert self._model is not None
         sets = ParameterSets.load(path) if path else ParameterSets.default()
-        if sets.geometry_hash and sets.geometry_hash != self._model.geometry_hash:
-            raise InputError(
-                f"{path}: fitted with geometry {sets.geometry_hash[:8]}, the reduced model is for "
-                f"{self._model.geometry_hash[:8]}; fit again or set reduced_model_file"
-            )
+        check_sets(sets, self._model, path or "the shipped sets")
         if sets.reduced_model_hash and sets.reduced_model_hash != self._model.hash:
             self.get_logger().warning(
                 f"{path or 'parameter sets'}: fitted with another reduced model of the same geometry"
@@ -251,12 +247,12 @@ class ModelNode(ManagedNode):
         stamp, force = wrench_of(message)
         if not self._started:
             self._started = True
-            self._tell(estimator.start_event(stamp))
+            self._publish_event(estimator.start_event(stamp))
         if self._jumped:
             self._jumped = False
             last = estimator.last_stamp
             if last is not None and stamp <= last:
-                self._tell(estimator.clock_jump_event(stamp))
+                self._publish_event(estimator.clock_jump_event(stamp))
         for estimate in estimator.add_wrench(stamp, force):
             out = self._message
             fill_contact_state(out, estimate)
@@ -270,7 +266,7 @@ class ModelNode(ManagedNode):
         if self._active and self.estimator is not None:
             area = area_of(message)
             if not self.estimator.add_area(*area):
-                self._tell(self.estimator.note_late(areas=[area[0]]))
+                self._publish_event(self.estimator.note_late(areas=[area[0]]))
 
     def _on_moisture(self, message: Moisture) -> None:
         if self._active and self.estimator is not None:
@@ -278,7 +274,7 @@ class ModelNode(ManagedNode):
             late = self.estimator.counters["late_moistures"]
             if not self.estimator.add_moisture(*reading):
                 if self.estimator.counters["late_moistures"] > late:
-                    self._tell(self.estimator.note_late(moistures=[reading[0]]))
+                    self._publish_event(self.estimator.note_late(moistures=[reading[0]]))
                 else:
                     self.log_fault(
                         self.inputs,
@@ -290,14 +286,13 @@ class ModelNode(ManagedNode):
     def _on_jump(self, jump: Any) -> None:
         self._jumped = True
 
-    def _tell(self, event: EstimatorEvent) -> None:
-        """Publish an event."""
+    def _publish_event(self, event: EstimatorEvent) -> None:
         fields = event_fields(event, self._sequence)
         self._sequence += 1
         message = ModelEvent()
-        message.header.stamp.sec, message.header.stamp.nanosec = fields.pop("stamp")
-        for name, value in fields.items():
-            setattr(message, name, value)
+        fill_time(message.header.stamp, event.stamp_ns)
+        for name in ("type", "sequence", "settings", "parameter_sets", "model_hash", "reason"):
+            setattr(message, name, fields[name])
         self._event_publisher.publish(message)
 
     # Services --------------------------------------------------------------------------------
@@ -306,7 +301,7 @@ class ModelNode(ManagedNode):
         if not self._active or self.estimator is None:
             response.success, response.message = False, "the node is not active; activate it first"
             return response
-        self._tell(self.estimator.reset("service ~/reset"))
+        self._publish_event(self.estimator.reset("service ~/reset"))
         response.success, response.message = True, "finger at rest, nothing remembered of it"
         return response
 

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from finger_common.errors import InputError
+from finger_common.flags import StateFlag
 from finger_model.estimator import (
     ContactEstimate,
     ContactEstimator,
     EstimateBlock,
+    EstimatorSettings,
     EventType,
     replay,
 )
-from finger_model.estimator.settings import EstimatorSettings
-from finger_model.flags import StateFlag
 from finger_model.parameter_sets import ParameterSet, ParameterSets
 from finger_model.reduced import ReducedModel
 
@@ -347,11 +347,11 @@ def test_prediction_is_what_happens_then(estimator: ContactEstimator) -> None:
     one(estimator, 500, 0.8)
     time = np.arange(1, 51) * 0.01
     force = 0.8 + 0.5 * time
-    foretold = estimator.predict(time, force)
+    predicted = estimator.predict(time, force)
     for t, f in zip(time, force):
         (then,) = one(estimator, 500 + round(1000 * t), f)
-    assert foretold.area[-1] == pytest.approx(then.area, rel=1e-6)
-    assert foretold.indentation[-1] == pytest.approx(then.indentation, rel=1e-6)
+    assert predicted.area[-1] == pytest.approx(then.area, rel=1e-6)
+    assert predicted.indentation[-1] == pytest.approx(then.indentation, rel=1e-6)
 
 
 @pytest.mark.parametrize("horizon", [0.0, 0.5])
@@ -360,10 +360,10 @@ def test_force_for_area_inverts_predict(estimator: ContactEstimator, horizon: fl
         one(estimator, ms, 0.5)
     force = estimator.force_for_area(40e-6, horizon)
     time = np.linspace(0, horizon, 21)[1:] if horizon else np.array([1e-9])
-    foretold = estimator.predict(
+    predicted = estimator.predict(
         np.concatenate([[1e-9], time + 1e-9]), np.full(len(time) + 1, force)
     )
-    assert foretold.area[-1] == pytest.approx(40e-6, rel=2e-3)
+    assert predicted.area[-1] == pytest.approx(40e-6, rel=2e-3)
 
 
 def test_impossible_questions_are_refused(estimator: ContactEstimator) -> None:
@@ -382,7 +382,8 @@ def test_a_model_that_failed_is_flagged_and_starts_again_in_the_air(
 ) -> None:
     for ms in range(0, 100, 2):
         one(estimator, ms, 0.01 * ms)
-    estimator._state[:] = np.nan
+    for name in estimator._state.finger.dtype.names or ():
+        estimator._state.finger[name] = np.nan
     failed = one(estimator, 100, 1.0)[0]
     assert failed.flags & StateFlag.MODEL_FAILED and np.isnan(failed.area)
     estimator.add_area(50 * MS, 20e-6, 1e-6)

@@ -11,109 +11,91 @@ import numpy as np
 
 from finger_bag.closing import Closing
 from finger_common.errors import InputError
+from finger_common.stamps import NANOSECONDS
 from finger_model.estimator import EstimateBlock
+from finger_model.estimator.estimate import CSV_FIELDS, ESTIMATE_FIELDS, Field
+
+
+_CDR_TYPES = {"float64": ("<f8", 8), "bool": ("u1", 1), "uint32": ("<u4", 4)}
+"""Format and alignment in bytes."""
 
 
 def serialize(block: EstimateBlock, frame_id: str = "") -> list[bytes]:
-    """CDR bytes of each estimate of a block; equal to encoding them one by one.
-
-    Layout: geometry of finger_msgs/ContactState in CDR, which is fixed once the lengths of frame_id and of the
-    parameter set's name are known.
-    """
+    """CDR bytes of each estimate of a block, as ContactState; equal to encoding them one by one."""
     out: list[bytes] = [b""] * len(block)
-    names = block.parameter_set
-    frame = frame_id.encode() + b"\x00"
-    for name in dict.fromkeys(names):
-        rows = np.array([i for i, n in enumerate(names) if n == name])
-        text = name.encode() + b"\x00"
-        begin = 4 + -(-(12 + len(frame)) // 8) * 8
-        contact = begin + 16
-        onset = contact + 4
-        # sec and nanosec of onset end on a multiple of 4; float64 needs 8.
-        values = 4 + -(-(onset + 8 - 4) // 8) * 8
-        string = values + 12 * 8
-        flags = 4 + -(-(string + 4 + len(text) - 4) // 4) * 4
-        fields: list[tuple[str, Any, int]] = [
-            ("head", "V4", 0),
-            ("sec", "<i4", 4),
-            ("nanosec", "<u4", 8),
-            ("frame_length", "<u4", 12),
-            ("frame", f"S{len(frame)}", 16),
-            ("forces", ("<f8", 2), begin),
-            ("contact", "u1", contact),
-            ("onset_sec", "<i4", onset),
-            ("onset_nanosec", "<u4", onset + 4),
-            ("values", ("<f8", 12), values),
-            ("name_length", "<u4", string),
-            ("name", f"S{len(text)}", string + 4),
-            ("flags", "<u4", flags),
-        ]
-        keys, formats, offsets = zip(*fields)
-        layout = np.dtype(
-            {"names": keys, "formats": formats, "offsets": offsets, "itemsize": flags + 4}
-        )
-        table = np.zeros(len(rows), layout)
-        stamp, onset_ns = block.whole[rows, 0], block.whole[rows, 3]
-        table["head"] = np.void(b"\x00\x01\x00\x00")
-        table["sec"], table["nanosec"] = np.divmod(stamp, 1_000_000_000)
-        table["frame_length"], table["frame"] = len(frame), frame
-        table["forces"] = block.values[rows, :2]
-        table["contact"] = block.whole[rows, 2]
-        table["onset_sec"], table["onset_nanosec"] = np.divmod(onset_ns, 1_000_000_000)
-        table["values"] = block.values[rows, 2:]
-        table["name_length"], table["name"] = len(text), text
-        table["flags"] = block.whole[rows, 1]
-        data, size = table.tobytes(), layout.itemsize
-        for place, row in enumerate(rows.tolist()):
-            out[row] = data[place * size : (place + 1) * size]
+    names = block.column("parameter_set")
+    for name in np.unique(names):
+        places = np.flatnonzero(names == name)
+        data = _serialize_rows(block.rows[places], frame_id.encode(), str(name).encode())
+        for place, message in zip(places.tolist(), data):
+            out[place] = message
     return out
 
 
-COLUMNS = (
-    "time_s",
-    "force_n",
-    "area_mm2",
-    "radius_mm",
-    "indentation_mm",
-    "peak_pressure_kpa",
-    "mean_pressure_kpa",
-    "area_sd_mm2",
-    "model_area_mm2",
-    "measured_area_mm2",
-    "measured_area_age_s",
-    "area_force_slope_mm2_per_n",
-    "lateral_force_n",
-    "moisture_au",
-    "in_contact",
-    "flags",
-    "stamp_ns",
-    "parameter_set",
-)
-"""Columns of the exports. The first six are those of `finger-model simulate`; time_s counts from the first row."""
+def _serialize_rows(rows: np.ndarray, frame_id: bytes, parameter_set: bytes) -> list[bytes]:
+    """CDR bytes of estimates of one parameter set: all of one length and layout."""
+    texts = {"frame_id": frame_id + b"\x00", "parameter_set": parameter_set + b"\x00"}
+    stamp, *others = ESTIMATE_FIELDS
+    fields = (stamp, Field("string", name="frame_id"), *others)
+    layout = _cdr_layout(fields, texts)
+    table = np.zeros(len(rows), layout)
+    table["encapsulation"] = np.void(b"\x00\x01\x00\x00")
+    for field in fields:
+        name = field.name
+        if field.type == "string":
+            table[f"{name}_length"], table[name] = len(texts[name]), texts[name]
+        elif field.type == "time":
+            seconds, nanoseconds = np.divmod(rows[name], NANOSECONDS)
+            table[f"{name}_sec"], table[f"{name}_nanosec"] = seconds, nanoseconds
+        else:
+            table[name] = rows[name]
+    data, size = table.tobytes(), layout.itemsize
+    return [data[begin : begin + size] for begin in range(0, len(data), size)]
 
-_SOURCES: tuple[tuple[str, float], ...] = (
-    ("normal_force", 1.0),
-    ("area", 1e6),
-    ("radius", 1e3),
-    ("indentation", 1e3),
-    ("peak_pressure", 1e-3),
-    ("mean_pressure", 1e-3),
-    ("area_stddev", 1e6),
-    ("model_area", 1e6),
-    ("measured_area", 1e6),
-    ("measured_area_age", 1.0),
-    ("area_force_slope", 1e6),
-    ("lateral_force", 1.0),
-    ("moisture", 1.0),
-)
+
+def _cdr_layout(fields: Sequence[Field], texts: dict[str, bytes]) -> np.dtype:
+    """Structured dtype of a message in CDR; the lengths of its strings are fixed by `texts`."""
+    places: dict[str, tuple[str, int]] = {"encapsulation": ("V4", 0)}
+    end = 4
+
+    def place(name: str, form: str, alignment: int) -> None:
+        nonlocal end
+        begin = 4 + -(-(end - 4) // alignment) * alignment
+        places[name] = (form, begin)
+        end = begin + np.dtype(form).itemsize
+
+    for field in fields:
+        if field.type == "time":
+            place(f"{field.name}_sec", "<i4", 4)
+            place(f"{field.name}_nanosec", "<u4", 4)
+        elif field.type == "string":
+            place(f"{field.name}_length", "<u4", 4)
+            place(field.name, f"S{len(texts[field.name])}", 1)
+        else:
+            place(field.name, *_CDR_TYPES[field.type])
+    formats, offsets = zip(*places.values())
+    return np.dtype(
+        {"names": list(places), "formats": formats, "offsets": offsets, "itemsize": end}
+    )
+
+
+_COLUMN_FIELDS = tuple(next(f for f in ESTIMATE_FIELDS if f.name == name) for name in CSV_FIELDS)
+
+COLUMNS = ("time_s", *(field.column for field in _COLUMN_FIELDS))
+"""Columns of the exports. The first six are those of `finger-model simulate`; time_s counts from the first row."""
 
 
 def columns(block: EstimateBlock, start_ns: int) -> list[Any]:
     """Values of COLUMNS for a block."""
-    whole = block.whole
-    found: list[Any] = [(whole[:, 0] - start_ns) * 1e-9]
-    found += [block.column(name) * scale for name, scale in _SOURCES]
-    return [*found, whole[:, 2], whole[:, 1], whole[:, 0], block.parameter_set]
+    found: list[Any] = [(block.column("stamp_ns") - start_ns) * 1e-9]
+    for field in _COLUMN_FIELDS:
+        values = block.column(field.name)
+        if field.type == "float64":
+            values = values * field.scale
+        elif field.type != "string":
+            values = values.astype(np.int64)
+        found.append(values)
+    return found
 
 
 class TableExport(Closing):
@@ -142,13 +124,11 @@ class TableExport(Closing):
         if not len(block):
             return
         if self._start is None:
-            self._start = int(block.whole[0, 0])
+            self._start = int(block.column("stamp_ns")[0])
         table = columns(block, self._start)
         if self._csv is not None:
-            numbers = [column.tolist() for column in table[:-1]]
-            lines = (
-                ",".join([*map(_text, row), name]) for row, name in zip(zip(*numbers), table[-1])
-            )
+            numbers = [column.tolist() for column in table]
+            lines = (",".join(map(_text, row)) for row in zip(*numbers))
             self._csv.write("\n".join(lines) + "\n")
         else:
             import pyarrow
@@ -174,9 +154,9 @@ class TableExport(Closing):
         self._temporary.unlink(missing_ok=True)
 
 
-def _text(value: float | int) -> str:
+def _text(value: float | int | str) -> str:
     """Shortest text that reads back to the same number to 10 digits."""
-    return str(value) if isinstance(value, int) else f"{value:.10g}"
+    return f"{value:.10g}" if isinstance(value, float) else str(value)
 
 
 def _parquet_writer(path: Path) -> Any:
@@ -185,12 +165,10 @@ def _parquet_writer(path: Path) -> Any:
         from pyarrow import parquet
     except ImportError:
         raise InputError("Parquet needs pyarrow; install it, or name a .csv file") from None
-    whole = {"in_contact": pyarrow.int64(), "flags": pyarrow.int64(), "stamp_ns": pyarrow.int64()}
+    types = {"float64": pyarrow.float64(), "string": pyarrow.string()}
     schema = pyarrow.schema(
-        [
-            (n, pyarrow.string() if n == "parameter_set" else whole.get(n, pyarrow.float64()))
-            for n in COLUMNS
-        ]
+        [("time_s", pyarrow.float64())]
+        + [(f.column, types.get(f.type, pyarrow.int64())) for f in _COLUMN_FIELDS]
     )
     return parquet.ParquetWriter(path, schema)
 

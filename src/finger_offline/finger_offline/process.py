@@ -34,8 +34,7 @@ from finger_bag.streams import (
 )
 from finger_bag.writer import BagWriter
 from finger_common.errors import FingerError, InputError
-from finger_model.estimator import ContactEstimator, EstimateBlock
-from finger_model.estimator.settings import EstimatorSettings
+from finger_model.estimator import ContactEstimator, EstimateBlock, EstimatorSettings
 from finger_model.messages import area_of, event_fields, event_of, moisture_of
 from finger_model.parameter_sets import ParameterSets
 from finger_model.reduced import ReducedModel
@@ -338,10 +337,14 @@ class _Run:
         self.states += len(block)
         if self.writer is not None and len(block):
             # Each estimate is logged with its wrench; dropped samples have none.
-            order = np.searchsorted(stamps, block.whole[:, 0]) if len(block) < len(stamps) else None
+            order = (
+                np.searchsorted(stamps, block.column("stamp_ns"))
+                if len(block) < len(stamps)
+                else None
+            )
             if order is not None and np.any(np.diff(stamps) < 0):
                 log_of = dict(zip(stamps.tolist(), logs.tolist()))
-                times = [log_of[s] for s in block.whole[:, 0].tolist()]
+                times = [log_of[s] for s in block.column("stamp_ns").tolist()]
             else:
                 times = (logs if order is None else logs[order]).tolist()
             frame_id = first_frame_id(raws)
@@ -355,8 +358,6 @@ class _Run:
         if self.writer is None:
             return
         fields = event_fields(event, 0)
-        seconds, nanoseconds = fields.pop("stamp")
-        fields["header"] = {"stamp": {"sec": seconds, "nanosec": nanoseconds}}
         topic = self.wrench.rpartition("/")[0] + "/model_events"
         self.writer.write(topic, fields, log_time_ns)
 

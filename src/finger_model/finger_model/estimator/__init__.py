@@ -1,13 +1,8 @@
 """The streaming estimator of the contact state."""
 
-from .estimator import (
-    ContactEstimate,
-    ContactEstimator,
-    EstimateBlock,
-    EstimatorEvent,
-    EventType,
-    replay,
-)
+from .estimate import ContactEstimate, EstimateBlock
+from .estimator import ContactEstimator, replay
+from .events import EstimatorEvent, EventType
 from .settings import EstimatorSettings
 
 __all__ = [

@@ -278,10 +278,7 @@ def _advance(net, par, state, work, dt, force):
             _drive_jacobian(net, work, x)
             for i in range(k):
                 residual[i] = (
-                    a[i] * decay
-                    + old * state.drive[1 + i]
-                    + new * work.drive[1 + i]
-                    - trial[i]
+                    a[i] * decay + old * state.drive[1 + i] + new * work.drive[1 + i] - trial[i]
                 )
                 for j in range(k):
                     work.jacobian[i, j] *= -new
@@ -350,15 +347,12 @@ def _refresh(net, par, state, work):
 def _rest(net, par, state, work):
     """Put the state at rest: no load, no internal strain."""
     state.force = 0.0
-    state.area = 0.0
-    state.area_force_slope = 0.0
-    state.indentation = 0.0
-    state.peak_pressure = 0.0
     for i in range(len(state.amplitudes)):
         state.amplitudes[i] = 0.0
     for j in range(len(state.friction)):
         state.friction[j] = 1.0
     _refresh(net, par, state, work)
+    _outputs(net, par, state, work)
 
 
 @njit(cache=True)

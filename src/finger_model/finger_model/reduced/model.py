@@ -99,7 +99,7 @@ class ReducedModel:
         for name, folded in (("drive", drive), ("contact", contact)):
             for key, values in folded.layers.items():
                 self.networks[name][key] = values
-        self._work = np.zeros(1, self._types.work)
+        self.work = np.zeros(1, self._types.work)
         self._limit = a["force_limit"]
         self.hash = sha256_of(
             {
@@ -204,7 +204,7 @@ class ReducedModel:
     def state_at_rest(self, constants: np.ndarray) -> np.ndarray:
         """The kernels' record (1,) of a finger at rest."""
         state = np.zeros(1, self._types.state)
-        rk.rest(self.networks, constants, state, self._work)
+        rk.rest(self.networks, constants, state, self.work)
         return state
 
     def _vector(self, parameters: Any) -> np.ndarray:
@@ -266,7 +266,7 @@ class ReducedModel:
 
     def step(self, state: ReducedState, dt: float, force: float) -> ContactPoint:
         """Advance by dt (s) to `force` (N, held at the force limit); time counts from rest."""
-        rk.step(self.networks, state.constants, state.state, self._work, dt, force)
+        rk.step(self.networks, state.constants, state.state, self.work, dt, force)
         state.time += dt
         found = state.state[0]
         area = float(found["area"])
@@ -293,7 +293,7 @@ class ReducedModel:
         constants, state: the kernels' records; time (n,) in s, the state's own being `before`; force (n,) in N.
         """
         table = np.empty((len(time), 3))
-        rk.follow(self.networks, constants, state, self._work, before, time, force, table)
+        rk.follow(self.networks, constants, state, self.work, before, time, force, table)
         return table
 
     def simulate(
@@ -331,9 +331,7 @@ class ReducedModel:
         state = np.zeros(1, self._types.state)
         amplitudes = np.empty((len(time), self.latents))
         friction = np.empty((len(time), len(self.arrays["betas"])))
-        rk.visited(
-            self.networks, constants, state, self._work, time, force, amplitudes, friction
-        )
+        rk.visited(self.networks, constants, state, self.work, time, force, amplitudes, friction)
         return np.hstack([amplitudes, friction])
 
     def batch(
@@ -369,7 +367,7 @@ class ReducedModel:
                 self.networks,
                 constants,
                 np.zeros(1, self._types.state),
-                self._work,
+                self.work,
                 np.concatenate([time for time, _ in checked]),
                 np.concatenate([force for _, force in checked]),
                 start,

@@ -1,0 +1,57 @@
+"""Changes of the estimator that are not in its inputs; recorded, so that a replay makes them too."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from enum import IntEnum
+
+from finger_common.errors import InputError
+
+from .settings import EstimatorSettings
+
+TIME_JUMP = "time jumped back"
+"""Reason of the reset that a jump of the clock caused."""
+
+
+class EventType(IntEnum):
+    """Kinds of event, numbered as in ModelEvent."""
+
+    START = 0
+    RESET = 1
+    PARAMETERS = 2
+    SETTINGS = 3
+
+
+@dataclass(frozen=True)
+class EstimatorEvent:
+    """A change of the estimator, as published on `model_events`.
+
+    stamp_ns: takes effect before the first wrench sample stamped like this or later.
+    settings, parameter_sets: JSON and YAML text in force after the event.
+    late_areas, late_moistures: stamps of inputs that had arrived too late and were not used.
+    """
+
+    stamp_ns: int
+    type: EventType
+    settings: str
+    parameter_sets: str
+    model_hash: str = ""
+    reason: str = ""
+    late_areas: tuple[int, ...] = ()
+    late_moistures: tuple[int, ...] = ()
+
+    @property
+    def is_time_jump(self) -> bool:
+        """Whether it records that time jumped back."""
+        return self.type == EventType.RESET and self.reason == TIME_JUMP
+
+    def estimator_settings(self) -> EstimatorSettings:
+        """Settings in force after the event; raises InputError for text that is not a JSON object."""
+        try:
+            values = json.loads(self.settings)
+        except ValueError:
+            values = None
+        if not isinstance(values, dict):
+            raise InputError("estimator settings are not a JSON object; record the bag anew")
+        return EstimatorSettings.select(values)

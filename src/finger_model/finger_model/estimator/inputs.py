@@ -1,0 +1,102 @@
+"""Measured areas and moisture readings that wait for the wrench sample at which they enter."""
+
+from __future__ import annotations
+
+import bisect
+import math
+from collections import Counter, deque
+from collections.abc import Iterable
+from operator import itemgetter
+
+import numpy as np
+
+from finger_common.moisture import is_moisture
+from finger_common.stamps import NANOSECONDS
+
+from . import stream
+from .events import EstimatorEvent
+
+_stamp = itemgetter(0)
+_NO_AREAS = np.zeros(0, stream.AREA)
+
+
+class InputQueue:
+    """Areas and readings in the order of their stamps (ns), until they are due.
+
+    An input of stamp t is due at the first wrench sample stamped t + `delay` (ns) or later; one that
+    comes after such a sample is late and is not used. `counters` counts what was left out.
+    """
+
+    def __init__(self, counters: Counter[str]) -> None:
+        self.delay = 0
+        self.counters = counters
+        self._areas: list[tuple[int, float, float]] = []
+        self._moistures: list[tuple[int, float]] = []
+        self._area_stamps: deque[int] = deque(maxlen=64)
+        self._known_late: set[tuple[str, int]] = set()
+
+    def is_late(self, stamp_ns: int, newest: int | None) -> bool:
+        """Whether an input of this stamp comes too late; newest: stamp of the newest wrench sample."""
+        return newest is not None and stamp_ns + self.delay <= newest
+
+    def knows_late(self, kind: str, stamp_ns: int) -> bool:
+        """Whether a recorded event says that this "area" or "moisture" came too late."""
+        return (kind, stamp_ns) in self._known_late
+
+    def expect_late(self, events: Iterable[EstimatorEvent]) -> None:
+        """Leave out the inputs that these recorded events say had come too late."""
+        for event in events:
+            self._known_late.update(("area", stamp) for stamp in event.late_areas)
+            self._known_late.update(("moisture", stamp) for stamp in event.late_moistures)
+
+    def is_duplicate(self, stamp_ns: int) -> bool:
+        """Whether an area of this stamp came before; counts it."""
+        if stamp_ns not in self._area_stamps:
+            return False
+        self.counters["duplicate_areas"] += 1
+        return True
+
+    def add_area(self, stamp_ns: int, area: float, sd: float, rejected: bool) -> None:
+        """Let an area (m²) wait. A rejected one is flagged in its turn, not when it arrives."""
+        if rejected:
+            self.counters["flagged_areas"] += 1
+            area = math.nan
+        self._area_stamps.append(stamp_ns)
+        bisect.insort(self._areas, (int(stamp_ns), float(area), float(sd)), key=_stamp)
+
+    def add_moisture(self, stamp_ns: int, value: float) -> bool:
+        """Let a reading (a.u.) wait; false for a value that is not on the scale of the probe."""
+        if not is_moisture(value):
+            self.counters["bad_moistures"] += 1
+            return False
+        bisect.insort(self._moistures, (int(stamp_ns), float(value)))
+        return True
+
+    def due_areas(self, stamp_ns: int) -> np.ndarray:
+        """Areas (k,) that are due at a wrench sample of this stamp; they stay until `remove_areas`."""
+        due = bisect.bisect_right(self._areas, stamp_ns - self.delay, key=_stamp)
+        return np.array(self._areas[:due], stream.AREA) if due else _NO_AREAS
+
+    def remove_areas(self, number: int) -> None:
+        """Remove the first areas, which were used."""
+        del self._areas[:number]
+
+    def due_moisture(self, stamp_ns: int) -> tuple[int, float] | None:
+        """Next reading that is due at this stamp, removed from the queue; None when there is none."""
+        if self._moistures and self._moistures[0][0] + self.delay <= stamp_ns:
+            return self._moistures.pop(0)
+        return None
+
+    def next_moisture_due(self) -> int | None:
+        """Stamp of a wrench sample from which the next reading is due."""
+        return self._moistures[0][0] + self.delay if self._moistures else None
+
+    def jump_back(self, stamp_ns: int) -> None:
+        """Keep only the inputs within one second of `stamp_ns`, to which time jumped back."""
+
+        def near(item: tuple) -> bool:
+            return abs(item[0] - stamp_ns) < NANOSECONDS
+
+        self._area_stamps.clear()
+        self._areas = [area for area in self._areas if near(area)]
+        self._moistures = [reading for reading in self._moistures if near(reading)]

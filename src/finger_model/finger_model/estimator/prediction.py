@@ -1,0 +1,75 @@
+"""Contact under a force that has not been applied yet. The state of the estimator stays as it is."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from finger_common.errors import InputError
+
+from ..history import ContactHistory, check_force_history
+from ..reduced import kernels as rk
+from ..reduced.model import history_of
+from .filter_state import FilterState
+
+LONGEST_HORIZON = 3600.0
+"""s"""
+
+_HORIZON_STEPS = 20
+_BISECTIONS = 40
+
+
+def predict(state: FilterState, time: np.ndarray, force: np.ndarray) -> ContactHistory:
+    """Contact under a future force: time (n,) in s from now, increasing, > 0; force (n,) in N.
+
+    The area is the fused one: the model's with the error known so far. Raises InputError for a bad
+    history or a force beyond the model's limit.
+    """
+    time, force = check_force_history(time, force, "force to predict")
+    if time[0] <= 0:
+        raise InputError(
+            f"force to predict: time begins at {time[0]:g} s; give times from now, above 0"
+        )
+    limit = float(state.constants["force_limit"][0])
+    if force.max() > limit:
+        raise InputError(
+            f"force {force.max():.2f} N is beyond the model's limit of {limit:.2f} N for these "
+            "parameters; ask for less"
+        )
+    table = state.model.follow(state.constants, state.finger.copy(), time, force, before=0.0)
+    table[:, 0] = state.fused_areas(force, table[:, 0].copy())
+    return history_of(time, force, table)
+
+
+def force_for_area(state: FilterState, area: float, horizon: float) -> float:
+    """Normal force (N) that, applied now and held for `horizon` (s), gives this area (m²).
+
+    By bisection. Raises InputError for an area that is not positive or beyond what the force limit
+    gives.
+    """
+    if not (math.isfinite(area) and area > 0):
+        raise InputError(f"area is {area} m², a positive area is needed")
+    if not (math.isfinite(horizon) and 0 <= horizon <= LONGEST_HORIZON):
+        raise InputError(f"horizon is {horizon} s, 0 to {LONGEST_HORIZON:g} s is needed")
+    model, steps = state.model, _HORIZON_STEPS if horizon > 0 else 0
+
+    def area_at(force: float) -> float:
+        finger = state.finger.copy()
+        for dt in [0.0] + steps * [horizon / _HORIZON_STEPS]:
+            rk.step(model.networks, state.constants, finger, model.work, dt, force)
+        return float(state.fused_areas(np.array([force]), finger["area"])[0])
+
+    low, high = 0.0, float(state.constants["force_limit"][0])
+    if area_at(high) < area:
+        raise InputError(
+            f"area {area * 1e6:.1f} mm² is beyond the {area_at(high) * 1e6:.1f} mm² that the "
+            f"largest force of the model ({high:.2f} N) gives; ask for less"
+        )
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        if area_at(middle) < area:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
