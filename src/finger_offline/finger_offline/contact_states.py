@@ -15,7 +15,6 @@ from finger_common.stamps import NANOSECONDS
 from finger_model.estimator import EstimateBlock
 from finger_model.estimator.estimate import CSV_FIELDS, ESTIMATE_FIELDS, Field
 
-
 _CDR_TYPES = {"float64": ("<f8", 8), "bool": ("u1", 1), "uint32": ("<u4", 4)}
 """Format and alignment in bytes."""
 

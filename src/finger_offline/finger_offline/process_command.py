@@ -96,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
 
 def estimator_settings(pairs: Sequence[str]) -> dict[str, Any]:
     """NAME=VALUE pairs as checked settings of the estimator; raises InputError."""
-    from finger_model.estimator.settings import ESTIMATOR_PARAMETERS
+    from finger_model.estimator import EstimatorSettings
 
     found: dict[str, Any] = {}
     for pair in pairs:
@@ -107,7 +107,7 @@ def estimator_settings(pairs: Sequence[str]) -> dict[str, Any]:
             found[name] = json.loads(text)
         except ValueError:
             found[name] = text
-    ESTIMATOR_PARAMETERS.check(found)
+    EstimatorSettings.parameters().check(found)
     return found
 
 

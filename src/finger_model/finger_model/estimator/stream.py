@@ -19,7 +19,7 @@ from finger_common.flags import StateFlag
 from ..reduced import kernels as rk
 from . import area_filter
 
-FLAG = namedtuple("FLAG", StateFlag.__members__)(*map(int, StateFlag))  # noqa: PYI024
+FLAG = namedtuple("FLAG", StateFlag.__members__)(*map(int, StateFlag))
 
 REMEMBERED = 8192
 """Samples remembered: fusion_delay may be 1 s at up to 8 kHz."""
