@@ -36,7 +36,7 @@ def test_vector_and_mapping_are_inverse_and_bad_values_are_named() -> None:
     assert PARAMETERS.mapping(NATURAL) == paper.NATURAL.parameters
     with pytest.raises(InputError, match=r"file\.yaml: key 'E1' is missing"):
         PARAMETERS.vector({"E0": 1.0}, "file.yaml")
-    with pytest.raises(InputError, match="'tau1' is -1, a positive number"):
+    with pytest.raises(InputError, match="'tau1' is -1 s, a positive value"):
         PARAMETERS.vector({**paper.NATURAL.parameters, "tau1": -1.0})
     with pytest.raises(InputError, match="4 numbers are needed: E0, E1, tau1, E2"):
         PARAMETERS.checked([1.0, 2.0])

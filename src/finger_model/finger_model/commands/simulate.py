@@ -14,7 +14,7 @@ from finger_common.errors import InputError
 
 from ..geometry import Geometry
 from ..history import ContactHistory, read_force_csv
-from ..material import Material
+from ..laws import ConstitutiveLaw, StandardLinearSolid, load_material
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
@@ -36,7 +36,9 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     )
     parser.add_argument("--force", required=True, metavar="CSV", help="columns time_s,force_n")
     parser.add_argument("--geometry", metavar="YAML", help="lengths in m (default: built in)")
-    parser.add_argument("--material", metavar="YAML", help="SI units (default: the natural set)")
+    parser.add_argument(
+        "--material", metavar="YAML", help="law and parameters in SI (default: the natural set)"
+    )
     parser.add_argument("--solver", choices=("reduced", "full"), help="model to use")
     parser.add_argument(
         "--reduced-model", metavar="FILE", help="file of 'finger-model reduce' (default: shipped)"
@@ -65,7 +67,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Carry out the subcommand."""
     geometry = Geometry.load(arguments.geometry) if arguments.geometry else Geometry()
-    material = Material.load(arguments.material) if arguments.material else Material()
+    material = load_material(arguments.material) if arguments.material else StandardLinearSolid()
     time, force = read_force_csv(arguments.force)
     wants_fields = bool(arguments.plot or arguments.vtu)
     if arguments.solver == "reduced" and wants_fields:
@@ -89,7 +91,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _reduced(
     arguments: argparse.Namespace,
     geometry: Geometry,
-    material: Material,
+    material: ConstitutiveLaw,
     time: np.ndarray,
     force: np.ndarray,
 ) -> ContactHistory | None:
@@ -97,6 +99,8 @@ def _reduced(
     from ..reduced.model import ReducedModel
 
     try:
+        if not isinstance(material, StandardLinearSolid):
+            raise InputError(f"law '{material.name}' has no reduced model; use --solver full")
         model = ReducedModel.load(arguments.reduced_model, geometry=geometry)
         return model.simulate(material, time, force)
     except InputError as error:
@@ -109,7 +113,7 @@ def _reduced(
 def _full(
     arguments: argparse.Namespace,
     geometry: Geometry,
-    material: Material,
+    material: ConstitutiveLaw,
     time: np.ndarray,
     force: np.ndarray,
 ) -> ContactHistory:

@@ -1,13 +1,14 @@
 """Compiled kernels of the four-node axisymmetric element with mean dilatation.
 
-Symbols as in docs/theory.md: F deformation gradient, J its determinant, θ mean dilatation of an element, τ
-Kirchhoff stress, H the tensor of the isochoric energy ½ J^(−2/3) H : C of the current step. Symmetric tensors are
-stored as (rr, zz, θθ, rz). Forces and stiffness are per radian.
+Symbols as in docs/theory.md: F deformation gradient, J its determinant, θ mean dilatation of an
+element, τ Kirchhoff stress, C̄ = J^(−2/3) FᵀF, H = 2 ∂W/∂C̄ for the isochoric energy W of the
+current step. Symmetric tensors are stored as (rr, zz, θθ, rz). Forces and stiffness are per radian.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -23,10 +24,42 @@ SHAPE = (
 """Shape functions (4 points, 4 nodes) at the Gauss points."""
 
 
-def reference_operators(
-    nodes: np.ndarray, cells: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Gradients (E, 4, 4, 2) of the shape functions in 1/m, radius (E, 4) in m and weight (E, 4) in m³/rad."""
+class Elements(NamedTuple):
+    """Four-node elements of a mesh (E) with 2 × 2 Gauss points.
+
+    cells (E, 4): node numbers; gradient (E, 4, 4, 2): of the shape functions at the points in 1/m;
+    radius (E, 4): reference radius of the points in m; weight (E, 4): their volume in m³/rad.
+    """
+
+    cells: np.ndarray
+    gradient: np.ndarray
+    radius: np.ndarray
+    weight: np.ndarray
+
+    def only(self, index: np.ndarray) -> Elements:
+        """The elements of an index (n,)."""
+        return Elements(*(np.ascontiguousarray(array[index]) for array in self))
+
+
+class Stiffness(NamedTuple):
+    """Material of one Newton iteration: W = w(C̄) + ½ K (θ − 1)², 2 ∂w/∂C̄ = H, ∂H = H' (1 : ∂C̄)
+    1.
+
+    metric (E, 4, 4): H in Pa; slope (E, 4), or (0, 0) where none is needed: H' in Pa; bulk (E,): K
+    in Pa.
+    """
+
+    metric: np.ndarray
+    slope: np.ndarray
+    bulk: np.ndarray
+
+
+NO_SLOPE = np.zeros((0, 0))
+"""H' of materials whose tensor H does not depend on the strain."""
+
+
+def reference_elements(nodes: np.ndarray, cells: np.ndarray) -> Elements:
+    """Operators of cells (E, 4) on nodes (N, 2) in m."""
     corner = 0.25 * np.stack(
         [
             _CORNERS[None, :, 0] * (1 + _XI[:, None, 1] * _CORNERS[None, :, 1]),
@@ -38,28 +71,61 @@ def reference_operators(
     gradient = np.einsum("pnj,epji->epni", corner, np.linalg.inv(jacobian))
     radius = np.einsum("en,pn->ep", nodes[cells, 0], SHAPE)
     weight = np.linalg.det(jacobian) * radius
-    return np.ascontiguousarray(gradient), radius, weight
+    return Elements(np.ascontiguousarray(cells), np.ascontiguousarray(gradient), radius, weight)
+
+
+class Deformation(NamedTuple):
+    """Deformation gradient at a Gauss point, and the present radius r (m)."""
+
+    rr: float
+    rz: float
+    zr: float
+    zz: float
+    hoop: float
+    r: float
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def deformation(xr, xz, gradient, radius, e, p):
+    """F at Gauss point p of element e, whose nodes are at xr, xz (4,)."""
+    rr = 0.0
+    rz = 0.0
+    zr = 0.0
+    zz = 0.0
+    r = 0.0
+    for a in range(4):
+        rr += xr[a] * gradient[e, p, a, 0]
+        rz += xr[a] * gradient[e, p, a, 1]
+        zr += xz[a] * gradient[e, p, a, 0]
+        zz += xz[a] * gradient[e, p, a, 1]
+        r += xr[a] * SHAPE[p, a]
+    return Deformation(rr, rz, zr, zz, r / radius[e, p], r)
 
 
 @njit(cache=True, fastmath=True)
-def assemble(x, cells, gradient, shape, radius, weight, metric, bulk, stiffness, force, band):
-    """Internal force and, where `stiffness` is set, the lower band of the tangent; returns the smallest J.
+def assemble(x, elements, material, stiffness, force, band):
+    """Internal force and, where `stiffness` is set, the lower band of the tangent.
 
-    x (N, 2) positions; metric (E, 4, 4) the tensor H (Pa); bulk (E,) bulk modulus (Pa); force (2N,) and
-    band (2N, b+1) (band[j, i−j] = K[i, j]) are overwritten.
+    Returns the smallest J. x (N, 2) are positions; elements and material as `Elements` and
+    `Stiffness`; force (2N,) and band (2N, b+1) (band[j, i−j] = K[i, j]) are overwritten.
     """
     force[:] = 0.0
     if stiffness:
         band[:, :] = 0.0
+    cells, gradient, radius, weight = elements
+    metric, slope, bulk = material
+    stiffening = slope.shape[0] > 0
     smallest = 1e300
     xr = np.empty(4)
     xz = np.empty(4)
+    # Spatial gradients of the shape functions (point, node): radial, axial, hoop.
     gr = np.empty((4, 4))
     gz = np.empty((4, 4))
     gt = np.empty((4, 4))
     jac = np.empty(4)
     tau = np.empty((4, 4))
     trace = np.empty(4)
+    strain = np.empty((4, 4))
     volume_gradient = np.empty(8)
     fe = np.empty(8)
     ke = np.empty((8, 8))
@@ -71,47 +137,47 @@ def assemble(x, cells, gradient, shape, radius, weight, metric, bulk, stiffness,
         reference = 0.0
         volume = 0.0
         for p in range(4):
-            frr = 0.0
-            frz = 0.0
-            fzr = 0.0
-            fzz = 0.0
-            r = 0.0
-            for a in range(4):
-                frr += xr[a] * gradient[e, p, a, 0]
-                frz += xr[a] * gradient[e, p, a, 1]
-                fzr += xz[a] * gradient[e, p, a, 0]
-                fzz += xz[a] * gradient[e, p, a, 1]
-                r += xr[a] * shape[p, a]
-            ftt = r / radius[e, p]
-            plane = frr * fzz - frz * fzr
-            j = plane * ftt
+            f = deformation(xr, xz, gradient, radius, e, p)
+            plane = f.rr * f.zz - f.rz * f.zr
+            j = plane * f.hoop
             jac[p] = j
             if j < smallest:
                 smallest = j
-            if plane <= 0.0 or ftt <= 0.0:
-                return min(plane, ftt)
+            if plane <= 0.0 or f.hoop <= 0.0:
+                return min(plane, f.hoop)
             inverse = 1.0 / plane
             for a in range(4):
                 g0 = gradient[e, p, a, 0]
                 g1 = gradient[e, p, a, 1]
-                gr[p, a] = (g0 * fzz - g1 * fzr) * inverse
-                gz[p, a] = (g1 * frr - g0 * frz) * inverse
-                gt[p, a] = shape[p, a] / r
+                gr[p, a] = (g0 * f.zz - g1 * f.zr) * inverse
+                gz[p, a] = (g1 * f.rr - g0 * f.rz) * inverse
+                gt[p, a] = SHAPE[p, a] / f.r
+            # b = J^(−2/3) F H Fᵀ, and the Kirchhoff stress without its volumetric part, dev b.
             hrr = metric[e, p, 0]
             hzz = metric[e, p, 1]
             htt = metric[e, p, 2]
             hrz = metric[e, p, 3]
             q = j ** (-2.0 / 3.0)
-            brr = q * (frr * frr * hrr + 2.0 * frr * frz * hrz + frz * frz * hzz)
-            bzz = q * (fzr * fzr * hrr + 2.0 * fzr * fzz * hrz + fzz * fzz * hzz)
-            btt = q * ftt * ftt * htt
-            brz = q * (frr * fzr * hrr + (frr * fzz + frz * fzr) * hrz + frz * fzz * hzz)
+            brr = q * (f.rr * f.rr * hrr + 2.0 * f.rr * f.rz * hrz + f.rz * f.rz * hzz)
+            bzz = q * (f.zr * f.zr * hrr + 2.0 * f.zr * f.zz * hrz + f.zz * f.zz * hzz)
+            btt = q * f.hoop * f.hoop * htt
+            brz = q * (f.rr * f.zr * hrr + (f.rr * f.zz + f.rz * f.zr) * hrz + f.rz * f.zz * hzz)
             tr = brr + bzz + btt
             trace[p] = tr
             tau[p, 0] = brr - tr / 3.0
             tau[p, 1] = bzz - tr / 3.0
             tau[p, 2] = btt - tr / 3.0
             tau[p, 3] = brz
+            if stiffening:
+                # dev(J^(−2/3) F Fᵀ): the change of tr C̄ with the strain is twice this.
+                srr = q * (f.rr * f.rr + f.rz * f.rz)
+                szz = q * (f.zr * f.zr + f.zz * f.zz)
+                stt = q * f.hoop * f.hoop
+                third = (srr + szz + stt) / 3.0
+                strain[p, 0] = srr - third
+                strain[p, 1] = szz - third
+                strain[p, 2] = stt - third
+                strain[p, 3] = q * (f.rr * f.zr + f.rz * f.zz)
             reference += weight[e, p]
             volume += weight[e, p] * j
         pressure = bulk[e] * (volume / reference - 1.0)
@@ -144,8 +210,13 @@ def assemble(x, cells, gradient, shape, radius, weight, metric, bulk, stiffness,
             d[0, 1] = w * (m - k * (t0 + t1))
             d[0, 2] = w * (m - k * (t0 + t2))
             d[1, 2] = w * (m - k * (t1 + t2))
-            shear = -w * k * t3
+            d[0, 3] = d[1, 3] = d[2, 3] = -w * k * t3
             d[3, 3] = w * 0.5 * c
+            if stiffening:
+                factor = 2.0 * w * slope[e, p]
+                for i in range(4):
+                    for i2 in range(i, 4):
+                        d[i, i2] += factor * strain[p, i] * strain[p, i2]
             w0 = w * s0
             w1 = w * s1
             w2 = w * s2
@@ -155,14 +226,14 @@ def assemble(x, cells, gradient, shape, radius, weight, metric, bulk, stiffness,
                 za = gz[p, a]
                 ta = gt[p, a]
                 # Rows of BᵀD for the radial and the axial displacement of node a.
-                u0 = ra * d[0, 0] + ta * d[0, 2] + za * shear
-                u1 = ra * d[0, 1] + ta * d[1, 2] + za * shear
-                u2 = ra * d[0, 2] + ta * d[2, 2] + za * shear
-                u3 = (ra + ta) * shear + za * d[3, 3]
-                v0 = za * d[0, 1] + ra * shear
-                v1 = za * d[1, 1] + ra * shear
-                v2 = za * d[1, 2] + ra * shear
-                v3 = za * shear + ra * d[3, 3]
+                u0 = ra * d[0, 0] + ta * d[0, 2] + za * d[0, 3]
+                u1 = ra * d[0, 1] + ta * d[1, 2] + za * d[1, 3]
+                u2 = ra * d[0, 2] + ta * d[2, 2] + za * d[2, 3]
+                u3 = ra * d[0, 3] + ta * d[2, 3] + za * d[3, 3]
+                v0 = za * d[0, 1] + ra * d[0, 3]
+                v1 = za * d[1, 1] + ra * d[1, 3]
+                v2 = za * d[1, 2] + ra * d[2, 3]
+                v3 = za * d[1, 3] + ra * d[3, 3]
                 for b in range(a + 1):
                     rb = gr[p, b]
                     zb = gz[p, b]
@@ -198,40 +269,53 @@ def assemble(x, cells, gradient, shape, radius, weight, metric, bulk, stiffness,
 
 
 @njit(cache=True, fastmath=True)
-def strain_measures(x, cells, gradient, shape, radius, c_bar, c_bar_inverse, jacobian):
-    """Isochoric right Cauchy–Green tensor, its inverse (E, 4, 4) and J (E, 4) at the Gauss points."""
+def strain_measures(x, elements, c_bar, c_bar_inverse, jacobian):
+    """C̄, its inverse (E, 4, 4) and J (E, 4) at the Gauss points, for node positions x (N, 2)."""
+    cells, gradient, radius, _ = elements
+    xr = np.empty(4)
+    xz = np.empty(4)
     for e in range(cells.shape[0]):
+        for a in range(4):
+            xr[a] = x[cells[e, a], 0]
+            xz[a] = x[cells[e, a], 1]
         for p in range(4):
-            frr = 0.0
-            frz = 0.0
-            fzr = 0.0
-            fzz = 0.0
-            r = 0.0
-            for a in range(4):
-                xr = x[cells[e, a], 0]
-                xz = x[cells[e, a], 1]
-                frr += xr * gradient[e, p, a, 0]
-                frz += xr * gradient[e, p, a, 1]
-                fzr += xz * gradient[e, p, a, 0]
-                fzz += xz * gradient[e, p, a, 1]
-                r += xr * shape[p, a]
-            ftt = r / radius[e, p]
-            plane = frr * fzz - frz * fzr
-            j = plane * ftt
+            f = deformation(xr, xz, gradient, radius, e, p)
+            plane = f.rr * f.zz - f.rz * f.zr
+            j = plane * f.hoop
             q = j ** (-2.0 / 3.0)
-            crr = frr * frr + fzr * fzr
-            czz = frz * frz + fzz * fzz
-            crz = frr * frz + fzr * fzz
+            crr = f.rr * f.rr + f.zr * f.zr
+            czz = f.rz * f.rz + f.zz * f.zz
+            crz = f.rr * f.rz + f.zr * f.zz
             inverse = 1.0 / (q * plane * plane)
             c_bar[e, p, 0] = q * crr
             c_bar[e, p, 1] = q * czz
-            c_bar[e, p, 2] = q * ftt * ftt
+            c_bar[e, p, 2] = q * f.hoop * f.hoop
             c_bar[e, p, 3] = q * crz
             c_bar_inverse[e, p, 0] = czz * inverse
             c_bar_inverse[e, p, 1] = crr * inverse
-            c_bar_inverse[e, p, 2] = 1.0 / (q * ftt * ftt)
+            c_bar_inverse[e, p, 2] = 1.0 / (q * f.hoop * f.hoop)
             c_bar_inverse[e, p, 3] = -crz * inverse
             jacobian[e, p] = j
+
+
+@njit(cache=True, fastmath=True)
+def first_invariant(x, elements):
+    """tr C̄ (E, 4) at the Gauss points, 3 where an element is turned inside out; x (N, 2) positions."""
+    cells, gradient, radius, weight = elements
+    found = np.full(weight.shape, 3.0)
+    xr = np.empty(4)
+    xz = np.empty(4)
+    for e in range(cells.shape[0]):
+        for a in range(4):
+            xr[a] = x[cells[e, a], 0]
+            xz[a] = x[cells[e, a], 1]
+        for p in range(4):
+            f = deformation(xr, xz, gradient, radius, e, p)
+            j = (f.rr * f.zz - f.rz * f.zr) * f.hoop
+            if j > 0.0:
+                square = f.rr**2 + f.rz**2 + f.zr**2 + f.zz**2 + f.hoop**2
+                found[e, p] = j ** (-2.0 / 3.0) * square
+    return found
 
 
 @njit(cache=True)
@@ -312,56 +396,3 @@ def substitute_forward(band, start, x):
             factor = band[start + j, i]
             for c in range(m):
                 x[j + i, c] -= factor * x[j, c]
-
-
-@njit(cache=True)
-def _inverse(a, out):
-    """Inverse of a symmetric tensor stored as (rr, zz, θθ, rz); returns the determinant."""
-    plane = a[0] * a[1] - a[3] * a[3]
-    out[0] = a[1] / plane
-    out[1] = a[0] / plane
-    out[2] = 1.0 / a[2]
-    out[3] = -a[3] / plane
-    return plane * a[2]
-
-
-@njit(cache=True)
-def energies(weight, elastic, maxwell, bulk, jacobian, viscous0, inverse0, viscous1, inverse1):
-    """Stored energy at the end of a step and energy dissipated in the tissue during it, in J/rad.
-
-    viscous (E, 4, 4) is A, inverse (E, 4, 4) is C̄⁻¹, before (0) and after (1); jacobian (E, 4) after. The
-    dissipation −∫ ∂W/∂A : dA is taken by the trapezoidal rule, ∂W/∂A = ½ G (C̄ − A⁻¹).
-    """
-    stored = 0.0
-    dissipated = 0.0
-    c0 = np.empty(4)
-    c1 = np.empty(4)
-    a0 = np.empty(4)
-    a1 = np.empty(4)
-    for e in range(weight.shape[0]):
-        reference = 0.0
-        volume = 0.0
-        for p in range(4):
-            w = weight[e, p]
-            reference += w
-            volume += w * jacobian[e, p]
-            _inverse(inverse1[e, p], c1)
-            stored += 0.5 * w * elastic[e] * (c1[0] + c1[1] + c1[2] - 3.0)
-            if maxwell[e] > 0.0:
-                _inverse(inverse0[e, p], c0)
-                _inverse(viscous0[e, p], a0)
-                determinant = _inverse(viscous1[e, p], a1)
-                product = 0.0
-                rate = 0.0
-                for k in range(4):
-                    double = 2.0 if k == 3 else 1.0
-                    product += double * viscous1[e, p, k] * c1[k]
-                    rate += (
-                        double
-                        * (c0[k] - a0[k] + c1[k] - a1[k])
-                        * (viscous1[e, p, k] - viscous0[e, p, k])
-                    )
-                stored += 0.5 * w * maxwell[e] * (product - math.log(determinant) - 3.0)
-                dissipated -= 0.25 * w * maxwell[e] * rate
-        stored += 0.5 * bulk[e] * reference * (volume / reference - 1.0) ** 2
-    return stored, dissipated

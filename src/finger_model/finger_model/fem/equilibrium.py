@@ -1,10 +1,11 @@
 """Equilibrium of a mesh pressed by a rigid, flat, rough plate: Newton's method with an active set.
 
-Contact is exact: a node in contact has the plate's height, its reaction is the contact force, and no contact
-stiffness exists. Nodes that stick keep their radius; nodes that slip feel friction × reaction against their
-motion. The set of open, sticking and slipping nodes is updated with every Newton iteration (semismooth Newton, or
-primal–dual active set: Hüeber, Stadler, Wohlmuth 2008). The symmetric part of the tangent is factorised as a band
-matrix; the plate's height and the unsymmetric rows of slipping nodes enter as a border.
+Contact is exact: a node in contact has the plate's height, its reaction is the contact force, and
+no contact stiffness exists. Nodes that stick keep their radius; nodes that slip feel friction ×
+reaction against their motion. The set of open, sticking and slipping nodes is updated with every
+Newton iteration (semismooth Newton, or primal–dual active set: Hüeber, Stadler, Wohlmuth 2008). The
+symmetric part of the tangent is factorised as a band matrix; the plate's height and the unsymmetric
+rows of slipping nodes enter as a border.
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ from scipy.linalg.blas import dtbsv
 from scipy.linalg.lapack import dpbtrf
 
 from . import elements
+from .elements import Stiffness
 from .mesh import Mesh
+from .mesh_material import StepMaterial
 
 OPEN, STICK, SLIP = 0, 1, 2
 
@@ -34,8 +37,9 @@ class NotConverged(Exception):
 class Contact:
     """State of the skin nodes (S,) against the plate.
 
-    status: OPEN, STICK or SLIP; direction: sign of the radial slip; reference: radius (m) a sticking node keeps;
-    normal, shear: forces of the plate on the nodes (N/rad), up and outwards; height: z of the plate (m).
+    status: OPEN, STICK or SLIP; direction: sign of the radial slip; reference: radius (m) a
+    sticking node keeps; normal, shear: forces of the plate on the nodes (N/rad), up and outwards;
+    height: z of the plate (m).
     """
 
     status: np.ndarray
@@ -58,11 +62,13 @@ class Contact:
 
 
 class Tangent:
-    """Linear response of a mesh about a state: factorised stiffness, plate height and friction as a border.
+    """Linear response of a mesh about a state: factorised stiffness, plate height and friction as a
+    border.
 
-    Takes the band of the last assembly and overwrites it. active, sticking, slipping: indices of skin nodes;
-    pull (S,): friction coefficient times slip direction; loaded: the plate's force is given, not its height.
-    `stable` tells whether the stiffness is positive definite; only then may `respond` be called.
+    Takes the band of the last assembly and overwrites it. active, sticking, slipping: indices of
+    skin nodes; pull (S,): friction coefficient times slip direction; loaded: the plate's force is
+    given, not its height. `stable` tells whether the stiffness is positive definite; only then may
+    `respond` be called.
     """
 
     def __init__(
@@ -103,14 +109,16 @@ class Tangent:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Moves (m, n), plate rises (m,) and reactions (m, k) at the held contact unknowns.
 
-        push (m, n) are loads on all unknowns; force (m,) is the plate's total force (N/rad), if it is given.
+        push (m, n) are loads on all unknowns; force (m,) is the plate's total force (N/rad), if it
+        is given.
         """
         m, slips = len(push), len(self.sdof)
         right = push.copy()
         right[:, self.sdof] += self.pull * push[:, self.zdof[self.slip_row]]
         right[:, self.held] = 0.0
-        # With K = L Lᵀ, products of rows of K with K⁻¹ columns are those of their forward substitutions. Contact
-        # unknowns are the last of the numbering: their vectors are substituted over that end only.
+        # With K = L Lᵀ, products of rows of K with K⁻¹ columns are those of their forward
+        # substitutions. Contact unknowns are the last of the numbering: their vectors are
+        # substituted over that end only.
         start = max(0, int(self.dofs.min(initial=len(self.rise_column))) - self.factor.shape[0])
         end = np.zeros((1 + 2 * slips, len(self.rise_column) - start))
         end[0] = self.rise_column[start:]
@@ -167,10 +175,7 @@ class Equilibrium:
 
     def __post_init__(self) -> None:
         mesh = self.mesh
-        self.cells = np.ascontiguousarray(mesh.cells)
-        self.gradient, self.radius, self.weight = elements.reference_operators(
-            mesh.nodes, mesh.cells
-        )
+        self.elements = elements.reference_elements(mesh.nodes, mesh.cells)
         self.unknowns = 2 * len(mesh.nodes)
         self.force = np.zeros(self.unknowns)
         self.band = np.zeros((self.unknowns, mesh.half_bandwidth + 1))
@@ -192,38 +197,23 @@ class Equilibrium:
             float(self.mesh.nodes[self.mesh.surface, 1].min()),
         )
 
-    def assemble(
-        self, x: np.ndarray, metric: np.ndarray, bulk: np.ndarray, stiffness: bool = True
-    ) -> float:
-        """Fill `force` (and `band`) at positions x (N, 2); returns the smallest J, not positive if inverted."""
-        return elements.assemble(
-            x,
-            self.cells,
-            self.gradient,
-            elements.SHAPE,
-            self.radius,
-            self.weight,
-            metric,
-            bulk,
-            stiffness,
-            self.force,
-            self.band,
-        )
+    def assemble(self, x: np.ndarray, material: Stiffness, stiffness: bool = True) -> float:
+        """Fill `force` (and `band`) at positions x (N, 2); the smallest J, not positive if inverted."""
+        return elements.assemble(x, self.elements, material, stiffness, self.force, self.band)
 
     def solve(
         self,
         x: np.ndarray,
         contact: Contact,
-        metric: np.ndarray,
-        bulk: np.ndarray,
+        material: StepMaterial,
         friction: float,
         load: float | None,
         height: float | None = None,
     ) -> tuple[np.ndarray, Contact]:
-        """Positions (N, 2) and contact at a plate force `load` (N) or, if that is None, a plate `height` (m).
+        """Positions (N, 2) and contact at a plate force `load` (N) or else a plate `height` (m).
 
-        x and contact are the starting guess; contact.reference holds the radii to stick to. metric (E, 4, 4) and
-        bulk (E,) define the material of the step. Raises NotConverged with the cause.
+        x and contact are the starting guess; contact.reference holds the radii to stick to. Raises
+        NotConverged with the cause.
         """
         x = x.copy()
         contact = contact.copy()
@@ -233,7 +223,7 @@ class Equilibrium:
         pressed = height is not None or target > 0.0
         if not pressed:
             contact.status[:] = OPEN
-        stiffness_scale = float(metric[:, :, :3].mean()) * self.mesh.nodes[:, 1].min() ** 2
+        stiffness_scale = float(material.metric[:, :, :3].mean()) * self.mesh.nodes[:, 1].min() ** 2
         length = -float(self.mesh.nodes[:, 1].min())
         self.residuals = []
         free = np.ones(self.unknowns, dtype=bool)
@@ -244,7 +234,7 @@ class Equilibrium:
         retreats = 0
         rise = 0.0
         for iteration in range(ITERATIONS):
-            smallest = self.assemble(x, metric, bulk)
+            smallest = self.assemble(x, material.stiffness(x))
             active = np.flatnonzero(contact.status != OPEN)
             slipping = active[(contact.status[active] == SLIP) & ~self.guided[active]]
             sticking = active[(contact.status[active] != SLIP) & ~self.guided[active]]
@@ -273,7 +263,8 @@ class Equilibrium:
             overshot = step is not None and norm > 4.0 * previous and norm > 1e-3 and not changed
             tangent = None
             if math.isfinite(norm) and not overshot:
-                # Rounding of nearly incompressible tissue may end progress a little above the tolerance.
+                # Rounding of nearly incompressible tissue may end progress a little above the
+                # tolerance.
                 stalled = norm < 100.0 * TOLERANCE and norm > 0.3 * previous
                 if (norm < TOLERANCE or stalled) and mismatch < 1e-10 and not changed:
                     self.residuals.append(norm)

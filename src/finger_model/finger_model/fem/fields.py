@@ -12,6 +12,7 @@ from finger_common.files import atomic_write
 
 from . import elements
 from .contact_radius import contact_pressure, contact_shear
+from .elements import Stiffness
 from .equilibrium import Contact, Equilibrium
 
 
@@ -19,10 +20,11 @@ from .equilibrium import Contact, Equilibrium
 class Fields:
     """Fields on the half-section (SI).
 
-    nodes (N, 2): undeformed r, z; displacement (N, 2); cells (E, 4); part (E,): 0 bulk, 1 epidermis, 2 nail;
-    stress (E, 4): mean Cauchy stress (rr, zz, θθ, rz) of an element; von_mises, pressure (E,), pressure positive
-    in compression. surface (S,): skin nodes from the axis outwards; contact_radius (S,): their deformed radius;
-    contact_pressure, contact_shear (S,): tractions there, shear outwards; plate_height: z of the plate.
+    nodes (N, 2): undeformed r, z; displacement (N, 2); cells (E, 4); part (E,): 0 bulk, 1
+    epidermis, 2 nail; stress (E, 4): mean Cauchy stress (rr, zz, θθ, rz) of an element; von_mises,
+    pressure (E,), pressure positive in compression. surface (S,): skin nodes from the axis
+    outwards; contact_radius (S,): their deformed radius; contact_pressure, contact_shear (S,):
+    tractions there, shear outwards; plate_height: z of the plate.
     """
 
     nodes: np.ndarray
@@ -74,14 +76,13 @@ def fields_of(
     equilibrium: Equilibrium,
     x: np.ndarray,
     contact: Contact,
-    metric: np.ndarray,
-    bulk: np.ndarray,
+    material: Stiffness,
 ) -> Fields:
-    """Fields at positions x (N, 2) with the tensor H (E, 4, 4) of the isochoric energy and bulk moduli (E,)."""
-    mesh = equilibrium.mesh
+    """Fields at positions x (N, 2) of a material there."""
+    mesh, metric, weight = equilibrium.mesh, material.metric, equilibrium.elements.weight
     corners = x[mesh.cells]
-    gradient = np.einsum("eni,epnj->epij", corners, equilibrium.gradient)
-    hoop = np.einsum("en,pn->ep", corners[:, :, 0], elements.SHAPE) / equilibrium.radius
+    gradient = np.einsum("eni,epnj->epij", corners, equilibrium.elements.gradient)
+    hoop = np.einsum("en,pn->ep", corners[:, :, 0], elements.SHAPE) / equilibrium.elements.radius
     plane = gradient[..., 0, 0] * gradient[..., 1, 1] - gradient[..., 0, 1] * gradient[..., 1, 0]
     jacobian = plane * hoop
     h = np.empty((*metric.shape[:2], 2, 2))
@@ -94,11 +95,11 @@ def fields_of(
         axis=-1,
     )
     kirchhoff[..., :3] -= kirchhoff[..., :3].mean(axis=-1, keepdims=True)
-    current = equilibrium.weight * jacobian
-    dilatation = current.sum(axis=1) / equilibrium.weight.sum(axis=1)
+    current = weight * jacobian
+    dilatation = current.sum(axis=1) / weight.sum(axis=1)
     # Volume average over the deformed element: ∫ τ dV / v.
-    stress = np.einsum("ep,epk->ek", equilibrium.weight, kirchhoff) / current.sum(axis=1)[:, None]
-    stress[:, :3] += (bulk * (dilatation - 1.0))[:, None]
+    stress = np.einsum("ep,epk->ek", weight, kirchhoff) / current.sum(axis=1)[:, None]
+    stress[:, :3] += (material.bulk * (dilatation - 1.0))[:, None]
     rr, zz, tt, rz = stress.T
     von_mises = np.sqrt(0.5 * ((rr - zz) ** 2 + (zz - tt) ** 2 + (tt - rr) ** 2) + 3.0 * rz**2)
     skin = x[mesh.surface]

@@ -1,13 +1,14 @@
 """The full-order finger: finite strain, viscoelastic bulk, rough rigid plate.
 
-`FullOrderModel` holds mesh and solver of a geometry; `Stepper` carries one finger through a load history.
+`FullOrderModel` holds mesh and solver of a geometry; `Stepper` carries one finger through a load
+history.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,41 +22,38 @@ from ..history import (
     mean_pressure,
     radius_to_area,
 )
-from ..material import Material
-from . import elements
+from ..laws import ConstitutiveLaw, Tissue
 from .contact_radius import Edge, contact_edge, peak_pressure
 from .equilibrium import OPEN, SLIP, Contact, Equilibrium, NotConverged
 from .fields import Fields, fields_of
-from .mesh import BULK, EPIDERMIS, NAIL, Mesh, finger_mesh
+from .mesh import Mesh, finger_mesh
+from .mesh_material import Crushed, MeshMaterial
 
 SMALLEST_CUT = 2.0**-14
 """A step that cannot converge is cut to a quarter until it is this fraction of the step asked for."""
 
 SMALLEST_PART = 1.0 / 64.0
 """A step is not divided further than this for the sake of its path."""
-SMALLEST_VOLUME = 0.2
-"""Tissue squeezed below this fraction of its volume has left what the law describes: the finger is crushed."""
-FRESH_NODES = 1
-"""A step is divided so that not more than so many skin nodes touch anew in one part."""
+MAXIMUM_NEW_NODES = 1
+"""Maximum number of new contact nodes in one part of a divided step."""
 
 
 @dataclass
 class State:
-    """All that a finger remembers (SI).
+    """All that a finger remembers (SI). Arrays are never changed in place, but for those of
+    `contact`.
 
-    time (s), force (N); positions (N, 2); contact; viscous (E, 4, 4) tensor A of the Maxwell branch, the unit
-    tensor at rest; c_bar_inverse (E, 4, 4) at this state. Tensors are stored as (rr, zz, θθ, rz).
-    radius of the contact (m), edge: what is remembered of its way; reserve: rise of the force (N) until two more
-    nodes touch. stored: elastic energy; work of the plate, dissipation in the tissue and friction_work since the
-    start (J).
+    time (s), force (N); positions (N, 2); contact; tissue: strain and internal variables of the
+    soft tissue. radius of the contact (m); edge: history of the contact's edge; reserve: rise of
+    the force (N) until two more nodes touch. stored: elastic energy; work of the plate, dissipation
+    in the tissue and friction_work since the start (J).
     """
 
     time: float
     force: float
     positions: np.ndarray
     contact: Contact
-    viscous: np.ndarray
-    c_bar_inverse: np.ndarray
+    tissue: Tissue
     radius: float = 0.0
     reserve: float = math.inf
     edge: Edge | None = None
@@ -66,27 +64,15 @@ class State:
 
     def copy(self) -> State:
         """Independent copy."""
-        return State(
-            self.time,
-            self.force,
-            self.positions.copy(),
-            self.contact.copy(),
-            self.viscous.copy(),
-            self.c_bar_inverse.copy(),
-            self.radius,
-            self.reserve,
-            self.edge,
-            self.stored,
-            self.work,
-            self.dissipation,
-            self.friction_work,
-        )
+        return replace(self, contact=self.contact.copy())
 
 
 class FullOrderModel:
-    """Axisymmetric finite elements of one geometry; `refinement` divides the node spacing (1 is the default).
+    """Axisymmetric finite elements of one geometry; `refinement` divides the node spacing (1 is the
+    default).
 
-    A mesh may be given instead of being made from the geometry. Raises InputError for an impossible geometry.
+    A mesh may be given instead of being made from the geometry. Raises InputError for an impossible
+    geometry.
     """
 
     def __init__(
@@ -99,22 +85,24 @@ class FullOrderModel:
         self.refinement = refinement
         self.mesh = mesh if mesh is not None else finger_mesh(self.geometry, refinement)
         self.equilibrium = Equilibrium(self.mesh)
+        self.tip_height = float(self.mesh.nodes[self.mesh.surface, 1].min())
 
-    def start(self, material: Material, time: float = 0.0) -> Stepper:
+    def start(self, material: ConstitutiveLaw, time: float = 0.0) -> Stepper:
         """A finger of this material at rest, without contact, at `time` (s)."""
         return Stepper(self, material, time)
 
     def simulate(
         self,
-        material: Material,
+        material: ConstitutiveLaw,
         time: np.ndarray,
         force: np.ndarray,
         progress: Callable[[float], None] | None = None,
     ) -> ContactHistory:
-        """Contact under forces (n,) in N at times (n,) in s; at rest before time[0], which may carry load.
+        """Contact under forces (n,) in N at times (n,) in s; at rest before time[0], which may
+        carry load.
 
-        `progress` is called with the fraction done. Raises InputError for time that does not increase and
-        ModelError, naming time, force and cause, for a load the finger cannot carry.
+        `progress` is called with the fraction done. Raises InputError for time that does not
+        increase and ModelError, naming time, force and cause, for a load the finger cannot carry.
         """
         time, force = check_force_history(time, force)
         stepper = self.start(material, float(time[0]))
@@ -129,43 +117,25 @@ class FullOrderModel:
 class Stepper:
     """One finger on its way through a load history; `state` may be copied, kept and put back."""
 
-    def __init__(self, model: FullOrderModel, material: Material, time: float = 0.0) -> None:
+    def __init__(self, model: FullOrderModel, material: ConstitutiveLaw, time: float = 0.0) -> None:
         self.model = model
         self.material = material
-        mesh = model.mesh
-        n = len(mesh.cells)
-        unit = np.zeros((n, 4, 4))
-        unit[:, :, :3] = 1.0
-        self.elastic_shear = np.zeros(n)
-        self.maxwell_shear = np.zeros(n)
-        self.bulk_modulus = np.zeros(n)
-        for part, modulus, ratio in (
-            (EPIDERMIS, material.E2, material.poisson_ratio_epidermis),
-            (NAIL, material.nail_modulus, material.poisson_ratio_nail),
-        ):
-            self.elastic_shear[mesh.part == part] = modulus / (2.0 * (1.0 + ratio))
-            self.bulk_modulus[mesh.part == part] = modulus / (3.0 * (1.0 - 2.0 * ratio))
-        bulk = mesh.part == BULK
-        self.elastic_shear[bulk] = material.long_term_shear_modulus
-        self.maxwell_shear[bulk] = (
-            material.instantaneous_shear_modulus - material.long_term_shear_modulus
-        )
-        self.bulk_modulus[bulk] = material.bulk_modulus
-        self._elastic_metric = self.elastic_shear[:, None, None] * unit
+        self.mesh_material = MeshMaterial(material, model.mesh, model.equilibrium.elements)
         self.state = State(
             time,
             0.0,
-            mesh.nodes.copy(),
+            model.mesh.nodes.copy(),
             model.equilibrium.unloaded_contact(),
-            unit.copy(),
-            unit.copy(),
+            self.mesh_material.at_rest(),
         )
         self._before: State | None = None
 
     def step(self, time: float, force: float) -> ContactPoint:
-        """Advance to `time` (s) with the plate's force (N) going there linearly; F ≤ 0 is no contact.
+        """Advance to `time` (s) with the plate's force (N) going there linearly; F ≤ 0 is no
+        contact.
 
-        Raises ModelError naming time, force and cause when no equilibrium is found; the state is then unchanged.
+        Raises ModelError naming time, force and cause when no equilibrium is found; the state is
+        then unchanged.
         """
         return self._advance(time, force, None)
 
@@ -190,9 +160,9 @@ class Stepper:
         while done < 1.0:
             goal = min(1.0, done + size)
             if end > begin and (self.material.friction > 0.0 or time > start.time):
-                # Friction and creep depend on the path, which is curved (Hertz: F^(2/3)) while the contact is
-                # small: only a few nodes may touch in one part of the step.
-                rise = self._careful_rise() if loaded else self._careful_travel()
+                # Friction and creep depend on the path, which is curved (Hertz: F^(2/3)) while the
+                # contact is small: only a few nodes may touch in one part of the step.
+                rise = self._allowed_rise() if loaded else self._allowed_travel()
                 goal = min(goal, done + max(rise / (end - begin), SMALLEST_PART))
                 if goal > 1.0 - 1e-9:
                     goal = 1.0
@@ -200,7 +170,7 @@ class Stepper:
             instant = start.time + goal * (time - start.time)
             try:
                 self._try(instant, value if loaded else None, None if loaded else value)
-            except NotConverged as error:
+            except (NotConverged, Crushed) as error:
                 size = 0.25 * (goal - done)
                 if size < SMALLEST_CUT:
                     self.state, self._before = start, before
@@ -219,138 +189,83 @@ class Stepper:
     @property
     def indentation(self) -> float:
         """Travel of the plate (m) from first touch of the unloaded shape."""
-        return self.state.contact.height - float(
-            self.model.mesh.nodes[self.model.mesh.surface, 1].min()
-        )
-
-    def step_metric(self, duration: float) -> tuple[np.ndarray, float, float, float]:
-        """Tensor H (E, 4, 4) of a step of `duration` (s), and the weights (e, α, β) of the internal strain.
-
-        A₊ = e A + α C̄⁻¹ + β C̄₊⁻¹ integrates dA/dt = (C̄⁻¹ − A)/τ exactly for C̄⁻¹ linear in time.
-        """
-        ratio = duration / self.material.relaxation_time
-        decay = math.exp(-ratio)
-        if ratio < 1e-5:
-            new = 0.5 * ratio
-            old = 0.5 * ratio
-        else:
-            mean = -math.expm1(-ratio) / ratio
-            new = 1.0 - mean
-            old = mean - decay
-        state = self.state
-        metric = self._elastic_metric + self.maxwell_shear[:, None, None] * (
-            decay * state.viscous + old * state.c_bar_inverse
-        )
-        return metric, decay, old, new
+        return self.state.contact.height - self.model.tip_height
 
     def _path(
         self, duration: float, x: np.ndarray, force: float | None
     ) -> tuple[np.ndarray, float]:
-        """Rates, per step, of the creeping tissue's push (2N,) and of the plate's force (N/rad) at a step's end.
+        """Rates, per step, of the creeping tissue's load (2N,) and of the plate's force (N/rad) at
+        a step's end.
 
-        While the force falls, rests or is not given, the path is that of the force alone: tissue that merely
-        settles tells nothing of the order in which nodes touch.
+        While the force falls, rests or is not given, the path is that of the force alone: the creep
+        of tissue under a constant force does not show the order in which nodes touch.
         """
         equilibrium = self.model.equilibrium
         rise = (force if force is not None else 0.0) - max(self.state.force, 0.0)
         if duration <= 0.0 or force is None or rise <= 0.0:
             return np.zeros(equilibrium.unknowns), 1.0
-        part = 1e-3
-        later = self.step_metric((1 + part) * duration)[0]
-        now = self.step_metric((1 - part) * duration)[0]
-        rate = (later - now) / (2 * part)
-        equilibrium.assemble(x, rate, np.zeros_like(self.bulk_modulus), stiffness=False)
+        rate = self.mesh_material.rate(duration, self.state.tissue)
+        equilibrium.assemble(x, rate, stiffness=False)
         return -equilibrium.force, rise / (2.0 * math.pi)
 
     def _try(self, time: float, force: float | None, indentation: float | None) -> None:
         """One step without cutting; leaves the state alone unless it converges."""
-        state = self.state
+        state, friction = self.state, self.material.friction
         equilibrium = self.model.equilibrium
         surface = self.model.mesh.surface
-        metric, decay, old, new = self.step_metric(time - state.time)
-        height = None
-        if indentation is not None:
-            height = float(self.model.mesh.nodes[surface, 1].min()) + indentation
+        duration = time - state.time
+        height = None if indentation is None else self.model.tip_height + indentation
         x, contact = self._guess(time, force, height)
         contact.reference = np.where(
             state.contact.status != OPEN, state.positions[surface, 0], np.nan
         )
-        friction = self.material.friction
-        x, contact = equilibrium.solve(
-            x, contact, metric, self.bulk_modulus, friction, force, height
-        )
+        material = self.mesh_material.step(duration, state.tissue)
+        x, contact = equilibrium.solve(x, contact, material, friction, force, height)
         if force is not None and force <= 0.0:
             contact.height = float(x[surface, 1].min())
-        push, rise = self._path(time - state.time, x, force)
-        creep = self.material.tau1 / (time - state.time) if time > state.time else math.inf
+        load, rise = self._path(duration, x, force)
+        creep = self.material.creep_time / duration if duration > 0 else math.inf
         radius, reserve, edge = contact_edge(
-            equilibrium, x, contact, friction, push, rise, creep, state.edge
+            equilibrium, x, contact, friction, load, rise, creep, state.edge
         )
         total = 2.0 * math.pi * float(contact.normal.sum())
-        c_bar = np.empty_like(state.viscous)
-        inverse = np.empty_like(state.viscous)
-        jacobian = np.empty(c_bar.shape[:2])
-        elements.strain_measures(
-            x,
-            equilibrium.cells,
-            equilibrium.gradient,
-            elements.SHAPE,
-            equilibrium.radius,
-            c_bar,
-            inverse,
-            jacobian,
-        )
-        if jacobian.min() < SMALLEST_VOLUME:
-            raise NotConverged(f"tissue is squeezed below {SMALLEST_VOLUME:g} of its volume")
-        viscous = decay * state.viscous + old * state.c_bar_inverse + new * inverse
-        stored, dissipated = elements.energies(
-            equilibrium.weight,
-            self.elastic_shear,
-            self.maxwell_shear,
-            self.bulk_modulus,
-            jacobian,
-            state.viscous,
-            state.c_bar_inverse,
-            viscous,
-            inverse,
-        )
+        tissue, stored, dissipated = self.mesh_material.update(duration, state.tissue, x)
         slip = x[surface, 0] - state.positions[surface, 0]
-        rubbed = -0.5 * float((contact.shear + state.contact.shear) @ slip)
+        friction_work = -0.5 * float((contact.shear + state.contact.shear) @ slip)
+        plate_work = 0.5 * (max(state.force, 0.0) + total) * (contact.height - state.contact.height)
         self._before = state
         self.state = State(
             time=time,
             force=force if force is not None else total,
             positions=x,
             contact=contact,
-            viscous=viscous,
-            c_bar_inverse=inverse,
+            tissue=tissue,
             radius=radius,
             reserve=reserve,
             edge=edge,
             stored=2.0 * math.pi * stored,
-            work=state.work
-            + 0.5 * (max(state.force, 0.0) + total) * (contact.height - state.contact.height),
+            work=state.work + plate_work,
             dissipation=state.dissipation + 2.0 * math.pi * dissipated,
-            friction_work=state.friction_work + 2.0 * math.pi * rubbed,
+            friction_work=state.friction_work + 2.0 * math.pi * friction_work,
         )
 
-    def _careful_rise(self) -> float:
+    def _allowed_rise(self) -> float:
         """Rise of the force (N) in which at most a few more skin nodes touch."""
         state = self.state
         if state.contact.status.any():
-            return FRESH_NODES / 2.0 * state.reserve
+            return MAXIMUM_NEW_NODES / 2.0 * state.reserve
         mesh = self.model.mesh
-        touched = state.positions[mesh.surface[FRESH_NODES], 0]
+        touched = state.positions[mesh.surface[MAXIMUM_NEW_NODES], 0]
         return self._hertz_force(touched)
 
-    def _careful_travel(self) -> float:
+    def _allowed_travel(self) -> float:
         """Rise of the plate (m) in which at most a few more skin nodes touch."""
         state = self.state
         open_nodes = self.model.mesh.surface[state.contact.status == OPEN]
         gaps = state.positions[open_nodes, 1] - state.contact.height
-        if len(gaps) <= FRESH_NODES:
+        if len(gaps) <= MAXIMUM_NEW_NODES:
             return math.inf
-        return float(np.partition(gaps, FRESH_NODES)[FRESH_NODES])
+        return float(np.partition(gaps, MAXIMUM_NEW_NODES)[MAXIMUM_NEW_NODES])
 
     def _hertz_force(self, radius: float) -> float:
         """Force (N) at which Hertz's solution for the resting tissue has a contact radius (m)."""
@@ -415,7 +330,5 @@ class Stepper:
     def fields(self) -> Fields:
         """Displacement, stress and contact tractions at the present state."""
         state = self.state
-        metric = self._elastic_metric + self.maxwell_shear[:, None, None] * state.viscous
-        return fields_of(
-            self.model.equilibrium, state.positions, state.contact, metric, self.bulk_modulus
-        )
+        material = self.mesh_material.step(0.0, state.tissue).stiffness(state.positions)
+        return fields_of(self.model.equilibrium, state.positions, state.contact, material)

@@ -1,5 +1,56 @@
-"""Material laws, and the parameters that each lets a fit vary."""
+"""Material laws, and the parameters that each lets a fit vary.
 
+A law is found by name among the entry points `finger_model.law`; nothing here is edited to add one
+(docs/add_a_law.md).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from finger_common.errors import InputError
+from finger_common.files import load_yaml
+from finger_common.plugins import Plugins
+
+from .law import UNIT, ConstitutiveLaw, StepEnergy, Tissue, parameter, trace
 from .space import DerivedQuantity, ParameterSpace, ParameterSpec, Quantity
+from .standard_linear_solid import StandardLinearSolid
 
-__all__ = ["DerivedQuantity", "ParameterSpace", "ParameterSpec", "Quantity"]
+LAWS = Plugins("finger_model.law", "material law")
+"""The installed laws."""
+
+
+def law_of(name: str) -> type[ConstitutiveLaw]:
+    """The law class of a name; the empty name is the default law. Raises InputError."""
+    if name in ("", StandardLinearSolid.name):
+        return StandardLinearSolid
+    found = LAWS.load(name)
+    if not (isinstance(found, type) and issubclass(found, ConstitutiveLaw)):
+        raise InputError(
+            f"material law '{name}' is no subclass of finger_model.laws.ConstitutiveLaw"
+        )
+    return found
+
+
+def load_material(path: str | Path) -> ConstitutiveLaw:
+    """Material from material.yaml (SI), of the law named by its key `law`; raises InputError."""
+    data = load_yaml(path, "material file")
+    return law_of(str(data.pop("law", "") or "")).from_dict(data, str(path))
+
+
+__all__ = [
+    "LAWS",
+    "UNIT",
+    "ConstitutiveLaw",
+    "DerivedQuantity",
+    "ParameterSpace",
+    "ParameterSpec",
+    "Quantity",
+    "StandardLinearSolid",
+    "StepEnergy",
+    "Tissue",
+    "law_of",
+    "load_material",
+    "parameter",
+    "trace",
+]

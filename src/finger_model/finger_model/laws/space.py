@@ -66,18 +66,24 @@ class ParameterSpec(Quantity):
     bounds: tuple[float, float] = (0.0, math.inf)
     range: tuple[float, float] = (0.0, math.inf)
     log_offset: float = 0.0
+    allowed: tuple[float, float] = (-math.inf, math.inf)
 
-    def check(self, value: float, where: str = "parameters") -> None:
-        """Raises InputError for a value that is not finite or has no logarithm."""
+    def check(self, value: float, where: str = "parameters", allowed: bool = False) -> None:
+        """Raises InputError for a value that is not finite, without logarithm or not allowed."""
         if not math.isfinite(value):
             raise InputError(f"{where}: '{self.name}' is {value}, a finite number is needed")
         if value + self.log_offset <= 0:
-            needed = (
-                "a positive number"
-                if self.log_offset == 0
-                else f"more than {-self.log_offset:g} {self.unit}".rstrip()
+            lowest = f"more than {-self.log_offset:g}" if self.log_offset else "a positive value"
+            shown = f"{value:g} {self.unit}".rstrip()
+            raise InputError(f"{where}: '{self.name}' is {shown}, {lowest} is needed")
+        low, high = self.allowed
+        if allowed and not low <= value <= high:
+            span = f"{low:g} … {high:g}" if math.isfinite(high) else f"{low:g} and more"
+            what = "moduli" if self.unit == "Pa" else "it"
+            raise InputError(
+                f"{where}: '{self.name}' is {value:g} {self.unit}, outside {span} {self.unit}; "
+                f"give {what} in {self.unit or 'plain numbers'}"
             )
-            raise InputError(f"{where}: '{self.name}' is {value:g}, {needed} is needed")
 
 
 @dataclass(frozen=True)

@@ -1,11 +1,19 @@
-"""The paper's law: a standard linear solid of bulk tissue under an elastic epidermis."""
+"""The default law: the paper's standard linear solid under an elastic epidermis."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from .. import paper
-from .space import DerivedQuantity, ParameterSpace, ParameterSpec
+from .law import UNIT, ConstitutiveLaw, StepEnergy, Tissue, parameter, trace
+from .space import DerivedQuantity
+
+MODULUS_RANGE = (1e3, 3e7)
+"""Pa, accepted moduli. Below, a number in kPa or MPa is likelier than a finger; under a stiffer
+epidermis the contact at 1 N is narrower than a few elements of the default mesh, and its area is
+not found."""
 
 
 def composite_modulus(vectors: np.ndarray) -> np.ndarray:
@@ -21,70 +29,172 @@ def _with_composite_modulus(vectors: np.ndarray, modulus: np.ndarray) -> np.ndar
     return out
 
 
-def _parameter(name: str, **description) -> ParameterSpec:
-    return ParameterSpec(
-        name, default=paper.NATURAL.parameters[name], bounds=paper.SEARCH_BOX[name], **description
+COMPOSITE_MODULUS = DerivedQuantity(
+    "composite_E",
+    unit="Pa",
+    meaning="Long-term modulus of the soft tissue, 1/(1/E0 + 1/E1).",
+    symbol="E",
+    display_unit="kPa",
+    display_factor=1e-3,
+    decimals=2,
+    value=composite_modulus,
+    solve=_with_composite_modulus,
+    solves_for="E1",
+    of=("E0", "E1"),
+)
+
+
+def _paper(name: str, meaning: str, **description):
+    """A parameter with the paper's search box, whose default is that of the natural condition."""
+    return parameter(
+        paper.NATURAL.parameters[name], meaning, bounds=paper.SEARCH_BOX[name], **description
     )
 
 
-PARAMETERS = ParameterSpace(
-    [
-        _parameter(
-            "E0",
-            unit="Pa",
-            meaning="Modulus of the spring of the bulk tissue: stiffness under a sudden load.",
-            symbol="E₀",
-            display_unit="kPa",
-            display_factor=1e-3,
-            decimals=1,
-            range=(30e3, 300e3),
-        ),
-        _parameter(
-            "E1",
-            unit="Pa",
-            meaning="Modulus of the Kelvin element (spring beside a damper) in series with E0.",
-            symbol="E₁",
-            display_unit="kPa",
-            display_factor=1e-3,
-            decimals=2,
-            range=(8e3, 120e3),
-        ),
-        _parameter(
-            "tau1",
-            unit="s",
-            meaning="Creep time of the Kelvin element: shear viscosity over shear modulus.",
-            symbol="τ₁",
-            display_unit="s",
-            display_factor=1.0,
-            decimals=3,
-            range=(0.002, 3.0),
-        ),
-        _parameter(
-            "E2",
-            unit="Pa",
-            meaning="Modulus of the elastic epidermis.",
-            symbol="E₂",
-            display_unit="kPa",
-            display_factor=1e-3,
-            decimals=0,
-            range=(300e3, 5000e3),
-        ),
-    ],
-    derived=[
-        DerivedQuantity(
-            "composite_E",
-            unit="Pa",
-            meaning="Long-term modulus of the bulk tissue, 1/(1/E0 + 1/E1).",
-            symbol="E",
-            display_unit="kPa",
-            display_factor=1e-3,
-            decimals=2,
-            value=composite_modulus,
-            solve=_with_composite_modulus,
-            solves_for="E1",
-            of=("E0", "E1"),
+@dataclass(frozen=True, kw_only=True)
+class StandardLinearSolid(ConstitutiveLaw):
+    """Spring E0 in series with a Kelvin element: spring E1 beside a damper, τ1 = η1/G1.
+
+    Nam and Kuchenbecker 2021, eq. 2. The equal parallel form is used, a spring G∞ beside one
+    Maxwell branch (G0 − G∞, τ), with G = E/(2(1+ν)) of each modulus:
+
+        W = ½ G∞ (tr C̄ − 3) + ½ (G0 − G∞) (A : C̄ − ln det A − 3) + ½ K (J − 1)²
+        dA/dt = (C̄⁻¹ − A)/τ,   G∞ = G0 G1/(G0 + G1),   τ = τ1 G1/(G0 + G1),   K = E0/(3(1−2ν))
+
+    Why this form: docs/theory.md, section 3. An elastic tissue is written with E1 very large
+    against E0.
+    """
+
+    name = "standard_linear_solid"
+    DERIVED = (COMPOSITE_MODULUS,)
+    CORRECTION = ("composite_E", "E0", "tau1", "E2")
+    INTERNAL_TENSORS = 1
+    STIFFNESS_ADVICE = "lower 'E0' against 'E1' or 'poisson_ratio_bulk'"
+
+    E0: float = _paper(
+        "E0",
+        "Modulus of the spring of the soft tissue: its stiffness under a sudden load.",
+        unit="Pa",
+        symbol="E₀",
+        display_unit="kPa",
+        display_factor=1e-3,
+        decimals=1,
+        range=(30e3, 300e3),
+        allowed=MODULUS_RANGE,
+    )
+    E1: float = _paper(
+        "E1",
+        "Modulus of the Kelvin element in series with E0.",
+        unit="Pa",
+        symbol="E₁",
+        display_unit="kPa",
+        display_factor=1e-3,
+        decimals=2,
+        range=(8e3, 120e3),
+        allowed=(MODULUS_RANGE[0], np.inf),
+    )
+    tau1: float = _paper(
+        "tau1",
+        "Creep time of the Kelvin element: shear viscosity over shear modulus.",
+        unit="s",
+        symbol="τ₁",
+        display_unit="s",
+        display_factor=1.0,
+        decimals=3,
+        range=(0.002, 3.0),
+    )
+    E2: float = _paper(
+        "E2",
+        "Modulus of the elastic epidermis.",
+        unit="Pa",
+        symbol="E₂",
+        display_unit="kPa",
+        display_factor=1e-3,
+        decimals=0,
+        range=(300e3, 5000e3),
+        allowed=MODULUS_RANGE,
+    )
+
+    @property
+    def composite_modulus(self) -> float:
+        """Long-term modulus E = 1/(1/E0 + 1/E1) in Pa (paper)."""
+        return 1.0 / (1.0 / self.E0 + 1.0 / self.E1)
+
+    @property
+    def epidermis_modulus(self) -> float:
+        """E2 in Pa."""
+        return self.E2
+
+    @property
+    def instantaneous_shear_modulus(self) -> float:
+        """G0 = E0/(2(1+ν)) in Pa."""
+        return self.E0 / (2.0 * (1.0 + self.poisson_ratio_bulk))
+
+    @property
+    def kelvin_shear_modulus(self) -> float:
+        """G1 = E1/(2(1+ν)) in Pa."""
+        return self.E1 / (2.0 * (1.0 + self.poisson_ratio_bulk))
+
+    @property
+    def long_term_shear_modulus(self) -> float:
+        """G∞ = 1/(1/G0 + 1/G1) in Pa."""
+        return 1.0 / (1.0 / self.instantaneous_shear_modulus + 1.0 / self.kelvin_shear_modulus)
+
+    @property
+    def maxwell_shear_modulus(self) -> float:
+        """G0 − G∞ in Pa."""
+        return self.instantaneous_shear_modulus - self.long_term_shear_modulus
+
+    @property
+    def bulk_modulus(self) -> float:
+        """K = E0/(3(1−2ν)) in Pa, constant in time."""
+        return self.E0 / (3.0 * (1.0 - 2.0 * self.poisson_ratio_bulk))
+
+    @property
+    def relaxation_time(self) -> float:
+        """τ = τ1 G1/(G0 + G1) in s, in which stress relaxes at constant strain."""
+        return self.tau1 * self.E1 / (self.E0 + self.E1)
+
+    @property
+    def creep_time(self) -> float:
+        """τ1 in s, in which strain creeps at constant stress."""
+        return self.tau1
+
+    def step_energy(self, duration: float, before: Tissue) -> StepEnergy:
+        """H = G∞ 1 + (G0 − G∞) (e A + α C̄⁻¹)."""
+        from . import maxwell
+
+        weights = maxwell.step_weights(duration, self.relaxation_time)
+        relaxed = weights.decay * before.internal[0] + weights.old * before.c_bar_inverse
+        return StepEnergy(
+            self.long_term_shear_modulus * UNIT + self.maxwell_shear_modulus * relaxed
         )
-    ],
-    correction=("composite_E", "E0", "tau1", "E2"),
-)
+
+    def update(
+        self, duration: float, before: Tissue, c_bar: np.ndarray, c_bar_inverse: np.ndarray
+    ) -> np.ndarray:
+        """A₊ = e A + α C̄⁻¹ + β C̄₊⁻¹."""
+        from . import maxwell
+
+        weights = maxwell.step_weights(duration, self.relaxation_time)
+        found = weights.decay * before.internal + weights.old * before.c_bar_inverse
+        return found + weights.new * c_bar_inverse
+
+    def energies(self, weight: np.ndarray, before: Tissue, after: Tissue) -> tuple[float, float]:
+        """Energy of the spring G∞ and of the Maxwell branch; the branch dissipates."""
+        from . import maxwell
+
+        strain = float(np.sum(weight * (trace(after.c_bar) - 3.0)))
+        stored, dissipated = maxwell.branch_energies(
+            weight,
+            self.maxwell_shear_modulus,
+            before.c_bar,
+            after.c_bar,
+            before.internal[0],
+            after.internal[0],
+        )
+        return 0.5 * self.long_term_shear_modulus * strain + stored, dissipated
+
+
+PARAMETERS = StandardLinearSolid.PARAMETERS
 """E0, E1 (Pa), tau1 (s), E2 (Pa), and the composite modulus."""

@@ -1,8 +1,9 @@
 """Full-order runs for the reduced model: internal strain in a few coordinates along many histories.
 
-The full-order bulk has the energy ½ J^(−2/3) H : C with H = G∞ 1 + (G0 − G∞) A. Over G0, and with
-r = G∞/G0 = E1/(E0 + E1), H/G0 = 1 + B where B = (1 − r)(A − 1): the contact problem at an instant knows E1 only
-through the field B. B is projected on fields φ_i (principal components of visited fields, volume-weighted):
+The full-order bulk has the energy ½ J^(−2/3) H : C with H = G∞ 1 + (G0 − G∞) A. Over G0, and with r
+= G∞/G0 = E1/(E0 + E1), H/G0 = 1 + B where B = (1 − r)(A − 1): the contact problem at an instant
+knows E1 only through the field B. B is projected on fields φ_i (principal components of visited
+fields, volume-weighted):
 
     a_i = ⟨φ_i, B⟩,  b_i = ⟨φ_i, C̄⁻¹ − 1⟩,  c_i = b_i − a_i
     dA/dt = (C̄⁻¹ − A)/τ, τ = τ1 r   ⇒   τ1 da_i/dt = (E0/E1) c_i − a_i    (exact, for every φ)
@@ -23,6 +24,7 @@ from finger_common.errors import ModelError
 from ..fem.full_order import FullOrderModel, Stepper
 from ..fem.mesh import BULK
 from ..geometry import Geometry
+from ..laws import UNIT
 from ..material import Material
 from .force_histories import (
     FULL_RANGE,
@@ -51,8 +53,8 @@ class Case:
 class Run:
     """What came out, up to the last row that converged.
 
-    parameters (4,); time, force, area, indentation, peak (n,) in SI; internal, total (n, k): a and b; failed: the
-    force (N) at which the finger carried no more, or NaN.
+    parameters (4,); time, force, area, indentation, peak (n,) in SI; internal, total (n, k): a and
+    b; failed: the force (N) at which the finger carried no more, or NaN.
     """
 
     parameters: np.ndarray
@@ -94,19 +96,14 @@ def weight_of(model: FullOrderModel) -> np.ndarray:
     """Quadrature weights (E_bulk, 4, 1) of the bulk, over the pad's volume scale."""
     bulk = model.mesh.part == BULK
     length = model.geometry.pad_semi_axis_radial
-    return (model.equilibrium.weight[bulk] / length**3)[:, :, None] * COMPONENT_WEIGHTS
+    return (model.equilibrium.elements.weight[bulk] / length**3)[:, :, None] * COMPONENT_WEIGHTS
 
 
 def internal_field(stepper: Stepper) -> tuple[np.ndarray, np.ndarray]:
     """B and C̄⁻¹ − 1 (E_bulk, 4, 4) of the stepper's state."""
-    bulk = stepper.model.mesh.part == BULK
-    unit = np.array([1.0, 1.0, 1.0, 0.0])
-    material = stepper.material
+    material, tissue = stepper.material, stepper.state.tissue
     share = material.E0 / (material.E0 + material.E1)
-    return (
-        share * (stepper.state.viscous[bulk] - unit),
-        stepper.state.c_bar_inverse[bulk] - unit,
-    )
+    return share * (tissue.internal[0] - UNIT), tissue.c_bar_inverse - UNIT
 
 
 def run_case(

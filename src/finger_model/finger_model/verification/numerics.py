@@ -16,7 +16,7 @@ def patch_tests() -> Check:
     model = block(1e-2, 1e-2, 4, 4, distortion=0.25)
     equilibrium, mesh = model.equilibrium, model.mesh
     stepper = model.start(elastic(30e3, friction=0.0))
-    metric = stepper.step_metric(0.0)[0]
+    material = stepper.mesh_material.step(0.0, stepper.state.tissue)
     exact = mesh.nodes * [1.15, 0.8]
     outline = (
         (mesh.nodes[:, 0] <= 0)
@@ -27,9 +27,7 @@ def patch_tests() -> Check:
     away = np.random.default_rng(2).uniform(-2e-4, 2e-4, exact.shape)
     start = np.where(outline[:, None], exact, exact + away)
     equilibrium.fixed = np.flatnonzero(np.repeat(outline, 2))
-    found, _ = equilibrium.solve(
-        start, equilibrium.unloaded_contact(), metric, stepper.bulk_modulus, 0.0, 0.0
-    )
+    found, _ = equilibrium.solve(start, equilibrium.unloaded_contact(), material, 0.0, 0.0)
     error = float(np.abs(found - exact).max()) / 1e-2
 
     flat = block(1e-2, 1e-2, 4, 6, distortion=0.25).start(elastic(30e3, friction=0.0))

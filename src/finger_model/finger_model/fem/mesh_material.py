@@ -1,0 +1,107 @@
+"""A material law on the elements of a mesh: soft tissue by the law, epidermis and nail neo-Hookean."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..laws import UNIT, ConstitutiveLaw, StepEnergy, Tissue, trace
+from . import elements
+from .elements import Elements, Stiffness
+from .mesh import BULK, EPIDERMIS, NAIL, Mesh
+
+SMALLEST_VOLUME = 0.2
+"""Tissue squeezed below this fraction of its volume has left what a law describes: it is crushed."""
+
+
+class Crushed(Exception):
+    """Tissue is squeezed below SMALLEST_VOLUME."""
+
+
+class StepMaterial:
+    """Material of all elements during one time step.
+
+    metric (E, 4, 4): the tensor H in Pa without the law's stiffening; bulk (E,): K in Pa.
+    """
+
+    def __init__(self, mesh_material: MeshMaterial, energy: StepEnergy) -> None:
+        self.metric = mesh_material.elastic_metric.copy()
+        self.metric[mesh_material.tissue_index] = energy.metric
+        self.bulk = mesh_material.bulk
+        self._stiffening = energy.stiffening
+        self._material = mesh_material
+
+    def stiffness(self, x: np.ndarray) -> Stiffness:
+        """What the elements need at node positions x (N, 2)."""
+        if self._stiffening is None:
+            return Stiffness(self.metric, elements.NO_SLOPE, self.bulk)
+        index = self._material.tissue_index
+        invariant = elements.first_invariant(x, self._material.tissue_elements)
+        h, slope_of_tissue = self._stiffening(invariant)
+        metric = self.metric.copy()
+        metric[index] += h[:, :, None] * UNIT
+        slope = np.zeros(metric.shape[:2])
+        slope[index] = slope_of_tissue
+        return Stiffness(metric, slope, self.bulk)
+
+
+class MeshMaterial:
+    """A law on a mesh.
+
+    law; tissue_index (n,): elements of the soft tissue; shear (E,): shear modulus in Pa of
+    epidermis and nail, zero in the soft tissue; bulk (E,): bulk modulus in Pa; elastic_metric (E,
+    4, 4): H in Pa of epidermis and nail.
+    """
+
+    def __init__(self, law: ConstitutiveLaw, mesh: Mesh, reference: Elements) -> None:
+        self.law = law
+        self.reference = reference
+        self.tissue_index = np.flatnonzero(mesh.part == BULK)
+        self.tissue_elements = reference.only(self.tissue_index)
+        self.shear = np.zeros(len(mesh.cells))
+        self.bulk = np.full(len(mesh.cells), law.bulk_modulus)
+        for part, modulus, ratio in (
+            (EPIDERMIS, law.epidermis_modulus, law.poisson_ratio_epidermis),
+            (NAIL, law.nail_modulus, law.poisson_ratio_nail),
+        ):
+            self.shear[mesh.part == part] = modulus / (2.0 * (1.0 + ratio))
+            self.bulk[mesh.part == part] = modulus / (3.0 * (1.0 - 2.0 * ratio))
+        self.elastic_metric = np.tile(self.shear[:, None, None] * UNIT, (1, 4, 1))
+
+    def at_rest(self) -> Tissue:
+        """The undeformed tissue."""
+        unit = np.tile(UNIT, (len(self.tissue_index), 4, 1))
+        return Tissue(unit, unit, np.tile(unit, (self.law.INTERNAL_TENSORS, 1, 1, 1)))
+
+    def step(self, duration: float, before: Tissue) -> StepMaterial:
+        """Material of a step of `duration` (s) that starts from `before`."""
+        return StepMaterial(self, self.law.step_energy(duration, before))
+
+    def rate(self, duration: float, before: Tissue, part: float = 1e-3) -> Stiffness:
+        """Change of H per step at the end of a step of `duration` (s), without volumetric part."""
+        later = self.law.step_energy((1 + part) * duration, before).metric
+        now = self.law.step_energy((1 - part) * duration, before).metric
+        metric = np.zeros_like(self.elastic_metric)
+        metric[self.tissue_index] = (later - now) / (2 * part)
+        return Stiffness(metric, elements.NO_SLOPE, np.zeros_like(self.bulk))
+
+    def update(self, duration: float, before: Tissue, x: np.ndarray) -> tuple[Tissue, float, float]:
+        """Tissue after a step to node positions x (N, 2), energy stored in the finger, and
+        dissipated in the step.
+
+        Energies in J/rad. Raises Crushed.
+        """
+        c_bar = np.empty_like(self.elastic_metric)
+        inverse = np.empty_like(self.elastic_metric)
+        jacobian = np.empty(self.reference.weight.shape)
+        elements.strain_measures(x, self.reference, c_bar, inverse, jacobian)
+        if jacobian.min() < SMALLEST_VOLUME:
+            raise Crushed(f"tissue is squeezed below {SMALLEST_VOLUME:g} of its volume")
+        index, weight = self.tissue_index, self.reference.weight
+        strain = c_bar[index], inverse[index]
+        after = Tissue(*strain, self.law.update(duration, before, *strain))
+        stored, dissipated = self.law.energies(self.tissue_elements.weight, before, after)
+        volume = weight.sum(axis=1)
+        dilatation = (weight * jacobian).sum(axis=1) / volume - 1.0
+        spring = (weight * (trace(c_bar) - 3.0)).sum(axis=1)
+        elastic = 0.5 * self.shear @ spring + 0.5 * (self.bulk * volume) @ dilatation**2
+        return after, stored + float(elastic), dissipated

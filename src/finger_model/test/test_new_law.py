@@ -1,0 +1,115 @@
+"""A law in one file of an outside package: the example of docs/add_a_law.md, installed and run."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from finger_common.cli import run
+from finger_common.errors import InputError
+from finger_model.cli import _main
+from finger_model.fem.area_model import FullOrderAreas
+from finger_model.fem.full_order import FullOrderModel
+from finger_model.laws import LAWS, law_of, load_material
+from finger_model.verification.cases import elastic, ramp
+
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "add_a_law.md"
+
+
+def block(language: str) -> str:
+    """The first code block of the page in a language."""
+    return re.search(rf"```{language}\n(.*?)```", PAGE.read_text(), re.DOTALL)[1]
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory):
+    """The example as an installed package; gives its law class."""
+    site = tmp_path_factory.mktemp("site")
+    (site / "stiffening_law.py").write_text(block("python"))
+    info = site / "stiffening_law-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: stiffening-law\nVersion: 1.0\n")
+    entries = block("toml").replace('[project.entry-points."finger_model.law"]', "")
+    (info / "entry_points.txt").write_text(f"[finger_model.law]{entries.replace(chr(34), '')}")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(site))
+        yield law_of("stiffening")
+
+
+@pytest.fixture(scope="module")
+def model():
+    return FullOrderModel(refinement=0.5)
+
+
+def test_the_law_is_found_by_its_name_and_declares_its_parameters(installed, tmp_path):
+    assert "stiffening" in LAWS.names() and "standard_linear_solid" in LAWS.names()
+    assert installed.PARAMETERS.names == ("G", "b", "Es")
+    path = tmp_path / "material.yaml"
+    path.write_text(block("yaml"))
+    material = load_material(path)
+    assert isinstance(material, installed)
+    assert (material.G, material.b, material.friction) == (8e3, 0.5, 0.25)
+    path.write_text("law: stiffening\nE0: 1e5\n")
+    with pytest.raises(
+        InputError, match=r"material\.yaml: unknown key 'E0'; the keys are G, b, Es"
+    ):
+        load_material(path)
+    path.write_text("law: unheard_of\n")
+    with pytest.raises(InputError, match=r"law 'unheard_of' is not installed; known are .*stiff"):
+        load_material(path)
+
+
+def test_simulate_runs_with_the_law_of_the_material_file(installed, tmp_path, capsys):
+    (tmp_path / "material.yaml").write_text(block("yaml"))
+    time, force = ramp(1.0, 1.0, 5)
+    table = np.column_stack([time, force])
+    np.savetxt(tmp_path / "f.csv", table, "%g", ",", header="time_s,force_n", comments="")
+    arguments = ["simulate", "--force", str(tmp_path / "f.csv"), "-o", str(tmp_path / "o.csv")]
+    arguments += ["--material", str(tmp_path / "material.yaml"), "--refinement", "0.5"]
+    assert run(_main, [*arguments, "--solver", "full"]) == 0
+    found = np.genfromtxt(tmp_path / "o.csv", delimiter=",", names=True)
+    assert np.all(np.diff(found["area_mm2"]) > 0) and 30 < found["area_mm2"][-1] < 80
+    assert run(_main, [*arguments[:-2], "--solver", "reduced"]) == 2
+    assert "law 'stiffening' has no reduced model; use --solver full" in capsys.readouterr().err
+
+
+def test_without_stiffening_it_is_the_neo_hookean_finger(installed, model):
+    time, force = ramp(1.0, 1.0, 6)
+    ratio = 0.48
+    G = 30e3 / (2 * (1 + ratio))
+    soft = model.simulate(installed(G=G, b=1e-6, Es=1652e3), time, force)
+    plain = model.simulate(elastic(30e3, E2=1652e3), time, force)
+    assert soft.area == pytest.approx(plain.area, rel=1e-4)
+    stiff = model.simulate(installed(G=G, b=1.0, Es=1652e3), time, force)
+    assert np.all(stiff.area[2:] < soft.area[2:])
+    assert stiff.area[1] / soft.area[1] > stiff.area[-1] / soft.area[-1]
+
+
+def test_energy_balances_and_newton_converges_quadratically(installed, model):
+    stepper = model.start(installed(G=8e3, b=1.5, friction=0.0))
+    for k in range(1, 81):
+        stepper.step(0.01 * k, 1.2 * k / 80)
+    state = stepper.state
+    assert state.dissipation == 0.0
+    assert state.stored == pytest.approx(state.work, rel=2e-3)
+    stepper._before = None
+    stepper.step(1.0, 1.4)
+    last, end = model.equilibrium.residuals[-2:]
+    assert end < last**1.7
+
+
+def test_areas_for_a_fit_come_from_the_full_order_model(installed, model):
+    time, force = ramp(1.0, 1.0, 50)
+    areas = FullOrderAreas(installed(), refinement=0.5)
+    rows = np.array([10, 30, 50])
+    vectors = np.array([[6e3, 0.5, 1.5e6], [12e3, 0.5, 1.5e6]])
+    (found,) = areas.batch(vectors, [(time, force, rows)])
+    exact = model.simulate(installed(G=6e3, b=0.5, Es=1.5e6), time, force).area[rows]
+    assert found.shape == (2, 3)
+    assert found[0] == pytest.approx(exact, rel=5e-3)
+    assert np.all(found[1] < found[0])
+    (crushed,) = areas.batch(vectors[:1], [(time, 50.0 * force, rows)])
+    assert np.all(np.isnan(crushed))
