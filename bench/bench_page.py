@@ -29,9 +29,9 @@ from typing import Any
 import numpy as np
 
 from finger_bag.reader import open_bag
-from finger_bag.streams import stamp_ns
 from finger_bringup.supervisor import ProcessSpec, Supervisor
 from finger_common.domains import free_domain
+from finger_common.stamps import header_stamp
 
 TARGET = 1.35  # N
 NAMESPACE = ("-r", "__ns:=/finger")
@@ -237,7 +237,7 @@ def cues_to_lift(bags: Path) -> list[float]:
         with open_bag(bag) as reader:
             for m in reader.messages([reader.topic("trial")]):
                 if m.message.phase == Trial.PHASE_LIFT:
-                    times.append(stamp_ns(m.message) * 1e-9)
+                    times.append(header_stamp(m.message) * 1e-9)
     return times
 
 

@@ -216,7 +216,7 @@ def _record(args: argparse.Namespace) -> int:
 
 
 def _recover(args: argparse.Namespace) -> int:
-    from .recover import recover
+    from .copying import recover
 
     target = Path(args.output) if args.output else _beside(Path(args.bag), "_recovered")
     result = recover(args.bag, target)
@@ -229,10 +229,10 @@ def _recover(args: argparse.Namespace) -> int:
 
 
 def _anonymise(args: argparse.Namespace) -> int:
-    from .anonymise import anonymise
+    from .copying import anonymise
 
     result = anonymise(args.bag, args.output)
-    print(f"{result.path}: {sum(result.kept.values())} messages kept")
+    print(f"{result.path}: {result.message_count} messages kept")
     for topic, count in sorted(result.dropped.items()):
         print(f"  dropped {topic}: {count}")
     for name in result.dropped_attachments:

@@ -25,9 +25,9 @@ from finger_common.node import LATCHED_QOS, ManagedNode, PolledSubscription, mai
 from finger_common.parameters import Parameter, ParameterTable
 from finger_msgs.srv import Record
 
+from .cdr_layout import stamp_of_cdr
 from .recorder import Recorder, RecorderSettings, Serialized, StampGaps
 from .schema import CALIBRATION_ATTACHMENT, TOPICS, SessionMetadata
-from .streams import stamp_of_cdr
 
 PARAMETERS = ParameterTable(
     Parameter(
