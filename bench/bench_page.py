@@ -132,7 +132,7 @@ def node(module: str, *parameters: str) -> ProcessSpec:
     """One node of finger_operator as a process."""
     flags = [flag for p in parameters for flag in ("-p", p)]
     command = (sys.executable, "-m", f"finger_operator.{module}", "--ros-args", *NAMESPACE, *flags)
-    return ProcessSpec(module, command, respawn=False)
+    return ProcessSpec(module, command, restart=False)
 
 
 def quietly(*specs: ProcessSpec) -> Supervisor:
