@@ -63,21 +63,21 @@ from finger_fit.search import best_points, search_grid
 from finger_fit.trials import FitTrial, prepare, prepare_all
 from finger_model.geometry import Geometry
 from finger_model.material import Material
+from finger_model.paper import TRIALS_PER_CONDITION
 from finger_model.reduced import ReducedModel
 from finger_sim.conditions import STUDY
 from finger_sim.press import Press
-from finger_sim.study import (
+from finger_sim.study_bag import START_NS
+from finger_sim.study_trial import (
     AREA_NOISE,
     AREA_SCATTER,
-    START_NS,
-    TRIALS,
     Misfit,
     StudyTrial,
     measured_area,
     measured_force,
     plan_study_trial,
 )
-from finger_sim.study import REFINEMENT as REFINEMENT_OF_STUDY
+from finger_sim.study_trial import REFINEMENT as REFINEMENT_OF_STUDY
 
 POOL_SEED = 1
 POOL = 20
@@ -432,11 +432,11 @@ def _one_seed(folder: Path, job: Job) -> list[dict[str, Any]]:
     for trials in _shared[finger].values():
         rng = np.random.default_rng([seed, 7])
         chosen = (
-            np.sort(rng.permutation(len(trials))[:TRIALS])
+            np.sort(rng.permutation(len(trials))[:TRIALS_PER_CONDITION])
             if noise
-            else np.arange(min(TRIALS, len(trials)))
+            else np.arange(min(TRIALS_PER_CONDITION, len(trials)))
         )
-        factors = np.exp(rng.normal(0.0, AREA_SCATTER, TRIALS)) if scatter else None
+        factors = np.exp(rng.normal(0.0, AREA_SCATTER, TRIALS_PER_CONDITION)) if scatter else None
         for window in WINDOWS:
             row = fit_one(
                 [trials[i] for i in chosen], seed, window, noise, _shared["model"], table, factors,
