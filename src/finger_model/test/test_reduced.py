@@ -165,10 +165,34 @@ def test_a_force_beyond_the_limit_is_refused_with_its_time(model: ReducedModel) 
         model.simulate(NATURAL, np.array([0.5, 1.0]), np.array([1.0, 3.5]))
 
 
-def test_another_friction_or_poisson_ratio_is_refused(model: ReducedModel) -> None:
-    for material in (Material(friction=0.3), Material(poisson_ratio_bulk=0.45)):
-        with pytest.raises(InputError, match="--solver full"):
-            model.simulate(material, *ramp())
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("friction", 0.3),
+        ("poisson_ratio_bulk", 0.45),
+        ("poisson_ratio_epidermis", 0.45),
+        ("poisson_ratio_nail", 0.3),
+        ("nail_modulus", 17e6),
+    ],
+)
+def test_a_material_with_another_fixed_property_is_refused(
+    model: ReducedModel, name: str, value: float
+) -> None:
+    with pytest.raises(InputError, match=f"{name}.*--solver full"):
+        model.simulate(Material(**{name: value}), *ramp())
+
+
+def test_a_material_of_another_law_is_refused(model: ReducedModel) -> None:
+    class OtherLaw(Material):
+        name = "other"
+
+    with pytest.raises(InputError, match=r"'other'.*'standard_linear_solid'.*--solver full"):
+        model.simulate(OtherLaw(), *ramp())
+
+
+def test_a_wrong_number_of_parameters_is_refused(model: ReducedModel) -> None:
+    with pytest.raises(InputError, match="4 numbers are needed: E0, E1, tau1, E2"):
+        model.simulate(np.ones(5), *ramp())
 
 
 def test_a_model_of_another_geometry_is_refused() -> None:

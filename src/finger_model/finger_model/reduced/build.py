@@ -22,10 +22,9 @@ from finger_common.files import atomic_write, sha256_of
 
 from ..fem.full_order import FullOrderModel
 from ..geometry import Geometry
-from ..material import Material
 from .error import ErrorTable, error_table
 from .force_histories import FULL_RANGE, PAPER_BOX
-from .model import RANGE_NAMES, ReducedModel
+from .model import LAW, ReducedModel
 from .training import BETAS, Network, Samples, contact_samples, drive_samples, fit, stack
 from .training_runs import (
     Case,
@@ -194,15 +193,12 @@ def _meta(geometry: Geometry, settings: BuildSettings) -> dict[str, Any]:
         "geometry": geometry.to_dict(),
         "geometry_hash": geometry.hash(),
         "range": {
-            **{name: list(limits) for name, limits in zip(RANGE_NAMES, FULL_RANGE)},
+            **{name: list(limits) for name, limits in zip(LAW.PARAMETERS.names, FULL_RANGE)},
             "force": [0.0, LARGEST_FORCE],
         },
         "friction": settings.friction,
-        "poisson_ratios": [
-            Material().poisson_ratio_bulk,
-            Material().poisson_ratio_epidermis,
-            Material().poisson_ratio_nail,
-        ],
+        "law": LAW.name,
+        "fixed": {k: v for k, v in LAW().to_dict().items() if k not in LAW.PARAMETERS},
         "measured_error": {},
         "settings": {**asdict(settings), "betas": list(settings.betas)},
     }
