@@ -31,7 +31,7 @@ class Parser(argparse.ArgumentParser):
 
 def integer(text: str) -> int:
     """Whole number in decimal, or with 0x in hexadecimal."""
-    return int(text, 0)
+    return int(text, 16) if text.lower().startswith("0x") else int(text)
 
 
 def add_settings(parser: Any, cls: type[Settings], without: str = "") -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import abc
 import threading
 import time
 from collections.abc import Callable
@@ -24,7 +23,7 @@ HOLD = 2.0
 """Seconds for which a fault that has passed is still shown."""
 
 
-class Device(abc.ABC, Generic[Sample]):
+class Device(Generic[Sample]):
     """A source of samples.
 
     `connect` raises DeviceError or InputError and may be called again after `close`, which may be
@@ -45,17 +44,17 @@ class Device(abc.ABC, Generic[Sample]):
         self.log: Log = lambda level, message: None
         self._noted: dict[str, float] = {}
 
-    @abc.abstractmethod
     def connect(self) -> None:
         """Open the device, check it, make it ready to be read."""
+        raise NotImplementedError
 
-    @abc.abstractmethod
     def read(self, timeout: float) -> Sample | None:
         """Next sample, or None."""
+        raise NotImplementedError
 
-    @abc.abstractmethod
     def close(self) -> None:
         """Release the device."""
+        raise NotImplementedError
 
     def flush(self) -> None:
         """Discard what has come since `connect`; called before reading begins."""

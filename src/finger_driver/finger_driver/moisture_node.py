@@ -48,8 +48,9 @@ class MoistureNode(DeviceNode):
 
     def create_interfaces(self) -> None:
         device = self.device
-        manual = isinstance(device, ManualSource)
-        self._manual = device if manual else ManualSource(MoistureSettings())
+        self._manual = (
+            device if isinstance(device, ManualSource) else ManualSource(MoistureSettings())
+        )
         self._publish_lock = threading.Lock()
         self._index = 0
         # Readings are few and each counts: reliable whatever the streams use.

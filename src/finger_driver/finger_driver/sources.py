@@ -104,7 +104,7 @@ class Sources(Generic[D]):
         if name in self.problems:
             raise InputError(self.problems[name])
         cls = self.load(name)
-        return cls(cls.SETTINGS.select(values))
+        return cls(cls.SETTINGS.select(values))  # type: ignore[call-arg]
 
 
 def title_of(cls: type) -> str:

@@ -57,6 +57,7 @@ class ExportSource(MoistureSource):
         self._seen: tuple[int, int, int] | None = None
         self._parsed: tuple[int, int, int] | None = None
         self._ready: deque[tuple[int, Row]] = deque()
+        self._next_check = 0.0
 
     def connect(self) -> None:
         if not self._path.parent.is_dir():
@@ -78,15 +79,17 @@ class ExportSource(MoistureSource):
     def read(self, timeout: float = 1.0) -> Reading | None:
         end = time.monotonic() + timeout
         while not self._ready:
+            now = time.monotonic()
+            if now < self._next_check:
+                if now >= end:
+                    return None
+                time.sleep(max(0.0, min(end, self._next_check) - now))
+                continue
+            self._next_check = now + self.settings.export_period
             state = self._state()
             if state == self._seen and state != self._parsed:
                 self._check(state)
             self._seen = state
-            if not self._ready:
-                left = end - time.monotonic()
-                if left <= 0:
-                    return None
-                time.sleep(min(left, self.settings.export_period))
         stamp, row = self._ready.popleft()
         return self.reading(stamp, row.value, PHASES.get(row.phase, PHASE_UNKNOWN))
 
