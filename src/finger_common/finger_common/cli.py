@@ -55,6 +55,7 @@ def add_settings(parser: Any, cls: type[Settings], without: str = "") -> None:
             parser.add_argument(
                 flag,
                 nargs="*",
+                type=type(item.default[0]) if item.default else str,
                 default=item.default,
                 choices=item.choices,
                 metavar=None if item.choices else item.name.upper(),
