@@ -1,28 +1,30 @@
-"""What a study asks for: subject code, conditions in blocks, trials per block, and the limits a trial must keep.
+"""What a session asks for: subject code, conditions in blocks, trials per block, target force.
 
-The defaults are those of Nam and Kuchenbecker, IEEE Trans. Haptics 14(2):303–309, 2021: blocks of 15 trials in the
-order dry, natural, moist; three moisture readings before and three after; a press until 1.35 N, then a cue to lift.
+The defaults are those of Nam and Kuchenbecker, IEEE Trans. Haptics 14(2):303–309, 2021: blocks of
+15 trials in the order dry, natural, moist; three moisture readings before and three after; a press
+until 1.35 N, then a cue to lift.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any
 
 from finger_common.errors import InputError
+from finger_common.settings import Settings, setting
 
 PREPARATIONS: dict[str, str] = {
     "dry": "Dip the fingerpad in isopropyl alcohol and wait until all of it has evaporated.",
     "natural": "Nothing is done to the finger. No washing, no cream.",
     "moist": "Exercise until the fingers sweat; do not wipe the finger.",
 }
-"""Preparation of the finger before each trial, by condition, as the paper describes the experiment."""
+"""Preparation of the finger before each trial, by condition, as the paper describes it."""
 
 CLEAN_PLATE = (
-    "Clean the plate. Then press perpendicular at its centre, with the finger nearly parallel to it, "
-    "until the cue says to lift."
+    "Clean the plate. Then press perpendicular at its centre, with the finger nearly parallel to "
+    "it, until the cue changes to Lift."
 )
 """Prompt before each trial."""
 
@@ -31,27 +33,53 @@ NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 
 @dataclass(frozen=True)
-class StudyPlan:
-    """The study to run.
+class PlanSettings(Settings):
+    """The plan of the next session, parameters of the protocol node."""
 
-    subject: a code with a digit in it, so that a name is not typed by habit. conditions: blocks in this order.
-    trials: per condition. readings: moisture readings before and after each press. target_force: N.
-    """
+    subject: str = setting(
+        "",
+        "Subject code with a digit in it, such as S01; never a name. Needed before a session "
+        "starts.",
+        runtime=True,
+    )
+    session: str = setting(
+        "", "Id of the session; empty: made from subject, date and time.", runtime=True
+    )
+    conditions: list = setting(
+        ["dry", "natural", "moist"], "Blocks of the session, in this order.", runtime=True
+    )
+    trials: int = setting(
+        15, "Trials per condition (the paper: 15).", minimum=1, maximum=1000, runtime=True
+    )
+    readings: int = setting(
+        3,
+        "Moisture readings before and after each press (the paper: 3); 0 for a rig without probe.",
+        minimum=0,
+        maximum=20,
+        runtime=True,
+    )
+    target_force: float = setting(
+        1.35,
+        "Normal force at which the cue to lift is given (the paper: 1.35 N).",
+        "N",
+        0.06,
+        50.0,
+        runtime=True,
+    )
 
-    subject: str
-    session: str
-    conditions: tuple[str, ...] = ("dry", "natural", "moist")
-    trials: int = 15
-    readings: int = 3
-    target_force: float = 1.35
+
+@dataclass(frozen=True)
+class StudyPlan(PlanSettings):
+    """The plan of one session. preparations: text by condition."""
+
     preparations: Mapping[str, str] = field(default_factory=lambda: dict(PREPARATIONS))
-    operator_note: str = ""
 
-    def __post_init__(self) -> None:
+    def validate(self) -> None:
+        # With a digit in the code, a name is not typed by habit.
         if not SUBJECT.fullmatch(self.subject):
             raise InputError(
-                f"subject '{self.subject}' is no code; use up to 16 letters, digits, - and _ with at least "
-                "one digit, such as S01, and never a name"
+                f"subject '{self.subject}' is no code; use up to 16 letters, digits, - and _ with "
+                "at least one digit, such as S01, and never a name"
             )
         if not NAME.fullmatch(self.session):
             raise InputError(
@@ -60,20 +88,12 @@ class StudyPlan:
         if not self.conditions:
             raise InputError("no condition is given; name at least one, such as natural")
         for name in self.conditions:
-            if not NAME.fullmatch(name):
+            if not isinstance(name, str) or not NAME.fullmatch(name):
                 raise InputError(
                     f"condition '{name}' is no plain name; use letters, digits, - and _"
                 )
         if len(set(self.conditions)) != len(self.conditions):
             raise InputError("a condition is named twice; give each block once")
-        if not 1 <= self.trials <= 1000:
-            raise InputError(f"{self.trials} trials per condition; give 1 to 1000")
-        if not 0 <= self.readings <= 20:
-            raise InputError(f"{self.readings} moisture readings; give 0 to 20")
-        if not 0.05 < self.target_force <= 50:
-            raise InputError(
-                f"target force {self.target_force:g} N; give more than 0.05 and at most 50 N"
-            )
 
     def preparation(self, condition: str) -> str:
         """Preparation text of a condition."""
@@ -81,26 +101,23 @@ class StudyPlan:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for the state file."""
-        return {
-            **asdict(self),
-            "conditions": list(self.conditions),
-            "preparations": dict(self.preparations),
-        }
+        return {**super().to_dict(), "preparations": dict(self.preparations)}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> StudyPlan:
         """Plan from plain data; raises InputError naming what is missing."""
-        known = {f.name for f in fields(cls)}
         try:
-            values = {k: v for k, v in data.items() if k in known}
-            values["conditions"] = tuple(values["conditions"])
-            return cls(**values)
-        except (KeyError, TypeError) as error:
+            values = {p.name: data[p.name] for p in cls.parameters()}
+            return cls(**values, preparations=dict(data["preparations"]))
+        except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"the plan in the state file is incomplete ({error})") from None
 
 
 def parse_preparations(lines: list[str]) -> dict[str, str]:
-    """Texts by condition from "condition: text" lines over the defaults; raises InputError for another form."""
+    """Texts by condition from "condition: text" lines over the defaults.
+
+    Raises InputError for a line of another form.
+    """
     texts = dict(PREPARATIONS)
     for line in lines:
         if not line.strip():

@@ -13,15 +13,16 @@ import pytest
 
 from finger_bag.streams import TrialEvent
 from finger_common.errors import InputError
+from finger_common.trial_phases import TrialPhase
+from finger_operator.limits import Limits
 from finger_operator.protocol import (
     Effect,
-    Limits,
-    Phase,
     Protocol,
     StartRecording,
     Step,
     StopRecording,
 )
+from finger_operator.status import session_status
 from finger_operator.study_plan import PREPARATIONS, StudyPlan, parse_preparations
 
 SECOND = 1_000_000_000
@@ -51,7 +52,7 @@ class Rig:
         self.effects.append(effect)
 
     @property
-    def phases(self) -> list[Phase]:
+    def phases(self) -> list[TrialPhase]:
         return [e.phase for e in self.effects if isinstance(e, TrialEvent)]
 
     @property
@@ -134,12 +135,12 @@ def rig(tmp_path: Path) -> Rig:
 def test_a_good_trial_goes_through_all_phases_and_is_recorded(rig: Rig) -> None:
     rig.trial()
     assert rig.phases == [
-        Phase.PREPARE,
-        Phase.MOISTURE_BEFORE,
-        Phase.PRESS,
-        Phase.LIFT,
-        Phase.MOISTURE_AFTER,
-        Phase.DONE,
+        TrialPhase.PREPARE,
+        TrialPhase.MOISTURE_BEFORE,
+        TrialPhase.PRESS,
+        TrialPhase.LIFT,
+        TrialPhase.MOISTURE_AFTER,
+        TrialPhase.DONE,
     ]
     started = next(e for e in rig.effects if isinstance(e, StartRecording))
     assert started.path.endswith("000_dry_0") and started.trial.condition == "dry"
@@ -156,10 +157,10 @@ def test_a_good_trial_goes_through_all_phases_and_is_recorded(rig: Rig) -> None:
 def test_cue_to_lift_comes_with_the_first_sample_at_the_target(rig: Rig) -> None:
     rig.to_press()
     rig.run(1.0, 1.3499, ramp=True)
-    assert rig.last.phase is Phase.PRESS
+    assert rig.last.phase is TrialPhase.PRESS
     stamp = rig.now + 2_000_000
     rig.protocol.wrench(stamp, 1.35)
-    assert rig.last.phase is Phase.LIFT
+    assert rig.last.phase is TrialPhase.LIFT
     assert rig.last.stamp_ns == stamp == rig.attempt.cue_ns
 
 
@@ -169,7 +170,7 @@ def test_whole_session_runs_in_blocks_and_finishes(rig: Rig) -> None:
         rig.run(2.0)
     assert rig.protocol.step is Step.FINISHED
     assert [t.condition for t in rig.protocol.trials] == ["dry", "dry", "natural", "natural"]
-    assert rig.last.phase is Phase.IDLE
+    assert rig.last.phase is TrialPhase.IDLE
     with (rig.folder / "trials.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [r["verdict"] for r in rows] == ["done"] * 4
@@ -200,7 +201,7 @@ def test_press_is_not_asked_for_until_the_frame_is_empty_and_all_is_well(
     rig.run(3.0)
     assert rig.protocol.step is Step.CLEAR
     assert words in rig.protocol.waiting_for()
-    assert words in rig.protocol.snapshot()["waiting_for"]
+    assert words in session_status(rig.protocol)["waiting_for"]
     if restore:
         setattr(rig, *restore)
     else:
@@ -223,7 +224,7 @@ def test_clear_frame_must_last_before_the_press(rig: Rig) -> None:
 
 
 def expect_failure(rig: Rig, words: str) -> None:
-    failed = [e for e in rig.effects if isinstance(e, TrialEvent) and e.phase is Phase.FAILED]
+    failed = [e for e in rig.effects if isinstance(e, TrialEvent) and e.phase is TrialPhase.FAILED]
     assert failed and words in failed[-1].note, failed
     assert rig.protocol.trials[0].attempts[0].verdict == "failed"
     assert StopRecording() in rig.effects
@@ -356,7 +357,7 @@ def test_recorder_that_refuses_holds_the_session(rig: Rig) -> None:
     rig.run(0.2)
     rig.protocol.start(rig.now)
     rig.protocol.recorder_answered(True, False, "disk is full", rig.now)
-    assert rig.protocol.paused and "recorder" in rig.protocol.snapshot()["message"]
+    assert rig.protocol.paused and "recorder" in session_status(rig.protocol)["message"]
     expect_failure(rig, "disk is full")
 
 
@@ -387,7 +388,7 @@ def test_late_answer_to_an_old_stop_leaves_the_next_recording_alone(rig: Rig) ->
     rig.protocol.start(rig.now)
     rig.protocol.recorder_answered(False, True, "", rig.now)
     rig.protocol.recorder_answered(True, True, "", rig.now)
-    assert rig.protocol.snapshot()["recording"] == "on"
+    assert session_status(rig.protocol)["recording"] == "on"
 
 
 def test_readings_outside_the_scale_or_of_another_time_do_not_count(rig: Rig) -> None:
@@ -396,7 +397,7 @@ def test_readings_outside_the_scale_or_of_another_time_do_not_count(rig: Rig) ->
     rig.protocol.start(rig.now)
     rig.run(0.2)
     rig.protocol.moisture(rig.now - SECOND, 50.0)  # taken before the trial began
-    rig.protocol.moisture(rig.now, 131.0, flags=1)
+    rig.protocol.moisture(rig.now, 131.0)
     assert "131" in rig.last.note
     assert rig.attempt.moisture_before == []
     rig.readings(50.0)
@@ -443,14 +444,14 @@ def test_pause_before_the_press_is_over_begins_the_trial_again(rig: Rig, when: s
             rig.readings(1.0, 2.0, 3.0)
     assert rig.protocol.step.value == when
     rig.protocol.pause(rig.now)
-    assert rig.last.phase is Phase.PAUSED
+    assert rig.last.phase is TrialPhase.PAUSED
     with pytest.raises(InputError, match="paused"):
         rig.protocol.start(rig.now)
     with pytest.raises(InputError, match="already"):
         rig.protocol.pause(rig.now)
     rig.print_left = False
     rig.run(60.0, 0.0)
-    assert rig.last.phase is Phase.PAUSED, "nothing happens during a pause"
+    assert rig.last.phase is TrialPhase.PAUSED, "nothing happens during a pause"
     rig.protocol.resume(rig.now)
     assert rig.protocol.step is Step.PREPARE
     assert rig.last.index == 0 and rig.last.attempt == (0 if when == "prepare" else 1)
@@ -546,7 +547,7 @@ def test_trial_that_fails_again_and_again_holds_the_session(rig: Rig) -> None:
         rig.run(0.3, 0.5, ramp=True)
         rig.run(0.7, 0.0)
         rig.run(2.0)
-    assert rig.protocol.paused and "failed 5 times" in rig.protocol.snapshot()["message"]
+    assert rig.protocol.paused and "failed 5 times" in session_status(rig.protocol)["message"]
     rig.protocol.resume(rig.now)
     assert rig.protocol.step is Step.PREPARE
 
@@ -660,9 +661,9 @@ def test_commands_that_make_no_sense_are_refused(tmp_path: Path) -> None:
 
 
 def test_preparation_texts_can_be_edited_and_survive(rig: Rig) -> None:
-    assert rig.protocol.snapshot()["preparation"] == PREPARATIONS["dry"]
+    assert session_status(rig.protocol)["preparation"] == PREPARATIONS["dry"]
     rig.protocol.set_preparation("dry", "Talcum powder.")
-    assert rig.protocol.snapshot()["preparation"] == "Talcum powder."
+    assert session_status(rig.protocol)["preparation"] == "Talcum powder."
     again = Protocol.resume_from(rig.folder, lambda e: None, rig.now)
     assert again.plan.preparation("dry") == "Talcum powder."
     with pytest.raises(InputError, match="moist"):
@@ -685,15 +686,9 @@ def test_preparation_texts_can_be_edited_and_survive(rig: Rig) -> None:
         ({"conditions": ("d y",)}, "plain name"),
         ({"trials": 0}, "trials"),
         ({"readings": -1}, "readings"),
-        ({"target_force": 0.0}, "target force"),
+        ({"target_force": 0.0}, "target_force"),
     ],
 )
 def test_plans_that_cannot_be_run_are_refused(change: dict[str, Any], words: str) -> None:
     with pytest.raises(InputError, match=words):
         StudyPlan(**{"subject": "S01", "session": "a", **change})
-
-
-def test_phases_are_those_of_the_message(project_root: Path) -> None:
-    text = (project_root / "src" / "finger_msgs" / "msg" / "Trial.msg").read_text()
-    declared = {n: int(v) for n, v in re.findall(r"uint8 PHASE_(\w+) = (\d+)", text)}
-    assert declared == {phase.name: phase.value for phase in Phase}

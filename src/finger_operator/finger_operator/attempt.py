@@ -1,0 +1,49 @@
+"""The trials of a session and their attempts, as kept in the state file and in trials.csv."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from finger_common.stamps import seconds
+
+
+@dataclass
+class Attempt:
+    """One attempt at a trial and its result.
+
+    verdict: running, done, failed or superseded. Stamps are in ns, forces in N, gaps in s; None
+    for an event that did not occur.
+    """
+
+    attempt: int
+    bag: str = ""
+    verdict: str = "running"
+    reason: str = ""
+    began_ns: int | None = None
+    onset_ns: int | None = None
+    cue_ns: int | None = None
+    lifted_ns: int | None = None
+    peak_force: float = 0.0
+    samples: int = 0
+    frames: int = 0
+    longest_gap: float = 0.0
+    longest_frame_gap: float = 0.0
+    moisture_before: list[float] = field(default_factory=list)
+    moisture_after: list[float] = field(default_factory=list)
+
+    @property
+    def time_to_target(self) -> float | None:
+        """s from onset to the cue to lift."""
+        if self.onset_ns is None or self.cue_ns is None:
+            return None
+        return seconds(self.cue_ns - self.onset_ns)
+
+
+@dataclass
+class TrialState:
+    """One trial of the plan; `verdict` is pending, done or skipped."""
+
+    index: int
+    condition: str
+    verdict: str = "pending"
+    attempts: list[Attempt] = field(default_factory=list)

@@ -1,0 +1,120 @@
+"""Thresholds and times that a guided trial must keep."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from finger_common.contact_threshold import LIFTOFF_FORCE, ONSET_FORCE, check_thresholds
+from finger_common.settings import Settings, setting
+
+
+@dataclass(frozen=True)
+class Limits(Settings):
+    """Limits of the protocol, parameters of its node (N, s)."""
+
+    confirm_preparation: bool = setting(
+        True, "Wait for the operator before each trial; false begins by itself."
+    )
+    need_camera: bool = setting(
+        True, "A trial needs contact areas; false for a rig without camera."
+    )
+    need_recorder: bool = setting(True, "Every trial is recorded; false for rehearsals.")
+    onset_force: float = setting(
+        ONSET_FORCE,
+        "Force from which the finger counts as on the plate.",
+        "N",
+        0.001,
+        1.0,
+        runtime=True,
+    )
+    liftoff_force: float = setting(
+        LIFTOFF_FORCE,
+        "Force below which the finger counts as off the plate.",
+        "N",
+        0.0,
+        1.0,
+        runtime=True,
+    )
+    clear_time: float = setting(
+        0.5,
+        "How long the frame must be empty before the cue to press.",
+        "s",
+        0.0,
+        60.0,
+        runtime=True,
+    )
+    release_time: float = setting(
+        0.5,
+        "How long the finger must be off the plate to end the press.",
+        "s",
+        0.05,
+        60.0,
+        runtime=True,
+    )
+    press_timeout: float = setting(
+        30.0, "Longest wait for the finger after the cue to press.", "s", 1.0, 600.0, runtime=True
+    )
+    target_timeout: float = setting(
+        10.0, "Longest time from first touch to the target.", "s", 0.5, 600.0, runtime=True
+    )
+    lift_timeout: float = setting(
+        10.0, "Longest time from the cue to lift-off.", "s", 0.5, 600.0, runtime=True
+    )
+    gap_limit: float = setting(
+        0.05,
+        "Gap between two force samples that makes a trial invalid.",
+        "s",
+        0.002,
+        10.0,
+        runtime=True,
+        advice="Raise it above the sample period of a slow sensor.",
+    )
+    frame_gap_limit: float = setting(
+        0.35,
+        "Gap between two contact areas that makes a trial invalid.",
+        "s",
+        0.02,
+        10.0,
+        runtime=True,
+        advice="Raise it above three periods of a slow camera.",
+    )
+    stale_after: float = setting(
+        0.5,
+        "Age of the newest force or area from which its source counts as silent.",
+        "s",
+        0.05,
+        60.0,
+        runtime=True,
+        advice="Raise it when the clock of a device lags.",
+    )
+    minimum_frames: int = setting(
+        3,
+        "Frames with contact that a valid press needs.",
+        minimum=0,
+        maximum=1000,
+        runtime=True,
+    )
+    verdict_time: float = setting(
+        1.5, "How long a verdict is shown before the next trial.", "s", 0.1, 60.0, runtime=True
+    )
+    record_timeout: float = setting(
+        10.0, "Longest wait for the recorder's answer.", "s", 0.5, 120.0, runtime=True
+    )
+    lost_limit: int = setting(
+        0,
+        "Messages the recorder may lose in a valid trial.",
+        minimum=0,
+        maximum=100000,
+        runtime=True,
+        advice="Raise it only for rehearsals on a machine that is too slow.",
+    )
+    max_attempts: int = setting(
+        5,
+        "Failures of one trial after which the session pauses.",
+        minimum=1,
+        maximum=100,
+        runtime=True,
+    )
+
+    def validate(self) -> None:
+        check_thresholds(self.onset_force, self.liftoff_force)

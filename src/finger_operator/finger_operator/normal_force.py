@@ -1,0 +1,19 @@
+"""The normal force in a WrenchStamped message."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from finger_common.axes import axis_of
+
+
+class NormalForce:
+    """Projects wrenches on a normal axis; cheap enough for every sample of a 500 Hz stream."""
+
+    def __init__(self, normal_axis: str) -> None:
+        index, self._sign = axis_of(normal_axis)
+        self._component = "xyz"[index]
+
+    def __call__(self, message: Any) -> float:
+        """Normal force in N, positive in compression."""
+        return self._sign * float(getattr(message.wrench.force, self._component))

@@ -1,0 +1,127 @@
+"""One press of a guided trial: its events, and every reason for which it is not valid. No ROS."""
+
+from __future__ import annotations
+
+import math
+from enum import Enum
+
+from finger_common.contact_threshold import in_contact
+from finger_common.flags import AreaFlag
+from finger_common.stamps import seconds
+
+from .attempt import Attempt
+from .limits import Limits
+
+
+class PressEvent(Enum):
+    """What a force sample brings about."""
+
+    TARGET_REACHED = 1
+    FINGER_OFF = 2
+
+
+class Press:
+    """Follows the press of an attempt and writes its stamps, forces and counts into it.
+
+    limits: may be replaced while the press goes on.
+    """
+
+    def __init__(self, attempt: Attempt, target_force: float, limits: Limits) -> None:
+        self.attempt = attempt
+        self.target_force = target_force
+        self.limits = limits
+        self.problems: list[str] = []
+        self._below_since: int | None = None
+
+    def add_problem(self, text: str) -> None:
+        """Note why the press is not valid; one problem of a kind is enough."""
+        if not any(p.split(" ")[:3] == text.split(" ")[:3] for p in self.problems):
+            self.problems.append(text)
+
+    def add_force(
+        self, stamp_ns: int, normal_force: float, previous_ns: int | None
+    ) -> PressEvent | None:
+        """One force sample in N, NaN for an invalid one. previous_ns: stamp of the one before."""
+        attempt, limits = self.attempt, self.limits
+        if not math.isfinite(normal_force):
+            self.add_problem("the force sensor reported invalid samples")
+            return None
+        if attempt.onset_ns is None and in_contact(False, normal_force, limits.onset_force):
+            # Before the check for gaps: a gap that ends at the first touch counts.
+            attempt.onset_ns = stamp_ns
+        if attempt.onset_ns is not None and previous_ns is not None:
+            gap = seconds(stamp_ns - previous_ns)
+            attempt.longest_gap = max(attempt.longest_gap, gap)
+            if gap > limits.gap_limit:
+                self.add_problem(f"force samples missing for {gap:.2f} s")
+            elif gap <= 0:
+                self.add_problem("force stamps went back")
+        attempt.samples += 1
+        attempt.peak_force = max(attempt.peak_force, normal_force)
+        if attempt.onset_ns is None:
+            return None
+        if attempt.cue_ns is None and normal_force >= self.target_force:
+            attempt.cue_ns = stamp_ns
+            self._below_since = None
+            return PressEvent.TARGET_REACHED
+        if in_contact(True, normal_force, liftoff_force=limits.liftoff_force):
+            self._below_since = None
+        elif self._below_since is None:
+            self._below_since = stamp_ns
+        elif seconds(stamp_ns - self._below_since) >= limits.release_time:
+            attempt.lifted_ns = self._below_since
+            return PressEvent.FINGER_OFF
+        return None
+
+    def add_area(self, stamp_ns: int, area: float, flags: int, previous_ns: int | None) -> None:
+        """One contact area in m². previous_ns: stamp of the one before."""
+        attempt = self.attempt
+        if attempt.onset_ns is None or stamp_ns < attempt.onset_ns:
+            return
+        began = max(previous_ns or 0, attempt.onset_ns)
+        released = self._below_since if attempt.cue_ns is not None else None
+        if released is None or stamp_ns < released:
+            self._note_frame_gap(seconds(stamp_ns - began))
+            if not flags & AreaFlag.NO_CONTACT and area > 0:
+                attempt.frames += 1
+
+    def _note_frame_gap(self, gap: float) -> None:
+        self.attempt.longest_frame_gap = max(self.attempt.longest_frame_gap, gap)
+        if self.limits.need_camera and gap > self.limits.frame_gap_limit:
+            self.add_problem(f"camera frames missing for {gap:.2f} s")
+
+    def overdue(self, now_ns: int, in_step: float) -> str:
+        """Which limit of time has passed; empty when none. in_step: s since the last cue."""
+        attempt, limits = self.attempt, self.limits
+        if attempt.cue_ns is not None:
+            late = in_step > limits.lift_timeout
+            return f"finger not lifted within {limits.lift_timeout:g} s of the cue" if late else ""
+        if attempt.onset_ns is None:
+            late = in_step > limits.press_timeout
+            return f"no press within {limits.press_timeout:g} s" if late else ""
+        if seconds(now_ns - attempt.onset_ns) > limits.target_timeout:
+            return (
+                f"target not reached within {limits.target_timeout:g} s: "
+                f"{attempt.peak_force:.2f} of {self.target_force:.2f} N"
+            )
+        return ""
+
+    def verdict(self, newest_area_ns: int | None) -> str:
+        """Why the press is not valid, empty when it is; once the finger is off the plate."""
+        attempt = self.attempt
+        if attempt.cue_ns is None:
+            return (
+                f"lifted at {attempt.peak_force:.2f} N, before the target of "
+                f"{self.target_force:.2f} N"
+            )
+        if self.limits.need_camera:
+            assert attempt.lifted_ns is not None and attempt.onset_ns is not None
+            # Frames up to lift-off have come by now (release_time), unless the camera stopped.
+            newest = max(newest_area_ns or 0, attempt.onset_ns)
+            self._note_frame_gap(seconds(attempt.lifted_ns - newest))
+            if attempt.frames < self.limits.minimum_frames:
+                self.add_problem(
+                    f"contact seen in {attempt.frames} frames, "
+                    f"{self.limits.minimum_frames} are needed"
+                )
+        return "; ".join(self.problems)
