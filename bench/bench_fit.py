@@ -9,15 +9,22 @@ from typing import Any
 
 import numpy as np
 
-from finger_fit.fit import fit_bags
 from finger_fit.options import FitOptions
 from finger_fit.report import write_report
-from finger_model.paper import TRIALS_PER_CONDITION
+from finger_fit.study import fit_bags
 from finger_model.reduced import ReducedModel
 from finger_sim.conditions import STUDY
 from finger_sim.press import plan_press
-from finger_sim.study_bag import START_NS, TRIAL_SECONDS, write_bag
-from finger_sim.study_trial import FRAME_RATE, Misfit, StudyTrial, stream
+from finger_sim.study import (
+    FRAME_RATE,
+    START_NS,
+    TRIAL_SECONDS,
+    TRIALS,
+    Misfit,
+    StudyTrial,
+    stream,
+    write_bag,
+)
 
 SEED = 1
 GOAL = 10.0
@@ -46,7 +53,7 @@ def study_bags(folder: Path, model: ReducedModel, trials: int) -> None:
 def run(report: Any) -> None:
     """Time the fit of the study; fit_study is loading, PSO and power law."""
     model = ReducedModel.load()
-    trials = 3 if report.quick else TRIALS_PER_CONDITION
+    trials = 3 if report.quick else TRIALS
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place) / "bags"
         study_bags(folder, model, trials)
@@ -90,7 +97,7 @@ def run(report: Any) -> None:
 
 def _vision(report: Any, place: Path) -> None:
     """Reading bags with images through the segmenter, per bag and for 45 of them."""
-    from finger_fit.loading import load
+    from finger_fit.study import load
     from finger_sim.study import simulate_study
 
     bags = simulate_study(SEED, place / "images", trials=1, refinement=1.0, report=None)

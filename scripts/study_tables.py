@@ -7,11 +7,14 @@ python scripts/study_tables.py --fit out/study_fit/fit.json --recovery out/recov
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from recovery import misfit_table, tables
+import numpy as np
+from recovery import FEWEST_FREE, QUANTITIES, SPACE, WINDOWS, statistics
 from throughput import replace_between
 
 from finger_common.files import atomic_write
@@ -28,7 +31,7 @@ PAPER = {
     "E2 (kPa)": ("1652", "1795", "700 (bound)"),
     "τ1 (s)": ("low", "highest", "0.01 (bound)"),
 }
-"""Printed in Nam and Kuchenbecker 2021; J of the model from "at least 500 mm⁴ below the power law"."""
+"""Printed in Nam and Kuchenbecker 2021; J of the model: at least 500 mm⁴ below the power law."""
 
 
 def paper_table(data: dict[str, Any]) -> str:
@@ -69,6 +72,185 @@ def paper_table(data: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+# Recovery --------------------------------------------------------------------------------------
+
+Rows = list[dict[str, Any]]
+
+
+def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """Lines of a Markdown table."""
+    lines = [f"| {' | '.join(header)} |", "|---" * len(header) + "|"]
+    return lines + [f"| {' | '.join(row)} |" for row in rows]
+
+
+def symbol(q: str) -> str:
+    """The quantity's symbol."""
+    return SPACE.describe(q).symbol
+
+
+def part(rows: Rows, name: str, window: str) -> Rows:
+    """The rows of one condition and window."""
+    return [r for r in rows if r["condition"] == name and r["window"] == window]
+
+
+def accuracy_row(s: dict[str, float], window: str, name: str, q: str) -> list[str]:
+    """Cells of bias, spread and coverage."""
+    free = f"{s['free_spread'] / s['bound']:.2f}" if s["free"] >= FEWEST_FREE else "–"
+    return [
+        window,
+        name,
+        symbol(q),
+        f"{100 * s['bias']:+.1f}",
+        f"{100 * s['spread']:.1f}",
+        f"{100 * s['bound']:.1f}",
+        f"{s['bias'] / max(s['spread'], 1e-12):+.2f}",
+        f"{s['spread'] / s['bound']:.2f}",
+        free,
+        f"{100 * s['coverage']:.0f} %",
+    ]
+
+
+ACCURACY = (
+    "window", "condition", "quantity", "bias (%)", "spread (%)", "Cramér–Rao (%)", "bias / spread",
+    "spread / bound", "the same, fits off the bounds", "covered",
+)  # fmt: skip
+
+
+def recovery_tables(result: dict[str, Any]) -> str:
+    """Markdown tables of a run of recovery.py without misfit."""
+    rows = result["rows"]
+    cells = list(itertools.product(WINDOWS, STUDY, QUANTITIES))
+    estimates, corrected = [], []
+    for window, name, q in cells:
+        s = statistics(rows, name, window, q)
+        more = [f"{100 * s['interval_sd']:.1f}", f"{100 * s['at_bound']:.0f} %"]
+        estimates.append([*accuracy_row(s, window, name, q), *more])
+        s = statistics(rows, name, window, q, "corrected_")
+        corrected.append(accuracy_row(s, window, name, q))
+    lines = [
+        "Estimates, which minimise J:",
+        "",
+        *markdown([*ACCURACY, "mean interval SD (%)", "fits on a bound"], estimates),
+        "",
+        "Bias-corrected (covered: by the interval shifted with the value):",
+        "",
+        *markdown(ACCURACY, corrected),
+        *antithetic_table(result),
+        "",
+        "Without noise (in brackets: before the correction to full order):",
+        "",
+    ]
+    header = ["window", "condition", *(f"{symbol(q)} error (%)" for q in QUANTITIES), "J (mm⁴)"]
+    clean = []
+    for row in result["clean"]:
+        before = row["uncorrected_error_log"]
+        found = [
+            f"{100 * error:+.2f} ({100 * before[q]:+.1f})" for q, error in row["error_log"].items()
+        ]
+        cost = f"{row['J']:.3f} ({row['J_uncorrected']:.2f})"
+        clean.append([row["window"], row["condition"], *found, cost])
+    lines += [*markdown(header, clean), "", "Cost, mean over seeds (mm⁴):", ""]
+    lines += [*cost_table(rows), "", searches(result)]
+    return "\n".join(lines)
+
+
+def cost_table(rows: Rows) -> list[str]:
+    """J of fit, truth and power law."""
+    header = [
+        "window", "condition", "J fit", "J truth", "largest J fit / J truth", "J power law",
+        "largest difference of J_pl − J at fit and truth", "power law m", "log–log m",
+    ]  # fmt: skip
+    lines = []
+    for window, name in itertools.product(WINDOWS, STUDY):
+        chosen = part(rows, name, window)
+        keys = ("J", "J_truth", "J_power_law", "power_law_m", "power_law_log_m")
+        fit, truth, law, m, log_m = (float(np.mean([r[k] for r in chosen])) for k in keys)
+        worst = max(r["J"] / r["J_truth"] for r in chosen)
+        apart = [abs(r["J"] - r["J_truth"]) for r in chosen]
+        share = max(d / abs(r["J_power_law"] - r["J_truth"]) for d, r in zip(apart, chosen))
+        largest = f"{max(apart):.1f} mm⁴, {100 * share:.0f} %"
+        lines.append(
+            [window, name, f"{fit:.1f}", f"{truth:.1f}", f"{worst:.3f}", f"{law:.1f}", largest,
+             f"{m:.2f}", f"{log_m:.2f}"]
+        )  # fmt: skip
+    return markdown(header, lines)
+
+
+def antithetic_bias(
+    result: dict[str, Any], name: str, window: str, q: str, kind: str = ""
+) -> tuple[float, float]:
+    """Bias over spread and its standard error, from pairs of fits with opposite area noise."""
+    first, second = (
+        {r["seed"]: r[f"{kind}error_log"][q] for r in part(result[key], name, window)}
+        for key in ("rows", "antithetic")
+    )
+    means = np.array([0.5 * (first[s] + second[s]) for s in sorted(second) if s in first])
+    spread = statistics(result["rows"], name, window, q, kind)["spread"]
+    error = means.std(ddof=1) / np.sqrt(len(means))
+    return float(means.mean() / spread), float(error / spread)
+
+
+def antithetic_table(result: dict[str, Any]) -> list[str]:
+    """Lines of the table of biases from antithetic pairs; none without such fits."""
+    pairs = len({r["seed"] for r in result["antithetic"]})
+    if pairs < 2:
+        return []
+    columns = list(itertools.product(QUANTITIES, ("", "corrected_")))
+    header = [f"{symbol(q)}, {'corrected' if kind else 'estimate'}" for q, kind in columns]
+    rows = []
+    for window, name in itertools.product(WINDOWS, STUDY):
+        found = [antithetic_bias(result, name, window, q, kind) for q, kind in columns]
+        rows.append([window, name, *(f"{bias:+.2f} ± {error:.2f}" for bias, error in found)])
+    return [
+        "",
+        f"Bias / spread of {pairs} seeds, each fitted also with sign-flipped area noise (± standard "
+        "error of the mean):",
+        "",
+        *markdown(["window", "condition", *header], rows),
+    ]
+
+
+def searches(result: dict[str, Any]) -> str:
+    """What the search may have missed."""
+    rows = result["rows"]
+    searched = [r for r in rows if "start_from_truth" in r]
+    missed = sum(r["start_from_truth"] < 0.999 for r in searched)
+    return (
+        f"{len({r['seed'] for r in rows})} seeds, {len(rows)} fits. {len(searched)} of them began "
+        f"with the search; in {missed} of these a start at the truth found a J lower by more than "
+        f"0.1 %. Reduced model {result['model'][:12]}."
+    )
+
+
+def misfit_table(result: dict[str, Any]) -> str:
+    """Markdown table of the bias that misfit makes."""
+    rows, clean = result["rows"], result["clean"]
+    header = [
+        "window", "condition", "quantity", "epidermis −25 %", "epidermis +25 %",
+        f"areas scattered by 5 %: bias ± spread, {len({r['seed'] for r in rows})} seeds",
+        "bias-corrected", "covered, estimate and corrected",
+    ]  # fmt: skip
+    lines, costs = [], []
+    for window in WINDOWS:
+        texts = []
+        for name in STUDY:
+            by_finger = {r["finger"]: r for r in part(clean, name, window)}
+            found = (f"{by_finger[f]['J']:.2f}" for f in ("thin", "true", "thick"))
+            texts.append(f"{name} {', '.join(found)}")
+            for q in QUANTITIES:
+                both = [statistics(rows, name, window, q, k) for k in ("", "corrected_")]
+                cells = [
+                    f"{100 * np.expm1(by_finger[f]['error_log'][q]):+.0f} %"
+                    for f in ("thin", "thick")
+                ]
+                cells += [f"{100 * s['bias']:+.0f} ± {100 * s['spread']:.0f} %" for s in both]
+                cells.append(", ".join(f"{100 * s['coverage']:.0f} %" for s in both))
+                lines.append([window, name, symbol(q), *cells])
+        costs.append(f"- {window}: {'; '.join(texts)}.")
+    title = "J of the fit without noise (mm⁴), epidermis thinner, as assumed, thicker:"
+    return "\n".join([*markdown(header, lines), "", title, "", *costs])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--fit", type=Path, help="fit.json of the study")
@@ -79,7 +261,7 @@ def main() -> None:
     page = PAGE.read_text(encoding="utf-8")
     for marker, path, make in (
         ("paper", args.fit, paper_table),
-        ("recovery", args.recovery, tables),
+        ("recovery", args.recovery, recovery_tables),
         ("misfit", args.misfit, misfit_table),
     ):
         if path is None:

@@ -20,15 +20,12 @@ os.environ["NUMBA_NUM_THREADS"] = "1"
 import numpy as np
 
 from finger_common.files import atomic_write
-from finger_fit.bias import bias_pair
-from finger_fit.fit import group_trials
-from finger_fit.full_order_check import REFINEMENT, STEP
-from finger_fit.identifiability import bootstrap_sample
-from finger_fit.loading import load
-from finger_fit.local import refine, whole_box
+from finger_fit.full_order.areas import REFINEMENT
 from finger_fit.options import FitOptions
-from finger_fit.problem import FitProblem
-from finger_fit.trials import prepare_all
+from finger_fit.problem import FitProblem, prepare_all
+from finger_fit.search import all_free, refine
+from finger_fit.study import group_trials, load
+from finger_fit.uncertainty import bias_pair, bootstrap_sample
 from finger_model.fem.full_order import FullOrderModel
 from finger_model.reduced import ReducedModel
 from finger_sim.conditions import STUDY
@@ -42,6 +39,9 @@ SEARCH = 13_875
 
 PROFILES = 22_000
 """Trial simulations of one condition's five profiles (docs/scaling.md)."""
+
+STEP = 0.04
+"""s, time step of the full-order runs."""
 
 FULL_ORDER = 180
 """Full-order runs of one condition: correction (105, the slope and two renewals) and check (75)."""
@@ -111,8 +111,7 @@ def refits(folder: Path) -> dict[str, Refits]:
     out = {}
     for name, group in group_trials(trials, options)[0].items():
         problem = FitProblem(group, model, options)
-        start = np.log(STUDY[name].material.vector())
-        best = refine(problem, whole_box(problem.box), start).parameters
+        best = refine(problem, all_free(problem), STUDY[name].material.vector()).parameters
         spent = []
         for refit, number in (
             (bootstrap_sample, options.bootstrap),

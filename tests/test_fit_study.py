@@ -18,9 +18,16 @@ import pytest
 from finger_model.reduced import ReducedModel
 from finger_sim.conditions import STUDY
 from finger_sim.press import plan_press
-from finger_sim.study import simulate_study
-from finger_sim.study_bag import START_NS, write_bag
-from finger_sim.study_trial import FRAME_RATE, Misfit, StudyTrial, plan_study_trial, stream
+from finger_sim.study import (
+    FRAME_RATE,
+    START_NS,
+    Misfit,
+    StudyTrial,
+    plan_study_trial,
+    simulate_study,
+    stream,
+    write_bag,
+)
 
 QUICK = ["--no-full-order", "--no-profiles", "--bootstrap", "0", "--grid", "3", "--quiet"]
 
@@ -128,8 +135,8 @@ def test_bad_input_ends_with_one_sentence(bags: Path, tmp_path: Path, arguments,
 
 def test_study_writes_bags_with_what_the_metadata_says(tmp_path: Path) -> None:
     from finger_bag.reader import open_bag
-    from finger_fit.loading import load
     from finger_fit.options import FitOptions
+    from finger_fit.study import load
 
     folders = []
     for images in (False, True):

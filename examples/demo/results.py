@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from finger_bag.reader import open_bag
-from finger_fit.fit import ConditionFit
 from finger_fit.problem import MM2, MM4
+from finger_fit.results import ConditionFit
 from finger_model.reduced import ReducedModel
 from finger_offline.image_areas import calibration_of
 from finger_offline.trials import TrialRecord, load_trials
@@ -118,10 +118,8 @@ def condition_result(
     """A condition's result as plain data for the figures; records (of all conditions) are the fit's trials."""
     name = fit.condition
     material = STUDY[name].material
-    true = dict(zip(("E0", "E1", "tau1", "E2"), material.vector()))
-    true["composite_E"] = material.composite_modulus
-    fitted = dict(zip(("E0", "E1", "tau1", "E2"), map(float, fit.parameters)))
-    fitted["composite_E"] = fit.composite_E
+    true = fit.space.quantities(material.vector())
+    fitted = fit.space.quantities(fit.parameters)
     intervals: dict[str, tuple[float, float] | None] = {}
     for key, profile in fit.profiles.items():
         low, high = profile.interval

@@ -198,8 +198,8 @@ class Demo:
             )
 
     def _fit(self) -> None:
-        from finger_fit.fit import fit_bags
         from finger_fit.options import FitOptions
+        from finger_fit.study import fit_bags
 
         quick = self.arguments.quick
         options = FitOptions(

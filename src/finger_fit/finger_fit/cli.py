@@ -6,26 +6,35 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from finger_common.cli import EXIT_INTERRUPTED, Parser, run
+from finger_common.axes import NORMAL_AXES
+from finger_common.cli import EXIT_INTERRUPTED, Parser, add_settings, run, settings_from
 from finger_common.errors import InputError
+from finger_model.reduced import ReducedModel
 
-from .options import FIT_PARAMETERS, FitOptions
+from .options import FitOptions
+from .problem import MM4
+from .results import FitResult
+from .study import fit_bags
 
-EXAMPLE = "finger-fit out/study/* -o out/fit\nfinger-fit session.mcap --condition natural --window contact -o out/fit"
+EXAMPLE = (
+    "finger-fit out/study/* -o out/fit\n"
+    "finger-fit session.mcap --condition natural --window contact -o out/fit"
+)
 
 
 def parser() -> argparse.ArgumentParser:
-    """Arguments; every option of FIT_PARAMETERS becomes one."""
+    """Arguments; every field of FitOptions becomes one."""
     p = Parser(
         prog="finger-fit",
-        description="Fit the finger model's parameters to recorded bags; writes fit.json, parameters.yaml and "
-        "report.html.",
+        description="Fit the finger model's parameters to recorded bags; writes fit.json, "
+        "parameters.yaml and report.html.",
         example=EXAMPLE,
     )
     p.add_argument(
@@ -41,34 +50,12 @@ def parser() -> argparse.ArgumentParser:
         metavar="C",
         help="fit this condition only; repeatable",
     )
-    p.add_argument(
-        "--normal-axis",
-        choices=("+x", "-x", "+y", "-y", "+z", "-z"),
-        help="sensor axis of the normal force",
-    )
+    p.add_argument("--normal-axis", choices=NORMAL_AXES, help="sensor axis of the normal force")
     p.add_argument("--calibration", metavar="YAML", help="plate calibration for areas from images")
     p.add_argument("--mapping", metavar="FILE", help="YAML file with other topic names, units")
     p.add_argument("--model", metavar="NPZ", help="reduced model file (default: the shipped one)")
     p.add_argument("--quiet", action="store_true", help="no progress")
-    for item in FIT_PARAMETERS:
-        flag = "--" + item.name.replace("_", "-")
-        unit = f" [{item.unit}]" if item.unit else ""
-        meaning = f"{item.meaning}{unit}".replace("%", "%%")
-        if isinstance(item.default, bool):
-            p.add_argument(
-                flag, action=argparse.BooleanOptionalAction, default=item.default, help=meaning
-            )
-        elif isinstance(item.default, list):
-            p.add_argument(
-                flag, nargs="*", default=item.default, choices=item.choices,
-                metavar=None if item.choices else "NAME=LOW:HIGH", help=meaning,
-            )  # fmt: skip
-        else:
-            p.add_argument(
-                flag, type=type(item.default), default=item.default, choices=item.choices,
-                help=f"{meaning} (default: {item.default if item.default != '' else 'none'})",
-                metavar=None if item.choices else item.name.upper(),
-            )  # fmt: skip
+    add_settings(p, FitOptions)
     return p
 
 
@@ -86,7 +73,7 @@ class Screen:
             console=self.console,
             disable=quiet,
         )
-        self._tasks: dict[tuple[str, str], object] = {}
+        self._tasks: dict[tuple[str, str], Any] = {}
 
     def __enter__(self) -> Screen:
         self._progress.start()
@@ -99,52 +86,39 @@ class Screen:
         self, condition: str, stage: str, number: int, rounds: int, cost: float, best: np.ndarray
     ) -> None:
         key = (condition, stage)
-        note = f"J = {cost * 1e12:.1f} mm⁴" if np.isfinite(cost) else ""
+        note = f"J = {cost * MM4:.1f} mm⁴" if np.isfinite(cost) else ""
         if key not in self._tasks:
             name = f"{condition} {stage}".strip()
             self._tasks[key] = self._progress.add_task(f"{name:<20}", total=rounds, note=note)
-        self._progress.update(self._tasks[key], completed=number, note=note)  # type: ignore[arg-type]
+        self._progress.update(self._tasks[key], completed=number, note=note)
 
 
-def summary(result: object) -> Table:
+def summary(result: FitResult) -> Table:
     """Result as a table for the terminal."""
-    from .fit import FitReport
-
-    assert isinstance(result, FitReport)
-    table = Table(
-        "condition",
-        "trials",
-        "E0 kPa",
-        "E1 kPa",
-        "τ1 s",
-        "E2 kPa",
-        "E kPa",
-        "J mm⁴",
-        "J power law",
-        "status",
-    )
+    space = result.space
+    columns = [space.describe(name) for name in space.quantity_names]
+    headings = [f"{q.symbol} {q.display_unit}".strip() for q in columns]
+    table = Table("condition", "trials", *headings, "J mm⁴", "J power law", "status")
     for name, fit in result.fits.items():
-        E0, E1, tau1, E2 = fit.parameters
         table.add_row(
-            name, str(len(fit.problem)), f"{E0 / 1e3:.1f}", f"{E1 / 1e3:.2f}", f"{tau1:.3f}",
-            f"{E2 / 1e3:.0f}", f"{fit.composite_E / 1e3:.2f}", f"{fit.cost * 1e12:.1f}",
-            f"{fit.power_law.cost * 1e12:.1f}", fit.status,
-        )  # fmt: skip
+            name,
+            str(len(fit.problem)),
+            *(q.text(fit.quantity(q.name)) for q in columns),
+            f"{fit.cost * MM4:.1f}",
+            f"{fit.power_law.cost * MM4:.1f}",
+            fit.status,
+        )
     return table
 
 
 def command(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns the exit code."""
     args = parser().parse_args(argv)
-    options = FitOptions.from_mapping({p.name: getattr(args, p.name) for p in FIT_PARAMETERS})
+    options = settings_from(args, FitOptions)
     for bag in args.bags:
         if not Path(bag).exists():
             raise InputError(f"{bag}: no such bag; check the path")
-    from finger_model.reduced import ReducedModel
-
-    from .fit import fit_bags
-
-    model = ReducedModel.load(args.model) if args.model else ReducedModel.load()
+    model = ReducedModel.load(args.model)
     with Screen(args.quiet) as screen:
         result = fit_bags(
             args.bags, options, args.output, args.condition, model, screen,

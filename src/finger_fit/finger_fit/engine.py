@@ -1,13 +1,14 @@
 """Where independent pieces of work run: in this process and its children, or on a Dask cluster.
 
-A piece of work is `function(shared, item)`; results come back in the order of the items and do not depend on where
-they were made.
+A piece of work is `function(shared, item)`. Results are in the order of the items and do not depend
+on where they were computed.
 """
 
 from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
@@ -29,8 +30,11 @@ def available_cores() -> int:
 
 
 class LocalEngine:
-    """This machine. `map` runs here, one item after another (the compiled model uses all cores by itself);
-    `spread` runs in one process per core, for work that uses one."""
+    """This machine.
+
+    `map` runs in this process, one item after another, for work that uses all cores itself (the
+    compiled reduced model). `spread` runs in one process per core, for work that uses one.
+    """
 
     name = "this machine"
 
@@ -52,14 +56,14 @@ class LocalEngine:
         workers = min(available_cores(), len(items))
         if workers < 2:
             return self.map(function, shared, items, done)
-        # Forking a process whose kernels run threads can lock up; spawn starts clean.
+        # Forking a process whose kernels run threads can deadlock.
         context = multiprocessing.get_context("spawn")
         results = []
         with ProcessPoolExecutor(
-            workers, context, initializer=_keep, initargs=(function, shared)
+            workers, context, initializer=_set_job, initargs=(function, shared)
         ) as pool:
             try:
-                for number, result in enumerate(pool.map(_kept, items), 1):
+                for number, result in enumerate(pool.map(_run_job, items), 1):
                     results.append(result)
                     if done is not None:
                         done(number, len(items))
@@ -73,27 +77,29 @@ class LocalEngine:
 
 
 _job: tuple[Work, Any] | None = None
+"""Function and shared data of a worker process of `LocalEngine.spread`."""
 
 
-def _keep(function: Work, shared: Any) -> None:
+def _set_job(function: Work, shared: Any) -> None:
     global _job
-    import signal
-
-    # Ctrl-C is the parent's business; it ends the pool.
+    # Ctrl-C is for the parent process, which ends the pool.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _job = (function, shared)
 
 
-def _kept(item: Any) -> Any:
+def _run_job(item: Any) -> Any:
     assert _job is not None
     return _job[0](_job[1], item)
 
 
 class DaskEngine:
-    """A Dask cluster. Work lost with a worker is done again by another; nothing depends on which worker it was."""
+    """A Dask cluster.
+
+    The work of a worker that dies is repeated by another, with the same result.
+    """
 
     RETRIES = 10
-    """Deaths of workers that one item may survive."""
+    """Times that one item is repeated after the death of its worker."""
 
     def __init__(self, address: str, timeout: float = 10.0) -> None:
         try:
@@ -106,8 +112,8 @@ class DaskEngine:
             self._client = Client(address, timeout=timeout)
         except (OSError, ValueError, TimeoutError) as error:
             raise InputError(
-                f"dask '{address}': no scheduler answers ({error}); start one with 'dask scheduler' "
-                "and give its address, as in tcp://host:8786"
+                f"dask '{address}': no scheduler answers ({error}); start one with "
+                "'dask scheduler' and give its address, as in tcp://host:8786"
             ) from None
         self.name = f"Dask at {address}"
 
@@ -117,10 +123,10 @@ class DaskEngine:
         """Results of function(shared, item), in order."""
         from distributed import as_completed
 
-        # As a task, not as scattered data: a result that died with its worker is made again.
-        common = self._client.submit(_same, shared, pure=False, retries=self.RETRIES)
+        # A task, not scattered data: a result lost with its worker is computed again.
+        common = self._client.submit(_identity, shared, pure=False, retries=self.RETRIES)
         futures = [
-            self._client.submit(_alone, function, common, item, pure=False, retries=self.RETRIES)
+            self._client.submit(function, common, item, pure=False, retries=self.RETRIES)
             for item in items
         ]
         try:
@@ -137,21 +143,19 @@ class DaskEngine:
     spread = map
 
     def close(self) -> None:
-        """Leave the cluster as it is."""
+        """Disconnect; the cluster keeps running."""
         self._client.close()
 
 
-def _same(value: Any) -> Any:
+def _identity(value: Any) -> Any:
     return value
 
 
-def _alone(function: Work, shared: Any, item: Any) -> Any:
-    """One item on a worker that may run several threads; the compiled kernels do not nest."""
-    return function(shared, item)
+Engine = LocalEngine | DaskEngine
 
 
 @contextmanager
-def engine_for(address: str) -> Iterator[LocalEngine | DaskEngine]:
+def engine_for(address: str) -> Iterator[Engine]:
     """The engine for a scheduler's address, this machine for an empty one."""
     engine = DaskEngine(address) if address else LocalEngine()
     try:

@@ -1,9 +1,13 @@
-"""The fit node: FitParameters action over `fit_bags`. The work runs in a thread; the executor only passes on."""
+"""The fit node: the FitParameters action over `fit_bags`.
+
+The fit runs in a thread; the executor passes on its progress.
+"""
 
 from __future__ import annotations
 
 import queue
 import threading
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,21 +19,33 @@ from finger_common.cli import one_line
 from finger_common.diagnostics import Health
 from finger_common.errors import FingerError, InputError
 from finger_common.node import ManagedNode, main_of
-from finger_common.parameters import Parameter, ParameterTable
+from finger_common.settings import Settings, setting
+from finger_model.reduced import ReducedModel
 from finger_msgs.action import FitParameters
 
 from .options import FitOptions
 from .search import Stopped
+from .study import fit_bags
+
+
+@dataclass(frozen=True)
+class FitNodeSettings(Settings):
+    """Parameters of the fit node."""
+
+    reduced_model: str = setting(
+        "", "Reduced model file (npz); empty: the shipped one of the default geometry."
+    )
 
 
 class _Job:
     """One fit in a thread; `events` carries feedback to the executor's thread."""
 
-    def __init__(self, goal: Any, model_file: str) -> None:
+    def __init__(self, goal: Any, model_file: str | None) -> None:
         self.events: queue.SimpleQueue[tuple[Any, ...]] = queue.SimpleQueue()
         self.stop = threading.Event()
         self.outcome: Any = None
         self.error = ""
+        self.names: tuple[str, ...] = ()
         self._goal = goal
         self._model_file = model_file
         self.thread = threading.Thread(target=self._run, name="fit", daemon=True)
@@ -42,14 +58,11 @@ class _Job:
 
     def _run(self) -> None:
         try:
-            from finger_model.reduced import ReducedModel
-
-            from .fit import fit_bags
-
             goal = self._goal
             if not goal.output:
                 raise InputError("goal: 'output' is empty; name the folder to write to")
-            model = ReducedModel.load(self._model_file or None)
+            model = ReducedModel.load(self._model_file)
+            self.names = model.space.names
             options = FitOptions.from_json(goal.options, "goal: 'options'")
             self.outcome = fit_bags(
                 list(goal.bags), options, goal.output, list(goal.conditions), model, self._progress
@@ -66,19 +79,12 @@ class FitNode(ManagedNode):
     """Serves `~/fit`; one goal at a time."""
 
     NAME = "fit"
-    TABLE = ParameterTable(
-        Parameter(
-            "reduced_model",
-            "",
-            "Reduced model file (npz); empty takes the one shipped for the default geometry.",
-        ),
-    )
+    SETTINGS = (FitNodeSettings,)
 
     def configure(self) -> None:
         """Check the model file and offer the action."""
-        from finger_model.reduced import ReducedModel
-
-        ReducedModel.load(self.values["reduced_model"] or None)
+        self._model_file = self.settings(FitNodeSettings).reduced_model or None
+        ReducedModel.load(self._model_file)
         self.health = Health("fit", "no device")
         self.healths = [self.health]
         self._job: _Job | None = None
@@ -93,8 +99,8 @@ class FitNode(ManagedNode):
         )
 
     def activate(self) -> None:
-        """Look after the running job ten times a second."""
-        self._timer = self.create_timer(0.1, self._look)
+        """Check the running job ten times a second."""
+        self._timer = self.create_timer(0.1, self._check_job)
 
     def deactivate(self) -> None:
         """Stop the running job."""
@@ -116,15 +122,16 @@ class FitNode(ManagedNode):
         return GoalResponse.ACCEPT
 
     async def _execute(self, handle: Any) -> Any:
-        job = _Job(handle.request, self.values["reduced_model"])
+        job = _Job(handle.request, self._model_file)
         self._handle, self._job, self._waiting = handle, job, Future()
         self.get_logger().info(f"fitting {len(handle.request.bags)} bags")
         await self._waiting
         self._job = None
         return self._result(handle, job)
 
-    def _look(self) -> None:
-        """Pass on feedback, notice a cancel, and let the goal end when its thread has."""
+    def _check_job(self) -> None:
+        """Publish feedback, pass on a cancel request, and end the goal when its thread has
+        ended."""
         job = self._job
         if job is None or self._waiting is None or self._waiting.done():
             return
@@ -134,6 +141,7 @@ class FitNode(ManagedNode):
         while not job.events.empty():
             condition, stage, number, rounds, cost, best = job.events.get()
             feedback = FitParameters.Feedback()
+            feedback.parameter_names = list(job.names)
             feedback.condition, feedback.stage = condition, stage
             feedback.round, feedback.rounds = int(number), int(rounds)
             feedback.best_cost = float(cost)

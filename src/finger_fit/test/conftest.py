@@ -1,7 +1,7 @@
-"""A stand-in for the reduced model, and trials made with it, so that a fit's logic is tested by itself.
+"""A stand-in for the reduced model, and trials made with it: the logic of a fit is tested alone.
 
-The stand-in is the hereditary integral of Lee and Radok (1960) for a sphere, stiffened by the epidermis: smooth,
-monotone in every parameter and exact to fit, but no finger.
+The stand-in is the hereditary integral of Lee and Radok (1960) for a sphere, stiffened by the
+epidermis: smooth, monotone in every parameter and exact to fit, but no finger.
 """
 
 from __future__ import annotations
@@ -14,8 +14,11 @@ import pytest
 from numba import njit
 
 from finger_fit.options import FitOptions
-from finger_fit.problem import FitProblem
-from finger_fit.trials import prepare_all
+from finger_fit.problem import FitProblem, prepare_all
+from finger_fit.study import fit_records
+from finger_model.laws import StandardLinearSolid
+
+PARAMETERS = StandardLinearSolid.PARAMETERS
 
 TRUTH = np.array([120e3, 25e3, 0.2, 1500e3])
 RATE = 500
@@ -43,6 +46,7 @@ def _areas(parameters, time, force):
 class HereditaryModel:
     """`batch` as the reduced model has it."""
 
+    space = PARAMETERS
     geometry_hash = "stand-in geometry"
     hash = "stand-in"
 
@@ -114,23 +118,47 @@ def make_problem(
     return FitProblem(prepared, model or HereditaryModel(), options)
 
 
-@pytest.fixture
+class Exact:
+    """The stand-in as the better model of a correction or a check."""
+
+    def areas(self, problem, candidates, done=None):
+        model = HereditaryModel()
+        drives = [(t.time, t.force, t.frames) for t in problem.trials]
+        return np.concatenate(model.batch(candidates, drives), axis=1)
+
+
+def composite(parameters):
+    """Composite modulus (Pa) of parameters (…, 4)."""
+    return PARAMETERS.quantity("composite_E", parameters)
+
+
+@pytest.fixture(scope="session")
 def double() -> SimpleNamespace:
-    """The stand-in and its makers."""
+    """The stand-in and its makers; nothing in it is changed."""
     return SimpleNamespace(
         HereditaryModel=HereditaryModel,
+        Exact=Exact,
         make_record=make_record,
         make_problem=make_problem,
+        composite=composite,
         TRUTH=TRUTH,
     )
 
 
-@pytest.fixture(scope="module")
-def double_module() -> SimpleNamespace:
-    """As `double`, for fixtures of a module."""
-    return SimpleNamespace(
-        HereditaryModel=HereditaryModel,
-        make_record=make_record,
-        make_problem=make_problem,
-        TRUTH=TRUTH,
-    )
+@pytest.fixture(scope="session")
+def study():
+    """Two conditions of six trials each, fitted, with one trial that must be excluded."""
+    records = []
+    for name, truth in (
+        ("dry", [100e3, 43e3, 0.1, 1650e3]),
+        ("natural", [140e3, 22e3, 0.5, 1795e3]),
+    ):
+        for i in range(6):
+            records.append(
+                make_record(i, 0.5 + 0.25 * i, 1e-6, condition=name, truth=np.array(truth))
+            )
+    records.append(make_record(6, peak=1.0, condition="dry"))
+    options = FitOptions(full_order=False, bootstrap=12, grid=3, rounds=20, optimizer=["pso", "de"])
+    result = fit_records(records, HereditaryModel(), options)
+    result.sources = {"geometry_hash": "abc", "reduced_model_hash": "def"}
+    return result

@@ -1,4 +1,4 @@
-"""The bias that is measured is the estimate's, and the corrected values lack it."""
+"""The measured bias is that of the estimate, and corrected values have almost none."""
 
 from __future__ import annotations
 
@@ -7,11 +7,15 @@ import copy
 import numpy as np
 import pytest
 
-from finger_fit.bias import bias_pair, shifted_interval, unbiased
-from finger_fit.identifiability import QUANTITIES, Profile, quantity
-from finger_fit.local import refine, whole_box
 from finger_fit.options import FitOptions
 from finger_fit.problem import FitProblem
+from finger_fit.search import all_free, refine
+from finger_fit.uncertainty import Profile, bias_corrected, bias_pair, shifted_interval
+from finger_model.laws import StandardLinearSolid
+
+PARAMETERS = StandardLinearSolid.PARAMETERS
+
+quantity = PARAMETERS.quantity
 
 NOISE = 1.5e-6
 """m², standard deviation of a frame's area."""
@@ -21,6 +25,7 @@ class Cubic:
     """Areas that go as the cube of E0 and depend on nothing else: the bias of ln E0 is known."""
 
     hash = "cubic"
+    space = PARAMETERS
 
     def batch(self, parameters, trials):
         cube = 50e-6 * (np.atleast_2d(parameters)[:, :1] / 100e3) ** 3
@@ -28,12 +33,16 @@ class Cubic:
 
 
 def corrected(problem: FitProblem, best: np.ndarray, pairs: int) -> dict:
-    return unbiased(best, np.array([bias_pair(problem, best, 1, i) for i in range(pairs)]))
+    return bias_corrected(
+        problem.space, best, np.array([bias_pair(problem, best, 1, i) for i in range(pairs)])
+    )
 
 
-def mirrored(problem: FitProblem, noise: np.ndarray, truth: np.ndarray) -> list[FitProblem]:
-    """The problem with this noise on its true areas, and with the same noise turned round, so that a mean over few draws
-    shows a bias far below the spread."""
+def antithetic(problem: FitProblem, noise: np.ndarray, truth: np.ndarray) -> list[FitProblem]:
+    """The problem with this noise on its true areas, and with the sign of the noise flipped.
+
+    A mean over few draws then shows a bias far below the spread.
+    """
     out = []
     for sign in (1.0, -1.0):
         one = copy.copy(problem)
@@ -55,8 +64,8 @@ def test_a_bias_known_in_closed_form_is_found_and_removed(double) -> None:
     known = -mean_variance / (50e-6) ** 2 / 6.0
     errors, after, measured = [], [], []
     for _ in range(40):
-        for problem in mirrored(exact, size * rng.normal(size=len(exact.measured)), truth):
-            fit = refine(problem, whole_box(problem.box), np.log(truth))
+        for problem in antithetic(exact, size * rng.normal(size=len(exact.measured)), truth):
+            fit = refine(problem, all_free(problem), truth)
             found = corrected(problem, fit.parameters, 10)["E0"]
             errors.append(np.log(fit.parameters[0] / truth[0]))
             after.append(np.log(found.value / truth[0]))
@@ -66,7 +75,7 @@ def test_a_bias_known_in_closed_form_is_found_and_removed(double) -> None:
     assert abs(np.mean(after)) < 0.15 * abs(known)
 
 
-def test_the_lean_that_a_bound_of_the_box_makes_is_more_than_halved(double) -> None:
+def test_the_bias_that_a_bound_of_the_box_makes_is_more_than_halved(double) -> None:
     """The natural finger's case: E0 a good half of a deviation below its bound."""
     truth = np.array([155e3, 22.35e3, 0.5, 1795e3])
     exact = double.make_problem(truth=truth)
@@ -76,8 +85,8 @@ def test_the_lean_that_a_bound_of_the_box_makes_is_more_than_halved(double) -> N
     on_bound = 0
     for _ in range(40):
         noise = NOISE * rng.normal(size=len(exact.measured))
-        for problem in mirrored(exact, noise, truth):
-            fit = refine(problem, whole_box(problem.box), np.log(truth), tolerance=1e-5)
+        for problem in antithetic(exact, noise, truth):
+            fit = refine(problem, all_free(problem), truth, tolerance=1e-5)
             on_bound += fit.parameters[0] > 0.999 * problem.box[0, 1]
             found = corrected(problem, fit.parameters, 6)
             for q in before:
@@ -95,14 +104,14 @@ def test_the_lean_that_a_bound_of_the_box_makes_is_more_than_halved(double) -> N
 def test_without_noise_there_is_nothing_to_correct(double) -> None:
     problem = double.make_problem(trials=4)
     found = corrected(problem, double.TRUTH, 2)
-    for q in QUANTITIES:
+    for q in PARAMETERS.quantity_names:
         assert found[q].value == pytest.approx(float(quantity(q, double.TRUTH)), rel=1e-3)
 
 
 def test_pairs_are_repeatable_and_leave_the_problem_alone(double) -> None:
     problem = double.make_problem(noise=NOISE, trials=5)
     before = problem.measured.copy()
-    best = refine(problem, whole_box(problem.box), np.log(double.TRUTH)).parameters
+    best = refine(problem, all_free(problem), double.TRUTH).parameters
     late = bias_pair(problem, best, 3, 4)
     for index in range(4):
         assert not np.array_equal(bias_pair(problem, best, 3, index), late)
@@ -115,7 +124,7 @@ def test_corrected_value_may_leave_the_box(double) -> None:
     """A truth in a corner: estimates err to one side, and only values beyond the bound can make up for it."""
     truth = np.array([160e3, 25e3, 0.2, 1500e3])
     problem = double.make_problem(noise=NOISE, truth=truth, seed=4)
-    best = refine(problem, whole_box(problem.box), np.log(truth)).parameters
+    best = refine(problem, all_free(problem), truth).parameters
     assert best[0] == pytest.approx(problem.box[0, 1]), "this seed's fit lies on the bound"
     found = corrected(problem, best, 10)["E0"]
     assert found.bias < 0 and found.value > problem.box[0, 1]
@@ -130,7 +139,7 @@ def test_corrected_estimate_on_a_bound_stays_in_its_interval() -> None:
     rng = np.random.default_rng(0)
     for _ in range(200):
         pairs = best * np.exp(-np.abs(0.2 * rng.normal(size=(3, 2, 4))))
-        found = unbiased(best, pairs)["E0"]
+        found = bias_corrected(PARAMETERS, best, pairs)["E0"]
         low, high = shifted_interval(profile, found.bias)
         assert low < found.value <= high
 

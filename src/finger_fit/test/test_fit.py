@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import json
 import os
 import re
@@ -13,40 +12,23 @@ import numpy as np
 import pytest
 
 from finger_common.errors import InputError
-from finger_fit import full_order_check, output
-from finger_fit.engine import DaskEngine, LocalEngine
-from finger_fit.fit import FitReport, fit_condition, fit_records
-from finger_fit.identifiability import QUANTITIES
-from finger_fit.local import refine, whole_box
+from finger_fit import results
+from finger_fit.engine import DaskEngine
 from finger_fit.options import FitOptions
-from finger_fit.problem import MM4, composite_modulus
-from finger_fit.search import Stopped
-from finger_model.geometry import Geometry
+from finger_fit.problem import MM4
+from finger_fit.report import write_report
+from finger_fit.results import FitResult
+from finger_fit.search import Stopped, all_free, refine
+from finger_fit.study import fit_condition, fit_records
 from finger_model.parameter_sets import ParameterSets
 
 QUICK = dict(full_order=False, profiles=False, bootstrap=0, grid=3)
 
 
-@pytest.fixture(scope="module")
-def study(double_module):
-    """Two conditions of six trials each, fitted, with one trial that must be excluded."""
-    make = double_module.make_record
-    records = []
-    for name, truth in (
-        ("dry", [100e3, 43e3, 0.1, 1650e3]),
-        ("natural", [140e3, 22e3, 0.5, 1795e3]),
-    ):
-        for i in range(6):
-            records.append(make(i, 0.5 + 0.25 * i, 1e-6, condition=name, truth=np.array(truth)))
-    records.append(make(6, peak=1.0, condition="dry"))
-    options = FitOptions(full_order=False, bootstrap=12, grid=3, rounds=20, optimizer=["pso", "de"])
-    return fit_records(records, double_module.HereditaryModel(), options)
-
-
 def test_fit_finds_the_truth_without_noise(double) -> None:
     problem = double.make_problem()
     fit = fit_condition(problem, FitOptions(**QUICK))
-    assert fit.composite_E == pytest.approx(composite_modulus(double.TRUTH), rel=0.01)
+    assert fit.quantity("composite_E") == pytest.approx(double.composite(double.TRUTH), rel=0.01)
     assert fit.parameters[3] == pytest.approx(double.TRUTH[3], rel=0.03)
     assert fit.cost * MM4 < 0.05
     assert fit.pso.best[1] >= fit.cost, "the swarm's own result is kept apart from the polish"
@@ -68,37 +50,32 @@ def test_fit_is_repeatable_to_the_bit(double) -> None:
     first, second = (fit_condition(problem, options) for _ in range(2))
     np.testing.assert_array_equal(first.parameters, second.parameters)
     np.testing.assert_array_equal(first.samples, second.samples)
-    assert first.unbiased == second.unbiased
+    assert first.bias_corrected == second.bias_corrected
 
 
 def test_a_swarm_without_polish_has_no_bias_to_correct(double) -> None:
     problem = double.make_problem(noise=1.5e-6, trials=4)
     fit = fit_condition(problem, FitOptions(**QUICK, rounds=5, polish=False))
-    assert fit.unbiased == {}
-    assert "bias_corrected" not in output.condition_dict(fit)
+    assert fit.bias_corrected == {}
+    assert "bias_corrected" not in results.condition_dict(fit)
 
 
-def test_a_corrected_fit_without_polish_is_a_minimum_and_has_its_bias(double, monkeypatch) -> None:
-    def better(shared, item):
-        trial = shared[3][item[1]]
-        rows = [(trial.time, trial.force, trial.frames)]
-        return 1.02 * double.HereditaryModel().batch(np.array([item[0]]), rows)[0][0]
+def test_a_corrected_fit_without_polish_is_a_minimum_and_has_its_bias(double) -> None:
+    class Better(double.Exact):
+        def areas(self, problem, candidates, done=None):
+            return 1.02 * super().areas(problem, candidates)
 
-    for name in ("correct", "check"):
-        whole = getattr(full_order_check, name)
-        monkeypatch.setattr(f"finger_fit.fit.{name}", functools.partial(whole, simulate=better))
-    engine = LocalEngine()
-    engine.spread = engine.map
     problem = double.make_problem(noise=1.5e-6, trials=4)
     options = FitOptions(
         polish=False, profiles=False, bootstrap=0, grid=3, rounds=5, top=1, bias_pairs=2
     )
-    fit = fit_condition(problem, options, engine=engine, geometry=Geometry())
+    fit = fit_condition(problem, options, better=Better())
     assert fit.polish is None and fit.correction is not None
-    further = refine(problem, whole_box(problem.box), np.log(fit.parameters))
+    further = refine(problem, all_free(problem), fit.parameters)
     assert further.cost == pytest.approx(fit.cost, rel=1e-4)
     assert fit.pso.best[1] > 1.001 * fit.cost, "the swarm alone ended elsewhere"
-    assert set(output.condition_dict(fit)["bias_corrected"]) == set(QUANTITIES)
+    corrected = results.condition_dict(fit)["bias_corrected"]
+    assert set(corrected) == set(problem.space.quantity_names)
 
 
 def test_top_candidates_are_distinct_and_sorted(study) -> None:
@@ -111,12 +88,12 @@ def test_top_candidates_are_distinct_and_sorted(study) -> None:
                 assert np.abs(np.log(fit.top[i] / fit.top[j])).max() > 0.02
 
 
-def test_referee_is_reported_with_its_verdict(study) -> None:
+def test_cross_check_is_reported_with_its_verdict(study) -> None:
     for fit in study.fits.values():
-        (referee,) = fit.referees
-        assert referee.name == "de"
-        assert referee.agrees == (abs(referee.polished_cost / fit.cost - 1) < 0.02)
-        assert referee.agrees
+        (check,) = fit.cross_checks
+        assert check.name == "de"
+        assert check.agrees == (abs(check.polished_cost / fit.cost - 1) < 0.02)
+        assert check.agrees
 
 
 def test_other_force_mode_is_fitted_to_the_same_trials(double) -> None:
@@ -129,7 +106,7 @@ def test_other_force_mode_is_fitted_to_the_same_trials(double) -> None:
         record.bag = "session"
     result = fit_records(records, double.HereditaryModel(), FitOptions(**QUICK, rounds=5))
     for name, modes in result.force_modes.items():
-        expected = result.fits[name].composite_E
+        expected = result.fits[name].quantity("composite_E")
         assert modes["full"]["composite_E"] == pytest.approx(expected)
         assert modes["paper"]["composite_E"] == pytest.approx(expected, rel=0.1)
 
@@ -155,8 +132,8 @@ def test_interruption_leaves_the_best_so_far(double, stop_at: str, signal: type)
     assert fit.status == "interrupted" and fit.reasons
     assert np.isfinite(fit.cost) and problem.cost(fit.parameters)[0] == pytest.approx(fit.cost)
     assert len(fit.top) >= 1
-    report_ = FitReport(options, {"natural": fit}, [])
-    assert json.dumps(output._plain(output.fit_dict(report_)))
+    result = FitResult(options, {"natural": fit}, [])
+    assert json.dumps(results.fit_dict(result), allow_nan=False)
 
 
 def test_resumed_fit_equals_the_uninterrupted_one(double, tmp_path: Path) -> None:
@@ -179,8 +156,7 @@ def test_resumed_fit_equals_the_uninterrupted_one(double, tmp_path: Path) -> Non
 
 
 def test_files_hold_what_the_design_says(study, tmp_path: Path) -> None:
-    study.sources = {"geometry_hash": "abc", "reduced_model_hash": "def"}
-    output.write(study, tmp_path)
+    results.write(study, tmp_path)
     data = json.loads((tmp_path / "fit.json").read_text())
     for name, fit in study.fits.items():
         entry = data["conditions"][name]
@@ -198,8 +174,7 @@ def test_files_hold_what_the_design_says(study, tmp_path: Path) -> None:
 
 
 def test_parameter_file_is_what_the_model_node_loads(study, tmp_path: Path) -> None:
-    study.sources = {"geometry_hash": "abc", "reduced_model_hash": "def"}
-    output.write(study, tmp_path)
+    results.write(study, tmp_path)
     sets = ParameterSets.load(tmp_path / "parameters.yaml")
     assert (sets.geometry_hash, sets.reduced_model_hash) == ("abc", "def")
     # Both conditions of the double carry the same moisture; the file keeps both.
@@ -214,8 +189,6 @@ def test_parameter_file_is_what_the_model_node_loads(study, tmp_path: Path) -> N
 def test_report_is_one_self_contained_page_with_its_figures_beside_it(
     study, tmp_path: Path
 ) -> None:
-    from finger_fit.report import write_report
-
     page = write_report(study, tmp_path).read_text()
     pictures = sorted(p.name for p in (tmp_path / "figures").glob("*.png"))
     assert page.count("data:image/png;base64,") == len(pictures) >= 8
@@ -253,7 +226,7 @@ def test_dask_gives_the_local_result_and_survives_a_killed_worker(double) -> Non
         engine.close()
     assert killed
     np.testing.assert_array_equal(remote.samples, local.samples)
-    assert remote.unbiased == local.unbiased != {}
+    assert remote.bias_corrected == local.bias_corrected != {}
     np.testing.assert_array_equal(remote.parameters, local.parameters)
 
 

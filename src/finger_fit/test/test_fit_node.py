@@ -107,6 +107,7 @@ def test_goal_gives_feedback_and_the_parameter_file_and_cancel_keeps_the_best(
     assert rounds == list(range(1, 7))
     costs = [f.best_cost for f in heard if f.stage == "pso"]
     assert costs == sorted(costs, reverse=True) and costs[-1] > 0
+    assert list(heard[-1].parameter_names) == ["E0", "E1", "tau1", "E2"]
     assert len(heard[-1].best_parameters) == 4
 
     # Bad goals are aborted with the reason; the node goes on.

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from finger_fit.further_fits import THICKNESS_FACTORS, WithThickness, shared_fit
-from finger_fit.local import Coordinates, refine, whole_box
+from finger_fit.search import all_free, refine
+from finger_fit.study.further import THICKNESS_FACTORS, ThicknessProblem, shared_fit
 
 
 def test_shared_parameter_is_found_and_equal_in_all_conditions(double) -> None:
@@ -15,9 +15,7 @@ def test_shared_parameter_is_found_and_equal_in_all_conditions(double) -> None:
         "moist": np.array([150e3, 17e3, 0.05, 1500e3]),
     }
     problems = {n: double.make_problem(noise=0.5e-6, trials=6, truth=t) for n, t in truths.items()}
-    best = {
-        n: refine(p, whole_box(p.box), np.log(truths[n])).parameters for n, p in problems.items()
-    }
+    best = {n: refine(p, all_free(p), truths[n]).parameters for n, p in problems.items()}
     joint = shared_fit(problems, best, ["E2"])
     values = {c["E2"] for c in joint["conditions"].values()}
     assert len(values) == 1 and values.pop() == pytest.approx(1500e3, rel=0.05)
@@ -32,13 +30,12 @@ def test_thickness_enters_as_a_ratio_of_areas_and_is_found(double) -> None:
     x = np.log(np.array(THICKNESS_FACTORS))[:, None]
     log_ratio = -0.3 * x * np.exp(-problem.force) - 0.1 * x**2
     h0 = 0.6e-3
-    extended = WithThickness(problem, h0, log_ratio)
+    extended = ThicknessProblem(problem, h0, log_ratio)
     outer = extended.areas(np.array([[*double.TRUTH, h0 * f] for f in THICKNESS_FACTORS]))
     np.testing.assert_allclose(outer, problem.areas(double.TRUTH) * np.exp(log_ratio), rtol=1e-9)
     true = 0.7e-3
     extended.measured = extended.areas(np.array([[*double.TRUTH, true]]))[0]
     problem.measured = extended.measured
-    box = np.vstack([problem.box, [0.36e-3, 0.96e-3]])
-    coordinates = Coordinates(np.log(box), lambda u: np.clip(np.exp(u), box[:, 0], box[:, 1]))
-    fit = refine(extended, coordinates, np.log([*double.TRUTH, h0]), tolerance=1e-12)
+    start = np.array([*double.TRUTH, h0])
+    fit = refine(extended, extended.coordinates(), start, tolerance=1e-12)
     assert fit.parameters[4] == pytest.approx(true, rel=0.02)

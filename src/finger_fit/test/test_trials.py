@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from finger_common.errors import InputError
-from finger_fit.fit import group_trials
 from finger_fit.options import FitOptions
-from finger_fit.trials import Unfit, moisture_clusters, prepare, prepare_all
+from finger_fit.problem import TrialRejected, prepare, prepare_all
+from finger_fit.study import group_trials
+from finger_fit.study.grouping import moisture_clusters
+from finger_model.laws import StandardLinearSolid
 
 
 def test_frames_count_from_onset_to_the_first_at_or_after_the_target(double) -> None:
@@ -120,7 +122,7 @@ def test_frames_without_contact_in_the_window_are_dropped_and_counted(double) ->
 
 
 def test_too_short_a_press_says_so(double) -> None:
-    with pytest.raises(Unfit, match="frames in the contact"):
+    with pytest.raises(TrialRejected, match="frames in the contact"):
         prepare(double.make_record(ramp=0.05), FitOptions())
 
 
@@ -180,7 +182,7 @@ def test_unknown_condition_is_refused_with_the_known_ones(double) -> None:
 )
 def test_bad_options_are_refused_with_key_and_remedy(values, words: str) -> None:
     with pytest.raises(InputError) as error:
-        FitOptions(**values)
+        FitOptions(**values).check_names(StandardLinearSolid.PARAMETERS)
     assert words in str(error.value)
 
 

@@ -1,4 +1,7 @@
-"""Contact areas of many parameter sets by the full-order model: what a fit needs of a law without reduced model."""
+"""Contact areas of many parameter sets by the full-order model.
+
+A fit needs no more of a law that has no reduced model.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ import numpy as np
 from finger_common.errors import ModelError
 
 from ..geometry import Geometry
-from ..laws import ConstitutiveLaw
+from ..laws import ConstitutiveLaw, ParameterSpace
 from .full_order import FullOrderModel
 
 
@@ -56,6 +59,11 @@ class FullOrderAreas:
         self.time_step = time_step
         self.force_step = force_step
         self._model = FullOrderModel(self.geometry, refinement)
+
+    @property
+    def space(self) -> ParameterSpace:
+        """The space of the law's parameters."""
+        return self.material.PARAMETERS
 
     def areas(
         self, parameters: np.ndarray, time: np.ndarray, force: np.ndarray, rows: np.ndarray

@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, TypeVar
@@ -97,7 +97,7 @@ class ConstitutiveLaw(ABC):
     PARAMETERS: ClassVar[ParameterSpace]
     """What a fit varies; made from the fields."""
     DERIVED: ClassVar[tuple[DerivedQuantity, ...]] = ()
-    CORRECTION: ClassVar[tuple[str, ...]] = ()
+    CORRECTION: ClassVar[Sequence[str] | Mapping[str, float]] = ()
     """Quantities in whose logarithms a model correction is linear; all parameters by default."""
     INTERNAL_TENSORS: ClassVar[int] = 0
     """Internal tensors per Gauss point, the unit tensor at rest."""

@@ -16,6 +16,9 @@ import numpy as np
 
 from finger_common.errors import InputError
 
+CORRECTION_STEP = 0.2
+"""Step of a correction coordinate, where a law does not state one."""
+
 _SUBSCRIPTS = str.maketrans("₀₁₂₃₄₅₆₇₈₉∞", "0123456789∞")
 
 
@@ -113,13 +116,15 @@ class ParameterSpace:
         self,
         parameters: Sequence[ParameterSpec],
         derived: Sequence[DerivedQuantity] = (),
-        correction: Sequence[str] = (),
+        correction: Sequence[str] | Mapping[str, float] = (),
     ) -> None:
         self.parameters = tuple(parameters)
         self.names = tuple(p.name for p in self.parameters)
         self.derived = {q.name: q for q in derived}
         self.quantity_names = (*self.names, *self.derived)
         self.correction = tuple(correction) or self.names
+        steps = correction if isinstance(correction, Mapping) else {}
+        self.correction_steps = tuple(steps.get(name, CORRECTION_STEP) for name in self.correction)
         if len(set(self.quantity_names)) != len(self.quantity_names):
             raise ValueError(f"a name is used twice: {self.quantity_names}")
         if len(self.correction) != len(self) or set(self.correction) - set(self.quantity_names):
@@ -145,6 +150,11 @@ class ParameterSpace:
                 f"parameter '{name}' does not exist; known are {', '.join(self.names)}"
             )
         return self.names.index(name)
+
+    @property
+    def headline(self) -> str:
+        """Name of the quantity that sums a fit up: the first derived one, else the first parameter."""
+        return next(iter(self.derived), self.names[0])
 
     # Vectors and mappings --------------------------------------------------------------------
 

@@ -1,0 +1,15 @@
+"""The full-order model beside a fit: correction of the areas, and check of the candidates."""
+
+from .areas import BetterModel, FullOrder
+from .check import FullOrderCheck, check
+from .correction import Correction, correct, correction_around
+
+__all__ = [
+    "BetterModel",
+    "Correction",
+    "FullOrder",
+    "FullOrderCheck",
+    "check",
+    "correct",
+    "correction_around",
+]

@@ -1,0 +1,78 @@
+"""Check of a fit's top candidates against a better model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from ..engine import Done
+from ..problem import FitProblem
+from .areas import BetterModel
+
+
+@dataclass(frozen=True)
+class FullOrderCheck:
+    """Top candidates by both models.
+
+    reduced_costs, full_costs (C,): J in m⁴, the reduced one with the problem's correction; areas
+    (C, n): full-order areas (m²) at the frames; rms_difference: of the best candidate's areas by
+    both models, uncorrected, over the largest area; best: index of the candidate that full order
+    prefers; headline: name of the space's headline quantity; change: its relative change by
+    re-ranking. A fit is final with rms_difference ≤ AREA_LIMIT and change ≤ CHANGE_LIMIT.
+    """
+
+    AREA_LIMIT: ClassVar[float] = 0.01
+    CHANGE_LIMIT: ClassVar[float] = 0.02
+
+    reduced_costs: np.ndarray
+    full_costs: np.ndarray
+    areas: np.ndarray
+    rms_difference: float
+    best: int
+    headline: str
+    change: float
+
+    @property
+    def final(self) -> bool:
+        """Whether the fit is final."""
+        return not self.reasons
+
+    @property
+    def reasons(self) -> list[str]:
+        """Why the fit is not final; empty where it is."""
+        out = []
+        if not self.rms_difference <= self.AREA_LIMIT:
+            out.append(
+                f"full and reduced order differ by {100 * self.rms_difference:.2f} % of the "
+                f"largest area (limit {100 * self.AREA_LIMIT:g} %)"
+            )
+        if not self.change <= self.CHANGE_LIMIT:
+            out.append(
+                f"re-ranking by full order changes {self.headline} by {100 * self.change:.1f} % "
+                f"(limit {100 * self.CHANGE_LIMIT:g} %)"
+            )
+        return out
+
+
+def check(
+    problem: FitProblem, candidates: np.ndarray, better: BetterModel, done: Done | None = None
+) -> FullOrderCheck:
+    """Simulate candidates (C, N), best first, with a better model over all trials."""
+    areas = better.areas(problem, candidates, done)
+    reduced = problem.raw_areas(candidates)
+    full_costs = problem.trial_costs(areas).sum(axis=1)
+    best = int(np.nanargmin(full_costs)) if np.isfinite(full_costs).any() else 0
+    headline = problem.space.headline
+    values = problem.space.quantity(headline, candidates)
+    difference = np.sqrt(np.mean((areas[0] - reduced[0]) ** 2)) / areas[0].max()
+    return FullOrderCheck(
+        problem.cost(candidates),
+        full_costs,
+        areas,
+        float(difference),
+        best,
+        headline,
+        float(abs(values[best] / values[0] - 1.0)) if np.isfinite(full_costs).all() else np.nan,
+    )

@@ -1,0 +1,21 @@
+"""The fit's problem: trials, the model, and the cost of a parameter set."""
+
+from .cost import AreaCorrection, AreaModel, FitProblem
+from .power_law import PowerLaw, fit_power_law
+from .trials import Exclusion, FitTrial, TrialRejected, prepare, prepare_all
+from .units import MM2, MM4
+
+__all__ = [
+    "MM2",
+    "MM4",
+    "AreaCorrection",
+    "AreaModel",
+    "Exclusion",
+    "FitProblem",
+    "FitTrial",
+    "PowerLaw",
+    "TrialRejected",
+    "fit_power_law",
+    "prepare",
+    "prepare_all",
+]

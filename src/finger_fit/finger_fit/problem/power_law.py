@@ -1,0 +1,76 @@
+"""The power law A = k Fᵐ fitted to the same frames, with the same weights and loss, as the
+model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.optimize import least_squares, minimize_scalar
+
+from .units import MM2, MM4
+
+if TYPE_CHECKING:
+    from .cost import FitProblem
+
+
+@dataclass(frozen=True)
+class PowerLaw:
+    """A = k F^m.
+
+    k in m²/N^m, cost in m⁴ on the fit's frames; log_m: slope of a log–log regression.
+    """
+
+    k: float
+    m: float
+    cost: float
+    log_m: float
+
+    def area(self, force: np.ndarray) -> np.ndarray:
+        """Area in m² at force in N."""
+        return self.k * np.maximum(force, 0.0) ** self.m
+
+
+def fit_power_law(problem: FitProblem) -> PowerLaw:
+    """The power law that minimises J (nonlinear least squares in area, all trials together)."""
+    force, measured, weight = problem.force, problem.measured, problem.weight
+    usable = (measured > 0) & (force > 0)
+    log_m = float(np.polyfit(np.log(force[usable]), np.log(measured[usable]), 1)[0])
+
+    def best_k(m: float) -> float:
+        shape = force**m
+        return float((weight * shape * measured).sum() / (weight * shape * shape).sum())
+
+    def cost(m: float, k: float) -> float:
+        return float((weight * problem.losses(k * force**m)).sum())
+
+    # Under squared residuals k follows from m in closed form, which leaves one dimension.
+    found = minimize_scalar(
+        lambda m: cost(m, best_k(m)) * MM4,
+        bounds=(0.05, 2.0),
+        method="bounded",
+        options={"xatol": 1e-10},
+    )
+    m = float(found.x)
+    k = best_k(m)
+    if problem.options.loss == "huber":
+        k, m = _reweighted(problem, k, m)
+    return PowerLaw(k, m, cost(m, k), log_m)
+
+
+def _reweighted(problem: FitProblem, k: float, m: float) -> tuple[float, float]:
+    """k and m under the Huber loss, by iteratively reweighted least squares."""
+    force, measured, weight = problem.force, problem.measured * MM2, problem.weight
+    scale = problem.options.huber_scale * MM2
+    found = np.array([k * MM2, m])
+    for _ in range(50):
+        before = found
+        residual = found[0] * force ** found[1] - measured
+        robust = np.minimum(1.0, scale / np.maximum(np.abs(residual), 1e-12))
+        found = least_squares(
+            lambda v, r=robust: np.sqrt(weight * r) * (v[0] * force ** v[1] - measured), before
+        ).x
+        if np.allclose(before, found, rtol=1e-9):
+            break
+    return float(found[0]) / MM2, float(found[1])

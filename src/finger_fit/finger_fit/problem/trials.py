@@ -1,0 +1,215 @@
+"""From recorded trials to what a fit compares: the force that drives the model, and the frames.
+
+A recorded trial is any object with the fields of `finger_offline.trials.TrialRecord`. The trials
+that are excluded, and the reasons, are part of the result.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.signal import butter, sosfiltfilt
+
+from finger_common.contact_threshold import contacts
+from finger_common.flags import AreaFlag
+
+from ..options import FitOptions
+
+REST_FORCE = 0.005
+"""N; a smoothed force up to this is no touch: 1/171 N, the resolution of the Nano17 (paper)."""
+
+
+@dataclass(frozen=True)
+class FitTrial:
+    """One trial as a fit uses it (SI).
+
+    label: bag and index; time (n,), force (n,): what drives the model from rest, time from first
+    touch; frames (k,): indices into time at which areas are compared; area (k,), area_sd (k,):
+    measured; low (k,): the frame lies below the low force; moisture: mean of the readings, NaN
+    without any; readings (m,): a.u.; record_time (r,), record_force (r,): force as recorded during
+    the contact, for plots; dropped: frames inside the window without a measured area.
+    """
+
+    label: str
+    condition: str
+    subject: str
+    index: int
+    time: np.ndarray
+    force: np.ndarray
+    frames: np.ndarray
+    area: np.ndarray
+    area_sd: np.ndarray
+    low: np.ndarray
+    moisture: float
+    readings: np.ndarray
+    record_time: np.ndarray
+    record_force: np.ndarray
+    dropped: int = 0
+
+    @property
+    def frame_time(self) -> np.ndarray:
+        """Times (k,) in s of the frames that count."""
+        return self.time[self.frames]
+
+    @property
+    def frame_force(self) -> np.ndarray:
+        """Driving force (k,) in N at the frames that count."""
+        return self.force[self.frames]
+
+
+@dataclass(frozen=True)
+class Exclusion:
+    """An excluded trial and the reason."""
+
+    label: str
+    condition: str
+    reason: str
+
+
+class TrialRejected(Exception):
+    """A trial that cannot be used; the message is the reason."""
+
+
+def prepare(record: Any, options: FitOptions) -> FitTrial:
+    """Drive and frames of one recorded trial; raises TrialRejected with the reason."""
+    start = int(record.stamp_ns[0]) if len(record.stamp_ns) else 0
+    time = (np.asarray(record.stamp_ns, dtype=np.int64) - start) * 1e-9
+    force = np.asarray(record.force, dtype=float)
+    frame_time = (np.asarray(record.area_stamp_ns, dtype=np.int64) - start) * 1e-9
+    area = np.asarray(record.area, dtype=float)
+    flags = np.asarray(record.area_flags, dtype=np.int64)
+    if len(time) < 10:
+        raise TrialRejected("no force was recorded")
+    if len(frame_time) < 2:
+        raise TrialRejected("no contact area was recorded")
+    finite = np.isfinite(force)
+    if not finite.all():
+        raise TrialRejected(f"{int((~finite).sum())} force samples are not finite")
+    rate = 1.0 / float(np.median(np.diff(time)))
+    smooth = low_passed(force, rate, options.force_cutoff)
+
+    reached = np.flatnonzero(smooth >= options.target_force)
+    if not len(reached):
+        raise TrialRejected(
+            f"force stays at {smooth.max():.2f} N, below the target of {options.target_force:g} N"
+        )
+    onset = options.onset_force
+    first, end = next(c for c in contacts(smooth, onset, onset) if c[0] <= reached[0] < c[1])
+    last = end - 1
+    gaps = np.diff(time[first : last + 1])
+    if len(gaps) and gaps.max() > 0.05:
+        raise TrialRejected(f"force samples are missing for {gaps.max():.2f} s during the contact")
+
+    target_time = time[reached[0]]
+    period = float(np.median(np.diff(frame_time)))
+    inside = (frame_time >= time[first]) & (frame_time <= time[last])
+    if options.window == "loading":
+        after = np.flatnonzero(frame_time >= target_time)
+        if not len(after) or frame_time[after[0]] > target_time + 1.5 * period:
+            raise TrialRejected("no frame at the target force")
+        inside &= frame_time <= frame_time[after[0]]
+    counted = np.flatnonzero(inside)
+    if len(counted) < 3:
+        raise TrialRejected(f"{len(counted)} frames in the contact, at least 3 are needed")
+    holes = np.diff(frame_time[counted])
+    if holes.max() > 1.5 * period:
+        number = round(float(holes.max() / period)) - 1
+        raise TrialRejected(f"{number} frames were dropped in a row during the press")
+    clipped = int(((flags[counted] & AreaFlag.CLIPPED) != 0).sum())
+    if clipped:
+        raise TrialRejected(f"the contact runs over the image border in {clipped} frames")
+    usable = np.isfinite(area[counted]) & ((flags[counted] & AreaFlag.NO_CONTACT) == 0)
+    dropped = int((~usable).sum())
+    counted = counted[usable]
+    if len(counted) < 3:
+        raise TrialRejected(
+            f"vision measured {len(counted)} frames of the contact, at least 3 are needed"
+        )
+    readings = np.array([*record.moisture_before, *record.moisture_after], dtype=float)
+    readings = readings[np.isfinite(readings)]
+    if options.moisture_required and not len(readings):
+        raise TrialRejected("no moisture reading")
+
+    touch = first
+    while touch > 0 and smooth[touch - 1] > REST_FORCE and time[first] - time[touch - 1] < 1.0:
+        touch -= 1
+    touch = max(touch - 1, 0)
+    end = frame_time[counted[-1]]
+    knots = drive_times(time[touch], end, frame_time, frame_time[counted], options)
+    if options.force == "paper":
+        # The paper brought the force to the frames; 0.45 of their rate keeps the filter below its
+        # limit.
+        driving = np.interp(knots, time, low_passed(force, rate, 0.45 / period))
+    else:
+        driving = np.interp(knots, time, smooth)
+    driving = np.maximum(driving, 0.0)
+    driving[0] = 0.0
+    frames = np.searchsorted(knots, frame_time[counted] - 1e-9)
+    shown = slice(touch, last + 1)
+    sd = np.asarray(record.area_sd, dtype=float)
+    return FitTrial(
+        label_of(record),
+        record.condition or "",
+        record.subject or "",
+        int(record.index),
+        knots - knots[0],
+        driving,
+        frames,
+        area[counted],
+        sd[counted] if len(sd) == len(area) else np.full(len(counted), np.nan),
+        driving[frames] < options.low_force,
+        float(readings.mean()) if len(readings) else np.nan,
+        readings,
+        time[shown] - knots[0],
+        force[shown],
+        dropped,
+    )
+
+
+def label_of(record: Any) -> str:
+    """Name of a trial: its bag and its index."""
+    name = str(record.bag).rstrip("/").rsplit("/", 1)[-1]
+    return f"{name} trial {int(record.index)}"
+
+
+def low_passed(force: np.ndarray, rate: float, cutoff: float) -> np.ndarray:
+    """Force (n,) in N after a zero-phase second-order Butterworth low-pass filter.
+
+    Unchanged if cutoff ≥ rate / 2.
+    """
+    if cutoff >= 0.5 * rate or len(force) < 16:
+        return force
+    sections = butter(2, cutoff / (0.5 * rate), output="sos")
+    return sosfiltfilt(sections, force)
+
+
+def drive_times(
+    start: float, end: float, frame_time: np.ndarray, counted: np.ndarray, options: FitOptions
+) -> np.ndarray:
+    """Times of the model's steps: the frames, and between them even steps up to options.step."""
+    inside = frame_time[(frame_time > start + 1e-6) & (frame_time < end - 1e-9)]
+    knots = np.unique(np.concatenate([[start], inside, counted]))
+    if options.force == "paper":
+        return knots
+    pieces = [knots[:1]]
+    for low, high in itertools.pairwise(knots):
+        number = max(int(np.ceil((high - low) / options.step - 1e-9)), 1)
+        pieces.append(np.linspace(low, high, number + 1)[1:])
+    return np.concatenate(pieces)
+
+
+def prepare_all(
+    records: Sequence[Any], options: FitOptions
+) -> tuple[list[FitTrial], list[Exclusion]]:
+    """Usable trials, and the excluded ones with their reasons."""
+    trials, exclusions = [], []
+    for record in records:
+        try:
+            trials.append(prepare(record, options))
+        except TrialRejected as reason:
+            exclusions.append(Exclusion(label_of(record), record.condition or "", str(reason)))
+    return trials, exclusions

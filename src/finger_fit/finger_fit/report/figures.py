@@ -1,0 +1,517 @@
+"""Figures of the report, drawn from a fit's results; none shows a fingerprint.
+
+Nothing is computed here: areas, curves and the deformed finger are part of the results.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, NullLocator
+
+from finger_model.laws import Quantity
+
+from ..problem.units import MM2, MM4
+from ..results import DeformedFinger, FitResult
+
+PALETTE = ("#b5651d", "#2a7f62", "#1f5a99", "#7a3b8f", "#8a8a2a", "#b03a48")
+"""Warm to cool from dry to moist; distinguishable without colour by lightness and marker."""
+
+MARKERS = ("o", "s", "^", "D", "v", "P")
+
+STYLE: dict[Any, Any] = {
+    "font.family": "serif",
+    "font.serif": ["STIX Two Text", "STIXGeneral", "DejaVu Serif"],
+    "mathtext.fontset": "stix",
+    "font.size": 8.5,
+    "axes.titlesize": 9,
+    "axes.labelsize": 8.5,
+    "xtick.labelsize": 7.5,
+    "ytick.labelsize": 7.5,
+    "legend.fontsize": 7.5,
+    "legend.frameon": False,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.linewidth": 0.6,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.major.size": 3,
+    "ytick.major.size": 3,
+    "lines.linewidth": 1.1,
+    "axes.titlelocation": "left",
+    "axes.titlepad": 5,
+    "savefig.dpi": 220,
+    "figure.constrained_layout.use": True,
+}
+COLUMN = 7.1
+"""Width of a figure in inches: two columns of an IEEE page."""
+
+SUBSCRIPTS = str.maketrans("₀₁₂₃₄₅₆₇₈₉∞", "0123456789∞")
+
+
+def title_of(quantity: Quantity) -> str:
+    """Symbol and unit of a quantity, as an axis title."""
+    letter = quantity.symbol.rstrip("₀₁₂₃₄₅₆₇₈₉∞")
+    index = quantity.symbol[len(letter) :].translate(SUBSCRIPTS)
+    symbol = f"${letter}_{{{index}}}$" if index else f"${letter}$"
+    return f"{symbol} ({quantity.display_unit})" if quantity.display_unit else symbol
+
+
+def colour_of(report: FitResult, condition: str) -> str:
+    """The condition's colour, by its position from dry to moist."""
+    return PALETTE[list(report.fits).index(condition) % len(PALETTE)]
+
+
+def marker_of(report: FitResult, condition: str) -> str:
+    """The condition's marker."""
+    return MARKERS[list(report.fits).index(condition) % len(MARKERS)]
+
+
+def all_figures(report: FitResult) -> dict[str, Figure]:
+    """Every figure that the fit has the data for, by file name in the order of the report."""
+    with plt.rc_context(STYLE):
+        figures = {
+            "moisture": moisture_figure(report),
+            "area_over_force": area_over_force_figure(report),
+            "force_over_time": force_over_time_figure(report),
+            "example_trial": example_figure(report),
+            "candidates": candidates_figure(report),
+            "matched_trials": matched_figure(report),
+            "profiles": profiles_figure(report),
+            "residuals": residuals_figure(report),
+            "convergence": convergence_figure(report),
+        }
+    return {name: figure for name, figure in figures.items() if figure is not None}
+
+
+def moisture_figure(report: FitResult) -> Figure | None:
+    """Moisture of every trial by condition, with mean and standard deviation."""
+    fits = {n: f for n, f in report.fits.items() if np.isfinite(f.moisture[0])}
+    if not fits:
+        return None
+    figure, axes = plt.subplots(figsize=(0.6 * COLUMN, 1.0 + 0.42 * len(fits)))
+    for row, (name, fit) in enumerate(fits.items()):
+        colour = colour_of(report, name)
+        values = np.array([t.moisture for t in fit.problem.trials])
+        values = values[np.isfinite(values)]
+        mean, deviation = fit.moisture
+        spread = np.linspace(-0.16, 0.16, len(values)) if len(values) > 1 else np.zeros(1)
+        # An even, repeatable spread of the points instead of a random one.
+        spread = spread[np.argsort(np.argsort(np.sin(37.0 * np.arange(len(values)))))]
+        axes.scatter(
+            values, row + spread, s=16, color=colour, alpha=0.65, linewidths=0,
+            marker=marker_of(report, name),
+        )  # fmt: skip
+        axes.errorbar(
+            mean, row + 0.33, xerr=deviation, fmt="|", color="0.15", ms=7, mew=1.2, lw=1.0,
+            capsize=2.5, capthick=1.0,
+        )  # fmt: skip
+        axes.text(
+            mean,
+            row + 0.40,
+            f"{mean:.1f} ± {deviation:.1f}",
+            ha="center",
+            va="bottom",
+            fontsize=7.5,
+        )
+    axes.set_yticks(range(len(fits)), [f"{n}\n($n$ = {len(f.problem)})" for n, f in fits.items()])
+    axes.set_ylim(-0.4, len(fits) - 0.15)
+    axes.set_xlim(0, 130)
+    axes.set_xlabel("skin moisture (a.u.)")
+    axes.tick_params(axis="y", length=0)
+    axes.spines["left"].set_visible(False)
+    axes.grid(axis="x", color="0.9", lw=0.6)
+    axes.set_axisbelow(True)
+    return figure
+
+
+def area_over_force_figure(report: FitResult) -> Figure:
+    """Measured areas over force, one panel per condition, with model trials and power law."""
+    number = len(report.fits)
+    figure, panels = plt.subplots(
+        1, number, figsize=(COLUMN if number > 1 else 0.5 * COLUMN, 2.6), sharey=True, squeeze=False
+    )
+    for panel, (name, fit) in zip(panels[0], report.fits.items()):
+        colour = colour_of(report, name)
+        problem = fit.problem
+        model = fit.areas
+        for index in range(len(problem)):
+            part = slice(problem.starts[index], problem.starts[index + 1])
+            order = np.argsort(problem.force[part])
+            panel.plot(
+                problem.force[part][order], model[part][order] * MM2, color=colour, lw=0.7,
+                alpha=0.55, label="model, each trial" if index == 0 else None, zorder=2,
+            )  # fmt: skip
+        panel.scatter(
+            problem.force, problem.measured * MM2, s=8, facecolors="white", edgecolors="0.25",
+            linewidths=0.5, label="measured", zorder=3,
+        )  # fmt: skip
+        force = np.linspace(0, problem.force.max(), 200)
+        law = fit.power_law
+        panel.plot(
+            force, law.area(force) * MM2, color="0.1", ls=(0, (4, 2)), lw=1.0,
+            label=f"${law.k * MM2:.1f}\\,F^{{{law.m:.2f}}}$", zorder=4,
+        )  # fmt: skip
+        panel.set_title(name)
+        panel.set_xlabel("normal force (N)")
+        panel.set_xlim(0, None)
+        panel.legend(loc="upper left", handlelength=1.8)
+        panel.text(
+            0.98, 0.04,
+            f"$J$ = {fit.cost * MM4:.1f} mm$^4$\npower law {law.cost * MM4:.1f} mm$^4$",
+            transform=panel.transAxes, ha="right", va="bottom", fontsize=7.5,
+        )  # fmt: skip
+    # Room above for the legends; after all panels, because they share the axis.
+    largest = max(float(fit.problem.measured.max()) for fit in report.fits.values()) * MM2
+    panels[0, 0].set_ylim(0, 1.32 * largest)
+    panels[0, 0].set_ylabel("gross contact area (mm$^2$)")
+    return figure
+
+
+def force_over_time_figure(report: FitResult) -> Figure:
+    """Normal force of every trial as recorded, aligned at onset."""
+    number = len(report.fits)
+    figure, panels = plt.subplots(
+        1, number, figsize=(COLUMN if number > 1 else 0.5 * COLUMN, 1.9), sharey=True, sharex=True,
+        squeeze=False,
+    )  # fmt: skip
+    target = report.options.target_force
+    for panel, (name, fit) in zip(panels[0], report.fits.items()):
+        for trial in fit.problem.trials:
+            panel.plot(
+                trial.record_time,
+                trial.record_force,
+                color=colour_of(report, name),
+                lw=0.6,
+                alpha=0.6,
+            )
+        panel.axhline(target, color="0.3", lw=0.6, ls=(0, (1, 2)))
+        panel.set_title(name)
+        panel.set_xlabel("time from touch (s)")
+    panels[0, 0].set_ylabel("normal force (N)")
+    panels[0, 0].text(
+        0.02, target, f"target {target:g} N", fontsize=7, va="bottom", color="0.3",
+        transform=panels[0, 0].get_yaxis_transform(),
+    )  # fmt: skip
+    return figure
+
+
+def example_figure(report: FitResult) -> Figure:
+    """One trial: force and area over time, measured against model, and the deformed finger."""
+    fit, index = report.example()
+    name, trial = fit.condition, fit.problem.trials[index]
+    colour = colour_of(report, name)
+    figure = plt.figure(figsize=(COLUMN, 3.1))
+    grid = figure.add_gridspec(2, 2, width_ratios=(1.15, 1.0), height_ratios=(1, 1.7))
+    top = figure.add_subplot(grid[0, 0])
+    bottom = figure.add_subplot(grid[1, 0], sharex=top)
+    side = figure.add_subplot(grid[:, 1])
+    top.plot(trial.record_time, trial.record_force, color="0.55", lw=0.6, label="recorded")
+    top.plot(trial.time, trial.force, color="0.1", lw=0.9, label="drives the model")
+    top.set_ylabel("force (N)")
+    top.tick_params(labelbottom=False)
+    top.legend(loc="upper left")
+    top.set_title(f"(a) {trial.label}", loc="left")
+    bottom.plot(trial.time, fit.curves[index] * MM2, color=colour, label="model")
+    bottom.errorbar(
+        trial.frame_time, trial.area * MM2, yerr=np.nan_to_num(trial.area_sd) * MM2, fmt="o",
+        ms=3.2, mfc="white", mec="0.15", ecolor="0.5", elinewidth=0.7, mew=0.7,
+        label="measured (±1 SD)",
+    )  # fmt: skip
+    law = fit.power_law
+    bottom.plot(
+        trial.time,
+        law.area(trial.force) * MM2,
+        color="0.1",
+        ls=(0, (4, 2)),
+        lw=0.9,
+        label="power law",
+    )
+    bottom.set_xlim(trial.time[0] - 0.03, trial.time[-1] + 0.12)
+    bottom.set_ylim(0, None)
+    bottom.set_xlabel("time from touch (s)")
+    bottom.set_ylabel("gross contact area (mm$^2$)")
+    bottom.legend(loc="upper left")
+    if report.deformed is None:
+        side.set_axis_off()
+    else:
+        _deformed(side, report.deformed, float(trial.force[-1]))
+    return figure
+
+
+def _deformed(axes: Axes, finger: DeformedFinger, force: float) -> None:
+    """The deformed finger, coloured by the shear strain, on the plate."""
+    geometry = finger.geometry
+    rest, positions = finger.rest * 1e3, finger.positions * 1e3
+    limit = float(np.quantile(finger.strain[finger.bulk], 0.995))
+    image = None
+    for sign in (-1.0, 1.0):
+        mirror = np.array([sign, 1.0])
+        for part in (finger.epidermis, finger.bulk):
+            polygons = positions[finger.cells[part]] * mirror
+            collection = PolyCollection(
+                polygons, array=finger.strain[part], cmap="YlOrBr", clim=(0.0, limit),
+                edgecolors="face", linewidths=0.1,
+            )  # fmt: skip
+            axes.add_collection(collection)
+            image = collection
+        outline = positions[finger.surface] * mirror
+        axes.plot(outline[:, 0], outline[:, 1], color="0.15", lw=0.8)
+        axes.plot(
+            rest[finger.surface, 0] * sign,
+            rest[finger.surface, 1],
+            color="0.45",
+            lw=0.6,
+            ls=(0, (2, 2)),
+        )
+        edges = list((positions * mirror)[finger.interface])
+        axes.add_collection(LineCollection(edges, colors="0.35", linewidths=0.5))
+    nail = geometry.nail_radius * 1e3
+    axes.fill_between([-nail, nail], 0, geometry.nail_thickness * 1e3, color="#d9d2c5", lw=0)
+    r, z = geometry.bone_profile(np.linspace(0, 1, 60))
+    bone_r = np.concatenate([-r[::-1], r]) * 1e3
+    bone_z = np.concatenate([z[::-1], z]) * 1e3
+    axes.fill(bone_r, np.minimum(bone_z, 0.0), facecolor="#f4f1ea", edgecolor="0.35", lw=0.6)
+    axes.text(
+        0, -0.45 * geometry.bone_semi_axis_axial * 1e3, "bone", ha="center", va="center", fontsize=7
+    )
+    plate = finger.plate_height * 1e3
+    width = geometry.pad_semi_axis_radial * 1e3 * 1.12
+    axes.fill_between([-width, width], plate - 0.55, plate, color="#c9dbe8", lw=0)
+    axes.plot([-width, width], [plate, plate], color="#456", lw=0.8)
+    axes.text(-width + 0.1, plate - 0.30, "glass plate", fontsize=7, va="center", color="#345")
+    radius = finger.radius * 1e3
+    axes.annotate(
+        "", (radius, plate - 0.85), (-radius, plate - 0.85),
+        arrowprops={"arrowstyle": "<->", "lw": 0.7, "shrinkA": 0, "shrinkB": 0},
+    )  # fmt: skip
+    below = min(plate - 0.98, float(rest[:, 1].min()) - 0.15)
+    axes.text(
+        0, below,
+        f"contact diameter {2 * radius:.1f} mm, area {finger.area * MM2:.1f} mm$^2$, "
+        f"indentation {finger.indentation * 1e3:.2f} mm",
+        ha="center", va="top", fontsize=7,
+    )  # fmt: skip
+    axes.set_aspect("equal")
+    axes.set_xlim(-width, width)
+    axes.set_ylim(below - 0.72, geometry.nail_thickness * 1e3 + 0.2)
+    axes.set_axis_off()
+    axes.set_title(f"(b) full-order finger at {force:.2f} N", loc="left")
+    if image is not None:
+        place = axes.inset_axes((0.22, -0.10, 0.56, 0.035))
+        bar = plt.colorbar(image, cax=place, orientation="horizontal")
+        bar.set_label("largest shear strain (from principal stretches)", fontsize=7)
+        place.tick_params(labelsize=6.5)
+        bar.outline.set_linewidth(0.4)  # type: ignore[operator]
+
+
+def candidates_figure(report: FitResult) -> Figure:
+    """Top candidates of every quantity, and its 95 % range (as the paper's Fig. 5)."""
+    space = report.space
+    box = next(iter(report.fits.values())).problem.box
+    figure, panels = plt.subplots(1, len(space.quantity_names), figsize=(COLUMN, 2.4))
+    labels = list(report.fits)
+    for panel, name in zip(panels, space.quantity_names):
+        quantity = space.describe(name)
+        factor = quantity.display_factor
+        for row, (condition, fit) in enumerate(report.fits.items()):
+            colour = colour_of(report, condition)
+            profile = fit.profiles.get(name)
+            if profile is not None:
+                low, high = (value * factor for value in profile.interval)
+                panel.add_patch(
+                    plt.Rectangle(
+                        (row - 0.30, low), 0.60, high - low, color=colour, alpha=0.18, lw=0
+                    )
+                )
+                for value, is_open in ((low, profile.open_low), (high, profile.open_high)):
+                    style = (0, (1, 1.5)) if is_open else "solid"
+                    panel.plot(
+                        [row - 0.30, row + 0.30], [value, value], color=colour, lw=0.8, ls=style
+                    )
+            values = space.quantity(name, fit.top) * factor
+            offsets = np.linspace(-0.18, 0.18, len(values)) if len(values) > 1 else np.zeros(1)
+            panel.scatter(
+                row + offsets[1:], values[1:], s=14, facecolors="white", edgecolors=colour,
+                linewidths=0.9, marker=marker_of(report, condition), zorder=3,
+            )  # fmt: skip
+            panel.scatter(
+                row, fit.quantity(name) * factor, s=30, color=colour,
+                marker=marker_of(report, condition), zorder=4, edgecolors="white", linewidths=0.5,
+            )  # fmt: skip
+        if name in space:
+            low, high = box[space.index(name)] * factor
+            panel.axhspan(low, high, color="0.97", zorder=0)
+            panel.set_ylim(low - 0.05 * (high - low), high + 0.05 * (high - low))
+            for bound in (low, high):
+                panel.axhline(bound, color="0.6", lw=0.6)
+        else:
+            panel.set_ylim(0, None)
+        panel.set_xlim(-0.6, len(labels) - 0.4)
+        panel.set_xticks(
+            range(len(labels)), labels, rotation=35, ha="right", rotation_mode="anchor"
+        )
+        panel.set_title(title_of(quantity))
+        panel.tick_params(axis="x", length=0)
+    return figure
+
+
+def matched_figure(report: FitResult) -> Figure | None:
+    """One trial of each condition, of similar duration: force and area over time (as Fig. 6)."""
+    if len(report.fits) < 2:
+        return None
+    durations = {
+        n: np.array([t.time[-1] for t in f.problem.trials]) for n, f in report.fits.items()
+    }
+    middle = float(np.median(np.concatenate(list(durations.values()))))
+    figure, (left, right) = plt.subplots(1, 2, figsize=(COLUMN, 2.4))
+    for name, fit in report.fits.items():
+        index = int(np.argmin(np.abs(durations[name] - middle)))
+        trial = fit.problem.trials[index]
+        colour, marker = colour_of(report, name), marker_of(report, name)
+        left.plot(trial.time, trial.force, color=colour, label=name)
+        right.plot(trial.time, fit.curves[index] * MM2, color=colour)
+        right.scatter(
+            trial.frame_time, trial.area * MM2, s=14, facecolors="white", edgecolors=colour,
+            linewidths=0.9, marker=marker, label=f"{name}, measured", zorder=3,
+        )  # fmt: skip
+    left.set_ylabel("normal force (N)")
+    right.set_ylabel("gross contact area (mm$^2$)")
+    for panel in (left, right):
+        panel.set_xlabel("time from touch (s)")
+        panel.set_ylim(0, None)
+        panel.set_xlim(0, None)
+    left.legend(loc="upper left")
+    right.legend(loc="upper left")
+    return figure
+
+
+def profiles_figure(report: FitResult) -> Figure | None:
+    """Profile likelihoods: rise of J over each quantity, scaled so that 1 is the 95 % limit."""
+    if not any(fit.profiles for fit in report.fits.values()):
+        return None
+    space = report.space
+    names = (*space.derived, *space.names)
+    figure, panels = plt.subplots(1, len(names), figsize=(COLUMN, 2.1), sharey=True, squeeze=False)
+    for panel, name in zip(panels[0], names):
+        quantity = space.describe(name)
+        factor = quantity.display_factor
+        ticks: list[float] = []
+        for condition, fit in report.fits.items():
+            profile = fit.profiles.get(name)
+            if profile is None:
+                continue
+            colour = colour_of(report, condition)
+            rise = (profile.costs - fit.cost) / (profile.threshold - fit.cost)
+            panel.plot(
+                profile.values * factor, np.maximum(rise, 0.0), color=colour, lw=1.1,
+                marker=marker_of(report, condition), ms=1.8, label=condition,
+            )  # fmt: skip
+            panel.axvline(fit.quantity(name) * factor, color=colour, lw=0.5, ls=(0, (1, 2)))
+            ticks += [value * factor for value in profile.box]
+        panel.axhline(1.0, color="0.3", lw=0.7, ls=(0, (4, 2)))
+        panel.set_ylim(0, 3.2)
+        panel.set_xscale("log")
+        if ticks:
+            panel.set_xlim(min(ticks), max(ticks))
+            _plain_log_ticks(panel, min(ticks), max(ticks))
+        panel.set_title(title_of(quantity))
+    panels[0, 0].set_ylabel(r"$(J - J_\mathrm{min})\,/\,(J_{95} - J_\mathrm{min})$")
+    panels[0, min(1, len(names) - 1)].legend(loc="upper center", handlelength=1.2)
+    return figure
+
+
+def _plain_log_ticks(panel: Axes, low: float, high: float) -> None:
+    """Three round numbers on a logarithmic axis."""
+    nice = [m * 10.0**e for e in range(-4, 6) for m in (1, 1.5, 2, 3, 5, 7)]
+    inside = [v for v in nice if low <= v <= high]
+    wanted = [inside[i] for i in sorted({0, len(inside) // 2, len(inside) - 1})] if inside else []
+    panel.xaxis.set_major_locator(FixedLocator(wanted))
+    panel.xaxis.set_minor_locator(NullLocator())
+    panel.set_xticklabels([f"{v:g}" for v in wanted])
+
+
+def residuals_figure(report: FitResult) -> Figure:
+    """Residuals over force and their distribution, model beside power law."""
+    figure, panels = plt.subplots(
+        1, 3, figsize=(COLUMN, 2.2), gridspec_kw={"width_ratios": (1, 1, 0.7)}
+    )
+    limit = 0.0
+    for name, fit in report.fits.items():
+        problem, colour = fit.problem, colour_of(report, name)
+        model = (fit.areas - problem.measured) * MM2
+        law = (fit.power_law.area(problem.force) - problem.measured) * MM2
+        limit = max(limit, np.abs(law).max(), np.abs(model).max())
+        for panel, values in ((panels[0], model), (panels[1], law)):
+            panel.scatter(
+                problem.force, values, s=7, color=colour, alpha=0.6, linewidths=0,
+                marker=marker_of(report, name), label=name,
+            )  # fmt: skip
+        panels[2].hist(model, bins=13, histtype="step", color=colour, density=True, lw=1.0)
+    for panel, title in (
+        (panels[0], "model − measured (mm$^2$)"),
+        (panels[1], "power law − measured (mm$^2$)"),
+    ):
+        panel.axhline(0, color="0.3", lw=0.6)
+        panel.set_ylim(-1.1 * limit, 1.35 * limit)
+        panel.set_xlabel("normal force (N)")
+        panel.set_title(title)
+    panels[0].legend(loc="upper left", ncols=3, handletextpad=0.1, columnspacing=0.8)
+    panels[2].set_title("model: distribution")
+    panels[2].set_xlabel("residual (mm$^2$)")
+    panels[2].set_yticks([])
+    return figure
+
+
+def convergence_figure(report: FitResult) -> Figure:
+    """Best J over the rounds of the search, relative to J after the polish."""
+    figure, axes = plt.subplots(figsize=(0.6 * COLUMN, 2.0))
+    for name, fit in report.fits.items():
+        colour = colour_of(report, name)
+        reference = fit.polish.cost if fit.polish is not None else fit.pso.best[1]
+        curve = fit.pso.convergence / reference
+        rounds = np.arange(1, len(curve) + 1)
+        axes.plot(rounds, curve, color=colour, drawstyle="steps-post")
+        axes.plot(
+            len(curve), curve[-1], marker=marker_of(report, name), color=colour, ms=4, ls="none",
+            label=f"{name}: {curve[-1]:.3f}", clip_on=False,
+        )  # fmt: skip
+    axes.axhline(1.0, color="0.3", lw=0.7, ls=(0, (4, 2)))
+    axes.set_xlabel("PSO round")
+    axes.set_ylabel("best $J$ over polished $J$")
+    axes.set_xlim(0, None)
+    axes.legend(title="at the end")
+    return figure
+
+
+CAPTIONS = {
+    "moisture": "Skin moisture of the trials (mean of the readings before and after each press), "
+    "with mean ± SD per condition.",
+    "area_over_force": "Gross contact area over normal force on the frames that count: measured, "
+    "model driven by each trial's own force, and the power law A = kFᵐ fitted to the same frames "
+    "with the same weights.",
+    "force_over_time": "Normal force of all trials as recorded, aligned at first touch.",
+    "example_trial": "The trial of median cost: (a) force and area over time, measured against "
+    "model and power law; (b) the full-order finger at its last frame, drawn from the deformed "
+    "mesh; the dashed line is the pad at rest.",
+    "candidates": "Best parameters (filled), the other top candidates (open) and the 95 % interval "
+    "by profile likelihood (band; dotted ends extend to the bound). Grey lines: the search box.",
+    "matched_trials": "One trial per condition, of about the same duration: force (left), and area "
+    "with the fitted model (right).",
+    "profiles": "Profile likelihoods: rise of J above its minimum along each quantity, in units of "
+    "the 95 % limit (dashed). A flat curve means that the quantity is not identifiable from these "
+    "data.",
+    "residuals": "Residuals of the fitted model and of the power law over force, on one scale, "
+    "and the distribution of the model's residuals.",
+    "convergence": "Best J over the rounds of the particle swarm, relative to the J after the "
+    "bounded local polish (dashed); both by the reduced model.",
+}
+"""Caption of each figure."""

@@ -1,0 +1,454 @@
+"""Tables and sentences of the report, as HTML."""
+
+from __future__ import annotations
+
+import itertools
+import platform
+from collections.abc import Sequence
+from html import escape
+from importlib.metadata import PackageNotFoundError, version
+
+import numpy as np
+
+from finger_model.laws import ParameterSpace
+
+from ..problem.units import MM2, MM4
+from ..results import ConditionFit, FitResult
+from ..uncertainty import shifted_interval
+
+PAPER_TIME = "2 min a trial, 27,000 min (19 days) in COMSOL"
+"""Time of the paper's search (Nam and Kuchenbecker 2021)."""
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]], text: Sequence[int] = ()) -> str:
+    """A table of HTML cells; `text` gives the columns that are aligned to the left."""
+
+    def cells(kind: str, row: Sequence[str]) -> str:
+        return "".join(
+            f"<{kind}{' class=text' if k in text else ''}>{cell}</{kind}>"
+            for k, cell in enumerate(row)
+        )
+
+    body = "".join(f"<tr>{cells('td', row)}</tr>" for row in rows)
+    return f"<div class=scroll><table><tr>{cells('th', header)}</tr>{body}</table></div>"
+
+
+def listing(items: Sequence[str]) -> str:
+    """A list of HTML items; nothing without any."""
+    return f"<ul>{''.join(f'<li>{item}</li>' for item in items)}</ul>" if items else ""
+
+
+def headings(space: ParameterSpace, names: Sequence[str]) -> list[str]:
+    """Symbols and units of quantities."""
+    quantities = [space.describe(name) for name in names]
+    return [f"{q.html} ({q.display_unit})" if q.display_unit else q.html for q in quantities]
+
+
+def show(space: ParameterSpace, name: str, value: float) -> str:
+    """A value (SI) in the quantity's display unit, thousands separated."""
+    quantity = space.describe(name)
+    return f"{value * quantity.display_factor:,.{quantity.decimals}f}"
+
+
+def area_cost(cost: float) -> str:
+    """J (m⁴) in mm⁴."""
+    return f"{cost * MM4:,.1f}"
+
+
+def parameters(result: FitResult) -> str:
+    """Fitted and bias-corrected quantities with their intervals, and J."""
+    space = result.space
+    names = space.quantity_names
+    header = ["condition", "moisture (a.u.)", *headings(space, names)]
+    header += ["<i>J</i> (mm⁴)", "<i>J</i> power law", ""]
+    rows = []
+    for condition, fit in result.fits.items():
+        mean, deviation = fit.moisture
+        active = fit.covariance.active if fit.covariance else {}
+        kind = "final" if fit.status == "final" else "bad"
+        rows.append(
+            [
+                escape(condition),
+                f"{mean:.2f} ± {deviation:.2f}" if np.isfinite(mean) else "–",
+                *(
+                    show(space, name, fit.quantity(name))
+                    + ("<sup>†</sup>" if name in active else "")
+                    + _interval(fit, name)
+                    for name in names
+                ),
+                area_cost(fit.cost),
+                area_cost(fit.power_law.cost),
+                f'<span class="status {kind}">{escape(fit.status)}</span>',
+            ]
+        )
+        if fit.bias_corrected:
+            cells = [_corrected(fit, name) for name in names]
+            rows.append(["<i class=corrected>bias-corrected</i>", "", *cells, "", "", ""])
+    note = (
+        "Notes: 95 % intervals by profile likelihood. <sup>†</sup> on a bound of the search box. "
+        "≤: the interval extends to the bound."
+    )
+    if any(fit.bias_corrected for fit in result.fits.values()):
+        note += (
+            " <i class=corrected>Bias-corrected</i>: estimate and interval less the bias of the "
+            "estimate, which is measured by refits to synthetic data made at the fitted "
+            "parameters. Such values may lie slightly outside the box. Use them to compare "
+            "fingers; use the estimate, which minimises <i>J</i> inside the box, to simulate."
+        )
+    return table(header, rows) + f"<p class=lead>{note}</p>"
+
+
+def _interval(fit: ConditionFit, name: str) -> str:
+    profile = fit.profiles.get(name)
+    if profile is None:
+        return ""
+    if not profile.identifiable:
+        return "<small>not identifiable</small>"
+    low, high = (show(fit.space, name, v) for v in profile.interval)
+    before, after = "≤ " * profile.open_low, " ≤" * profile.open_high
+    return f"<small>{before}{low} – {high}{after}</small>"
+
+
+def _corrected(fit: ConditionFit, name: str) -> str:
+    """The bias-corrected value and its interval; a dash where it is not identifiable."""
+    found, profile = fit.bias_corrected[name], fit.profiles.get(name)
+    value = f"<i class=corrected>{show(fit.space, name, found.value)}</i>"
+    if profile is None:
+        return value
+    if not profile.identifiable:
+        return "<i class=corrected>–</i>"
+    low, high = (show(fit.space, name, v) for v in shifted_interval(profile, found.bias))
+    return f"{value}<small>{low} – {high}</small>"
+
+
+def verdict(result: FitResult) -> str:
+    """Whether each condition is final, and why not."""
+    lines = []
+    for name, fit in result.fits.items():
+        title, check = f"<b>{escape(name)}</b>", fit.full_order
+        if fit.status == "final" and check is not None:
+            lines.append(
+                f"{title} is final: full order and reduced order differ by "
+                f"{100 * check.rms_difference:.2f} % of the largest area (limit "
+                f"{100 * check.AREA_LIMIT:g} %), and re-ranking the top candidates by full order "
+                f"changes {fit.space.describe(check.headline).html} by {100 * check.change:.1f} % "
+                f"(limit {100 * check.CHANGE_LIMIT:g} %)."
+            )
+        elif fit.status == "not checked":
+            lines.append(f"{title} was not checked against the full-order model.")
+        else:
+            reasons = "; ".join(map(escape, fit.reasons))
+            lines.append(f"{title} is <span class=bad>{fit.status}</span>: {reasons}.")
+    return listing(lines)
+
+
+def exclusions(result: FitResult) -> str:
+    """Notes, frames without an area, and excluded trials."""
+    text = listing([f"{escape(note)}." for note in result.problems])
+    dropped = sum(t.dropped for fit in result.fits.values() for t in fit.problem.trials)
+    if dropped:
+        text += f"<p>{dropped} frames inside the window had no measurable contact; not used.</p>"
+    number = len(result.exclusions)
+    if not number:
+        return text + "<p>No trial was excluded.</p>"
+    rows = [
+        [escape(e.label), escape(e.condition or "–"), escape(e.reason)] for e in result.exclusions
+    ]
+    text += f"<p>{number} trial{'s' if number != 1 else ''} excluded:</p>"
+    return text + table(["trial", "condition", "reason"], rows, (1, 2))
+
+
+def costs(result: FitResult) -> str:
+    """J of model and power law, and the power law."""
+    rows = []
+    for name, fit in result.fits.items():
+        law, problem, full = fit.power_law, fit.problem, fit.full_order
+        rows.append(
+            [
+                escape(name),
+                str(len(problem)),
+                str(len(problem.measured)),
+                area_cost(fit.cost),
+                area_cost(full.full_costs[0]) if full else "–",
+                area_cost(law.cost),
+                area_cost(law.cost - fit.cost),
+                f"{law.k * MM2:.2f}",
+                f"{law.m:.3f}",
+                f"{law.log_m:.3f}",
+                f"{np.sqrt(np.mean((fit.areas - problem.measured) ** 2)) * MM2:.2f}",
+            ]
+        )
+    header = [
+        "condition", "trials", "frames", "<i>J</i> (mm⁴)", "<i>J</i> full order",
+        "<i>J</i> power law", "gain", "<i>k</i> (mm²/N<sup>m</sup>)", "<i>m</i>",
+        "log–log <i>m</i>", "RMS (mm²)",
+    ]  # fmt: skip
+    ends = {"loading": "the first frame at or after the target force", "contact": "lift-off"}
+    return table(header, rows) + (
+        "<p class=lead><i>J</i>: sum over trials of the mean squared area difference over the "
+        f"frames from onset to {ends[result.options.window]}. The power law minimises the same "
+        "<i>J</i>; log–log <i>m</i> is the slope of a regression of logarithms.</p>"
+    )
+
+
+def force_modes(result: FitResult) -> str:
+    """J and the headline quantity in both modes of the force."""
+    if not result.force_modes:
+        return ""
+    space = result.space
+    modes = {"full": "full rate", "paper": "as in the paper"}
+    (heading,) = headings(space, [space.headline])
+    header = ["condition", *(f"<i>J</i> {text}" for text in modes.values())]
+    header += [f"{heading} {text}" for text in modes.values()]
+    rows = [
+        [
+            escape(name),
+            *(f"{values[mode]['J']:,.1f}" for mode in modes),
+            *(show(space, space.headline, values[mode][space.headline]) for mode in modes),
+        ]
+        for name, values in result.force_modes.items()
+    ]
+    return (
+        "<p>The model driven by the force at its full rate, and by the force low-passed and "
+        "sampled at the frames as in the paper; each refitted:</p>" + table(header, rows)
+    )
+
+
+def identifiability(result: FitResult) -> str:
+    """Active bounds, correlations, spread of the headline quantity, noise."""
+    space = result.space
+    headline = space.describe(space.headline)
+    rows, notes = [], []
+    for name, fit in result.fits.items():
+        if fit.covariance is None:
+            continue
+        found = fit.covariance
+        active = ", ".join(f"{space[n].html} ({end})" for n, end in found.active.items())
+        deviation, _ = found.interval_deviation(space.headline)
+        rows.append(
+            [
+                escape(name),
+                active or "none",
+                _correlations(fit),
+                f"{100 * deviation:.1f}",
+                f"{found.noise * MM2:.2f}",
+            ]
+        )
+        unknown = [space.describe(n).html for n, p in fit.profiles.items() if not p.identifiable]
+        if unknown:
+            notes.append(
+                f"<b>{escape(name)}</b>: {', '.join(unknown)} not identifiable from these data; "
+                "the value above is poorly constrained."
+            )
+    if not rows:
+        return ""
+    header = [
+        "condition",
+        "active bounds",
+        "strongest correlations",
+        f"SD of ln {headline.html} (%)",
+        "noise of a frame (mm²)",
+    ]
+    return table(header, rows, (1, 2)) + listing(notes)
+
+
+def _correlations(fit: ConditionFit, number: int = 2) -> str:
+    """The strongest correlations of two parameters' estimates."""
+    assert fit.covariance is not None
+    pairs = [
+        (fit.covariance.correlation(a, b), a, b)
+        for a, b in itertools.combinations(fit.space.names, 2)
+    ]
+    strongest = sorted((p for p in pairs if np.isfinite(p[0])), key=lambda p: -abs(p[0]))[:number]
+    cells = [f"{fit.space[a].html}, {fit.space[b].html}: {value:.2f}" for value, a, b in strongest]
+    return "; ".join(cells).replace("-", "−")
+
+
+def bootstrap(result: FitResult) -> str:
+    """Bootstrap intervals of every quantity."""
+    space = result.space
+    samples = next((len(f.samples) for f in result.fits.values() if f.samples is not None), 0)
+    if not samples:
+        return ""
+    rows = []
+    for condition, fit in result.fits.items():
+        cells = [escape(condition)]
+        for name in space.quantity_names:
+            found = fit.bootstrap_interval(name)
+            cells.append(" – ".join(show(space, name, end) for end in found) if found else "–")
+        rows.append(cells)
+    return f"<p>Bootstrap over trials, {samples} samples, 95 % (percentiles):</p>" + table(
+        ["condition", *headings(space, space.quantity_names)], rows
+    )
+
+
+def search(result: FitResult) -> str:
+    """How the search was made, and J after each of its stages."""
+    options, space = result.options, result.space
+    box = ", ".join(
+        f"{q.html} {show(space, q.name, low)}–{show(space, q.name, high)} {q.display_unit}"
+        for q, (low, high) in zip(space, options.box(space))
+    )
+    changed = " (changed from the default)" if options.bounds else ""
+    text = (
+        f"<p>Brute-force grid of {options.grid}<sup>{len(space)}</sup> = "
+        f"{options.grid ** len(space)} points, evenly spaced in the logarithm; particle swarm of "
+        f"{options.particles} candidates over {options.rounds} rounds from the best grid points, "
+        f"seed {options.seed}. Box: {box}{changed}. "
+        + (
+            "Bounded local least squares follow; their share is listed separately.</p>"
+            if options.polish
+            else "No local polish.</p>"
+        )
+    )
+    rows = []
+    for name, fit in result.fits.items():
+        checks = "; ".join(
+            f"{c.name}: {area_cost(c.cost)} → {area_cost(c.polished_cost)}, "
+            + ("agrees" if c.agrees else "<b>disagrees</b>")
+            for c in fit.cross_checks
+        )
+        rows.append(
+            [
+                escape(name),
+                area_cost(fit.grid.best[1]),
+                area_cost(fit.pso.best[1]),
+                str(fit.pso.costs.size),
+                area_cost(fit.polish.cost) if fit.polish else "–",
+                str(fit.polish.evaluations) if fit.polish else "–",
+                checks or "–",
+            ]
+        )
+    header = [
+        "condition", "<i>J</i> grid", "<i>J</i> PSO", "PSO candidates", "<i>J</i> polished",
+        "polish candidates", "cross-checks (<i>J</i> before → after polish)",
+    ]  # fmt: skip
+    return text + table(header, rows, (6,))
+
+
+def candidates(result: FitResult) -> str:
+    """The correction to full order, and the top candidates by both models."""
+    space = result.space
+    quantity = space.describe(space.headline)
+    rows, changed = [], []
+    for name, fit in result.fits.items():
+        full = fit.full_order
+        for k, (vector, cost) in enumerate(zip(fit.top, fit.top_costs)):
+            values = space.quantities(vector)
+            rows.append(
+                [
+                    f"{escape(name)} {k + 1}",
+                    *(show(space, n, value) for n, value in values.items()),
+                    area_cost(cost),
+                    area_cost(full.full_costs[k]) if full else "–",
+                ]
+            )
+        if fit.correction is not None:
+            before = float(space.quantity(quantity.name, fit.correction.parameters_before))
+            changed.append(
+                f"<b>{escape(name)}</b>: {quantity.html} {quantity.text(before)} → "
+                f"{quantity.text(fit.quantity(quantity.name))} {quantity.display_unit}, areas "
+                f"changed by at most {100 * fit.correction.largest_factor:.1f} %, "
+                f"{fit.correction.rounds} rounds."
+            )
+    text = ""
+    if changed:
+        text = (
+            "<p>After the search, the reduced model's areas were corrected to full order around "
+            "the best candidate, frame by frame, and the fit was polished again:</p>"
+        ) + listing(changed)
+    header = ["candidate", *headings(space, space.quantity_names)]
+    header += ["<i>J</i> reduced", "<i>J</i> full order"]
+    return text + "<p>Top distinct candidates, by both models:</p>" + table(header, rows)
+
+
+def additional_fits(result: FitResult) -> str:
+    """Joint fit and epidermis thickness, where they were asked for."""
+    space = result.space
+    names = headings(space, space.names)
+    text = ""
+    if result.shared:
+        shared = result.shared
+        rows = [
+            [escape(name), *(show(space, n, v[n]) for n in space.names), f"{v['J']:,.1f}"]
+            for name, v in shared["conditions"].items()
+        ]
+        common = ", ".join(space[n].html for n in shared["parameters"])
+        text += (
+            f"<p>Joint fit with {common} shared by all conditions: <i>J</i> = {shared['J']:,.1f} "
+            f"mm⁴; separate fits {shared['J_separate']:,.1f} mm⁴.</p>"
+        ) + table(["condition", *names, "<i>J</i> (mm⁴)"], rows)
+    if result.thickness:
+        rows = [
+            [
+                escape(name),
+                f"{v['epidermis_thickness'] * 1e3:.3f}",
+                f"{v['sd_log'] * 100:.0f}",
+                *(show(space, n, v[n]) for n in space.names),
+                f"{v['J']:,.1f}",
+            ]
+            for name, v in result.thickness.items()
+        ]
+        text += (
+            "<p>Epidermis thickness as an additional parameter (full-order ratios of area at three "
+            "thicknesses):</p>"
+        ) + table(
+            ["condition", "thickness (mm)", "SD of its ln (%)", *names, "<i>J</i> (mm⁴)"], rows
+        )
+    return "<h2>Additional fits</h2>" + text if text else ""
+
+
+def provenance(result: FitResult) -> str:
+    """Software, models, options, time and bags."""
+    sources, options = result.sources, result.options
+    default = type(options)().to_dict()
+    changed = [f"{k} = {v}" for k, v in options.to_dict().items() if v != default[k]]
+    seconds = ", ".join(f"{stage} {spent:.1f} s" for stage, spent in result.seconds.items())
+    packages = [platform.python_version(), *map(_version, ("numpy", "scipy", "pymoo"))]
+    rows = [
+        ["software", escape(str(sources.get("software_version", "–")))],
+        ["Python, NumPy, SciPy, pymoo", escape(", ".join(packages))],
+        ["seed", str(options.seed)],
+        ["geometry", _code(sources.get("geometry_hash", "–"))],
+        ["reduced model", _code(sources.get("reduced_model_hash", "–"))],
+        [
+            "measured error of the reduced model",
+            _model_error(dict(sources.get("reduced_model_error", {}))),
+        ],
+        ["search box", escape(", ".join(options.bounds)) or "default of the law"],
+        ["time", escape(f"{seconds} (the paper: {PAPER_TIME})")],
+        ["options other than default", escape(", ".join(changed) or "none")],
+    ]
+    text = table(["item", "value"], rows, (1,))
+    bags = [
+        [escape(b["bag"]), str(b["trials"]), escape(", ".join(b["areas"])), escape(b["force"]),
+         _code(b["sha256"])]
+        for b in sources.get("bags", [])
+    ]  # fmt: skip
+    if bags:
+        header = ["bag", "trials", "areas", "force", "SHA-256"]
+        found = table(header, bags, (2, 3, 4))
+        text += f"<details><summary>Bags</summary>{found}</details>"
+    return text
+
+
+def _code(text: object) -> str:
+    return f"<code>{escape(str(text))}</code>"
+
+
+def _model_error(error: dict[str, float]) -> str:
+    """The reduced model's error against full order, as its file records it."""
+    if not {"pairs", "rms_p99", "worst_p99"} <= set(error):
+        return "–"
+    return (
+        f"area {100 * error['rms_p99']:.2f} % RMS and {100 * error['worst_p99']:.2f} % at the "
+        "worst instant, in % of a history's largest area, at the 99th percentile of "
+        f"{error['pairs']:g} histories held out from its training"
+    )
+
+
+def _version(package: str) -> str:
+    try:
+        return f"{package} {version(package)}"
+    except PackageNotFoundError:
+        return f"{package} –"

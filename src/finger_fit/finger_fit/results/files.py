@@ -1,0 +1,198 @@
+"""Files of a fit: fit.json and parameters.yaml."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from finger_common.files import atomic_write
+from finger_common.moisture import MOISTURE_RANGE
+from finger_model.parameter_sets import ParameterSet, ParameterSets
+
+from ..problem import MM4
+from ..uncertainty import shifted_interval
+from .fits import ConditionFit, FitResult
+
+SAME_MOISTURE = 1e-6
+"""a.u.; means of two conditions closer than this count as equal."""
+
+SEPARATION = 1e-3
+"""a.u. by which conditions of equal moisture are separated in parameters.yaml."""
+
+
+def condition_dict(fit: ConditionFit) -> dict[str, Any]:
+    """One condition of fit.json: SI, J in mm⁴."""
+    space = fit.space
+    mean, deviation = fit.moisture
+    law = fit.power_law
+    out: dict[str, Any] = {
+        **space.quantities(fit.parameters),
+        "J": fit.cost * MM4,
+        "J_full_order": None,
+        "J_power_law": law.cost * MM4,
+        "power_law": {"k": law.k, "m": law.m, "log_log_m": law.log_m},
+        "moisture_mean": mean,
+        "moisture_sd": deviation,
+        "trials": len(fit.problem),
+        "frames": len(fit.problem.measured),
+        "status": fit.status,
+        "reasons": fit.reasons,
+        "pso": {
+            **space.mapping(fit.pso.best[0]),
+            "J": fit.pso.best[1] * MM4,
+            "rounds": len(fit.pso.costs),
+            "particles": fit.pso.costs.shape[1],
+        },
+        "grid": {
+            "points_per_parameter": round(len(fit.grid.costs) ** (1 / len(space))),
+            "J": fit.grid.best[1] * MM4,
+        },
+        "polish": None
+        if fit.polish is None
+        else {"J": fit.polish.cost * MM4, "evaluations": fit.polish.evaluations},
+        "top": [{**space.mapping(p), "J": float(c) * MM4} for p, c in zip(fit.top, fit.top_costs)],
+        "cross_checks": [
+            {
+                "name": other.name,
+                **space.mapping(other.parameters),
+                "J": other.cost * MM4,
+                "J_polished": other.polished_cost * MM4,
+                "agrees": other.agrees,
+            }
+            for other in fit.cross_checks
+        ],
+        "seconds": fit.seconds,
+    }
+    if fit.full_order is not None:
+        found = fit.full_order
+        out["J_full_order"] = float(found.full_costs[0]) * MM4
+        for entry, cost in zip(out["top"], found.full_costs):
+            entry["J_full_order"] = float(cost) * MM4
+        out["full_order"] = {
+            "rms_difference": found.rms_difference,
+            f"{found.headline}_change": found.change,
+            "preferred_candidate": found.best,
+        }
+    if fit.correction is not None:
+        made = fit.correction
+        before = space.mapping(made.parameters_before)
+        out["correction"] = {
+            "J_before": made.cost_before * MM4,
+            **{f"{name}_before": value for name, value in before.items()},
+            "rounds": made.rounds,
+            "largest_relative_change_of_area": made.largest_factor,
+        }
+    if fit.covariance is not None:
+        c = fit.covariance
+        out["active_bounds"] = c.active
+        out["frame_noise"] = c.noise
+        for first, second in itertools.combinations(space.names, 2):
+            out[f"correlation_{first}_{second}"] = c.correlation(first, second)
+        out["sd_log"] = {name: c.deviation(name) for name in space.quantity_names}
+    if fit.profiles:
+        out["interval_95"] = {
+            name: {
+                "low": p.interval[0],
+                "high": p.interval[1],
+                "low_is_bound": p.open_low,
+                "high_is_bound": p.open_high,
+                "identifiable": p.identifiable,
+            }
+            for name, p in fit.profiles.items()
+        }
+    if fit.bias_corrected:
+        out["bias_corrected"] = {
+            name: {
+                "value": found.value,
+                "bias_log": found.bias,
+                "bias_log_error": found.bias_error,
+                **_shifted(fit, name, found.bias),
+            }
+            for name, found in fit.bias_corrected.items()
+        }
+    if fit.samples is not None:
+        out["bootstrap_95"] = {name: fit.bootstrap_interval(name) for name in space.quantity_names}
+    return out
+
+
+def _shifted(fit: ConditionFit, name: str, bias: float) -> dict[str, float]:
+    """The 95 % interval of a bias-corrected value, where there is a profile."""
+    if name not in fit.profiles:
+        return {}
+    low, high = shifted_interval(fit.profiles[name], bias)
+    return {"low": low, "high": high}
+
+
+def fit_dict(result: FitResult) -> dict[str, Any]:
+    """The whole of fit.json, as plain data that JSON can hold."""
+    data = {
+        "conditions": {name: condition_dict(fit) for name, fit in result.fits.items()},
+        "force_modes": result.force_modes,
+        "shared": result.shared,
+        "epidermis_thickness": result.thickness,
+        "exclusions": [
+            {"trial": e.label, "condition": e.condition, "reason": e.reason}
+            for e in result.exclusions
+        ],
+        "notes": result.problems,
+        "options": result.options.to_dict(),
+        "sources": result.sources,
+        "seconds": result.seconds,
+    }
+    return _plain(data)
+
+
+def parameter_sets(result: FitResult) -> ParameterSets:
+    """Sets for the model node, which interpolates over moisture.
+
+    Conditions of equal mean moisture are separated by 0.001 a.u.; a condition without readings gets
+    the middle of the instrument's scale.
+    """
+    sets: list[ParameterSet] = []
+    middle = 0.5 * sum(MOISTURE_RANGE)
+    for name, fit in result.fits.items():
+        mean, deviation = fit.moisture
+        mean = mean if math.isfinite(mean) else middle
+        while any(abs(mean - other.moisture) < SAME_MOISTURE for other in sets):
+            mean += SEPARATION if mean < MOISTURE_RANGE[1] - 1 else -SEPARATION
+        sets.append(
+            ParameterSet(
+                name,
+                mean,
+                deviation if math.isfinite(deviation) else 0.0,
+                tuple(map(float, fit.parameters)),
+                tuple(tuple(map(float, row)) for row in fit.covariance_log()),
+            )
+        )
+    return ParameterSets(
+        sets,
+        str(result.sources.get("geometry_hash", "")),
+        str(result.sources.get("reduced_model_hash", "")),
+        "fit",
+    )
+
+
+def write(result: FitResult, folder: Path) -> None:
+    """Write fit.json and parameters.yaml into the folder."""
+    with atomic_write(folder / "fit.json") as file:
+        json.dump(fit_dict(result), file, indent=1, ensure_ascii=False)
+        file.write("\n")
+    parameter_sets(result).save(folder / "parameters.yaml")
+
+
+def _plain(value: Any) -> Any:
+    """The value with NaN replaced by null, for JSON."""
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    if isinstance(value, (float, np.floating)):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, (np.integer, np.bool_)):
+        return value.item()
+    return value

@@ -1,0 +1,168 @@
+"""What a fit found: plain data for files, the report and programs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..uncertainty import BiasCorrected, Covariance, Profile, percentile_interval
+
+if TYPE_CHECKING:
+    from finger_model.geometry import Geometry
+    from finger_model.laws import ParameterSpace
+
+    from ..full_order import Correction, FullOrderCheck
+    from ..options import FitOptions
+    from ..problem import Exclusion, FitProblem, PowerLaw
+    from ..search import LocalFit, Search
+
+
+@dataclass(frozen=True)
+class CrossCheck:
+    """Another optimiser on the same problem: its own best, and its J before and after the
+    polish."""
+
+    name: str
+    parameters: np.ndarray
+    cost: float
+    polished_cost: float
+    agrees: bool
+
+
+@dataclass
+class ConditionFit:
+    """Everything that the fit of one condition found (SI, J in m⁴).
+
+    parameters (N,): the result; cost: its J; pso: the search alone; polish: the local least
+    squares, None without. top (C, N), top_costs (C,): best distinct candidates. bias_corrected:
+    empty without bias pairs; samples (B, N): bootstrap. areas (n,): the model's areas (m²) at the
+    frames; curves: at every step of each trial's drive. status: "final", "not checked", "not final"
+    or "interrupted", with reasons.
+    """
+
+    condition: str
+    problem: FitProblem
+    parameters: np.ndarray
+    cost: float
+    grid: Search
+    pso: Search
+    power_law: PowerLaw
+    polish: LocalFit | None = None
+    top: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
+    top_costs: np.ndarray = field(default_factory=lambda: np.empty(0))
+    full_order: FullOrderCheck | None = None
+    correction: Correction | None = None
+    cross_checks: list[CrossCheck] = field(default_factory=list)
+    covariance: Covariance | None = None
+    profiles: dict[str, Profile] = field(default_factory=dict)
+    bias_corrected: dict[str, BiasCorrected] = field(default_factory=dict)
+    samples: np.ndarray | None = None
+    areas: np.ndarray = field(default_factory=lambda: np.empty(0))
+    curves: list[np.ndarray] = field(default_factory=list)
+    status: str = "not checked"
+    reasons: list[str] = field(default_factory=list)
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def space(self) -> ParameterSpace:
+        """The space of the parameters."""
+        return self.problem.space
+
+    def quantity(self, name: str) -> float:
+        """A fitted parameter or derived quantity (SI)."""
+        return float(self.space.quantity(name, self.parameters))
+
+    @property
+    def moisture(self) -> tuple[float, float]:
+        """Mean and standard deviation of the trials' moisture (a.u.)."""
+        values = np.array([t.moisture for t in self.problem.trials])
+        values = values[np.isfinite(values)]
+        if not len(values):
+            return float("nan"), float("nan")
+        return float(values.mean()), float(values.std(ddof=1)) if len(values) > 1 else 0.0
+
+    def bootstrap_interval(self, name: str) -> tuple[float, float] | None:
+        """95 % percentile interval of a quantity, None without bootstrap."""
+        if self.samples is None or not len(self.samples):
+            return None
+        return percentile_interval(self.space.quantity(name, self.samples))
+
+    def covariance_log(self) -> np.ndarray:
+        """Covariance (N, N) of the coordinates: of the bootstrap if there is one, else of J."""
+        if self.samples is not None and len(self.samples) > 10:
+            return np.cov(self.space.to_log(self.samples).T)
+        if self.covariance is not None:
+            return self.covariance.covariance
+        return np.zeros((len(self.space), len(self.space)))
+
+    def median_trial(self) -> int:
+        """Index of the trial with the median cost."""
+        costs = self.problem.trial_costs(self.areas)
+        return int(np.argsort(costs, kind="stable")[len(costs) // 2])
+
+
+@dataclass(frozen=True)
+class DeformedFinger:
+    """The full-order finger of one trial at its last frame (SI), for a figure.
+
+    condition, trial: which trial; rest, positions (M, 2): nodes r, z before and after; cells (E,
+    4); epidermis, bulk (E,): which cells; strain (E,): half the difference of the principal
+    stretches; surface: skin nodes from the axis outwards; interface (K, 2): edges between bulk and
+    epidermis.
+    """
+
+    condition: str
+    trial: int
+    geometry: Geometry
+    rest: np.ndarray
+    positions: np.ndarray
+    cells: np.ndarray
+    epidermis: np.ndarray
+    bulk: np.ndarray
+    strain: np.ndarray
+    surface: np.ndarray
+    interface: np.ndarray
+    plate_height: float
+    radius: float
+    area: float
+    indentation: float
+
+
+@dataclass
+class FitResult:
+    """A whole fit: conditions in order of moisture, exclusions, provenance and time spent (s).
+
+    shared, thickness: the additional fits that were asked for; force_modes: per condition and mode
+    of the force, J (mm⁴) and the headline quantity; deformed: for the report's example trial.
+    """
+
+    options: FitOptions
+    fits: dict[str, ConditionFit]
+    exclusions: list[Exclusion]
+    problems: list[str] = field(default_factory=list)
+    sources: dict[str, Any] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
+    shared: Any = None
+    thickness: Any = None
+    force_modes: dict[str, dict[str, Any]] = field(default_factory=dict)
+    deformed: DeformedFinger | None = None
+    output: Path | None = None
+
+    @property
+    def space(self) -> ParameterSpace:
+        """The space of the parameters, the same in all conditions."""
+        return next(iter(self.fits.values())).space
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether any condition was interrupted."""
+        return any(fit.status == "interrupted" for fit in self.fits.values())
+
+    def example(self) -> tuple[ConditionFit, int]:
+        """The condition in the middle, and the index of its trial of median cost."""
+        fits = list(self.fits.values())
+        fit = fits[len(fits) // 2]
+        return fit, fit.median_trial()

@@ -1,0 +1,18 @@
+"""Searches for the minimum of J: global ones over the whole box, and local least squares."""
+
+from .coordinates import Coordinates, all_free, held
+from .local import LocalFit, refine
+from .population import Search, Stopped, best_points, search, search_grid
+
+__all__ = [
+    "Coordinates",
+    "LocalFit",
+    "Search",
+    "Stopped",
+    "all_free",
+    "best_points",
+    "held",
+    "refine",
+    "search",
+    "search_grid",
+]

@@ -1,0 +1,141 @@
+"""Bounded local least squares in the logarithm of the parameters, several candidates per batch.
+
+A damped Gauss–Newton method (Levenberg–Marquardt). Every step solves the linearised problem within
+the bounds (scipy's lsq_linear) for three dampings at once and keeps the best. A bound that is
+active is reached exactly, so that the report can name the active bounds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from ..options import FitOptions
+from ..problem.units import MM2
+from .coordinates import Coordinates
+
+DIFFERENCE = 2e-3
+"""Step of the finite differences in logarithm: far above rounding, far below the curvature of the
+area."""
+
+
+class Areas(Protocol):
+    """What a local fit needs of a problem: a FitProblem, or one that is built from FitProblems."""
+
+    options: FitOptions
+    measured: np.ndarray
+    weight: np.ndarray
+
+    def areas(self, parameters: np.ndarray) -> np.ndarray:
+        """Areas (P, n) in m² for parameters (P, N)."""
+        ...
+
+    def losses(self, areas: np.ndarray) -> np.ndarray:
+        """Loss in m⁴ of every frame, of the shape of areas (…, n)."""
+        ...
+
+
+@dataclass(frozen=True)
+class LocalFit:
+    """Result: parameters (N,) in SI units, J in m⁴ (with the weights given), evaluations made."""
+
+    parameters: np.ndarray
+    cost: float
+    evaluations: int
+
+
+def refine(
+    problem: Areas,
+    coordinates: Coordinates,
+    start: np.ndarray,
+    frame_weights: np.ndarray | None = None,
+    iterations: int = 40,
+    tolerance: float = 1e-7,
+) -> LocalFit:
+    """Minimise J from the parameters `start` (N,).
+
+    frame_weights (n,): in place of the problem's own, as the bootstrap has them; tolerance:
+    relative decrease of J that ends the search.
+    """
+    weight = problem.weight if frame_weights is None else frame_weights
+    box = coordinates.box
+    span = box[:, 1] - box[:, 0]
+    dimension = len(box)
+    spent = 0
+
+    def areas(u: np.ndarray) -> np.ndarray:
+        nonlocal spent
+        spent += len(u)
+        return problem.areas(coordinates.parameters(u))
+
+    def total(area: np.ndarray) -> np.ndarray:
+        return (weight * problem.losses(area)).sum(axis=-1)
+
+    u = np.clip(coordinates.of(np.asarray(start, dtype=float)), box[:, 0], box[:, 1])
+    if dimension == 0 or not np.any(span > 0):
+        area = areas(u[None])
+        return LocalFit(coordinates.parameters(u[None])[0], float(total(area)[0]), spent)
+    damping = 1e-3
+    base = None
+    cost = np.inf
+    for _ in range(iterations):
+        # The steps of the differences point into the box.
+        step = np.where(u + DIFFERENCE <= box[:, 1], DIFFERENCE, -DIFFERENCE)
+        moved = u + np.diag(step)
+        if base is None:
+            rows = areas(np.vstack([u, moved]))
+            base, moved_areas = rows[0], rows[1:]
+            cost = float(total(base))
+        else:
+            moved_areas = areas(moved)
+        residual = base - problem.measured
+        root = np.sqrt(weight * robust_factor(problem, residual))
+        jacobian = (root * (moved_areas - base) / step[:, None]).T * MM2
+        target = -root * residual * MM2
+        scale = np.sqrt((jacobian**2).sum(axis=0))
+        scale = np.maximum(scale, 1e-6 * max(scale.max(), 1e-30))
+        improved = False
+        for _attempt in range(3):
+            trials = []
+            for factor in (0.1, 1.0, 10.0):
+                system = np.vstack([jacobian, np.diag(np.sqrt(damping * factor) * scale)])
+                move = lsq_linear(
+                    system,
+                    np.concatenate([target, np.zeros(dimension)]),
+                    bounds=_open(box - u[:, None]),
+                    method="bvls" if dimension > 1 else "trf",
+                ).x
+                trials.append(np.clip(u + move, box[:, 0], box[:, 1]))
+            candidates = np.array(trials)
+            found = areas(candidates)
+            costs = total(found)
+            pick = int(np.argmin(costs))
+            damping *= (0.1, 1.0, 10.0)[pick]
+            if costs[pick] < cost:
+                improved = True
+                break
+            damping *= 100.0
+        if not improved:
+            break
+        gain = (cost - costs[pick]) / max(cost, 1e-300)
+        u, base, cost = candidates[pick], found[pick], float(costs[pick])
+        damping = max(damping, 1e-9)
+        if gain < tolerance:
+            break
+    return LocalFit(coordinates.parameters(u[None])[0], cost, spent)
+
+
+def _open(limits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds (D, 2) of a step for lsq_linear, which refuses equal ones."""
+    low, high = np.minimum(limits[:, 0], 0.0), np.maximum(limits[:, 1], 0.0)
+    return low - 1e-12, high + 1e-12
+
+
+def robust_factor(problem: Areas, residual: np.ndarray) -> np.ndarray:
+    """Weights (n,) that turn squares into the loss of the options near these residuals (m²)."""
+    if problem.options.loss != "huber":
+        return np.ones_like(residual)
+    return np.minimum(1.0, problem.options.huber_scale / np.maximum(np.abs(residual), 1e-30))

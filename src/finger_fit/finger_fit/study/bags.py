@@ -1,0 +1,138 @@
+"""Recorded trials from bags, with their provenance."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from finger_bag.bag_files import find_bags
+from finger_bag.mapping import TopicMapping
+from finger_bag.reader import open_bag
+from finger_common.errors import InputError
+from finger_common.files import read_bytes, sha256_of
+from finger_offline.trials import (
+    TrialRecord,
+    TrialSet,
+    TrialSettings,
+    split,
+    streams_with_areas,
+    trials_of,
+)
+
+from ..options import FitOptions
+from ..problem import Exclusion
+
+LIFTOFF_SHARE = 0.6
+"""Lift-off force over onset force: a contact ends below its onset, so that noise does not end
+it."""
+
+
+@dataclass
+class Loaded:
+    """Trials of all bags.
+
+    exclusions, problems: of reading; sources: per bag its hash, where areas and force came from,
+    and what made the bag.
+    """
+
+    records: list[TrialRecord] = field(default_factory=list)
+    exclusions: list[Exclusion] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+    sources: list[dict[str, Any]] = field(default_factory=list)
+
+
+def load(
+    paths: Iterable[str | Path],
+    options: FitOptions,
+    normal_axis: str | None = None,
+    calibration: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    mapping: str | Path | None = None,
+) -> Loaded:
+    """Read every bag among paths (bags, or folders of bags).
+
+    Areas come from contact_area, or from the images where it is absent or options.vision is set.
+    Force comes from wrench, or else from wrench_raw less its mean before the press. mapping: file
+    that names other topics and units (docs/bags.md); progress: called with bags read and all bags.
+    Raises InputError when a path is no bag or a bag holds no trial data.
+    """
+    bags = find_bags(paths)
+    settings = TrialSettings(
+        normal_axis=normal_axis or "",
+        onset_force=options.onset_force,
+        liftoff_force=LIFTOFF_SHARE * options.onset_force,
+        image_areas="always" if options.vision else "absent",
+        calibration=calibration or "",
+        mapping=TopicMapping.load(mapping) if mapping else TopicMapping(),
+    )
+    out = Loaded()
+    for number, bag in enumerate(bags):
+        if progress is not None:
+            progress(number, len(bags))
+        found, force_source, made_by = _read(bag, settings)
+        out.records += found.trials
+        out.exclusions += [
+            Exclusion(f"{Path(e.bag).name} trial {e.index}", e.condition, e.reason)
+            for e in found.exclusions
+        ]
+        out.problems += found.problems
+        out.sources.append(
+            {
+                "bag": bag.name,
+                "sha256": bag_hash(bag),
+                "areas": sorted({t.area_source for t in found.trials}),
+                "force": force_source,
+                "made_by": made_by,
+                "trials": len(found.trials),
+            }
+        )
+    if progress is not None:
+        progress(len(bags), len(bags))
+    return out
+
+
+def _read(bag: Path, settings: TrialSettings) -> tuple[TrialSet, str, str]:
+    """Trials of one bag, the topic the force came from, and what made the bag."""
+    with open_bag(bag) as reader:
+        metadata = reader.info.metadata
+        made_by = " ".join(filter(None, (metadata.source, metadata.extra.get("area_source", ""))))
+        mapped = settings.mapping.topic("wrench").topic
+        if mapped or reader.topic("wrench", settings.namespace) is not None:
+            return trials_of(reader, settings), "wrench", made_by
+        if reader.topic("wrench_raw", settings.namespace) is None:
+            raise InputError(
+                f"{bag}: holds neither 'wrench' nor 'wrench_raw'; record the force or name its "
+                "topic in a mapping file"
+            )
+        streams = streams_with_areas(reader, replace(settings, wrench_topic="wrench_raw"))
+        tare = recorded_tare(metadata.extra, streams.force, streams.wrench_stamp_ns)
+        streams.force = streams.force - tare
+        return split(streams, metadata, settings, str(bag)), "wrench_raw less tare", made_by
+
+
+def recorded_tare(extra: dict[str, str], force: np.ndarray, stamp_ns: np.ndarray) -> np.ndarray:
+    """Tare (3,) in N: metadata key `tare_force` ("x y z"), else the mean of the first 0.1 s.
+
+    Raises InputError for a key that is not three numbers.
+    """
+    text = extra.get("tare_force", "")
+    if text:
+        try:
+            values = np.array([float(v) for v in text.replace(",", " ").strip("[] ").split()])
+        except ValueError:
+            values = np.empty(0)
+        if values.shape != (3,):
+            raise InputError(f"metadata 'tare_force' is '{text}', three numbers in N are needed")
+        return values
+    early = stamp_ns <= stamp_ns[0] + 100_000_000
+    return np.nanmean(force[early], axis=0)
+
+
+def bag_hash(bag: Path) -> str:
+    """Hash of a bag: of the hashes of its data files, in order of name."""
+    files = [bag] if bag.is_file() else sorted(p for p in bag.iterdir() if p.is_file())
+    return sha256_of([[p.name, sha256_of(read_bytes(p, "bag file"))] for p in files])

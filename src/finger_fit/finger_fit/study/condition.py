@@ -1,0 +1,238 @@
+"""The fit of one condition, stage by stage: from the grid to the intervals."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..engine import Engine, LocalEngine
+from ..full_order import BetterModel, FullOrder, check, correct
+from ..options import FitOptions
+from ..problem import FitProblem, fit_power_law
+from ..results import ConditionFit, CrossCheck
+from ..search import LocalFit, Search, Stopped, all_free, best_points, refine, search, search_grid
+from ..uncertainty import (
+    Covariance,
+    Profile,
+    bias_corrected,
+    bias_pair,
+    bootstrap_sample,
+    covariance,
+    profile,
+)
+from .progress import Progress, Report
+
+DISTINCT = 0.02
+"""Candidates count as different when a parameter's logarithm differs by this much."""
+
+AGREEMENT = 0.02
+"""A cross-check agrees when its polished J lies within this part of the fit's."""
+
+
+def fit_condition(
+    problem: FitProblem,
+    options: FitOptions,
+    condition: str = "",
+    engine: Engine | None = None,
+    folder: Path | None = None,
+    report: Report | None = None,
+    better: BetterModel | None = None,
+) -> ConditionFit:
+    """Fit one condition: grid, PSO, polish, then what the options ask for.
+
+    folder: for checkpoints, none are kept without; better: the model to correct to and check with,
+    the full-order model of the same finger when None. Ctrl-C (KeyboardInterrupt) and Stopped end
+    the work; what was found until then comes back with status "interrupted".
+    """
+    stages = _Stages(problem, options, condition or "all", engine, folder, report, better)
+    stages.progress = Progress(condition, len(problem.space), report)
+    fit = stages.search()
+    if fit.status != "interrupted":
+        try:
+            stages.after_search(fit)
+        except (KeyboardInterrupt, Stopped):
+            fit.status = "interrupted"
+            fit.reasons = ["interrupted after the search; the later results are incomplete"]
+    if not len(fit.top):
+        fit.top, fit.top_costs = top_candidates(fit, options.top)
+    fit.areas, fit.curves = problem.areas(fit.parameters)[0], drive_areas(problem, fit.parameters)
+    return fit
+
+
+class _Stages:
+    """The stages of one condition's fit, and what they share."""
+
+    progress: Progress
+
+    def __init__(
+        self,
+        problem: FitProblem,
+        options: FitOptions,
+        name: str,
+        engine: Engine | None,
+        folder: Path | None,
+        report: Report | None,
+        better: BetterModel | None,
+    ) -> None:
+        self.problem, self.options, self.name, self.folder = problem, options, name, folder
+        self.engine = engine or LocalEngine()
+        self.better = better or FullOrder.like(problem.model, self.engine)
+        self.coordinates = all_free(problem)
+        self.start = np.empty((0, len(problem.space)))
+
+    def search(self) -> ConditionFit:
+        """Grid, PSO and power law; "interrupted" where grid or PSO did not end."""
+        problem, options, progress = self.problem, self.options, self.progress
+        with progress.timed("grid"):
+            grid = search_grid(
+                problem.cost, self.coordinates, options.grid, progress.rounds("grid")
+            )
+        self.start = best_points(grid, options.particles)
+        with progress.timed("pso"):
+            pso = (
+                self.run("pso")
+                if grid.complete
+                else Search("pso", grid.candidates[:1], grid.costs[:1], False)
+            )
+        parameters, cost = min((grid.best, pso.best), key=lambda found: found[1])
+        with progress.timed("power law"):
+            law = fit_power_law(problem)
+        fit = ConditionFit(self.progress.condition, problem, parameters, cost, grid, pso, law)
+        fit.seconds = progress.seconds
+        if not (grid.complete and pso.complete):
+            fit.status = "interrupted"
+            rounds = f"in round {len(pso.costs)} of {options.rounds}"
+            fit.reasons = [f"interrupted {rounds if grid.complete else 'in the grid'}"]
+        return fit
+
+    def run(self, optimizer: str) -> Search:
+        """One population search from the best grid points, with its checkpoint."""
+        file = f"checkpoint_{self.name}_{optimizer}.json"
+        return search(
+            optimizer,
+            self.problem.cost,
+            self.coordinates,
+            self.start,
+            self.options.rounds,
+            self.options.seed,
+            None if self.folder is None else self.folder / file,
+            self.options.resume,
+            self.progress.rounds(optimizer),
+            self.problem.key(),
+        )
+
+    def after_search(self, fit: ConditionFit) -> None:
+        """Polish, cross-checks, full order, covariance, profiles, bias, bootstrap; fills `fit`."""
+        problem, options, progress = self.problem, self.options, self.progress
+        if options.polish:
+            with progress.timed("polish"):
+                fit.polish = polish(problem, fit.parameters, self.start)
+            if fit.polish.cost < fit.cost:
+                fit.parameters, fit.cost = fit.polish.parameters, fit.polish.cost
+            progress.rounds("polish")(1, 1, fit.cost, fit.parameters)
+        with progress.timed("cross-checks"):
+            others = [name for name in options.optimizer if name != "pso"]
+            fit.cross_checks = [self.cross_check(fit, name) for name in others]
+        count = progress.count("full order")
+        if options.full_order and options.correct:
+            with progress.timed("full order"):
+                found, fit.correction = correct(problem, fit.parameters, self.better, done=count)
+            fit.parameters, fit.cost = found.parameters, found.cost
+        fit.top, fit.top_costs = top_candidates(fit, options.top)
+        with progress.timed("sensitivities"):
+            fit.covariance = covariance(problem, fit.parameters)
+        if options.full_order:
+            with progress.timed("full order"):
+                fit.full_order = check(problem, fit.top, self.better, count)
+            fit.reasons = fit.full_order.reasons
+            fit.status = "not final" if fit.reasons else "final"
+        if options.profiles:
+            names = problem.space.quantity_names
+            shared = (problem, fit.parameters, fit.cost, fit.covariance)
+            fit.profiles = dict(zip(names, self.map("profiles", _profile, shared, names)))
+        shared = (problem, fit.parameters, options.seed)
+        # The swarm alone does not end at a minimum, so refits cannot measure its bias. Polish and
+        # correction do.
+        if options.bias_pairs and (options.polish or fit.correction is not None):
+            pairs = self.map("bias", _bias_pair, shared, range(options.bias_pairs))
+            fit.bias_corrected = bias_corrected(problem.space, fit.parameters, np.array(pairs))
+        if options.bootstrap:
+            samples = self.map("bootstrap", _bootstrap, shared, range(options.bootstrap))
+            fit.samples = np.array(samples)
+
+    def map(self, stage: str, function: Any, shared: Any, items: Any) -> list[Any]:
+        """Independent pieces of a stage, on the engine."""
+        with self.progress.timed(stage):
+            return self.engine.map(function, shared, items, self.progress.count(stage))
+
+    def cross_check(self, fit: ConditionFit, name: str) -> CrossCheck:
+        """Another optimiser from the same start, and whether it agrees after the same polish."""
+        found, cost = self.run(name).best
+        polished = min(cost, refine(self.problem, self.coordinates, found).cost)
+        agrees = bool(abs(polished / fit.cost - 1) < AGREEMENT)
+        return CrossCheck(name, found, cost, polished, agrees)
+
+
+def _profile(shared: tuple[FitProblem, np.ndarray, float, Covariance], name: str) -> Profile:
+    problem, best, cost, found = shared
+    return profile(problem, name, best, cost, found)
+
+
+def _bias_pair(shared: tuple[FitProblem, np.ndarray, int], index: int) -> np.ndarray:
+    return bias_pair(*shared, index)
+
+
+def _bootstrap(shared: tuple[FitProblem, np.ndarray, int], index: int) -> np.ndarray:
+    return bootstrap_sample(*shared, index)
+
+
+def polish(problem: FitProblem, parameters: np.ndarray, starts: np.ndarray) -> LocalFit:
+    """Bounded least squares from the best candidate (N,) and from the best two of starts (C, N).
+
+    J can have more than one local minimum, mostly at the bounds.
+    """
+    coordinates = all_free(problem)
+    found = [refine(problem, coordinates, start) for start in (parameters, *starts[:2])]
+    best = min(found, key=lambda fit: fit.cost)
+    return LocalFit(best.parameters, best.cost, sum(fit.evaluations for fit in found))
+
+
+def top_candidates(fit: ConditionFit, number: int) -> tuple[np.ndarray, np.ndarray]:
+    """Best distinct candidates (≤ number, N) of polish, PSO and grid, and their J, best first."""
+    space = fit.space
+    points = [fit.parameters[None], fit.pso.candidates.reshape(-1, len(space))]
+    costs = [np.array([fit.cost]), fit.pso.costs.reshape(-1)]
+    points.append(best_points(fit.grid, 50))
+    costs.append(np.sort(fit.grid.costs.reshape(-1), kind="stable")[:50])
+    all_points, all_costs = np.concatenate(points), np.concatenate(costs)
+    if fit.correction is not None:
+        # The costs of the search are those of uncorrected areas.
+        keep = np.argsort(all_costs[1:], kind="stable")[:200] + 1
+        all_points = np.concatenate([all_points[:1], all_points[keep]])
+        all_costs = np.concatenate([all_costs[:1], fit.problem.cost(all_points[1:])])
+    places = space.to_log(all_points)
+    chosen: list[int] = []
+    for index in np.argsort(all_costs, kind="stable"):
+        if not np.isfinite(all_costs[index]):
+            break
+        distance = np.abs(places[chosen] - places[index]).max(axis=1)
+        if np.all(distance > DISTINCT):
+            chosen.append(int(index))
+        if len(chosen) == number:
+            break
+    return all_points[chosen], all_costs[chosen]
+
+
+def drive_areas(problem: FitProblem, parameters: np.ndarray) -> list[np.ndarray]:
+    """Model area (n,) in m² at every step of each trial's drive, corrected as at the frames."""
+    drives = [(t.time, t.force, np.arange(len(t.time))) for t in problem.trials]
+    curves = [areas[0] for areas in problem.model.batch(parameters[None], drives)]
+    if problem.correction is None:
+        return curves
+    factor = np.split(problem.correction.factor(parameters)[0], problem.starts[1:-1])
+    return [
+        areas * np.interp(trial.time, trial.frame_time, part)
+        for areas, trial, part in zip(curves, problem.trials, factor)
+    ]

@@ -1,0 +1,208 @@
+"""Fits beyond one condition's own parameters.
+
+Parameters shared by all conditions, the epidermis thickness, and the other mode of the force.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ..full_order import FullOrder
+from ..problem import MM4, FitProblem, FitTrial, prepare_all
+from ..results import ConditionFit
+from ..search import Coordinates, all_free, refine
+from ..uncertainty.covariance import inverse_of
+
+THICKNESS_FACTORS = (0.75, 1.0, 1.25)
+"""Epidermis thicknesses of the full-order runs, over the geometry's own."""
+
+THICKNESS_BOX = (0.6, 1.6)
+"""Bounds of the fitted thickness over the geometry's own."""
+
+
+class JointProblem:
+    """Several conditions as one problem.
+
+    Parameters (P, C N) of C conditions side by side; the frames of all conditions one after the
+    other.
+    """
+
+    def __init__(self, problems: Sequence[FitProblem]) -> None:
+        self._problems = problems
+        self.options = problems[0].options
+        self.measured = np.concatenate([p.measured for p in problems])
+        self.weight = np.concatenate([p.weight for p in problems])
+        self._splits = np.cumsum([len(p.measured) for p in problems])[:-1]
+
+    def areas(self, parameters: np.ndarray) -> np.ndarray:
+        """Areas (P, n) in m² of all conditions."""
+        parts = np.split(parameters, len(self._problems), axis=1)
+        return np.concatenate([p.areas(v) for p, v in zip(self._problems, parts)], axis=1)
+
+    def losses(self, areas: np.ndarray) -> np.ndarray:
+        """Loss in m⁴ of every frame."""
+        parts = np.split(areas, self._splits, axis=-1)
+        return np.concatenate([p.losses(a) for p, a in zip(self._problems, parts)], axis=-1)
+
+
+def shared_fit(
+    problems: dict[str, FitProblem], best: dict[str, np.ndarray], shared: Sequence[str]
+) -> dict[str, Any]:
+    """Joint fit with the named parameters equal in all conditions, from the separate fits' (N,).
+
+    Returns J (mm⁴) of the joint and the separate fits, and the parameters by condition.
+    """
+    names = list(problems)
+    first = next(iter(problems.values()))
+    space, number = first.space, len(names)
+    common = [space.index(name) for name in shared]
+    own = [i for i in range(len(space)) if i not in common]
+    single = all_free(first)
+
+    def parameters(u: np.ndarray) -> np.ndarray:
+        full = np.empty((len(u), number, len(space)))
+        full[:, :, common] = u[:, None, : len(common)]
+        full[:, :, own] = u[:, len(common) :].reshape(len(u), number, len(own))
+        return single.parameters(full.reshape(-1, len(space))).reshape(len(u), -1)
+
+    def of(vectors: np.ndarray) -> np.ndarray:
+        logs = single.of(vectors.reshape(number, len(space)))
+        return np.concatenate([logs[0, common], logs[:, own].ravel()])
+
+    box = np.vstack([single.box[common], np.tile(single.box[own], (number, 1))])
+    joint = JointProblem([problems[name] for name in names])
+    vectors = np.array([best[name] for name in names])
+    # From the mean, and from each condition's own value: J may have several local minima.
+    logs = space.to_log(vectors)
+    starts = []
+    for value in (logs.mean(axis=0), *logs):
+        start = logs.copy()
+        start[:, common] = value[common]
+        starts.append(space.from_log(start))
+    fits = [refine(joint, Coordinates(box, parameters, of), start) for start in starts]
+    fit = min(fits, key=lambda found: found.cost)
+    found = dict(zip(names, fit.parameters.reshape(number, -1)))
+    return {
+        "parameters": list(shared),
+        "J": fit.cost * MM4,
+        "J_separate": sum(float(problems[n].cost(best[n])[0]) for n in names) * MM4,
+        "conditions": {
+            name: {**space.mapping(v), "J": float(problems[name].cost(v)[0]) * MM4}
+            for name, v in found.items()
+        },
+    }
+
+
+class ThicknessProblem:
+    """A problem with the epidermis thickness h (m) as an additional, last parameter.
+
+    The model has one geometry; h enters through the ratio of full-order areas at three
+    thicknesses: at given parameters, ln ratio is a parabola in ln h, frame by frame.
+    """
+
+    def __init__(self, problem: FitProblem, thickness: float, log_ratio: np.ndarray) -> None:
+        self._problem = problem
+        self._thickness = thickness
+        self.options, self.losses = problem.options, problem.losses
+        self.measured, self.weight = problem.measured, problem.weight
+        x = np.log(THICKNESS_FACTORS)
+        low, high = log_ratio[0], log_ratio[2]
+        # Parabola through 0 at x = 0 and the two outer points.
+        determinant = x[0] * x[2] ** 2 - x[2] * x[0] ** 2
+        self._slope = (low * x[2] ** 2 - high * x[0] ** 2) / determinant
+        self._bend = (x[0] * high - x[2] * low) / determinant
+
+    def areas(self, parameters: np.ndarray) -> np.ndarray:
+        """Areas (P, n) in m² of parameters (P, N + 1), h last."""
+        x = np.log(parameters[:, -1:] / self._thickness)
+        return self._problem.areas(parameters[:, :-1]) * np.exp(
+            x * self._slope + x * x * self._bend
+        )
+
+    def coordinates(self) -> Coordinates:
+        """All parameters and h free."""
+        single = all_free(self._problem)
+        low, high = (self._thickness * factor for factor in THICKNESS_BOX)
+
+        def parameters(u: np.ndarray) -> np.ndarray:
+            thickness = np.clip(np.exp(u[:, -1:]), low, high)
+            return np.hstack([single.parameters(u[:, :-1]), thickness])
+
+        def of(vectors: np.ndarray) -> np.ndarray:
+            thickness = np.log(vectors[..., -1:])
+            return np.concatenate([single.of(vectors[..., :-1]), thickness], axis=-1)
+
+        return Coordinates(np.vstack([single.box, np.log([low, high])]), parameters, of)
+
+
+def thickness_fit(
+    problem: FitProblem, best: np.ndarray, full_order: FullOrder, rounds: int = 2
+) -> dict[str, Any]:
+    """Fit the thickness besides, from the best parameters (N,); each round renews the ratios."""
+    geometry = full_order.geometry
+    h0 = geometry.epidermis_thickness
+    vector = np.append(best, h0)
+    for _ in range(rounds):
+        areas = []
+        for factor in THICKNESS_FACTORS:
+            changed = replace(geometry, epidermis_thickness=h0 * factor)
+            model = replace(full_order, geometry=changed, refinement=1.0)
+            areas.append(model.areas(problem, vector[None, :-1])[0])
+        logs = np.log(np.maximum(np.array(areas), 1e-12))
+        # Frames of a run that failed do not depend on the thickness.
+        extended = ThicknessProblem(problem, h0, np.nan_to_num(logs - logs[1]))
+        coordinates = extended.coordinates()
+        fit = refine(extended, coordinates, vector)
+        vector = fit.parameters
+    step, number = 5e-3, len(vector)
+    shifts = np.eye(number) * step
+    centre = coordinates.of(vector)
+    moved = extended.areas(_unclipped(problem, np.vstack([centre + shifts, centre - shifts])))
+    slope = (moved[:number] - moved[number:]) / (2 * step)
+    residual = extended.areas(vector[None])[0] - problem.measured
+    noise = np.sqrt((residual**2).sum() / max(len(residual) - number, 1))
+    deviation = np.sqrt(np.diag(inverse_of(slope @ slope.T / noise**2)))
+    return {
+        **problem.space.mapping(vector[:-1]),
+        "epidermis_thickness": float(vector[-1]),
+        "sd_log": float(deviation[-1]),
+        "J": fit.cost * MM4,
+    }
+
+
+def _unclipped(problem: FitProblem, u: np.ndarray) -> np.ndarray:
+    """Parameters and thickness (P, N + 1) of coordinates, also outside the box."""
+    return np.hstack([problem.space.from_log(u[:, :-1]), np.exp(u[:, -1:])])
+
+
+def force_modes(fit: ConditionFit, records: Sequence[Any]) -> dict[str, dict[str, float]]:
+    """J (mm⁴) and the headline quantity with the force at its full rate and as in the paper.
+
+    The mode that the fit did not use is refitted locally to the same trials.
+    """
+    options, headline = fit.problem.options, fit.space.headline
+    other = "paper" if options.force == "full" else "full"
+
+    def identity(trial: FitTrial) -> tuple[str, bytes]:
+        # Trials of two conditions may have the same label, but not the same measured areas.
+        return trial.label, trial.area.tobytes()
+
+    wanted = {identity(trial) for trial in fit.problem.trials}
+    changed = replace(options, force=other)
+    trials, _ = prepare_all(records, changed)
+    problem = FitProblem([t for t in trials if identity(t) in wanted], fit.problem.model, changed)
+    if len(problem.measured) == len(fit.problem.measured):
+        problem.correction = fit.problem.correction
+    free = all_free(problem)
+    found = refine(problem, free, fit.parameters, tolerance=1e-5)
+    return {
+        options.force: {"J": fit.cost * MM4, headline: fit.quantity(headline)},
+        other: {
+            "J": found.cost * MM4,
+            headline: float(fit.space.quantity(headline, found.parameters)),
+        },
+    }

@@ -1,0 +1,30 @@
+"""Bootstrap over trials: parameters refitted to resampled trials, and percentile intervals."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..problem import FitProblem
+from ..search import all_free, refine
+
+
+def bootstrap_sample(problem: FitProblem, best: np.ndarray, seed: int, index: int) -> np.ndarray:
+    """Parameters (N,) refitted to the `index`-th resampling; the same on every machine."""
+    rng = np.random.default_rng([seed, index])
+    number = len(problem)
+    multiplicity = np.bincount(rng.integers(0, number, number), minlength=number)
+    return refine(
+        problem,
+        all_free(problem),
+        best,
+        problem.weight * multiplicity[problem.trial_of],
+        tolerance=1e-4,
+        iterations=12,
+    ).parameters
+
+
+def percentile_interval(values: np.ndarray, confidence: float = 0.95) -> tuple[float, float]:
+    """Interval that holds the middle part `confidence` of the values (B,)."""
+    tail = 0.5 * (1.0 - confidence)
+    low, high = np.quantile(values, [tail, 1.0 - tail])
+    return float(low), float(high)

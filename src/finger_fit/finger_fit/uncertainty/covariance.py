@@ -1,0 +1,168 @@
+"""Sensitivities and the covariance of the estimate.
+
+With the frames' weights w, residuals r and sensitivities s = ∂A/∂x in the coordinates x
+(logarithms), J ≈ J_min + δᵀ H δ with H = Σ w s sᵀ. The estimate's covariance is V = H⁻¹ B H⁻¹, B
+the covariance of Σ w r s. B is computed twice: for independent frames of equal noise, and from the
+scatter of whole trials, which also holds when the frames of a trial share an error (Liang and Zeger
+1986). The larger variance is used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from finger_model.laws import ParameterSpace
+
+from ..problem import FitProblem
+
+AT_BOUND = 1e-3
+"""A parameter this close to a bound, in its coordinate, lies on it."""
+
+_CENTRAL = 5e-3
+"""Step of the central differences in the coordinates."""
+
+
+@dataclass(frozen=True)
+class Covariance:
+    """Curvature and covariance of the coordinates at the best parameters (N,).
+
+    curvature (N, N): H in m⁴; covariance (N, N), with zero rows where a bound is active; noise: m²,
+    standard deviation of a frame's residual; active: parameters on a bound, with "low" or "high";
+    scores (N, T): Σ w r s of every trial; frame_information (N, N): B of independent frames.
+    """
+
+    space: ParameterSpace
+    parameters: np.ndarray
+    curvature: np.ndarray
+    covariance: np.ndarray
+    noise: float
+    active: dict[str, str]
+    scores: np.ndarray
+    frame_information: np.ndarray
+
+    def deviation(self, name: str) -> float:
+        """Standard deviation of a quantity's logarithm."""
+        gradient = self.space.log_gradient(name, self.parameters)
+        return float(np.sqrt(gradient @ self.covariance @ gradient))
+
+    def correlation(self, first: str, second: str) -> float:
+        """Correlation of two parameters' logarithms as if no bound were active; NaN without
+        variance."""
+        inverse = inverse_of(self.curvature)
+        i, j = self.space.index(first), self.space.index(second)
+        scale = np.sqrt(inverse[i, i] * inverse[j, j])
+        return float(inverse[i, j] / scale) if scale > 0 else float("nan")
+
+    def interval_deviation(self, name: str) -> tuple[float, float]:
+        """Standard deviation of a quantity's logarithm for its interval, and the rise of J (m⁴)
+        there.
+
+        A parameter on a bound is freed for its own interval only. Where a derived quantity depends
+        on bounded parameters alone, the one that it is solved for is freed.
+        """
+        space = self.space
+        gradient = space.log_gradient(name, self.parameters)
+        unbounded = set(space.names) - set(self.active)
+        if name in space.derived:
+            derived = space.derived[name]
+            freed = set() if unbounded & set(derived.of) else {derived.solves_for}
+        else:
+            freed = {name}
+        free = [i for i, n in enumerate(space.names) if n in unbounded | freed]
+        full = _sandwich(self.curvature, self.frame_information, self.scores, free)
+        inverse = inverse_of(self.curvature[np.ix_(free, free)])
+        part = gradient[free]
+        variance = float(part @ full @ part)
+        rise = variance / max(float(part @ inverse @ part), 1e-300)
+        return float(np.sqrt(variance)), rise
+
+
+def sensitivities(
+    problem: FitProblem, parameters: np.ndarray, step: float = _CENTRAL
+) -> np.ndarray:
+    """∂A/∂x (N, n) in m² at parameters (N,), by central differences in one batch."""
+    space, number = problem.space, len(problem.space)
+    centre = space.to_log(parameters)
+    shifts = np.eye(number) * step
+    areas = problem.areas(space.from_log(np.vstack([centre + shifts, centre - shifts])))
+    return (areas[:number] - areas[number:]) / (2.0 * step)
+
+
+def active_bounds(space: ParameterSpace, parameters: np.ndarray, box: np.ndarray) -> dict[str, str]:
+    """Names of the parameters (N,) on a bound of box (N, 2), with "low" or "high"."""
+    found = {}
+    low, high = space.to_log(box.T)
+    for name, value, below, above in zip(space.names, space.to_log(parameters), low, high):
+        if value - below < AT_BOUND:
+            found[name] = "low"
+        elif above - value < AT_BOUND:
+            found[name] = "high"
+    return found
+
+
+def covariance(problem: FitProblem, parameters: np.ndarray) -> Covariance:
+    """Curvature and covariance at parameters (N,), the best ones."""
+    space = problem.space
+    slope = sensitivities(problem, parameters)
+    residual = problem.areas(parameters)[0] - problem.measured
+    weight = problem.weight
+    curvature = (weight * slope) @ slope.T
+    active = active_bounds(space, parameters, problem.box)
+    free = [i for i, name in enumerate(space.names) if name not in active]
+    degrees = max(len(weight) - len(free), 1)
+    # Equal noise in every frame; the residuals of the fit are smaller by the fitted parameters.
+    noise = float(np.sqrt((residual**2).sum() / degrees))
+    information = (weight * slope * noise) @ (weight * slope * noise).T
+    scores = np.add.reduceat(weight * residual * slope, problem.starts[:-1], axis=1)
+    out = np.zeros((len(space), len(space)))
+    if free:
+        out[np.ix_(free, free)] = _sandwich(curvature, information, scores, free)
+    return Covariance(
+        space, np.array(parameters), curvature, out, noise, active, scores, information
+    )
+
+
+def inverse_of(matrix: np.ndarray) -> np.ndarray:
+    """Inverse of a positive semidefinite matrix; without information the variance is very large."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    values, vectors = np.linalg.eigh(matrix * np.outer(scale, scale))
+    values = np.maximum(values, 1e-9)
+    return (vectors / values) @ vectors.T * np.outer(scale, scale)
+
+
+def _sandwich(
+    curvature: np.ndarray, information: np.ndarray, scores: np.ndarray, free: Sequence[int]
+) -> np.ndarray:
+    """Covariance of the free coordinates: the larger of the two estimates of the module's text."""
+    index = np.ix_(free, free)
+    inverse = inverse_of(curvature[index])
+    by_frames = inverse @ information[index] @ inverse
+    part = scores[list(free)]
+    trials = part.shape[1]
+    part = part - part.mean(axis=1, keepdims=True)
+    clustered = part @ part.T * (trials / max(trials - 1, 1))
+    by_trials = inverse @ clustered @ inverse
+    growth = np.sqrt(np.maximum(np.diag(by_trials) / np.maximum(np.diag(by_frames), 1e-300), 1.0))
+    return by_frames * np.outer(growth, growth)
+
+
+def cramer_rao(
+    problem: FitProblem, parameters: np.ndarray, noise: float, free: Sequence[str] = ()
+) -> dict[str, float]:
+    """Smallest standard deviation of any unbiased estimate of a quantity's logarithm.
+
+    For independent frames of the given noise (m²), every frame weighted alike, as in maximum
+    likelihood. `free` names the parameters not held at a bound; empty for all.
+    """
+    space = problem.space
+    free = free or space.names
+    index = [space.index(name) for name in free]
+    slope = sensitivities(problem, parameters)[index]
+    inverse = inverse_of(slope @ slope.T / noise**2)
+    gradients = {
+        name: space.log_gradient(name, parameters)[index] for name in (*free, *space.derived)
+    }
+    return {name: float(np.sqrt(g @ inverse @ g)) for name, g in gradients.items()}
