@@ -3,7 +3,7 @@
 The `mcap` library trusts a file: it allocates what a length field claims and gives up at the first bad record. Bags
 come from killed recorders and from other people, so this module walks the records itself (MCAP specification,
 "Records") and never allocates more than the file can justify; what cannot be read is left out and said in
-`problems`. The library still reads the contents of small records and writes all files.
+`problems`. The library reads the contents of small records.
 """
 
 from __future__ import annotations
@@ -35,7 +35,10 @@ MAXIMUM_SMALL_RECORDS = 64 << 20
 """Bytes of all such records together."""
 
 MAXIMUM_IDLE_RECORDS = 1_000_000
-"""Records that hold nothing this reader needs; a bag of a day has fewer, a file of empty records has no end."""
+"""Records that hold nothing this reader needs, after which it stops."""
+
+IDLE_RECORDS_PER_CHUNK = 100
+"""Records that a chunk adds to that: its message indexes, one a channel, and its chunk index."""
 
 MAXIMUM_CHUNK = 1 << 30
 """Bytes of an uncompressed chunk above which it is not read."""
@@ -50,7 +53,7 @@ _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 _WHOLE = struct.Struct("<BQHIQQ")
 _CHUNK = struct.Struct("<QQQI")
-_ATTACHMENT = struct.Struct("<QQ")
+_TIMES = 16  # bytes of the two times an attachment begins with
 
 _BROKEN = (McapError, struct.error, ValueError, EOFError, IndexError, MemoryError, OverflowError)
 
@@ -113,11 +116,11 @@ class McapFile:
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror})") from None
         try:
-            magic = self._stream.read(len(MAGIC))
-            if not magic:
+            begin = self._stream.read(1024)
+            if not begin:
                 raise InputError(f"{path}: file is empty; record the bag again")
-            if magic != MAGIC:
-                raise InputError(f"{path}: not an MCAP file (it starts with other bytes)")
+            if not begin.startswith(MAGIC):
+                raise InputError(f"{path}: the file is {_kind_of(begin)}")
             self._walk()
             if not self.complete or not self.channels:
                 self._find_channels()
@@ -151,9 +154,8 @@ class McapFile:
             body = position + _RECORD.size
             end = body + length
             if opcode == 0 or end > self._length:
-                if self._stream.seek(position) == position and (
-                    self._stream.read(len(MAGIC)) == MAGIC and position + len(MAGIC) == self._length
-                ):
+                self._stream.seek(position)
+                if position + len(MAGIC) == self._length and self._stream.read() == MAGIC:
                     break
                 self._problem(f"record at byte {position} is cut off or damaged")
                 self._flush_run(run)
@@ -166,8 +168,9 @@ class McapFile:
                 self._take(opcode, body, length)
                 ended = ended or opcode == FOOTER
                 self._idle += opcode != CHUNK
-                if self._idle > MAXIMUM_IDLE_RECORDS:
-                    self._problem(f"more than {MAXIMUM_IDLE_RECORDS} records without messages")
+                allowed = MAXIMUM_IDLE_RECORDS + IDLE_RECORDS_PER_CHUNK * len(self.regions)
+                if self._idle > allowed:
+                    self._problem(f"more than {allowed} records without messages")
                     break
             position = end
         self._flush_run(run)
@@ -261,26 +264,18 @@ class McapFile:
 
     def _take_attachment(self, body: int, length: int) -> None:
         self._stream.seek(body)
-        head = self._stream.read(min(length, 64 * 1024))
+        head = ReadDataStream(io.BytesIO(self._stream.read(min(length, 64 << 10))))
         try:
-            position = _ATTACHMENT.size
-            texts = []
-            for _ in range(2):
-                (count,) = struct.unpack_from("<I", head, position)
-                position += 4
-                if position + count > len(head):
-                    raise ValueError
-                texts.append(head[position : position + count].decode())
-                position += count
-            (size,) = struct.unpack_from("<Q", head, position)
-            position += 8
+            head.read(_TIMES)
+            name, media_type = head.read_prefixed_string(), head.read_prefixed_string()
+            size, position = head.read8(), head.count
             if position + size > length:
                 raise ValueError
-        except (struct.error, ValueError):
+        except _BROKEN:
             self._problem(f"attachment at byte {body} cannot be parsed")
             return
         if len(self.attachments) < 1000:
-            self.attachments.append(AttachmentEntry(texts[0], texts[1], body + position, size))
+            self.attachments.append(AttachmentEntry(name, media_type, body + position, size))
 
     def _next_chunk(self, position: int) -> int:
         """Where the next chunk that looks whole begins, after damage; the file's length if there is none."""
@@ -350,34 +345,21 @@ class McapFile:
         data = self.content(region)
         if data is None:
             return found
-        add, whole, record = found.append, _WHOLE.unpack_from, _RECORD.unpack_from
+        add, unpack = found.append, _WHOLE.unpack_from
         position, size = 0, len(data)
-        last_whole = size - _WHOLE.size
-        while position <= last_whole:
-            opcode, length, channel, sequence, log_time, publish_time = whole(data, position)
-            start = position + 9
-            end = start + length
-            if end > size or opcode == 0:
+        # Padded, so that one unpacking serves records shorter than a message at the very end too.
+        padded = data + bytes(_WHOLE.size)
+        while position + _RECORD.size <= size:
+            opcode, length, channel, sequence, log_time, publish_time = unpack(padded, position)
+            end = position + _RECORD.size + length
+            if end > size or opcode == 0 or (opcode == MESSAGE and length < _MESSAGE.size):
                 break
             if opcode == MESSAGE:
-                if length < 22:
-                    break
                 if not skip:
-                    add((log_time, channel, sequence, publish_time, data[position + 31 : end]))
+                    content = data[position + _WHOLE.size : end]
+                    add((log_time, channel, sequence, publish_time, content))
             elif opcode in (SCHEMA, CHANNEL) and length <= MAXIMUM_SMALL_RECORD:
-                self._take_small(opcode, data[start:end], region.offset)
-            position = end
-        # Records shorter than a message at the very end.
-        while position + 9 <= size:
-            opcode, length = record(data, position)
-            end = position + 9 + length
-            if end > size or opcode == 0 or (opcode == MESSAGE and length < 22):
-                break
-            if opcode == MESSAGE and not skip:
-                log = whole(data, position)
-                add((log[4], log[2], log[3], log[5], data[position + 31 : end]))
-            elif opcode in (SCHEMA, CHANNEL):
-                self._take_small(opcode, data[position + 9 : end], region.offset)
+                self._take_small(opcode, data[position + _RECORD.size : end], region.offset)
             position = end
         if position != size:
             self._problem(f"chunk at byte {region.offset} holds a damaged record")
@@ -387,6 +369,29 @@ class McapFile:
         """Content of an attachment."""
         self._stream.seek(entry.offset)
         return self._stream.read(entry.size)
+
+
+_SIGNATURES = {
+    b"#ROSBAG": "a ROS 1 bag, not MCAP: convert it with 'rosbags-convert'",
+    b"SQLite format 3": "a sqlite3 database, not MCAP: name it .db3",
+    b"\x28\xb5\x2f\xfd": "zstd-compressed, not MCAP: unpack it, or name it .mcap.zstd",
+    b"\x1f\x8b": "gzip-compressed, not MCAP: unpack it",
+    b"PK\x03\x04": "a zip archive, not MCAP: unpack it",
+    b"\x89PNG": "a PNG image, not MCAP: use 'finger-vision area'",
+    b"\xff\xd8\xff": "a JPEG image, not MCAP: use 'finger-vision area'",
+}
+
+
+def _kind_of(begin: bytes) -> str:
+    """What a file is that is no MCAP file, by its first bytes, with what to do with it."""
+    for signature, text in _SIGNATURES.items():
+        if begin.startswith(signature):
+            return text
+    if any(byte < 9 for byte in begin):
+        return "not MCAP: give a recorded bag"
+    if b"," in begin.partition(b"\n")[0]:
+        return "a CSV, not MCAP: use 'finger-model simulate --force', or give a recorded bag"
+    return "text, not MCAP: give a recorded bag"
 
 
 def _indices(block: bytes, pattern: bytes) -> Iterator[int]:

@@ -131,7 +131,7 @@ class BagWriter(Closing):
         self._files.append(_File(name))
         self._stream = open(self._folder / name, "wb")
         self._mcap = McapWriter(self._stream, self._chunk_size, self._compression)
-        self._mcap.start(profile="ros2", library=f"finger_bag {_software_version()}")
+        self._mcap.write_header("ros2", f"finger_bag {_software_version()}")
         self._mcap.add_metadata(SESSION_RECORD, self.metadata)
         self._ids.clear()
         self._schemas.clear()
@@ -152,7 +152,7 @@ class BagWriter(Closing):
         """Take over what a finished file holds."""
         file = self._files[-1]
         file.count = mcap.total
-        file.start_ns, file.end_ns = mcap.span if mcap.total else (None, None)
+        file.start_ns, file.end_ns = (mcap.start, mcap.end) if mcap.total else (None, None)
         counts = mcap.counts
         for name, channel_id in self._ids.items():
             self._channels[name].count += counts.get(channel_id, 0)
@@ -163,7 +163,7 @@ class BagWriter(Closing):
             file.start_ns = log_time_ns
         if self._stream is None or self._mcap is None or not self._mcap.total:
             return
-        full = self._maximum_size and self._stream.tell() >= self._maximum_size
+        full = self._maximum_size and self._mcap.size >= self._maximum_size
         long = (
             self._maximum_duration
             and (log_time_ns - file.start_ns) * 1e-9 >= self._maximum_duration
@@ -225,7 +225,7 @@ class BagWriter(Closing):
             if channel.hash:
                 details["topic_type_hash"] = channel.hash
             self._ids[channel.name] = self._mcap.register_channel(
-                channel.name, "cdr", self._schemas[key], details
+                channel.name, self._schemas[key], details
             )
         return self._ids[channel.name]
 
@@ -320,8 +320,7 @@ class BagWriter(Closing):
 
     def _add_attachment(self, name: str, data: bytes, media_type: str) -> None:
         assert self._mcap is not None
-        now = time.time_ns()
-        self._mcap.add_attachment(now, now, name, media_type, data)
+        self._mcap.add_attachment(time.time_ns(), name, media_type, data)
 
     def flush(self, to_disk: bool = False) -> None:
         """End the chunk in progress and hand everything to the operating system: it survives a kill.
@@ -341,7 +340,7 @@ class BagWriter(Closing):
     @property
     def size(self) -> int:
         """Bytes handed to the file now being written."""
-        return self._stream.tell() if self._stream is not None else 0
+        return self._mcap.size if self._mcap is not None else 0
 
     @property
     def message_count(self) -> int:

@@ -358,3 +358,23 @@ def test_png_that_claims_gigapixels_is_not_decoded() -> None:
         grey_image(SimpleNamespace(format="mono8; png compressed ", data=data))
     with pytest.raises(InputError, match="cannot be decoded"):
         grey_image(SimpleNamespace(format="jpeg", data=b"nothing"))
+
+
+@pytest.mark.parametrize(
+    ("content", "kind"),
+    [
+        (b"time_s,force_n\n0,1\n", "a CSV, not MCAP: use 'finger-model simulate --force'"),
+        (b"some notes\n", "text, not MCAP"),
+        (b"#ROSBAG V2.0\n", "a ROS 1 bag"),
+        (b"SQLite format 3\x00", "a sqlite3 database"),
+        (b"\x89PNG\r\n\x1a\n", "a PNG image"),
+        (bytes(20), "not MCAP"),
+    ],
+)
+def test_a_file_of_another_kind_is_named_with_the_remedy(
+    content: bytes, kind: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "bag.mcap"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=kind):
+        open_bag(path)
