@@ -12,19 +12,12 @@ import numpy as np
 from finger_fit.options import FitOptions
 from finger_fit.report import write_report
 from finger_fit.study import fit_bags
+from finger_model.paper import TRIALS_PER_CONDITION
 from finger_model.reduced import ReducedModel
 from finger_sim.conditions import STUDY
 from finger_sim.press import plan_press
-from finger_sim.study import (
-    FRAME_RATE,
-    START_NS,
-    TRIAL_SECONDS,
-    TRIALS,
-    Misfit,
-    StudyTrial,
-    stream,
-    write_bag,
-)
+from finger_sim.study_bag import START_NS, TRIAL_SECONDS, write_bag
+from finger_sim.study_trial import FRAME_RATE, Misfit, StudyTrial, stream
 
 SEED = 1
 GOAL = 10.0
@@ -53,7 +46,7 @@ def study_bags(folder: Path, model: ReducedModel, trials: int) -> None:
 def run(report: Any) -> None:
     """Time the fit of the study; fit_study is loading, PSO and power law."""
     model = ReducedModel.load()
-    trials = 3 if report.quick else TRIALS
+    trials = 3 if report.quick else TRIALS_PER_CONDITION
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place) / "bags"
         study_bags(folder, model, trials)

@@ -29,9 +29,9 @@ from typing import Any
 import numpy as np
 
 from finger_bag.reader import open_bag
-from finger_bag.streams import stamp_ns
 from finger_bringup.supervisor import ProcessSpec, Supervisor
 from finger_common.domains import free_domain
+from finger_common.stamps import header_stamp
 
 TARGET = 1.35  # N
 NAMESPACE = ("-r", "__ns:=/finger")
@@ -132,7 +132,7 @@ def node(module: str, *parameters: str) -> ProcessSpec:
     """One node of finger_operator as a process."""
     flags = [flag for p in parameters for flag in ("-p", p)]
     command = (sys.executable, "-m", f"finger_operator.{module}", "--ros-args", *NAMESPACE, *flags)
-    return ProcessSpec(module, command, respawn=False)
+    return ProcessSpec(module, command, restart=False)
 
 
 def quietly(*specs: ProcessSpec) -> Supervisor:
@@ -237,7 +237,7 @@ def cues_to_lift(bags: Path) -> list[float]:
         with open_bag(bag) as reader:
             for m in reader.messages([reader.topic("trial")]):
                 if m.message.phase == Trial.PHASE_LIFT:
-                    times.append(stamp_ns(m.message) * 1e-9)
+                    times.append(header_stamp(m.message) * 1e-9)
     return times
 
 

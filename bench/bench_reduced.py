@@ -11,9 +11,11 @@ import numpy as np
 
 from finger_model.commands.verify_reduced import SEED
 from finger_model.estimator import ContactEstimator
+from finger_model.laws.standard_linear_solid import PARAMETERS
+from finger_model.paper import TARGET_FORCE
 from finger_model.reduced import ReducedModel
 from finger_model.reduced.error import error_table
-from finger_model.reduced.force_histories import PAPER_BOX, human_press
+from finger_model.reduced.force_histories import human_press, random_parameters
 from finger_model.reduced.training_runs import held_out_case, pool, run_all
 
 SETS, TRIALS, FRAMES = 900, 15, 20
@@ -58,12 +60,11 @@ def sample_times(number: int = 20000) -> np.ndarray:
 def batch_seconds(full_rate: bool) -> float:
     """Time (s) of 900 parameter sets over 15 trials on two threads; the best of three."""
     rng = np.random.default_rng(0)
-    low, high = np.log(np.array(PAPER_BOX)).T
-    parameters = np.exp(rng.uniform(low, high, (SETS, 4)))
+    parameters = np.array([random_parameters(rng, PARAMETERS.box) for _ in range(SETS)])
     trials: list[tuple[np.ndarray, ...]] = []
     for _ in range(TRIALS):
         instants, force = human_press(rng, rate=500.0)
-        rise = int(np.argmax(force >= 1.35))
+        rise = int(np.argmax(force >= TARGET_FORCE))
         frames = np.linspace(rise // FRAMES, rise, FRAMES).astype(int)
         if full_rate:
             trials.append((instants[: rise + 1], force[: rise + 1], frames))

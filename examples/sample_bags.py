@@ -21,8 +21,8 @@ import numpy as np
 from rich.console import Console
 
 from demo.session import SessionRequest, record_session
+from finger_bag.copying import announce, copy_attachments
 from finger_bag.reader import BagReader, open_bag
-from finger_bag.recover import announce, copy_attachments
 from finger_bag.schema import SessionMetadata
 from finger_bag.writer import BagWriter
 from finger_common.cli import Parser, run

@@ -53,10 +53,12 @@ from finger_fit.study import polish
 from finger_fit.uncertainty import bias_corrected, bias_pair, covariance, cramer_rao, in_interval
 from finger_model.fem.area_model import FullOrderAreas
 from finger_model.laws import StandardLinearSolid
+from finger_model.paper import TRIALS_PER_CONDITION
 from finger_model.reduced import ReducedModel
 from finger_sim import study
 from finger_sim.conditions import STUDY
-from finger_sim.study import AREA_NOISE, AREA_SCATTER, START_NS, TRIALS, Misfit, StudyTrial
+from finger_sim.study_bag import START_NS
+from finger_sim.study_trial import AREA_NOISE, AREA_SCATTER, Misfit, StudyTrial
 
 SPACE = StandardLinearSolid.PARAMETERS
 POOL_SEED = 1
@@ -351,10 +353,14 @@ def _one_seed(folder: Path, job: Job) -> list[dict[str, Any]]:
     rows = []
     for trials in _shared[job.finger].values():
         rng = np.random.default_rng([job.seed, 7])
-        chosen, noise = trials[:TRIALS], job.kind != "clean"
+        chosen, noise = trials[:TRIALS_PER_CONDITION], job.kind != "clean"
         if noise:
-            chosen = [trials[i] for i in np.sort(rng.permutation(len(trials))[:TRIALS])]
-        factors = np.exp(rng.normal(0.0, AREA_SCATTER, TRIALS)) if job.scatter else None
+            chosen = [
+                trials[i] for i in np.sort(rng.permutation(len(trials))[:TRIALS_PER_CONDITION])
+            ]
+        factors = (
+            np.exp(rng.normal(0.0, AREA_SCATTER, TRIALS_PER_CONDITION)) if job.scatter else None
+        )
         for window in WINDOWS:
             row = fit_one(
                 chosen,

@@ -235,8 +235,10 @@ def misfit_table(result: dict[str, Any]) -> str:
         texts = []
         for name in STUDY:
             by_finger = {r["finger"]: r for r in part(clean, name, window)}
-            found = (f"{by_finger[f]['J']:.2f}" for f in ("thin", "true", "thick"))
-            texts.append(f"{name} {', '.join(found)}")
+            texts.append(
+                f"{name} "
+                + ", ".join(f"{by_finger[f]['J']:.2f}" for f in ("thin", "true", "thick"))
+            )
             for q in QUANTITIES:
                 both = [statistics(rows, name, window, q, k) for k in ("", "corrected_")]
                 cells = [

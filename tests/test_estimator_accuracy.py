@@ -18,7 +18,7 @@ from finger_model.reduced import ReducedModel
 from finger_sim.conditions import condition
 from finger_sim.finger import SimulatedFinger, area_at
 from finger_sim.press import plan_press
-from finger_sim.study import AREA_NOISE, FORCE_NOISE, Misfit, misfit_of, stream
+from finger_sim.study_trial import AREA_NOISE, FORCE_NOISE, Misfit, misfit_of, stream
 
 NATURAL = condition("natural").material.vector()
 OFF = {

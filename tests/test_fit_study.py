@@ -18,16 +18,9 @@ import pytest
 from finger_model.reduced import ReducedModel
 from finger_sim.conditions import STUDY
 from finger_sim.press import plan_press
-from finger_sim.study import (
-    FRAME_RATE,
-    START_NS,
-    Misfit,
-    StudyTrial,
-    plan_study_trial,
-    simulate_study,
-    stream,
-    write_bag,
-)
+from finger_sim.study import simulate_study
+from finger_sim.study_bag import START_NS, write_bag
+from finger_sim.study_trial import FRAME_RATE, Misfit, StudyTrial, plan_study_trial, stream
 
 QUICK = ["--no-full-order", "--no-profiles", "--bootstrap", "0", "--grid", "3", "--quiet"]
 

@@ -31,7 +31,7 @@ def test_every_key_of_the_rig_file_is_a_checked_parameter_with_its_comment(
     file = project_root / "src" / "finger_bringup" / "config" / "rig.yaml"
     text = file.read_text()
     for node, section in yaml.safe_load(text).items():
-        entry = nodes.TABLE[node.removeprefix("/**/")]
+        entry = nodes.NODES[node.removeprefix("/**/")]
         module = importlib.import_module(entry.module)
         cls = next(
             c

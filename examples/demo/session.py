@@ -32,7 +32,7 @@ SUITE = (
 """Nodes of the suite that the session needs."""
 
 UNATTENDED = nodes.NodeEntry(
-    "unattended", "demo", "unattended_node", 5, lifecycle=False, respawn=False, essential=True
+    "unattended", "demo", "unattended_node", 9, lifecycle=False, restart=False, essential=True
 )
 """The node in the operator's place; the session ends with it."""
 
@@ -119,8 +119,7 @@ def record_session(request: SessionRequest) -> Generator[dict[str, Any], None, N
     if examples not in search.split(os.pathsep):
         os.environ["PYTHONPATH"] = f"{examples}{os.pathsep}{search}".rstrip(os.pathsep)
     parameters = node_parameters(request)
-    operator = UNATTENDED.with_parameters(**parameters.pop("unattended"))
-    entries = [*nodes.select(SUITE, parameters), operator]
+    entries = nodes.select([*SUITE, UNATTENDED], parameters)
     specs = nodes.process_specs(entries, request.folder)
     events: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
     errors: list[str] = []

@@ -13,12 +13,13 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from finger_common.cli import Parser, run
+from finger_common.cli import Parser, add_settings, run, settings_from
 from finger_common.errors import InputError
 from finger_common.plugins import Plugins
 
 from .bag_files import find_bags
 from .read_settings import ReadSettings, add_read_options, read_settings_from
+from .replay import ReplaySettings, lateness_text
 
 EXIT_CHECK_FAILS = 1
 
@@ -147,25 +148,9 @@ def _play(args: argparse.Namespace) -> int:
             named = [_topic(reader, t) for t in args.topics or reader.info.topics]
             without = {_topic(reader, t) for t in args.exclude or ()}
             topics = [t for t in named if t not in without]
-        timing = play(
-            reader,
-            topics,
-            rate=args.rate,
-            offset=args.start,
-            duration=args.duration,
-            loop=args.loop,
-            clock=args.clock,
-            paused=args.paused,
-            wait=args.wait,
-            reliability=args.reliability,
-        )
-    if not timing["messages"]:
-        print("nothing was played")
-        return 0
-    print(
-        f"{timing['messages']:.0f} messages; late by {timing['p50_ms']:.2f} ms (median), "
-        f"{timing['p99_ms']:.2f} ms (99th percentile), {timing['max_ms']:.2f} ms (worst)"
-    )
+        settings = settings_from(args, ReplaySettings)
+        lateness = play(reader, settings, topics, args.clock, args.wait, args.reliability)
+    print(lateness_text(lateness))
     return 0
 
 
@@ -216,7 +201,7 @@ def _record(args: argparse.Namespace) -> int:
 
 
 def _recover(args: argparse.Namespace) -> int:
-    from .recover import recover
+    from .copying import recover
 
     target = Path(args.output) if args.output else _beside(Path(args.bag), "_recovered")
     result = recover(args.bag, target)
@@ -229,10 +214,10 @@ def _recover(args: argparse.Namespace) -> int:
 
 
 def _anonymise(args: argparse.Namespace) -> int:
-    from .anonymise import anonymise
+    from .copying import anonymise
 
     result = anonymise(args.bag, args.output)
-    print(f"{result.path}: {sum(result.kept.values())} messages kept")
+    print(f"{result.path}: {result.message_count} messages kept")
     for topic, count in sorted(result.dropped.items()):
         print(f"  dropped {topic}: {count}")
     for name in result.dropped_attachments:
@@ -283,26 +268,23 @@ def parser() -> argparse.ArgumentParser:
     show = command(
         "play",
         _play,
-        "Publish a bag with its original spacing. Keys: space pauses, s steps, q ends.",
+        "Publish a bag with its original spacing, until its end or Ctrl-C.",
         "finger-bag play bags/dry --rate 2 --clock --topics wrench contact_area",
     )
     show.add_argument("bag", metavar="BAG")
-    show.add_argument("--rate", type=float, default=1.0, help="speed (default 1)")
-    show.add_argument("--start", type=float, default=0.0, metavar="S", help="start offset")
-    show.add_argument("--duration", type=float, metavar="S", help="how much of the bag to play")
-    show.add_argument("--loop", action="store_true")
+    add_settings(show, ReplaySettings)
     show.add_argument("--clock", action="store_true", help="publish the bag's time on /clock")
-    show.add_argument("--paused", action="store_true", help="begin paused")
     show.add_argument("--topics", nargs="+", metavar="TOPIC", help="only these")
     show.add_argument("--exclude", nargs="+", metavar="TOPIC", help="all but these")
     show.add_argument(
-        "--wait",
-        type=float,
-        default=1.0,
-        metavar="S",
-        help="for subscribers to connect (default 1)",
+        "--wait", type=float, default=1.0, metavar="S", help="for subscribers to connect [s]"
     )
-    show.add_argument("--reliability", choices=("reliable", "best_effort"), help="of streams")
+    show.add_argument(
+        "--reliability",
+        choices=("", "reliable", "best_effort"),
+        default="",
+        help="of streams (default: as recorded)",
+    )
 
     record = command(
         "record",

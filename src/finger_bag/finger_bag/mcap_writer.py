@@ -125,24 +125,6 @@ class McapWriter:
         if self._chunk_bytes > self._chunk_size:
             self._end_chunk()
 
-    def add_messages(
-        self, channel_id: int, log_times: Sequence[int], datas: Sequence[bytes]
-    ) -> None:
-        """Add messages of one channel, published when logged."""
-        pack, index = _MESSAGE.pack, self._index.setdefault(channel_id, [])
-        for log_time, data in zip(log_times, datas):
-            length = len(data)
-            head = pack(5, 22 + length, channel_id, 0, log_time, log_time)
-            index.append(log_time)
-            index.append(self._size)
-            self._parts.append(head)
-            self._parts.append(data)
-            self._times.append(log_time)
-            self._size += 31 + length
-            if self._size > self._chunk_size:
-                self._end_chunk()
-                index = self._index.setdefault(channel_id, [])
-
     def add_metadata(self, name: str, data: dict[str, str]) -> None:
         """Write a metadata record."""
         record = _bytes_of(Metadata(name=name, metadata=data))

@@ -1,84 +1,73 @@
-"""Publishing a bag over the middleware: `finger-bag play`. Imports rclpy, so only that command imports this module.
+"""Publishing a bag over the middleware, for `finger-bag play`. Imports rclpy.
 
-Serialized messages are published as they are. With `clock`, /clock carries the bag's time, so that nodes with
-`use_sim_time` run in it.
+rosbag2's own player is not on PyPI, and this one also plays where only the suite is installed. With
+`clock`, /clock carries the bag's time, so that nodes with `use_sim_time` run in it: they estimate
+what they did live, however fast the bag is played.
 """
 
 from __future__ import annotations
 
 import contextlib
-import select
 import sys
-import threading
 import time
-from collections.abc import Iterator, Sequence
+from array import array
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import rclpy
 import yaml
+from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 
 from finger_common.errors import InputError
 from finger_common.node import use_large_shared_memory
+from finger_common.stamps import fill_time
 
 from .definitions import type_hash
 from .reader import BagReader
 from .recorder_node import message_class
-from .replay import Replay
+from .replay import ReplaySettings, replay
 
 CLOCK_TICK = 0.005
-"""s between /clock messages: what a timer of a node that runs in the bag's time may be late."""
-
+"""s between /clock messages: what a timer of a node in the bag's time may be late."""
 
 STREAM_DEPTH, IMAGE_DEPTH = 2000, 50
 """Messages kept for a reader that has fallen behind."""
 
 
-def qos_of(text: str, reliability: str | None, depth: int = STREAM_DEPTH) -> QoSProfile:
+def qos_of(text: str, reliability: str, depth: int = STREAM_DEPTH) -> QoSProfile:
     """Quality of service a topic was recorded with; `reliability` replaces it on streams."""
     profile = QoSProfile(
         depth=depth, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE
     )
-    try:
-        stored = yaml.safe_load(text)
-        first = stored[0] if isinstance(stored, list) and stored else {}
-        # rosbag2 writes numbers up to metadata version 8 and names from 9 on.
-        if str(first.get("durability")).lower() in ("1", "transient_local"):
-            profile.durability = DurabilityPolicy.TRANSIENT_LOCAL
-            return profile
-        if str(first.get("reliability")).lower() in ("2", "best_effort"):
-            profile.reliability = ReliabilityPolicy.BEST_EFFORT
-    except (yaml.YAMLError, AttributeError, KeyError, TypeError):
-        pass
-    if reliability is not None:
-        profile.reliability = (
-            ReliabilityPolicy.RELIABLE
-            if reliability == "reliable"
-            else ReliabilityPolicy.BEST_EFFORT
-        )
+    stored: Any = {}
+    with contextlib.suppress(yaml.YAMLError, TypeError, KeyError, IndexError):
+        stored = yaml.safe_load(text)[0]
+    stored = stored if isinstance(stored, dict) else {}
+    # rosbag2 writes numbers up to metadata version 8 and names from 9 on.
+    if str(stored.get("durability")).lower() in ("1", "transient_local"):
+        profile.durability = DurabilityPolicy.TRANSIENT_LOCAL
+    elif reliability == "best_effort" or (
+        not reliability and str(stored.get("reliability")).lower() in ("2", "best_effort")
+    ):
+        profile.reliability = ReliabilityPolicy.BEST_EFFORT
     return profile
 
 
 def play(
     reader: BagReader,
+    settings: ReplaySettings,
     topics: Sequence[str] | None = None,
-    *,
-    rate: float = 1.0,
-    offset: float = 0.0,
-    duration: float | None = None,
-    loop: bool = False,
     clock: bool = False,
-    paused: bool = False,
     wait: float = 1.0,
-    reliability: str | None = None,
-    keys: bool = True,
-) -> dict[str, float]:
-    """Publish a bag; gives the timing error (see TimingError.summary).
+    reliability: str = "",
+) -> Collection[float]:
+    """Publish a bag until its end or Ctrl-C; gives how late (s) each message was.
 
-    wait: s to let subscribers find the publishers before the first message. keys: space pauses, s steps, q ends, when
-    standard input is a terminal. Topics whose type is not installed are left out with a line on standard error.
-    Raises InputError when nothing can be played.
+    wait: s to let subscribers find the publishers before the first message. Topics whose type is
+    not installed are left out with a line on standard error. Raises InputError when nothing can be
+    played.
     """
     use_large_shared_memory()
     rclpy.init(args=[])
@@ -86,56 +75,35 @@ def play(
         node = rclpy.create_node("bag_player")
         publishers = _publishers(node, reader, topics, reliability)
         clock_publisher = node.create_publisher(Clock, "/clock", 10) if clock else None
+        message, told = Clock(), 0.0
 
-        def tell(bag_time: int) -> None:
-            message = Clock()
-            message.clock.sec, message.clock.nanosec = divmod(bag_time, 1_000_000_000)
-            if clock_publisher is not None:
+        def publish_clock(bag_time_ns: int) -> None:
+            nonlocal told
+            if clock_publisher is not None and time.perf_counter() - told >= 0.9 * CLOCK_TICK:
+                told = time.perf_counter()
+                fill_time(message.clock, bag_time_ns)
                 clock_publisher.publish(message)
 
-        replay = Replay(
-            reader,
-            list(publishers),
-            rate,
-            offset,
-            duration,
-            loop,
-            on_time=_throttled(tell, CLOCK_TICK) if clock else None,
-            tick=CLOCK_TICK if clock else 0.05,
-        )
+        tick = CLOCK_TICK if clock else 0.05
+        lateness = array("f")
         time.sleep(wait)
-        replay.pause(paused)
-        with _keyboard(replay) if keys else contextlib.nullcontext():
-            try:
-                for item in replay:
-                    publisher, expected = publishers[item.message.topic]
-                    if item.message.type == expected:
-                        publisher.publish(item.message.raw)
-            except KeyboardInterrupt:
-                replay.stop()
+        with contextlib.suppress(KeyboardInterrupt):
+            for item in replay(reader, settings, list(publishers), publish_clock, tick):
+                publisher, expected = publishers[item.message.topic]
+                if item.message.type == expected:
+                    publisher.publish(item.message.raw)
+                lateness.append(item.lateness)
         # Reliable readers fetch what is still on its way.
         for publisher, _ in publishers.values():
             with contextlib.suppress(Exception):
-                publisher.wait_for_all_acked(rclpy.duration.Duration(seconds=2))
-        return replay.timing.summary()
+                publisher.wait_for_all_acked(Duration(seconds=2))
+        return lateness
     finally:
         rclpy.try_shutdown()
 
 
-def _throttled(tell: Any, interval: float) -> Any:
-    last = [0.0]
-
-    def throttled(bag_time: int) -> None:
-        now = time.perf_counter()
-        if now - last[0] >= interval * 0.9:
-            last[0] = now
-            tell(bag_time)
-
-    return throttled
-
-
 def _publishers(
-    node: Any, reader: BagReader, topics: Sequence[str] | None, reliability: str | None
+    node: Any, reader: BagReader, topics: Sequence[str] | None, reliability: str
 ) -> dict[str, tuple[Any, str]]:
     found: dict[str, tuple[Any, str]] = {}
     for name, topic in reader.info.topics.items():
@@ -154,38 +122,3 @@ def _publishers(
     if not found:
         raise InputError(f"{reader.path}: no topic to play; check --topics")
     return found
-
-
-@contextlib.contextmanager
-def _keyboard(replay: Replay) -> Iterator[None]:
-    """Keys while playing, when standard input is a terminal."""
-    if not sys.stdin.isatty():
-        yield
-        return
-    import termios
-    import tty
-
-    before = termios.tcgetattr(sys.stdin)
-    done = threading.Event()
-
-    def listen() -> None:
-        while not done.is_set():
-            if not select.select([sys.stdin], [], [], 0.1)[0]:
-                continue
-            key = sys.stdin.read(1)
-            if key == " ":
-                print("paused" if replay.pause() else "playing", file=sys.stderr)
-            elif key == "s":
-                replay.step()
-            elif key == "q":
-                replay.stop()
-
-    thread = threading.Thread(target=listen, daemon=True)
-    tty.setcbreak(sys.stdin)
-    thread.start()
-    try:
-        yield
-    finally:
-        done.set()
-        thread.join(1)
-        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)

@@ -20,9 +20,9 @@ import zstandard
 
 from finger_common.errors import InputError
 from finger_common.files import load_yaml
+from finger_common.stamps import seconds
 
 from .bag_files import file_order, storage_of
-from .closing import Closing
 from .definitions import FORMS, Decoder, decoder
 from .mcap_file import MAXIMUM_CHUNK, AttachmentEntry, McapFile, RawMessage
 from .schema import SESSION_RECORD, SessionMetadata
@@ -74,7 +74,7 @@ class BagInfo:
         """Seconds from the first to the last log time."""
         if self.start_ns is None or self.end_ns is None:
             return 0.0
-        return (self.end_ns - self.start_ns) * 1e-9
+        return seconds(self.end_ns - self.start_ns)
 
 
 class BagMessage:
@@ -124,7 +124,7 @@ class BagMessage:
         return f"BagMessage({self.topic!r}, {self.type!r}, {self.log_time_ns}, {len(self.raw)} B)"
 
 
-class BagReader(Closing):
+class BagReader:
     """A bag opened for reading; a context manager. Use `open_bag`."""
 
     def __init__(self, path: str | Path) -> None:
@@ -143,6 +143,12 @@ class BagReader(Closing):
         except BaseException:
             self.close()
             raise
+
+    def __enter__(self) -> BagReader:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     # Opening ---------------------------------------------------------------------------------
 

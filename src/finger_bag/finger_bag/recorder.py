@@ -15,18 +15,21 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from finger_common.errors import FingerError, InputError
+from finger_common.settings import Settings, setting
+from finger_common.stamps import header_stamp
 
 from .definitions import decoder, encode
-from .schema import SessionMetadata
+from .schema import TOPICS, SessionMetadata
 from .writer import BagWriter
 
-IMAGE_TYPE = "sensor_msgs/msg/Image"
-COMPRESSED_TYPE = "sensor_msgs/msg/CompressedImage"
+IMAGE_TYPE = TOPICS["image_raw"].type
+COMPRESSED_TYPE = TOPICS["image_raw/compressed"].type
 PNG_FORMAT = "mono8; png compressed "  # as image_transport writes it
 
 
@@ -42,21 +45,35 @@ class Serialized(NamedTuple):
 
 
 @dataclass(frozen=True)
-class RecorderSettings:
-    """How to record.
+class RecorderSettings(Settings):
+    """How a bag is written."""
 
-    flush_interval (s): longest time a message stays in this process. queue_limit (bytes): what may wait for the disk
-    before messages are dropped and counted. minimum_free (bytes): disk space at which recording stops. maximum_size
-    (bytes), maximum_duration (s): of one file, 0 for no split. png: store images as lossless PNG.
-    """
-
-    flush_interval: float = 0.4
-    queue_limit: int = 512 << 20
-    minimum_free: int = 256 << 20
-    maximum_size: int = 0
-    maximum_duration: float = 0.0
-    compression: str = "zstd"
-    png: bool = False
+    png: bool = setting(
+        False, "Store images as lossless PNG under 'image_raw/compressed' (smaller, slower)."
+    )
+    compression: str = setting("zstd", "Compression of chunks.", choices=("zstd", "lz4", "none"))
+    flush_interval: float = setting(
+        0.4,
+        "Longest time a message stays in the recorder; what a kill can lose.",
+        unit="s",
+        minimum=0.05,
+        maximum=1.0,
+    )
+    maximum_size: int = setting(
+        0, "Size at which the next file of the bag is begun; 0 for never.", unit="B", minimum=0
+    )
+    maximum_duration: float = setting(
+        0.0, "Time after which the next file of the bag is begun; 0 for never.", "s", minimum=0.0
+    )
+    minimum_free: int = setting(
+        256 << 20, "Free disk space at which recording stops.", unit="B", minimum=0
+    )
+    queue_limit: int = setting(
+        512 << 20,
+        "What may wait for the disk before messages are dropped and counted.",
+        unit="B",
+        minimum=0,
+    )
 
 
 @dataclass
@@ -271,7 +288,10 @@ class Recorder:
             writer.close()
         except _DiskFull as full:
             self._end(str(full))
-            self._close_or_cut(writer, good)
+            try:
+                writer.close()
+            except (FingerError, OSError):
+                self._cut(writer, good)
         except (FingerError, OSError, struct.error, MemoryError) as error:
             detail = getattr(error, "strerror", None) or str(error)
             self._end(
@@ -284,26 +304,16 @@ class Recorder:
         self._error = text
         self._on_error(text)
 
-    def _close_or_cut(self, writer: BagWriter, good: tuple[int, int]) -> None:
-        try:
-            writer.close()
-        except (FingerError, OSError):
-            self._cut(writer, good)
-
     @staticmethod
     def _cut(writer: BagWriter, good: tuple[int, int]) -> None:
         """Leave only whole records: the file as it was after the last flush."""
         files, length = good
         path = writer.path / writer.files[-1]
-        try:
+        with suppress(OSError):
             writer.abandon()
-        except OSError:
-            pass
-        try:
+        with suppress(OSError):
             if files == len(writer.files) and path.stat().st_size > length:
                 os.truncate(path, length)
-        except OSError:
-            pass
 
     def _write(self, writer: BagWriter, message: Serialized) -> None:
         topic, message_type, cdr, *times = message
@@ -348,11 +358,6 @@ def as_png(cdr: bytes) -> bytes | None:
     )
     if not done:
         return None
-    stamp = image.header.stamp
-    header = {
-        "stamp": {"sec": stamp.sec, "nanosec": stamp.nanosec},
-        "frame_id": image.header.frame_id,
-    }
-    return encode(
-        COMPRESSED_TYPE, {"header": header, "format": PNG_FORMAT, "data": packed.tobytes()}
-    )
+    header = {"stamp": header_stamp(image), "frame_id": image.header.frame_id}
+    fields = {"header": header, "format": PNG_FORMAT, "data": packed.tobytes()}
+    return encode(COMPRESSED_TYPE, fields)

@@ -11,6 +11,7 @@ import importlib
 import math
 import time
 from collections import deque
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -22,96 +23,57 @@ from finger_common.diagnostics import ERROR, WARN, Health
 from finger_common.errors import FingerError, InputError
 from finger_common.files import read_bytes
 from finger_common.node import LATCHED_QOS, ManagedNode, PolledSubscription, main_of
-from finger_common.parameters import Parameter, ParameterTable
+from finger_common.settings import Settings, setting
 from finger_msgs.srv import Record
 
+from .cdr_layout import stamp_of_cdr
 from .recorder import Recorder, RecorderSettings, Serialized, StampGaps
 from .schema import CALIBRATION_ATTACHMENT, TOPICS, SessionMetadata
-from .streams import stamp_of_cdr
 
-PARAMETERS = ParameterTable(
-    Parameter(
-        "folder",
+
+@dataclass(frozen=True)
+class RecordingSettings(Settings):
+    """What the node records, and where to."""
+
+    folder: str = setting(
         "",
         "Folder that bags without an absolute path go to; empty: the folder the node runs in.",
         runtime=True,
-    ),
-    Parameter(
-        "topics",
+    )
+    topics: list[str] = setting(
         list(TOPICS),
         "Topics to record; 'name' of the bag schema, or 'name=package/msg/Type' for others.",
-    ),
-    Parameter(
-        "bag_name", "", "Name of a bag that is not named otherwise; empty: date and condition."
-    ),
-    Parameter("record_at_start", False, "Begin a bag as soon as the node is active."),
-    Parameter("session", "", "Id of the session, for the bag's metadata.", runtime=True),
-    Parameter("subject", "", "Subject code, never a name.", runtime=True),
-    Parameter("condition", "", "Condition, where the bag holds only one.", runtime=True),
-    Parameter("rig", "", "Name of the rig, for the bag's metadata.", runtime=True),
-    Parameter(
-        "source",
-        "rig",
-        "What makes the data, for the bag's metadata: 'rig' or 'simulated rig'.",
-        runtime=True,
-    ),
-    Parameter("calibration_file", "", "Plate calibration to attach to each bag.", runtime=True),
-    Parameter("attachments", [""], "Further files to attach to each bag.", runtime=True),
-    Parameter(
-        "png", False, "Store images as lossless PNG under 'image_raw/compressed' (smaller, slower)."
-    ),
-    Parameter(
-        "compression",
-        "zstd",
-        "Compression of chunks.",
-        choices=("zstd", "lz4", "none"),
-    ),
-    Parameter(
-        "flush_interval",
-        0.4,
-        "Longest time a message stays in the recorder; what a kill can lose.",
-        unit="s",
-        minimum=0.05,
-        maximum=1.0,
-    ),
-    Parameter(
-        "buffer_time",
+    )
+    bag_name: str = setting(
+        "", "Name of a bag that is not named otherwise; empty: date and condition."
+    )
+    record_at_start: bool = setting(False, "Begin a bag as soon as the node is active.")
+    calibration_file: str = setting("", "Plate calibration to attach to each bag.", runtime=True)
+    attachments: list[str] = setting([""], "Further files to attach to each bag.", runtime=True)
+    buffer_time: float = setting(
         4.0,
         "Stall of the recorder that the middleware bridges for each topic.",
         unit="s",
         minimum=0.1,
         maximum=60.0,
-        advice="Raise it when 'lost' in the diagnostics grows; images of this time must fit in memory.",
-    ),
-    Parameter(
-        "maximum_size",
-        0,
-        "Size at which the next file of the bag is begun; 0 for never.",
-        unit="B",
-        minimum=0,
-    ),
-    Parameter(
-        "maximum_duration",
-        0.0,
-        "Time after which the next file of the bag is begun; 0 for never.",
-        unit="s",
-        minimum=0.0,
-    ),
-    Parameter(
-        "minimum_free",
-        256 << 20,
-        "Free disk space at which recording stops.",
-        unit="B",
-        minimum=0,
-    ),
-    Parameter(
-        "queue_limit",
-        512 << 20,
-        "What may wait for the disk before messages are dropped and counted.",
-        unit="B",
-        minimum=1 << 20,
-    ),
-)
+        advice="Raise it when 'lost' in the diagnostics grows; images of this time must fit in "
+        "memory.",
+    )
+
+
+@dataclass(frozen=True)
+class SessionSettings(Settings):
+    """Metadata of each bag."""
+
+    session: str = setting("", "Id of the session, for the bag's metadata.", runtime=True)
+    subject: str = setting("", "Subject code, never a name.", runtime=True)
+    condition: str = setting("", "Condition, where the bag holds only one.", runtime=True)
+    rig: str = setting("", "Name of the rig, for the bag's metadata.", runtime=True)
+    source: str = setting(
+        "rig",
+        "What makes the data, for the bag's metadata: 'rig' or 'simulated rig'.",
+        runtime=True,
+    )
 
 
 POLL = 0.02
@@ -132,26 +94,14 @@ def message_class(message_type: str) -> Any:
 class RecorderNode(ManagedNode):
     """Records topics into bags."""
 
-    TABLE = PARAMETERS
+    SETTINGS = (RecordingSettings, SessionSettings, RecorderSettings)
     NAME = "recorder"
 
     def configure(self) -> None:
-        v = self.values
-        self._recorder = Recorder(
-            RecorderSettings(
-                flush_interval=v["flush_interval"],
-                queue_limit=v["queue_limit"],
-                minimum_free=v["minimum_free"],
-                maximum_size=v["maximum_size"],
-                maximum_duration=v["maximum_duration"],
-                compression=v["compression"],
-                png=v["png"],
-            ),
-            on_error=self._on_error,
-        )
+        self._recorder = Recorder(self.settings(RecorderSettings), on_error=self._on_error)
         self._topics: dict[str, tuple[str, int, str]] = {}
         self._names: dict[str, str] = {}
-        for entry in v["topics"]:
+        for entry in self.settings(RecordingSettings).topics:
             name, _, kind = entry.partition("=")
             spec = TOPICS.get(name)
             if not kind and spec is None:
@@ -310,30 +260,24 @@ class RecorderNode(ManagedNode):
         return response
 
     def _start(self, path: str, trial: Any) -> Path:
-        v = self.values
-        session = {key: v[key] for key in ("session", "subject", "condition", "rig", "source")}
+        settings = self.settings(RecordingSettings)
+        session = self.settings(SessionSettings).to_dict()
         if trial is not None:
-            said = {k: getattr(trial, k) for k in ("session", "subject", "condition")}
-            session.update({k: text for k, text in said.items() if text})
+            named = {k: getattr(trial, k) for k in ("session", "subject", "condition")}
+            session.update({k: text for k, text in named.items() if text})
             if trial.target_force > 0:
                 session["target_force"] = f"{trial.target_force:g}"
-        name = (
-            path
-            or v["bag_name"]
-            or "_".join(
-                part
-                for part in (datetime.now().strftime("%Y%m%d_%H%M%S"), session["condition"])
-                if part
-            )
-        )
-        target = Path(v["folder"]).expanduser() / Path(name).expanduser()
-        attachments = {}
-        for key, file in [
-            (CALIBRATION_ATTACHMENT, v["calibration_file"]),
-            *((Path(f).name, f) for f in v["attachments"]),
-        ]:
-            if file:
-                attachments[key] = read_bytes(Path(file).expanduser(), "file to attach")
+        date = datetime.now().strftime("%Y%m%d_%H%M%S")
+        default = "_".join(part for part in (date, session["condition"]) if part)
+        name = Path(path or settings.bag_name or default)
+        target = Path(settings.folder).expanduser() / name.expanduser()
+        files = {Path(file).name: file for file in settings.attachments}
+        files[CALIBRATION_ATTACHMENT] = settings.calibration_file
+        attachments = {
+            name: read_bytes(Path(file).expanduser(), "file to attach")
+            for name, file in files.items()
+            if file
+        }
         topics = {t: kind for t, (kind, _, _) in self._topics.items()}
         # What came before the start does not belong to the bag.
         self._poll()

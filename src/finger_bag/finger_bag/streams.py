@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from finger_common.errors import InputError
+from finger_common.stamps import header_stamp
 
-from .bulk import WRENCH_TYPE, stamps_and_wrenches
+from .cdr_layout import WRENCH_TYPE, stamp_of_cdr, stamps_and_wrenches
 from .mapping import MappedTopic
 from .read_settings import ReadSettings
 from .reader import BagMessage, BagReader
@@ -72,19 +74,6 @@ class SessionStreams:
     problems: list[str] = field(default_factory=list)
 
 
-def stamp_ns(message: Any) -> int:
-    """Header stamp in ns."""
-    stamp = message.header.stamp
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
-
-
-def field_value(message: Any, dotted: str) -> Any:
-    """Value under a dotted field name; raises AttributeError."""
-    for name in dotted.split("."):
-        message = getattr(message, name)
-    return message
-
-
 def missing(reader: BagReader, name: str, hint: str = "") -> InputError:
     """Error for a bag without a topic that is needed, naming what there is."""
     spec = TOPICS.get(name)
@@ -138,6 +127,31 @@ def find_wrench(reader: BagReader, settings: ReadSettings) -> str:
     return wrench
 
 
+class Malformed:
+    """Messages that were left out, by topic, with the reason of the first."""
+
+    def __init__(self) -> None:
+        self.counts: Counter[str] = Counter()
+        self.reasons: dict[str, str] = {}
+
+    def add(self, topic: str, reason: object, count: int = 1) -> None:
+        """Count messages of a topic; reason: text or error."""
+        self.counts[topic] += count
+        self.reasons.setdefault(topic, str(reason))
+
+    def problems(self) -> list[str]:
+        """One sentence per topic."""
+        return [
+            f"topic '{topic}': {count} malformed messages left out ({self.reasons[topic]})"
+            for topic, count in self.counts.items()
+        ]
+
+
+def wrong_type(item: BagMessage, needed: str) -> InputError:
+    """Error for a message of another type than the schema's."""
+    return InputError(f"type is '{item.type}', '{needed}' is needed")
+
+
 def read_streams(
     reader: BagReader,
     settings: ReadSettings,
@@ -146,168 +160,108 @@ def read_streams(
 ) -> SessionStreams:
     """Read all streams of a bag in one pass.
 
-    on_image is called with each image message. Raises InputError when there is no wrench or the bag holds no message at all; malformed messages are left out, counted
-    and listed in `problems`.
+    on_image is called with each image message. Raises InputError when there is no wrench or the bag holds no message at
+    all; malformed messages are left out, counted and listed in `problems`.
     """
     mapping = settings.mapping
     wrench = find_wrench(reader, settings)
-    wrench_map = mapping.topic("wrench")
-    places = {wrench: "wrench"}
+    names = {wrench: "wrench"}
     for name in ("contact_area", "moisture", "trial", "image_raw", "image_raw/compressed"):
-        if name.startswith("image") and not with_images:
-            continue
         topic = find_topic(reader, name, settings)
-        if topic is not None:
-            places.setdefault(topic, name)
-
-    wrench_raw: list[bytes] = []
-    wrench_log: list[int] = []
+        if topic is not None and (with_images or not name.startswith("image")):
+            names.setdefault(topic, name)
+    wrenches: list[tuple[int, bytes]] = []
     areas: list[tuple[int, int, float, float, float, int]] = []
     images: list[tuple[int, int]] = []
     moistures: list[MoistureReading] = []
     trials: list[TrialEvent] = []
-    malformed: dict[str, int] = {}
-    first_error: dict[str, str] = {}
-    expected = {topic: _expected_type(name) for topic, name in places.items()}
-    plain_wrench = not wrench_map.field
-
-    for item in reader.messages(places):
-        name = places[item.topic]
+    malformed = Malformed()
+    for item in reader.messages(names):
+        name = names[item.topic]
+        mapped = mapping.topic(name)
         try:
-            if name == "wrench" and plain_wrench and item.type == WRENCH_TYPE:
-                wrench_raw.append(item.raw)
-                wrench_log.append(item.log_time_ns)
-                continue
-            mapped = mapping.topic(name)
-            if not mapped.field and item.type not in expected[item.topic]:
-                raise InputError(f"type is '{item.type}', '{expected[item.topic][0]}' is needed")
-            if name.startswith("image"):
-                images.append((stamp_of_cdr(item.raw), item.log_time_ns))
-                if on_image is not None:
-                    on_image(item)
-            elif name == "wrench":
-                raise InputError(f"type is '{item.type}', '{WRENCH_TYPE}' is needed")
+            if item.type != TOPICS[name].type and (not mapped.field or name == "wrench"):
+                raise wrong_type(item, TOPICS[name].type)
+            if name == "wrench":
+                wrenches.append((item.log_time_ns, item.raw))
             elif name == "contact_area":
                 areas.append(_area(item, mapped))
             elif name == "moisture":
                 moistures.append(_moisture(item, mapped))
             elif name == "trial":
-                trials.append(_trial(item))
+                trials.append(_trial(item.message))
+            else:
+                images.append((stamp_of_cdr(item.raw), item.log_time_ns))
+                if on_image is not None:
+                    on_image(item)
         except (InputError, AttributeError, TypeError, ValueError) as error:
-            malformed[item.topic] = malformed.get(item.topic, 0) + 1
-            first_error.setdefault(item.topic, str(error))
-
-    decode = None
-    if wrench_raw:
-        decode = reader.decoder(wrench, WRENCH_TYPE)
-    standard = decode is None or decode.standard
-    stamps, force, torque = (
-        stamps_and_wrenches(wrench_raw, decode) if standard else _one_by_one(wrench_raw, decode)
-    )
-    log = np.array(wrench_log, np.int64)
-    bad = stamps < 0
-    if bad.any():
-        malformed[wrench] = malformed.get(wrench, 0) + int(bad.sum())
-        stamps, force, torque, log = stamps[~bad], force[~bad], torque[~bad], log[~bad]
-    if wrench_map.log_time:
-        stamps = log.copy()
+            malformed.add(item.topic, error)
+    log = np.array([w[0] for w in wrenches], np.int64)
+    decode = reader.decoder(wrench, WRENCH_TYPE) if wrenches else None
+    fixed = decode is None or decode.standard
+    stamps, force, torque = stamps_and_wrenches([w[1] for w in wrenches], decode, fixed)
+    good = stamps >= 0
+    if not good.all():
+        malformed.add(wrench, f"bytes are not a {WRENCH_TYPE}", int((~good).sum()))
+        stamps, force, torque, log = stamps[good], force[good], torque[good], log[good]
     if not len(stamps):
-        reason = first_error.get(wrench, "no message could be read" if bad.any() else "it is empty")
+        reason = malformed.reasons.get(wrench, "it is empty")
         raise InputError(f"{reader.path}: topic '{wrench}' holds no wrench ({reason})")
-    problems = [
-        f"topic '{topic}': {count} malformed messages left out"
-        + (f" ({first_error[topic]})" if topic in first_error else "")
-        for topic, count in malformed.items()
-    ]
+    wrench_map = mapping.topic("wrench")
     table = np.array([a[2:5] for a in areas], float).reshape(-1, 3)
     return SessionStreams(
-        stamps,
-        log,
-        force * wrench_map.scale,
-        torque,
-        np.array([a[0] for a in areas], np.int64),
-        np.array([a[1] for a in areas], np.int64),
-        table[:, 0],
-        table[:, 1],
-        table[:, 2],
-        np.array([a[5] for a in areas], np.int64),
-        np.array([i[0] for i in images], np.int64),
-        np.array([i[1] for i in images], np.int64),
-        moistures,
-        trials,
-        problems=problems + reader.all_problems(),
+        wrench_stamp_ns=log.copy() if wrench_map.log_time else stamps,
+        wrench_log_ns=log,
+        force=force * wrench_map.scale,
+        torque=torque,
+        area_stamp_ns=np.array([a[0] for a in areas], np.int64),
+        area_log_ns=np.array([a[1] for a in areas], np.int64),
+        area=table[:, 0],
+        real_area=table[:, 1],
+        area_sd=table[:, 2],
+        area_flags=np.array([a[5] for a in areas], np.int64),
+        image_stamp_ns=np.array([i[0] for i in images], np.int64),
+        image_log_ns=np.array([i[1] for i in images], np.int64),
+        moistures=moistures,
+        trials=trials,
+        problems=malformed.problems() + reader.all_problems(),
     )
 
 
-def _expected_type(name: str) -> tuple[str, ...]:
-    return (TOPICS[name].type,)
-
-
-def _one_by_one(raws: list[bytes], decode: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """As `stamps_and_wrenches` for a definition that only has the name in common with the known one."""
-    stamps = np.full(len(raws), -1, np.int64)
-    force, torque = np.full((len(raws), 3), np.nan), np.full((len(raws), 3), np.nan)
-    for index, raw in enumerate(raws):
-        try:
-            message = decode(raw)
-            wrench = message.wrench
-            force[index] = wrench.force.x, wrench.force.y, wrench.force.z
-            torque[index] = wrench.torque.x, wrench.torque.y, wrench.torque.z
-            stamps[index] = stamp_ns(message)
-        except (InputError, AttributeError, TypeError, ValueError):
-            continue
-    return stamps, force, torque
-
-
-def stamp_of_cdr(raw: bytes) -> int:
-    """Header stamp (ns) of a serialized message that begins with its header, without decoding the rest.
-
-    Raises InputError when the bytes are too short or no CDR.
-    """
-    if len(raw) < 12 or raw[0] != 0 or raw[1] > 1:
-        raise InputError("bytes are not a message with a header")
-    order: Literal["little", "big"] = "little" if raw[1] == 1 else "big"
-    seconds = int.from_bytes(raw[4:8], order, signed=True)
-    return seconds * 1_000_000_000 + int.from_bytes(raw[8:12], order)
+def stamp_and_value(item: BagMessage, mapped: MappedTopic) -> tuple[int, float | None]:
+    """Stamp (ns) of a message by its mapping, and the value of the field that the mapping names (SI), if any."""
+    message = item.message
+    stamp = item.log_time_ns if mapped.log_time else header_stamp(message)
+    if not mapped.field:
+        return stamp, None
+    for name in mapped.field.split("."):
+        message = getattr(message, name)
+    return stamp, float(message) * mapped.scale
 
 
 def _area(item: BagMessage, mapped: MappedTopic) -> tuple[int, int, float, float, float, int]:
-    message = item.message
-    stamp = item.log_time_ns if mapped.log_time else stamp_ns(message)
-    if mapped.field:
-        value = float(field_value(message, mapped.field)) * mapped.scale
+    stamp, value = stamp_and_value(item, mapped)
+    if value is not None:
         return stamp, item.log_time_ns, value, float("nan"), float("nan"), 0
-    return (
-        stamp,
-        item.log_time_ns,
-        float(message.gross_area) * mapped.scale,
-        float(message.real_area) * mapped.scale,
-        float(message.area_stddev) * mapped.scale,
-        int(message.flags),
-    )
+    message = item.message
+    areas = (message.gross_area, message.real_area, message.area_stddev)
+    gross, real, sd = (float(value) * mapped.scale for value in areas)
+    return stamp, item.log_time_ns, gross, real, sd, int(message.flags)
 
 
 def _moisture(item: BagMessage, mapped: MappedTopic) -> MoistureReading:
+    stamp, value = stamp_and_value(item, mapped)
+    if value is not None:
+        return MoistureReading(stamp, value)
     message = item.message
-    stamp = item.log_time_ns if mapped.log_time else stamp_ns(message)
-    if mapped.field:
-        return MoistureReading(stamp, float(field_value(message, mapped.field)) * mapped.scale)
     return MoistureReading(stamp, float(message.value), int(message.phase), int(message.flags))
 
 
-def _trial(item: BagMessage) -> TrialEvent:
-    m = item.message
-    return TrialEvent(
-        stamp_ns(m),
-        str(m.session),
-        str(m.subject),
-        str(m.condition),
-        int(m.index),
-        int(m.attempt),
-        int(m.phase),
-        float(m.target_force),
-        str(m.note),
-    )
+def _trial(message: Any) -> TrialEvent:
+    texts = [str(getattr(message, name)) for name in ("session", "subject", "condition")]
+    numbers = [int(getattr(message, name)) for name in ("index", "attempt", "phase")]
+    stamp = header_stamp(message)
+    return TrialEvent(stamp, *texts, *numbers, float(message.target_force), str(message.note))
 
 
 def in_stamp_order(stamps: np.ndarray, *others: np.ndarray) -> Iterator[np.ndarray]:

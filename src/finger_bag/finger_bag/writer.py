@@ -9,16 +9,18 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import TracebackType
 from typing import IO, Any
 
 import yaml
 
 from finger_common.errors import InputError
 from finger_common.files import atomic_write
+from finger_common.stamps import NANOSECONDS, seconds
 
-from .closing import Closing
 from .definitions import definition_text, encode, type_hash
 from .mcap_writer import McapWriter
+from .reader import BagMessage
 from .schema import NAMESPACE, SESSION_RECORD, SessionMetadata, full_name, offered_qos, spec_of
 from .schema import software_version as _software_version
 
@@ -62,7 +64,7 @@ def _known(message_type: str) -> bool:
     return bool(type_hash(message_type))
 
 
-class BagWriter(Closing):
+class BagWriter:
     """Writes one bag; a context manager.
 
     path: folder of the bag; must not exist or be empty. The folder takes its name only when the writer closes without
@@ -124,6 +126,20 @@ class BagWriter(Closing):
         if self.path.is_file() or (self.path.is_dir() and any(self.path.iterdir())):
             raise InputError(f"{self.path}: exists already; choose another name or remove it")
 
+    def __enter__(self) -> BagWriter:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if kind is None:
+            self.close()
+        else:
+            self.abandon()
+
     # Files -----------------------------------------------------------------------------------
 
     def _open_file(self) -> None:
@@ -166,7 +182,7 @@ class BagWriter(Closing):
         full = self._maximum_size and self._mcap.size >= self._maximum_size
         long = (
             self._maximum_duration
-            and (log_time_ns - file.start_ns) * 1e-9 >= self._maximum_duration
+            and seconds(log_time_ns - file.start_ns) >= self._maximum_duration
         )
         if full or long:
             self._close_file()
@@ -256,7 +272,9 @@ class BagWriter(Closing):
                 sequence & 0xFFFFFFFF,
             )
         except struct.error:
-            raise self._bad_time(topic, log_time_ns) from None
+            raise InputError(
+                f"topic '{topic}': time {log_time_ns} ns is not one of a bag; use ns since the epoch"
+            ) from None
         except OSError as error:
             raise InputError(f"{self.path}: cannot be written ({error.strerror})") from error
 
@@ -269,27 +287,20 @@ class BagWriter(Closing):
             self._split_if_due(log_time_ns)
         return self._channel_id(self._channels[name])
 
-    @staticmethod
-    def _bad_time(topic: str, log_time_ns: int) -> InputError:
-        return InputError(
-            f"topic '{topic}': time {log_time_ns} ns is not one of a bag; use ns since the epoch"
-        )
-
     def write_many(self, topic: str, cdrs: Sequence[bytes], log_times_ns: Sequence[int]) -> None:
-        """Write serialized messages of one topic as they are, published when logged; as `write_raw`, but faster."""
-        if not cdrs:
-            return
-        if self._splits:
-            for cdr, log_time_ns in zip(cdrs, log_times_ns):
-                self.write_raw(topic, cdr, log_time_ns)
-            return
-        channel_id = self._prepare(topic, log_times_ns[0])
-        try:
-            self._mcap.add_messages(channel_id, log_times_ns, cdrs)  # type: ignore[union-attr]
-        except struct.error:
-            raise self._bad_time(topic, min(log_times_ns)) from None
-        except OSError as error:
-            raise InputError(f"{self.path}: cannot be written ({error.strerror})") from error
+        """Write serialized messages of one topic, published when logged."""
+        for cdr, log_time_ns in zip(cdrs, log_times_ns):
+            self.write_raw(topic, cdr, log_time_ns)
+
+    def copy(self, message: BagMessage) -> None:
+        """Write a message of another bag as it is; its topic must be known or announced."""
+        self.write_raw(
+            message.topic,
+            message.raw,
+            message.log_time_ns,
+            message.publish_time_ns,
+            message.sequence,
+        )
 
     def write(
         self,
@@ -308,7 +319,7 @@ class BagWriter(Closing):
         if log_time_ns is None:
             stamp = fields.get("header", {}).get("stamp")
             if isinstance(stamp, Mapping):
-                stamp = int(stamp.get("sec", 0)) * 1_000_000_000 + int(stamp.get("nanosec", 0))
+                stamp = int(stamp.get("sec", 0)) * NANOSECONDS + int(stamp.get("nanosec", 0))
             log_time_ns = time.time_ns() if stamp is None else int(stamp)
         cdr = encode(self._channels[name].type, fields)
         self.write_raw(name, cdr, log_time_ns, publish_time_ns)

@@ -19,10 +19,9 @@ import pytest
 import yaml
 from session_bags import START, wrench, write_session
 
-from finger_bag.anonymise import anonymise
+from finger_bag.copying import anonymise, recover
 from finger_bag.mcap_file import McapFile
 from finger_bag.reader import open_bag
-from finger_bag.recover import recover
 from finger_bag.validate import validate
 from finger_bag.writer import BagWriter
 from finger_common.errors import InputError

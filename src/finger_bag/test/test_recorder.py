@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 from session_bags import START, image, wrench
 
+from finger_bag.copying import recover
 from finger_bag.definitions import encode
 from finger_bag.reader import open_bag
 from finger_bag.recorder import Recorder, RecorderSettings, Serialized, StampGaps
-from finger_bag.recover import recover
 from finger_common.errors import InputError
 from finger_offline.image_areas import grey_image
 

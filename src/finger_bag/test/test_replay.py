@@ -1,8 +1,7 @@
-"""Replay: original spacing, rate, loop, offset, pause and step; over DDS, nodes estimate as they did live."""
+"""Replay: original spacing, rate, loop, start offset; over DDS, nodes estimate as they did live."""
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -13,7 +12,7 @@ import pytest
 from session_bags import START, wrench
 
 from finger_bag.reader import open_bag
-from finger_bag.replay import Replay
+from finger_bag.replay import ReplaySettings, lateness_text, replay
 from finger_bag.writer import BagWriter
 from finger_common.errors import InputError
 
@@ -40,11 +39,12 @@ def short(tmp_path: Path) -> Path:
     return tmp_path / "short"
 
 
-def played(path: Path, **options: Any) -> tuple[list[float], list[Any]]:
+def played(path: Path, topics: Any = None, **options: Any) -> tuple[list[float], list[Any]]:
     clock = Clock()
     times, items = [], []
     with open_bag(path) as reader:
-        for item in Replay(reader, now=clock.now, sleep=clock.sleep, **options):
+        settings = ReplaySettings(**options)
+        for item in replay(reader, settings, topics, now=clock.now, sleep=clock.sleep):
             times.append(clock.time)
             items.append(item)
     return times, items
@@ -59,11 +59,11 @@ def test_spacing_is_that_of_the_bag(short: Path, rate: float) -> None:
 
 
 def test_offset_and_duration_cut(short: Path) -> None:
-    _, items = played(short, offset=0.2, duration=0.1)
+    _, items = played(short, start=0.2, duration=0.1)
     logs = [(i.message.log_time_ns - START) / 1e9 for i in items]
     assert logs == pytest.approx(np.arange(0.2, 0.3, 0.01))
     with pytest.raises(InputError, match="nothing to play"):
-        played(short, offset=100.0)
+        played(short, start=100.0)
     with pytest.raises(InputError, match="rate"):
         played(short, rate=0.0)
 
@@ -81,61 +81,37 @@ def test_only_the_topics_asked_for_are_given(session: Callable[..., Path]) -> No
 
 def test_loop_goes_on_without_time_running_back(short: Path) -> None:
     clock = Clock()
-    found = []
     with open_bag(short) as reader:
-        replay = Replay(reader, loop=True, offset=0.2, now=clock.now, sleep=clock.sleep)
-        for item in replay:
-            found.append(item.bag_time_ns)
-            if len(found) == 250:
-                replay.stop()
+        settings = ReplaySettings(loop=True, start=0.2)
+        items = replay(reader, settings, now=clock.now, sleep=clock.sleep)
+        found = [next(items).bag_time_ns for _ in range(250)]
     assert np.all(np.diff(found) > 0)
-    assert item.loop == 3
     rounds = np.array(found[80:160]) - np.array(found[:80])
     assert np.all(rounds == rounds[0])
 
 
-def test_pause_holds_and_step_gives_one(short: Path) -> None:
-    given: list[int] = []
-    with open_bag(short) as reader:
-        replay = Replay(reader, rate=1000.0)
-        replay.pause(True)
-        thread = threading.Thread(target=lambda: given.extend(1 for _ in replay), daemon=True)
-        thread.start()
-        time.sleep(0.2)
-        assert not given
-        for number in range(1, 4):
-            replay.step()
-            end = time.monotonic() + 60
-            while len(given) < number and time.monotonic() < end:
-                time.sleep(0.005)
-            time.sleep(0.05)
-            assert len(given) == number
-        assert replay.pause() is False
-        thread.join(60)
-    assert len(given) == 100
-
-
 def test_lateness_of_a_slow_reader_is_reported(short: Path) -> None:
     clock = Clock()
+    late = []
     with open_bag(short) as reader:
-        replay = Replay(reader, now=clock.now, sleep=clock.sleep)
-        for _ in replay:
+        for item in replay(reader, now=clock.now, sleep=clock.sleep):
+            late.append(item.lateness)
             clock.time += 0.02  # the reader needs twice the spacing
-        timing = replay.timing.summary()
-    assert timing["messages"] == 100
-    assert timing["max_ms"] == pytest.approx(500, abs=25)
+    assert len(late) == 100
+    assert max(late) == pytest.approx(0.5, abs=0.025)
+    assert lateness_text(late).startswith("100 messages; late by ")
+    assert lateness_text([]) == "nothing was played"
 
 
-def test_clock_is_told_the_time_of_the_bag(short: Path) -> None:
-    told: list[int] = []
+def test_clock_follows_the_time_of_the_bag(short: Path) -> None:
+    times: list[int] = []
     clock = Clock()
     with open_bag(short) as reader:
-        replay = Replay(reader, on_time=told.append, tick=0.01, now=clock.now, sleep=clock.sleep)
-        for _ in replay:
-            pass
-    assert np.all(np.diff(told) >= 0)
-    assert told[0] == START and told[-1] == START + 99 * 10_000_000 + 10**9
-    assert np.diff(told).max() <= 10_000_001  # also within the pause of a second
+        options = {"tick": 0.01, "now": clock.now, "sleep": clock.sleep}
+        list(replay(reader, on_time=times.append, **options))
+    assert np.all(np.diff(times) >= 0)
+    assert times[0] == START and times[-1] == START + 99 * 10_000_000 + 10**9
+    assert np.diff(times).max() <= 10_000_001  # also within the pause of a second
 
 
 def test_model_node_in_the_time_of_the_bag_estimates_as_offline(

@@ -1,8 +1,9 @@
-"""Which lifecycle node to configure or activate next, so that a suite comes up in order and stays up. No ROS.
+"""Which lifecycle node to configure or activate next, so that a suite comes up in order. No ROS.
 
-Groups come up one after the other: a group may begin when all nodes of the groups before it are active, or when
-`patience` has passed since the one before it began (a device that is not plugged in must not hold up the rest). A
-node that fails is tried again after `retry`; a node that was restarted is unconfigured again and is brought up again.
+Groups come up one after the other. A group may begin when all nodes of the groups before it are
+active, or when `patience` has passed since the group before it began: a device that is not plugged
+in must not hold up the rest. A node that refuses is tried again after `retry`. A node that was
+restarted is unconfigured, and is brought up again.
 """
 
 from __future__ import annotations
@@ -12,11 +13,11 @@ from collections.abc import Mapping, Sequence
 UNCONFIGURED, INACTIVE, ACTIVE = 1, 2, 3
 """Primary states, numbered as in lifecycle_msgs/State."""
 
-ALL_ACTIVE = "all nodes are active"
-"""Begins the line that says so; launch files wait for it."""
-
 CONFIGURE, ACTIVATE = 1, 3
 """Transitions, numbered as in lifecycle_msgs/Transition."""
+
+ALL_ACTIVE = "all nodes are active"
+"""Begins the line of `bring_up` that launch files and tests wait for."""
 
 
 class BringUp:
@@ -37,7 +38,7 @@ class BringUp:
         return [node for group in self.groups for node in group]
 
     def steps(self, states: Mapping[str, int], now: float) -> list[tuple[str, int]]:
-        """(node, transition) to request now. states: primary state by node, left out where a node does not answer."""
+        """(node, transition) to request now. states: primary state of each node that answers."""
         wanted = []
         for number, group in enumerate(self.groups):
             began = self._began[number]
@@ -50,8 +51,7 @@ class BringUp:
                     wanted.append((node, CONFIGURE))
                 elif states.get(node) == INACTIVE:
                     wanted.append((node, ACTIVATE))
-            waiting = any(states.get(node) != ACTIVE for node in group)
-            if waiting and now - began < self.patience:
+            if self.missing(states, group) and now - began < self.patience:
                 break
         return wanted
 
@@ -59,6 +59,6 @@ class BringUp:
         """A transition was refused; it is tried again later."""
         self._not_before[node] = now + self.retry
 
-    def missing(self, states: Mapping[str, int]) -> list[str]:
-        """Nodes that are not active."""
-        return [node for node in self.nodes if states.get(node) != ACTIVE]
+    def missing(self, states: Mapping[str, int], of: Sequence[str] | None = None) -> list[str]:
+        """Nodes that are not active, among all or those given."""
+        return [n for n in (self.nodes if of is None else of) if states.get(n) != ACTIVE]

@@ -8,18 +8,15 @@ import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from finger_common.cli import Parser, run
-from finger_common.errors import InputError
-from finger_sim.rig import RigAddresses
 
 from . import nodes
 from .supervisor import Supervisor
 
 EXAMPLE = """\
-finger-rig up --simulated                     # the whole suite on simulated devices, page at http://127.0.0.1:8080
-finger-rig up --parameters rig.yaml           # real devices, as the file says
+finger-rig up --simulated             # on simulated devices; page at http://127.0.0.1:8080
+finger-rig up --parameters rig.yaml   # real devices, as the file describes them
 finger-rig study --seed 1 --no-images -o out/study"""
 
 
@@ -35,8 +32,8 @@ def parser() -> argparse.ArgumentParser:
         "up",
         help="start the suite as separate processes and keep it running",
         description=(
-            "Start the nodes of the rig in order, show their output, start again what dies, and end all on "
-            "Ctrl-C."
+            "Bring the nodes of the rig up in order, show their output, start those again that end "
+            "by themselves, and end all on Ctrl-C."
         ),
         example=(
             "finger-rig up --simulated\n"
@@ -91,34 +88,22 @@ def _main(argv: Sequence[str] | None) -> int:
 # finger-rig up -------------------------------------------------------------------------------
 
 
-def chosen_nodes(arguments: argparse.Namespace) -> list[str]:
-    """Names of the nodes to run; raises InputError for contradictory options."""
-    if arguments.nodes:
-        names = list(arguments.nodes)
-    else:
-        names = [*nodes.RIG, "protocol", "page"]
-        if arguments.simulated:
-            names.insert(0, "simulated_rig")
-    for name in arguments.without:
-        if name not in names:
-            raise InputError(f"--without {name}: it would not run anyway; leave the option out")
-        names.remove(name)
-    return names
+def entries(arguments: argparse.Namespace) -> list[nodes.NodeEntry]:
+    """What `finger-rig up` runs; raises InputError for contradictory options."""
+    return nodes.rig(
+        arguments.folder.absolute(),
+        simulated=arguments.simulated,
+        without=arguments.without,
+        parameters={"simulated_rig": {"seed": arguments.seed}},
+        only=arguments.nodes or (),
+    )
 
 
 def _up(arguments: argparse.Namespace) -> int:
     folder = arguments.folder.absolute()
-    names = chosen_nodes(arguments)
-    parameters: dict[str, dict[str, Any]] = {}
-    if "protocol" in names:
-        parameters["protocol"] = {"output": str(folder / "sessions")}
-    if arguments.simulated:
-        addresses = RigAddresses.private(folder / "devices")
-        for name, values in nodes.simulated_devices(addresses).items():
-            parameters[name] = {**parameters.get(name, {}), **values}
-        parameters["simulated_rig"]["seed"] = arguments.seed
-    entries = nodes.select(names, {k: v for k, v in parameters.items() if k in names})
-    specs = nodes.process_specs(entries, folder, arguments.namespace, arguments.parameters)
+    specs = nodes.process_specs(
+        entries(arguments), folder, arguments.namespace, arguments.parameters
+    )
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     supervisor = Supervisor(specs)
     signal.signal(signal.SIGTERM, signal.default_int_handler)

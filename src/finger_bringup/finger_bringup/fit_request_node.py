@@ -1,7 +1,11 @@
-"""Node that asks the fit node for one fit, shows its progress and ends: exit code 0 done, 2 refused or failed."""
+"""Node that requests one fit of the fit node, shows its progress and ends.
+
+Exit code 0: done; 2: refused or failed.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 from lifecycle_msgs.msg import State
@@ -11,18 +15,21 @@ from rclpy.action import ActionClient
 from finger_common.diagnostics import Health
 from finger_common.errors import FingerError, InputError
 from finger_common.node import ManagedNode, main_of
-from finger_common.parameters import Parameter, ParameterTable
+from finger_common.settings import Settings, setting
 from finger_msgs.action import FitParameters
 
-PARAMETERS = ParameterTable(
-    Parameter("bags", [""], "Bag files or folders to fit."),
-    Parameter("output", "out/fit", "Folder for parameters.yaml, fit.json and report.html."),
-    Parameter("conditions", [""], "Conditions to fit; empty: all."),
-    Parameter("options", "", "JSON object of options of finger-fit; empty: defaults."),
-    Parameter(
-        "server_timeout", 60.0, "Longest wait for the fit node to be active.", "s", 1.0, 600.0
-    ),
-)
+
+@dataclass(frozen=True)
+class FitRequestSettings(Settings):
+    """Parameters of the node."""
+
+    bags: list = setting([""], "Bag files or folders to fit.")
+    output: str = setting("out/fit", "Folder for parameters.yaml, fit.json and report.html.")
+    conditions: list = setting([""], "Conditions to fit; empty: all.")
+    options: str = setting("", "JSON object of options of finger-fit; empty: defaults.")
+    server_timeout: float = setting(
+        60.0, "Longest wait for the fit node to be active.", "s", 1.0, 600.0
+    )
 
 
 class FitFailed(FingerError):
@@ -32,7 +39,7 @@ class FitFailed(FingerError):
 class FitRequestNode(ManagedNode):
     """Sends one goal."""
 
-    TABLE = PARAMETERS
+    SETTINGS = (FitRequestSettings,)
     NAME = "fit_request"
 
     def configure(self) -> None:
@@ -50,9 +57,9 @@ class FitRequestNode(ManagedNode):
         self._state: Any = None
         self._failure = ""
         self._stage = ""
-        self._timer = self.create_timer(0.5, self._look)
+        self._timer = self.create_timer(0.5, self._check)
 
-    def _look(self) -> None:
+    def _check(self) -> None:
         if self._failure:
             raise FitFailed(self._failure)
         if self._sent:
@@ -61,17 +68,17 @@ class FitRequestNode(ManagedNode):
         if self._fit_is_active() and self._client.server_is_ready():
             self._send()
         elif self._waited > self.values["server_timeout"]:
-            raise FitFailed("the fit node is not active; see whether it runs and was configured")
+            raise FitFailed("the fit node is not active; check whether it runs and was configured")
 
     def _fit_is_active(self) -> bool:
-        """Whether the fit node says so; it refuses goals before."""
-        asked, self._state = self._state, None
-        if asked is not None and not asked.done():
-            self._state = asked
+        """Whether the fit node is active by its last answer; it refuses goals before."""
+        request, self._state = self._state, None
+        if request is not None and not request.done():
+            self._state = request
         elif self._state_client.service_is_ready():
             self._state = self._state_client.call_async(GetState.Request())
-        answered = asked is not None and asked.done() and asked.result() is not None
-        return bool(answered and asked.result().current_state.id == State.PRIMARY_STATE_ACTIVE)
+        answer = request.result() if request is not None and request.done() else None
+        return answer is not None and answer.current_state.id == State.PRIMARY_STATE_ACTIVE
 
     def _send(self) -> None:
         self._sent = True
@@ -104,7 +111,7 @@ class FitRequestNode(ManagedNode):
             self._failure = f"the fit failed: {result.message}"
             return
         self.get_logger().info(f"parameters: {result.parameter_file}, report: {result.report}")
-        raise KeyboardInterrupt  # done: the same quiet end as Ctrl-C
+        raise KeyboardInterrupt  # Done: end as after Ctrl-C.
 
 
 main = main_of(FitRequestNode)

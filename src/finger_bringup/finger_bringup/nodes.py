@@ -1,7 +1,10 @@
-"""The table of the suite's processes: which executables, in which order, with which parameters.
+"""What runs: the suite's nodes, in which order they come up, with which parameters.
 
-One table for `finger-rig up`, the launch files, the demo and the tests. No ROS and no launch here: an entry can be
-turned into a plain command, or into a launch_ros node by a launch file.
+`finger-rig up`, the launch files, the demo and the tests run the entries that `select` and `rig`
+give. The lifecycle nodes among them start unconfigured; the node `bring_up`, which is always the
+last entry, configures and activates them in order, again after a refusal and again after a restart.
+No ROS and no launch here: an entry becomes a command (`process_specs`) or a launch_ros node
+(`launch.actions`).
 """
 
 from __future__ import annotations
@@ -16,21 +19,24 @@ import yaml
 
 from finger_common.errors import InputError
 from finger_common.files import atomic_write, load_yaml
-from finger_sim.rig import RIG_READY, RigAddresses
+from finger_sim.rig import RigAddresses
 
 from .supervisor import ProcessSpec
 
 DEFAULT_NAMESPACE = "finger"
+
+Parameters = Mapping[str, Mapping[str, Any]]
+"""Values by node name and parameter name."""
 
 
 @dataclass(frozen=True)
 class NodeEntry:
     """One node of the suite.
 
-    name: node name within the namespace. package, executable: for `ros2 run` and launch files. module: for
-    `python -m`. rank: start and lifecycle order. lifecycle: has configure and activate transitions. respawn: is
-    started again when it dies. ready_text: line of output that says it is ready; None: ready once started.
-    parameters: what this suite sets; a parameter file comes before it.
+    name: node name within the namespace. package, executable: for `ros2 run` and launch files.
+    rank: lower ranks come up earlier and end later. lifecycle: `bring_up` configures and activates
+    it. restart: is started again when it ends by itself. essential: its end ends everything.
+    parameters: what the suite sets itself; these override a parameter file.
     """
 
     name: str
@@ -38,13 +44,13 @@ class NodeEntry:
     executable: str
     rank: int
     lifecycle: bool = True
-    respawn: bool = True
+    restart: bool = True
     essential: bool = False
-    ready_text: str | None = None
     parameters: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def module(self) -> str:
+        """For `python -m`."""
         return f"{self.package}.{self.executable}"
 
     def with_parameters(self, **parameters: Any) -> NodeEntry:
@@ -52,10 +58,12 @@ class NodeEntry:
         return replace(self, parameters={**self.parameters, **parameters})
 
 
-TABLE: dict[str, NodeEntry] = {
+BRING_UP = NodeEntry("bring_up", "finger_bringup", "bring_up_node", 9, lifecycle=False)
+
+NODES: dict[str, NodeEntry] = {
     entry.name: entry
     for entry in (
-        NodeEntry("simulated_rig", "finger_sim", "rig_node", 0, ready_text=RIG_READY),
+        NodeEntry("simulated_rig", "finger_sim", "rig_node", 0),
         NodeEntry("force", "finger_driver", "force_node", 1),
         NodeEntry("camera", "finger_driver", "camera_node", 1),
         NodeEntry("moisture", "finger_driver", "moisture_node", 1),
@@ -64,16 +72,30 @@ TABLE: dict[str, NodeEntry] = {
         NodeEntry("fit", "finger_fit", "fit_node", 3),
         NodeEntry("recorder", "finger_bag", "recorder_node", 3),
         NodeEntry("protocol", "finger_operator", "protocol_node", 4),
+        # Active at once, so that the operator sees which other nodes are missing.
         NodeEntry("page", "finger_operator", "page_node", 5, lifecycle=False),
+        NodeEntry(
+            "fit_request",
+            "finger_bringup",
+            "fit_request_node",
+            5,
+            lifecycle=False,
+            restart=False,
+            essential=True,
+        ),
+        BRING_UP,
     )
 }
 """Every node there is, by name."""
 
-RIG = ("force", "camera", "moisture", "vision", "model", "recorder")
-"""Nodes of a measuring rig; `finger-rig up` adds the simulated rig where asked."""
+RIG = ("force", "camera", "moisture", "vision", "model", "recorder", "protocol", "page")
+"""Nodes of a measuring rig."""
 
 GRASP = ("force", "model")
 """Nodes on a robot."""
+
+SIMULATED_PATIENCE = 60.0
+"""s that the drivers wait for the simulated rig, which may have to compile its kernels first."""
 
 
 def simulated_devices(addresses: RigAddresses) -> dict[str, dict[str, Any]]:
@@ -99,22 +121,78 @@ def simulated_devices(addresses: RigAddresses) -> dict[str, dict[str, Any]]:
             "rig": "simulated",
             "source": "simulated rig",
         },
+        "bring_up": {"patience": SIMULATED_PATIENCE},
     }
 
 
-def select(
-    names: Iterable[str], parameters: Mapping[str, Mapping[str, Any]] | None = None
-) -> list[NodeEntry]:
-    """Entries of the named nodes in order of rank, with parameters by node name.
+def merged(*parameters: Parameters) -> dict[str, dict[str, Any]]:
+    """Parameters of several mappings; later ones take precedence."""
+    result: dict[str, dict[str, Any]] = {}
+    for mapping in parameters:
+        for name, values in mapping.items():
+            result.setdefault(name, {}).update(values)
+    return result
 
-    Raises InputError for a name that is not in the table.
+
+def entry_of(name: str) -> NodeEntry:
+    """The entry of that name; raises InputError when there is none."""
+    if name not in NODES:
+        raise InputError(f"node '{name}' does not exist; known are {', '.join(NODES)}")
+    return NODES[name]
+
+
+def select(
+    wanted: Iterable[str | NodeEntry], parameters: Parameters | None = None
+) -> list[NodeEntry]:
+    """The wanted nodes in the order of their coming up, and last the node that brings them up.
+
+    wanted: names of NODES, or entries beside it. parameters: by node name; those of nodes that are
+    not wanted have no effect. Raises InputError for a name that is not in NODES.
     """
-    names = list(names)
-    for name in [*names, *(parameters or {})]:
-        if name not in TABLE:
-            raise InputError(f"node '{name}' does not exist; known are {', '.join(TABLE)}")
-    chosen = [TABLE[name].with_parameters(**(parameters or {}).get(name, {})) for name in names]
-    return sorted(chosen, key=lambda entry: entry.rank)
+    parameters = parameters or {}
+    found = [entry_of(node) if isinstance(node, str) else node for node in wanted]
+    for name in parameters.keys() - {entry.name for entry in found}:
+        entry_of(name)
+    entries = sorted((e for e in found if e.name != BRING_UP.name), key=lambda entry: entry.rank)
+    groups: dict[int, list[str]] = {}
+    for entry in entries:
+        if entry.lifecycle:
+            groups.setdefault(entry.rank, []).append(entry.name)
+    chosen = [
+        entry.with_parameters(autostart=not entry.lifecycle, **parameters.get(entry.name, {}))
+        for entry in entries
+    ]
+    if not groups:
+        return chosen
+    order = [" ".join(names) for names in groups.values()]
+    own = parameters.get(BRING_UP.name, {})
+    return [*chosen, BRING_UP.with_parameters(order=order, **own)]
+
+
+def rig(
+    folder: Path,
+    simulated: bool = False,
+    without: Iterable[str] = (),
+    parameters: Parameters | None = None,
+    only: Iterable[str] = (),
+) -> list[NodeEntry]:
+    """Entries of a measuring rig.
+
+    folder: of the sessions and of the simulated devices. simulated: with simulated devices and
+    participant. without: nodes to leave out. parameters: by node name, further ones. only: the
+    nodes to run in place of all. Raises InputError for a node that does not exist, and for one in
+    `without` that would not run.
+    """
+    names = list(only) or [*(["simulated_rig"] if simulated else []), *RIG]
+    for name in without:
+        if name not in names:
+            raise InputError(f"node '{name}' would not run anyway; do not name it to be left out")
+        names.remove(name)
+    own: dict[str, dict[str, Any]] = {"protocol": {"output": str(folder / "sessions")}}
+    if "recorder" not in names and not only:
+        own["protocol"]["need_recorder"] = False
+    devices = simulated_devices(RigAddresses.private(folder / "devices")) if simulated else {}
+    return select(names, merged(own, devices, parameters or {}))
 
 
 def write_parameter_file(entries: Iterable[NodeEntry], namespace: str, path: Path) -> Path:
@@ -130,7 +208,7 @@ def write_parameter_file(entries: Iterable[NodeEntry], namespace: str, path: Pat
 
 
 def check_parameter_file(path: Path) -> Path:
-    """The path of a ROS parameter file; raises InputError naming file and key when it cannot be one."""
+    """The path of a ROS parameter file; raises InputError naming file and key for any other."""
     for node, section in load_yaml(path, "parameter file").items():
         if not isinstance(section, dict) or not isinstance(section.get("ros__parameters"), dict):
             raise InputError(
@@ -146,29 +224,22 @@ def process_specs(
     namespace: str = DEFAULT_NAMESPACE,
     parameter_file: Path | None = None,
 ) -> list[ProcessSpec]:
-    """Commands that run the entries with this Python; nodes bring themselves up (`autostart`).
+    """Commands that run the entries with this Python.
 
-    parameter_file: of the user, may be None; what an entry sets itself wins. run_folder: for the generated file.
+    parameter_file: of the user, may be None; what an entry sets itself overrides it. run_folder:
+    where the file of the entries' own parameters is written.
     """
     entries = list(entries)
     files = [] if parameter_file is None else [check_parameter_file(parameter_file)]
     files.append(write_parameter_file(entries, namespace, run_folder / "parameters.yaml"))
-    arguments = [part for file in files for part in ("--params-file", str(file))]
+    arguments = ["--ros-args", "-r", f"__ns:=/{namespace}"]
+    arguments += [part for file in files for part in ("--params-file", str(file))]
     return [
         ProcessSpec(
             entry.name,
-            (
-                sys.executable,
-                "-m",
-                entry.module,
-                "--ros-args",
-                "-r",
-                f"__ns:=/{namespace}",
-                *arguments,
-            ),
+            (sys.executable, "-m", entry.module, *arguments),
             rank=entry.rank,
-            ready_text=entry.ready_text,
-            respawn=entry.respawn,
+            restart=entry.restart,
             essential=entry.essential,
         )
         for entry in entries

@@ -1,6 +1,6 @@
-"""Keeps a set of processes running: started in order, logged with prefixes, restarted, ended together.
+"""Keeps processes running: logged with prefixes, restarted, ended together and in order.
 
-No ROS here: a process is a command. `finger-rig up` runs the node table through it where launch_ros is missing.
+No ROS here: a process is a command.
 """
 
 from __future__ import annotations
@@ -12,10 +12,11 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
-from finger_common.errors import FingerError
 from finger_common.processes import bound_to_parent
+
+from .restarts import FIRST_DELAY, LONGEST_DELAY, RestartDelay
 
 COLOURS = (36, 33, 32, 35, 34, 96, 93, 92, 95, 94)
 """ANSI foreground colours of the prefixes, in the order of the processes."""
@@ -25,57 +26,52 @@ COLOURS = (36, 33, 32, 35, 34, 96, 93, 92, 95, 94)
 class ProcessSpec:
     """One process to keep running.
 
-    rank: processes of a rank start when those of lower ranks are ready; they end in the reverse order.
-    ready_text: text in a line of output that says the process is ready; None: ready once started.
-    respawn: start again when it ends by itself. essential: its end ends everything.
+    rank: processes of higher ranks end first. restart: start again when it ends by itself.
+    essential: its end ends everything.
     """
 
     name: str
     command: tuple[str, ...]
     rank: int = 0
-    ready_text: str | None = None
-    respawn: bool = True
+    restart: bool = True
     essential: bool = False
-    environment: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass
 class _Running:
     spec: ProcessSpec
     colour: int
+    delay: RestartDelay
     process: subprocess.Popen[str] | None = None
     reader: threading.Thread | None = None
-    ready: threading.Event = field(default_factory=threading.Event)
     restarts: int = 0
-    deaths_in_a_row: int = 0
     started: float = 0.0
     restart_at: float | None = None
 
 
 class Supervisor:
-    """Runs processes until `stop`, or until an essential one ends. When the supervisor itself is killed, they end, too.
+    """Runs processes until `stop`, or until an essential one ends.
 
-    respawn_delay: s before the first restart, doubled for each further one up to `longest_delay`, back to the
-    first after a minute without a death. `line` receives every line of output as (process, text); None prints
-    it with a coloured prefix.
+    line: receives every line of output as (process, text); None prints it with a coloured prefix.
+    first_delay, longest_delay: s before a restart, see `restarts`. When the supervisor itself is
+    killed, its processes end, too.
     """
 
     def __init__(
         self,
         specs: Sequence[ProcessSpec],
         line: Callable[[str, str], None] | None = None,
-        respawn_delay: float = 1.0,
-        longest_delay: float = 15.0,
-        ready_timeout: float = 60.0,
+        first_delay: float = FIRST_DELAY,
+        longest_delay: float = LONGEST_DELAY,
     ) -> None:
         self._running = {
-            spec.name: _Running(spec, COLOURS[i % len(COLOURS)]) for i, spec in enumerate(specs)
+            spec.name: _Running(
+                spec, COLOURS[i % len(COLOURS)], RestartDelay(first_delay, longest_delay)
+            )
+            for i, spec in enumerate(specs)
         }
         self._width = max((len(spec.name) for spec in specs), default=0)
         self._line = line or self._print
-        self._respawn_delay = respawn_delay
-        self._longest_delay = longest_delay
-        self._ready_timeout = ready_timeout
         self._lock = threading.Lock()
         self._stopping = threading.Event()
         self._monitor: threading.Thread | None = None
@@ -84,18 +80,13 @@ class Supervisor:
         self._ended = threading.Event()
         self.exit_code = 0
 
-    # What a caller does ------------------------------------------------------------------------
+    # For callers -------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Start all processes in order; raises FingerError when one does not become ready, after ending all."""
+        """Start all processes."""
         try:
-            ranks = sorted({r.spec.rank for r in self._running.values()})
-            for rank in ranks:
-                group = [r for r in self._running.values() if r.spec.rank == rank]
-                for running in group:
-                    self._start(running)
-                for running in group:
-                    self._await_ready(running)
+            for running in self._running.values():
+                self._start(running)
         except BaseException:
             self.stop()
             raise
@@ -107,7 +98,10 @@ class Supervisor:
         return self._ended.wait(timeout)
 
     def stop(self, patience: float = 8.0) -> None:
-        """End all processes, highest rank first: SIGINT, then SIGTERM, then SIGKILL. Safe to call twice."""
+        """End all processes, highest rank first: SIGINT, then SIGTERM, then SIGKILL.
+
+        patience: s before SIGTERM. Safe to call twice.
+        """
         self._stopping.set()
         if self._monitor is not None:
             self._idle.wait()
@@ -123,7 +117,7 @@ class Supervisor:
                     break
                 if sign != signal.SIGINT:
                     for running in alive:
-                        self._say(running.spec.name, f"does not end, sent {sign.name}")
+                        self._report(running.spec.name, f"does not end, sent {sign.name}")
                 for running in alive:
                     self._signal(running, sign)
                 deadline = time.monotonic() + wait
@@ -165,7 +159,7 @@ class Supervisor:
     def __exit__(self, *unused: object) -> None:
         self.stop()
 
-    # How it does it ----------------------------------------------------------------------------
+    # Processes --------------------------------------------------------------------------------
 
     def _start(self, running: _Running) -> None:
         # A group of its own: Ctrl-C in the terminal reaches only the supervisor, which ends all in order.
@@ -177,14 +171,12 @@ class Supervisor:
             text=True,
             errors="replace",
             start_new_session=True,
-            env={**os.environ, "PYTHONUNBUFFERED": "1", **dict(running.spec.environment)},
+            env={**os.environ, "PYTHONUNBUFFERED": "1"},
         )
         with self._lock:
             running.process = process
             running.started = time.monotonic()
             running.restart_at = None
-        if running.spec.ready_text is None:
-            running.ready.set()
         running.reader = threading.Thread(
             target=self._read, args=(running, process), name=running.spec.name, daemon=True
         )
@@ -193,40 +185,23 @@ class Supervisor:
     def _read(self, running: _Running, process: subprocess.Popen[str]) -> None:
         assert process.stdout is not None
         for text in process.stdout:
-            text = text.rstrip("\n")
-            self._line(running.spec.name, text)
-            if running.spec.ready_text is not None and running.spec.ready_text in text:
-                running.ready.set()
-
-    def _await_ready(self, running: _Running) -> None:
-        deadline = time.monotonic() + self._ready_timeout
-        while not running.ready.wait(0.05):
-            assert running.process is not None
-            code = running.process.poll()
-            if code is not None:
-                raise FingerError(
-                    f"'{running.spec.name}' ended with exit code {code} before it was ready; see its output"
-                )
-            if time.monotonic() > deadline:
-                raise FingerError(
-                    f"'{running.spec.name}' was not ready within {self._ready_timeout:g} s; see its output"
-                )
+            self._line(running.spec.name, text.rstrip("\n"))
 
     def _watch(self) -> None:
         while not self._stopping.wait(0.1):
             for running in self._running.values():
-                self._look_at(running)
+                self._check(running)
         self._idle.set()
-        # What this thread started again would be told to end with it, out of order.
+        # Processes that this thread restarted get SIGTERM when it ends: it must outlast them.
         self._stopped.wait()
 
-    def _look_at(self, running: _Running) -> None:
+    def _check(self, running: _Running) -> None:
         now = time.monotonic()
         if running.restart_at is not None:
             if now >= running.restart_at:
                 running.restarts += 1
                 self._start(running)
-                self._say(running.spec.name, "started again")
+                self._report(running.spec.name, "started again")
             return
         if running.process is None:
             return
@@ -235,20 +210,17 @@ class Supervisor:
             return
         how = f"ended with exit code {code}" if code >= 0 else f"was ended by signal {-code}"
         if running.spec.essential:
-            self._say(running.spec.name, f"{how}; ending all")
+            self._report(running.spec.name, f"{how}; ending all")
             running.process = None
             self.exit_code = code if code > 0 else int(code != 0)
             self._stopping.set()
             self._ended.set()
-        elif running.spec.respawn:
-            if now - running.started > 60.0:
-                running.deaths_in_a_row = 0
-            delay = min(self._respawn_delay * 2**running.deaths_in_a_row, self._longest_delay)
-            running.deaths_in_a_row += 1
-            self._say(running.spec.name, f"{how}; starting it again in {delay:g} s")
+        elif running.spec.restart:
+            delay = running.delay.after_running(now - running.started)
+            self._report(running.spec.name, f"{how}; starting it again in {delay:g} s")
             running.restart_at = now + delay
         else:
-            self._say(running.spec.name, how)
+            self._report(running.spec.name, how)
             running.process = None
 
     @staticmethod
@@ -259,7 +231,7 @@ class Supervisor:
         except ProcessLookupError:
             pass
 
-    def _say(self, name: str, text: str) -> None:
+    def _report(self, name: str, text: str) -> None:
         self._line(name, f"[supervisor] {name} {text}")
 
     def _print(self, name: str, text: str) -> None:

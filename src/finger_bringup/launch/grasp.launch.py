@@ -24,9 +24,8 @@ def grasp(context: LaunchContext) -> list[Action]:
 
 def generate_launch_description() -> LaunchDescription:
     """Entry point of ros2 launch."""
-    further = {
-        "force": ("true", "Run this suite's force driver; false where another vendor's runs."),
-        "wrench": ("", "Topic of another vendor's wrench in place of this suite's."),
-    }
-    declared = arguments("namespace", "parameters", "respawn", "log_level", **further)
+    declared = arguments(
+        force=("true", "Run this suite's force driver; false where another vendor's runs."),
+        wrench=("", "Topic of another vendor's wrench in place of this suite's."),
+    )
     return LaunchDescription([*declared, OpaqueFunction(function=grasp)])

@@ -33,9 +33,9 @@ def replay(context: LaunchContext) -> list[Action]:
         raise InputError(f"bag:={bag}: no such bag; give the folder or file of a recorded bag")
     vision = truth(context, "vision")
     names = ["vision", "model"] if vision else ["model"]
-    # What the nodes compute anew, and old diagnostics, are left out of the replay.
-    anew = {"contact_state", "model_events", "diagnostics", *(["contact_area"] if vision else [])}
-    topics = [topic for topic in open_bag(bag).info.topics if topic.rsplit("/", 1)[-1] not in anew]
+    # Topics that the nodes publish again, and old diagnostics, are left out of the replay.
+    again = {"contact_state", "model_events", "diagnostics", *(["contact_area"] if vision else [])}
+    topics = [topic for topic in open_bag(bag).info.topics if topic.rsplit("/", 1)[-1] not in again]
     command = [sys.executable, "-m", "finger_bag.cli", "play", str(bag), "--clock"]
     command += ["--rate", value(context, "rate"), "--topics", *topics]
     if truth(context, "loop"):
@@ -43,17 +43,15 @@ def replay(context: LaunchContext) -> list[Action]:
     player = ExecuteProcess(
         cmd=command, name="player", output="screen", additional_env={"PYTHONUNBUFFERED": "1"}
     )
-    actions = node_actions(context, nodes.select(names), use_sim_time=True)
+    entries = [entry.with_parameters(use_sim_time=True) for entry in nodes.select(names)]
     waiting: list[Action] = [player]
 
-    def said(event: ProcessIO) -> list[Action]:
+    def output(event: ProcessIO) -> list[Action]:
         # The nodes must be active before the first message.
         return [waiting.pop()] if ALL_ACTIVE.encode() in event.text and waiting else []
 
-    # The node that brings the others up is the last one.
-    actions.append(
-        RegisterEventHandler(OnProcessIO(target_action=actions[-1], on_stdout=said, on_stderr=said))
-    )
+    start = RegisterEventHandler(OnProcessIO(on_stdout=output, on_stderr=output))
+    actions = [start, *node_actions(context, entries)]
     if truth(context, "end"):
         done = [TimerAction(period=1.0, actions=[EmitEvent(event=Shutdown(reason="bag played"))])]
         actions.append(RegisterEventHandler(OnProcessExit(target_action=player, on_exit=done)))
@@ -62,15 +60,11 @@ def replay(context: LaunchContext) -> list[Action]:
 
 def generate_launch_description() -> LaunchDescription:
     """Entry point of ros2 launch."""
-    further = {
-        "bag": ("", "Bag to replay: an MCAP file or a rosbag2 folder."),
-        "rate": ("1.0", "Speed; 1 is real time."),
-        "loop": ("false", "Begin again at the end."),
-        "vision": (
-            "true",
-            "Measure areas anew from the bag's images; false takes the recorded areas.",
-        ),
-        "end": ("true", "End everything when the bag is played."),
-    }
-    declared = arguments("namespace", "parameters", "respawn", "log_level", **further)
+    declared = arguments(
+        bag=("", "Bag to replay: an MCAP file or a rosbag2 folder."),
+        rate=("1.0", "Speed; 1 is real time."),
+        loop=("false", "Begin again at the end."),
+        vision=("true", "Measure areas in the bag's images; false uses the recorded areas."),
+        end=("true", "End everything when the bag is played."),
+    )
     return LaunchDescription([*declared, OpaqueFunction(function=replay)])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import itertools
 import json
 import os
 import re
@@ -130,6 +131,70 @@ def test_arguments_have_defaults_and_meanings(launch_folder: Path, name: str) ->
     names = {d.name for d in declared}
     assert {"namespace", "parameters", "respawn", "log_level"} <= names
     assert all(d.description and d.default_value is not None for d in declared)
+
+
+def test_launch_files_and_finger_rig_run_the_same_nodes_with_the_same_parameters(
+    tmp_path: Path,
+) -> None:
+    import yaml
+    from launch import LaunchContext
+    from launch_ros.actions import Node
+
+    from finger_bringup import nodes
+    from finger_bringup.launch.actions import COMMON, node_actions
+
+    own = tmp_path / "rig.yaml"
+    own.write_text("/**/force:\n  ros__parameters: {can_channel: can7}\n")
+    context = LaunchContext()
+    context.launch_configurations.update({name: default for name, (default, _) in COMMON.items()})
+    context.launch_configurations["parameters"] = str(own)
+    entries = nodes.rig(tmp_path, simulated=True)
+    launched = [a for a in node_actions(context, entries) if isinstance(a, Node)]
+    specs = nodes.process_specs(entries, tmp_path, parameter_file=own)
+    modules = [spec.command[2] for spec in specs]
+    assert [f"{a.node_package}.{a.node_executable}" for a in launched] == modules
+    written = yaml.safe_load((tmp_path / "parameters.yaml").read_text())
+    for action, entry in zip(launched, entries):
+        action._perform_substitutions(context)
+        assert action.node_name == f"/finger/{entry.name}"
+        # The user's file first, so that what the suite sets overrides it, as in `finger-rig up`.
+        files = [Path(argument) for argument, _ in action._Node__expanded_parameter_arguments]
+        assert files[0] == own
+        # launch_ros writes lists as tuples.
+        text = files[1].read_text().replace("!!python/tuple", "")
+        section = yaml.safe_load(text)[action.node_name]["ros__parameters"]
+        assert section == written[action.node_name]["ros__parameters"]
+
+
+@pytest.mark.slow
+def test_restarts_are_delayed_as_in_finger_rig(
+    environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from launch import LaunchContext, LaunchDescription, LaunchService
+    from launch.actions import ExecuteProcess, OpaqueFunction, Shutdown, TimerAction
+
+    from finger_bringup import nodes
+    from finger_bringup.launch import actions
+    from finger_bringup.restarts import RestartDelay
+
+    started: list[float] = []
+
+    def broken(entry: nodes.NodeEntry) -> ExecuteProcess:
+        started.append(time.monotonic())
+        return ExecuteProcess(cmd=[sys.executable, "-c", "raise SystemExit(1)"])
+
+    def run(context: LaunchContext) -> list[Any]:
+        entry = nodes.NODES["vision"]
+        return actions._kept_running(entry, broken, RestartDelay(0.2, 0.8), True)
+
+    service = LaunchService()
+    end = TimerAction(period=4.0, actions=[Shutdown()])
+    service.include_launch_description(LaunchDescription([OpaqueFunction(function=run), end]))
+    assert service.run() == 0
+    gaps = [later - earlier for earlier, later in itertools.pairwise(started)]
+    assert len(gaps) >= 3
+    for gap, delay in zip(gaps, (0.2, 0.4, 0.8)):
+        assert gap >= delay
 
 
 @pytest.mark.parametrize(

@@ -8,12 +8,13 @@ import pytest
 import yaml
 
 from finger_bringup import nodes
-from finger_bringup.cli import chosen_nodes, main, parser
+from finger_bringup.cli import entries, main, parser
+from finger_bringup.restarts import RestartDelay
 from finger_common.errors import InputError
 from finger_sim.rig import RigAddresses
 
 
-@pytest.mark.parametrize("entry", nodes.TABLE.values(), ids=lambda e: e.name)
+@pytest.mark.parametrize("entry", nodes.NODES.values(), ids=lambda e: e.name)
 def test_every_entry_is_an_executable_of_its_package(
     entry: nodes.NodeEntry, project_root: Path
 ) -> None:
@@ -22,27 +23,32 @@ def test_every_entry_is_an_executable_of_its_package(
     assert f"    {entry.executable} = {entry.module}:main\n" in setup
 
 
-def test_devices_are_up_before_what_needs_them() -> None:
-    order = [
-        e.name for e in nodes.select(["recorder", "model", "vision", "force", "simulated_rig"])
-    ]
-    assert order[0] == "simulated_rig" and order[1] == "force" and order[-1] == "recorder"
+def test_devices_come_up_before_the_nodes_that_need_them() -> None:
+    wanted = ["recorder", "model", "vision", "force", "simulated_rig", "page"]
+    entries = {entry.name: entry for entry in nodes.select(wanted)}
+    groups = entries["bring_up"].parameters["order"]
+    assert groups == ["simulated_rig", "force", "model vision", "recorder"]
+    assert list(entries)[-1] == "bring_up"
+    # The page shows at once which nodes are missing.
+    assert entries["page"].parameters["autostart"] is True
+    assert entries["force"].parameters["autostart"] is False
 
 
 def test_parameters_reach_the_file_under_the_full_node_name(tmp_path: Path) -> None:
     addresses = RigAddresses(tmp_path / "rig", can_port=4711)
-    entries = nodes.select(["force", "camera"], nodes.simulated_devices(addresses) | {})
+    entries = nodes.select(["force", "camera"], nodes.simulated_devices(addresses))
     specs = nodes.process_specs(entries, tmp_path, "left_hand")
     data = yaml.safe_load((tmp_path / "parameters.yaml").read_text())
     force = data["/left_hand/force"]["ros__parameters"]
     assert force["can_options"] == "port=4711" and force["can_interface"] == "udp_multicast"
     assert data["/left_hand/camera"]["ros__parameters"]["path"].endswith("spool")
+    assert data["/left_hand/bring_up"]["ros__parameters"]["order"] == ["force camera"]
     for spec in specs:
         assert "__ns:=/left_hand" in spec.command
         assert spec.command[-1] == str(tmp_path / "parameters.yaml")
 
 
-def test_the_users_parameters_come_first_so_that_simulated_addresses_win(tmp_path: Path) -> None:
+def test_what_the_suite_sets_overrides_the_users_parameter_file(tmp_path: Path) -> None:
     own = tmp_path / "rig.yaml"
     own.write_text("/**/force:\n  ros__parameters: {can_channel: can7}\n")
     specs = nodes.process_specs(nodes.select(["force"]), tmp_path, parameter_file=own)
@@ -72,7 +78,7 @@ def test_a_file_that_is_no_parameter_file_is_named(tmp_path: Path, text: str, sa
     ("arguments", "says"),
     [
         (["up", "--nodes", "forse"], "node 'forse' does not exist; known are simulated_rig, force"),
-        (["up", "--without", "simulated_rig"], "would not run anyway"),
+        (["up", "--without", "simulated_rig"], "'simulated_rig' would not run anyway"),
         (["up", "--parameters", "missing.yaml"], "missing.yaml: no such parameter file"),
     ],
 )
@@ -85,8 +91,27 @@ def test_bad_arguments_end_with_code_2_and_one_sentence(
     assert says in error and error.count("\n") == 1 and "Traceback" not in error
 
 
-def test_the_whole_rig_runs_by_default_and_nodes_can_be_left_out() -> None:
-    given = parser().parse_args(["up", "--simulated", "--without", "page"])
-    assert chosen_nodes(given) == ["simulated_rig", *nodes.RIG, "protocol"]
-    robot = parser().parse_args(["up", "--nodes", "force", "model"])
-    assert tuple(chosen_nodes(robot)) == nodes.GRASP
+def names(*arguments: str) -> list[str]:
+    return [entry.name for entry in entries(parser().parse_args(["up", *arguments]))]
+
+
+def test_the_whole_rig_runs_by_default_and_nodes_can_be_left_out(tmp_path: Path) -> None:
+    folder = ["--folder", str(tmp_path)]
+    everything = ["simulated_rig", *nodes.RIG, "bring_up"]
+    assert names("--simulated", *folder) == everything
+    everything.remove("page")
+    assert names("--simulated", "--without", "page", *folder) == everything
+    assert names("--nodes", "force", "model", *folder) == [*nodes.GRASP, "bring_up"]
+    assert names("--nodes", "page", *folder) == ["page"]
+
+
+def test_a_rig_without_recorder_does_not_wait_for_one(tmp_path: Path) -> None:
+    chosen = {entry.name: entry for entry in nodes.rig(tmp_path, without=["recorder"])}
+    assert chosen["protocol"].parameters["need_recorder"] is False
+    assert "need_recorder" not in {e.name: e for e in nodes.rig(tmp_path)}["protocol"].parameters
+
+
+def test_restarts_slow_down_and_are_quick_again_after_a_stable_minute() -> None:
+    delay = RestartDelay()
+    assert [delay.after_running(0.1) for _ in range(6)] == [1.0, 2.0, 4.0, 8.0, 15.0, 15.0]
+    assert delay.after_running(61.0) == 1.0

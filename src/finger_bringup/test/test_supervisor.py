@@ -1,4 +1,4 @@
-"""The supervisor starts in order, restarts what dies, and leaves nothing behind."""
+"""The supervisor restarts what ends by itself, ends in order, and leaves nothing behind."""
 
 import os
 import signal
@@ -9,10 +9,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import pytest
-
 from finger_bringup.supervisor import ProcessSpec, Supervisor
-from finger_common.errors import FingerError
 
 FOREVER = "import time; print('alive', flush=True)\nwhile True: time.sleep(0.05)"
 STUBBORN = "import signal, time; signal.signal(signal.SIGINT, signal.SIG_IGN); " + FOREVER
@@ -57,22 +54,9 @@ def until(condition: Callable[[], bool], seconds: float = 30.0) -> None:
         time.sleep(0.02)
 
 
-def test_a_rank_starts_only_when_the_rank_before_is_ready() -> None:
-    slow = "import time; time.sleep(0.4); print('device is READY', flush=True)\n" + FOREVER
-    log = Log()
-    specs = [
-        ProcessSpec("node", python(FOREVER), rank=1),
-        ProcessSpec("device", python(slow), rank=0, ready_text="READY"),
-    ]
-    with Supervisor(specs, line=log):
-        log.wait_for("alive", count=2)
-    names = [name for name, _ in log.lines]
-    assert names.index("node") > [text for _, text in log.lines].index("device is READY")
-
-
 def test_a_process_that_dies_is_started_again_and_reported() -> None:
     log = Log()
-    with Supervisor([ProcessSpec("node", python(FOREVER))], line=log, respawn_delay=0.05) as all_:
+    with Supervisor([ProcessSpec("node", python(FOREVER))], line=log, first_delay=0.05) as all_:
         log.wait_for("alive")
         first = all_.process_id("node")
         assert first is not None
@@ -113,7 +97,7 @@ def test_what_a_killed_supervisor_leaves_ends_by_itself(tmp_path: Path) -> None:
         "import sys, time\n"
         "from finger_bringup.supervisor import ProcessSpec, Supervisor\n"
         f"spec = ProcessSpec('node', (sys.executable, '-c', {again!r}))\n"
-        "Supervisor([spec], respawn_delay=0.05).start()\n"
+        "Supervisor([spec], first_delay=0.05).start()\n"
         "time.sleep(600)\n"
     )
     parent = subprocess.Popen(python(code), stdout=subprocess.DEVNULL)
@@ -139,21 +123,21 @@ def test_the_end_of_an_essential_process_ends_all_with_its_exit_code() -> None:
     assert not any(supervisor.alive().values())
 
 
-def test_a_process_that_never_becomes_ready_is_named_and_all_are_ended() -> None:
-    specs = [
-        ProcessSpec("other", python(FOREVER)),
-        ProcessSpec("device", python("raise SystemExit(2)"), rank=1, ready_text="READY"),
-    ]
-    supervisor = Supervisor(specs, line=Log())
-    with pytest.raises(FingerError, match="'device' ended with exit code 2"):
-        supervisor.start()
-    assert not any(supervisor.alive().values())
+def test_processes_of_a_higher_rank_end_first() -> None:
+    code = "import time\ntry:\n    print('alive', flush=True)\n"
+    code += "    while True: time.sleep(0.05)\n"
+    code += "except KeyboardInterrupt:\n    print('ends', flush=True)"
+    log = Log()
+    specs = [ProcessSpec(name, python(code), rank) for name, rank in (("a", 1), ("b", 2))]
+    with Supervisor(specs, line=log):
+        log.wait_for("alive", count=2)
+    assert [name for name, text in log.lines if text == "ends"] == ["b", "a"]
 
 
 def test_restarts_slow_down_for_what_cannot_run() -> None:
     log = Log()
     specs = [ProcessSpec("broken", python("raise SystemExit(1)"))]
-    with Supervisor(specs, line=log, respawn_delay=0.05, longest_delay=0.2):
+    with Supervisor(specs, line=log, first_delay=0.05, longest_delay=0.2):
         log.wait_for("starting it again", count=4)
     delays = [text.split(" in ")[1] for _, text in log.lines if "starting it again" in text]
     assert delays[:4] == ["0.05 s", "0.1 s", "0.2 s", "0.2 s"]

@@ -29,9 +29,19 @@ class Parser(argparse.ArgumentParser):
         super().__init__(*args, **kwargs)  # type: ignore[arg-type]
 
 
-def add_settings(parser: Any, cls: type[Settings]) -> None:
-    """Give a parser, or a group of one, an option ``--the-name`` for every field of a settings class."""
+def integer(text: str) -> int:
+    """Whole number in decimal, or with 0x in hexadecimal."""
+    return int(text, 16) if text.lower().startswith("0x") else int(text)
+
+
+def add_settings(parser: Any, cls: type[Settings], without: str = "") -> None:
+    """Give a parser, or a group of one, an option ``--the-name`` for every field of a settings class.
+
+    without: name of a field that gets no option.
+    """
     for item in cls.parameters():
+        if item.name == without:
+            continue
         flag = "--" + item.name.replace("_", "-")
         allowed = "" if item.choices is not None else item.range_text()
         # A range names the unit already.
@@ -45,6 +55,7 @@ def add_settings(parser: Any, cls: type[Settings]) -> None:
             parser.add_argument(
                 flag,
                 nargs="*",
+                type=type(item.default[0]) if item.default else str,
                 default=item.default,
                 choices=item.choices,
                 metavar=None if item.choices else item.name.upper(),
@@ -54,7 +65,7 @@ def add_settings(parser: Any, cls: type[Settings]) -> None:
             default = "none" if item.default == "" else item.default
             parser.add_argument(
                 flag,
-                type=type(item.default),
+                type=integer if type(item.default) is int else type(item.default),
                 default=item.default,
                 choices=item.choices,
                 metavar=None if item.choices else item.name.upper(),

@@ -194,11 +194,16 @@ class ManagedNode(LifecycleNode):
             plugins.load(chosen.get(name, own[name].default)).SETTINGS
             for name, plugins in cls.PLUGINS.items()
         ]
-        return parameters_of(NodeSettings, *cls.SETTINGS, *plugins) + cls.TABLE
+        return parameters_of(NodeSettings, *cls.settings_classes(), *plugins) + cls.TABLE
+
+    @classmethod
+    def settings_classes(cls) -> tuple[type[Settings], ...]:
+        """SETTINGS; a node that finds further settings when it is made overrides it."""
+        return cls.SETTINGS
 
     @classmethod
     def _own_table(cls) -> ParameterTable:
-        return parameters_of(NodeSettings, *cls.SETTINGS) + cls.TABLE
+        return parameters_of(NodeSettings, *cls.settings_classes()) + cls.TABLE
 
     def __init__(self, **options: Any) -> None:
         super().__init__(self.NAME, **options)

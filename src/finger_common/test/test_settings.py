@@ -9,6 +9,7 @@ import pytest
 from finger_common.cli import Parser, add_settings, settings_from
 from finger_common.errors import InputError
 from finger_common.plugins import Plugins
+from finger_common.retry import Pauses
 from finger_common.settings import Settings, parameters_of, setting
 
 
@@ -84,3 +85,23 @@ def test_an_unknown_plugin_is_named_with_those_installed() -> None:
         InputError, match=r"console script 'x' is not installed; known are .*pytest"
     ):
         Plugins("console_scripts", "console script").load("x")
+
+
+def test_a_whole_number_may_be_hexadecimal_and_a_field_may_have_no_option() -> None:
+    @dataclass(frozen=True)
+    class Bus(Settings):
+        base: int = setting(1, "Base identifier.")
+        folder: str = setting("", "Where.")
+
+    parser = Parser()
+    parser.add_argument("folder")
+    add_settings(parser, Bus, without="folder")
+    arguments = parser.parse_args(["here", "--base", "0x21"])
+    assert settings_from(arguments, Bus) == Bus(base=33, folder="here")
+
+
+def test_pauses_double_up_to_the_longest_and_begin_again() -> None:
+    pauses = Pauses(0.1, 0.35)
+    assert [pauses.next() for _ in range(4)] == [0.1, 0.2, 0.35, 0.35]
+    pauses.reset()
+    assert pauses.next() == 0.1

@@ -1,7 +1,11 @@
-"""Node `camera`: publishes `image_raw` and `camera_info` of one shot with one stamp, offers `~/set_camera_info`."""
+"""Node `camera`: publishes `image_raw` and `camera_info` of one shot with one stamp.
+
+It offers `~/set_camera_info`.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 from sensor_msgs.msg import CameraInfo, Image
@@ -11,40 +15,43 @@ from finger_common.cli import one_line
 from finger_common.diagnostics import ERROR
 from finger_common.errors import FingerError
 from finger_common.node import main_of
-from finger_common.parameters import Parameter, ParameterTable
+from finger_common.settings import setting
+from finger_common.stamps import nanoseconds
 
-from .camera import SOURCE_TABLE, CameraSource, Frame, open_source
+from .camera import SOURCES, CameraSource, Frame
 from .camera.freeze import FreezeDetector
 from .camera.info import CameraCalibration, resolve_url
-from .device_node import DEVICE_PARAMETERS, DeviceNode
+from .device_node import DeviceNode, DeviceNodeSettings
 from .messages import calibration_of, fill_camera_info, fill_image
 
-TABLE = SOURCE_TABLE + ParameterTable(
-    *DEVICE_PARAMETERS,
-    Parameter("frame_id", "camera_optical", "Optical frame of the camera."),
-    Parameter("camera_name", "camera", "Name of the camera in its calibration file."),
-    Parameter(
-        "camera_info_url",
+
+@dataclass(frozen=True)
+class CameraNodeSettings(DeviceNodeSettings):
+    """Parameters of the camera node, whatever the camera."""
+
+    frame_id: str = setting("camera_optical", "Optical frame of the camera.")
+    camera_name: str = setting("camera", "Name of the camera in its calibration file.")
+    camera_info_url: str = setting(
         "",
         "Calibration: file:///… or package://…; empty for ${ROS_HOME}/camera_info/${NAME}.yaml.",
-    ),
-    Parameter(
-        "image_time_offset",
+    )
+    image_time_offset: float = setting(
         0.0,
         "Added to the driver's stamp to give mid-exposure, as calibrated at the rig.",
         unit="s",
         minimum=-10.0,
         maximum=10.0,
         runtime=True,
-    ),
-    Parameter(
-        "frozen_after",
+    )
+    frozen_after: int = setting(
         10,
-        "Equal images in a row after which the camera counts as frozen and they are left out; 0 never.",
+        "Equal images in a row after which the camera counts as frozen and they are left out; "
+        "0 never.",
         minimum=0,
         maximum=100000,
-    ),
-)
+    )
+
+
 _IMAGE_DEPTH = 10
 """Frames kept for a slow reader; more would only make it slower."""
 
@@ -53,17 +60,15 @@ class CameraNode(DeviceNode):
     """Thin shell around a CameraSource."""
 
     NAME = "camera"
-    TABLE = TABLE
+    SETTINGS = (CameraNodeSettings,)
+    SOURCES = SOURCES
 
     device: CameraSource
 
-    def open_device(self) -> CameraSource:
+    def create_interfaces(self) -> None:
         self._info_path = resolve_url(self.values["camera_info_url"], self.values["camera_name"])
         self._calibration = self._load_calibration()
         self._freeze = FreezeDetector(self.values["frozen_after"])
-        return open_source(self.values)
-
-    def create_interfaces(self) -> None:
         qos = self.stream_qos(min(_IMAGE_DEPTH, self.values["qos_depth"]))
         self._image = self.create_stream_publisher(Image, "image_raw", qos)
         self._info = self.create_stream_publisher(CameraInfo, "camera_info", qos)
@@ -92,7 +97,7 @@ class CameraNode(DeviceNode):
 
     def on_sample(self, frame: Frame) -> None:
         health = self.device.health
-        stamp = frame.stamp_ns + round(self.values["image_time_offset"] * 1e9)
+        stamp = frame.stamp_ns + nanoseconds(self.values["image_time_offset"])
         if not self.accept_stamp(stamp):
             return
         if self._freeze.frozen(frame.image):

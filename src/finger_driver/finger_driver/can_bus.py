@@ -1,8 +1,9 @@
 """Opening a CAN bus through python-can, with the pitfalls of its interfaces taken care of.
 
-`udp_multicast` with a hop limit of 0 (the default here) is served by `HostMulticastBus`: the same datagrams as
-python-can's bus of that name, but joined on the loopback interface, so that it works on a machine without any
-network, stays on the host, keeps groups apart and, as a CAN controller does, does not echo a bus its own frames.
+`udp_multicast` with a hop limit of 0 (the default here) is served by `HostMulticastBus`: the same
+datagrams as python-can's bus of that name, but joined on the loopback interface, so that it works
+on a machine without any network, stays on the host, keeps groups apart and, as a CAN controller
+does, does not echo a bus its own frames.
 """
 
 from __future__ import annotations
@@ -11,15 +12,19 @@ import contextlib
 import ipaddress
 import select
 import socket
-import struct
 import sys
 import time
+from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Any
 
 import can
 from can.interfaces.udp_multicast.utils import pack_message, unpack_message
 
 from finger_common.errors import DeviceError, InputError
+from finger_common.settings import Settings, setting
+
+from .clock import receive_stamped, request_kernel_stamps
 
 DEFAULT_CHANNEL = {
     "socketcan": "can0",
@@ -30,14 +35,44 @@ DEFAULT_CHANNEL = {
 """Channel used where none is given, by interface."""
 
 DEFAULT_PORT = 43113
-_SO_TIMESTAMPNS = 35
+
+
+@dataclass(frozen=True)
+class CanSettings(Settings):
+    """The bus of a device on CAN."""
+
+    can_interface: str = setting(
+        "socketcan",
+        "python-can interface that the sensor is connected to: socketcan, pcan, slcan, socketcand, "
+        "udp_multicast, virtual, …",
+    )
+    can_channel: str = setting(
+        "", "Channel of that interface; empty for its usual one (socketcan: can0)."
+    )
+    can_bitrate: int = setting(
+        0,
+        "Bit rate; 0 leaves it as set, as socketcan needs.",
+        unit="bit/s",
+        minimum=0,
+        maximum=1_000_000,
+    )
+    can_options: str = setting("", "Further options of the interface, key=value,key=value.")
+
+    def open_bus(self) -> can.BusABC:
+        """The bus; raises InputError and DeviceError as `open_bus` does."""
+        return open_bus(self.can_interface, self.can_channel, self.can_bitrate, self.can_options)
+
+    def where(self) -> str:
+        """Interface and channel, for error sentences."""
+        channel = self.can_channel or DEFAULT_CHANNEL.get(self.can_interface, "")
+        return f"{self.can_interface} {channel}".rstrip()
 
 
 class HostMulticastBus(can.BusABC):
     """CAN frames between processes of this host over UDP multicast on the loopback interface.
 
-    Compatible on the wire with python-can's `udp_multicast`. Not modelled: bit rate, arbitration, acknowledgement,
-    error frames. Delivery is as reliable as the kernel's socket buffers.
+    Compatible on the wire with python-can's `udp_multicast`. Not modelled: bit rate, arbitration,
+    acknowledgement, error frames. Delivery is as reliable as the kernel's socket buffers.
     """
 
     def __init__(
@@ -53,9 +88,7 @@ class HostMulticastBus(can.BusABC):
             self._receiver.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             if hasattr(socket, "SO_REUSEPORT"):
                 self._receiver.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
-            self._stamped = sys.platform.startswith("linux")
-            if self._stamped:
-                self._receiver.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+            request_kernel_stamps(self._receiver)
             # Bound to the group, Linux delivers this group's datagrams only; Windows cannot bind to it.
             self._receiver.bind(("" if sys.platform == "win32" else channel, port))
             self._receiver.setsockopt(
@@ -79,15 +112,8 @@ class HostMulticastBus(can.BusABC):
                 raise can.CanOperationError(f"receiving failed: {error}") from error
             if not ready:
                 return None, False
-            stamp = time.time()
-            if self._stamped:
-                data, ancillary, _, sender = self._receiver.recvmsg(4096, socket.CMSG_SPACE(16))
-                for _level, kind, value in ancillary:
-                    if kind == _SO_TIMESTAMPNS and len(value) == 16:
-                        seconds, nanoseconds = struct.unpack("@ll", value)
-                        stamp = seconds + nanoseconds * 1e-9
-            else:
-                data, sender = self._receiver.recvfrom(4096)
+            data, stamped, sender = receive_stamped(self._receiver, 4096)
+            stamp = time.time() if stamped is None else stamped * 1e-9
             if sender == self._own:
                 continue
             try:
@@ -112,7 +138,7 @@ class HostMulticastBus(can.BusABC):
 
 
 def parse_options(text: str) -> dict[str, Any]:
-    """Options "key=value,key=value" as keyword arguments; integers, booleans and numbers are converted.
+    """Options "key=value,key=value" as keyword arguments; numbers and booleans are converted.
 
     Raises InputError naming the part that cannot be read.
     """
@@ -142,9 +168,9 @@ def open_bus(
 ) -> can.BusABC:
     """Open a bus of any python-can interface.
 
-    channel "" takes the interface's usual one; bitrate 0 leaves it as it is set. `options` are further keyword
-    arguments of the interface, as a dict or as "key=value,…". Raises InputError for arguments that cannot be used
-    and DeviceError when the bus does not open.
+    channel "" is the interface's usual one; bitrate 0 leaves it as it is set. `options` are further
+    keyword arguments of the interface, as a dict or as "key=value,…". Raises InputError for
+    arguments that cannot be used and DeviceError when the bus does not open.
     """
     arguments = dict(options) if isinstance(options, dict) else parse_options(options)
     channel = channel or DEFAULT_CHANNEL.get(interface, "")
@@ -172,6 +198,24 @@ def open_bus(
             f"can bus {where} does not open ({error}); check the cable, the driver and "
             f"`ip link show {channel or 'can0'}`"
         ) from None
+
+
+def discard_waiting(bus: can.BusABC) -> None:
+    """Discard the frames that wait in the receive queue."""
+    # Bounded: a bus that is flooded must not hold the driver here for ever.
+    for _ in range(10_000):
+        if bus.recv(0) is None:
+            return
+
+
+def frame(identifier: int, data: Iterable[int], extended: bool = False) -> can.Message:
+    """Data frame; 11-bit identifier unless `extended`."""
+    return can.Message(arbitration_id=identifier, data=bytes(data), is_extended_id=extended)
+
+
+def stamp_of(message: can.Message) -> int | None:
+    """Wall time (ns) that the interface gave a frame, None where it gave none."""
+    return round(message.timestamp * 1e9) if message.timestamp else None
 
 
 def describe(bus: can.BusABC) -> str:

@@ -2,18 +2,45 @@
 
 from __future__ import annotations
 
+import socket
+import struct
+import sys
 import time
 from collections import deque
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
+
+from finger_common.stamps import NANOSECONDS, nanoseconds, seconds
+
+_SO_TIMESTAMPNS = 35
+
+
+def request_kernel_stamps(connection: socket.socket) -> None:
+    """Have the kernel stamp what the socket receives, on Linux."""
+    if sys.platform.startswith("linux"):
+        connection.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+
+
+def receive_stamped(connection: socket.socket, size: int) -> tuple[bytes, int | None, Any]:
+    """A datagram, the kernel's stamp of its arrival (wall clock, ns; or None) and its sender."""
+    if not hasattr(connection, "recvmsg"):
+        data, sender = connection.recvfrom(size)
+        return data, None, sender
+    data, ancillary, _, sender = connection.recvmsg(size, socket.CMSG_SPACE(16))
+    for _level, kind, value in ancillary:
+        if kind == _SO_TIMESTAMPNS and len(value) == 16:
+            whole, rest = struct.unpack("@ll", value)
+            return data, whole * NANOSECONDS + rest, sender
+    return data, None, sender
 
 
 class HostClock:
     """Nanoseconds since the epoch that only ever increase.
 
-    The offset between the steady clock and the wall clock is taken once. Slewing (NTP) moves both alike; a *step*
-    of the wall clock does not reach the stamps and is told by `step`.
+    The offset between the steady clock and the wall clock is taken once. Slewing (NTP) moves both
+    alike; a *step* of the wall clock does not reach the stamps and is reported by `step`.
     """
 
     def __init__(
@@ -29,13 +56,21 @@ class HostClock:
         """Time now, ns since the epoch."""
         return self._steady() + self._offset
 
-    def from_wall(self, wall_ns: int) -> int:
-        """This clock's time of an event that the wall clock stamped `wall_ns` a moment ago."""
-        return self.now() - (self._wall() - wall_ns)
+    def of_stamp(self, wall_ns: int | None, earliest: int) -> int:
+        """This clock's time of an event that an interface stamped with wall time a moment ago.
+
+        The time now, where there is no stamp or it lies before `earliest` or in the future: some
+        adapters count from their own start.
+        """
+        now = self.now()
+        if wall_ns is None:
+            return now
+        stamp = now - (self._wall() - wall_ns)
+        return stamp if earliest <= stamp <= now else now
 
     def step(self) -> float:
         """Seconds by which the wall clock has been stepped since this clock was made."""
-        return (self._wall() - self.now()) * 1e-9
+        return seconds(self._wall() - self.now())
 
 
 class IncreasingStamps:
@@ -55,12 +90,13 @@ class IncreasingStamps:
 class ClockMapper:
     """Maps a device's clock to host time from pairs (device time, host time of receipt).
 
-    Receipt is late by a delay that is never negative: in each block of `block` seconds of device time the pair
-    with the least delay is kept, and a line through the last `blocks` of them (least squares) gives offset and drift.
-    Before the second block is complete, the least delay so far is used without drift.
+    Receipt is late by a delay that is never negative: in each block of `block` seconds of device
+    time the pair with the least delay is kept, and a line through the last `blocks` of them (least
+    squares) gives offset and drift. Before the second block is complete, the least delay so far is
+    used without drift.
 
-    nominal_rate: device ticks per second. `drift` is in s/s (device clock slow: positive), `jitter` the standard
-    deviation of receipt about the mapped time, in s.
+    nominal_rate: device ticks per second. `drift` is in s/s (device clock slow: positive), `jitter`
+    the standard deviation of receipt about the mapped time, in s.
     """
 
     def __init__(self, nominal_rate: float, block: float = 1.0, blocks: int = 30) -> None:
@@ -88,8 +124,8 @@ class ClockMapper:
     def update(self, ticks: int, host_ns: int) -> int:
         """Host time (ns) at which the device took the sample of `ticks`.
 
-        Ticks that go back restart the mapping. Results increase until then and, but for that, are not later than
-        `host_ns`.
+        Ticks that go back restart the mapping. Results increase until then and, but for that, are
+        not later than `host_ns`.
         """
         if self._last_ticks is not None and ticks <= self._last_ticks:
             self.restart()
@@ -97,7 +133,7 @@ class ClockMapper:
         if self._origin is None:
             self._origin = (ticks, host_ns)
         device = (ticks - self._origin[0]) / self.nominal_rate
-        delay = (host_ns - self._origin[1]) * 1e-9 - device
+        delay = seconds(host_ns - self._origin[1]) - device
         if self._current is None or delay < self._current[1]:
             self._current = (device, delay)
         if device >= self._block_end:
@@ -111,7 +147,7 @@ class ClockMapper:
             mapped = min(known, default=delay)
         mapped = min(mapped, delay)
         self._recent.append(delay - mapped)
-        stamp = self._origin[1] + round((device + mapped) * 1e9)
+        stamp = self._origin[1] + nanoseconds(device + mapped)
         # A new line through the minima may lie a little earlier than the last one.
         stamp = max(stamp, self._last_stamp + 1) if self._last_stamp is not None else stamp
         self._last_stamp = stamp
@@ -124,6 +160,13 @@ class ClockMapper:
         self._centre = float(device.mean())
         self.drift, self._offset = (float(v) for v in np.polyfit(device - self._centre, delay, 1))
 
+    def notes(self) -> dict[str, str]:
+        """Drift and jitter for diagnostics."""
+        return {
+            "clock_drift_ppm": f"{self.drift * 1e6:.1f}",
+            "clock_jitter_ms": f"{self.jitter * 1e3:.3f}",
+        }
+
     @property
     def jitter(self) -> float:
         """Standard deviation of receipt about the mapped time, s."""
@@ -131,14 +174,14 @@ class ClockMapper:
 
 
 class StampStatistics:
-    """Intervals between stamps since the last look, for diagnostics. One thread adds, another looks."""
+    """Intervals between stamps since `notes` was called last. One thread adds, another reads."""
 
     def __init__(self) -> None:
         self._stamps: list[int] = []
 
     def add(self, stamp_ns: int) -> None:
-        """Take a stamp."""
-        # Bounded where nobody looks.
+        """Add a stamp."""
+        # Bounded where nobody reads.
         if len(self._stamps) < 20_000:
             self._stamps.append(stamp_ns)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import abc
 import threading
 import time
 from collections.abc import Callable
@@ -11,6 +10,10 @@ from typing import Any, Generic, TypeVar
 from finger_common.cli import one_line
 from finger_common.diagnostics import ERROR, WARN, Health
 from finger_common.errors import DeviceError, FingerError
+from finger_common.retry import Pauses
+from finger_common.settings import Settings
+
+from .clock import HostClock
 
 Sample = TypeVar("Sample")
 Log = Callable[[int, str], None]
@@ -20,33 +23,41 @@ HOLD = 2.0
 """Seconds for which a fault that has passed is still shown."""
 
 
-class Device(abc.ABC, Generic[Sample]):
+class Device(Generic[Sample]):
     """A source of samples.
 
-    `connect` raises DeviceError or InputError and may be called again after `close`, which may be called at any
-    time. `read` waits at most `timeout` seconds and returns None when no sample came; it raises DeviceError when
-    the connection is lost. Faults go into `health` and, when new, to `log`.
+    `connect` raises DeviceError or InputError and may be called again after `close`, which may be
+    called at any time. `read` waits at most `timeout` seconds and returns None when no sample came;
+    it raises DeviceError when the connection is lost. Faults go into `health` and, when new, to
+    `log`. Stamps come from `clock`.
     """
 
-    def __init__(self, health: Health) -> None:
+    SETTINGS: type[Settings] = Settings
+    """The settings that the class is made with."""
+    SIMULATOR: str = ""
+    """Its simulator as "module:class", for `finger-device-sim`; empty where there is none."""
+
+    def __init__(self, settings: Any, health: Health, clock: HostClock | None = None) -> None:
+        self.settings = settings
         self.health = health
+        self.clock = clock or HostClock()
         self.log: Log = lambda level, message: None
         self._noted: dict[str, float] = {}
 
-    @abc.abstractmethod
     def connect(self) -> None:
         """Open the device, check it, make it ready to be read."""
+        raise NotImplementedError
 
-    @abc.abstractmethod
     def read(self, timeout: float) -> Sample | None:
         """Next sample, or None."""
+        raise NotImplementedError
 
-    @abc.abstractmethod
     def close(self) -> None:
         """Release the device."""
+        raise NotImplementedError
 
     def flush(self) -> None:
-        """Throw away what has come since `connect`; called before reading begins."""
+        """Discard what has come since `connect`; called before reading begins."""
 
     def note(self, key: str, message: str, level: int = WARN) -> None:
         """Count a fault, and log it when it is new."""
@@ -55,9 +66,9 @@ class Device(abc.ABC, Generic[Sample]):
             self.log(level, message)
 
     def cleared(self, *keys: str) -> None:
-        """Say that these faults are not there at the moment; each ends when it has not been noted for HOLD s.
+        """These faults are absent now; each ends when it has not been noted for HOLD s.
 
-        So a fault that comes and goes is logged once, and a look once a second does not miss a short one.
+        A fault that comes and goes is logged once, and diagnostics once a second do not miss it.
         """
         for key in keys:
             noted = self._noted.get(key)
@@ -65,33 +76,49 @@ class Device(abc.ABC, Generic[Sample]):
                 del self._noted[key]
                 self.health.recovered(key)
 
+    def note_if(self, present: bool, key: str, message: str, level: int = WARN) -> None:
+        """Note a fault that is present, clear one that is absent."""
+        if present:
+            self.note(key, message, level)
+        else:
+            self.cleared(key)
+
 
 class DeviceThread(Generic[Sample]):
-    """Reads a device in a thread of its own and reconnects, ever more patiently, when it is lost.
+    """Reads a device in a thread of its own and connects again when it is lost.
 
-    `on_sample` is called in that thread. The pause between attempts grows from `first_pause` to `longest_pause`
-    seconds by doubling and starts anew after a sample has come.
+    `on_sample` is called in that thread. The pauses between attempts begin anew after a sample.
     """
 
     def __init__(
-        self,
-        device: Device[Sample],
-        on_sample: Callable[[Sample], Any],
-        first_pause: float = 0.25,
-        longest_pause: float = 2.0,
+        self, device: Device[Sample], on_sample: Callable[[Sample], Any], pauses: Pauses
     ) -> None:
         self._device = device
         self._on_sample = on_sample
-        self._first_pause = first_pause
-        self._longest_pause = longest_pause
+        self._pauses = pauses
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
 
-    def start(self, connected: bool = True) -> None:
-        """Begin to read; `connected` says that `connect` has already succeeded."""
+    def connect(self, seconds: float) -> None:
+        """Connect, trying again until `seconds` have passed; raises the last DeviceError."""
+        end = time.monotonic() + seconds
+        while True:
+            try:
+                self._device.connect()
+                break
+            except DeviceError:
+                self._device.close()
+                pause = self._pauses.next()
+                if time.monotonic() + pause > end:
+                    raise
+            time.sleep(pause)
+        self._pauses.reset()
+
+    def start(self) -> None:
+        """Begin to read the device, which is connected."""
         self._stop.clear()
         self._thread = threading.Thread(
-            target=self._run, args=(connected,), name=self._device.health.name, daemon=True
+            target=self._run, name=self._device.health.name, daemon=True
         )
         self._thread.start()
 
@@ -108,10 +135,9 @@ class DeviceThread(Generic[Sample]):
     def running(self) -> bool:
         return self._thread is not None and self._thread.is_alive()
 
-    def _run(self, connected: bool) -> None:
-        device, pause = self._device, self._first_pause
-        if connected:
-            device.flush()
+    def _run(self) -> None:
+        device, connected = self._device, True
+        device.flush()
         while not self._stop.is_set():
             try:
                 if not connected:
@@ -122,31 +148,16 @@ class DeviceThread(Generic[Sample]):
                         device.log(0, f"{device.health.name}: connected again")
                 sample = device.read(0.1)
                 if sample is not None:
-                    pause = self._first_pause
+                    self._pauses.reset()
                     self._on_sample(sample)
             except FingerError as error:
                 connected = False
                 device.note("connection", one_line(error), ERROR)
                 device.close()
-                self._stop.wait(pause)
-                pause = min(2 * pause, self._longest_pause)
+                self._stop.wait(self._pauses.next())
             except Exception as error:
-                # A defect, not a device: say so and go on, a dead thread would fail in silence.
+                # A defect of the program: a dead thread would fail silently.
                 if self._stop.is_set():
                     return
                 device.note("internal", f"{type(error).__name__}: {one_line(error)}", ERROR)
-                self._stop.wait(pause)
-
-
-def connect_within(device: Device[Any], seconds: float, pause: float = 0.25) -> None:
-    """Connect, trying again until `seconds` have passed; raises the last DeviceError."""
-    end = time.monotonic() + seconds
-    while True:
-        try:
-            device.connect()
-            return
-        except DeviceError:
-            device.close()
-            if time.monotonic() + pause > end:
-                raise
-        time.sleep(pause)
+                self._stop.wait(self._pauses.next())

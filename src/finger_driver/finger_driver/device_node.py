@@ -1,43 +1,48 @@
-"""What the three driver nodes share: connecting, the reading thread, releasing, time in diagnostics."""
+"""What the three driver nodes share: connecting, reading thread, release, time in diagnostics."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 from finger_common.diagnostics import ERROR, WARN
 from finger_common.errors import DeviceError
-from finger_common.node import ManagedNode
-from finger_common.parameters import Parameter
+from finger_common.node import ManagedNode, NodeSettings
+from finger_common.retry import Pauses
+from finger_common.settings import Settings, setting
 
 from .clock import HostClock, IncreasingStamps, StampStatistics
-from .device import Device, DeviceThread, connect_within
+from .device import Device, DeviceThread
+from .sources import Sources
 
-DEVICE_PARAMETERS = (
-    Parameter(
-        "connect_timeout",
+
+@dataclass(frozen=True)
+class DeviceNodeSettings(Settings):
+    """Parameters of every driver node, whatever its device."""
+
+    connect_timeout: float = setting(
         10.0,
         "Time for the device to be found when the node is configured.",
         unit="s",
         minimum=0.0,
         maximum=600.0,
-    ),
-    Parameter(
-        "reconnect_first_pause",
+    )
+    reconnect_first_pause: float = setting(
         0.25,
         "Pause before the first attempt to reconnect; doubled with each further one.",
         unit="s",
         minimum=0.01,
         maximum=60.0,
-    ),
-    Parameter(
-        "reconnect_longest_pause",
+    )
+    reconnect_longest_pause: float = setting(
         2.0,
         "Longest pause between attempts to reconnect.",
         unit="s",
         minimum=0.01,
         maximum=600.0,
-    ),
-)
+    )
+
+
 _CLOCK_STEP = 0.05
 """Step of the system clock, s, that is worth a warning."""
 
@@ -45,15 +50,19 @@ _CLOCK_STEP = 0.05
 class DeviceNode(ManagedNode):
     """Lifecycle of a node around one device.
 
-    configure connects and checks, activate starts the reading thread, deactivate ends it, cleanup releases the
-    device. A node gives `open_device`, `create_interfaces`, `destroy_interfaces` and `on_sample`.
+    configure connects and checks, activate starts the reading thread, deactivate ends it, cleanup
+    releases the device. A node names its SOURCES, has settings that derive from DeviceNodeSettings
+    and gives `create_interfaces`, `destroy_interfaces` and `on_sample`. The settings of every
+    installed source are parameters of the node.
     """
+
+    SOURCES: Sources[Any]
 
     device: Device[Any]
 
-    def open_device(self) -> Device[Any]:
-        """The device of the parameters, not yet connected; raises InputError."""
-        raise NotImplementedError
+    @classmethod
+    def settings_classes(cls) -> tuple[type[Settings], ...]:
+        return (*cls.SOURCES.settings(NodeSettings, *cls.SETTINGS), *cls.SETTINGS)
 
     def create_interfaces(self) -> None:
         """Publishers and services, once the device is connected."""
@@ -72,20 +81,19 @@ class DeviceNode(ManagedNode):
     _configured = False
 
     def configure(self) -> None:
-        self.device = self.open_device()
+        for problem in self.SOURCES.problems.values():
+            self.get_logger().warning(problem)
+        self.device = self.SOURCES.open(self.values)
         self.device.log = self._log
         self.healths = [self.device.health]
         self._stamps = IncreasingStamps()
         self._statistics = StampStatistics()
         self._host_clock = HostClock()
-        self._thread = DeviceThread(
-            self.device,
-            self._deliver,
-            self.values["reconnect_first_pause"],
-            self.values["reconnect_longest_pause"],
-        )
+        settings = self.settings(DeviceNodeSettings)
+        pauses = Pauses(settings.reconnect_first_pause, settings.reconnect_longest_pause)
+        self._thread = DeviceThread(self.device, self._deliver, pauses)
         try:
-            connect_within(self.device, self.values["connect_timeout"])
+            self._thread.connect(settings.connect_timeout)
         except DeviceError as error:
             self.device.health.fault("connection", str(error), ERROR)
             raise

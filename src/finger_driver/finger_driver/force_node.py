@@ -3,77 +3,71 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from std_srvs.srv import Trigger
 
+from finger_common.axes import DEFAULT_NORMAL_AXIS, NORMAL_AXES, normal_force
 from finger_common.errors import DeviceError
 from finger_common.node import main_of
-from finger_common.parameters import Parameter, ParameterTable
+from finger_common.settings import setting
 
-from .device_node import DEVICE_PARAMETERS, DeviceNode
-from .force import GOOD, SOURCE_TABLE, ForceSource, WrenchSample, open_source
+from .device_node import DeviceNode, DeviceNodeSettings
+from .force import GOOD, SOURCES, ForceSource, WrenchSample
 from .messages import fill_wrench
 from .tare import TareCollector, TareResult
 
-TABLE = SOURCE_TABLE + ParameterTable(
-    *DEVICE_PARAMETERS,
-    Parameter("frame_id", "force_sensor", "Frame of the sensor's own axes."),
-    Parameter(
-        "bad_samples",
+
+@dataclass(frozen=True)
+class ForceNodeSettings(DeviceNodeSettings):
+    """Parameters of the force node, whatever the sensor."""
+
+    frame_id: str = setting("force_sensor", "Frame of the sensor's own axes.")
+    bad_samples: str = setting(
         "drop",
-        "What becomes of a sample with a saturated gauge or a sensor fault: left out, or published as NaN.",
+        "What becomes of a sample with a saturated gauge or a sensor fault: left out, or published "
+        "as NaN.",
         choices=("drop", "nan"),
-    ),
-    Parameter(
-        "normal_axis",
-        "-z",
-        "Axis of the sensor that points along the pressing force; for the normal force in diagnostics.",
-        choices=("+x", "-x", "+y", "-y", "+z", "-z"),
+    )
+    normal_axis: str = setting(
+        DEFAULT_NORMAL_AXIS,
+        "Axis of the sensor that points along the pressing force; for the normal force in "
+        "diagnostics.",
+        choices=NORMAL_AXES,
         runtime=True,
-    ),
-    Parameter(
-        "tare_duration",
-        0.5,
-        "Time averaged by a tare.",
-        unit="s",
-        minimum=0.05,
-        maximum=30.0,
-        runtime=True,
-    ),
-    Parameter(
-        "tare_force_limit",
+    )
+    tare_duration: float = setting(
+        0.5, "Time averaged by a tare.", unit="s", minimum=0.05, maximum=30.0, runtime=True
+    )
+    tare_force_limit: float = setting(
         0.05,
         "Movement of any force axis during a tare beyond which it is refused.",
         unit="N",
         minimum=0.0,
         maximum=1000.0,
         runtime=True,
-    ),
-    Parameter(
-        "tare_torque_limit",
+    )
+    tare_torque_limit: float = setting(
         0.002,
         "Movement of any torque axis during a tare beyond which it is refused.",
         unit="N m",
         minimum=0.0,
         maximum=1000.0,
         runtime=True,
-    ),
-)
+    )
 
 
 class ForceNode(DeviceNode):
-    """Thin shell around a ForceSource. A tare is never taken unasked."""
+    """Thin shell around a ForceSource. It tares on request only."""
 
     NAME = "force"
-    TABLE = TABLE
+    SETTINGS = (ForceNodeSettings,)
+    SOURCES = SOURCES
 
     device: ForceSource
-
-    def open_device(self) -> ForceSource:
-        return open_source(self.values)
 
     def create_interfaces(self) -> None:
         self._bias: np.ndarray | None = None
@@ -124,8 +118,7 @@ class ForceNode(DeviceNode):
             raw = tared = np.full(6, np.nan)
         self._raw.publish(fill_wrench(WrenchStamped(), sample.stamp_ns, frame, raw))
         self._tared.publish(fill_wrench(WrenchStamped(), sample.stamp_ns, frame, tared))
-        sign = -1.0 if self.values["normal_axis"][0] == "-" else 1.0
-        self._normal = sign * float(tared["xyz".index(self.values["normal_axis"][1])])
+        self._normal = float(normal_force(tared[:3], self.values["normal_axis"]))
 
     # Services --------------------------------------------------------------------------------
 

@@ -7,24 +7,21 @@ from typing import Any
 
 import numpy as np
 
+from finger_common.stamps import fill_time
+
 from .camera.info import CameraCalibration
 from .moisture.source import Reading
 
 
-def set_stamp(header: Any, stamp_ns: int, frame_id: str) -> None:
+def fill_header(header: Any, stamp_ns: int, frame_id: str) -> None:
     """Fill a std_msgs/Header."""
-    header.stamp.sec, header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
+    fill_time(header.stamp, stamp_ns)
     header.frame_id = frame_id
-
-
-def stamp_of(header: Any) -> int:
-    """Stamp of a header in ns since the epoch."""
-    return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
 
 
 def fill_wrench(message: Any, stamp_ns: int, frame_id: str, wrench: np.ndarray) -> Any:
     """Fill a geometry_msgs/WrenchStamped with a wrench (6,) in N and N m; returns it."""
-    set_stamp(message.header, stamp_ns, frame_id)
+    fill_header(message.header, stamp_ns, frame_id)
     values = [float(v) for v in wrench]
     force, torque = message.wrench.force, message.wrench.torque
     force.x, force.y, force.z, torque.x, torque.y, torque.z = values
@@ -33,12 +30,12 @@ def fill_wrench(message: Any, stamp_ns: int, frame_id: str, wrench: np.ndarray) 
 
 def fill_image(message: Any, stamp_ns: int, frame_id: str, image: np.ndarray) -> Any:
     """Fill a sensor_msgs/Image, mono8, with an image (H, W) uint8; returns it."""
-    set_stamp(message.header, stamp_ns, frame_id)
+    fill_header(message.header, stamp_ns, frame_id)
     message.height, message.width = (int(n) for n in image.shape)
     message.encoding = "mono8"
     message.is_bigendian = 0
     message.step = message.width
-    # An array is taken over in one piece; bytes or a list would be checked element by element.
+    # rclpy copies an array whole; it would check bytes or a list element by element.
     data = array.array("B")
     data.frombytes(np.ascontiguousarray(image).tobytes())
     message.data = data
@@ -49,7 +46,7 @@ def fill_camera_info(
     message: Any, stamp_ns: int, frame_id: str, calibration: CameraCalibration, shape: Any
 ) -> Any:
     """Fill a sensor_msgs/CameraInfo for images of `shape` (H, W); returns it."""
-    set_stamp(message.header, stamp_ns, frame_id)
+    fill_header(message.header, stamp_ns, frame_id)
     message.height, message.width = (int(n) for n in shape)
     message.distortion_model = calibration.distortion_model
     message.d, message.k = list(calibration.d), list(calibration.k)
@@ -73,7 +70,7 @@ def calibration_of(message: Any, name: str) -> CameraCalibration:
 
 def fill_moisture(message: Any, reading: Reading, frame_id: str) -> Any:
     """Fill a finger_msgs/Moisture; returns it."""
-    set_stamp(message.header, reading.stamp_ns, frame_id)
+    fill_header(message.header, reading.stamp_ns, frame_id)
     message.value = float(reading.value)
     message.index = int(reading.index)
     message.phase = int(reading.phase)

@@ -1,56 +1,55 @@
-"""Node `moisture`: publishes `moisture`, one message per reading; takes readings from the operator."""
+"""Node `moisture`: publishes `moisture`, one message per reading; the operator can enter readings."""
 
 from __future__ import annotations
 
 import threading
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64
 
-from finger_common.diagnostics import Health
+from finger_common.moisture import MOISTURE_RANGE, is_moisture
 from finger_common.node import main_of
-from finger_common.parameters import Parameter, ParameterTable
+from finger_common.settings import setting
+from finger_common.stamps import NANOSECONDS
 from finger_msgs.msg import Moisture
 from finger_msgs.srv import SetMoisture
 
-from .device_node import DEVICE_PARAMETERS, DeviceNode
+from .device_node import DeviceNode, DeviceNodeSettings
 from .messages import fill_moisture
-from .moisture import SOURCE_TABLE, MoistureSource, Reading, open_source
+from .moisture import SOURCES, MoistureSettings, MoistureSource, Reading
 from .moisture.manual import ManualSource
-from .moisture.source import FLAG_OUT_OF_RANGE, MOISTURE_RANGE, PHASE_AFTER, range_flag
+from .moisture.source import FLAG_OUT_OF_RANGE, PHASE_AFTER
 
-TABLE = SOURCE_TABLE + ParameterTable(
-    *DEVICE_PARAMETERS,
-    Parameter("frame_id", "finger", "Frame of the reading: the skin it was taken on."),
-    Parameter(
-        "out_of_range",
+_RANGE = f"{MOISTURE_RANGE[0]:g} … {MOISTURE_RANGE[1]:g} a.u."
+
+
+@dataclass(frozen=True)
+class MoistureNodeSettings(DeviceNodeSettings):
+    """Parameters of the moisture node, whatever the source."""
+
+    frame_id: str = setting("finger", "Frame of the reading: the skin it was taken on.")
+    out_of_range: str = setting(
         "flag",
-        "What becomes of a reading outside 0 … 130 a.u.: published with its flag set, or left out.",
+        f"What becomes of a reading outside {_RANGE}: published with its flag set, or left out.",
         choices=("flag", "drop"),
-    ),
-)
-
-STAMP_RESOLUTION = 1_000_000_000
-"""ns; exports write times in whole seconds."""
+    )
 
 
 class MoistureNode(DeviceNode):
     """Thin shell around a MoistureSource. Readings may be entered by hand whatever the source."""
 
     NAME = "moisture"
-    TABLE = TABLE
+    SETTINGS = (MoistureNodeSettings,)
+    SOURCES = SOURCES
 
     device: MoistureSource
-
-    def open_device(self) -> MoistureSource:
-        return open_source(self.values)
 
     def create_interfaces(self) -> None:
         device = self.device
         self._manual = (
-            device if isinstance(device, ManualSource) else ManualSource(Health("entered"))
+            device if isinstance(device, ManualSource) else ManualSource(MoistureSettings())
         )
         self._publish_lock = threading.Lock()
         self._index = 0
@@ -68,23 +67,22 @@ class MoistureNode(DeviceNode):
         self.destroy_publisher(self._publisher)
 
     def on_sample(self, sample: Reading) -> None:
-        """Publish one reading; called by the device thread and, for entered ones, by the executor."""
+        """Publish one reading; called by the device thread, by the executor for entered ones."""
         reading, health = sample, self.device.health
         with self._publish_lock:
             stamp = self._later(reading.stamp_ns)
             if not self.accept_stamp(stamp):
                 self.device.note(
                     "backwards",
-                    f"reading {reading.value:g} a.u. is older than the one before it and is left out; "
-                    "check the clock that stamps it",
+                    f"reading {reading.value:g} a.u. is older than the one before it and is left "
+                    "out; check the clock that stamps it",
                 )
                 return
             self.device.cleared("backwards")
             if reading.flags & FLAG_OUT_OF_RANGE:
                 self.device.note(
                     "out_of_range",
-                    f"reading {reading.value:g} a.u. is outside {MOISTURE_RANGE[0]:g} … "
-                    f"{MOISTURE_RANGE[1]:g}; measure again",
+                    f"reading {reading.value:g} a.u. is outside {_RANGE}; measure again",
                 )
                 if self.values["out_of_range"] == "drop":
                     return
@@ -96,23 +94,23 @@ class MoistureNode(DeviceNode):
             self._publisher.publish(fill_moisture(Moisture(), reading, self.values["frame_id"]))
 
     def _later(self, stamp_ns: int) -> int:
-        """The stamp, or the first one after the last reading's where it lies behind by less than a source resolves.
+        """The stamp, or the first one after the last reading's where it lies less than 1 s behind.
 
-        Two lines that come in one piece have the same time of arrival, rows of a table often the same second.
+        Two lines that come in one piece have the same time of arrival; exports write times in whole
+        seconds, so rows of a table often have the same one.
         """
         last = self._stamps.last
-        if last is not None and last - STAMP_RESOLUTION < stamp_ns <= last:
+        if last is not None and last - NANOSECONDS < stamp_ns <= last:
             return last + 1
         return stamp_ns
 
     def _on_set_moisture(self, request: Any, response: Any) -> Any:
-        low, high = MOISTURE_RANGE
         if not self.reading:
-            response.message = "not taken: the node is not active"
-        elif range_flag(request.value):
-            response.message = f"not taken: {request.value:g} is outside {low:g} … {high:g} a.u."
+            response.message = "not accepted: the node is not active"
+        elif not is_moisture(request.value):
+            response.message = f"not accepted: {request.value:g} is outside {_RANGE}"
         elif request.phase > PHASE_AFTER:
-            response.message = f"not taken: phase {request.phase} does not exist; use 0, 1 or 2"
+            response.message = f"not accepted: phase {request.phase} does not exist; use 0, 1 or 2"
         else:
             self.on_sample(self._manual.enter(request.value, request.phase))
             response.success, response.message = True, f"reading {request.value:g} a.u. published"

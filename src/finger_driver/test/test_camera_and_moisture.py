@@ -12,18 +12,18 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from device_process import ExportFile
 
-from finger_common.diagnostics import Health
 from finger_common.errors import DeviceError, InputError
 from finger_driver import camera, moisture
-from finger_driver.camera.folder import FolderSource
+from finger_driver.camera.folder import FolderSettings, FolderSource
 from finger_driver.camera.freeze import FreezeDetector
 from finger_driver.camera.info import CameraCalibration, resolve_url
-from finger_driver.camera.opencv import OpenCvSource, grey
-from finger_driver.camera.ueye import UeyeSource
+from finger_driver.camera.opencv import OpenCvSettings, OpenCvSource, grey
+from finger_driver.camera.ueye import UeyeSettings, UeyeSource
 from finger_driver.protocols import lines
 from finger_driver.protocols.export_table import TableFormat, new_rows, parse_table
-from finger_driver.simulators import ExportFileSimulator, FrameFolderWriter, SerialMoistureSimulator
+from finger_driver.simulators import FrameFolderWriter, SerialMoistureSimulator
 
 
 def picture(seed: int = 0, shape: tuple[int, int] = (24, 32)) -> np.ndarray:
@@ -36,7 +36,7 @@ def picture(seed: int = 0, shape: tuple[int, int] = (24, 32)) -> np.ndarray:
 def test_frames_arrive_as_written_with_their_stamps_and_older_ones_do_not(tmp_path: Path) -> None:
     writer = FrameFolderWriter(tmp_path / "f", keep=3)
     writer.write(time.time_ns() - 10**9, picture(9))
-    source = FolderSource(tmp_path / "f", Health("camera"))
+    source = FolderSource(FolderSettings(path=str(tmp_path / "f")))
     source.connect()
     assert source.read(0.05) is None, "a frame from before the connection was taken as new"
     stamps = []
@@ -54,7 +54,7 @@ def test_frames_arrive_as_written_with_their_stamps_and_older_ones_do_not(tmp_pa
 
 def test_missing_frames_are_counted_and_a_missing_folder_is_told(tmp_path: Path) -> None:
     writer = FrameFolderWriter(tmp_path)
-    source = FolderSource(tmp_path, Health("camera"))
+    source = FolderSource(FolderSettings(path=str(tmp_path)))
     source.connect()
     writer.write(time.time_ns(), picture())
     assert source.read(1.0) is not None
@@ -64,7 +64,7 @@ def test_missing_frames_are_counted_and_a_missing_folder_is_told(tmp_path: Path)
     assert source.read(1.0) is not None
     assert source.health.counters["lost"] == 2
     with pytest.raises(DeviceError, match="no such folder"):
-        FolderSource(tmp_path / "none", Health("camera")).connect()
+        FolderSource(FolderSettings(path=str(tmp_path / "none"))).connect()
 
 
 def test_an_image_sequence_is_played_at_the_rate_asked_for_and_again(tmp_path: Path) -> None:
@@ -115,7 +115,7 @@ class FakeCapture:
 
 def test_a_slow_reader_gets_the_newest_frame_and_unplugging_is_told() -> None:
     capture = FakeCapture()
-    source = OpenCvSource("0", Health("camera"), rate=50.0, opener=lambda path: (capture, True))
+    source = OpenCvSource(OpenCvSettings(path="0", rate=50.0), opener=lambda path: (capture, True))
     source.connect()
     assert "setting_rate" in source.health.faults, "the camera makes 30 Hz of 50 Hz and must say so"
     time.sleep(0.5)
@@ -207,7 +207,7 @@ class FakeUeye:
 
 def test_ueye_calls_come_in_the_makers_order_and_the_pitch_is_cut_off() -> None:
     sdk = FakeUeye()
-    source = UeyeSource(Health("camera"), rate=10.0, exposure=0.01, pixel_clock=30, sdk=sdk)
+    source = UeyeSource(UeyeSettings(rate=10.0, exposure=0.01, pixel_clock=30), sdk=sdk)
     source.connect()
     order = [sdk.calls.index(f"is_{n}") for n in (
         "InitCamera", "SetDisplayMode", "SetColorMode", "AOI", "AllocImageMem", "AddToSequence",
@@ -235,7 +235,7 @@ def test_ueye_open_elsewhere_or_without_its_library_is_told(
     sdk = FakeUeye()
     sdk.result["is_InitCamera"] = 3
     with pytest.raises(DeviceError, match="another program"):
-        UeyeSource(Health("camera"), sdk=sdk).connect()
+        UeyeSource(UeyeSettings(), sdk=sdk).connect()
     monkeypatch.setitem(__import__("sys").modules, "pyueye.ueye", None)
     with pytest.raises(InputError, match="pip install pyueye"):
         camera.open_source({"device": "ueye"}).connect()
@@ -318,24 +318,32 @@ def test_serial_readings_arrive_with_phase_index_and_time_of_arrival() -> None:
 
 
 def test_exports_in_the_forms_that_spreadsheets_write() -> None:
-    form = TableFormat("Wert", "Zeit", "Phase", ";", True, "cp1252", "%d.%m.%Y %H:%M")
+    form = TableFormat(
+        export_value_column="Wert",
+        export_time_column="Zeit",
+        export_phase_column="Phase",
+        export_encoding="cp1252",
+        export_time_format="%d.%m.%Y %H:%M",
+    )
     text = "Gerät;;\nZeit;Wert;Phase\n02.01.2026 10:30;1.042,5;vor\n02.01.2026 10:31;43;after\n;;\n"
-    table = parse_table((text + "02.01.2026 10:32;abc;\n").encode("cp1252"), "e.csv", form)
-    assert [r.value for r in table.rows] == [1042.5, 43.0] and table.malformed == 1
-    assert table.rows[1].time_ns == table.rows[0].time_ns + 60_000_000_000
+    rows, malformed = parse_table(
+        (text + "02.01.2026 10:32;abc;\n").encode("cp1252"), "e.csv", form
+    )
+    assert [r.value for r in rows] == [1042.5, 43.0] and malformed == 1
+    assert rows[1].time_ns == rows[0].time_ns + 60_000_000_000
     with pytest.raises(DeviceError, match="export_encoding"):
-        parse_table(text.encode("cp1252"), "e.csv", TableFormat("Wert"))
+        parse_table(text.encode("cp1252"), "e.csv", TableFormat(export_value_column="Wert"))
     with pytest.raises(DeviceError, match="no column 'value'"):
         parse_table(text.encode(), "e.csv", TableFormat())
     with pytest.raises(InputError, match="export_encoding"):
-        TableFormat(encoding="latin-99").check()
+        TableFormat(export_encoding="latin-99")
 
 
 def test_rows_of_a_rewritten_table_are_new_only_when_they_were_not_there() -> None:
-    form = TableFormat(decimal_comma=False)
+    form = TableFormat(export_decimal_comma=False)
 
     def rows(*values: float) -> tuple:
-        return parse_table(("value\n" + "\n".join(map(str, values))).encode(), "e.csv", form).rows
+        return parse_table(("value\n" + "\n".join(map(str, values))).encode(), "e.csv", form)[0]
 
     assert [r.value for r in new_rows(rows(1, 2), rows(1, 2, 2))] == [2]
     assert [r.value for r in new_rows(rows(1, 2), rows(2, 1, 3, 1))] == [3, 1]
@@ -344,12 +352,12 @@ def test_rows_of_a_rewritten_table_are_new_only_when_they_were_not_there() -> No
 
 @pytest.mark.parametrize("name", ["e.csv", "e.xlsx"])
 def test_export_readings_carry_their_own_time(tmp_path: Path, name: str) -> None:
-    simulator = ExportFileSimulator(tmp_path / name)
-    simulator.send(50.0)
+    table = ExportFile(tmp_path / name)
+    table.send(50.0)
     source = moisture.open_source(
         {
             "device": "export",
-            "path": str(tmp_path / name),
+            "path": str(table.path),
             "export_time_column": "time",
             "export_phase_column": "phase",
             "export_period": 0.05,
@@ -357,7 +365,7 @@ def test_export_readings_carry_their_own_time(tmp_path: Path, name: str) -> None
     )
     source.connect()
     assert source.read(0.3) is None, "a row from before the connection was taken as new"
-    simulator.send(42.5, "after")
+    table.send(42.5, "after")
     sent = time.time_ns()
     reading = source.read(5.0)
     assert reading is not None

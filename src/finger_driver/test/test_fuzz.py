@@ -14,11 +14,10 @@ import can
 import numpy as np
 import pytest
 
-from finger_common.diagnostics import Health
 from finger_common.errors import DeviceError
-from finger_driver.force.dbc import SHIPPED, DbcSource
-from finger_driver.force.netcanoem import NetcanoemSource
-from finger_driver.force.netft import NetFtSource
+from finger_driver.force.dbc import SHIPPED, DbcSettings, DbcSource
+from finger_driver.force.netcanoem import NetcanoemSettings, NetcanoemSource
+from finger_driver.force.netft import NetFtSettings, NetFtSource
 from finger_driver.protocols import lines, netcanoem, netft_xml, rdt
 from finger_driver.protocols.dbc import SampleAssembler, SensorMapping
 from finger_driver.protocols.export_table import TableFormat, parse_table
@@ -85,7 +84,10 @@ class FuzzBus(can.BusABC):
 
 def netcanoem_driver(random_: random.Random) -> Iterator[None]:
     """The driver itself against a board that answers anything; each step is at least one frame."""
-    source = NetcanoemSource({}, rate=1e6, response_timeout=0.0005, calibration_check_period=3600)
+    source = NetcanoemSource(
+        NetcanoemSettings(rate=7000.0, response_timeout=0.001, calibration_check_period=3600.0)
+    )
+    source._period = 1e-6
     bus = FuzzBus(random_)
     source.calibration = default_calibration()
     source._rows = source.calibration.matrix
@@ -124,7 +126,7 @@ def netcanoem_frames(random_: random.Random) -> Iterator[None]:
 
 def rdt_datagrams(random_: random.Random) -> Iterator[None]:
     """Datagrams through the decoder and the driver behind it."""
-    source = NetFtSource("127.0.0.1")
+    source = NetFtSource(NetFtSettings())
     from finger_driver.clock import ClockMapper
 
     source._mapper, source._block = ClockMapper(500.0), 1
@@ -136,7 +138,7 @@ def rdt_datagrams(random_: random.Random) -> Iterator[None]:
         data = mutated(random_, [rdt.encode_record(record)], 1500)
         try:
             for decoded in rdt.decode_datagram(data):
-                source._take(decoded, source._clock.now())
+                source._sample_of(decoded, source.clock.now())
         except DeviceError:
             source._begin()
         try:
@@ -147,7 +149,7 @@ def rdt_datagrams(random_: random.Random) -> Iterator[None]:
 
 
 def xml_pages(random_: random.Random) -> Iterator[None]:
-    page = netft_xml.render(netft_xml.Configuration(1e6, 1e6, "N", "N-mm", "Net F/T", 0, True, 500))
+    page = netft_xml.render(netft_xml.Configuration(1e6, 1e6, "N", "N-mm", "Net F/T", True, 500))
     while True:
         try:
             configuration = netft_xml.parse(mutated(random_, [page], 2000))
@@ -160,7 +162,7 @@ def xml_pages(random_: random.Random) -> Iterator[None]:
 def dbc_frames(random_: random.Random) -> Iterator[None]:
     mapping = SensorMapping.load(SHIPPED)
     assembler = SampleAssembler(mapping)
-    source = DbcSource({}, mapping)
+    source = DbcSource(DbcSettings())
     seeds = [bytes([0x0B, 0, 1, 0, 2, 0, 3, 0]), bytes([1, 0, 2, 0, 3, 0, 0, 0])]
     stamp = 0
     while True:
@@ -184,16 +186,16 @@ def serial_lines(random_: random.Random) -> Iterator[None]:
         for line in splitter.feed(mutated(random_, seeds, 600)):
             parsed = lines.parse_line(line, pattern)
             assert parsed is None or np.isfinite(parsed.value)
-        assert len(splitter._rest) <= lines.MAX_LINE
+        assert len(splitter._rest) <= lines.MAX_LINE + 1
         yield
 
 
 def export_files(random_: random.Random) -> Iterator[None]:
-    form = TableFormat(time_column="time", phase_column="phase")
+    form = TableFormat(export_time_column="time", export_phase_column="phase")
     seed = b"time;value;phase\n2026-01-02 03:04:05;42,5;before\n2026-01-02 03:04:06;43,1;after\n"
     while True:
         try:
-            for row in parse_table(mutated(random_, [seed], 2000), "a.csv", form).rows:
+            for row in parse_table(mutated(random_, [seed], 2000), "a.csv", form)[0]:
                 assert np.isfinite(row.value)
         except DeviceError:
             pass
@@ -255,7 +257,7 @@ def test_damaged_spreadsheets_are_refused() -> None:
     book.save(stream)
     good = stream.getvalue()
     random_ = random.Random(5)
-    assert parse_table(good, "a.xlsx", TableFormat()).rows[0].value == 42.0
+    assert parse_table(good, "a.xlsx", TableFormat())[0][0].value == 42.0
     for _ in range(150):
         try:
             parse_table(mutated(random_, [good], len(good) + 100), "a.xlsx", TableFormat())
@@ -265,8 +267,7 @@ def test_damaged_spreadsheets_are_refused() -> None:
 
 def test_health_counters_are_few_whatever_comes() -> None:
     """Keys of counters are fixed words; a device must not be able to make new ones."""
-    health = Health("x")
-    source = NetFtSource("127.0.0.1", health=health)
+    source = NetFtSource(NetFtSettings())
     source._quality(0xFFFFFFFF)
     source._quality(0x80020000)
-    assert set(health.counters) <= {"critical", "saturated", "latched"}
+    assert set(source.health.counters) <= {"critical", "saturated", "latched"}

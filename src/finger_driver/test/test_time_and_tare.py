@@ -57,11 +57,6 @@ class Direct(ForceSource):
     def __init__(self) -> None:
         pass
 
-    connect = read = close = None  # type: ignore[assignment]
-
-
-Direct.__abstractmethods__ = frozenset()
-
 
 def collect(force: object, noise: float = 0.005, quality: int = GOOD) -> object:
     random = np.random.default_rng(3)

@@ -2,22 +2,21 @@
 
 `parameters.yaml`, written by a fit and loaded by the model node::
 
+    law: …                    # of the parameters; may be absent for the default law
     geometry_hash: …          # hash of the geometry the sets were fitted with; "" when unknown
     reduced_model_hash: …     # hash of the reduced model they were fitted with; "" when unknown
     sets:
       - condition: natural
         moisture: 69.31       # a.u., mean reading of the trials
         moisture_sd: 6.54     # a.u.
-        E0: 140000.0          # Pa
-        E1: 22350.0           # Pa
-        tau1: 0.5             # s
-        E2: 1795000.0         # Pa
-        covariance_log:       # (4, 4), of the natural logarithms of E0, E1, tau1, E2; may be absent
+        E0: 140000.0          # the parameters of the law, in SI
+        …
+        covariance_log:       # (n, n), of the logarithms of the n parameters; may be absent
           - [0.09, 0.0, 0.0, 0.0]
           - …
 
-Between two sets the logarithms of E0, E1, tau1 and E2, and the covariance, are interpolated linearly over
-moisture; beyond the driest and the wettest set the end set holds and the result says so.
+Between two sets the logarithms of the parameters and the covariance are interpolated linearly over
+moisture. Beyond the driest and the wettest set the end set holds and the result says so.
 """
 
 from __future__ import annotations
@@ -35,35 +34,41 @@ import yaml
 
 from finger_common.errors import InputError
 from finger_common.files import atomic_write, number, parse_yaml, read_text, sha256_of
+from finger_common.moisture import MOISTURE_RANGE, is_moisture
 
-PARAMETER_NAMES = ("E0", "E1", "tau1", "E2")
-"""Order of the four fitted parameters in every vector: E0, E1 (Pa), tau1 (s), E2 (Pa)."""
+from .laws import ConstitutiveLaw, ParameterSpace, StandardLinearSolid, law_of
 
-MOISTURE_MAXIMUM = 130.0
-"""a.u., end of the Corneometer CM 825 scale."""
+PARAMETER_NAMES = StandardLinearSolid.PARAMETERS.names
+MOISTURE_MAXIMUM = MOISTURE_RANGE[1]
 
 
 @dataclass(frozen=True)
 class ParameterSet:
     """Parameters of one condition.
 
-    moisture, moisture_sd: a.u.; parameters (4,): E0, E1 (Pa), tau1 (s), E2 (Pa);
-    covariance_log (4, 4): covariance of their natural logarithms, zero where it is not known.
+    moisture, moisture_sd: a.u.; parameters (n,): in the order of the law's space, SI; covariance_log
+    (n, n): covariance of their logarithms, zero where it is not known.
     """
 
     condition: str
     moisture: float
     moisture_sd: float
-    parameters: tuple[float, float, float, float]
-    covariance_log: tuple[tuple[float, ...], ...] = ((0.0,) * 4,) * 4
+    parameters: tuple[float, ...]
+    covariance_log: tuple[tuple[float, ...], ...] = ()
 
-    def to_dict(self) -> dict[str, Any]:
+    def __post_init__(self) -> None:
+        n = len(self.parameters)
+        rows = self.covariance_log if len(self.covariance_log) else ((0.0,) * n,) * n
+        object.__setattr__(self, "parameters", tuple(map(float, self.parameters)))
+        object.__setattr__(self, "covariance_log", tuple(tuple(map(float, r)) for r in rows))
+
+    def to_dict(self, space: ParameterSpace) -> dict[str, Any]:
         """As one entry of `sets` in parameters.yaml."""
         return {
             "condition": self.condition,
             "moisture": self.moisture,
             "moisture_sd": self.moisture_sd,
-            **dict(zip(PARAMETER_NAMES, self.parameters)),
+            **dict(zip(space.names, self.parameters)),
             "covariance_log": [list(row) for row in self.covariance_log],
         }
 
@@ -72,7 +77,7 @@ class ParameterSet:
 class InterpolatedParameters:
     """Parameters at one moisture reading.
 
-    parameters (4,): E0, E1 (Pa), tau1 (s), E2 (Pa); covariance_log (4, 4);
+    parameters (n,): in the order of the law's space, SI; covariance_log (n, n);
     out_of_range: the reading lies outside the fitted sets and an end set is held;
     name: id of the parameters, "HASH@MOISTURE" with the first digits of the sets' hash.
     """
@@ -86,7 +91,8 @@ class InterpolatedParameters:
 class ParameterSets:
     """The sets of one parameters.yaml, in the order of their moisture.
 
-    Raises InputError for no sets, two sets at one moisture, or values that are not positive.
+    `law` is the law that the parameters belong to, `space` its parameters. Raises InputError for no
+    sets, two sets at one moisture, or values that the space refuses.
     """
 
     def __init__(
@@ -95,18 +101,29 @@ class ParameterSets:
         geometry_hash: str = "",
         reduced_model_hash: str = "",
         where: str = "parameter sets",
+        law: type[ConstitutiveLaw] = StandardLinearSolid,
     ) -> None:
         if not sets:
             raise InputError(f"{where}: 'sets' is empty; give at least one parameter set")
+        self.law = law
+        self.space = law.PARAMETERS
         self.sets = tuple(sorted(sets, key=lambda s: s.moisture))
         self.geometry_hash = geometry_hash
         self.reduced_model_hash = reduced_model_hash
         self._moisture = np.array([s.moisture for s in self.sets])
         if np.any(np.diff(self._moisture) <= 0):
             raise InputError(f"{where}: two sets have the same moisture; merge them or correct one")
-        self._log = np.log(np.array([s.parameters for s in self.sets]))
+        vectors = [self.space.checked(s.parameters, where) for s in self.sets]
+        self._log = self.space.to_log(np.array(vectors))
         self._covariance = np.array([s.covariance_log for s in self.sets])
-        self.hash = sha256_of([s.to_dict() for s in self.sets])
+        self.hash = sha256_of([*self._law_key().values(), *self._entries()])
+
+    def _law_key(self) -> dict[str, str]:
+        """The key `law`, which files of the default law do not have."""
+        return {} if self.law is StandardLinearSolid else {"law": self.law.name}
+
+    def _entries(self) -> list[dict[str, Any]]:
+        return [s.to_dict(self.space) for s in self.sets]
 
     # Files -----------------------------------------------------------------------------------
 
@@ -114,17 +131,21 @@ class ParameterSets:
     def parse(cls, text: str, where: str = "parameter sets") -> ParameterSets:
         """From the text of a parameters.yaml; raises InputError naming `where`, the set and the key."""
         data = parse_yaml(text, where)
+        law = law_of(str(data.get("law") or ""))
         entries = data.get("sets")
         if not isinstance(entries, list):
             raise InputError(
                 f"{where}: key 'sets' with a list of parameter sets is missing; add it"
             )
-        sets = [_parse_set(entry, f"{where}, set {i + 1}") for i, entry in enumerate(entries)]
         return cls(
-            sets,
+            [
+                _parse_set(entry, law.PARAMETERS, f"{where}, set {i + 1}")
+                for i, entry in enumerate(entries)
+            ],
             str(data.get("geometry_hash") or ""),
             str(data.get("reduced_model_hash") or ""),
             where,
+            law,
         )
 
     @classmethod
@@ -147,9 +168,10 @@ class ParameterSets:
     def _text(self) -> str:
         return yaml.safe_dump(
             {
+                **self._law_key(),
                 "geometry_hash": self.geometry_hash,
                 "reduced_model_hash": self.reduced_model_hash,
-                "sets": [s.to_dict() for s in self.sets],
+                "sets": self._entries(),
             },
             sort_keys=False,
             allow_unicode=True,
@@ -166,52 +188,44 @@ class ParameterSets:
         """Parameters at a reading (a.u.); raises InputError when it is not a finite number."""
         if not math.isfinite(moisture):
             raise InputError(f"moisture is {moisture}, a number from 0 to 130 a.u. is needed")
-        low, high = self._moisture[0], self._moisture[-1]
-        held = min(max(moisture, low), high)
-        upper = int(np.searchsorted(self._moisture, held))
-        if upper == 0 or self._moisture[upper] == held:
-            log, covariance = self._log[upper], self._covariance[upper]
-        else:
-            below, above = self._moisture[upper - 1], self._moisture[upper]
-            weight = (held - below) / (above - below)
-            log = (1 - weight) * self._log[upper - 1] + weight * self._log[upper]
-            covariance = (1 - weight) * self._covariance[upper - 1]
-            covariance = covariance + weight * self._covariance[upper]
-        return InterpolatedParameters(
-            np.exp(log),
-            covariance.copy(),
-            bool(moisture < low or moisture > high),
-            f"{self.hash[:8]}@{moisture:.2f}",
+        parameters, covariance, out_of_range = self.space.interpolate(
+            self._moisture, self._log, self._covariance, moisture
         )
+        name = f"{self.hash[:8]}@{moisture:.2f}"
+        return InterpolatedParameters(parameters, covariance, out_of_range, name)
 
 
-def _parse_set(entry: Any, where: str) -> ParameterSet:
+def _parse_set(entry: Any, space: ParameterSpace, where: str) -> ParameterSet:
     if not isinstance(entry, dict):
         raise InputError(f"{where}: expected 'key: value' lines, found {entry!r}")
-    condition = str(entry.get("condition") or "")
-    values = {key: number(entry, key, where) for key in PARAMETER_NAMES}
-    for key, value in values.items():
-        if value <= 0:
-            raise InputError(f"{where}: '{key}' is {value}, a positive number is needed")
+    parameters = space.checked([number(entry, name, where) for name in space.names], where)
     moisture = number(entry, "moisture", where)
-    if not 0 <= moisture <= MOISTURE_MAXIMUM:
-        raise InputError(f"{where}: 'moisture' is {moisture}, outside 0 … 130 a.u.; correct it")
-    moisture_sd = number(entry, "moisture_sd", where) if "moisture_sd" in entry else 0.0
-    covariance = entry.get("covariance_log")
-    if covariance is None:
-        covariance = np.zeros((4, 4))
+    if not is_moisture(moisture):
+        low, high = MOISTURE_RANGE
+        raise InputError(
+            f"{where}: 'moisture' is {moisture}, outside {low:g} … {high:g} a.u.; correct it"
+        )
+    return ParameterSet(
+        str(entry.get("condition") or ""),
+        moisture,
+        number(entry, "moisture_sd", where) if "moisture_sd" in entry else 0.0,
+        tuple(parameters.tolist()),
+        _parse_covariance(entry.get("covariance_log"), len(space), where),
+    )
+
+
+def _parse_covariance(rows: Any, n: int, where: str) -> tuple[tuple[float, ...], ...]:
+    """Covariance (n, n) of the logarithms; empty when it is absent."""
+    if rows is None:
+        return ()
     try:
-        covariance = np.array(covariance, dtype=float)
+        covariance = np.array(rows, dtype=float)
     except (TypeError, ValueError):
         covariance = np.array(math.nan)
-    if covariance.shape != (4, 4) or not np.all(np.isfinite(covariance)):
-        raise InputError(f"{where}: 'covariance_log' is not a 4 × 4 matrix of numbers; correct it")
+    if covariance.shape != (n, n) or not np.all(np.isfinite(covariance)):
+        raise InputError(
+            f"{where}: 'covariance_log' is not a {n} × {n} matrix of numbers; correct it"
+        )
     if np.any(np.diag(covariance) < 0):
         raise InputError(f"{where}: 'covariance_log' has a negative variance; correct it")
-    return ParameterSet(
-        condition,
-        moisture,
-        moisture_sd,
-        (values["E0"], values["E1"], values["tau1"], values["E2"]),
-        tuple(tuple(float(c) for c in row) for row in covariance),
-    )
+    return tuple(map(tuple, covariance.tolist()))

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from finger_common.errors import InputError
-from finger_model.parameter_sets import ParameterSets
+from finger_model.estimator import ContactEstimator
+from finger_model.laws import LAWS, StandardLinearSolid, parameter
+from finger_model.parameter_sets import ParameterSet, ParameterSets
+from finger_model.reduced import ReducedModel
 
 DRY = np.array([100e3, 43.33e3, 0.10, 1652e3])
 NATURAL = np.array([140e3, 22.35e3, 0.50, 1795e3])
@@ -32,6 +36,48 @@ def test_outside_the_fitted_range_the_end_holds_and_says_so(
     found = ParameterSets.default().interpolate(moisture)
     assert np.allclose(found.parameters, held, rtol=1e-12)
     assert found.out_of_range
+
+
+@dataclass(frozen=True, kw_only=True)
+class FiveParameters(StandardLinearSolid):
+    """A law with one parameter more."""
+
+    name = "five"
+    CORRECTION = ()
+    extra: float = parameter(
+        0.0,
+        "Stiffening; may be zero.",
+        unit="",
+        symbol="α",
+        display_unit="",
+        display_factor=1.0,
+        log_offset=1.0,
+    )
+
+
+def test_sets_of_another_law_have_its_parameters(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(LAWS, "_loaded", {"five": FiveParameters})
+    first, second = (*DRY, 0.0), (*NATURAL, 3.0)
+    sets = ParameterSets(
+        [ParameterSet("a", 40.0, 1.0, first), ParameterSet("b", 60.0, 1.0, second)],
+        law=FiveParameters,
+    )
+    sets.save(tmp_path / "parameters.yaml")
+    again = ParameterSets.load(tmp_path / "parameters.yaml")
+    assert again.law is FiveParameters
+    assert again.hash == sets.hash
+    found = again.interpolate(50.0)
+    assert found.parameters[4] == pytest.approx(1.0)  # ln(1 + α) is half of ln 4
+    assert np.allclose(found.parameters[:4], np.sqrt(DRY * NATURAL))
+    assert found.covariance_log.shape == (5, 5)
+    with pytest.raises(InputError, match=r"law 'five'.*'standard_linear_solid'"):
+        ContactEstimator(ReducedModel.load(), again)
+
+
+def test_the_default_law_is_not_named_in_the_file() -> None:
+    assert "law" not in ParameterSets.default().to_yaml()
 
 
 def test_a_saved_file_reads_back_bit_for_bit(tmp_path: Path) -> None:

@@ -11,12 +11,11 @@ import pytest
 from finger_common.errors import InputError
 from finger_model.fem.full_order import FullOrderModel
 from finger_model.geometry import Geometry
+from finger_model.laws.standard_linear_solid import PARAMETERS
 from finger_model.material import Material
 from finger_model.reduced import ReducedModel
 from finger_model.reduced.error import GOAL_RMS, GOAL_WORST, error_table
 from finger_model.reduced.force_histories import (
-    FULL_RANGE,
-    PAPER_BOX,
     random_history,
     random_parameters,
 )
@@ -78,7 +77,7 @@ def test_streaming_batch_and_simulation_agree_to_the_bit(model: ReducedModel) ->
 
 def test_batch_keeps_sets_and_trials_apart(model: ReducedModel) -> None:
     rng = np.random.default_rng(5)
-    parameters = np.array([random_parameters(rng) for _ in range(7)])
+    parameters = np.array([random_parameters(rng, PARAMETERS.box) for _ in range(7)])
     trials = [ramp(1.0, 0.5, 10), ramp(1.35, 2.0, 25), ramp(0.4, 1.0, 5)]
     found = model.batch(parameters, trials)
     for areas, (time, force) in zip(found, trials):
@@ -125,7 +124,7 @@ def test_any_time_step_gives_the_same_press(model: ReducedModel, step: float) ->
 def test_area_falls_with_the_moduli_and_grows_with_force(model: ReducedModel) -> None:
     time, force = ramp()
     for seed in range(20):
-        vector = random_parameters(np.random.default_rng(seed), PAPER_BOX)
+        vector = random_parameters(np.random.default_rng(seed), PARAMETERS.box)
         base = model.simulate(vector, time, force).area
         assert np.all(np.diff(base) > 0)
         for which in (0, 1):
@@ -137,7 +136,7 @@ def test_area_falls_with_the_moduli_and_grows_with_force(model: ReducedModel) ->
 def test_nothing_runs_away_over_the_whole_range(model: ReducedModel) -> None:
     rng = np.random.default_rng(8)
     for seed in range(60):
-        vector = random_parameters(rng, FULL_RANGE)
+        vector = random_parameters(rng, PARAMETERS.range)
         kind = ("reload", "tapping", "human", "random")[seed % 4]
         time, force = random_history(rng, kind, 0.9 * model.force_limit(vector) / 1.2)
         history = model.simulate(vector, time, force)
@@ -165,10 +164,34 @@ def test_a_force_beyond_the_limit_is_refused_with_its_time(model: ReducedModel) 
         model.simulate(NATURAL, np.array([0.5, 1.0]), np.array([1.0, 3.5]))
 
 
-def test_another_friction_or_poisson_ratio_is_refused(model: ReducedModel) -> None:
-    for material in (Material(friction=0.3), Material(poisson_ratio_bulk=0.45)):
-        with pytest.raises(InputError, match="--solver full"):
-            model.simulate(material, *ramp())
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("friction", 0.3),
+        ("poisson_ratio_bulk", 0.45),
+        ("poisson_ratio_epidermis", 0.45),
+        ("poisson_ratio_nail", 0.3),
+        ("nail_modulus", 17e6),
+    ],
+)
+def test_a_material_with_another_fixed_property_is_refused(
+    model: ReducedModel, name: str, value: float
+) -> None:
+    with pytest.raises(InputError, match=f"{name}.*--solver full"):
+        model.simulate(Material(**{name: value}), *ramp())
+
+
+def test_a_material_of_another_law_is_refused(model: ReducedModel) -> None:
+    class OtherLaw(Material):
+        name = "other"
+
+    with pytest.raises(InputError, match=r"'other'.*'standard_linear_solid'.*--solver full"):
+        model.simulate(OtherLaw(), *ramp())
+
+
+def test_a_wrong_number_of_parameters_is_refused(model: ReducedModel) -> None:
+    with pytest.raises(InputError, match="4 numbers are needed: E0, E1, tau1, E2"):
+        model.simulate(np.ones(5), *ramp())
 
 
 def test_a_model_of_another_geometry_is_refused() -> None:

@@ -9,9 +9,11 @@ import pytest
 
 from finger_model.fem.full_order import FullOrderModel
 from finger_model.geometry import Geometry
+from finger_model.laws.standard_linear_solid import PARAMETERS
 from finger_model.reduced import ReducedModel
-from finger_model.reduced.build import BuildSettings, build
-from finger_model.reduced.force_histories import FULL_RANGE, KINDS, PAPER_BOX, random_history
+from finger_model.reduced.build import build
+from finger_model.reduced.build_settings import BuildSettings
+from finger_model.reduced.force_histories import KINDS, random_history
 from finger_model.reduced.training import Network, drive_samples, features, fit, sigmoid, stack
 from finger_model.reduced.training_runs import principal_modes, run_case, training_case, weight_of
 
@@ -23,8 +25,7 @@ SMALL = BuildSettings(
     latents=2,
     drive_width=8,
     contact_width=8,
-    drive_iterations=6,
-    contact_iterations=6,
+    iterations=6,
     refinement=0.5,
 )
 
@@ -40,7 +41,7 @@ def runs() -> list:
 def test_histories_are_in_order_and_within_the_range() -> None:
     for i in range(60):
         case = training_case(0, i)
-        limits = np.array(FULL_RANGE)
+        limits = PARAMETERS.range
         assert np.all((case.parameters >= limits[:, 0]) & (case.parameters <= limits[:, 1]))
         assert np.all(np.diff(case.time) > 0)
         assert case.force.min() >= 0
@@ -50,7 +51,7 @@ def test_histories_are_in_order_and_within_the_range() -> None:
         time, force = random_history(rng, kind)
         assert np.all(np.diff(time) > 0)
         assert force.max() >= 0.6
-    assert np.all(np.array(PAPER_BOX)[:, 0] >= limits[:, 0])
+    assert np.all(PARAMETERS.box[:, 0] >= limits[:, 0])
 
 
 def test_the_internal_strain_follows_its_equation_in_the_coordinates(runs: list) -> None:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import tempfile
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +13,7 @@ import numpy as np
 
 from finger_bag.reader import BagMessage, BagReader
 from finger_bag.schema import CALIBRATION_ATTACHMENT
-from finger_common.errors import InputError
+from finger_common.errors import FingerError, InputError
 from finger_common.stamps import header_stamp
 from finger_vision.area_sensor import (
     DEFAULT_AREA_SENSOR,
@@ -23,6 +26,9 @@ from finger_vision.messages import contact_area_fields, image_of
 
 IMAGES = ("image_raw", "image_raw/compressed")
 """Topics of a bag that areas are measured in."""
+
+IMAGES_AHEAD = 6
+"""Images that may wait to be measured."""
 
 MAXIMUM_PIXELS = 64 << 20
 
@@ -123,6 +129,37 @@ class ImageAreas:
             "area_sd": table[:, 2],
             "area_flags": np.array([r[5] for r in self._rows], np.int64),
         }
+
+
+class MeasuringThread:
+    """Measures images in a thread of its own, in order; a context manager."""
+
+    def __init__(self, areas: ImageAreas) -> None:
+        self._areas = areas
+        self._pool = ThreadPoolExecutor(1, "vision")
+        self._pending: deque[tuple[BagMessage, Future[ContactMeasurement]]] = deque()
+
+    def __enter__(self) -> MeasuringThread:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._pool.shutdown(cancel_futures=True)
+
+    def add(self, item: BagMessage) -> None:
+        """Measure an image, later."""
+        self._pending.append((item, self._pool.submit(lambda: self._areas.measure(item.message))))
+
+    def results(
+        self, until_ns: int
+    ) -> Iterator[tuple[BagMessage, ContactMeasurement | FingerError]]:
+        """Wait for and take the images logged until then and all but the newest few; an error for an unusable one."""
+        pending = self._pending
+        while pending and (len(pending) > IMAGES_AHEAD or pending[0][0].log_time_ns <= until_ns):
+            item, future = pending.popleft()
+            try:
+                yield item, future.result()
+            except FingerError as error:
+                yield item, error
 
 
 def area_fields(stamp: int, measurement: ContactMeasurement, frame_id: str) -> dict[str, Any]:

@@ -16,8 +16,7 @@ class ProcessOptions(ReadSettings):
     """What to run and to write.
 
     estimator: settings of the estimator by name that replace those recorded. parameter_file, model_file: for the
-    model, empty for those of the suite. table: CSV or Parquet file of the estimates, empty for none. With a normal
-    axis, a file or settings of its own, the run does not follow the recorded events.
+    model, empty for those of the suite. table: CSV or Parquet file of the estimates, empty for none.
     """
 
     images: str = setting(
@@ -37,3 +36,8 @@ class ProcessOptions(ReadSettings):
     parameter_file: str = ""
     model_file: str = ""
     table: str = ""
+
+    def is_own(self) -> bool:
+        """Whether the run has an axis, files or settings of its own, so that recorded events do not apply."""
+        own = (self.estimator, self.parameter_file, self.model_file, self.normal_axis)
+        return any(own)

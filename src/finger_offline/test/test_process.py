@@ -191,7 +191,7 @@ def test_processing_again_is_the_same_whatever_the_blocks(
 ) -> None:
     path = session(trials=1)
     process(path, tmp_path / "a")
-    monkeypatch.setattr("finger_offline.process.BLOCK", 37)
+    monkeypatch.setattr("finger_offline.input_order.BLOCK", 37)
     process(path, tmp_path / "b")
 
     def states(name: str) -> list[bytes]:
@@ -262,7 +262,7 @@ def test_memory_does_not_grow_with_the_bag(tmp_path: Path) -> None:
     original = module._Run._estimate
 
     def watch(self: module._Run, items: list) -> None:
-        waiting.append(len(self.wrenches) + len(items))
+        waiting.append(len(self.queue._wrenches) + len(items))
         original(self, items)
 
     module._Run._estimate = watch  # type: ignore[method-assign]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from session_bags import AREA_PER_FORCE, START, press_force, wrench, write_session
 
-from finger_bag.bulk import stamps_and_wrenches
+from finger_bag.cdr_layout import stamps_and_wrenches
 from finger_bag.definitions import encode
 from finger_bag.mapping import TopicMapping
 from finger_bag.writer import BagWriter

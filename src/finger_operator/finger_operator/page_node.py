@@ -27,7 +27,7 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from finger_bag.streams import stamp_of_cdr
+from finger_bag.cdr_layout import stamp_of_cdr
 from finger_common.diagnostics import Health
 from finger_common.node import (
     LATCHED_QOS,

@@ -18,9 +18,9 @@ from typing import Any
 import pytest
 
 from finger_bag.reader import open_bag
-from finger_bag.streams import stamp_ns
 from finger_bringup import nodes
 from finger_bringup.supervisor import Supervisor
+from finger_common.stamps import header_stamp
 from finger_sim.rig import RigAddresses
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
@@ -79,8 +79,8 @@ class Rig:
 def longest_frame_gap(bag: Path) -> float:
     """Longest time (s) without a contact area from the first force sample of a bag on, which ends with frames."""
     with open_bag(bag) as reader:
-        areas = [stamp_ns(m.message) for m in reader.messages([reader.topic("contact_area")])]
-        begin = stamp_ns(next(iter(reader.messages([reader.topic("wrench")]))).message)
+        areas = [header_stamp(m.message) for m in reader.messages([reader.topic("contact_area")])]
+        begin = header_stamp(next(iter(reader.messages([reader.topic("wrench")]))).message)
     return max(b - a for a, b in itertools.pairwise(sorted([begin, *areas]))) * 1e-9
 
 

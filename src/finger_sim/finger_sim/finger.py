@@ -1,6 +1,6 @@
-"""The simulated finger: a full-order model with known parameters, asked ahead of time.
+"""The simulated finger: a full-order model with known parameters, simulated ahead of time.
 
-Its contact is the truth that images are drawn from; nothing else of it may reach an estimate.
+Its contact is the truth that images are rendered from; nothing else of it may reach an estimate.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from finger_model.material import Material
 class SimulatedFinger:
     """A finger of known material and geometry.
 
-    refinement: of the full-order mesh, 1 is its default. step: s, largest time step of the plan; 20 ms resolves
-    tremor of 8–12 Hz, and halving it changes the areas by less than the mesh does.
+    refinement: of the full-order mesh, 1 is its default. step: s, largest time step of the plan;
+    20 ms resolves tremor of 8–12 Hz, and halving it changes the areas by less than the mesh does.
     """
 
     def __init__(
@@ -40,9 +40,9 @@ class SimulatedFinger:
     ) -> ContactHistory:
         """Contact under a normal force, from rest at time[0].
 
-        time (n,) in s, force (n,) in N. instants (k,) in s: times that must be steps of the model, such as those
-        of the frames. Returns the history at the model's own steps, which `area_at` interpolates.
-        Raises ModelError where the finger cannot carry the load.
+        time (n,) in s, force (n,) in N. instants (k,) in s: times that must be steps of the model,
+        such as those of the frames. Returns the history at the model's own steps, which `area_at`
+        interpolates. Raises ModelError where the finger cannot carry the load.
         """
         time = np.asarray(time, dtype=float)
         force = np.asarray(force, dtype=float)
@@ -71,5 +71,8 @@ class SimulatedFinger:
 
 
 def area_at(history: ContactHistory, time: np.ndarray) -> np.ndarray:
-    """Contact area (k,) in m² at times (k,) in s, linear between the history's steps, held beyond its ends."""
+    """Contact area (k,) in m² at times (k,) in s.
+
+    Linear between the history's steps, constant beyond its ends.
+    """
     return np.interp(time, history.time, history.area)

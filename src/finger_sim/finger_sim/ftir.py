@@ -1,13 +1,12 @@
-"""The one FTIR renderer of the project: a known contact on the plate becomes a camera frame.
+"""FTIR renderer: a known contact on the plate becomes a camera frame.
 
-A print (ridges with minutiae, drawn from a seed) is touched where the distance from a ridge's crest is below a
-width that grows with the local pressure (Hertz-like, zero at the rim of the gross contact). The look of the skin
-says how wide, how broken and how dark. The plate carries illumination with vignetting, a background texture, dust
-and the latent print of an earlier press; the camera adds perspective, blur, noise and quantisation.
+A print is touched where the distance from a ridge's crest is below a width that grows with the
+local pressure (Hertz-like, zero at the rim of the gross contact). The appearance of the skin says
+how wide, how broken and how dark the ridges are. The plate carries illumination with vignetting, a
+background texture, dust and the latent print of an earlier press; the camera adds perspective,
+blur, noise and quantisation.
 
-Phase of the ridges: the AM-FM model of a print, cos(ψ + Σ ± arg(z − z_k)), one spiral per minutia
-(K. G. Larkin and P. A. Fletcher, "A coherent framework for fingerprint analysis: are fingerprints holograms?",
-Optics Express 15(14), 2007). Width of a touching ridge and all looks are assumptions of this project.
+The width of a touching ridge and all appearances are assumptions of this project.
 """
 
 from __future__ import annotations
@@ -20,15 +19,18 @@ import cv2
 import numpy as np
 
 from finger_common.errors import InputError
+from finger_vision.calibration import PAPER_AREA_PER_PIXEL, PlateCalibration
+
+from .fingerprint import Fingerprint, smooth_noise
 
 IMAGE_WIDTH, IMAGE_HEIGHT = 1280, 1024
-AREA_PER_PIXEL = 0.000986e-6
-"""m², of one pixel of a camera that looks squarely at the plate (the paper's rectified pixel)."""
+AREA_PER_PIXEL = PAPER_AREA_PER_PIXEL
+"""m², of one pixel of a camera that looks squarely at the plate."""
 
 NOT_MODELLED = (
     "skin that slips, stretches or folds: the same print is only uncovered and covered",
     "a rim of the gross contact other than an ellipse, and a pressure other than Hertz-like",
-    "dependence of the print's look on time: sweat that spreads, ridges that grow under hold",
+    "change of the print with time: sweat that spreads, ridges that grow under hold",
     "light through the prism: stray reflections, lens distortion, defocus over the tilted plate",
     "noise that grows with brightness, dead pixels, motion blur and the camera's gamma",
 )
@@ -36,15 +38,17 @@ NOT_MODELLED = (
 
 
 @dataclass(frozen=True)
-class Look:
-    """How skin of one moisture looks. Lengths relative to the ridge period.
+class SkinAppearance:
+    """How skin of one moisture appears in FTIR. Lengths relative to the ridge period.
 
     ridge_width: fraction of the period that touches at the centre of the contact.
-    rim_exponent: the width falls towards the rim as (1 − ρ²) to this power. 1/4 follows from a Hertz-like pressure,
-    p ~ (1 − ρ²)^(1/2), and round ridges, whose width in contact grows as p^(1/2) (line contact of cylinders);
-    sweat softens ridges and fills the wedge beside them, so that moist ones lose less.
-    roughness: standard deviation of the skin's fine relief that breaks ridges, fraction of half a period.
-    contrast: of a touching ridge, fraction of the background (dark polarity) or of the grey range (bright).
+    rim_exponent: the width falls towards the rim as (1 − ρ²) to this power. 1/4 follows from a
+    Hertz-like pressure, p ~ (1 − ρ²)^(1/2), and round ridges, whose width in contact grows as
+    p^(1/2) (line contact of cylinders); sweat softens ridges and fills the wedge beside them, so
+    that moist ones lose less.
+    roughness: standard deviation of the fine relief that breaks ridges, fraction of half a period.
+    contrast: of a touching ridge, fraction of the background (dark polarity) or of the grey range
+    (bright).
     patchiness: relative standard deviation of the contrast over the contact.
     flooding: share of the contact in which sweat fills the furrows.
     """
@@ -57,23 +61,24 @@ class Look:
     flooding: float = 0.0
 
 
-LOOKS = {
-    "dry": Look(0.50, 0.25, 0.22, 0.45, 0.25),
-    "natural": Look(0.62, 0.25, 0.08, 0.65, 0.15),
-    "moist": Look(0.82, 0.15, 0.04, 0.85, 0.05, flooding=0.25),
+SKINS = {
+    "dry": SkinAppearance(0.50, 0.25, 0.22, 0.45, 0.25),
+    "natural": SkinAppearance(0.62, 0.25, 0.08, 0.65, 0.15),
+    "moist": SkinAppearance(0.82, 0.15, 0.04, 0.85, 0.05, flooding=0.25),
 }
-"""Looks by condition. Assumptions, chosen after pictures of dry, natural and moist optical prints."""
+"""Skin by condition. Assumptions, chosen after pictures of optical prints."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Everything of a frame that is neither the contact nor the look. Lengths in m, angles in rad, greys 0…255.
+    """All of a frame but contact and skin. Lengths in m, angles in rad, greys 0…255.
 
-    tilt: of the optical axis against the plate's normal, 0…20° by design; tilt_direction: of the tilt, in the
-    image plane. distance: of the camera from the plate along the optical axis (an assumption).
-    vignetting: relative loss of light in the corners. gradient: relative change of light over the width.
-    texture: relative standard deviation of the plate's own texture. noise: standard deviation of the sensor.
-    dust: number of specks. latent: contrast of an earlier press's print relative to a true one.
+    tilt: of the optical axis against the plate's normal, 0…20° by design; tilt_direction: of the
+    tilt, in the image plane. distance: of the camera from the plate along the optical axis (an
+    assumption). vignetting: relative loss of light in the corners. gradient: relative change of
+    light over the width. texture: relative standard deviation of the plate's own texture. noise:
+    standard deviation of the sensor. dust: number of specks. latent: contrast of an earlier
+    press's print relative to a true one.
     """
 
     ridge_period: float = 0.5e-3
@@ -90,30 +95,14 @@ class Scene:
     tilt_direction: float = 0.0
     distance: float = 0.15
 
-    @classmethod
-    def random(cls, rng: np.random.Generator) -> Scene:
-        """A scene drawn over everything a segmenter might lean on."""
-        bright = bool(rng.random() < 0.3)
-        return cls(
-            ridge_period=rng.uniform(0.4e-3, 0.6e-3),
-            background=rng.uniform(15, 60) if bright else rng.uniform(120, 235),
-            bright_ridges=bright,
-            vignetting=rng.uniform(0.0, 0.5),
-            gradient=rng.uniform(-0.2, 0.2),
-            texture=rng.uniform(0.0, 0.025),
-            noise=rng.uniform(1.0, 5.0),
-            blur=rng.uniform(0.4, 1.5),
-            dust=int(rng.integers(0, 60)),
-            latent=rng.uniform(0.0, 0.12),
-            tilt=math.radians(rng.uniform(0, 20)),
-            tilt_direction=rng.uniform(-math.pi, math.pi),
-        )
-
 
 @dataclass(frozen=True)
 class Contact:
-    """A contact: equal-area radius (m), centre (m, plate frame), axis ratio ≥ 1, angle (rad) of the major axis
-    from +x towards +y. Its gross area is π radius²."""
+    """An elliptical contact of gross area π radius².
+
+    radius, centre: m, plate frame. aspect: ratio of the axes, ≥ 1. angle: rad, of the major axis
+    from +x towards +y.
+    """
 
     radius: float
     centre: tuple[float, float] = (0.0, 0.0)
@@ -137,10 +126,10 @@ class Contact:
 
 @dataclass(frozen=True)
 class RenderedFrame:
-    """A frame and what is true in it: `gross_area` and `real_area` in m², of the first contact alone.
+    """A frame and the true areas (m²) of its first contact.
 
-    `clipped` says that the contact runs over the border of the frame; the areas are those of the whole contact as
-    far as gross is concerned, and of the visible ridges as far as real is concerned.
+    gross_area: of the whole contact. real_area: of the visible ridges. clipped: whether the
+    contact runs over the border of the frame.
     """
 
     image: np.ndarray
@@ -150,86 +139,32 @@ class RenderedFrame:
 
 
 @dataclass
-class Print:
-    """Relief of one finger, (SIZE, SIZE) float32 on a grid of PITCH (m), centred on the core.
-
-    crest_distance: distance from the nearest crest in half periods, 0 on the ridge, 1 in the furrow.
-    relief: fine relief that breaks ridges, standard deviation 1. patches: coarse relief of contrast, same scale.
-    """
-
-    crest_distance: np.ndarray
-    relief: np.ndarray
-    patches: np.ndarray
-
-    PITCH = 30e-6
-    SIZE = 1024
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, ridge_period: float) -> Print:
-        """A print with whorl, loop-like or arch-like flow and about 40 minutiae."""
-        coarse = cls.SIZE // 2
-        axis = (np.arange(coarse) - (coarse - 1) / 2) * 2 * cls.PITCH
-        x, y = np.meshgrid(axis, axis)
-        kind = rng.integers(3)
-        if kind == 0:
-            flow = np.hypot(x, rng.uniform(0.85, 1.0) * y)
-        elif kind == 1:
-            # Concentric above the core, turning to level ridges below it.
-            flow = np.hypot(np.hypot(x, y - 1e-3), 0.8e-3) + np.where(y > 0, y * 0.2, 0.0)
-        else:
-            flow = y * 0.95 + 3e-3 * np.exp(-((x / 5e-3) ** 2))
-        flow = flow + 0.4e-3 * _smooth_noise(rng, coarse, 2.5e-3 / (2 * cls.PITCH))
-        phase = 2 * math.pi * flow / ridge_period
-        for _ in range(40):
-            px, py = rng.uniform(-10e-3, 10e-3, 2)
-            phase += rng.choice([-1.0, 1.0]) * np.arctan2(y - py, x - px)
-        full = (cls.SIZE, cls.SIZE)
-        cosine = cv2.resize(np.cos(phase).astype(np.float32), full, interpolation=cv2.INTER_CUBIC)
-        sine = cv2.resize(np.sin(phase).astype(np.float32), full, interpolation=cv2.INTER_CUBIC)
-        distance = (np.abs(np.arctan2(sine, cosine)) / math.pi).astype(np.float32)
-        # Relief finer than a ridge along the ridge: what makes dry ridges fall apart into islands.
-        relief = _smooth_noise(rng, cls.SIZE, 0.22 * ridge_period / cls.PITCH)
-        patches = _smooth_noise(rng, cls.SIZE, 1.5e-3 / cls.PITCH)
-        return cls(distance, relief.astype(np.float32), patches.astype(np.float32))
-
-
-def _smooth_noise(rng: np.random.Generator, size: int, sigma: float) -> np.ndarray:
-    """Gaussian random field (size, size), standard deviation 1, correlation length `sigma` in samples."""
-    # A field much smoother than its grid is drawn coarser and enlarged.
-    step = max(1, int(sigma / 4))
-    small = max(8, size // step + 1)
-    noise = cv2.GaussianBlur(
-        rng.standard_normal((small, small), dtype=np.float32), (0, 0), max(sigma / step, 0.3)
-    )
-    noise = cv2.resize(noise, (size, size), interpolation=cv2.INTER_CUBIC)
-    return (noise - noise.mean()) / max(float(noise.std()), 1e-9)
-
-
-@dataclass
 class FtirRenderer:
     """Renders contacts of one finger as frames of 1280×1024 mono8.
 
-    look: "dry", "natural", "moist" or a `Look`. seed: print, plate and noise follow from it alone, and from the
-    order of calls. Construction takes about a second, a frame of a 60 mm² contact about 10 ms.
-    Plate frame: origin on the optical axis, x right, y down, m. Raises InputError for settings without sense.
+    skin: "dry", "natural", "moist" or a `SkinAppearance`. seed: print, plate and noise follow from
+    it and the order of calls alone. Construction takes about a second, a frame of a 60 mm² contact
+    about 10 ms. Plate frame: origin on the optical axis, x right, y down, m. Raises InputError for
+    an unknown skin or a tilt out of range.
     """
 
-    look: str | Look = "natural"
+    skin: str | SkinAppearance = "natural"
     seed: int = 0
     scene: Scene = field(default_factory=Scene)
     width: int = IMAGE_WIDTH
     height: int = IMAGE_HEIGHT
 
     def __post_init__(self) -> None:
-        if isinstance(self.look, str):
-            if self.look not in LOOKS:
-                raise InputError(f"look '{self.look}' does not exist; choose {', '.join(LOOKS)}")
-            self.look = LOOKS[self.look]
+        if isinstance(self.skin, SkinAppearance):
+            self._appearance = self.skin
+        elif self.skin in SKINS:
+            self._appearance = SKINS[self.skin]
+        else:
+            raise InputError(f"skin '{self.skin}' does not exist; choose {', '.join(SKINS)}")
         if not 0 <= self.scene.tilt < math.radians(60):
             raise InputError(f"tilt {self.scene.tilt:g} rad is outside 0 … 1.04; correct it")
         rng = np.random.default_rng(self.seed)
-        self.finger = Print.draw(rng, self.scene.ridge_period)
-        self._finger_layers = self._layers(self.finger)
+        self._layers = self._layers_of(Fingerprint.draw(rng, self.scene.ridge_period))
         self.camera_matrix, self.homography = self._camera()
         self._to_plate = np.linalg.inv(self.homography)
         self._x, self._y, self._pixel_area = self._plate_grid()
@@ -260,11 +195,11 @@ class FtirRenderer:
         aspect: float = 1.0,
         angle: float = math.pi / 2,
     ) -> np.ndarray:
-        """Frame (height, width) uint8 of one contact; arguments as in `Contact`; radius ≤ 0 is no contact."""
+        """Frame (height, width) uint8 of one `Contact`; a radius ≤ 0 is no contact."""
         return self.render_frame([Contact(radius, centre, aspect, angle)]).image
 
     def render_frame(self, contacts: Iterable[Contact]) -> RenderedFrame:
-        """Frame of several contacts with the truth of the first one. All carry the same finger's ridges."""
+        """Frame of several contacts of the same finger, with the true areas of the first one."""
         frame = self._empty
         gross = real = 0.0
         clipped = False
@@ -279,6 +214,16 @@ class FtirRenderer:
             if index == 0:
                 gross, real, clipped = math.pi * contact.radius**2, area, over
         return RenderedFrame(self._with_noise(frame), gross, real, clipped)
+
+    def calibration(self) -> PlateCalibration:
+        """Plate calibration of the simulated camera, without error."""
+        return PlateCalibration(
+            AREA_PER_PIXEL,
+            np.linalg.inv(self.homography),
+            self.camera_matrix,
+            image_size=(self.width, self.height),
+            camera_name="camera",
+        )
 
     # Parts -----------------------------------------------------------------------------------
 
@@ -309,18 +254,17 @@ class FtirRenderer:
 
     def _paint_plate(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """Greys of the bare plate and of a fully touched plate, float32."""
-        scene, look = self.scene, self.look
-        assert isinstance(look, Look)
+        scene, skin = self.scene, self._appearance
         x = np.linspace(-1, 1, self.width, dtype=np.float32)[None, :]
         y = np.linspace(-1, 1, self.height, dtype=np.float32)[:, None]
         light = (1 - scene.vignetting * (x * x + y * y) / 2) * (1 + scene.gradient * x / 2)
-        grain = _smooth_noise(rng, max(self.width, self.height), 3.0)[: self.height, : self.width]
-        cloud = _smooth_noise(rng, max(self.width, self.height), 60.0)[: self.height, : self.width]
+        grain = smooth_noise(rng, max(self.width, self.height), 3.0)[: self.height, : self.width]
+        cloud = smooth_noise(rng, max(self.width, self.height), 60.0)[: self.height, : self.width]
         plate = scene.background * light * (1 + scene.texture * (0.7 * grain + 0.7 * cloud))
         if scene.bright_ridges:
-            touched = plate + 255 * look.contrast * light
+            touched = plate + 255 * skin.contrast * light
         else:
-            touched = plate * (1 - look.contrast)
+            touched = plate * (1 - skin.contrast)
         if scene.latent > 0:
             earlier = Contact(
                 rng.uniform(3e-3, 6e-3),
@@ -329,7 +273,7 @@ class FtirRenderer:
                 rng.uniform(-math.pi, math.pi),
             )
             coverage, patches, box = self._coverage(
-                earlier, self._layers(Print.draw(rng, scene.ridge_period))
+                earlier, self._layers_of(Fingerprint.draw(rng, scene.ridge_period))
             )
             plate[box] += scene.latent * coverage * patches * (touched[box] - plate[box])
         specks: np.ndarray = np.zeros((self.height, self.width), np.float32)
@@ -344,9 +288,8 @@ class FtirRenderer:
     def _coverage(
         self, contact: Contact, layers: tuple[np.ndarray, np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray, tuple[slice, slice]]:
-        """Touched fraction and relative contrast of each pixel, float32, and their box in the image."""
-        look = self.look
-        assert isinstance(look, Look)
+        """Touched fraction and relative contrast (float32) of each pixel in a box, and the box."""
+        skin = self._appearance
         rim = cv2.perspectiveTransform(contact.outline()[None], self.homography)[0]
         left, top = np.floor(rim.min(axis=0)).astype(int) - 4
         right, bottom = np.ceil(rim.max(axis=0)).astype(int) + 5
@@ -360,11 +303,19 @@ class FtirRenderer:
         along = contact.angle - math.pi / 2
         c, s = math.cos(along), math.sin(along)
         cx, cy = contact.centre
-        half = (Print.SIZE - 1) / 2
+        half = (Fingerprint.SIZE - 1) / 2
         to_finger = np.array(
             [
-                [c / Print.PITCH, s / Print.PITCH, half - (c * cx + s * cy) / Print.PITCH],
-                [-s / Print.PITCH, c / Print.PITCH, half - (-s * cx + c * cy) / Print.PITCH],
+                [
+                    c / Fingerprint.PITCH,
+                    s / Fingerprint.PITCH,
+                    half - (c * cx + s * cy) / Fingerprint.PITCH,
+                ],
+                [
+                    -s / Fingerprint.PITCH,
+                    c / Fingerprint.PITCH,
+                    half - (-s * cx + c * cy) / Fingerprint.PITCH,
+                ],
                 [0, 0, 1],
             ]
         )
@@ -383,8 +334,8 @@ class FtirRenderer:
         inside = 1 - (u * u + v * v)
         pixel = math.sqrt(AREA_PER_PIXEL)
         width = np.maximum(inside, 0)
-        cv2.pow(width, look.rim_exponent, width)
-        width *= np.float32(look.ridge_width)
+        cv2.pow(width, skin.rim_exponent, width)
+        width *= np.float32(skin.ridge_width)
         # Distance from the edge of the touching strip in pixels, turned into a covered fraction.
         touch = np.subtract(width, touch, out=touch)
         touch *= np.float32(self.scene.ridge_period / 2 / pixel)
@@ -397,22 +348,21 @@ class FtirRenderer:
         touch *= inside
         return touch, patches, box
 
-    def _layers(self, finger: Print) -> tuple[np.ndarray, np.ndarray]:
-        """Crest distance with the look's relief, and relative contrast, on the grid of the print."""
-        look = self.look
-        assert isinstance(look, Look)
-        distance = finger.crest_distance + look.roughness * finger.relief
-        if look.flooding > 0:
-            # Sweat stands where the coarse relief is in its upper share; it fills furrows smoothly.
-            level = np.quantile(finger.patches, 1 - look.flooding)
+    def _layers_of(self, finger: Fingerprint) -> tuple[np.ndarray, np.ndarray]:
+        """Crest distance with the skin's relief, and relative contrast, on the print's grid."""
+        skin = self._appearance
+        distance = finger.crest_distance + skin.roughness * finger.relief
+        if skin.flooding > 0:
+            # Sweat fills furrows where the coarse relief is in its upper share.
+            level = np.quantile(finger.patches, 1 - skin.flooding)
             wet = np.clip((finger.patches - level) * 4, 0, 1)
             distance = distance * (1 - wet)
-        patches = np.clip(1 + look.patchiness * np.roll(finger.patches, 301, axis=0), 0.3, 1.4)
+        patches = np.clip(1 + skin.patchiness * np.roll(finger.patches, 301, axis=0), 0.3, 1.4)
         return distance.astype(np.float32), patches.astype(np.float32)
 
     def _press(self, frame: np.ndarray, contact: Contact) -> tuple[float, bool]:
-        """Paint a contact into a frame; gives its real area (m²) and whether it is cut by the border."""
-        touch, patches, box = self._coverage(contact, self._finger_layers)
+        """Paint a contact into a frame; real area (m²), and whether the border cuts it."""
+        touch, patches, box = self._coverage(contact, self._layers)
         if touch.size == 0:
             return 0.0, True
         real = float(np.vdot(touch, self._pixel_area[box]))
@@ -431,29 +381,3 @@ class FtirRenderer:
         row, column = self._rng.integers(self._margin, size=2)
         noise = self._noise[row : row + self.height, column : column + self.width]
         return cv2.add(frame, noise, dtype=cv2.CV_8U)
-
-
-def variant(renderer: FtirRenderer, **changes: object) -> FtirRenderer:
-    """A renderer with some of `look`, `seed`, `scene`, `width`, `height` changed."""
-    values = {
-        "look": renderer.look,
-        "seed": renderer.seed,
-        "scene": renderer.scene,
-        "width": renderer.width,
-        "height": renderer.height,
-    }
-    return FtirRenderer(**{**values, **changes})  # type: ignore[arg-type]
-
-
-__all__ = [
-    "AREA_PER_PIXEL",
-    "Contact",
-    "FtirRenderer",
-    "LOOKS",
-    "Look",
-    "NOT_MODELLED",
-    "Print",
-    "RenderedFrame",
-    "Scene",
-    "variant",
-]

@@ -1,142 +1,119 @@
-"""Plans trials in a worker process of low priority while others are being played."""
+"""Plans trials in a worker process of low priority while others are played."""
 
 from __future__ import annotations
 
 import multiprocessing
 import os
-import queue
 import signal
 import threading
-import time
 import traceback
 from collections.abc import Callable
-from typing import Any
+from contextlib import suppress
+from multiprocessing.connection import Connection
 
 from finger_common.errors import FingerError
 
 from .trial_plan import PlannedTrial, TrialRequest
 
 NICENESS = 15
-"""Planning must not slow down the nodes, but a participant waits for it."""
+"""Planning must not slow down the nodes, although a participant waits for it."""
+
+Plan = Callable[[TrialRequest], PlannedTrial]
 
 
-def _work(
-    plan: Callable[[TrialRequest], PlannedTrial], urgent: Any, jobs: Any, results: Any
-) -> None:
-    """Loop of the worker, urgent requests first: the owner ends it, Ctrl-C does not."""
+def _work(plan: Plan, owner: Connection) -> None:
+    """Answer requests with planned trials, or with the text of an error, until the owner ends.
+
+    Ctrl-C in the owner's terminal does not end the worker: the owner does.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.nice(NICENESS)
     import cv2
 
     cv2.setNumThreads(1)
-    owner = os.getppid()
-    done = set()
-    while os.getppid() == owner:
-        job = _next(urgent, jobs)
-        if job is None or job[0] in done:
-            continue
-        ticket, request = job
-        done.add(ticket)
-        try:
-            results.put((ticket, plan(request)))
-        except FingerError as error:
-            results.put((ticket, str(error)))
-        except Exception:
-            results.put((ticket, traceback.format_exc()))
-
-
-def _next(urgent: Any, jobs: Any) -> tuple[int, TrialRequest] | None:
-    try:
-        return urgent.get_nowait()
-    except queue.Empty:
-        pass
-    try:
-        return jobs.get(timeout=0.1)
-    except queue.Empty:
-        return None
+    with suppress(EOFError, BrokenPipeError):
+        while True:
+            request = owner.recv()
+            try:
+                owner.send(plan(request))
+            except FingerError as error:
+                owner.send(str(error))
+            except BrokenPipeError:
+                raise
+            except Exception:
+                owner.send(traceback.format_exc())
 
 
 class Planner:
     """Plans requested trials one after another in a process of its own.
 
-    plan: picklable function of a TrialRequest. Requests asked for with `ask` are planned in that order; `get`
-    puts one first, waits for it and forgets it.
+    plan: picklable function of a TrialRequest. Trials requested with `ask` are planned in that
+    order; `get` moves one to the front and waits for it. A trial that was fetched is forgotten.
     """
 
-    def __init__(self, plan: Callable[[TrialRequest], PlannedTrial]) -> None:
+    def __init__(self, plan: Plan) -> None:
         context = multiprocessing.get_context("spawn")
-        self._urgent = context.Queue()
-        self._jobs = context.Queue()
-        self._results = context.Queue()
-        self._tickets: dict[TrialRequest, int] = {}
-        self._issued = 0
-        self._done: dict[int, PlannedTrial | str] = {}
-        self._lock = threading.Lock()
-        self._process = context.Process(
-            target=_work, args=(plan, self._urgent, self._jobs, self._results), daemon=True
-        )
+        self._worker, theirs = context.Pipe()
+        self._process = context.Process(target=_work, args=(plan, theirs), daemon=True)
         self._process.start()
+        theirs.close()
+        self._changed = threading.Condition()
+        self._waiting: list[TrialRequest] = []
+        self._busy: TrialRequest | None = None
+        self._planned: dict[TrialRequest, PlannedTrial | str] = {}
+        self._ended = False
+        threading.Thread(target=self._serve, name="planner", daemon=True).start()
 
     def ask(self, request: TrialRequest) -> None:
-        """Have a trial planned; asking again for one that is under way changes nothing."""
-        with self._lock:
-            known = request in self._tickets
-            ticket = self._ticket(request)
-        if not known:
-            self._check_alive()
-            self._jobs.put((ticket, request))
+        """Have a trial planned; asking again for one that is not fetched yet changes nothing."""
+        with self._changed:
+            if request not in (self._busy, *self._waiting, *self._planned):
+                self._waiting.append(request)
+                self._changed.notify_all()
 
     def get(
         self, request: TrialRequest, stop: threading.Event | None = None
     ) -> PlannedTrial | None:
-        """The planned trial, waiting for it; None when `stop` is set meanwhile. Raises FingerError."""
-        with self._lock:
-            ticket = self._ticket(request)
-        self._check_alive()
-        # The worker takes each ticket once, from whichever queue it sees it in first.
-        self._urgent.put((ticket, request))
-        while True:
-            with self._lock:
-                self._collect()
-                result = self._done.pop(ticket, None)
-                if result is not None:
-                    del self._tickets[request]
-            if isinstance(result, str):
-                raise FingerError(f"trial {request.name} could not be planned: {result}")
-            if result is not None:
-                return result
-            self._check_alive()
-            if stop is None:
-                time.sleep(0.02)
-            elif stop.wait(0.02):
-                return None
+        """The planned trial, waiting for it; None when `stop` is set meanwhile.
 
-    def _ticket(self, request: TrialRequest) -> int:
-        if request not in self._tickets:
-            self._issued += 1
-            self._tickets[request] = self._issued
-        return self._tickets[request]
-
-    def _check_alive(self) -> None:
-        if not self._process.is_alive():
+        Raises FingerError for a trial that cannot be planned.
+        """
+        self.ask(request)
+        with self._changed:
+            if request in self._waiting:
+                self._waiting.remove(request)
+                self._waiting.insert(0, request)
+            while not self._changed.wait_for(lambda: request in self._planned or self._ended, 0.1):
+                if stop is not None and stop.is_set():
+                    return None
+            result = self._planned.pop(request, None)
+        if result is None:
             raise FingerError("the planning process has ended; start the rig again")
+        if isinstance(result, str):
+            raise FingerError(f"trial {request.name} could not be planned: {result}")
+        return result
 
-    def _collect(self) -> None:
-        while True:
-            try:
-                ticket, result = self._results.get_nowait()
-            except queue.Empty:
-                return
-            self._done[ticket] = result
+    def _serve(self) -> None:
+        """Hand the worker one request after another until it ends."""
+        with suppress(EOFError, OSError):
+            while True:
+                with self._changed:
+                    self._changed.wait_for(lambda: self._waiting or self._ended)
+                    if self._ended:
+                        break
+                    self._busy = self._waiting.pop(0)
+                self._worker.send(self._busy)
+                result = self._worker.recv()
+                with self._changed:
+                    self._planned[self._busy] = result
+                    self._busy = None
+                    self._changed.notify_all()
+        self.close()
 
     def close(self) -> None:
-        """End the worker, in the middle of a plan if need be. Safe to call twice."""
-        if not hasattr(self, "_jobs"):
-            return
+        """End the worker, also in the middle of a plan. Safe to call twice."""
+        with self._changed:
+            self._ended = True
+            self._changed.notify_all()
         self._process.terminate()
         self._process.join(5.0)
-        for channel in (self._urgent, self._jobs, self._results):
-            channel.cancel_join_thread()
-            channel.close()
-        # Their semaphores are released with the objects; a node leaves without the interpreter's exit.
-        del self._urgent, self._jobs, self._results

@@ -1,10 +1,12 @@
-"""A human-like press: the normal force a person exerts on the plate until told to lift, seeded.
+"""A human-like press: the normal force of a finger on the plate, drawn from a seed.
 
-The participant of the paper pressed from nothing to 1.35 N at a free speed, about 0.5–2 s, saw a cue and lifted.
-Modelled: a ramp with a soft start, further pressing through the reaction time after the cue (the overshoot),
-a release, physiological tremor at 8–12 Hz and slow fluctuation, both in proportion to the force.
+The participant of the paper pressed from nothing to the target force at a free speed, saw a cue and
+lifted. Modelled: a ramp with a soft start, further pressing through the reaction time after the cue
+(the overshoot), a release, physiological tremor at 8–12 Hz and slow fluctuation, both in proportion
+to the force.
 
-Not modelled: correction of the force by sight, tangential stroking, re-touching after the release, learning.
+Not modelled: correction of the force by sight, tangential stroking, a second touch after the
+release, learning.
 """
 
 from __future__ import annotations
@@ -15,23 +17,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from finger_common.errors import InputError
-
-TARGET_FORCE = 1.35
-"""N, at which the cue to lift is given (paper)."""
+from finger_model.paper import PRESS_DURATION, TARGET_FORCE
 
 
 @dataclass(frozen=True)
 class PressStyle:
     """Spans (low, high) from which a press is drawn, and strengths of the fluctuations.
 
-    ramp: s from onset to the target (paper: 0.5–2 s). shape: exponent of the ramp, 1 is linear.
+    ramp: s from onset to the target. shape: exponent of the ramp, 1 is linear.
     reaction: s from the cue to the first drop of force (visual reaction of adults, 0.18–0.32 s).
     release: s from full force to lift-off. hold: s of further holding before the release.
     tremor, drift: standard deviation of the fluctuation at 8–12 Hz and below 3 Hz over the force
     (isometric force fluctuates by 1–3 %).
     """
 
-    ramp: tuple[float, float] = (0.5, 2.0)
+    ramp: tuple[float, float] = PRESS_DURATION
     shape: tuple[float, float] = (0.9, 1.4)
     reaction: tuple[float, float] = (0.18, 0.32)
     release: tuple[float, float] = (0.15, 0.4)
@@ -44,8 +44,8 @@ class PressStyle:
 class Press:
     """One press: time (n,) in s from 0 at rest, normal force (n,) in N, and its events in s.
 
-    onset: first touch; cue: force first reaches the target; release: force begins to fall; lift_off: force is
-    zero again.
+    onset: first touch; cue: force first reaches the target; release: force begins to fall;
+    lift_off: force is zero again.
     """
 
     time: np.ndarray
@@ -84,9 +84,9 @@ def plan_press(
 ) -> Press:
     """One press drawn from `style`.
 
-    target_force: N; ramp_time: s from onset to the target, drawn from the style when None; rate: samples per s;
-    lead, tail: s of rest before onset and after lift-off. The same state of `rng` gives the same press.
-    Raises InputError for values that are not positive.
+    target_force: N; ramp_time: s from onset to the target, drawn from the style when None; rate:
+    samples per s; lead, tail: s of rest before onset and after lift-off. The same state of `rng`
+    gives the same press. Raises InputError for values that are not positive.
     """
     style = style or PressStyle()
     for name, value in (("target_force", target_force), ("rate", rate)):
@@ -131,9 +131,3 @@ def plan_press(
 
     end = min(number, math.ceil((start + release + tail) * rate) + 1)
     return Press(time[:end], force[:end], lead, cue, start, start + release)
-
-
-def human_press(rng: np.random.Generator, **options: object) -> tuple[np.ndarray, np.ndarray]:
-    """Time (n,) in s and normal force (n,) in N of `plan_press` with the same options."""
-    press = plan_press(rng, **options)  # type: ignore[arg-type]
-    return press.time, press.force

@@ -1,7 +1,7 @@
-"""A trial of the simulated rig, worked out ahead of time: press, contact, frames, moisture readings.
+"""A trial of the simulated rig, planned ahead of time: press, contact, frames, moisture readings.
 
-The full-order model and the renderer are slower than real time, so a worker process plans each trial before it is
-played. What is planned depends on the seed and the trial's name alone.
+The full-order model and the renderer are slower than real time, so a worker process plans each
+trial before it is played. A plan depends on the seed and the trial's name alone.
 """
 
 from __future__ import annotations
@@ -18,25 +18,23 @@ import cv2
 import numpy as np
 
 from finger_common.files import atomic_write
-from finger_model.geometry import Geometry
+from finger_model.paper import READINGS_PER_TRIAL
 
 from .conditions import condition
 from .finger import SimulatedFinger, area_at
 from .ftir import IMAGE_HEIGHT, IMAGE_WIDTH, FtirRenderer, Scene
-from .press import Press, PressStyle, plan_press
+from .press import Press, plan_press
 
 PLACEMENT_SD = 0.4e-3
 """m, scatter of the finger's place on the plate in either direction, an assumption."""
-
-READINGS = 6
-"""Moisture readings of a trial: three before and three after the press (paper)."""
 
 
 @dataclass(frozen=True)
 class CameraView:
     """What the simulated camera sees: frames per s, size in pixels, tilt of its axis, noise.
 
-    A pixel covers `ftir.AREA_PER_PIXEL` of the plate; a smaller frame is an area of interest of the same sensor.
+    A pixel covers `ftir.AREA_PER_PIXEL` of the plate; a smaller frame is an area of interest of the
+    same sensor.
     """
 
     frame_rate: float = 10.0
@@ -58,13 +56,14 @@ class TrialRequest:
     seed: int = 1
 
     def rng(self, stream: str) -> np.random.Generator:
-        """Generator of one stream ("press", "frames", "moisture") of this trial."""
+        """Random numbers of this trial for one purpose, such as "press" or "moisture"."""
         words = [self.seed, self.index, self.attempt]
         words += [zlib.crc32(self.condition.encode()), zlib.crc32(stream.encode())]
         return np.random.default_rng(words)
 
     @property
     def name(self) -> str:
+        """Name of the trial's files."""
         return f"{self.condition}_{self.index:03d}_{self.attempt}"
 
 
@@ -72,8 +71,9 @@ class TrialRequest:
 class PlannedTrial:
     """A trial ready to be played.
 
-    press: force over time, s from the instant of the first frame. frames: image file of each frame, one per
-    frame period from 0 s. frame_area (k,): true area in m² at each frame. moisture (6,) in a.u.
+    press: force over time, s from the instant of the first frame. frames: image file of each
+    frame, one per frame period from 0 s. frame_area (k,): true area in m² at each frame. moisture
+    (6,) in a.u.
     """
 
     request: TrialRequest
@@ -88,15 +88,13 @@ def plan_trial(
     request: TrialRequest,
     folder: Path,
     view: CameraView,
-    style: PressStyle | None = None,
     refinement: float = 1.0,
-    geometry: Geometry | None = None,
 ) -> PlannedTrial:
-    """Work out one trial and write its frames into `folder` as PNG."""
+    """Plan one trial and write its frames into `folder` as PNG."""
     setting = condition(request.condition)
-    press = plan_press(request.rng("press"), style=style)
+    press = plan_press(request.rng("press"))
     instants = np.arange(int(press.duration * view.frame_rate) + 1) / view.frame_rate
-    finger = SimulatedFinger(setting.material, geometry, refinement)
+    finger = SimulatedFinger(setting.material, refinement=refinement)
     history = finger.plan(press.time, press.force, instants)
     areas = area_at(history, instants)
 
@@ -107,10 +105,13 @@ def plan_trial(
     for number, area in enumerate(areas):
         path = folder / f"{request.name}_{number:04d}.png"
         radius = float(np.sqrt(area / np.pi))
-        write_frame(path, renderer.render(radius, (float(centre[0]), float(centre[1]))))
+        image = renderer.render(radius, (float(centre[0]), float(centre[1])))
+        # Fast rather than small.
+        if not cv2.imwrite(str(path), image, [cv2.IMWRITE_PNG_COMPRESSION, 1]):
+            raise OSError(f"{path}: frame cannot be written")
         frames.append(path)
 
-    moisture = setting.draw_moisture(request.rng("moisture"), READINGS)
+    moisture = setting.draw_moisture(request.rng("moisture"), READINGS_PER_TRIAL)
     truth = {
         "request": asdict(request),
         "material": setting.material.to_dict(),
@@ -128,21 +129,13 @@ def plan_trial(
 
 
 @functools.cache
-def renderer_for(look: str, view: CameraView, seed: int) -> FtirRenderer:
+def renderer_for(skin: str, view: CameraView, seed: int) -> FtirRenderer:
     """The renderer of one condition: the same finger and plate for every trial of a seed."""
     scene = Scene(tilt=view.tilt, tilt_direction=math.radians(50.0), noise=view.noise)
-    return FtirRenderer(look, seed, scene, view.width, view.height)
-
-
-def write_frame(path: Path, image: np.ndarray) -> None:
-    """Write a grey image (H, W) uint8 as PNG, fast rather than small."""
-    ok, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
-    if not ok:
-        raise ValueError(f"image of shape {image.shape} and type {image.dtype} cannot be a PNG")
-    path.write_bytes(data.tobytes())
+    return FtirRenderer(skin, seed, scene, view.width, view.height)
 
 
 def write_truth(path: Path, trial: PlannedTrial, start_ns: int) -> None:
-    """Write what really happened in a played trial, for tests alone; `start_ns` is the stamp of time 0."""
+    """Write the true contact of a played trial; `start_ns` is the stamp of time 0."""
     with atomic_write(path) as file:
         json.dump({**trial.truth, "start_ns": start_ns}, file)

@@ -1,4 +1,4 @@
-"""The FTIR renderer: what it says is true is in the pixels."""
+"""The FTIR renderer: the areas it gives as true are in the pixels."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from finger_common.errors import InputError
-from finger_sim.ftir import AREA_PER_PIXEL, LOOKS, NOT_MODELLED, Contact, FtirRenderer, Scene
+from finger_sim.ftir import AREA_PER_PIXEL, NOT_MODELLED, SKINS, Contact, FtirRenderer, Scene
 
 CLEAN = Scene(noise=0.0, texture=0.0, dust=0, latent=0.0, vignetting=0.0, gradient=0.0, blur=0.0)
 
@@ -31,9 +31,9 @@ def test_changed_pixels_lie_in_the_contact_and_reach_its_rim(tilt: float) -> Non
     assert frame.gross_area == pytest.approx(math.pi * 4.5e-3**2)
 
 
-@pytest.mark.parametrize("look", LOOKS)
-def test_real_area_is_that_of_the_dark_pixels(look: str) -> None:
-    renderer = FtirRenderer(look, seed=3, scene=CLEAN)
+@pytest.mark.parametrize("skin", SKINS)
+def test_real_area_is_that_of_the_dark_pixels(skin: str) -> None:
+    renderer = FtirRenderer(skin, seed=3, scene=CLEAN)
     frame = renderer.render_frame([Contact(5e-3)])
     drop = renderer.empty().astype(float) - frame.image
     # Half of the local contrast marks the edge of a ridge.
@@ -45,8 +45,8 @@ def test_real_area_is_that_of_the_dark_pixels(look: str) -> None:
 
 def test_moister_skin_touches_more_and_looks_stronger() -> None:
     shares = []
-    for look in ("dry", "natural", "moist"):
-        frame = FtirRenderer(look, seed=4, scene=CLEAN).render_frame([Contact(5e-3)])
+    for skin in ("dry", "natural", "moist"):
+        frame = FtirRenderer(skin, seed=4, scene=CLEAN).render_frame([Contact(5e-3)])
         shares.append(frame.real_area / frame.gross_area)
     assert shares[0] < shares[1] < shares[2]
     assert 0.2 < shares[0] and shares[2] < 0.95
@@ -93,7 +93,7 @@ def test_clipped_second_and_absent_contacts() -> None:
 
 
 def test_settings_without_sense_are_refused_and_limits_are_stated() -> None:
-    with pytest.raises(InputError, match="look 'wet'"):
+    with pytest.raises(InputError, match="skin 'wet'"):
         FtirRenderer("wet")
     with pytest.raises(InputError, match="tilt"):
         FtirRenderer(scene=Scene(tilt=1.5))

@@ -4,16 +4,17 @@ import numpy as np
 import pytest
 
 from finger_common.errors import InputError
-from finger_sim.press import TARGET_FORCE, PressStyle, human_press, plan_press
+from finger_model.paper import TARGET_FORCE
+from finger_sim.press import PressStyle, plan_press
 
 PRESSES = [plan_press(np.random.default_rng(seed)) for seed in range(200)]
 
 
 def test_same_seed_gives_the_same_press_and_another_seed_another() -> None:
-    one, two = (human_press(np.random.default_rng(7)) for _ in range(2))
-    assert np.array_equal(one[0], two[0]) and np.array_equal(one[1], two[1])
-    other = human_press(np.random.default_rng(8))
-    assert len(other[1]) != len(one[1]) or not np.allclose(other[1], one[1])
+    one, two = (plan_press(np.random.default_rng(7)) for _ in range(2))
+    assert np.array_equal(one.time, two.time) and np.array_equal(one.force, two.force)
+    other = plan_press(np.random.default_rng(8))
+    assert len(other.force) != len(one.force) or not np.allclose(other.force, one.force)
 
 
 def test_force_is_zero_before_onset_and_after_lift_off_and_never_negative() -> None:
@@ -43,7 +44,7 @@ def test_time_to_target_spans_the_half_to_two_seconds_of_the_paper() -> None:
 
 
 def test_tremor_lies_at_8_to_12_hz() -> None:
-    """Held force: the power above the slow drift peaks in the tremor band and is 1.5 % of the force."""
+    """Held force: power above the drift peaks in the tremor band and is 1.5 % of the force."""
     style = PressStyle(hold=(8.0, 8.0), drift=0.0)
     press = plan_press(np.random.default_rng(1), ramp_time=1.0, style=style)
     held = press.force[(press.time > press.cue + 0.5) & (press.time < press.release - 0.1)]
@@ -55,7 +56,7 @@ def test_tremor_lies_at_8_to_12_hz() -> None:
     assert held.std() == pytest.approx(style.tremor, rel=0.25)
 
 
-def test_without_fluctuation_the_ramp_reaches_the_target_when_told() -> None:
+def test_without_fluctuation_the_ramp_reaches_the_target_in_the_given_time() -> None:
     style = PressStyle(tremor=0.0, drift=0.0, shape=(1.0, 1.0))
     press = plan_press(np.random.default_rng(1), ramp_time=0.8, style=style)
     assert press.cue - press.onset == pytest.approx(0.8, abs=2e-3)

@@ -136,7 +136,8 @@ def smooth_tiles(deviation: np.ndarray) -> np.ndarray:
 def plate_tiles(deviation: np.ndarray) -> np.ndarray:
     """Mask (rows, columns) of tiles that are plate.
 
-    They are smooth and connected with the image's border by smooth ones. A sweat-filled part of a print is smooth too, but enclosed by ridges.
+    They are smooth and connected with the image's border by smooth ones. A part of a print that is
+    filled with sweat is smooth too, but enclosed by ridges.
     """
     smooth = smooth_tiles(deviation).astype(np.uint8)
     _, labels = cv2.connectedComponents(
@@ -147,7 +148,7 @@ def plate_tiles(deviation: np.ndarray) -> np.ndarray:
 
 
 def guess_polarity(mean: np.ndarray, deviation: np.ndarray) -> bool:
-    """Whether ridges are brighter than the plate: tiles with structure against the plate beside them."""
+    """Whether tiles with structure are brighter than the plate tiles beside them."""
     plate = plate_tiles(deviation)
     weight = plate.astype(np.float32)
     share = cv2.blur(weight, (3, 3), borderType=cv2.BORDER_REPLICATE)

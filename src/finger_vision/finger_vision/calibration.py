@@ -174,7 +174,12 @@ class PlateCalibration:
         }
 
     def save(self, path: str | Path) -> None:
-        """Write the YAML file; its camera part is that of ROS's camera_calibration."""
+        """Write the YAML file."""
+        with atomic_write(path) as file:
+            file.write(self.to_yaml())
+
+    def to_yaml(self) -> str:
+        """Text of the YAML file; its camera part is that of ROS's camera_calibration."""
 
         def matrix(values: np.ndarray) -> dict[str, Any]:
             values = np.atleast_2d(values)
@@ -203,13 +208,11 @@ class PlateCalibration:
         for key in ("reprojection_error", "plate_error"):
             if math.isfinite(getattr(self, key)):
                 data[key] = float(getattr(self, key))
-        with atomic_write(path) as file:
-            file.write(
-                "# Plate calibration. area_per_pixel: m^2 of a rectified pixel. plate_homography:\n"
-                "# from undistorted pixels to m on the plate. reprojection_error: px RMS;\n"
-                "# plate_error: m RMS.\n"
-            )
-            yaml.safe_dump(data, file, sort_keys=False, default_flow_style=None, width=100)
+        return (
+            "# Plate calibration. area_per_pixel: m^2 of a rectified pixel. plate_homography: from\n"
+            "# undistorted pixels to m on the plate. reprojection_error: px RMS; plate_error: m RMS.\n"
+            + yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=100)
+        )
 
     @classmethod
     def load(cls, path: str | Path) -> PlateCalibration:

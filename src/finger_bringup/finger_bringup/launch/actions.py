@@ -1,40 +1,45 @@
-"""The node table as launch actions, for the launch files of this package.
-
-A launch file's nodes start with `autostart` false and are configured and activated in order by `bring_up_node`, which
-also brings a restarted node up again. launch_ros restarts nodes that die and reports it.
-"""
+"""The entries of `nodes` as launch actions, for the launch files of this package."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import time
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 from launch import LaunchContext  # type: ignore[attr-defined]
 from launch.action import Action
-from launch.actions import DeclareLaunchArgument
+from launch.actions import (
+    DeclareLaunchArgument,
+    EmitEvent,
+    LogInfo,
+    OpaqueFunction,
+    RegisterEventHandler,
+    TimerAction,
+)
+from launch.event_handlers import OnProcessExit
+from launch.events import Shutdown
+from launch.events.process import ProcessExited
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from finger_bringup import nodes
-
-CONFIG = Path(__file__).resolve().parents[2] / "config"
+from finger_bringup.restarts import RestartDelay
 
 COMMON = {
-    "namespace": ("finger", "Namespace of all nodes and topics."),
+    "namespace": (nodes.DEFAULT_NAMESPACE, "Namespace of all nodes and topics."),
     "parameters": ("", "ROS parameter file (YAML), such as a copy of config/rig.yaml."),
-    "respawn": ("true", "Start nodes that die again."),
-    "log_level": ("info", "Least level of what nodes log."),
+    "respawn": ("true", "Start nodes again that end by themselves."),
+    "log_level": ("info", "Lowest level of the messages that nodes log."),
 }
 """Arguments of every launch file: default and meaning."""
 
 
-def arguments(*names: str, **further: tuple[str, str]) -> list[DeclareLaunchArgument]:
-    """Declarations of the named common arguments and of further ones as (default, meaning)."""
-    table = {**{name: COMMON[name] for name in names}, **further}
+def arguments(**further: tuple[str, str]) -> list[DeclareLaunchArgument]:
+    """Declarations of the common arguments and of further ones as (default, meaning)."""
     return [
         DeclareLaunchArgument(name, default_value=default, description=meaning)
-        for name, (default, meaning) in table.items()
+        for name, (default, meaning) in {**COMMON, **further}.items()
     ]
 
 
@@ -51,54 +56,55 @@ def truth(context: LaunchContext, name: str) -> bool:
     return text == "true"
 
 
-def parameter_file(context: LaunchContext) -> Path | None:
-    """The checked parameter file, None where none is given; raises InputError naming file and key."""
-    text = value(context, "parameters")
-    return nodes.check_parameter_file(Path(text).expanduser()) if text else None
+def path(context: LaunchContext, name: str) -> Path:
+    """Absolute path that an argument names."""
+    return Path(value(context, name)).expanduser().absolute()
 
 
-def node_actions(
-    context: LaunchContext, entries: Iterable[nodes.NodeEntry], **for_all: Any
+def node_actions(context: LaunchContext, entries: Iterable[nodes.NodeEntry]) -> list[Action]:
+    """Launch actions that run the entries with the common arguments."""
+    respawn, level = truth(context, "respawn"), value(context, "log_level")
+    files: list[Any] = []
+    if value(context, "parameters"):
+        files = [str(nodes.check_parameter_file(path(context, "parameters")))]
+
+    def node(entry: nodes.NodeEntry) -> Node:
+        # Launch files wait for a line of `bring_up` that has the level info.
+        entry_level = "info" if entry.name == nodes.BRING_UP.name else level
+        return Node(
+            package=entry.package,
+            executable=entry.executable,
+            name=entry.name,
+            namespace=value(context, "namespace"),
+            parameters=[*files, dict(entry.parameters)],
+            ros_arguments=["--log-level", entry_level],
+            output="screen",
+        )
+
+    return [action for e in entries for action in _kept_running(e, node, RestartDelay(), respawn)]
+
+
+def _kept_running(
+    entry: nodes.NodeEntry,
+    make: Callable[[nodes.NodeEntry], Node],
+    delay: RestartDelay,
+    respawn: bool,
 ) -> list[Action]:
-    """Launch actions of the entries, and of the node that brings the lifecycle nodes among them up in order.
+    """The node and what follows its end: a restart after a delay, or the end of everything."""
+    node, started = make(entry), time.monotonic()
 
-    for_all: parameters of every node, such as use_sim_time.
-    """
-    entries = list(entries)
-    namespace, level = value(context, "namespace"), value(context, "log_level")
-    respawn, file = truth(context, "respawn"), parameter_file(context)
-    options: dict[str, Any] = {
-        "namespace": namespace,
-        "output": "screen",
-        "emulate_tty": False,
-        "ros_arguments": ["--log-level", level],
-        "respawn_delay": 1.0,
-    }
-    actions: list[Action] = []
-    for entry in entries:
-        own: dict[str, Any] = {"autostart": not entry.lifecycle, **for_all, **entry.parameters}
-        parameters: Sequence[Any] = [own] if file is None else [str(file), own]
-        actions.append(
-            Node(
-                package=entry.package,
-                executable=entry.executable,
-                name=entry.name,
-                parameters=parameters,
-                respawn=respawn and entry.respawn,
-                **options,
-            )
-        )
-    ranks = sorted({entry.rank for entry in entries if entry.lifecycle})
-    order = [" ".join(e.name for e in entries if e.lifecycle and e.rank == rank) for rank in ranks]
-    actions.append(
-        Node(
-            package="finger_bringup",
-            executable="bring_up_node",
-            name="bring_up",
-            parameters=[{"order": order}],
-            respawn=respawn,
-            # Always told: a launch file may wait for its word that all nodes are active.
-            **{**options, "ros_arguments": []},
-        )
-    )
-    return actions
+    def ended(event: ProcessExited, context: LaunchContext) -> list[Action]:
+        if context.is_shutdown:
+            return []
+        if entry.essential:
+            if event.returncode:
+                raise RuntimeError(f"'{entry.name}' failed; the lines above name the cause")
+            return [EmitEvent(event=Shutdown(reason=f"'{entry.name}' has ended"))]
+        if not (respawn and entry.restart):
+            return []
+        wait = delay.after_running(time.monotonic() - started)
+        again = OpaqueFunction(function=lambda _: _kept_running(entry, make, delay, respawn))
+        message = LogInfo(msg=f"{entry.name} ended; starting it again in {wait:g} s")
+        return [message, TimerAction(period=wait, actions=[again])]
+
+    return [RegisterEventHandler(OnProcessExit(target_action=node, on_exit=ended)), node]

@@ -1,7 +1,8 @@
 """Frames handed over as files in a folder, by the simulated rig or by another program that owns the camera.
 
-A frame is a file `<stamp>_<sequence>.pgm` (or .png, .tif, .bmp): the acquisition time in ns since the epoch and the
-frame's number, in decimal. Files appear whole, by renaming. The writer keeps only the newest ones.
+A frame is a file `<stamp>_<sequence>.pgm` (or .png, .tif, .bmp): the acquisition time in ns since
+the epoch and the frame's number, in decimal. Files appear whole, by renaming. The writer keeps only
+the newest ones.
 """
 
 from __future__ import annotations
@@ -9,16 +10,16 @@ from __future__ import annotations
 import os
 import re
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from finger_common.diagnostics import Health
-from finger_common.errors import DeviceError
+from finger_common.errors import DeviceError, InputError
 
 from ..clock import HostClock
-from .source import CameraSource, Frame
+from .source import CameraSettings, CameraSource, Frame
 
 _NAME = re.compile(r"(\d{1,19})_(\d{1,18})\.(?:pgm|png|tif|tiff|bmp)")
 _POLL = 0.004
@@ -37,13 +38,27 @@ def parse_name(name: str) -> tuple[int, int] | None:
     return (int(match[1]), int(match[2])) if match else None
 
 
-class FolderSource(CameraSource):
-    """Reads frames as they appear in a folder; those taken before `connect` are not new and are left out."""
+@dataclass(frozen=True)
+class FolderSettings(CameraSettings):
+    """Settings of a folder of frames."""
 
-    def __init__(self, folder: str | Path, health: Health, clock: HostClock | None = None) -> None:
-        super().__init__(health)
-        self._folder = Path(folder)
-        self._clock = clock or HostClock()
+    def validate(self) -> None:
+        if not self.path:
+            raise InputError("parameter 'path' is empty; name the folder of frames")
+
+
+class FolderSource(CameraSource):
+    """Folder of stamped frames.
+
+    Frames taken before `connect` are not new and are left out.
+    """
+
+    SETTINGS = FolderSettings
+    SIMULATOR = "finger_driver.simulators.images:ImageSimulator"
+
+    def __init__(self, settings: FolderSettings, clock: HostClock | None = None) -> None:
+        super().__init__(settings, clock)
+        self._folder = Path(settings.path)
         self._connected = False
         self._last: tuple[int, int] | None = None
 
@@ -57,8 +72,8 @@ class FolderSource(CameraSource):
         self.health.hardware_id = str(self._folder)
 
     def flush(self) -> None:
-        self._last = (self._clock.now(), -1)
-        self._next_sequence: int | None = None
+        self._last = (self.clock.now(), -1)
+        self._next_number = None
 
     def close(self) -> None:
         self._connected = False
@@ -72,7 +87,7 @@ class FolderSource(CameraSource):
                     self.health.count("skipped", len(waiting) - _BACKLOG)
                     waiting = waiting[-_BACKLOG:]
                     # Skipped is not lost.
-                    self._next_sequence = waiting[0][0][1]
+                    self._next_number = waiting[0][0][1]
                 key, name = waiting[0]
                 self._last = key
                 frame = self._load(key, name)
@@ -102,9 +117,7 @@ class FolderSource(CameraSource):
 
     def _load(self, key: tuple[int, int], name: str) -> Frame | None:
         stamp, sequence = key
-        if self._next_sequence is not None and sequence > self._next_sequence:
-            self.health.count("lost", sequence - self._next_sequence)
-        self._next_sequence = sequence + 1
+        self.count_lost(sequence)
         try:
             data = np.fromfile(self._folder / name, dtype=np.uint8)
         except OSError:

@@ -1,4 +1,4 @@
-"""Telling a camera that repeats its last image from one that sees nothing move."""
+"""Detects a camera that repeats its last image, unlike one that sees nothing move."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 class FreezeDetector:
     """Counts identical images in a row. A sensor's noise makes two equal images all but impossible.
 
-    limit: images in a row that count as frozen, 0 never. Images of one grey level throughout (dark or at the end of
-    the scale) do not count: these can be equal.
+    limit: images in a row that count as frozen, 0 never. Images of one grey level throughout (dark
+    or at the end of the scale) do not count: these can be equal.
     """
 
     def __init__(self, limit: int) -> None:

@@ -1,4 +1,7 @@
-"""Camera calibration files in the format of ROS camera_info_manager, and their URLs. No message package here."""
+"""Camera calibration files in the format of ROS camera_info_manager, and their URLs.
+
+No message package is imported here.
+"""
 
 from __future__ import annotations
 
@@ -13,16 +16,13 @@ import yaml
 from finger_common.errors import InputError
 from finger_common.files import atomic_write, load_yaml
 
-_SHAPES = {
-    "camera_matrix": (3, 3),
-    "rectification_matrix": (3, 3),
-    "projection_matrix": (3, 4),
-}
-
 
 @dataclass
 class CameraCalibration:
-    """Intrinsic calibration; matrices row by row as in sensor_msgs/CameraInfo, all zero when not calibrated."""
+    """Intrinsic calibration.
+
+    Matrices row by row as in sensor_msgs/CameraInfo, all zero when not calibrated.
+    """
 
     width: int = 0
     height: int = 0
@@ -41,19 +41,17 @@ class CameraCalibration:
     def load(cls, path: str | Path) -> CameraCalibration:
         """Read a YAML file; raises InputError naming file and key."""
         data = load_yaml(path, "camera calibration")
-        matrices: dict[str, list[float]] = {}
-        for key, (rows, columns) in _SHAPES.items():
-            matrices[key] = _matrix(data, key, rows * columns, str(path))
+        where = str(path)
         try:
             return cls(
                 width=int(data["image_width"]),
                 height=int(data["image_height"]),
                 name=str(data.get("camera_name", "camera")),
                 distortion_model=str(data.get("distortion_model", "plumb_bob")),
-                d=_matrix(data, "distortion_coefficients", None, str(path)),
-                k=matrices["camera_matrix"],
-                r=matrices["rectification_matrix"],
-                p=matrices["projection_matrix"],
+                d=_matrix(data, "distortion_coefficients", None, where),
+                k=_matrix(data, "camera_matrix", 9, where),
+                r=_matrix(data, "rectification_matrix", 9, where),
+                p=_matrix(data, "projection_matrix", 12, where),
             )
         except KeyError as error:
             raise InputError(f"{path}: key {error} is missing; add it") from None
@@ -91,8 +89,9 @@ def _matrix(data: dict[str, Any], key: str, size: int | None, where: str) -> lis
 def resolve_url(url: str, name: str) -> Path:
     """Path of a `camera_info_url`.
 
-    Schemes `file:///…` and `package://PACKAGE/…`; `${NAME}`, `${ROS_HOME}` and environment variables are
-    replaced; empty means `file://${ROS_HOME}/camera_info/${NAME}.yaml`. Raises InputError for anything else.
+    Schemes `file:///…` and `package://PACKAGE/…`; `${NAME}`, `${ROS_HOME}` and environment
+    variables are replaced; empty means `file://${ROS_HOME}/camera_info/${NAME}.yaml`. Raises
+    InputError for anything else.
     """
     home = os.environ.get("ROS_HOME") or str(Path.home() / ".ros")
     url = url or "file://${ROS_HOME}/camera_info/${NAME}.yaml"

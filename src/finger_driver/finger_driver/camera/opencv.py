@@ -1,7 +1,8 @@
 """Any source that OpenCV's VideoCapture opens: V4L2 camera, file, image sequence, GStreamer pipeline.
 
-A camera is read by a thread without pause that keeps only the newest frame: V4L2 queues up to four frames, and a
-slower reader would get ever older ones. Files and sequences are played at `rate` instead.
+A camera is read by a thread without pause that keeps only the newest frame: V4L2 queues up to four
+frames, and a slower reader would get ever older ones. Files and sequences are played at `rate`
+instead.
 """
 
 from __future__ import annotations
@@ -10,24 +11,26 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
-from finger_common.diagnostics import Health
 from finger_common.errors import DeviceError, InputError
+from finger_common.settings import setting
+from finger_common.stamps import nanoseconds
 
 from ..clock import HostClock
-from .source import CameraSource, Frame
+from .source import CameraSettings, CameraSource, Frame
 
 
 def capture_of(path: str) -> tuple[Any, bool]:
     """VideoCapture for a path and whether it is live (camera or pipeline).
 
-    "0": camera 0. Text with "!": GStreamer pipeline. "frames/f_%03d.png": image sequence. Else a file. Raises
-    InputError for a path that cannot mean anything and DeviceError when it does not open.
+    "0": camera 0. Text with "!": GStreamer pipeline. "frames/f_%03d.png": image sequence. Else a
+    file. Raises InputError for a path that cannot mean anything, DeviceError when it does not open.
     """
     if not path:
         raise InputError("parameter 'path' is empty; give a camera number, a file or a sequence")
@@ -39,8 +42,8 @@ def capture_of(path: str) -> tuple[Any, bool]:
     elif "!" in path:
         if "GStreamer:                   NO" in cv2.getBuildInformation():
             raise InputError(
-                "path is a GStreamer pipeline, but this OpenCV is built without GStreamer; install one "
-                "that has it, such as apt's python3-opencv"
+                "path is a GStreamer pipeline, but this OpenCV is built without GStreamer; install "
+                "one that has it, such as apt's python3-opencv"
             )
         capture, live = cv2.VideoCapture(path, cv2.CAP_GSTREAMER), True
         advice = "try the pipeline with gst-launch-1.0"
@@ -57,32 +60,31 @@ def capture_of(path: str) -> tuple[Any, bool]:
     return capture, live
 
 
+@dataclass(frozen=True)
+class OpenCvSettings(CameraSettings):
+    """Settings of a VideoCapture."""
+
+    gain: float = setting(
+        -1.0, "opencv: gain in the driver's own units; -1 leaves it as it is.", minimum=-1.0
+    )
+
+
 class OpenCvSource(CameraSource):
-    """Driver of one VideoCapture. Settings of -1 (exposure, gain) or 0 (width, height) are left alone."""
+    """OpenCV VideoCapture: camera, file, image sequence, pipeline."""
+
+    SETTINGS = OpenCvSettings
+
+    settings: OpenCvSettings
 
     def __init__(
         self,
-        path: str,
-        health: Health,
-        rate: float = 10.0,
-        width: int = 0,
-        height: int = 0,
-        exposure: float = -1.0,
-        gain: float = -1.0,
+        settings: OpenCvSettings,
         clock: HostClock | None = None,
         opener: Callable[[str], tuple[Any, bool]] = capture_of,
     ) -> None:
-        super().__init__(health)
-        self._path = path
-        self._period = 1.0 / rate
-        self._wanted = {
-            "width": (cv2.CAP_PROP_FRAME_WIDTH, width, width > 0),
-            "height": (cv2.CAP_PROP_FRAME_HEIGHT, height, height > 0),
-            "rate": (cv2.CAP_PROP_FPS, rate, True),
-            "exposure": (cv2.CAP_PROP_EXPOSURE, exposure, exposure >= 0),
-            "gain": (cv2.CAP_PROP_GAIN, gain, gain >= 0),
-        }
-        self._clock = clock or HostClock()
+        super().__init__(settings, clock)
+        self._path = settings.path
+        self._period = 1.0 / settings.rate
         self._opener = opener
         self._silence = max(2.0, 5 * self._period)
         self._capture: Any = None
@@ -94,7 +96,7 @@ class OpenCvSource(CameraSource):
         self.health.hardware_id = f"OpenCV {self._path}"
         if live:
             self._configure()
-            self._grabber = _Grabber(self._capture, self._clock)
+            self._grabber = _Grabber(self._capture, self.clock)
             self._grabber.start()
         self.flush()
 
@@ -105,13 +107,24 @@ class OpenCvSource(CameraSource):
             self._grabber.take(0.0)
 
     def _configure(self) -> None:
-        """Set what was asked for and say what the camera made of it; drivers ignore settings in silence."""
-        if self._wanted["exposure"][2]:
+        """Set what was requested and report what the camera made of it.
+
+        Drivers ignore settings without an error.
+        """
+        wanted = self.settings
+        requests = [("rate", cv2.CAP_PROP_FPS, wanted.rate)]
+        if wanted.width:
+            requests.append(("width", cv2.CAP_PROP_FRAME_WIDTH, wanted.width))
+        if wanted.height:
+            requests.append(("height", cv2.CAP_PROP_FRAME_HEIGHT, wanted.height))
+        if wanted.exposure:
             self._capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, 1)  # 1 is "manual" for V4L2
+            # V4L2 counts exposure in 100 µs.
+            requests.append(("exposure", cv2.CAP_PROP_EXPOSURE, wanted.exposure * 1e4))
+        if wanted.gain >= 0:
+            requests.append(("gain", cv2.CAP_PROP_GAIN, wanted.gain))
         self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
-        for name, (key, value, wanted) in self._wanted.items():
-            if not wanted:
-                continue
+        for name, key, value in requests:
             self._capture.set(key, value)
             got = self._capture.get(key)
             self.health.notes[f"camera_{name}"] = f"{got:g}"
@@ -164,7 +177,7 @@ class OpenCvSource(CameraSource):
         if not good or image is None:
             raise DeviceError(f"{self._path}: no frame can be read; check the format")
         self._sequence += 1
-        return Frame(self._clock.now(), grey(image), self._sequence)
+        return Frame(self.clock.now(), grey(image), self._sequence)
 
 
 class _Grabber(threading.Thread):
@@ -204,7 +217,7 @@ class _Grabber(threading.Thread):
         """Time of the frame: the kernel's (V4L2 gives its steady clock in ms) where it can be believed."""
         now, steady = self._clock.now(), time.monotonic()
         age = steady - self._capture.get(cv2.CAP_PROP_POS_MSEC) * 1e-3
-        return now - round(age * 1e9) if 0 <= age < 1 else now
+        return now - nanoseconds(age) if 0 <= age < 1 else now
 
     def take(self, timeout: float) -> tuple[int, np.ndarray, int] | None:
         """The newest frame not yet taken, or None after `timeout` s."""

@@ -1,4 +1,4 @@
-"""What every camera's driver gives."""
+"""What every camera's driver gives, and the settings that all of them have."""
 
 from __future__ import annotations
 
@@ -6,15 +6,50 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from finger_common.diagnostics import Health
+from finger_common.settings import Settings, setting
+
+from ..clock import HostClock
 from ..device import Device
+
+
+@dataclass(frozen=True)
+class CameraSettings(Settings):
+    """Settings of every camera."""
+
+    path: str = setting(
+        "",
+        "folder: the folder of frames. opencv: number of the camera, file, image sequence or "
+        "pipeline.",
+    )
+    rate: float = setting(
+        10.0,
+        "Frames per second requested and expected.",
+        unit="Hz",
+        minimum=0.1,
+        maximum=1000.0,
+    )
+    width: int = setting(
+        0, "Width requested; 0 leaves it as it is.", unit="px", minimum=0, maximum=20000
+    )
+    height: int = setting(
+        0, "Height requested; 0 leaves it as it is.", unit="px", minimum=0, maximum=20000
+    )
+    exposure: float = setting(
+        0.0,
+        "Exposure time requested; 0 leaves it as it is.",
+        unit="s",
+        minimum=0.0,
+        maximum=10.0,
+    )
 
 
 @dataclass(frozen=True)
 class Frame:
     """One image.
 
-    stamp_ns: acquisition, ns since the epoch, before the calibrated offset of the rig is added. image (H, W)
-    uint8. sequence: the camera's own number of the frame; a gap means lost frames.
+    stamp_ns: acquisition, ns since the epoch, before the calibrated offset of the rig is added.
+    image (H, W) uint8. sequence: the camera's own number of the frame; a gap means lost frames.
     """
 
     stamp_ns: int
@@ -24,3 +59,18 @@ class Frame:
 
 class CameraSource(Device[Frame]):
     """A monochrome camera."""
+
+    SETTINGS: type[CameraSettings] = CameraSettings
+
+    def __init__(self, settings: CameraSettings, clock: HostClock | None = None) -> None:
+        rate = settings.rate
+        health = Health("camera", expected_rate=rate, stale_after=max(1.0, 5 / rate))
+        super().__init__(settings, health, clock)
+        self._next_number: int | None = None
+
+    def count_lost(self, number: int) -> None:
+        """Count the frames that are missing before frame `number` of the camera's own counting."""
+        expected = self._next_number
+        if expected is not None and number > expected:
+            self.health.count("lost", number - expected)
+        self._next_number = number + 1

@@ -1,23 +1,24 @@
 """IDS uEye cameras, also sold by Thorlabs as DCx, through IDS's `pyueye`.
 
-`pyueye` and the uEye library are needed only when such a camera is opened. Order of calls and of timing settings
-(pixel clock, frame rate, exposure: each changes the range of the next) after the DCx manual. The camera's clock ticks
-every 0.1 µs; its PC time is local time and is not used.
+`pyueye` and the uEye library are needed only when such a camera is opened. Order of calls and of
+timing settings (pixel clock, frame rate, exposure: each changes the range of the next) after the
+DCx manual. The camera's clock ticks every 0.1 µs; its PC time is local time and is not used.
 """
 
 from __future__ import annotations
 
 import importlib
 import time
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from finger_common.diagnostics import Health
 from finger_common.errors import DeviceError, InputError
+from finger_common.settings import setting
 
 from ..clock import ClockMapper, HostClock
-from .source import CameraSource, Frame
+from .source import CameraSettings, CameraSource, Frame
 
 _TICKS = 1e7
 _BUFFERS = 4
@@ -36,33 +37,40 @@ def load_sdk() -> Any:
         return importlib.import_module("pyueye.ueye")
     except (ImportError, OSError) as error:
         raise InputError(
-            f"uEye cameras need the IDS driver and `pip install pyueye` ({error}); PYUEYE_DLL_PATH names the "
-            "folder of libueye_api.so"
+            f"uEye cameras need the IDS driver and `pip install pyueye` ({error}); PYUEYE_DLL_PATH "
+            "names the folder of libueye_api.so"
         ) from None
 
 
+@dataclass(frozen=True)
+class UeyeSettings(CameraSettings):
+    """Settings of a uEye camera."""
+
+    camera_id: int = setting(
+        0, "ueye: number of the camera; 0 for the first.", minimum=0, maximum=254
+    )
+    pixel_clock: int = setting(
+        0,
+        "ueye: pixel clock; 0 leaves it as it is.",
+        unit="MHz",
+        minimum=0,
+        maximum=500,
+        advice="Lower it when frames are lost on USB.",
+    )
+
+
 class UeyeSource(CameraSource):
-    """Driver of one uEye camera. camera_id 0 is the first found. exposure in s and pixel_clock in MHz, 0: default."""
+    """IDS or Thorlabs uEye camera."""
+
+    SETTINGS = UeyeSettings
+
+    settings: UeyeSettings
 
     def __init__(
-        self,
-        health: Health,
-        camera_id: int = 0,
-        rate: float = 10.0,
-        exposure: float = 0.0,
-        pixel_clock: int = 0,
-        width: int = 0,
-        height: int = 0,
-        clock: HostClock | None = None,
-        sdk: Any = None,
+        self, settings: UeyeSettings, clock: HostClock | None = None, sdk: Any = None
     ) -> None:
-        super().__init__(health)
-        self._id = camera_id
-        self._rate = rate
-        self._exposure = exposure
-        self._pixel_clock = pixel_clock
-        self._size = (width, height)
-        self._clock = clock or HostClock()
+        super().__init__(settings, clock)
+        self._id = settings.camera_id
         self._sdk = sdk
         self._camera: Any = None
         self._memories: list[tuple[Any, Any]] = []
@@ -95,8 +103,8 @@ class UeyeSource(CameraSource):
         info = u.SENSORINFO()
         self._check(u.is_GetSensorInfo(camera, info), "sensor information")
         self._check(u.is_SetColorMode(camera, u.IS_CM_MONO8), "mono 8 bit")
-        width = self._size[0] or int(info.nMaxWidth)
-        height = self._size[1] or int(info.nMaxHeight)
+        width = self.settings.width or int(info.nMaxWidth)
+        height = self.settings.height or int(info.nMaxHeight)
         area = u.IS_RECT()
         area.s32X, area.s32Y = u.int(0), u.int(0)
         area.s32Width, area.s32Height = u.int(width), u.int(height)
@@ -115,27 +123,27 @@ class UeyeSource(CameraSource):
         self._pitch = self._inquire_pitch(u, width)
         self._mapper.restart()
         self._last_frame = time.monotonic()
-        self._last_number: int | None = None
+        self._next_number = None
         name = bytes(info.strSensorName).split(b"\0")[0].decode("ascii", "replace")
         self.health.hardware_id = f"uEye {self._id} {name}".strip()
 
     def _set_timing(self, u: Any) -> None:
-        camera = self._camera
-        if self._pixel_clock:
-            clock = u.c_uint(self._pixel_clock)
+        camera, wanted = self._camera, self.settings
+        if wanted.pixel_clock:
+            clock = u.c_uint(wanted.pixel_clock)
             self._check(
                 u.is_PixelClock(camera, u.IS_PIXELCLOCK_CMD_SET, clock, u.sizeof(clock)),
                 "pixel clock",
             )
         rate = u.double()
-        self._check(u.is_SetFrameRate(camera, u.double(self._rate), rate), "frame rate")
+        self._check(u.is_SetFrameRate(camera, u.double(wanted.rate), rate), "frame rate")
         self.health.notes["camera_rate"] = f"{float(rate.value):g}"
-        if abs(float(rate.value) - self._rate) > 0.01 * self._rate:
+        if abs(float(rate.value) - wanted.rate) > 0.01 * wanted.rate:
             self.note(
-                "setting_rate", f"the camera makes {float(rate.value):g} Hz of {self._rate:g} Hz"
+                "setting_rate", f"the camera makes {float(rate.value):g} Hz of {wanted.rate:g} Hz"
             )
-        if self._exposure:
-            exposure = u.double(self._exposure * 1e3)
+        if wanted.exposure:
+            exposure = u.double(wanted.exposure * 1e3)
             self._check(
                 u.is_Exposure(camera, u.IS_EXPOSURE_CMD_SET_EXPOSURE, exposure, u.sizeof(exposure)),
                 "exposure",
@@ -162,7 +170,7 @@ class UeyeSource(CameraSource):
             raise DeviceError(f"uEye camera {self._id}: not connected")
         memory, number = u.c_mem_p(), u.int()
         code = int(u.is_WaitForNextImage(self._camera, round(timeout * 1e3), memory, number))
-        received = self._clock.now()
+        received = self.clock.now()
         if code == _TRANSFER_ERROR:
             self.note(
                 "transfer", "a frame was lost on USB; use another port or a lower pixel clock"
@@ -170,7 +178,7 @@ class UeyeSource(CameraSource):
             return None
         if code == _TIMED_OUT:
             silent = time.monotonic() - self._last_frame
-            if silent > max(2.0, 5 / self._rate):
+            if silent > max(2.0, 5 / self.settings.rate):
                 raise DeviceError(f"uEye camera {self._id}: no frame for {silent:.1f} s; check USB")
             return None
         self._check(code, "waiting for a frame")
@@ -185,24 +193,11 @@ class UeyeSource(CameraSource):
         self._last_frame = time.monotonic()
         self.cleared("transfer")
         image = np.asarray(data, dtype=np.uint8).reshape(self._height, self._pitch)
-        return Frame(
-            self._stamp(int(info.u64TimestampDevice), received),
-            np.ascontiguousarray(image[:, : self._width]),
-            self._number(int(info.u64FrameNumber)),
-        )
-
-    def _stamp(self, ticks: int, received: int) -> int:
-        stamp = self._mapper.update(ticks, received)
-        self.health.notes["clock_drift_ppm"] = f"{self._mapper.drift * 1e6:.1f}"
-        self.health.notes["clock_jitter_ms"] = f"{self._mapper.jitter * 1e3:.3f}"
-        return stamp
-
-    def _number(self, number: int) -> int:
-        last = self._last_number
-        if last is not None and number > last + 1:
-            self.health.count("lost", number - last - 1)
-        self._last_number = number
-        return number
+        sequence = int(info.u64FrameNumber)
+        self.count_lost(sequence)
+        stamp = self._mapper.update(int(info.u64TimestampDevice), received)
+        self.health.notes.update(self._mapper.notes())
+        return Frame(stamp, np.ascontiguousarray(image[:, : self._width]), sequence)
 
     def close(self) -> None:
         camera, self._camera = self._camera, None

@@ -4,59 +4,66 @@ from __future__ import annotations
 
 import contextlib
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import can
 
-from finger_common.diagnostics import ERROR, Health
+from finger_common.diagnostics import ERROR
 from finger_common.errors import DeviceError
+from finger_common.settings import setting
+from finger_common.stamps import NANOSECONDS
 
 from .. import can_bus
 from ..clock import HostClock
-from ..protocols.dbc import CanFrame, SampleAssembler, SensorMapping
-from .source import CRITICAL, GOOD, SATURATED, ForceSource, WrenchSample
+from ..protocols.dbc import SampleAssembler, SensorMapping
+from .source import CRITICAL, GOOD, SATURATED, ForceSettings, ForceSource, WrenchSample
 
 SHIPPED = Path(__file__).resolve().parent.parent / "data" / "robotous_rft.yaml"
 _SILENCE = 0.25
+"""Seconds without a sample after which the connection counts as lost."""
+
+
+@dataclass(frozen=True)
+class DbcSettings(can_bus.CanSettings, ForceSettings):
+    """Settings of a sensor that a DBC file describes."""
+
+    dbc_mapping: str = setting(
+        "",
+        "dbc: YAML file that maps a DBC file's signals; empty for the shipped Robotous RFT.",
+    )
 
 
 class DbcSource(ForceSource):
-    """Driver made from a mapping. rate: samples per second expected, and polled when the mapping has a request.
+    """Any CAN sensor that a DBC file describes.
 
     The stamp is the arrival of a sample's first frame, as the CAN interface gives it.
     """
 
-    def __init__(
-        self,
-        bus_arguments: dict[str, object],
-        mapping: SensorMapping,
-        rate: float = 500.0,
-        clock: HostClock | None = None,
-        health: Health | None = None,
-    ) -> None:
-        super().__init__(health or Health("force", expected_rate=rate, stale_after=0.5))
-        self._bus_arguments = bus_arguments
-        self._mapping = mapping
-        self._names = mapping.identifiers()
-        self._period = 1.0 / rate
-        self._clock = clock or HostClock()
-        self._assembler = SampleAssembler(mapping)
+    SETTINGS = DbcSettings
+    SIMULATOR = "finger_driver.simulators.rft:RftSimulator"
+
+    settings: DbcSettings
+
+    def __init__(self, settings: DbcSettings, clock: HostClock | None = None) -> None:
+        super().__init__(settings, clock)
+        self._mapping = SensorMapping.load(settings.dbc_mapping or SHIPPED)
+        self._names = self._mapping.identifiers()
+        self._period = 1.0 / settings.rate
+        self._assembler = SampleAssembler(self._mapping)
         self._bus: can.BusABC | None = None
         self._count: int | None = None
 
     def _where(self) -> str:
-        arguments = self._bus_arguments
-        interface = str(arguments.get("interface", "socketcan"))
-        channel = arguments.get("channel") or can_bus.DEFAULT_CHANNEL.get(interface, "")
-        return f"{self._mapping.name} on {interface} {channel}".rstrip()
+        return f"{self._mapping.name} on {self.settings.where()}"
 
     def connect(self) -> None:
         self.close()
-        self._bus = can_bus.open_bus(**self._bus_arguments)  # type: ignore[arg-type]
+        self._bus = self.settings.open_bus()
         try:
-            for frame in self._mapping.start:
-                self._send(frame)
+            for message in self._mapping.start:
+                self._bus.send(message, timeout=0.1)
             self._begin()
             if self._wait(time.monotonic() + 1.0) is None:
                 raise DeviceError(
@@ -75,9 +82,7 @@ class DbcSource(ForceSource):
         if self._bus is None:
             return
         with contextlib.suppress(can.CanError):
-            for _ in range(10_000):
-                if self._bus.recv(0) is None:
-                    break
+            can_bus.discard_waiting(self._bus)
         self._begin()
 
     def _begin(self) -> None:
@@ -89,13 +94,9 @@ class DbcSource(ForceSource):
         bus, self._bus = self._bus, None
         if bus is not None:
             with contextlib.suppress(can.CanError):
-                for frame in self._mapping.stop:
-                    bus.send(_message(frame))
+                for message in self._mapping.stop:
+                    bus.send(message)
             bus.shutdown()
-
-    def _send(self, frame: CanFrame) -> None:
-        assert self._bus is not None
-        self._bus.send(_message(frame), timeout=0.1)
 
     def read(self, timeout: float = 1.0) -> WrenchSample | None:
         """Next sample; raises DeviceError after 0.25 s without one or when the bus fails."""
@@ -112,7 +113,8 @@ class DbcSource(ForceSource):
             self._last_sample = now
         elif now - self._last_sample > _SILENCE:
             raise DeviceError(
-                f"{self._where()}: no sample for {now - self._last_sample:.2f} s; check power and cable"
+                f"{self._where()}: no sample for {now - self._last_sample:.2f} s; check power and "
+                "cable"
             )
         return sample
 
@@ -123,17 +125,17 @@ class DbcSource(ForceSource):
             until = end
             if request is not None:
                 if now >= self._next_poll:
-                    self._send(request)
+                    self._bus.send(request, timeout=0.1)
                     self._next_poll = max(self._next_poll + self._period, now)
                 until = min(end, self._next_poll)
             frame = self._bus.recv(max(until - now, 0.0))
             if frame is not None:
-                sample = self._take(frame)
+                sample = self._sample_of(frame)
                 if sample is not None:
                     return sample
         return None
 
-    def _take(self, frame: can.Message) -> WrenchSample | None:
+    def _sample_of(self, frame: can.Message) -> WrenchSample | None:
         if frame.is_error_frame:
             self.note("bus_errors", "the bus carries error frames; check wiring and bit rate")
             return None
@@ -151,19 +153,16 @@ class DbcSource(ForceSource):
             self.note("lost", "a frame of a sample is missing, swapped or late")
         if done is None:
             return None
-        for key in ("lost", "malformed", "bus_errors"):
-            self.cleared(key)
+        self.cleared("lost", "malformed", "bus_errors")
         stamp, signals = done
         self._count_gap(signals)
-        wrench = self._mapping.wrench(signals)
         quality = self._quality(signals)
-        return WrenchSample(stamp, wrench[:3], wrench[3:], wrench, quality, quality)
+        return WrenchSample.of_wrench(stamp, self._mapping.wrench(signals), quality, quality)
 
     def _arrival(self, frame: can.Message) -> int:
-        """Host time of a frame; an adapter's own clock shows by a stamp that is not of the last second."""
-        now = self._clock.now()
-        stamped = self._clock.from_wall(round(frame.timestamp * 1e9)) if frame.timestamp else now
-        return stamped if 0 <= now - stamped < 1_000_000_000 else now
+        """Host time of a frame; an adapter's own clock shows by a stamp not of the last second."""
+        last_second = self.clock.now() - NANOSECONDS
+        return self.clock.of_stamp(can_bus.stamp_of(frame), earliest=last_second)
 
     def _count_gap(self, signals: dict[str, Any]) -> None:
         if self._mapping.counter is None:
@@ -192,9 +191,3 @@ class DbcSource(ForceSource):
     @property
     def scale_id(self) -> object:
         return self._mapping.name
-
-
-def _message(frame: CanFrame) -> can.Message:
-    return can.Message(
-        arbitration_id=frame.identifier, data=frame.data, is_extended_id=frame.extended
-    )

@@ -1,35 +1,38 @@
 """ATI NETCANOEM on any python-can bus: start-up, polling at a fixed rate, everything that can go wrong.
 
-The board is polled: one request, two reply frames. Frames of other devices may lie between them, the bus may echo
-the driver's own frames, replies may be lost or late. Rules used here:
+The board is polled: one request, two reply frames. Frames of other devices may lie between them,
+the bus may echo the driver's own frames, replies may be lost or late. Rules used here:
 
-- The receive queue is emptied before each request, so that a frame that came twice is never taken for a later one.
-- Replies are matched on identifier and length; an own echo differs in length, except for "set calibration", for
-  which the echoes of the bus are counted first.
-- After a poll without a complete reply a *fence* is sent, a request with a reply of its own. The board answers in
-  order, so whatever arrives before the fence's reply belongs to the past and is thrown away. No reply is ever paired
-  with a later request.
+- The receive queue is emptied before each request, so that a frame that came twice is never paired
+  with a later one.
+- Replies are matched on identifier and length; an own echo differs in length, except for "set
+  calibration", for which the echoes of the bus are counted first.
+- After a poll without a complete reply a *fence* is sent, a request with a reply of its own. The
+  board answers in order, so whatever arrives before the fence's reply is old and is discarded. No
+  reply is ever paired with a later request.
 - The active calibration is lost when the board resets. One row of the matrix is read again every
   `calibration_check_period` seconds and after every silence; a change leads to a new start-up.
-- The stamp is the middle between sending the request and the arrival of the first reply, so it is off by at most
-  half a round trip.
+- The stamp is the middle between sending the request and the arrival of the first reply, so its
+  error is at most half a round trip.
 """
 
 from __future__ import annotations
 
 import contextlib
 import time
+from dataclasses import dataclass
 
 import can
 import numpy as np
 
-from finger_common.diagnostics import ERROR, WARN, Health
+from finger_common.diagnostics import ERROR
 from finger_common.errors import DeviceError
+from finger_common.settings import setting
 
 from .. import can_bus
 from ..clock import HostClock
 from ..protocols import netcanoem as protocol
-from .source import CRITICAL, GOOD, SATURATED, ForceSource, WrenchSample
+from .source import CRITICAL, GOOD, SATURATED, ForceSettings, ForceSource, WrenchSample
 
 _CATCH_UP = 5
 """Missed polls that are made up for by polling without pause; more are skipped and counted."""
@@ -37,36 +40,57 @@ _SILENCE = 0.25
 """Seconds without a reply after which the connection counts as lost."""
 
 
+@dataclass(frozen=True)
+class NetcanoemSettings(can_bus.CanSettings, ForceSettings):
+    """Settings of a NETCANOEM board."""
+
+    base_identifier: int = setting(
+        protocol.DEFAULT_BASE,
+        "NETCANOEM: base identifier (0x20 with DIP switch SW2-1 on).",
+        minimum=0,
+        maximum=protocol.MAX_BASE,
+    )
+    calibration_slot: int = setting(
+        0,
+        "NETCANOEM: calibration to use; the board itself always starts with 0.",
+        minimum=0,
+        maximum=protocol.SLOTS - 1,
+    )
+    expected_serial: str = setting(
+        "", "NETCANOEM: serial number that the transducer must have; empty accepts any."
+    )
+    response_timeout: float = setting(
+        0.05,
+        "NETCANOEM: time for a reply after which a poll counts as lost.",
+        unit="s",
+        minimum=0.001,
+        maximum=1.0,
+        advice="Long enough for a busy computer's pauses; shorter loses less time per lost reply.",
+    )
+    calibration_check_period: float = setting(
+        1.0,
+        "NETCANOEM: how often one row of the matrix is read again, to notice a board that was "
+        "reset.",
+        unit="s",
+        minimum=0.05,
+        maximum=3600.0,
+    )
+
+
 class NetcanoemSource(ForceSource):
-    """Driver of one NETCANOEM board.
+    """ATI NETCANOEM on a CAN bus."""
 
-    bus_arguments: of `can_bus.open_bus`. slot: calibration 0…15. rate: polls per second. response_timeout: s per
-    request. expected_serial: refuses another transducer when not empty.
-    """
+    SETTINGS = NetcanoemSettings
+    SIMULATOR = "finger_driver.simulators.netcanoem:NetcanoemSimulator"
 
-    def __init__(
-        self,
-        bus_arguments: dict[str, object],
-        base: int = protocol.DEFAULT_BASE,
-        slot: int = 0,
-        rate: float = 500.0,
-        response_timeout: float = 0.05,
-        calibration_check_period: float = 1.0,
-        expected_serial: str = "",
-        clock: HostClock | None = None,
-        health: Health | None = None,
-    ) -> None:
-        super().__init__(health or Health("force", expected_rate=rate, stale_after=0.5))
-        self._bus_arguments = bus_arguments
-        self._base = base
-        self._slot = slot
-        self._period = 1.0 / rate
-        self._timeout = response_timeout
-        self._check_period = calibration_check_period
-        self._expected_serial = expected_serial
-        self._clock = clock or HostClock()
+    settings: NetcanoemSettings
+
+    def __init__(self, settings: NetcanoemSettings, clock: HostClock | None = None) -> None:
+        super().__init__(settings, clock)
+        self._period = 1.0 / settings.rate
+        self._timeout = settings.response_timeout
         self._bus: can.BusABC | None = None
-        self._first_id = protocol.identifier(base, 0)
+        self._first_id = protocol.identifier(settings.base_identifier, 0)
         self.calibration: protocol.Calibration | None = None
         self.firmware: tuple[int, int, int] | None = None
         self._rows = np.zeros((6, 6))
@@ -77,7 +101,7 @@ class NetcanoemSource(ForceSource):
 
     def connect(self) -> None:
         self.close()
-        self._bus = can_bus.open_bus(**self._bus_arguments)  # type: ignore[arg-type]
+        self._bus = self.settings.open_bus()
         try:
             self._start_up()
         except can.CanError as error:
@@ -93,13 +117,13 @@ class NetcanoemSource(ForceSource):
     def flush(self) -> None:
         if self._bus is not None:
             with contextlib.suppress(can.CanError):
-                self._drain()
+                can_bus.discard_waiting(self._bus)
         self._begin()
 
     def _begin(self) -> None:
         now = time.monotonic()
         self._next_poll = now
-        self._check_due = now + self._check_period
+        self._check_due = now + self.settings.calibration_check_period
         self._last_reply = now
 
     def close(self) -> None:
@@ -108,21 +132,20 @@ class NetcanoemSource(ForceSource):
             bus.shutdown()
 
     def _where(self) -> str:
-        arguments = self._bus_arguments
-        interface = str(arguments.get("interface", "socketcan"))
-        channel = arguments.get("channel") or can_bus.DEFAULT_CHANNEL.get(interface, "")
-        return f"NETCANOEM at base 0x{self._base:02X} on {interface} {channel}".rstrip()
+        return f"NETCANOEM at base 0x{self.settings.base_identifier:02X} on {self.settings.where()}"
 
     def _start_up(self) -> None:
-        """Manual, section 10: calibration, matrix, counts, units; then one reading to see the status."""
-        self._drain()
+        """Manual, section 10: calibration, matrix, counts, units; then a reading for the status."""
+        assert self._bus is not None
+        can_bus.discard_waiting(self._bus)
         self.firmware = protocol.decode_firmware(self._firmware())
         self._set_calibration()
         serial = protocol.decode_serial(self._ask(protocol.READ_SERIAL)[0])
-        if self._expected_serial and serial != self._expected_serial:
+        expected = self.settings.expected_serial
+        if expected and serial != expected:
             raise DeviceError(
-                f"{self._where()}: transducer '{serial}' is connected, '{self._expected_serial}' is "
-                "expected; connect the right one or change 'expected_serial'"
+                f"{self._where()}: transducer '{serial}' is connected, '{expected}' is expected; "
+                "connect the right one or change 'expected_serial'"
             )
         rows = np.array([self._read_row(axis) for axis in range(6)])
         counts, codes = (protocol.DEFAULT_COUNTS,) * 2, (2, 4)
@@ -133,14 +156,15 @@ class NetcanoemSource(ForceSource):
         status, _ = protocol.decode_gauges(*self._ask(protocol.READ_GAUGES))
         if status & protocol.BAD_CALIBRATION:
             raise DeviceError(
-                f"{self._where()}: slot {self._slot} holds no valid calibration; choose another "
-                "'calibration_slot'"
+                f"{self._where()}: slot {self.settings.calibration_slot} holds no valid "
+                "calibration; choose another 'calibration_slot'"
             )
         self._rows = rows
         self.calibration = calibration
         firmware = ".".join(map(str, self.firmware))
         self.health.hardware_id = f"{serial} ({self._where()})"
-        self.health.notes.update(firmware=firmware, calibration_slot=str(self._slot))
+        slot = str(self.settings.calibration_slot)
+        self.health.notes.update(firmware=firmware, calibration_slot=slot)
 
     def _firmware(self) -> bytes:
         """Firmware frame; counts on the way how often the bus echoes an own frame."""
@@ -163,17 +187,18 @@ class NetcanoemSource(ForceSource):
     def _set_calibration(self) -> None:
         """Choose the slot and see it confirmed beyond the bus's own echoes of the request."""
         expected = self._first_id | protocol.SET_CALIBRATION
+        slot = self.settings.calibration_slot
         for _ in range(3):
-            self._send(protocol.SET_CALIBRATION, bytes([self._slot]))
+            self._send(protocol.SET_CALIBRATION, bytes([slot]))
             seen = 0
             end = time.monotonic() + max(self._timeout, 0.1)
             while (frame := self._receive(end)) is not None:
-                if frame.arbitration_id == expected and bytes(frame.data) == bytes([self._slot]):
+                if frame.arbitration_id == expected and bytes(frame.data) == bytes([slot]):
                     seen += 1
                     if seen > self._echoes:
                         return
         raise DeviceError(
-            f"{self._where()}: calibration slot {self._slot} was not confirmed; slots are 0 to 15"
+            f"{self._where()}: calibration slot {slot} was not confirmed; slots are 0 to 15"
         )
 
     def _read_row(self, axis: int) -> np.ndarray:
@@ -183,10 +208,7 @@ class NetcanoemSource(ForceSource):
 
     def _send(self, opcode: int, data: bytes = b"") -> None:
         assert self._bus is not None
-        message = can.Message(
-            arbitration_id=self._first_id | opcode, data=data, is_extended_id=False
-        )
-        self._bus.send(message, timeout=self._timeout)
+        self._bus.send(can_bus.frame(self._first_id | opcode, data), timeout=self._timeout)
 
     def _receive(self, end: float) -> can.Message | None:
         """Next frame of this board before `end` (monotonic s), or None; others are counted."""
@@ -207,15 +229,6 @@ class NetcanoemSource(ForceSource):
             else:
                 return frame
         return None
-
-    def _drain(self) -> int:
-        """Throw away what waits in the receive queue; the number of frames."""
-        assert self._bus is not None
-        drained = 0
-        # Bounded: a bus that is flooded must not hold the driver here for ever.
-        while drained < 10_000 and self._bus.recv(0) is not None:
-            drained += 1
-        return drained
 
     def _ask(self, opcode: int, data: bytes = b"") -> tuple[bytes, ...]:
         """Reply frames to a request, in order; tried three times, then DeviceError."""
@@ -267,9 +280,9 @@ class NetcanoemSource(ForceSource):
             ) from None
 
     def _discard_old(self) -> None:
-        """Throw away what lies in the queue before a request: it can only be of the past.
+        """Discard what lies in the queue before a request, which is old, and count it.
 
-        Without this a frame that came twice would be paired with those of the next reading, and so on for ever.
+        A frame that came twice would else be paired with those of the next reading, and so on.
         """
         assert self._bus is not None
         for _ in range(1000):
@@ -281,7 +294,7 @@ class NetcanoemSource(ForceSource):
 
     def _poll(self) -> WrenchSample | None:
         self._discard_old()
-        sent = self._clock.now()
+        sent = self.clock.now()
         self._send(protocol.READ_GAUGES)
         end = time.monotonic() + self._timeout
         first = second = None
@@ -294,7 +307,7 @@ class NetcanoemSource(ForceSource):
             opcode = frame.arbitration_id & 0xF
             if opcode == 0 and frame.dlc == 8 and first is None:
                 first = bytes(frame.data)
-                arrived = self._arrival(frame, sent)
+                arrived = self.clock.of_stamp(can_bus.stamp_of(frame), earliest=sent)
             elif opcode == 1 and frame.dlc == 6 and second is None:
                 second = bytes(frame.data)
             elif opcode in (2, 3, 4) and frame.dlc == 8:
@@ -305,8 +318,7 @@ class NetcanoemSource(ForceSource):
         self._last_reply = time.monotonic()
         if arrived - sent > self._period * 1e9:
             self.health.count("late")
-        for key in ("lost", "bus_errors", "malformed"):
-            self.cleared(key)
+        self.cleared("lost", "bus_errors", "malformed")
         status, gauges = protocol.decode_gauges(first, second)
         assert self.calibration is not None
         wrench = self.calibration.wrench(gauges)
@@ -319,39 +331,34 @@ class NetcanoemSource(ForceSource):
             self._quality(status, gauges),
         )
 
-    def _arrival(self, frame: can.Message, sent: int) -> int:
-        """Host time of a frame: the interface's stamp where it can be believed, else now."""
-        now = self._clock.now()
-        stamped = self._clock.from_wall(round(frame.timestamp * 1e9)) if frame.timestamp else now
-        # Some adapters count from their own start; a stamp outside the round trip is not host time.
-        return stamped if sent <= stamped <= now else now
-
     def _quality(self, status: int, gauges: np.ndarray) -> int:
+        status &= ~protocol.ANY_ERROR
+        ends = protocol.saturated(gauges)
+        if not status and not ends.size:
+            self.cleared("critical", "status_warning", "saturated")
+            return GOOD
+        text = f"{protocol.status_text(status)} (status 0x{status:04X})"
         if status & protocol.CRITICAL_MASK:
-            text = protocol.status_text(status)
-            self.note("critical", f"sensor fault: {text} (status 0x{status:04X})", ERROR)
+            self.note("critical", f"sensor fault: {text}", ERROR)
             return CRITICAL
         self.cleared("critical")
-        if status & ~0x8000:
-            self.note("status_warning", f"sensor says: {protocol.status_text(status)}", WARN)
-        else:
-            self.cleared("status_warning")
-        ends = protocol.saturated(gauges)
-        if ends.size:
-            which = ", ".join(map(str, ends))
-            self.note("saturated", f"gauge {which} is saturated; check load and cable", ERROR)
-            return SATURATED
-        self.cleared("saturated")
-        return GOOD
+        self.note_if(status != 0, "status_warning", f"sensor reports: {text}")
+        if not ends.size:
+            self.cleared("saturated")
+            return GOOD
+        which = ", ".join(map(str, ends))
+        self.note("saturated", f"gauge {which} is saturated; check load and cable", ERROR)
+        return SATURATED
 
     def _malformed(self, frame: can.Message) -> None:
         self.note(
             "malformed",
-            f"frame 0x{frame.arbitration_id:03X} with {frame.dlc} bytes does not belong to a reading",
+            f"frame 0x{frame.arbitration_id:03X} with {frame.dlc} bytes does not belong to a "
+            "reading",
         )
 
     def _lost(self, half: bool) -> None:
-        """Account for a poll without a complete reply and throw away what is still to come of it."""
+        """Account for a poll without a complete reply and discard what is still to come of it."""
         if half:
             self.health.count("half_replies")
         self.note("lost", f"no complete reply within {self._timeout * 1e3:.0f} ms")
@@ -363,7 +370,7 @@ class NetcanoemSource(ForceSource):
         return None
 
     def _fence(self) -> bool:
-        """Read a matrix row; every frame before its reply is of the past. True when it was answered."""
+        """Read a matrix row; every frame before its reply is old. True when it was answered."""
         self._send(protocol.READ_MATRIX, bytes([self._row_due]))
         end = time.monotonic() + self._timeout
         rows: dict[int, bytes] = {}
@@ -384,7 +391,7 @@ class NetcanoemSource(ForceSource):
         return True
 
     def _check_calibration(self) -> None:
-        self._check_due = time.monotonic() + self._check_period
+        self._check_due = time.monotonic() + self.settings.calibration_check_period
         if self._fence():
             self._row_due = (self._row_due + 1) % 6
 
@@ -393,8 +400,8 @@ class NetcanoemSource(ForceSource):
         if not np.array_equal(row, self._rows[self._row_due], equal_nan=True):
             self.health.count("calibration_lost")
             raise DeviceError(
-                f"{self._where()}: the board no longer uses calibration slot {self._slot}; it was "
-                "reset or replaced, starting it up again"
+                f"{self._where()}: the board no longer uses calibration slot "
+                f"{self.settings.calibration_slot}; it was reset or replaced, starting it up again"
             )
 
     def wrench_of(self, channels: np.ndarray) -> np.ndarray:

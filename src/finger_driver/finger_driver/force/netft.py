@@ -1,41 +1,46 @@
 """ATI Net F/T (and Ethernet Axia) over RDT, configured by its XML page.
 
-- The page gives counts per unit and units; it is read at every connection and again every few seconds beside the
-  stream, because units changed on the box's web page change the meaning of counts without a sign in the records.
-- Records carry no time. Their number and the box's rate make a device clock, mapped to host time of receipt
-  (kernel stamps); when the rate proves not to be what the page says, receipt itself is the stamp.
+- The page gives counts per unit and units; it is read at every connection and again every few
+  seconds beside the stream, because units changed on the box's web page change the meaning of
+  counts without a sign in the records.
+- Records carry no time. Their number and the box's rate make a device clock, mapped to host time of
+  receipt (kernel stamps); when the rate proves not to be what the page says, receipt itself is the
+  stamp.
 - What waited in the socket longer than `_OLD` s is skipped, so that a slow reader never lags behind.
-- A box that sends faster than `rate` is averaged over whole blocks, stamped in the block's middle. Its own
-  decimation has no filter.
-- The box forgets the stream at a reboot and serves one client only; silence or a restarted numbering leads to a new
-  connection. Its software bias is never touched.
+- A box that sends faster than `rate` is averaged over whole blocks, stamped in the block's middle.
+  Its own decimation has no filter.
+- The box forgets the stream at a reboot and serves one client only; silence or a restarted
+  numbering leads to a new connection. Its software bias is never changed.
 """
 
 from __future__ import annotations
 
 import select
 import socket
-import struct
-import sys
 import threading
 import time
 import urllib.error
 import urllib.request
 from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from finger_common.diagnostics import ERROR, WARN, Health
+from finger_common.diagnostics import ERROR
 from finger_common.errors import DeviceError
+from finger_common.settings import setting
 
-from ..clock import ClockMapper, HostClock
+from ..clock import ClockMapper, HostClock, receive_stamped, request_kernel_stamps
 from ..protocols import netft_xml, rdt
-from .source import CRITICAL, GOOD, SATURATED, ForceSource, WrenchSample
+from .source import CRITICAL, GOOD, SATURATED, ForceSettings, ForceSource, WrenchSample
 
-_SO_TIMESTAMPNS = 35
 _SILENCE = 0.25
+"""Seconds without a record after which the connection counts as lost."""
+_TIMEOUT = 1.0
+"""Seconds for the web page and for the first record to come."""
+_CHECK_PERIOD = 2.0
+"""Seconds between readings of the page beside the stream."""
 _OLD = 0.1
 _REORDERED = 64
 """A record number at most this far back is a late datagram, one further back a new numbering."""
@@ -44,66 +49,66 @@ _DRIFT_LIMIT = 2e-3
 
 
 class _PageWatcher(threading.Thread):
-    """Looks at the page again and again; `changed` once it says other units, counts or rate."""
+    """Reads the page periodically; `changed` once it gives other units, counts or rate."""
 
     def __init__(
         self,
         page: Callable[[], netft_xml.Configuration],
         known: netft_xml.Configuration,
-        period: float,
     ) -> None:
         super().__init__(name="netft-page", daemon=True)
-        self._page, self._known, self._period = page, known, period
+        self._page, self._known = page, known
         self.changed = False
         self.ending = threading.Event()
 
     def run(self) -> None:
-        while not self.ending.wait(self._period):
+        while not self.ending.wait(_CHECK_PERIOD):
             try:
                 now = self._page()
             except DeviceError:
-                continue  # the stream itself tells whether the box is there
-            if replace(now, status=0) != replace(self._known, status=0):
+                continue  # the stream itself shows whether the box is there
+            if now != self._known:
                 self.changed = True
                 return
 
 
-class NetFtSource(ForceSource):
-    """Driver of one Net F/T box. rate: samples per second wanted. set_rate: write it into the box first."""
+@dataclass(frozen=True)
+class NetFtSettings(ForceSettings):
+    """Settings of a Net F/T box."""
 
-    def __init__(
-        self,
-        host: str,
-        rate: float = 500.0,
-        port: int = rdt.PORT,
-        http_port: int = 80,
-        set_rate: bool = False,
-        check_period: float = 2.0,
-        timeout: float = 1.0,
-        clock: HostClock | None = None,
-        health: Health | None = None,
-    ) -> None:
-        super().__init__(health or Health("force", expected_rate=rate, stale_after=0.5))
-        self._host, self._port, self._http_port = host, port, http_port
-        self._rate = rate
-        self._set_rate = set_rate
-        self._check_period = check_period
+    netft_host: str = setting("192.168.1.1", "Net F/T: address of the box (ATI's default).")
+    netft_port: int = setting(rdt.PORT, "Net F/T: UDP port of RDT.", minimum=1, maximum=65535)
+    netft_http_port: int = setting(80, "Net F/T: port of its web pages.", minimum=1, maximum=65535)
+    netft_set_rate: bool = setting(
+        False, "Net F/T: write `rate` into the box (comm.cgi) before the stream starts."
+    )
+
+
+class NetFtSource(ForceSource):
+    """ATI Net F/T on Ethernet."""
+
+    SETTINGS = NetFtSettings
+    SIMULATOR = "finger_driver.simulators.netft:NetFtSimulator"
+
+    settings: NetFtSettings
+
+    def __init__(self, settings: NetFtSettings, clock: HostClock | None = None) -> None:
+        super().__init__(settings, clock)
         self._watcher: _PageWatcher | None = None
-        self._timeout = timeout
-        self._clock = clock or HostClock()
         self._socket: socket.socket | None = None
         self._scale = np.ones(6)
         self.configuration: netft_xml.Configuration | None = None
 
     def _where(self) -> str:
-        return f"Net F/T at {self._host}:{self._port}"
+        return f"Net F/T at {self.settings.netft_host}:{self.settings.netft_port}"
 
     # Connection ------------------------------------------------------------------------------
 
     def connect(self) -> None:
         self.close()
-        if self._set_rate:
-            self._get(f"/comm.cgi?comrdtrate={self._rate:.0f}")
+        rate = self.settings.rate
+        if self.settings.netft_set_rate:
+            self._get(f"/comm.cgi?comrdtrate={rate:.0f}")
         configuration = self._page()
         if not configuration.rdt_enabled:
             raise DeviceError(
@@ -112,8 +117,8 @@ class NetFtSource(ForceSource):
         self.configuration = configuration
         scale = [configuration.force_scale] * 3 + [configuration.torque_scale] * 3
         self._scale = np.array(scale)
-        sent_rate = rdt.real_rate(configuration.rdt_rate or self._rate)
-        self._block = max(1, round(sent_rate / self._rate))
+        sent_rate = rdt.real_rate(configuration.rdt_rate or rate)
+        self._block = max(1, round(sent_rate / rate))
         self._mapper = ClockMapper(sent_rate)
         self.health.notes["box_rate_hz"] = f"{sent_rate:g}"
         self.health.hardware_id = f"{configuration.product or 'Net F/T'} ({self._where()})"
@@ -124,7 +129,7 @@ class NetFtSource(ForceSource):
             raise DeviceError(
                 f"{self._where()}: {error.strerror or error}; check address and network"
             ) from None
-        self._watcher = _PageWatcher(self._page, configuration, self._check_period)
+        self._watcher = _PageWatcher(self._page, configuration)
         self._watcher.start()
 
     def _page(self) -> netft_xml.Configuration:
@@ -132,17 +137,16 @@ class NetFtSource(ForceSource):
 
     def _open(self) -> None:
         self._socket = connection = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        if sys.platform.startswith("linux"):
-            connection.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
-        connection.connect((self._host, self._port))
+        request_kernel_stamps(connection)
+        connection.connect((self.settings.netft_host, self.settings.netft_port))
         self._begin()
         self._send(rdt.START_REALTIME)
-        ready, _, _ = select.select([connection], [], [], self._timeout)
+        ready, _, _ = select.select([connection], [], [], _TIMEOUT)
         if not ready:
             self.close()
             raise DeviceError(
                 f"{self._where()}: the web page answers but no record comes; check the firewall and "
-                f"UDP port {self._port}"
+                f"UDP port {self.settings.netft_port}"
             )
 
     def _begin(self) -> None:
@@ -177,9 +181,9 @@ class NetFtSource(ForceSource):
         self._socket.send(rdt.encode_request(command))
 
     def _get(self, path: str) -> bytes:
-        url = f"http://{self._host}:{self._http_port}{path}"
+        url = f"http://{self.settings.netft_host}:{self.settings.netft_http_port}{path}"
         try:
-            with urllib.request.urlopen(url, timeout=self._timeout) as answer:
+            with urllib.request.urlopen(url, timeout=_TIMEOUT) as answer:
                 return bytes(answer.read(netft_xml.MAX_BYTES + 1))
         except (OSError, urllib.error.URLError, ValueError) as error:
             reason = getattr(error, "reason", None) or error
@@ -193,7 +197,7 @@ class NetFtSource(ForceSource):
     # Reading ---------------------------------------------------------------------------------
 
     def read(self, timeout: float = 1.0) -> WrenchSample | None:
-        """Next sample; raises DeviceError after 0.25 s of silence or when the box restarted its numbering."""
+        """Next sample; raises DeviceError after 0.25 s of silence or a restart of the numbering."""
         if self._socket is None:
             raise DeviceError(f"{self._where()}: not connected")
         if self._watcher is not None and self._watcher.changed:
@@ -203,7 +207,7 @@ class NetFtSource(ForceSource):
         end = time.monotonic() + timeout
         while True:
             while self._records:
-                sample = self._take(*self._records.popleft())
+                sample = self._sample_of(*self._records.popleft())
                 if sample is not None:
                     return sample
             now = time.monotonic()
@@ -217,21 +221,16 @@ class NetFtSource(ForceSource):
             self._receive(min(end - now, 0.05))
 
     def _receive(self, timeout: float) -> bool:
-        """Take in one datagram if one comes within `timeout`."""
+        """Receive one datagram if one comes within `timeout`."""
         connection = self._socket
         assert connection is not None
         try:
             if not select.select([connection], [], [], timeout)[0]:
                 return False
-            data, ancillary, _, _ = connection.recvmsg(2048, socket.CMSG_SPACE(16))
+            data, stamped, _ = receive_stamped(connection, 2048)
         except OSError as error:
             raise DeviceError(f"{self._where()}: {error.strerror or error}") from None
-        received = self._clock.now()
-        for _level, kind, value in ancillary:
-            if kind == _SO_TIMESTAMPNS and len(value) == 16:
-                seconds, nanoseconds = struct.unpack("@ll", value)
-                stamped = self._clock.from_wall(seconds * 1_000_000_000 + nanoseconds)
-                received = min(received, stamped)
+        received = self.clock.of_stamp(stamped, earliest=0)
         try:
             records = rdt.decode_datagram(data)
         except DeviceError as error:
@@ -241,7 +240,7 @@ class NetFtSource(ForceSource):
         self._records.extend((record, received) for record in records)
         return True
 
-    def _take(self, record: rdt.Record, received: int) -> WrenchSample | None:
+    def _sample_of(self, record: rdt.Record, received: int) -> WrenchSample | None:
         last = self._last
         if last is not None:
             step = (record.rdt_sequence - last.rdt_sequence) & 0xFFFFFFFF
@@ -265,16 +264,15 @@ class NetFtSource(ForceSource):
         self._last = record
         self.cleared("malformed")
         stamp = self._mapper.update(record.rdt_sequence, received)
-        if abs(self._mapper.drift) > _DRIFT_LIMIT:
-            self.note(
-                "clock", "the box does not send at the rate its page says; stamps are receipt"
-            )
+        other_rate = abs(self._mapper.drift) > _DRIFT_LIMIT
+        self.note_if(
+            other_rate,
+            "clock",
+            "the box does not send at the rate its page gives; stamps are times of receipt",
+        )
+        if other_rate:
             stamp = received
-        else:
-            self.cleared("clock")
-        self.health.notes["clock_drift_ppm"] = f"{self._mapper.drift * 1e6:.0f}"
-        self.health.notes["clock_jitter_ms"] = f"{self._mapper.jitter * 1e3:.3f}"
-        if self._clock.now() - received > _OLD * 1e9:
+        if self.clock.now() - received > _OLD * 1e9:
             self.health.count("skipped")
             self._pending.clear()
             return None
@@ -286,18 +284,17 @@ class NetFtSource(ForceSource):
             return None
         wrench = np.mean([w for _, w in self._pending], axis=0)
         first, final = self._pending[0][0], self._pending[-1][0]
-        sample = WrenchSample(
-            (first + final) // 2,
-            wrench[:3],
-            wrench[3:],
-            wrench,
-            self._pending_status,
-            self._pending_quality,
+        sample = WrenchSample.of_wrench(
+            (first + final) // 2, wrench, self._pending_status, self._pending_quality
         )
+        self.health.notes.update(self._mapper.notes())
         self._pending, self._pending_quality, self._pending_status = [], GOOD, 0
         return sample
 
     def _quality(self, status: int) -> int:
+        if not status:
+            self.cleared("critical", "saturated", "latched")
+            return GOOD
         faults = status & ~(rdt.SUMMARY_BIT | rdt.LATCH_BIT)
         text = f"{rdt.status_text(status)} (status 0x{status:08X})"
         if faults & ~rdt.SATURATION_BIT or status == rdt.SUMMARY_BIT:
@@ -305,16 +302,13 @@ class NetFtSource(ForceSource):
             return CRITICAL
         self.cleared("critical")
         if faults:
-            self.note("saturated", f"sensor says: {text}; check load and cable", ERROR)
+            self.note("saturated", f"sensor reports: {text}; check load and cable", ERROR)
             return SATURATED
         self.cleared("saturated")
-        if status & rdt.LATCH_BIT:
-            self.note("latched", f"sensor says: {text}", WARN)
-        else:
-            self.cleared("latched")
+        self.note_if(bool(status & rdt.LATCH_BIT), "latched", f"sensor reports: {text}")
         return GOOD
 
     @property
     def scale_id(self) -> object:
         configuration = self.configuration
-        return None if configuration is None else self._host
+        return None if configuration is None else self.settings.netft_host

@@ -1,4 +1,4 @@
-"""What every force sensor's driver gives."""
+"""What every force sensor's driver gives, and the settings that all of them have."""
 
 from __future__ import annotations
 
@@ -6,6 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from finger_common.diagnostics import Health
+from finger_common.settings import Settings, setting
+
+from ..clock import HostClock
 from ..device import Device
 
 GOOD, SATURATED, CRITICAL = 0, 1, 2
@@ -13,12 +17,26 @@ GOOD, SATURATED, CRITICAL = 0, 1, 2
 
 
 @dataclass(frozen=True)
+class ForceSettings(Settings):
+    """Settings of every force sensor."""
+
+    rate: float = setting(
+        500.0,
+        "Samples per second: polled (netcanoem), requested (netft, dbc).",
+        unit="Hz",
+        minimum=1.0,
+        maximum=7000.0,
+        advice="A CAN bus of 250 kbit/s carries at most about 800 readings of a NETCANOEM per second.",
+    )
+
+
+@dataclass(frozen=True)
 class WrenchSample:
     """One reading in the sensor's own axes, without tare.
 
-    stamp_ns: acquisition, ns since the epoch. force (3,) N, torque (3,) N m. channels (6,): what the sensor
-    measured before any matrix (gauges), or force and torque themselves. status: the device's status word.
-    quality: GOOD, SATURATED or CRITICAL; the values are meaningful only when GOOD.
+    stamp_ns: acquisition, ns since the epoch. force (3,) N, torque (3,) N m. channels (6,): what
+    the sensor measured before any matrix (gauges), or force and torque themselves. status: the
+    device's status word. quality: GOOD, SATURATED or CRITICAL; the values count only when GOOD.
     """
 
     stamp_ns: int
@@ -28,9 +46,22 @@ class WrenchSample:
     status: int = 0
     quality: int = GOOD
 
+    @classmethod
+    def of_wrench(
+        cls, stamp_ns: int, wrench: np.ndarray, status: int = 0, quality: int = GOOD
+    ) -> WrenchSample:
+        """Sample of a sensor that measures the wrench (6,) itself, in N and N m."""
+        return cls(stamp_ns, wrench[:3], wrench[3:], wrench, status, quality)
+
 
 class ForceSource(Device[WrenchSample]):
     """A force and torque sensor."""
+
+    SETTINGS: type[ForceSettings] = ForceSettings
+
+    def __init__(self, settings: ForceSettings, clock: HostClock | None = None) -> None:
+        health = Health("force", expected_rate=settings.rate, stale_after=0.5)
+        super().__init__(settings, health, clock)
 
     def wrench_of(self, channels: np.ndarray) -> np.ndarray:
         """Wrench (6,) in N and N m of channels (6,), from which a bias may have been taken."""

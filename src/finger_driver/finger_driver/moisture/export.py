@@ -1,43 +1,63 @@
 """Moisture readings from an export file that is watched.
 
-The file is read when it has stayed the same for two looks, so that a table just being written is not taken for
-whole. Rows that are there at the start are not new. A reading's stamp is its own time where the table has one, else
-the file's time of modification: never the time of the look.
+The file is read when it has stayed the same for two checks, so that a table just being written is
+not read half. Rows that are there at the start are not new. A reading's stamp is its own time where
+the table has one, else the file's time of modification: never the time of the check.
 """
 
 from __future__ import annotations
 
 import time
 from collections import deque
+from dataclasses import dataclass
 from pathlib import Path
 
 from finger_common.cli import one_line
-from finger_common.diagnostics import ERROR, Health
+from finger_common.diagnostics import ERROR
 from finger_common.errors import DeviceError
+from finger_common.settings import setting
 
+from ..clock import HostClock
 from ..protocols.export_table import MAX_BYTES, Row, TableFormat, new_rows, parse_table
-from .source import PHASES, MoistureSource, Reading, range_flag
+from .source import PHASE_UNKNOWN, PHASES, MoistureSettings, MoistureSource, Reading
 
-_UNENDED = 2.0
-"""Seconds to wait for the end of a last line, or of a table that got shorter; some programs never write one."""
+
+@dataclass(frozen=True)
+class ExportSettings(TableFormat, MoistureSettings):
+    """Settings of an export file."""
+
+    export_period: float = setting(
+        0.25,
+        "export: time between checks; a file is read when two checks find it the same.",
+        unit="s",
+        minimum=0.02,
+        maximum=60.0,
+    )
+
+    def validate(self) -> None:
+        self.need_path("the export file")
+        super().validate()
 
 
 class ExportSource(MoistureSource):
-    """Watches one CSV or XLSX file, which need not exist yet. period: s between looks."""
+    """Export file that is watched.
 
-    def __init__(
-        self, path: str | Path, form: TableFormat, health: Health, period: float = 0.25
-    ) -> None:
-        super().__init__(health)
-        self._path = Path(path)
-        self._form = form.check()
-        self._is_text = self._path.suffix.lower() != ".xlsx"
-        self._period = period
+    One CSV or XLSX file, which need not exist yet.
+    """
+
+    NAME = "export"
+    SETTINGS = ExportSettings
+
+    settings: ExportSettings
+
+    def __init__(self, settings: ExportSettings, clock: HostClock | None = None) -> None:
+        super().__init__(settings, clock)
+        self._path = Path(settings.path)
         self._rows: tuple[Row, ...] | None = None
-        self._seen: object = None
-        self._parsed: object = None
-        self._ready: deque[tuple[Row, int]] = deque()
-        self._index = 0
+        self._seen: tuple[int, int, int] | None = None
+        self._parsed: tuple[int, int, int] | None = None
+        self._ready: deque[tuple[int, Row]] = deque()
+        self._next_check = 0.0
 
     def connect(self) -> None:
         if not self._path.parent.is_dir():
@@ -46,9 +66,9 @@ class ExportSource(MoistureSource):
         if self._rows is None:
             # Only at the first connection: what is added during a disturbance is new.
             self._rows = ()
-            if self._path.exists():
-                self._seen = self._state()
-                self._look(announce=False)
+            self._seen = self._state()
+            self._check(self._seen)
+            self._ready.clear()
 
     def flush(self) -> None:
         self._ready.clear()
@@ -59,21 +79,19 @@ class ExportSource(MoistureSource):
     def read(self, timeout: float = 1.0) -> Reading | None:
         end = time.monotonic() + timeout
         while not self._ready:
-            state = self._state()
-            # Unchanged since the last look, and not yet read as it is now.
-            if state is not None and state == self._seen and state != self._parsed:
-                self._look(announce=True)
-            self._seen = state
-            if not self._ready:
-                left = end - time.monotonic()
-                if left <= 0:
+            now = time.monotonic()
+            if now < self._next_check:
+                if now >= end:
                     return None
-                time.sleep(min(left, self._period))
-        row, stamp = self._ready.popleft()
-        phase = PHASES.get(row.phase, 0)
-        reading = Reading(stamp, row.value, self._index, phase, range_flag(row.value), "export")
-        self._index += 1
-        return reading
+                time.sleep(max(0.0, min(end, self._next_check) - now))
+                continue
+            self._next_check = now + self.settings.export_period
+            state = self._state()
+            if state == self._seen and state != self._parsed:
+                self._check(state)
+            self._seen = state
+        stamp, row = self._ready.popleft()
+        return self.reading(stamp, row.value, PHASES.get(row.phase, PHASE_UNKNOWN))
 
     def _state(self) -> tuple[int, int, int] | None:
         """What changes when the file does; None while it is absent."""
@@ -85,8 +103,10 @@ class ExportSource(MoistureSource):
             raise DeviceError(f"{self._path}: {error.strerror}; check path and rights") from None
         return (info.st_mtime_ns, info.st_size, info.st_ino)
 
-    def _look(self, announce: bool) -> None:
-        state = self._seen
+    def _check(self, state: tuple[int, int, int] | None) -> None:
+        """Read the file in this state; its new rows become readings."""
+        if state is None:
+            return
         try:
             with self._path.open("rb") as file:
                 data = file.read(MAX_BYTES + 1)
@@ -95,32 +115,22 @@ class ExportSource(MoistureSource):
                 "unreadable", f"{self._path}: cannot be read ({error.strerror}); close it elsewhere"
             )
             return
-        modified = state[0] * 1e-9 if isinstance(state, tuple) else 0.0
-        if self._is_text and not data.endswith(b"\n") and time.time() - modified < _UNENDED:
-            return
         self._parsed = state
         try:
-            table = parse_table(data, self._path.name, self._form)
+            rows, malformed = parse_table(data, self._path.name, self.settings)
         except DeviceError as error:
             self.note("malformed", one_line(error), ERROR)
             return
-        for key in ("unreadable", "malformed"):
-            self.cleared(key)
-        if table.malformed:
-            self.note("malformed", f"{self._path.name}: {table.malformed} rows cannot be read")
+        self.cleared("unreadable")
+        self.note_if(
+            malformed > 0, "malformed", f"{self._path.name}: {malformed} rows cannot be read"
+        )
         old = self._rows or ()
-        shrunk = len(table.rows) < len(old) and old[: len(table.rows)] == table.rows
-        if shrunk and time.time() - modified < _UNENDED:
-            # Most likely being written anew; what was read before would seem new afterwards.
-            self._parsed = None
-            return
-        fresh = new_rows(old, table.rows)
-        if table.rows[: len(old)] != old:
+        if rows[: len(old)] != old:
             self.health.count("rewritten")
-        self._rows = table.rows
-        if announce and isinstance(state, tuple):
-            stamped = [
-                (row, state[0] + number if row.time_ns is None else row.time_ns)
-                for number, row in enumerate(fresh)
-            ]
-            self._ready.extend(sorted(stamped, key=lambda pair: pair[1]))
+        self._rows = rows
+        stamped = [
+            (state[0] + number if row.time_ns is None else row.time_ns, row)
+            for number, row in enumerate(new_rows(old, rows))
+        ]
+        self._ready.extend(sorted(stamped, key=lambda pair: pair[0]))

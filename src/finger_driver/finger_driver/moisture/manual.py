@@ -1,36 +1,29 @@
-"""Readings the operator enters."""
+"""Readings that the operator enters."""
 
 from __future__ import annotations
 
 import time
 
-from finger_common.diagnostics import Health
-
-from ..clock import HostClock
-from .source import FLAG_MANUAL, MoistureSource, Reading, range_flag
+from .source import FLAG_MANUAL, MoistureSource, Reading
 
 
 class ManualSource(MoistureSource):
-    """Makes a reading of what `enter` is called with; no device behind it, so `read` gives nothing."""
+    """Readings entered by the operator.
 
-    def __init__(self, health: Health, clock: HostClock | None = None) -> None:
-        super().__init__(health)
-        self._clock = clock or HostClock()
-        self._index = 0
-        health.hardware_id = "operator"
+    Each call of `enter` makes one; there is no device, so `read` gives nothing.
+    """
+
+    NAME = "manual"
 
     def connect(self) -> None:
-        """Nothing to open."""
+        self.health.hardware_id = "operator"
 
     def close(self) -> None:
         """Nothing to release."""
 
     def enter(self, value: float, phase: int = 0) -> Reading:
         """The reading entered now."""
-        flags = FLAG_MANUAL | range_flag(value)
-        reading = Reading(self._clock.now(), value, self._index, phase, flags, "manual")
-        self._index += 1
-        return reading
+        return self.reading(self.clock.now(), value, phase, FLAG_MANUAL)
 
     def read(self, timeout: float = 1.0) -> Reading | None:
         time.sleep(timeout)

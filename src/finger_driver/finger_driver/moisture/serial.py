@@ -5,58 +5,75 @@ from __future__ import annotations
 import contextlib
 import time
 from collections import deque
+from dataclasses import dataclass
 
 import serial
 
-from finger_common.diagnostics import Health
 from finger_common.errors import DeviceError
+from finger_common.settings import setting
 
 from ..clock import HostClock
 from ..protocols import lines
-from .source import PHASES, MoistureSource, Reading, range_flag
+from .source import PHASE_UNKNOWN, PHASES, MoistureSettings, MoistureSource, Reading
 
 _LINE_TIME = 0.5
-"""Seconds after which an unfinished line is given up: its rest, if it came, would be read as a number of its own."""
+"""Seconds after which an unfinished line is given up: its rest would be read as another number."""
+
+
+@dataclass(frozen=True)
+class SerialSettings(MoistureSettings):
+    """Settings of a serial adapter."""
+
+    serial_baud_rate: int = setting(
+        9600, "serial: baud rate of the port.", unit="Bd", minimum=50, maximum=4_000_000
+    )
+    serial_pattern: str = setting(
+        lines.DEFAULT_PATTERN,
+        "serial: regular expression that a whole line must match, with a group value and perhaps a "
+        "group phase.",
+    )
+
+    def validate(self) -> None:
+        self.need_path("the serial port")
+        lines.compile_pattern(self.serial_pattern)
 
 
 class SerialSource(MoistureSource):
-    """Reads lines that match a pattern with a group `value` and perhaps a group `phase` ("before", "after")."""
+    """Lines of a serial adapter.
 
-    def __init__(
-        self,
-        port: str,
-        baud_rate: int,
-        pattern: str,
-        health: Health,
-        clock: HostClock | None = None,
-    ) -> None:
-        super().__init__(health)
-        self._port_name = port
-        self._baud_rate = baud_rate
-        self._pattern = lines.compile_pattern(pattern)
-        self._clock = clock or HostClock()
+    Each must match a pattern with a group `value` and perhaps a group `phase` (before, after).
+    """
+
+    NAME = "serial"
+    SETTINGS = SerialSettings
+    SIMULATOR = "finger_driver.simulators.serial_moisture:SerialMoistureSimulator"
+
+    settings: SerialSettings
+
+    def __init__(self, settings: SerialSettings, clock: HostClock | None = None) -> None:
+        super().__init__(settings, clock)
+        self._pattern = lines.compile_pattern(settings.serial_pattern)
         self._port: serial.Serial | None = None
         self._splitter = lines.LineSplitter()
         self._ready: deque[tuple[int, str]] = deque()
-        self._index = 0
+        self._last_byte = 0.0
 
     def connect(self) -> None:
         self.close()
+        name = self.settings.path
         try:
             self._port = serial.Serial(
-                self._port_name, self._baud_rate, timeout=0.1, exclusive=True
+                name, self.settings.serial_baud_rate, timeout=0.1, exclusive=True
             )
-            # What waited in the port was measured before somebody listened.
-            self._port.reset_input_buffer()
-        except (OSError, ValueError, serial.SerialException) as error:
+        except (OSError, ValueError) as error:
             raise DeviceError(
-                f"serial port '{self._port_name}' does not open ({error}); check cable, name and the "
-                "group 'dialout'"
+                f"serial port '{name}' does not open ({error}); check cable, name and the group "
+                "'dialout'"
             ) from None
-        self._splitter.reset()
-        self._ready.clear()
+        # What waited in the port was measured before anybody listened.
+        self.flush()
         self._last_byte = time.monotonic()
-        self.health.hardware_id = self._port_name
+        self.health.hardware_id = name
 
     def flush(self) -> None:
         if self._port is not None:
@@ -75,8 +92,7 @@ class SerialSource(MoistureSource):
         end = time.monotonic() + timeout
         while True:
             while self._ready:
-                stamp, line = self._ready.popleft()
-                reading = self._reading(stamp, line)
+                reading = self._parse(*self._ready.popleft())
                 if reading is not None:
                     return reading
             left = end - time.monotonic()
@@ -86,29 +102,27 @@ class SerialSource(MoistureSource):
 
     def _receive(self, timeout: float) -> None:
         if self._port is None:
-            raise DeviceError(f"serial port '{self._port_name}': not connected")
+            raise DeviceError(f"serial port '{self.settings.path}': not connected")
         try:
             self._port.timeout = min(timeout, 0.1)
             data = self._port.read(max(1, min(self._port.in_waiting, 4096)))
-        except (OSError, TypeError, serial.SerialException) as error:
-            raise DeviceError(f"serial port '{self._port_name}' was lost ({error})") from None
+        except (OSError, TypeError) as error:
+            # pyserial's own errors are OSErrors; a port closed meanwhile gives a TypeError.
+            raise DeviceError(f"serial port '{self.settings.path}' was lost ({error})") from None
         now = time.monotonic()
-        if not data:
-            if self._splitter.unfinished and now - self._last_byte > _LINE_TIME:
-                self._splitter.reset()
-                self.note("malformed", "a line broke off in the middle; it is left out")
-            return
         if self._splitter.unfinished and now - self._last_byte > _LINE_TIME:
             self._splitter.reset()
             self.note("malformed", "a line broke off in the middle; it is left out")
+        if not data:
+            return
         self._last_byte = now
-        stamp = self._clock.now()
+        stamp = self.clock.now()
         dropped = self._splitter.dropped
         self._ready.extend((stamp, line) for line in self._splitter.feed(data))
         for _ in range(self._splitter.dropped - dropped):
             self.note("malformed", "a line is too long or not ASCII text; check the baud rate")
 
-    def _reading(self, stamp: int, line: str) -> Reading | None:
+    def _parse(self, stamp: int, line: str) -> Reading | None:
         parsed = lines.parse_line(line, self._pattern)
         if parsed is None:
             self.note(
@@ -116,13 +130,4 @@ class SerialSource(MoistureSource):
             )
             return None
         self.cleared("malformed")
-        reading = Reading(
-            stamp,
-            parsed.value,
-            self._index,
-            PHASES.get(parsed.phase, 0),
-            range_flag(parsed.value),
-            "serial",
-        )
-        self._index += 1
-        return reading
+        return self.reading(stamp, parsed.value, PHASES.get(parsed.phase, PHASE_UNKNOWN))

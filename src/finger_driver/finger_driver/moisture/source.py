@@ -1,29 +1,45 @@
-"""What every source of moisture readings gives."""
+"""What every source of moisture readings gives, and the settings that all of them have."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..device import Device
+from finger_common.diagnostics import Health
+from finger_common.errors import InputError
+from finger_common.moisture import is_moisture
+from finger_common.settings import Settings, setting
 
-MOISTURE_RANGE = (0.0, 130.0)
-"""Range of a Corneometer, arbitrary units."""
+from ..clock import HostClock
+from ..device import Device
 
 PHASE_UNKNOWN, PHASE_BEFORE, PHASE_AFTER = 0, 1, 2
 """Phases, as in finger_msgs/Moisture."""
 FLAG_OUT_OF_RANGE, FLAG_MANUAL = 1, 2
 """Flags, as in finger_msgs/Moisture."""
 
-PHASES = {"": PHASE_UNKNOWN, "unknown": 0, "before": PHASE_BEFORE, "after": PHASE_AFTER}
-"""Phases by the words a source may use."""
+PHASES = {"before": PHASE_BEFORE, "after": PHASE_AFTER}
+"""Phases by the words that a source may use; anything else is unknown."""
+
+
+@dataclass(frozen=True)
+class MoistureSettings(Settings):
+    """Settings of every source of moisture readings."""
+
+    path: str = setting("", "serial: the port. export: the file (CSV or XLSX).")
+
+    def need_path(self, what: str) -> None:
+        """Raise InputError where `path` is empty."""
+        if not self.path:
+            raise InputError(f"parameter 'path' is empty; name {what}")
 
 
 @dataclass(frozen=True)
 class Reading:
     """One reading of skin moisture.
 
-    stamp_ns: when the probe took it, ns since the epoch. value: 0…130 a.u., or what the probe said with
-    FLAG_OUT_OF_RANGE. index: number since the source was opened, from 0. phase: PHASE_*. flags: FLAG_*.
+    stamp_ns: when the probe took it, ns since the epoch. value: 0…130 a.u., or what the probe gave
+    with FLAG_OUT_OF_RANGE. index: number since the source was opened, from 0. phase: PHASE_*.
+    flags: FLAG_*.
     """
 
     stamp_ns: int
@@ -34,10 +50,20 @@ class Reading:
     source: str = ""
 
 
-def range_flag(value: float) -> int:
-    """FLAG_OUT_OF_RANGE for a value outside 0…130 a.u. (also NaN), else 0."""
-    return 0 if MOISTURE_RANGE[0] <= value <= MOISTURE_RANGE[1] else FLAG_OUT_OF_RANGE
-
-
 class MoistureSource(Device[Reading]):
     """A source of moisture readings, each with an index of its own."""
+
+    SETTINGS: type[MoistureSettings] = MoistureSettings
+    NAME = ""
+    """Name of the source in its readings."""
+
+    def __init__(self, settings: MoistureSettings, clock: HostClock | None = None) -> None:
+        super().__init__(settings, Health("moisture"), clock)
+        self._index = 0
+
+    def reading(self, stamp_ns: int, value: float, phase: int = 0, flags: int = 0) -> Reading:
+        """The next reading; a value off the scale is flagged."""
+        if not is_moisture(value):
+            flags |= FLAG_OUT_OF_RANGE
+        index, self._index = self._index, self._index + 1
+        return Reading(stamp_ns, value, index, phase, flags, self.NAME)

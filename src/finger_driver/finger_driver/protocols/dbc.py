@@ -1,143 +1,73 @@
 """CAN sensors described by a DBC file and a mapping of its signals to force and torque.
 
-The mapping is a YAML file; `data/robotous_rft.yaml` is the worked and commented example. Everything in it is checked
-when it is loaded, so that a frame can only be right or malformed.
+The mapping is a YAML file; `data/robotous_rft.yaml` is the worked and commented example. Everything
+in it is checked when it is loaded, so that a frame can only be right or malformed.
 """
 
 from __future__ import annotations
 
+import math
 import warnings
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import can
 import numpy as np
 
 from finger_common.errors import DeviceError, InputError
-from finger_common.files import load_yaml, number, read_text
+from finger_common.files import load_yaml, read_text
+
+from .. import can_bus
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)
     import cantools
 
 CHANNELS = ("force_x", "force_y", "force_z", "torque_x", "torque_y", "torque_z")
-_KEYS = {
-    "name",
-    "database",
-    "start",
-    "stop",
-    "request",
-    "frames",
-    "within",
-    "match",
-    "channels",
-    "saturation",
-    "fault",
-    "counter",
-}
-
-
-@dataclass(frozen=True)
-class CanFrame:
-    """A frame to send."""
-
-    identifier: int
-    data: bytes
-    extended: bool = False
+_KEYS = frozenset(
+    "name database start stop request frames within match channels saturation fault counter".split()
+)
 
 
 @dataclass(frozen=True)
 class SignalMask:
-    """Bits of a signal that mean something bad."""
+    """Bits of a signal that mean a fault."""
 
     signal: str
     mask: int
 
-    def set_in(self, signals: dict[str, Any]) -> bool:
+    def set_in(self, signals: Mapping[str, Any]) -> bool:
         return bool(int(signals.get(self.signal, 0)) & self.mask)
 
 
 @dataclass(frozen=True)
 class SensorMapping:
-    """Mapping of a DBC file's signals. `factors`: six dicts of factors by signal, in N and N m per unit."""
+    """Mapping of a DBC file's signals to force and torque.
+
+    factors: six dicts of factors by signal, in N and N m per unit.
+    start, stop: frames to send then. request: frame that polls a sample. within: s from the first
+    to the last frame of a sample. counter: signal that counts samples, and its modulus.
+    """
 
     name: str
     database: Any
     frames: tuple[str, ...]
     factors: tuple[dict[str, float], ...]
-    start: tuple[CanFrame, ...] = ()
-    stop: tuple[CanFrame, ...] = ()
-    request: CanFrame | None = None
-    within: float = 0.005
-    match: dict[str, int] = field(default_factory=dict)
-    saturation: SignalMask | None = None
-    fault: SignalMask | None = None
-    counter: tuple[str, int] | None = None
-    """Signal that counts samples, and its modulus."""
+    start: tuple[can.Message, ...]
+    stop: tuple[can.Message, ...]
+    request: can.Message | None
+    within: float
+    match: dict[str, int]
+    saturation: SignalMask | None
+    fault: SignalMask | None
+    counter: tuple[str, int] | None
 
     @classmethod
     def load(cls, path: str | Path) -> SensorMapping:
         """Read the YAML file and its DBC file; raises InputError naming file and key."""
-        path = Path(path)
-        data = load_yaml(path, "sensor mapping")
-        where = str(path)
-        unknown = set(data) - _KEYS
-        if unknown:
-            raise InputError(f"{where}: key '{sorted(unknown)[0]}' is not known; remove it")
-        database = _database(path, data)
-        frames = data.get("frames")
-        if (
-            not isinstance(frames, list)
-            or not frames
-            or not all(isinstance(f, str) for f in frames)
-        ):
-            raise InputError(f"{where}: 'frames' needs a list of messages of the database")
-        signals: set[str] = set()
-        for frame in frames:
-            try:
-                signals |= {s.name for s in database.get_message_by_name(frame).signals}
-            except KeyError:
-                raise InputError(f"{where}: message '{frame}' is not in the database") from None
-        if len(set(frames)) != len(frames):
-            raise InputError(f"{where}: 'frames' names a message twice")
-
-        def known(name: Any, key: str) -> str:
-            if name not in signals:
-                raise InputError(
-                    f"{where}: '{key}' names signal '{name}', which is in none of the frames"
-                )
-            return str(name)
-
-        channels = _mapping(data.get("channels"), "channels", where)
-        missing = [c for c in CHANNELS if c not in channels]
-        if missing:
-            raise InputError(f"{where}: channel '{missing[0]}' is missing under 'channels'")
-        factors = []
-        for channel in CHANNELS:
-            terms = _mapping(channels[channel], channel, where)
-            factors.append({known(s, channel): number(terms, s, where) for s in terms})
-        counter = None
-        if "counter" in data:
-            entry = _mapping(data["counter"], "counter", where)
-            modulus = int(number(entry, "modulus", where))
-            if modulus < 2:
-                raise InputError(f"{where}: 'modulus' of 'counter' must be at least 2")
-            counter = (known(entry.get("signal"), "counter"), modulus)
-        match = _mapping(data.get("match", {}), "match", where)
-        return cls(
-            name=str(data.get("name", path.stem)),
-            database=database,
-            frames=tuple(frames),
-            factors=tuple(factors),
-            start=_frames(data, "start", where),
-            stop=_frames(data, "stop", where),
-            request=_frame(data["request"], "request", where) if data.get("request") else None,
-            within=number(data, "within", where) if "within" in data else 0.005,
-            match={known(s, "match"): int(number(match, s, where)) for s in match},
-            saturation=_mask(data, "saturation", known, where),
-            fault=_mask(data, "fault", known, where),
-            counter=counter,
-        )
+        return _Reader(Path(path)).mapping()
 
     def identifiers(self) -> dict[tuple[int, bool], str]:
         """Message name by (identifier, extended) of the frames of a sample."""
@@ -166,53 +96,101 @@ class SensorMapping:
         )
 
 
-def _database(path: Path, data: dict[str, Any]) -> Any:
-    if not isinstance(data.get("database"), str):
-        raise InputError(f"{path}: key 'database' is missing; name the DBC file")
-    file = path.parent / data["database"]
-    text = read_text(file, "DBC file")
-    try:
-        return cantools.database.load_string(text, database_format="dbc")
-    except Exception as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"{file}: not a DBC file ({reason}); correct it") from None
+class _Reader:
+    """Reads and checks one mapping file."""
+
+    def __init__(self, path: Path) -> None:
+        self._data = load_yaml(path, "sensor mapping")
+        self._path = path
+        for key in self._data:
+            if key not in _KEYS:
+                raise InputError(f"{path}: key '{key}' is not known; remove it")
+
+    def mapping(self) -> SensorMapping:
+        database = self._get("database", self._database)
+        self._signals: set[str] = set()
+
+        def messages(names: list[str]) -> tuple[str, ...]:
+            for name in names:
+                self._signals |= {s.name for s in database.get_message_by_name(name).signals}
+            if not names or len(set(names)) != len(names):
+                raise ValueError("messages must be there, none of them twice")
+            return tuple(names)
+
+        def counter(entry: dict[str, Any]) -> tuple[str, int]:
+            if int(entry["modulus"]) < 2:
+                raise ValueError("modulus must be at least 2")
+            return self._signal(entry["signal"]), int(entry["modulus"])
+
+        def mask(entry: dict[str, Any]) -> SignalMask:
+            return SignalMask(self._signal(entry["signal"]), int(entry["mask"]))
+
+        def frames(entries: list[dict[str, Any]]) -> tuple[can.Message, ...]:
+            return tuple(_message(entry) for entry in entries)
+
+        return SensorMapping(
+            frames=self._get("frames", messages),
+            database=database,
+            name=self._get("name", str, self._path.stem),
+            factors=self._get("channels", self._factors),
+            start=self._get("start", frames, ()),
+            stop=self._get("stop", frames, ()),
+            request=self._get("request", _message, None),
+            within=self._get("within", float, 0.005),
+            match=self._get("match", lambda v: {self._signal(s): int(v[s]) for s in v}, {}),
+            saturation=self._get("saturation", mask, None),
+            fault=self._get("fault", mask, None),
+            counter=self._get("counter", counter, None),
+        )
+
+    def _get(self, key: str, convert: Callable[[Any], Any], *default: Any) -> Any:
+        """Value of a key, converted; raises InputError naming file and key."""
+        if key not in self._data:
+            if default:
+                return default[0]
+            raise InputError(f"{self._path}: key '{key}' is missing; see the shipped mapping")
+        try:
+            return convert(self._data[key])
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+            raise InputError(
+                f"{self._path}: '{key}' cannot be used ({error}); see the shipped mapping"
+            ) from None
+
+    def _database(self, name: str) -> Any:
+        file = self._path.parent / name
+        text = read_text(file, "DBC file")
+        try:
+            return cantools.database.load_string(text, database_format="dbc")
+        except Exception as error:
+            reason = " ".join(str(error).split())
+            raise InputError(f"{file}: not a DBC file ({reason}); correct it") from None
+
+    def _signal(self, name: str) -> str:
+        if name not in self._signals:
+            raise ValueError(f"signal '{name}' is in none of the frames")
+        return name
+
+    def _factors(self, channels: dict[str, dict[str, float]]) -> tuple[dict[str, float], ...]:
+        factors = tuple(
+            {self._signal(s): float(f) for s, f in channels[channel].items()}
+            for channel in CHANNELS
+        )
+        if not all(math.isfinite(f) for terms in factors for f in terms.values()):
+            raise ValueError("factors must be finite numbers")
+        return factors
 
 
-def _mapping(value: Any, key: str, where: str) -> dict[str, Any]:
-    if not isinstance(value, dict):
-        raise InputError(f"{where}: '{key}' needs 'name: value' entries")
-    return value
-
-
-def _mask(data: dict[str, Any], key: str, known: Any, where: str) -> SignalMask | None:
-    if key not in data:
-        return None
-    entry = _mapping(data[key], key, where)
-    return SignalMask(known(entry.get("signal"), key), int(number(entry, "mask", where)))
-
-
-def _frames(data: dict[str, Any], key: str, where: str) -> tuple[CanFrame, ...]:
-    entries = data.get(key, [])
-    if not isinstance(entries, list):
-        raise InputError(f"{where}: '{key}' needs a list of frames")
-    return tuple(_frame(entry, key, where) for entry in entries)
-
-
-def _frame(entry: Any, key: str, where: str) -> CanFrame:
-    entry = _mapping(entry, key, where)
-    identifier = int(number(entry, "id", where))
+def _message(entry: dict[str, Any]) -> can.Message:
+    """Frame to send; raises ValueError for one that CAN cannot carry."""
     extended = bool(entry.get("extended", False))
-    try:
-        payload = bytes.fromhex(str(entry.get("data", "")))
-    except ValueError:
-        raise InputError(f"{where}: 'data' of '{key}' is not hexadecimal bytes") from None
-    if not 0 <= identifier < (1 << 29 if extended else 1 << 11) or len(payload) > 8:
-        raise InputError(f"{where}: frame of '{key}' has a wrong identifier or more than 8 bytes")
-    return CanFrame(identifier, payload, extended)
+    payload = bytes.fromhex(str(entry.get("data", "")))
+    if not 0 <= int(entry["id"]) < (1 << 29 if extended else 1 << 11) or len(payload) > 8:
+        raise ValueError("wrong identifier or more than 8 bytes")
+    return can_bus.frame(int(entry["id"]), payload, extended)
 
 
 class SampleAssembler:
-    """Puts frames together to samples; a sample is complete when all its frames came in order and in time."""
+    """Puts frames together to samples; all frames of one must come in order and in time."""
 
     def __init__(self, mapping: SensorMapping) -> None:
         self._mapping = mapping

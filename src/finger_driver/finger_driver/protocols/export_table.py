@@ -1,6 +1,7 @@
 """Readings in a table that the moisture probe's program exports: CSV or XLSX.
 
-No public format of the maker's program is known, so columns, decimal comma, encoding and time format are settings.
+No public format of the maker's program is known, so columns, decimal comma, encoding and time
+format are settings.
 """
 
 from __future__ import annotations
@@ -9,43 +10,51 @@ import csv
 import datetime
 import io
 import math
-import zipfile
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from finger_common.errors import DeviceError, InputError
+from finger_common.settings import Settings, setting
 
 MAX_BYTES = 20_000_000
-MAX_ROWS = 100_000
+"""Size of a file beyond which it is refused."""
+_MAX_ROWS = 100_000
 
 
 @dataclass(frozen=True)
-class TableFormat:
-    """How the table is written. Columns are named by their heading; empty time or phase: there is none."""
+class TableFormat(Settings):
+    """How the table is written; columns are named by their headings."""
 
-    value_column: str = "value"
-    time_column: str = ""
-    phase_column: str = ""
-    delimiter: str = ";"
-    decimal_comma: bool = True
-    encoding: str = "utf-8-sig"
-    time_format: str = "%Y-%m-%d %H:%M:%S"
-    sheet: str = ""
+    export_value_column: str = setting("value", "export: heading of the readings' column.")
+    export_time_column: str = setting(
+        "",
+        "export: heading of the column with the time of the reading; empty for the file's time.",
+    )
+    export_time_format: str = setting(
+        "%Y-%m-%d %H:%M:%S", "export: format of that time, local time."
+    )
+    export_phase_column: str = setting(
+        "", "export: heading of a column that holds before or after; or empty."
+    )
+    export_delimiter: str = setting(";", "export: character between the columns of a CSV file.")
+    export_decimal_comma: bool = setting(True, "export: numbers are written 42,0 instead of 42.0.")
+    export_encoding: str = setting("utf-8-sig", "export: encoding of a CSV file, such as cp1252.")
+    export_sheet: str = setting("", "export: sheet of an XLSX file; empty for the first.")
 
-    def check(self) -> TableFormat:
-        """Itself; raises InputError for an encoding, delimiter or column that cannot be."""
+    def validate(self) -> None:
         try:
-            "".encode(self.encoding)
+            "".encode(self.export_encoding)
         except LookupError:
             raise InputError(
-                f"export_encoding '{self.encoding}' is not known; try utf-8-sig, utf-16 or cp1252"
+                f"export_encoding '{self.export_encoding}' is not known; try utf-8-sig, utf-16 or "
+                "cp1252"
             ) from None
-        if len(self.delimiter) != 1:
-            raise InputError(f"export_delimiter '{self.delimiter}' must be one character")
-        if not self.value_column:
+        if len(self.export_delimiter) != 1:
+            raise InputError(f"export_delimiter '{self.export_delimiter}' must be one character")
+        if not self.export_value_column:
             raise InputError("export_value_column is empty; name the column of the readings")
-        return self
 
 
 @dataclass(frozen=True)
@@ -57,148 +66,87 @@ class Row:
     phase: str = ""
 
 
-@dataclass(frozen=True)
-class Table:
-    """Readings of a table in its order, and how many rows held none."""
+def parse_table(data: bytes, name: str, form: TableFormat) -> tuple[tuple[Row, ...], int]:
+    """Readings of an export in its order, and how many rows hold a value or time that is none.
 
-    rows: tuple[Row, ...]
-    malformed: int = 0
-
-
-def parse_table(data: bytes, name: str, form: TableFormat) -> Table:
-    """Readings of an export; XLSX when `name` ends so, else CSV.
-
-    Rows without a value are passed over; rows whose value or time cannot be read count as malformed. Raises
-    DeviceError when the file as a whole cannot be read or lacks a column.
+    XLSX when `name` ends so, else CSV. Rows without a value are passed over. Raises DeviceError
+    when the file as a whole cannot be read or lacks a column.
     """
     if len(data) > MAX_BYTES:
         raise DeviceError(f"{name} is larger than {MAX_BYTES // 1_000_000} MB; export less at once")
-    lines = _xlsx(data, name, form) if name.lower().endswith(".xlsx") else _csv(data, name, form)
-    header: list[str] | None = None
-    rows: list[Row] = []
-    malformed = 0
-    for cells in lines:
-        if header is None:
-            if any(str(c).strip() == form.value_column for c in cells):
-                header = [str(c).strip() for c in cells]
-                columns = _columns(header, name, form)
-            continue
-        value = _cell(cells, columns["value"])
-        if value in ("", None):
-            continue
-        row = _row(cells, columns, form)
-        if row is None:
-            malformed += 1
-        else:
-            rows.append(row)
-        if len(rows) + malformed > MAX_ROWS:
-            raise DeviceError(f"{name} has more than {MAX_ROWS} rows; export less at once")
-    if header is None:
-        raise DeviceError(f"{name} has no column '{form.value_column}'; set export_value_column")
-    return Table(tuple(rows), malformed)
-
-
-def _columns(header: list[str], name: str, form: TableFormat) -> dict[str, int]:
-    columns = {}
-    for key, column in (
-        ("value", form.value_column),
-        ("time", form.time_column),
-        ("phase", form.phase_column),
-    ):
-        if not column:
-            continue
-        if column not in header:
+    read = _xlsx if name.lower().endswith(".xlsx") else _csv
+    lines = [
+        [c.strip() if isinstance(c, str) else c for c in row] for row in read(data, name, form)
+    ]
+    start = next((i for i, row in enumerate(lines) if form.export_value_column in row), None)
+    if start is None:
+        raise DeviceError(
+            f"{name} has no column '{form.export_value_column}'; set export_value_column"
+        )
+    header = lines[start]
+    for key, column in (("time", form.export_time_column), ("phase", form.export_phase_column)):
+        if column and column not in header:
             raise DeviceError(f"{name} has no column '{column}'; set export_{key}_column")
-        columns[key] = header.index(column)
-    return columns
+    rows, malformed = [], 0
+    for line in lines[start + 1 :]:
+        cells = dict(zip(header, line))
+        if cells.get(form.export_value_column) in ("", None):
+            continue
+        try:
+            rows.append(_row(cells, form))
+        except (ValueError, TypeError, OverflowError, OSError):
+            malformed += 1
+    return tuple(rows), malformed
 
 
-def _cell(cells: list[Any], index: int | None) -> Any:
-    if index is None or index >= len(cells):
-        return ""
-    cell = cells[index]
-    return cell.strip() if isinstance(cell, str) else cell
-
-
-def _row(cells: list[Any], columns: dict[str, int], form: TableFormat) -> Row | None:
-    try:
-        value = _number(_cell(cells, columns["value"]), form)
-        time_ns = _time(_cell(cells, columns.get("time")), form) if "time" in columns else None
-    except (ValueError, TypeError, OverflowError, OSError):
-        return None
-    phase = str(_cell(cells, columns.get("phase")) or "").lower()
-    return Row(value, time_ns, phase) if math.isfinite(value) else None
-
-
-def _number(cell: Any, form: TableFormat) -> float:
-    if isinstance(cell, str) and form.decimal_comma:
-        cell = cell.replace(".", "").replace(",", ".") if "," in cell else cell
-    if isinstance(cell, (bool, datetime.datetime, datetime.time, datetime.date)):
-        raise ValueError("not a number")
-    return float(cell)
-
-
-def _time(cell: Any, form: TableFormat) -> int:
-    """ns since the epoch; a time without zone is local time."""
-    if isinstance(cell, str):
-        cell = datetime.datetime.strptime(cell, form.time_format)
-    if not isinstance(cell, datetime.datetime):
-        raise ValueError("not a time")
-    return round(cell.timestamp() * 1e6) * 1000
+def _row(cells: dict[Any, Any], form: TableFormat) -> Row:
+    value = cells[form.export_value_column]
+    if isinstance(value, str) and form.export_decimal_comma and "," in value:
+        value = value.replace(".", "").replace(",", ".")
+    if isinstance(value, bool) or not math.isfinite(value := float(value)):
+        raise ValueError("not a finite number")
+    time_ns = None
+    if form.export_time_column:
+        time = cells.get(form.export_time_column)
+        if isinstance(time, str):
+            time = datetime.datetime.strptime(time, form.export_time_format)
+        if not isinstance(time, datetime.datetime):
+            raise ValueError("not a time")
+        # A time without a zone is local time.
+        time_ns = round(time.timestamp() * 1e6) * 1000
+    return Row(value, time_ns, str(cells.get(form.export_phase_column) or "").lower())
 
 
 def _csv(data: bytes, name: str, form: TableFormat) -> list[list[Any]]:
     try:
-        text = data.decode(form.encoding)
-    except (UnicodeError, ValueError):
+        text = data.decode(form.export_encoding)
+    except UnicodeError:
         raise DeviceError(
-            f"{name} is not {form.encoding} text; set export_encoding, for example cp1252"
+            f"{name} is not {form.export_encoding} text; set export_encoding, for example cp1252"
         ) from None
     try:
-        return list(csv.reader(io.StringIO(text), delimiter=form.delimiter))
+        return list(csv.reader(io.StringIO(text, newline=""), delimiter=form.export_delimiter))
     except (csv.Error, ValueError) as error:
         raise DeviceError(f"{name} is not a CSV file ({error}); check export_delimiter") from None
 
 
 def _xlsx(data: bytes, name: str, form: TableFormat) -> list[list[Any]]:
-    try:
-        import openpyxl
-    except ImportError:
-        raise InputError(f"{name}: XLSX needs openpyxl; install it or export CSV") from None
-    _check_archive(data, name)
+    import openpyxl
+
     try:
         book = openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True)
-        sheet = book[form.sheet] if form.sheet else book.worksheets[0]
-        rows: list[list[Any]] = []
-        for cells in sheet.iter_rows(max_row=MAX_ROWS + 100, max_col=200, values_only=True):
-            rows.append(["" if c is None else c for c in cells])
-        book.close()
-        return rows
+        sheet = book[form.export_sheet] if form.export_sheet else book.worksheets[0]
+        return [
+            list(cells)
+            for cells in sheet.iter_rows(max_row=_MAX_ROWS, max_col=200, values_only=True)
+        ]
     except Exception as error:
         # A damaged archive makes openpyxl raise almost anything.
         raise DeviceError(f"{name} is not a readable XLSX file ({type(error).__name__})") from None
 
 
-def _check_archive(data: bytes, name: str) -> None:
-    """Refuse an archive that swells beyond reason."""
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            size = sum(entry.file_size for entry in archive.infolist())
-    except Exception:
-        raise DeviceError(
-            f"{name} is not a readable XLSX file; is it still being written?"
-        ) from None
-    if size > 20 * MAX_BYTES:
-        raise DeviceError(f"{name} unpacks to {size // 1_000_000} MB; export less at once")
-
-
-def new_rows(old: tuple[Row, ...], now: tuple[Row, ...]) -> list[Row]:
-    """Rows that are in `now` and were not in `old`, in their order.
-
-    A table that only grew gives its tail. One that was rewritten gives every row that occurs more often than before.
-    """
-    if now[: len(old)] == old:
-        return list(now[len(old) :])
+def new_rows(old: Sequence[Row], now: Sequence[Row]) -> list[Row]:
+    """Rows that occur more often in `now` than in `old`, the last ones of each, in their order."""
     seen = Counter(old)
     fresh = []
     for row in now:

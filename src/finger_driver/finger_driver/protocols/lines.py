@@ -23,7 +23,7 @@ class ParsedLine:
 
 
 def compile_pattern(pattern: str) -> re.Pattern[str]:
-    """Compiled pattern; raises InputError when it is no regular expression or lacks the group `value`."""
+    """Compiled pattern; raises InputError for no regular expression or one without group `value`."""
     try:
         compiled = re.compile(pattern)
     except re.error as error:
@@ -32,13 +32,14 @@ def compile_pattern(pattern: str) -> re.Pattern[str]:
         ) from None
     if "value" not in compiled.groupindex:
         raise InputError(
-            f"serial_pattern '{pattern}' has no group named value; write (?P<value>…) around the number"
+            f"serial_pattern '{pattern}' has no group named value; write (?P<value>…) around the "
+            "number"
         )
     return compiled
 
 
 def parse_line(line: str, pattern: re.Pattern[str]) -> ParsedLine | None:
-    """The reading in a line, None when the line as a whole does not match or holds no finite number."""
+    """The reading in a line, None when the whole does not match or holds no finite number."""
     match = pattern.fullmatch(line.strip())
     if match is None:
         return None
@@ -57,34 +58,22 @@ class LineSplitter:
 
     def __init__(self) -> None:
         self._rest = b""
-        self._overlong = False
         self.dropped = 0
-        """Lines thrown away because they were too long or not ASCII."""
+        """Lines left out because they were too long or not ASCII."""
 
     def feed(self, data: bytes) -> list[str]:
         """Complete lines in what has come so far, without their ends (CR, LF or both)."""
-        parts = re.split(rb"[\r\n]", self._rest + data)
-        self._rest = parts.pop()
-        lines = []
-        for part in parts:
-            if self._overlong:
-                self._overlong = False
-                self.dropped += 1
-            elif len(part) > MAX_LINE:
-                self.dropped += 1
-            elif part:
-                try:
-                    lines.append(part.decode("ascii"))
-                except UnicodeDecodeError:
-                    self.dropped += 1
-        if len(self._rest) > MAX_LINE:
-            self._rest, self._overlong = b"", True
-        return lines
+        *lines, rest = re.split(rb"[\r\n]", self._rest + data)
+        # One byte too many is enough to know that the line is too long when it ends.
+        self._rest = rest[: MAX_LINE + 1]
+        good = [line for line in lines if len(line) <= MAX_LINE and line.isascii()]
+        self.dropped += len(lines) - len(good)
+        return [line.decode("ascii") for line in good if line]
 
     def reset(self) -> None:
         """Forget an unfinished line, as after a pause or a reconnection."""
-        self._rest, self._overlong = b"", False
+        self._rest = b""
 
     @property
     def unfinished(self) -> bool:
-        return bool(self._rest) or self._overlong
+        return bool(self._rest)

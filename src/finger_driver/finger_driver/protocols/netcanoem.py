@@ -88,14 +88,16 @@ SATURATED = (-32768, 32767)
 """Gauge readings that mean saturation (manual, section 7.3)."""
 
 SLOTS = 16
+MAX_BASE = 0x7F
+ANY_ERROR = 0x8000
 DEFAULT_COUNTS = 1_000_000
 """Counts per unit of calibrations read by firmware before 3.7, which cannot tell them."""
 
 
 def identifier(base: int, opcode: int) -> int:
     """11-bit identifier of an opcode; raises ValueError for a base beyond 7 bits."""
-    if not 0 <= base <= 0x7F:
-        raise ValueError(f"base identifier {base} is outside 0 … 127")
+    if not 0 <= base <= MAX_BASE:
+        raise ValueError(f"base identifier {base} is outside 0 … {MAX_BASE}")
     return base << 4 | opcode
 
 
@@ -218,13 +220,3 @@ class Calibration:
     def gauges(self, wrench: np.ndarray) -> np.ndarray:
         """Gauges (6,) float, not rounded, of a wrench (6,) in N and N m."""
         return np.linalg.solve(self.scaled, np.asarray(wrench, dtype=float))
-
-
-def bits_of_poll(worst_stuffing: bool = False) -> int:
-    """Bits on the bus of one gauge reading: request and two replies, standard frames (ISO 11898-1)."""
-    total = 0
-    for length in (0, 8, 6):
-        total += 47 + 8 * length
-        if worst_stuffing:
-            total += (34 + 8 * length - 1) // 4
-    return total

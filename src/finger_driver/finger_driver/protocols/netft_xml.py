@@ -1,7 +1,8 @@
 """The Net F/T's configuration page `netftapi2.xml`.
 
-Source: ATI 9610-05-Ethernet Axia, section 11; element names as read by public drivers. Counts per unit are *not*
-always 10⁶: a real box says 1 in lbf and 1 000 000 in N, so they are read, never assumed.
+Source: ATI 9610-05-Ethernet Axia, section 11; element names as read by public drivers. Counts per
+unit are *not* always 10⁶: a real box gives 1 in lbf and 1 000 000 in N, so they are read, never
+assumed.
 """
 
 from __future__ import annotations
@@ -20,14 +21,13 @@ MAX_BYTES = 1_000_000
 
 @dataclass(frozen=True)
 class Configuration:
-    """What the page says: counts per unit, units, product, rate and buffer of RDT (0 where it says nothing)."""
+    """What the page says: counts per unit, units, product, rate of RDT (0 where it says nothing)."""
 
     counts_per_force: float
     counts_per_torque: float
     force_unit: str
     torque_unit: str
     product: str = ""
-    status: int = 0
     rdt_enabled: bool = True
     rdt_rate: float = 0.0
 
@@ -43,7 +43,7 @@ class Configuration:
 
 
 def parse(page: bytes) -> Configuration:
-    """Configuration from the page; raises DeviceError naming the element that is missing or wrong."""
+    """Configuration from the page; raises DeviceError naming a missing or wrong element."""
     if len(page) > MAX_BYTES:
         raise DeviceError(f"{PAGE} is larger than {MAX_BYTES} bytes; this is not a Net F/T")
     # Entities have no business here and can be made to swell.
@@ -58,14 +58,14 @@ def parse(page: bytes) -> Configuration:
         }
     except (ElementTree.ParseError, ValueError, LookupError, RecursionError) as error:
         raise DeviceError(f"{PAGE} is not readable XML ({error}); is this a Net F/T?") from None
+    enabled = texts.get("comrdte", "Enabled").lower() not in ("disabled", "0")
     configuration = Configuration(
         _positive(texts, "cfgcpf"),
         _positive(texts, "cfgcpt"),
         _text(texts, "scfgfu"),
         _text(texts, "scfgtu"),
         texts.get("prodname", "")[:64],
-        _integer(texts.get("runstat", "0")),
-        texts.get("comrdte", "Enabled").lower() not in ("disabled", "0"),
+        enabled,
         _rate(texts.get("comrdtrate", "")),
     )
     # Unknown units raise here rather than at the first sample.
@@ -90,13 +90,6 @@ def _positive(texts: dict[str, str], name: str) -> float:
     return value
 
 
-def _integer(text: str) -> int:
-    try:
-        return int(text, 0) & 0xFFFFFFFF
-    except ValueError:
-        return 0
-
-
 def _rate(text: str) -> float:
     try:
         value = float(text)
@@ -110,7 +103,6 @@ def render(configuration: Configuration) -> bytes:
     root = ElementTree.Element("netft")
     for name, value in (
         ("prodname", configuration.product),
-        ("runstat", f"0x{configuration.status:08X}"),
         ("cfgcpf", f"{configuration.counts_per_force:.12g}"),
         ("cfgcpt", f"{configuration.counts_per_torque:.12g}"),
         ("scfgfu", configuration.force_unit),

@@ -11,7 +11,7 @@ from finger_common.errors import InputError
 class Faults:
     """Named faults with an integer each: 0 off, n > 0 for the next n occasions, -1 until switched off.
 
-    `take` uses up one occasion; `value` looks without using up, for faults whose number is a setting (a status
+    `take` uses up one occasion; `value` does not, for faults whose number is a setting (a status
     word, a slot, …).
     """
 
@@ -39,7 +39,7 @@ class Faults:
             return self._values[name]
 
     def take(self, name: str) -> bool:
-        """Whether the fault happens on this occasion."""
+        """Whether the fault occurs on this occasion."""
         with self._lock:
             number = self._values[name]
             if number > 0:

@@ -1,22 +1,28 @@
 """Frames written into a folder as a camera's program would, for the `folder` camera.
 
-Models: acquisition stamp and frame number in the file name, files that appear whole, a bounded folder, lost and
-repeated frames (FAULTS). Does not model: exposure, transfer time, sensor noise (the caller's image is written as it
-is), the camera's own clock.
+Models: acquisition stamp and frame number in the file name, files that appear whole, a bounded
+folder, lost and repeated frames (FAULTS). Does not model: exposure, transfer time, sensor noise
+(the caller's image is written as it is), the camera's own clock.
 """
 
 from __future__ import annotations
 
 import os
+import time
 from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from finger_common.errors import InputError
+from finger_common.settings import Settings, setting
 
 from ..camera.folder import file_name, parse_name
 from .faults import Faults
+from .simulator import Simulator
+from .values import moving_disc
 
 FAULTS = {
     "silent": "no frame is written",
@@ -73,3 +79,49 @@ class FrameFolderWriter:
         while len(self._written) > self._keep:
             self._written.popleft().unlink(missing_ok=True)
         return path
+
+
+@dataclass(frozen=True)
+class ImageOptions(Settings):
+    """Options of the simulated camera."""
+
+    folder: str = setting("", "Folder to write frames into.")
+    size: str = setting("1280x1024", "WIDTHxHEIGHT in pixels.")
+    rate: float = setting(10.0, "Frames per second.", unit="Hz", minimum=0.1, maximum=1000.0)
+    keep: int = setting(50, "Newest files kept.", minimum=1)
+
+    def shape(self) -> tuple[int, int]:
+        """Height and width; raises InputError for what is none."""
+        width, _, height = self.size.partition("x")
+        if not (width.isdigit() and height.isdigit() and int(width) and int(height)):
+            raise InputError(f"--size '{self.size}': write for example 1280x1024")
+        return int(height), int(width)
+
+
+class ImageSimulator(Simulator):
+    """Camera whose program writes test images into a folder."""
+
+    NAME = "images"
+    SETTINGS = ImageOptions
+    POSITIONAL = "folder"
+    FAULTS = FAULTS
+
+    def __init__(self, settings: ImageOptions) -> None:
+        super().__init__()
+        self._render = moving_disc(*settings.shape())
+        self._writer = FrameFolderWriter(settings.folder, settings.keep)
+        self.faults = self._writer.faults
+        self.rate = settings.rate
+
+    def describe(self) -> str:
+        return f"in {self._writer.folder}"
+
+    def commands(self) -> dict[str, Callable[..., None]]:
+        return {"rate": self._set_rate}
+
+    def _set_rate(self, rate: str) -> None:
+        self.rate = float(rate)
+
+    def run(self) -> None:
+        for number in self.each(lambda: 1 / self.rate):
+            self._writer.write(time.time_ns(), self._render(number))

@@ -1,18 +1,19 @@
 """An ATI NETCANOEM board with transducer on a python-can bus, wire level.
 
-Models: all documented opcodes, sixteen calibration slots (slot 0 active after power-up and reset), matrix, counts
-and unit codes per slot, the status word with data still sent in critical errors, 16-bit gauges with saturation,
-noise and unloaded offset, base identifier and bit rate that take effect at the next power-up, firmware too old for
-some opcodes (silence), response time, an own thread; see FAULTS for what can be switched.
+Models: all documented opcodes, sixteen calibration slots (slot 0 active after power-up and reset),
+matrix, counts and unit codes per slot, the status word with data still sent in critical errors,
+16-bit gauges with saturation, noise and unloaded offset, base identifier and bit rate that take
+effect at the next power-up, firmware too old for some opcodes (silence), response time; see FAULTS
+for what can be switched.
 
-Does not model: arbitration, bit timing, acknowledgement and real error frames, temperature, hysteresis and creep
-of the transducer, the board's analogue filter, its diagnostic ADC's scale, its EEPROM.
+Does not model: arbitration, bit timing, acknowledgement and real error frames, temperature,
+hysteresis and creep of the transducer, the board's analogue filter, its diagnostic ADC's scale, its
+EEPROM.
 """
 
 from __future__ import annotations
 
 import struct
-import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -20,8 +21,12 @@ from dataclasses import dataclass, field
 import can
 import numpy as np
 
+from finger_common.settings import setting
+
+from ..can_bus import frame as can_frame
 from ..protocols import netcanoem as protocol
-from .faults import Faults
+from .simulator import BusOptions, CanSimulator
+from .values import LoadOptions, no_load, numbers
 
 FAULTS = {
     "silent": "answers nothing, as without power",
@@ -66,14 +71,21 @@ def default_calibration(slot: int = 0) -> protocol.Calibration:
     return protocol.Calibration(matrix, 1_000_000, 1_000_000, 2, 4, "FT01234")
 
 
-def no_load(stamp_ns: int) -> np.ndarray:
-    """No wrench (6,) at any time."""
-    return np.zeros(6)
+@dataclass(frozen=True)
+class NetcanoemOptions(LoadOptions, BusOptions):
+    """Options of the simulated board."""
+
+    base: int = setting(
+        protocol.DEFAULT_BASE, "Base identifier.", minimum=0, maximum=protocol.MAX_BASE
+    )
+    slots: str = setting("0", "Slots that hold a calibration, e.g. 0,3.")
+    noise: float = setting(1.0, "Standard deviation of a gauge.", unit="counts", minimum=0)
+    response_time: float = setting(0.0, "Time between request and reply.", unit="s", minimum=0)
 
 
 @dataclass
-class NetcanoemSimulator:
-    """The board. `start` serves `bus` in a thread until `stop`; the bus stays the caller's.
+class NetcanoemSimulator(CanSimulator):
+    """ATI NETCANOEM on a CAN bus.
 
     force: called with the time (ns since the epoch) of each reading, gives the wrench (6,) in N and N m.
     slots: calibrations by slot number. noise: standard deviation in counts. gauge_offset: (6,) counts unloaded.
@@ -94,8 +106,12 @@ class NetcanoemSimulator:
     unit_codes: tuple[int, int] | None = None
     """Unit codes to send instead of the slot's, also impossible ones."""
 
+    NAME = "netcanoem"
+    SETTINGS = NetcanoemOptions
+    FAULTS = FAULTS
+
     def __post_init__(self) -> None:
-        self.faults = Faults(FAULTS)
+        super().__init__()
         self.active_slot = 0
         self.readings = 0
         self._pending_base: int | None = None
@@ -103,22 +119,30 @@ class NetcanoemSimulator:
         self._asleep_until = 0.0
         self._echo_until = 0.0
         self._random = np.random.default_rng(self.seed)
-        self._stop = threading.Event()
-        self._thread: threading.Thread | None = None
 
-    def start(self) -> NetcanoemSimulator:
-        """Serve the bus in a thread; returns itself."""
-        self._stop.clear()
-        self._thread = threading.Thread(target=self._run, name="netcanoem-sim", daemon=True)
-        self._thread.start()
-        return self
+    @classmethod
+    def from_settings(cls, settings: NetcanoemOptions) -> NetcanoemSimulator:
+        slots = [int(slot) for slot in numbers(settings.slots, "--slots")]
+        force = settings.load()
+        simulator = cls(
+            settings.open_bus(),
+            force,
+            base=settings.base,
+            slots={slot: default_calibration(slot) for slot in slots},
+            noise=settings.noise,
+            response_time=settings.response_time,
+        )
+        simulator.owns_bus = True
+        return simulator
 
-    def stop(self) -> None:
-        """End the thread."""
-        self._stop.set()
-        if self._thread is not None:
-            self._thread.join(5)
-            self._thread = None
+    def describe(self) -> str:
+        return f"{super().describe()}, base 0x{self.base:02X}"
+
+    def commands(self) -> dict[str, Callable[..., None]]:
+        return {"power": self.power_cycle, "units": self._set_units}
+
+    def _set_units(self, force: str, torque: str) -> None:
+        self.unit_codes = (int(force), int(torque))
 
     def power_cycle(self) -> None:
         """Off and on: slot 0, pending base identifier in force, nothing held back."""
@@ -128,16 +152,11 @@ class NetcanoemSimulator:
             self.base, self._pending_base = self._pending_base, None
         self._asleep_until = time.monotonic() + 0.01
 
-    def _run(self) -> None:
-        while not self._stop.is_set():
-            try:
-                frame = self.bus.recv(0.1)
-                if frame is not None:
-                    self._handle(frame)
-            except can.CanError:
-                # The bus went down, or a client was too slow; the board itself goes on.
-                if self._stop.wait(0.05):
-                    return
+    def run(self) -> None:
+        while not self.ending:
+            frame = self.bus.recv(0.1)
+            if frame is not None:
+                self._handle(frame)
 
     # Requests --------------------------------------------------------------------------------
 
@@ -147,7 +166,7 @@ class NetcanoemSimulator:
         if frame.arbitration_id >> 4 != self.base:
             return
         opcode, data = frame.arbitration_id & 0xF, bytes(frame.data)
-        # On a bus that echoes, own replies come back; their length tells them from requests.
+        # On a bus that echoes, own replies come back; their length differs from that of requests.
         if opcode not in protocol.REQUEST_LENGTH or len(data) != protocol.REQUEST_LENGTH[opcode]:
             return
         # Not so for 0x6: on a bus that echoes, answering the echo of an own answer would never end.
@@ -230,15 +249,9 @@ class NetcanoemSimulator:
         frames = [self._frame(0, replies[0]), self._frame(1, replies[1])]
         if self.faults.take("foreign"):
             for number in (0x701, 0x000, 0x2F0):
-                self.bus.send(
-                    can.Message(arbitration_id=number, data=bytes(8), is_extended_id=False)
-                )
+                self.bus.send(can_frame(number, bytes(8)))
         if self.faults.take("extended"):
-            self.bus.send(
-                can.Message(
-                    arbitration_id=frames[0].arbitration_id, data=bytes(8), is_extended_id=True
-                )
-            )
+            self.bus.send(can_frame(frames[0].arbitration_id, bytes(8), extended=True))
         if self.faults.take("error_frame"):
             self.bus.send(can.Message(is_error_frame=True, is_extended_id=False))
         if self.faults.take("wrong_length"):
@@ -256,6 +269,4 @@ class NetcanoemSimulator:
             self.bus.send(frame)
 
     def _frame(self, opcode: int, data: bytes) -> can.Message:
-        return can.Message(
-            arbitration_id=protocol.identifier(self.base, opcode), data=data, is_extended_id=False
-        )
+        return can_frame(protocol.identifier(self.base, opcode), data)

@@ -1,11 +1,13 @@
 """An ATI Net F/T box: RDT over UDP with its XML page over HTTP.
 
-Models: start, stop and bias requests, one client at a time, endless and counted streams, real-time and buffered mode,
-both sequence numbers, the status word, counts and units as the page says, output rates as integer fractions of
-7000 Hz, `comm.cgi` for the rate, reboot (silent, then waiting for a new start); see FAULTS.
+Models: start, stop and bias requests, one client at a time, endless and counted streams, real-time
+and buffered mode, both sequence numbers, the status word, counts and units as the page says, output
+rates as integer fractions of 7000 Hz, `comm.cgi` for the rate, reboot (silent, then waiting for a
+new start); see FAULTS.
 
-Does not model: the box's filter, monitor conditions, tool transforms, the slow TCP interface, EtherNet/IP, CAN,
-further pages, the transducer's noise beyond white noise, network loss (but see FAULTS).
+Does not model: the box's filter, monitor conditions, tool transforms, the slow TCP interface,
+EtherNet/IP, CAN, further pages, the transducer's noise beyond white noise, network loss (but see
+FAULTS).
 """
 
 from __future__ import annotations
@@ -18,14 +20,16 @@ import threading
 import time
 import urllib.parse
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
-from finger_common.errors import DeviceError
+from finger_common.errors import DeviceError, InputError
+from finger_common.settings import setting
 
 from ..protocols import netft_xml, rdt
-from .faults import Faults
-from .netcanoem import no_load
+from .simulator import Simulator
+from .values import LoadOptions
 
 FAULTS = {
     "silent": "sends no record and answers no page",
@@ -41,35 +45,51 @@ FAULTS = {
 }
 
 DEFAULT_CONFIGURATION = netft_xml.Configuration(
-    1_000_000, 1_000_000, "N", "N-mm", "Simulated Net F/T", 0, True, 500.0
+    1_000_000, 1_000_000, "N", "N-mm", "Simulated Net F/T", True, 500.0
 )
 
 
-class NetFtSimulator:
-    """The box. force: called with the time (ns) of each record, gives the wrench (6,) in N and N m.
+@dataclass(frozen=True)
+class NetFtOptions(LoadOptions):
+    """Options of the simulated box."""
 
-    Ports 0 are chosen free; `port` and `http_port` say which. noise: standard deviation in N and, times 1e-3, N m.
+    host: str = setting("127.0.0.1", "Address to serve on.")
+    port: int = setting(rdt.PORT, "UDP port; 0 for any free one.", minimum=0, maximum=65535)
+    http_port: int = setting(
+        8080, "Port of the page; 0 for any free one.", minimum=0, maximum=65535
+    )
+    noise: float = setting(0.002, "Standard deviation.", unit="N", minimum=0)
+
+
+class NetFtSimulator(Simulator):
+    """ATI Net F/T: RDT over UDP with its XML page.
+
+    Ports 0 are chosen free; `port` and `http_port` give them. The noise of the torque is 1e-3 times
+    that of the force.
     """
 
-    def __init__(
-        self,
-        force: Callable[[int], np.ndarray] = no_load,
-        host: str = "127.0.0.1",
-        port: int = 0,
-        http_port: int = 0,
-        configuration: netft_xml.Configuration = DEFAULT_CONFIGURATION,
-        noise: float = 0.002,
-        seed: int = 1,
-    ) -> None:
-        self.faults = Faults(FAULTS)
-        self.configuration = configuration
-        self._force = force
-        self._noise = np.array([noise] * 3 + [noise * 1e-3] * 3)
-        self._random = np.random.default_rng(seed)
+    NAME = "rdt"
+    SETTINGS = NetFtOptions
+    FAULTS = FAULTS
+
+    def __init__(self, settings: NetFtOptions) -> None:
+        super().__init__()
+        self.configuration = DEFAULT_CONFIGURATION
+        self._host = settings.host
+        self._force = settings.load()
+        self._noise = settings.noise * np.array([1.0] * 3 + [1e-3] * 3)
+        self._random = np.random.default_rng(1)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.bind((host, port))
+        try:
+            self._socket.bind((self._host, settings.port))
+            page_address = (self._host, settings.http_port)
+            self._server = http.server.ThreadingHTTPServer(page_address, self._handler())
+        except OSError as error:
+            raise InputError(
+                f"{self._host}, ports {settings.port} and {settings.http_port}: {error.strerror}; "
+                "choose others"
+            ) from None
         self.port = int(self._socket.getsockname()[1])
-        self._server = http.server.ThreadingHTTPServer((host, http_port), self._handler())
         self._server.daemon_threads = True
         self.http_port = int(self._server.server_address[1])
         self._client: tuple[str, int] | None = None
@@ -79,35 +99,34 @@ class NetFtSimulator:
         self._bias = np.zeros(6)
         self._held: bytes | None = None
         self._down_until = 0.0
-        self._stop = threading.Event()
-        self._threads = [
-            threading.Thread(target=self._run, daemon=True),
-            threading.Thread(target=self._server.serve_forever, args=(0.1,), daemon=True),
-        ]
+        self._pages = threading.Thread(target=self._server.serve_forever, args=(0.1,), daemon=True)
+
+    def describe(self) -> str:
+        return f"on {self._host}: RDT port {self.port}, HTTP port {self.http_port}"
+
+    def commands(self) -> dict[str, Callable[..., None]]:
+        return {"units": self.set_units}
 
     def start(self) -> NetFtSimulator:
-        """Serve in threads; returns itself."""
-        for thread in self._threads:
-            thread.start()
-        return self
+        self._pages.start()
+        return super().start()
 
-    def stop(self) -> None:
-        """End the threads and close the ports."""
-        self._stop.set()
-        self._server.shutdown()
-        for thread in self._threads:
-            thread.join(5)
+    def close(self) -> None:
+        if self._pages.is_alive():
+            self._server.shutdown()
         self._server.server_close()
         self._socket.close()
 
-    def set_units(self, force: str, torque: str, counts: float, torque_counts: float) -> None:
+    def set_units(
+        self, force: str, torque: str, counts: float | str, torque_counts: float | str
+    ) -> None:
         """Change units and counts, on the page and in the stream, as its web page does."""
         self.configuration = dataclasses.replace(
             self.configuration,
             force_unit=force,
             torque_unit=torque,
-            counts_per_force=counts,
-            counts_per_torque=torque_counts,
+            counts_per_force=float(counts),
+            counts_per_torque=float(torque_counts),
         )
 
     @property
@@ -153,9 +172,9 @@ class NetFtSimulator:
         if 1 <= rate <= rdt.BASE_RATE:
             self.configuration = dataclasses.replace(self.configuration, rdt_rate=rate)
 
-    def _run(self) -> None:
+    def run(self) -> None:
         due = time.monotonic()
-        while not self._stop.is_set():
+        while not self.ending:
             wait = 0.05 if self._client is None else max(0.0, min(due - time.monotonic(), 0.05))
             if select.select([self._socket], [], [], wait)[0]:
                 self._request()

@@ -1,22 +1,24 @@
 """A Robotous RFT force sensor on a python-can bus.
 
-Models: the commands model, serial number, firmware, output rate, one sample, start, stop and bias; samples in two
-frames with Tx across them; overload bits at 120 % of the rating; see FAULTS. Does not model: the filter, changing
-identifiers, overload counters, noise beyond white noise, bit rate and arbitration.
+Models: the commands model, serial number, firmware, output rate, one sample, start, stop and bias;
+samples in two frames with Tx across them; overload bits at 120 % of the rating; see FAULTS. Does
+not model: the filter, changing identifiers, overload counters, noise beyond white noise, bit rate
+and arbitration.
 """
 
 from __future__ import annotations
 
 import struct
-import threading
 import time
-from collections.abc import Callable
+from dataclasses import dataclass
 
-import can
 import numpy as np
 
-from .faults import Faults
-from .netcanoem import no_load
+from finger_common.settings import setting
+
+from ..can_bus import frame as can_frame
+from .simulator import BusOptions, CanSimulator
+from .values import LoadOptions
 
 FAULTS = {
     "silent": "sends nothing, as without power",
@@ -33,56 +35,45 @@ _DIVIDERS = np.array([50.0] * 3 + [2000.0] * 3)
 """Counts per N and N m of an RFT64-SB01."""
 
 
-class RftSimulator:
-    """The sensor; force gives the wrench (6,) in N and N m at a time (ns). The bus stays the caller's."""
+@dataclass(frozen=True)
+class RftOptions(LoadOptions, BusOptions):
+    """Options of the simulated sensor."""
 
-    def __init__(
-        self,
-        bus: can.BusABC,
-        force: Callable[[int], np.ndarray] = no_load,
-        noise: float = 0.01,
-        seed: int = 1,
-    ) -> None:
-        self.faults = Faults(FAULTS)
-        self._bus = bus
-        self._force = force
-        self._noise = np.array([noise] * 3 + [noise * 0.02] * 3)
-        self._random = np.random.default_rng(seed)
+    noise: float = setting(0.01, "Standard deviation.", unit="N", minimum=0)
+
+
+class RftSimulator(CanSimulator):
+    """Robotous RFT on a CAN bus."""
+
+    NAME = "rft"
+    SETTINGS = RftOptions
+    FAULTS = FAULTS
+
+    def __init__(self, settings: RftOptions) -> None:
+        super().__init__()
+        self._force = settings.load()
+        self.bus, self.owns_bus = settings.open_bus(), True
+        self._noise = settings.noise * np.array([1.0] * 3 + [0.02] * 3)
+        self._random = np.random.default_rng(1)
         self._bias = np.zeros(6)
         self._rate = 200
         self._streaming = False
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
 
-    def start(self) -> RftSimulator:
-        """Serve the bus in a thread; returns itself."""
-        self._thread.start()
-        return self
-
-    def stop(self) -> None:
-        """End the thread."""
-        self._stop.set()
-        self._thread.join(5)
-
-    def _run(self) -> None:
+    def run(self) -> None:
         due = time.monotonic()
-        while not self._stop.is_set():
+        while not self.ending:
             wait = max(0.0, min(due - time.monotonic(), 0.05)) if self._streaming else 0.05
-            try:
-                frame = self._bus.recv(wait)
-                if frame is not None and frame.arbitration_id == 0x64 and frame.dlc == 8:
-                    self._command(bytes(frame.data))
-                if self.faults.take("reset"):
-                    self._streaming, self._rate = False, 200
-                now = time.monotonic()
-                if not self._streaming:
-                    due = now
-                elif now >= due:
-                    due = max(due + 1 / self._rate, now - 0.1)
-                    self._sample(0x0B)
-            except can.CanError:
-                if self._stop.wait(0.05):
-                    return
+            frame = self.bus.recv(wait)
+            if frame is not None and frame.arbitration_id == 0x64 and frame.dlc == 8:
+                self._command(bytes(frame.data))
+            if self.faults.take("reset"):
+                self._streaming, self._rate = False, 200
+            now = time.monotonic()
+            if not self._streaming:
+                due = now
+            elif now >= due:
+                due = max(due + 1 / self._rate, now - 0.1)
+                self._sample(0x0B)
 
     def _command(self, data: bytes) -> None:
         if self.faults.value("silent"):
@@ -128,4 +119,4 @@ class RftSimulator:
                 self._send(0x123, bytes(8))
 
     def _send(self, identifier: int, data: bytes) -> None:
-        self._bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
+        self.bus.send(can_frame(identifier, data))

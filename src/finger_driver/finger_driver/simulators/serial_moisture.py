@@ -1,9 +1,9 @@
 """A moisture probe's serial adapter behind a pseudo-terminal: one line per reading.
 
-Models: lines at the port of a real adapter, unplugging and plugging in again under the same name (a symbolic link),
-half lines, noise, a wrong unit's number (FAULTS). Does not model: baud rate, parity and framing errors (a pty has
-none), the second a Corneometer takes for a reading, its calibration. The line format is this project's: no public
-protocol of the probe is known.
+Models: lines at the port of a real adapter, unplugging and plugging in again under the same name (a
+symbolic link), half lines, noise, a wrong unit's number (FAULTS). Does not model: baud rate, parity
+and framing errors (a pty has none), the second that a Corneometer needs for a reading, its
+calibration. The line format is this project's: no public protocol of the probe is known.
 """
 
 from __future__ import annotations
@@ -11,9 +11,14 @@ from __future__ import annotations
 import os
 import pty
 import tty
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
-from .faults import Faults
+from finger_common.settings import Settings, setting
+
+from .simulator import Simulator
+from .values import numbers
 
 FAULTS = {
     "silent": "sends nothing",
@@ -24,21 +29,62 @@ FAULTS = {
 }
 
 
-class SerialMoistureSimulator:
-    """A pty whose far end is named `port`; `link`, if given, is a symbolic link to it that stays the same.
+@dataclass(frozen=True)
+class SerialOptions(Settings):
+    """Options of the simulated adapter."""
 
-    `send` writes a reading as `line` formats it. Close it, or use it as a context manager.
+    link: str = setting("", "Symbolic link to the pseudo-terminal; empty for none.")
+    values: str = setting("", "Readings to send in turn, repeatedly, separated by commas.")
+    period: float = setting(5.0, "Time between readings.", unit="s", minimum=0.01)
+
+
+class SerialMoistureSimulator(Simulator):
+    """Serial moisture adapter on a pseudo-terminal.
+
+    Its far end is named `port`; `link`, if given, is a symbolic link to it that stays. `send` writes a reading as `line` formats it; `values` are sent in turn every `period` s.
     """
 
+    NAME = "serial"
+    SETTINGS = SerialOptions
+    FAULTS = FAULTS
+
     def __init__(
-        self, link: str | Path | None = None, line: str = "M={value:.1f};{phase}\r\n"
+        self,
+        link: str | Path | None = None,
+        line: str = "M={value:.1f};{phase}\r\n",
+        values: list[float] | None = None,
+        period: float = 5.0,
     ) -> None:
-        self.faults = Faults(FAULTS)
+        super().__init__()
         self._link = Path(link) if link is not None else None
         self._line = line
+        self._values = values or []
+        self._period = period
         self._controller = self._far = -1
         self._held = b""
         self.plug_in()
+
+    @classmethod
+    def from_settings(cls, settings: SerialOptions) -> SerialMoistureSimulator:
+        return cls(
+            settings.link or None,
+            values=numbers(settings.values, "--values"),
+            period=settings.period,
+        )
+
+    def describe(self) -> str:
+        return f"on {self.port}"
+
+    def commands(self) -> dict[str, Callable[..., None]]:
+        return {
+            "send": lambda value, phase="before": self.send(float(value), phase),
+            "unplug": self.unplug,
+            "plug": self.plug_in,
+        }
+
+    def run(self) -> None:
+        for number in self.each(lambda: self._period if self._values else 0.0):
+            self.send(self._values[number % len(self._values)])
 
     @property
     def port(self) -> str:
@@ -91,15 +137,9 @@ class SerialMoistureSimulator:
         try:
             os.write(self._controller, data)
         except BlockingIOError:
-            # Nobody reads; an adapter's buffer runs over, too.
+            # Nobody reads; an adapter's buffer overflows, too.
             pass
 
     def close(self) -> None:
         """Unplug for good."""
         self.unplug()
-
-    def __enter__(self) -> SerialMoistureSimulator:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self.close()

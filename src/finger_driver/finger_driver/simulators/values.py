@@ -3,35 +3,50 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
+from finger_common.axes import NORMAL_AXES, axis_of
 from finger_common.errors import InputError
+from finger_common.files import read_csv
+from finger_common.settings import Settings, setting
 
 Wrench = Callable[[int], np.ndarray]
 """Wrench (6,) in N and N m at a time in ns since the epoch."""
 
 
+def no_load(stamp_ns: int) -> np.ndarray:
+    """No wrench (6,) at any time."""
+    return np.zeros(6)
+
+
 def axis_vector(axis: str) -> np.ndarray:
     """Unit wrench (6,) along "+x" … "-z"."""
+    index, sign = axis_of(axis)
     vector = np.zeros(6)
-    vector["xyz".index(axis[1])] = -1.0 if axis[0] == "-" else 1.0
+    vector[index] = sign
     return vector
 
 
-def constant_wrench(text: str) -> Wrench:
-    """The same wrench always, from "FX,FY,FZ,TX,TY,TZ"; raises InputError when that is not six numbers."""
+def numbers(text: str, option: str) -> list[float]:
+    """Numbers separated by commas; raises InputError naming the option."""
     try:
-        wrench = np.array([float(v) for v in text.split(",")])
+        return [float(v) for v in text.split(",") if v.strip()]
     except ValueError:
-        wrench = np.zeros(0)
+        raise InputError(f"{option} '{text}': numbers separated by commas are needed") from None
+
+
+def constant_wrench(text: str) -> Wrench:
+    """The same wrench always, from "FX,FY,FZ,TX,TY,TZ"; raises InputError unless six numbers."""
+    wrench = np.array(numbers(text, "--wrench"))
     if wrench.shape != (6,) or not np.all(np.isfinite(wrench)):
         raise InputError(f"--wrench '{text}': six numbers separated by commas are needed")
     return lambda stamp_ns: wrench
 
 
 def pressing_wrench(peak: float, axis: str = "+z", period: float = 4.0) -> Wrench:
-    """A press of raised-cosine shape to `peak` N in the first half of each `period` s, rest in the second."""
+    """A raised-cosine press to `peak` N in the first half of each `period` s, no load in the second."""
     direction = axis_vector(axis)
 
     def wrench(stamp_ns: int) -> np.ndarray:
@@ -42,7 +57,7 @@ def pressing_wrench(peak: float, axis: str = "+z", period: float = 4.0) -> Wrenc
 
 
 def recorded_wrench(time_s: np.ndarray, force: np.ndarray, axis: str = "+z") -> Wrench:
-    """A recorded force (N) over time (s), played over and over; raises InputError unless time increases."""
+    """A recorded force (N) over time (s), repeated; raises InputError unless time increases."""
     if len(time_s) < 2 or np.any(np.diff(time_s) <= 0):
         raise InputError("--csv: time_s must increase from row to row, over at least two rows")
     direction = axis_vector(axis)
@@ -65,3 +80,28 @@ def moving_disc(height: int, width: int, seed: int = 1) -> Callable[[int], np.nd
         return np.clip(40 + 120 * disc + noise[index % 8], 0, 255).astype(np.uint8)
 
     return image
+
+
+@dataclass(frozen=True)
+class LoadOptions(Settings):
+    """The load on a simulated force sensor."""
+
+    wrench: str = setting("0,0,0,0,0,0", "Constant FX,FY,FZ,TX,TY,TZ in N and N m.")
+    press: float = setting(0.0, "Press to this force and release, repeatedly; 0 for not.", unit="N")
+    csv: str = setting("", "File of force over time, columns time_s,force_n; repeated.")
+    axis: str = setting(
+        "+z", "Axis of the sensor along which --press and --csv push.", choices=NORMAL_AXES
+    )
+
+    def validate(self) -> None:
+        if self.press and self.csv:
+            raise InputError("--press and --csv exclude each other; give one")
+
+    def load(self) -> Wrench:
+        """The load over time; raises InputError for an option that cannot be used."""
+        if self.csv:
+            table = read_csv(self.csv, ["time_s", "force_n"])
+            return recorded_wrench(table["time_s"], table["force_n"], self.axis)
+        if self.press:
+            return pressing_wrench(self.press, self.axis)
+        return constant_wrench(self.wrench)

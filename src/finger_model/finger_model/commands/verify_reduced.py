@@ -39,13 +39,14 @@ def wide_case(seed: int, index: int) -> Case:
     """A pair over the whole range of parameters, to a peak of 0.15–3 N."""
     import numpy as np
 
-    from ..reduced.force_histories import FULL_RANGE, KINDS, random_history, random_parameters
+    from ..laws.standard_linear_solid import PARAMETERS
+    from ..reduced.force_histories import KINDS, random_history, random_parameters
     from ..reduced.training_runs import Case
 
     rng = np.random.default_rng([seed, index, 2])
     peak = float(np.exp(rng.uniform(np.log(0.15), np.log(3.0))))
     kind = KINDS[index % len(KINDS)]
-    return Case(random_parameters(rng, FULL_RANGE), *random_history(rng, kind, peak), kind)
+    return Case(random_parameters(rng, PARAMETERS.range), *random_history(rng, kind, peak), kind)
 
 
 def run(arguments: argparse.Namespace) -> int:

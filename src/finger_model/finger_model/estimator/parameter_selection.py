@@ -59,7 +59,12 @@ def select_parameters(
 
 
 def check_sets(sets: ParameterSets, model: ReducedModel, where: str = "the parameter sets") -> None:
-    """Raise InputError for sets that were fitted with another geometry than the model's."""
+    """Raise InputError for sets of another law or geometry than the model's."""
+    if sets.law is not model.law:
+        raise InputError(
+            f"{where} are parameters of the law '{sets.law.name}', the reduced model is for "
+            f"'{model.law.name}'; give parameters of that law"
+        )
     if sets.geometry_hash and sets.geometry_hash != model.geometry_hash:
         raise InputError(
             f"{where} were fitted with geometry {sets.geometry_hash[:8]}, the reduced model is for "
@@ -71,9 +76,9 @@ def _area_variance(model: ReducedModel, found: InterpolatedParameters) -> float:
     """Variance of ln A that the covariance of the parameters brings, for 1 N reached in 1 s."""
     if not np.any(found.covariance_log):
         return 0.0
-    n = len(found.parameters)
+    space, n = model.space, len(found.parameters)
     shifts = _LOG_STEP * np.vstack([np.eye(n), -np.eye(n)])
-    shifted = np.exp(np.log(found.parameters) + shifts)
+    shifted = space.from_log(space.to_log(found.parameters) + shifts)
     areas = np.log(model.batch(shifted, [(_RAMP, _RAMP)])[0][:, -1])
     slope = (areas[:n] - areas[n:]) / (2 * _LOG_STEP)
     return float(max(slope @ found.covariance_log @ slope, 0.0))

@@ -112,7 +112,6 @@ def _follow_contact(config, state, normal_force, stamp):
         area_filter.begin_contact(state.filters, config.noise, stamp)
         contact.onset = stamp
         contact.has_fused = False
-        contact.fused_area = math.nan
         state.counters.contacts += 1
     elif contact.touching and not touching:
         contact.liftoff = stamp
@@ -295,9 +294,9 @@ def process(net, par, finger, work, configuration, states, stamps, forces, areas
 
 @njit(cache=True)
 def initialise_filters(configuration, states):
-    """Filters as for a finger not seen before."""
+    """Filters as for a finger not seen before, with no area fused."""
     area_filter.initialise(states[0].filters, configuration[0].noise)
-    states[0].contact.fused_area = math.nan
+    states[0].contact.has_fused = False
 
 
 @njit(cache=True)

@@ -1,17 +1,19 @@
 """Contact radius inside an element, and contact pressure, from the skin nodes.
 
-Where the edge of the contact lies between two nodes is told by the loads at which nodes touch. About an
-equilibrium the response to load is linear as long as no node touches or leaves; a small complementarity problem
-over the four nodes nearest the edge gives the loads of the last two and the next two events. At its event a node
-lies a fixed fraction of an element outside the true edge, so that event loads and node radii are points of the
-smooth curve radius over load, and interpolating them at the present load gives the radius. Unlike a fit of the
-gap it knows of no element edges.
+An *event* is a node that touches the plate or leaves it. The loads of the events show where the
+edge of the contact lies between two nodes. About an equilibrium the response to load is linear
+until the next event; a small complementarity problem over the four nodes nearest the edge gives the
+loads of the last two and the next two events. At its event a node lies a fixed fraction of an
+element outside the true edge. Event loads and node radii are therefore points of the smooth curve
+radius over load, and interpolation at the present load gives the radius. A fit of the gap, in
+contrast, shows steps from element to element.
 
-Where tissue creeps faster than one event follows another, the response of the last step tells the two events
-beside the present load well, the one before and the one after them to some 8 % of their distance: a corner at every
-event. In steps fine enough to see every event coming, the curve is therefore continued: the last event and its slope
-are kept as they were when it happened, and the event after the next is corrected by how such a prediction came out
-before (`Edge`).
+Where tissue creeps faster than one event follows another, the response of the last step gives the
+two events beside the present load well, but the one before and the one after them only to about 8 %
+of their distance. The curve would have a corner at every event. In steps fine enough to see each
+event in advance, the curve is therefore continued from step to step (`Edge`): load and slope of the
+last event stay as they were when it happened, and the gap to the event after the next is corrected
+by the error of the previous such prediction.
 """
 
 from __future__ import annotations
@@ -21,42 +23,48 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .equilibrium import OPEN, SLIP, STICK, Contact, Equilibrium, NotConverged, Tangent
+from .equilibrium import OPEN, SLIP, Contact, ContactSet, Equilibrium, NotConverged, Tangent
 
 EDGE_FRACTION = 0.39
 """Distance of a node from the true edge, in node spacings, at the load at which it touches.
 
-Found with Hertz's solution on a homogeneous sphere at small load (ν = 0.48): 0.39 ± 0.01 for 4 to 12 nodes in the
-contact and for skin layers of 0.5 to 0.9 node spacings; 0.395 for ν = 0.4999, 0.343 for ν = 0.3.
+Found with Hertz's solution on a homogeneous sphere at small load (ν = 0.48): 0.39 ± 0.01 for 4 to
+12 nodes in the contact and for skin layers of 0.5 to 0.9 node spacings; 0.395 for ν = 0.4999, 0.343
+for ν = 0.3.
 """
 
-FEWEST_STEPS, CREEPS = 2.7, 1.25
-"""Steps, and creep times τ1, from one event to the next above which events are remembered. With slower creep the
-response of the last step errs alike on all four events, and the curve through them as told is the smoother one."""
-LARGEST_JUMP = 0.02
-"""Change, from step to step, of the load told of the last event, over the distance of two events, beyond which the
-load path has changed and what is remembered is forgotten."""
+MINIMUM_STEPS, MINIMUM_CREEP_TIMES = 2.7, 1.25
+"""Steps, and creep times, between two events from which the curve is continued. With slower creep
+the four predicted events have similar errors, and the curve through them is the smoother one."""
+
+MAXIMUM_CHANGE = 0.02
+"""Largest change, from step to step, of the last event's predicted force over the distance of two
+events. Beyond it the load path has changed, and the curve starts anew."""
+
+CORRECTION_RANGE = (0.8, 1.25)
+"""Smallest and largest correction of a predicted gap between events."""
 
 
 @dataclass(frozen=True)
 class Edge:
-    """What is remembered of the edge while the force rises; forces in N/rad, slopes in m per N/rad.
+    """History of the contact's edge while the force rises; forces in N/rad, slopes in m per N/rad.
 
-    last: outermost skin node in contact; force, slope: at which it touched, and dr/dF there; told: that force as the
-    present step alone tells it; next_force, next_slope: of the next node, predicted; ahead: predicted distance of the
-    event after the next; said: what was predicted of the present distance when it was the one ahead (NaN if unknown);
-    stretch: true over predicted distance of the last one that came to pass.
+    last: outermost skin node in contact; force, slope: at which it touched, and dr/dF there.
+    predicted_force: the same force as the present step alone predicts it. next_force, next_slope:
+    predicted for the next node. next_gap: predicted force from the next event to the one after it.
+    previous_gap: what was predicted for the present gap when it was the next one, NaN if unknown.
+    gap_correction: true over predicted gap at the last event.
     """
 
     last: int
-    told: float
+    predicted_force: float
     force: float
     slope: float
     next_force: float
     next_slope: float
-    ahead: float
-    said: float = math.nan
-    stretch: float = 1.0
+    next_gap: float
+    previous_gap: float = math.nan
+    gap_correction: float = 1.0
 
 
 def contact_edge(
@@ -64,17 +72,19 @@ def contact_edge(
     x: np.ndarray,
     contact: Contact,
     friction: float,
-    push: np.ndarray,
-    rise: float,
+    load_rate: np.ndarray,
+    force_rate: float,
     creep: float = math.inf,
     before: Edge | None = None,
 ) -> tuple[float, float, Edge | None]:
-    """Radius (m) of the contact's outer edge, zero without contact, force (N) until two more nodes touch, and memory.
+    """Radius (m) of the contact's outer edge, rise of the force (N) until two more nodes touch, and
+    the edge's history.
 
-    For a state just solved for; x (N, 2) positions. push (2N,) loads on the tissue and rise of the plate's force
-    (N/rad) are the rates, per step, along the path on which the state lies; creep is τ1 in steps, `before` the memory
-    of the step before. Uses, and overwrites, the stiffness that the last solve left in `equilibrium`. The force is
-    infinite where it cannot be told.
+    For a state just solved for; x (N, 2) positions. load_rate (2N,) of the creeping tissue and
+    force_rate of the plate (N/rad), per step, are those of the path on which the state lies; creep:
+    creep time in steps; before: history after the step before. Uses, and overwrites, the stiffness
+    that the last solve left in `equilibrium`. The radius is zero without contact; the rise is
+    infinite where it cannot be predicted.
     """
     active = np.flatnonzero(contact.status != OPEN)
     if not len(active):
@@ -85,62 +95,65 @@ def contact_edge(
         return float(skin[last, 0]), math.inf, None
     # The nodes nearest the edge; all contact nodes but the first may let go.
     near = np.arange(max(last - 1, int(active[0]) + 1), last + 3)
-    closed = near[near <= last]
     loads = along = None
-    if np.all(contact.status[closed] != OPEN):
-        loads, along = _event_loads(equilibrium, x, contact, friction, near, push, rise)
+    if np.all(contact.status[near[near <= last]] != OPEN):
+        loads, along = _event_loads(equilibrium, x, contact, friction, near, load_rate, force_rate)
     if loads is None:
         return gap_radius(skin, contact), math.inf, None
     reserve = 2.0 * math.pi * float(loads[-1])
-    creeping = along is not None and bool(push.any())
+    creeping = along is not None and bool(load_rate.any())
     if along is not None:
-        loads = rise * along
+        loads = force_rate * along
     r = skin[:, 0]
     events = r[near] - EDGE_FRACTION * (r[near] - r[near - 1])
     force = float(contact.normal.sum())
-    edge = None
     if last < 2:
         # So few nodes: Hertz's law, a ~ F^(1/3), from first touch to the next event.
         following = int(np.searchsorted(near, last + 1))
-        radius = float(events[following] * np.cbrt(force / (force + loads[following])))
-    elif len(near) < 4:
-        radius = gap_radius(skin, contact)
-    else:
-        steps = (loads[2] - loads[1]) / rise
-        seen = creeping and steps > max(FEWEST_STEPS, CREEPS * creep)
-        edge = _follow(force + loads, events, last, before if seen else None)
-        radius = _hermite(force, edge, float(events[1]), float(events[2]))
+        ratio = force / (force + loads[following])
+        return float(events[following] * np.cbrt(ratio)), reserve, None
+    if len(near) < 4:
+        return gap_radius(skin, contact), reserve, None
+    steps = (loads[2] - loads[1]) / force_rate
+    continued = creeping and steps > max(MINIMUM_STEPS, MINIMUM_CREEP_TIMES * creep)
+    edge = _continued(force + loads, events, last, before if continued else None)
+    radius = _hermite(force, edge, float(events[1]), float(events[2]))
     return radius, reserve, edge if creeping else None
 
 
-def _follow(forces: np.ndarray, radii: np.ndarray, last: int, before: Edge | None) -> Edge:
-    """The edge between the inner two of four events (forces, radii), the second of which is of node `last`."""
-    width = np.diff(forces)
-    rates = np.diff(radii) / width
-    slope = float((rates[0] * width[1] + rates[1] * width[0]) / (width[0] + width[1]))
-    force, said, stretch = float(forces[1]), math.nan, 1.0
+def _continued(forces: np.ndarray, radii: np.ndarray, last: int, before: Edge | None) -> Edge:
+    """The edge between the inner two of four events (forces, radii), the second of which is of node
+    `last`.
+
+    It continues the edge of the step before, where there is one and the load path has not changed.
+    """
+    gaps = np.diff(forces)
+    rates = np.diff(radii) / gaps
+    slope = float((rates[0] * gaps[1] + rates[1] * gaps[0]) / (gaps[0] + gaps[1]))
+    force, previous_gap, gap_correction = float(forces[1]), math.nan, 1.0
     if before is not None and before.last in (last - 1, last):
-        touching = before.last == last - 1
-        told = before.next_force if touching else before.told
-        if abs(told - force) < LARGEST_JUMP * width[1]:
-            force, slope, said, stretch = before.force, before.slope, before.said, before.stretch
-            if touching:
-                true = (before.next_force - before.force) / before.said
-                stretch = float(np.clip(true, 0.8, 1.25)) if math.isfinite(true) else 1.0
-                force, slope, said = before.next_force, before.next_slope, before.ahead
-    here, ahead = float(forces[2]) - force, stretch * float(width[2])
-    rates = np.diff(radii[1:]) / [here, ahead]
-    next_slope = float((rates[0] * ahead + rates[1] * here) / (here + ahead))
+        touched_now = before.last == last - 1
+        predicted = before.next_force if touched_now else before.predicted_force
+        if abs(predicted - force) < MAXIMUM_CHANGE * gaps[1]:
+            force, slope = before.force, before.slope
+            previous_gap, gap_correction = before.previous_gap, before.gap_correction
+            if touched_now:
+                error = (before.next_force - before.force) / before.previous_gap
+                known = math.isfinite(error)
+                gap_correction = float(np.clip(error, *CORRECTION_RANGE)) if known else 1.0
+                force, slope, previous_gap = before.next_force, before.next_slope, before.next_gap
+    gap, next_gap = float(forces[2]) - force, gap_correction * float(gaps[2])
+    rates = np.diff(radii[1:]) / [gap, next_gap]
     return Edge(
-        last,
-        float(forces[1]),
-        force,
-        slope,
-        float(forces[2]),
-        next_slope,
-        float(width[2]),
-        said,
-        stretch,
+        last=last,
+        predicted_force=float(forces[1]),
+        force=force,
+        slope=slope,
+        next_force=float(forces[2]),
+        next_slope=float((rates[0] * next_gap + rates[1] * gap) / (gap + next_gap)),
+        next_gap=float(gaps[2]),
+        previous_gap=previous_gap,
+        gap_correction=gap_correction,
     )
 
 
@@ -161,35 +174,39 @@ def _event_loads(
     contact: Contact,
     friction: float,
     near: np.ndarray,
-    path_push: np.ndarray,
-    path_rise: float,
+    load_rate: np.ndarray,
+    force_rate: float,
 ) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """Loads (k,), less the present one (N/rad), at which the given skin nodes touch, and places along the path.
+    """Loads (k,), less the present one (N/rad), at which skin nodes `near` touch, and positions
+    along the path.
 
-    The present place on the path is zero, and the contact grows with place. None where nodes touch out of order.
+    The present position on the path is zero, and the contact grows along it. None where nodes touch
+    out of order.
     """
     status = contact.status
-    active = np.flatnonzero(status != OPEN)
-    base = active[active < near[0]]
-    free = ~equilibrium.guided
-    slipping = base[(status[base] == SLIP) & free[base]]
-    sticking = active[(status[active] == STICK) & free[active]]
-    pull = friction * contact.direction
+    nodes = equilibrium.contact_set(contact)
+    edge = int(nodes.active[-1])
+    # The nodes near the edge are loads here: they and the free radii beside them are not held.
+    held = ContactSet(
+        nodes.active[nodes.active < near[0]],
+        nodes.sticking,
+        nodes.slipping[nodes.slipping < near[0]],
+    )
+    slip_friction = friction * contact.direction
+    # A node that touches slips as the one at the edge does.
+    drag = np.where(status[near] == SLIP, slip_friction[near], 0.0)
+    drag[near > edge] = slip_friction[edge] if status[edge] == SLIP else 0.0
+    k = len(near)
+    rows = np.arange(k)
+    loads = np.zeros((k + 2, equilibrium.unknowns))
+    loads[rows, equilibrium.axial[near]] = 1.0
+    loads[rows, equilibrium.radial[near]] -= drag
+    loads[k + 1] = load_rate
     try:
-        tangent = Tangent(equilibrium, base, sticking, slipping, pull, True)
+        tangent = Tangent(equilibrium, held, slip_friction, True)
         if not tangent.stable:
             return None, None
-        k = len(near)
-        push = np.zeros((k + 2, equilibrium.unknowns))
-        push[k + 1] = path_push
-        rows = np.arange(k)
-        push[rows, equilibrium.axial[near]] = 1.0
-        # A node that touches slips as the one at the edge does.
-        drag = np.where(status[near] == SLIP, pull[near], 0.0)
-        edge = int(active[-1])
-        drag[near > edge] = pull[edge] if status[edge] == SLIP else 0.0
-        push[rows, equilibrium.radial[near]] -= drag
-        moves, rises, _ = tangent.respond(push, np.concatenate([-np.ones(k), [1.0, path_rise]]))
+        moves, rises, _ = tangent.respond(loads, np.concatenate([-np.ones(k), [1.0, force_rate]]))
     except NotConverged:
         return None, None
     response = moves[:, equilibrium.axial[near]] - rises[:, None]
@@ -199,28 +216,30 @@ def _event_loads(
     gap = np.where(closed, 0.0, x[equilibrium.mesh.surface[near], 1] - contact.height)
     found: list[np.ndarray | None] = []
     for rate in response[k:]:
-        places = np.empty(k)
+        positions = np.empty(k)
         try:
             for j in range(k):
                 # Nodes up to j touch, node j and those beyond carry nothing.
                 matrix = np.column_stack([rate[: j + 1], compliance[: j + 1, :j]])
                 right = compliance[: j + 1, j:] @ normal[j:] - gap[: j + 1]
-                places[j] = np.linalg.solve(matrix, right)[0]
+                positions[j] = np.linalg.solve(matrix, right)[0]
         except np.linalg.LinAlgError:
-            places[:] = math.nan
-        if places[-1] < places[0]:
-            places = -places
-        ordered = np.all(np.isfinite(places)) and np.all(np.diff(places) > 0)
-        present = places[closed].max(initial=-math.inf) <= 0.0 <= places[~closed].min()
-        found.append(places if ordered and present else None)
+            positions[:] = math.nan
+        if positions[-1] < positions[0]:
+            positions = -positions
+        ordered = np.all(np.isfinite(positions)) and np.all(np.diff(positions) > 0)
+        present = positions[closed].max(initial=-math.inf) <= 0.0 <= positions[~closed].min()
+        found.append(positions if ordered and present else None)
     return found[0], found[1]
 
 
 def gap_radius(skin: np.ndarray, contact: Contact) -> float:
-    """Radius (m) of the outer edge from the gaps of the next open nodes alone; skin (S, 2) positions.
+    """Radius (m) of the outer edge from the gaps of the next open nodes alone; skin (S, 2)
+    positions.
 
-    Beside the edge the gap grows with distance to the power 3/2 (Hertz): gap^(2/3) of the open nodes, fitted by a
-    parabola, has its root there. Serves where event loads cannot be told (a ring one node wide).
+    Beside the edge the gap grows with distance to the power 3/2 (Hertz): gap^(2/3) of the open
+    nodes, fitted by a parabola, has its root there. Serves where event loads cannot be predicted (a
+    ring one node wide).
     """
     active = np.flatnonzero(contact.status != OPEN)
     last = int(active[-1])
@@ -237,7 +256,7 @@ def gap_radius(skin: np.ndarray, contact: Contact) -> float:
 
 
 def contact_pressure(skin: np.ndarray, contact: Contact) -> np.ndarray:
-    """Pressure (S,) in Pa at the skin nodes (S, 2): their force over the area of skin they stand for."""
+    """Pressure (S,) in Pa at the skin nodes (S, 2): their force over their share of the skin's area."""
     area = _node_areas(skin)
     return np.where(contact.normal > 0, contact.normal / area, 0.0)
 

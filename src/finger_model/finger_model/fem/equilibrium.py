@@ -11,7 +11,8 @@ rows of slipping nodes enter as a border.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.blas import dtbsv
@@ -51,76 +52,69 @@ class Contact:
 
     def copy(self) -> Contact:
         """Independent copy."""
-        return Contact(
-            self.status.copy(),
-            self.direction.copy(),
-            self.reference.copy(),
-            self.normal.copy(),
-            self.shear.copy(),
-            self.height,
-        )
+        arrays = ("status", "direction", "reference", "normal", "shear")
+        return replace(self, **{name: getattr(self, name).copy() for name in arrays})
+
+
+class ContactSet(NamedTuple):
+    """Indices of skin nodes: those in contact, and of those free to move radially the ones that stick and that slip."""
+
+    active: np.ndarray
+    sticking: np.ndarray
+    slipping: np.ndarray
 
 
 class Tangent:
-    """Linear response of a mesh about a state: factorised stiffness, plate height and friction as a
+    """Linear response about a state: factorised stiffness, with plate height and friction as a
     border.
 
-    Takes the band of the last assembly and overwrites it. active, sticking, slipping: indices of
-    skin nodes; pull (S,): friction coefficient times slip direction; loaded: the plate's force is
-    given, not its height. `stable` tells whether the stiffness is positive definite; only then may
-    `respond` be called.
+    Takes the band of the last assembly and overwrites it. friction (S,): friction coefficient times
+    direction of slip; loaded: the plate's force is given, not its height. `stable`: the stiffness
+    is positive definite; only then may `respond` be called.
     """
 
     def __init__(
-        self,
-        equilibrium: Equilibrium,
-        active: np.ndarray,
-        sticking: np.ndarray,
-        slipping: np.ndarray,
-        pull: np.ndarray,
-        loaded: bool,
+        self, equilibrium: Equilibrium, nodes: ContactSet, friction: np.ndarray, loaded: bool
     ) -> None:
+        active, sticking, slipping = nodes
         band = equilibrium.band
-        n = equilibrium.unknowns
+        self.unknowns = equilibrium.unknowns
         self.loaded = loaded and len(active) > 0
         self.zdof = equilibrium.axial[active]
         self.dofs = np.concatenate([self.zdof, equilibrium.radial[sticking]])
         self.sdof = equilibrium.radial[slipping]
         self.slip_row = np.searchsorted(active, slipping)
-        self.pull = pull[slipping]
+        self.friction = friction[slipping]
         self.rows = np.empty((len(self.dofs), 2 * band.shape[1] - 1))
         elements.band_rows(band, self.dofs, self.rows)
-        self.rise_column = self.force_of(
-            np.concatenate([np.ones(len(active)), np.zeros(len(sticking))]), n
-        )
+        self.rise_column = self.force_of(np.repeat([1.0, 0.0], [len(active), len(sticking)]))
         self.held = np.concatenate([equilibrium.fixed, self.dofs])
         elements.hold(band, self.held)
         self.factor, info = dpbtrf(band.T, lower=1, overwrite_ab=1)
         self.stable = info == 0
 
-    def force_of(self, moves: np.ndarray, unknowns: int | None = None) -> np.ndarray:
-        """Force (n,) of given moves (k,) of the held contact unknowns."""
-        out = np.zeros(unknowns if unknowns is not None else len(self.rise_column))
-        elements.add_rows(self.rows, self.dofs, moves, out)
+    def force_of(self, displacements: np.ndarray) -> np.ndarray:
+        """Force (n,) of given displacements (k,) of the held contact unknowns."""
+        out = np.zeros(self.unknowns)
+        elements.add_rows(self.rows, self.dofs, displacements, out)
         return out
 
     def respond(
-        self, push: np.ndarray, force: np.ndarray
+        self, loads: np.ndarray, force: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Moves (m, n), plate rises (m,) and reactions (m, k) at the held contact unknowns.
+        """Displacements (m, n), plate rises (m,) and reactions (m, k) at the held contact unknowns.
 
-        push (m, n) are loads on all unknowns; force (m,) is the plate's total force (N/rad), if it
-        is given.
+        loads (m, n): on all unknowns; force (m,): total force of the plate (N/rad), if it is given.
         """
-        m, slips = len(push), len(self.sdof)
-        right = push.copy()
-        right[:, self.sdof] += self.pull * push[:, self.zdof[self.slip_row]]
+        m, slips = len(loads), len(self.sdof)
+        right = loads.copy()
+        right[:, self.sdof] += self.friction * loads[:, self.zdof[self.slip_row]]
         right[:, self.held] = 0.0
         # With K = L Lᵀ, products of rows of K with K⁻¹ columns are those of their forward
         # substitutions. Contact unknowns are the last of the numbering: their vectors are
         # substituted over that end only.
-        start = max(0, int(self.dofs.min(initial=len(self.rise_column))) - self.factor.shape[0])
-        end = np.zeros((1 + 2 * slips, len(self.rise_column) - start))
+        start = max(0, int(self.dofs.min(initial=self.unknowns)) - self.factor.shape[0])
+        end = np.zeros((1 + 2 * slips, self.unknowns - start))
         end[0] = self.rise_column[start:]
         end[1 + np.arange(slips), self.sdof - start] = 1.0
         elements.copy_rows(self.rows, self.dofs, self.slip_row, start, end[1 + slips :])
@@ -138,14 +132,14 @@ class Tangent:
         rhs = np.zeros((slips + 1, m))
         products = slip_rows @ by_load
         zslip = self.zdof[self.slip_row]
-        small[:slips, :slips] = np.eye(slips) + self.pull[:, None] * products[:, 1:]
-        small[:slips, slips] = self.pull * (products[:, 0] - self.rise_column[zslip])
-        rhs[:slips] = self.pull[:, None] * (slip_rows @ near)
+        small[:slips, :slips] = np.eye(slips) + self.friction[:, None] * products[:, 1:]
+        small[:slips, slips] = self.friction * (products[:, 0] - self.rise_column[zslip])
+        rhs[:slips] = self.friction[:, None] * (slip_rows @ near)
         if self.loaded:
             total = tail[:, 0] @ by_load
             small[slips, :slips] = -total[1:]
             small[slips, slips] = self.rise_column[self.zdof].sum() - total[0]
-            rhs[slips] = force + push[:, self.zdof].sum(axis=1) - tail[:, 0] @ near
+            rhs[slips] = force + loads[:, self.zdof].sum(axis=1) - tail[:, 0] @ near
         else:
             small[slips, slips] = 1.0
         try:
@@ -154,15 +148,15 @@ class Tangent:
             raise NotConverged("the linear system is singular") from None
         rise = unknown[slips]
         near -= by_load @ np.concatenate([rise[None, :], unknown[:slips]])
-        moves = right
-        for vector in moves:
+        displacements = right
+        for vector in displacements:
             vector[:] = dtbsv(width, self.factor, vector, lower=1, trans=1)
-        moves[:, self.held] = 0.0
+        displacements[:, self.held] = 0.0
         products = np.empty((len(self.dofs), m))
-        elements.rows_times(self.rows, self.dofs, moves, products)
-        reaction = -push[:, self.dofs] + products.T + rise[:, None] * self.rise_column[self.dofs]
-        moves[:, self.zdof] += rise[:, None]
-        return moves, rise, reaction
+        elements.rows_times(self.rows, self.dofs, displacements, products)
+        reaction = -loads[:, self.dofs] + products.T + rise[:, None] * self.rise_column[self.dofs]
+        displacements[:, self.zdof] += rise[:, None]
+        return displacements, rise, reaction
 
 
 @dataclass
@@ -223,43 +217,29 @@ class Equilibrium:
         pressed = height is not None or target > 0.0
         if not pressed:
             contact.status[:] = OPEN
-        stiffness_scale = float(material.metric[:, :, :3].mean()) * self.mesh.nodes[:, 1].min() ** 2
         length = -float(self.mesh.nodes[:, 1].min())
+        smallest_scale = 1e-3 * float(material.metric[:, :, :3].mean()) * length**2
         self.residuals = []
-        free = np.ones(self.unknowns, dtype=bool)
-        free[self.fixed] = False
         changed = True
         previous = math.inf
         step: np.ndarray | None = None
         retreats = 0
         rise = 0.0
         for iteration in range(ITERATIONS):
-            smallest = self.assemble(x, material.stiffness(x))
-            active = np.flatnonzero(contact.status != OPEN)
-            slipping = active[(contact.status[active] == SLIP) & ~self.guided[active]]
-            sticking = active[(contact.status[active] != SLIP) & ~self.guided[active]]
-            zdof = self.axial[active]
-            rdof = self.radial[sticking]
-            sdof = self.radial[slipping]
+            smallest_volume = self.assemble(x, material.stiffness(x))
             force = self.force
-            gap = contact.height - x[self.mesh.surface[active], 1]
-            drift = contact.reference[sticking] - x[self.mesh.surface[sticking], 0]
-
-            if smallest > 0:
-                residual = -force.copy()
-                residual[sdof] -= (
-                    friction * contact.direction[slipping] * force[self.axial[slipping]]
-                )
-                residual[self.fixed] = 0.0
-                residual[zdof] = 0.0
-                residual[rdof] = 0.0
-                total = float(force[zdof].sum())
+            nodes = self.contact_set(contact)
+            zdof, rdof = self.axial[nodes.active], self.radial[nodes.sticking]
+            gap = contact.height - x[self.mesh.surface[nodes.active], 1]
+            drift = contact.reference[nodes.sticking] - x[self.mesh.surface[nodes.sticking], 0]
+            total = float(force[zdof].sum())
+            scale = max(target, abs(total), smallest_scale)
+            norm, mismatch = math.inf, 0.0
+            if smallest_volume > 0:
                 missing = target - total if load is not None else 0.0
-                scale = max(target, abs(total), 1e-3 * stiffness_scale)
-                norm = math.hypot(float(np.linalg.norm(residual)), missing) / scale
+                unbalanced = float(np.linalg.norm(self._residual(contact, nodes, friction)))
+                norm = math.hypot(unbalanced, missing) / scale
                 mismatch = float(np.abs(np.concatenate([gap, drift, [0.0]])).max()) / length
-            else:
-                norm, mismatch = math.inf, 0.0
             overshot = step is not None and norm > 4.0 * previous and norm > 1e-3 and not changed
             tangent = None
             if math.isfinite(norm) and not overshot:
@@ -268,17 +248,11 @@ class Equilibrium:
                 stalled = norm < 100.0 * TOLERANCE and norm > 0.3 * previous
                 if (norm < TOLERANCE or stalled) and mismatch < 1e-10 and not changed:
                     self.residuals.append(norm)
-                    contact.normal[:] = 0.0
-                    contact.shear[:] = 0.0
-                    contact.normal[active] = force[zdof]
-                    contact.shear[active] = force[self.radial[active]]
-                    contact.shear[self.guided] = 0.0
+                    self._keep_reactions(contact, nodes)
                     return x, contact
-                tangent = Tangent(
-                    self, active, sticking, slipping, friction * contact.direction, load is not None
-                )
+                tangent = Tangent(self, nodes, friction * contact.direction, load is not None)
             if tangent is None or not tangent.stable:
-                # Too long a step: take half of it back.
+                # Too long a step: half of it is undone.
                 if step is None or retreats >= 6:
                     raise NotConverged(
                         "elements turn inside out"
@@ -296,63 +270,86 @@ class Equilibrium:
             previous = norm
 
             known = tangent.force_of(np.concatenate([gap, drift]))
-            push = -(force + known)
-            moves, rises, reactions = tangent.respond(push[None, :], np.array([target]))
-            step, rise, reaction = moves[0], float(rises[0]), reactions[0]
+            displacements, rises, reactions = tangent.respond(
+                -(force + known)[None, :], np.array([target])
+            )
+            step, rise = displacements[0], float(rises[0])
             step[zdof] += gap
             step[rdof] += drift
             step = step.reshape(-1, 2)
-            limit = 1.0
             largest = float(np.abs(step).max())
             if not math.isfinite(largest):
                 raise NotConverged("the linear system is singular")
             if largest > 0.1 * length:
                 limit = 0.1 * length / largest
                 step = limit * step
-            rise *= limit
+                rise *= limit
             x = x + step
             contact.height += rise
-            changed = False
-            if pressed:
-                changed = self._update_set(
-                    x,
-                    contact,
-                    active,
-                    sticking,
-                    slipping,
-                    reaction,
-                    friction,
-                    scale,
-                    length,
-                    keep_one=load is not None,
-                    settled=norm < 0.05,
-                    one_at_a_time=iteration > 14,
-                )
+            changed = pressed and self._update_set(
+                x,
+                contact,
+                nodes,
+                reactions[0],
+                friction,
+                force_tolerance=1e-10 * scale,
+                keep_one=load is not None,
+                settled=norm < 0.05,
+                one_at_a_time=iteration > 14,
+            )
         raise NotConverged(f"no convergence in {ITERATIONS} iterations (residual {norm:.1e})")
+
+    def contact_set(self, contact: Contact) -> ContactSet:
+        """The nodes in contact."""
+        active = np.flatnonzero(contact.status != OPEN)
+        free = active[~self.guided[active]]
+        slips = contact.status[free] == SLIP
+        return ContactSet(active, free[~slips], free[slips])
+
+    def _residual(self, contact: Contact, nodes: ContactSet, friction: float) -> np.ndarray:
+        """Unbalanced force (2N,) of the unknowns that are not held; `force` is that of the state."""
+        residual = -self.force
+        slips = nodes.slipping
+        drag = friction * contact.direction[slips] * self.force[self.axial[slips]]
+        residual[self.radial[slips]] -= drag
+        residual[self.fixed] = 0.0
+        residual[self.axial[nodes.active]] = 0.0
+        residual[self.radial[nodes.sticking]] = 0.0
+        return residual
+
+    def _keep_reactions(self, contact: Contact, nodes: ContactSet) -> None:
+        """Forces of the plate on the nodes from the internal `force` of an equilibrium."""
+        contact.normal[:] = 0.0
+        contact.shear[:] = 0.0
+        contact.normal[nodes.active] = self.force[self.axial[nodes.active]]
+        contact.shear[nodes.active] = self.force[self.radial[nodes.active]]
+        contact.shear[self.guided] = 0.0
 
     def _update_set(
         self,
         x: np.ndarray,
         contact: Contact,
-        active: np.ndarray,
-        sticking: np.ndarray,
-        slipping: np.ndarray,
+        nodes: ContactSet,
         reaction: np.ndarray,
         friction: float,
-        scale: float,
-        length: float,
+        force_tolerance: float,
         keep_one: bool,
         settled: bool,
         one_at_a_time: bool,
     ) -> bool:
-        """Move nodes between open, sticking and slipping; True if any moved."""
-        surface = self.mesh.surface
-        status = contact.status
+        """Move nodes between open, sticking and slipping; True if any moved.
+
+        reaction (k,): of the plate on the active, then on the sticking nodes. keep_one: never open
+        all nodes; settled: near enough to equilibrium to judge friction; one_at_a_time: against
+        cycling.
+        """
+        active, sticking, slipping = nodes
+        surface, status = self.mesh.surface, contact.status
+        length = -float(self.mesh.nodes[:, 1].min())
         before = status.copy()
         normal = np.zeros(len(surface))
         normal[active] = reaction[: len(active)]
-        small = 1e-10 * scale
-        released = active[normal[active] < -small]
+        released = active[normal[active] < -force_tolerance]
         gap = x[surface, 1] - contact.height
         touching = np.flatnonzero((status == OPEN) & (gap < -1e-12 * length))
         if one_at_a_time:
@@ -361,14 +358,13 @@ class Equilibrium:
                 touching[np.argsort(gap[touching])][:1] if not len(released) else touching[:0]
             )
         if keep_one and len(active) and len(released) == len(active) and not len(touching):
-            # Never let go of the plate altogether: keep the node pressed hardest.
+            # The node with the largest reaction stays in contact.
             released = np.delete(released, np.argmax(normal[released]))
         if friction > 0.0 and settled:
             shear = np.zeros(len(surface))
             shear[sticking] = reaction[len(active) :]
-            sliding = sticking[
-                np.abs(shear[sticking]) > friction * np.maximum(normal[sticking], 0.0) + small
-            ]
+            limit = friction * np.maximum(normal[sticking], 0.0) + force_tolerance
+            sliding = sticking[np.abs(shear[sticking]) > limit]
             # A node open when the step began has no reference: it slips until the next step.
             known = slipping[np.isfinite(contact.reference[slipping])]
             travel = x[surface[known], 0] - contact.reference[known]
@@ -388,7 +384,7 @@ class Equilibrium:
         status[released] = OPEN
         contact.direction[released] = 0.0
         for node in touching:
-            # Towards the axis lies the node that touched before: the new one slips as it does.
+            # The node next to it towards the axis touched before: the new one slips as it does.
             status[node] = SLIP
             contact.direction[node] = contact.direction[node - 1] if node > 0 else 0.0
             if self.guided[node]:

@@ -1,7 +1,7 @@
 """Structured quadrilateral mesh of the finger's half-section, graded towards the contact.
 
-Columns of nodes run from the bone to the skin; they are numbered from the top down to the axis, the nail first, so
-that the stiffness matrix has a narrow band and the contact lies at its end.
+Columns of nodes run from the bone to the skin; they are numbered from the top down to the axis, the
+nail first, so that the stiffness matrix has a narrow band and the contact lies at its end.
 """
 
 from __future__ import annotations
@@ -31,8 +31,9 @@ NAIL_LAYERS = 3
 class Mesh:
     """Axisymmetric mesh of four-node quadrilaterals.
 
-    nodes (N, 2): r, z in m; cells (E, 4): node numbers, anticlockwise; part (E,): BULK, EPIDERMIS or NAIL;
-    fixed (N, 2): displacement components held at zero; surface (S,): skin nodes from the axis outwards.
+    nodes (N, 2): r, z in m; cells (E, 4): node numbers, anticlockwise; part (E,): BULK, EPIDERMIS
+    or NAIL; fixed (N, 2): displacement components held at zero; surface (S,): skin nodes from the
+    axis outwards.
     """
 
     nodes: np.ndarray
@@ -55,7 +56,8 @@ def finger_mesh(geometry: Geometry, refinement: float = 1.0) -> Mesh:
     """
     if not 0.25 <= refinement <= 8:
         raise InputError(f"refinement is {refinement:g}, outside 0.25 … 8; 1 is the default mesh")
-    # A thin stiff skin bends: elements longer than a third of its thickness would be too stiff for that.
+    # A thin stiff skin bends: elements longer than a third of its thickness would be too stiff for
+    # that.
     even = CONTACT_SPACING * geometry.pad_semi_axis_radial
     spacing = min(max(SKIN_SPACING * geometry.epidermis_thickness, 0.5 * even), even) / refinement
     angles = _surface_angles(geometry, spacing)
@@ -105,7 +107,8 @@ def _column(geometry: Geometry, angle: float, bulk: np.ndarray, layers: int) -> 
         [bone + bulk[:, None] * (inner - bone), inner + skin[:, None] * (outer - inner)]
     )
     if not top:
-        # Columns near the top follow the shifted nodes of the last one so that elements keep their shape.
+        # Columns near the top follow the shifted nodes of the last one so that elements keep their
+        # shape.
         weight = max(0.0, 1.0 - (0.5 * math.pi - angle) / 0.6)
         straight = _column(geometry, 0.5 * math.pi, bulk, layers)
         even = np.concatenate(
@@ -142,7 +145,8 @@ def _assemble(
     inside = 0
     if geometry.nail_thickness > 0 and geometry.nail_radius > bone_edge * (1 + 1e-9):
         edge = int(np.argmin(np.abs(top[:, 0] - geometry.nail_radius)))
-        # Over the bone the nail's lower face is held: two elements inwards its strain has died away.
+        # Over the bone the nail's lower face is held: two elements inwards its strain has died
+        # away.
         reach = min(2.0 * geometry.nail_thickness, 0.9 * bone_edge)
         inner = bone_edge - reach * np.array([1.0, 1.0 / 3.0])
         radii = np.concatenate([inner, top[: edge + 1, 0]])

@@ -1,5 +1,5 @@
 """The reduced model: load, use, build."""
 
-from .model import RANGE_NAMES, ReducedModel, ReducedState
+from .model import ReducedModel, ReducedState
 
-__all__ = ["RANGE_NAMES", "ReducedModel", "ReducedState"]
+__all__ = ["ReducedModel", "ReducedState"]

@@ -1,4 +1,4 @@
-"""Random parameter sets and force histories: what the reduced model is trained on and held against.
+"""Random parameter sets and force histories for training and verifying the reduced model.
 
 A history is (time, force), (n,) each, fine enough for the full-order model: force changes by at most a given share
 of the peak from row to row. All draws come from the generator that is passed in.
@@ -8,36 +8,31 @@ from __future__ import annotations
 
 import numpy as np
 
-PAPER_BOX = ((50e3, 160e3), (15e3, 60e3), (0.01, 0.80), (700e3, 2200e3))
-"""Search box of the paper for E0, E1 (Pa), tau1 (s), E2 (Pa)."""
-
-FULL_RANGE = ((30e3, 300e3), (8e3, 120e3), (0.002, 3.0), (300e3, 5000e3))
-"""Range the reduced model is built for: E0, E1 (Pa), tau1 (s), E2 (Pa)."""
-
-TARGET_FORCE = 1.35
-"""N; the paper's press."""
+from ..laws.standard_linear_solid import PARAMETERS
+from ..paper import TARGET_FORCE
 
 KINDS = ("ramp", "hold", "release", "reload", "tapping", "human")
 """Kinds of history in the held-out set."""
 
 
-def random_parameters(
-    rng: np.random.Generator, box: tuple[tuple[float, float], ...] = PAPER_BOX
-) -> np.ndarray:
-    """[E0, E1, tau1, E2] (4,), log-uniform in a box."""
-    low, high = np.log(np.array(box)).T
+def random_parameters(rng: np.random.Generator, box: np.ndarray) -> np.ndarray:
+    """Parameters (n,), log-uniform in a box (n, 2)."""
+    low, high = np.log(box).T
     return np.exp(rng.uniform(low, high))
 
 
 def training_parameters(rng: np.random.Generator) -> np.ndarray:
-    """[E0, E1, tau1, E2] (4,) in and a little beyond the paper's box, its edges drawn often: a fit errs most there."""
-    low, high = np.log(np.array(PAPER_BOX)).T
-    share = rng.uniform(-0.1, 1.1, 4)
-    near = rng.uniform(-0.12, 0.06, 4)
-    edge = rng.random(4)
+    """Parameters (n,) in and a little beyond the paper's box.
+
+    Values near its edges are frequent: a fit errs most there.
+    """
+    low, high = np.log(PARAMETERS.box).T
+    number = len(PARAMETERS)
+    share = rng.uniform(-0.1, 1.1, number)
+    near = rng.uniform(-0.12, 0.06, number)
+    edge = rng.random(number)
     share = np.where(edge < 0.18, near, np.where(edge > 0.82, 1.0 - near, share))
-    limits = np.array(FULL_RANGE)
-    return np.clip(np.exp(low + share * (high - low)), limits[:, 0], limits[:, 1])
+    return np.clip(np.exp(low + share * (high - low)), *PARAMETERS.range.T)
 
 
 def _fine(time: list[float], force: list[float], step: float) -> tuple[np.ndarray, np.ndarray]:

@@ -20,8 +20,7 @@ from finger_common.files import atomic_write, read_bytes, sha256_of
 
 from ..geometry import Geometry
 from ..history import ContactHistory, ContactPoint, check_force_history
-from ..laws import ParameterSpace
-from ..material import Material
+from ..laws import ConstitutiveLaw, ParameterSpace, StandardLinearSolid, law_of
 from . import kernels as rk
 
 FORMAT = 2
@@ -29,7 +28,8 @@ FORMAT = 2
 
 SHIPPED = "reduced_default.npz"
 
-RANGE_NAMES = ("E0", "E1", "tau1", "E2")
+LAW = StandardLinearSolid
+"""The law whose equations the kernels solve."""
 
 
 class _Folded(NamedTuple):
@@ -55,10 +55,10 @@ class ReducedState:
 
 
 class ReducedModel:
-    """Reduced model of one geometry.
+    """Reduced model of one geometry and one material law.
 
-    geometry: what it was built for, geometry_hash its hash; hash: of the file's numbers; range: dict of the
-    parameters' (low, high) and of "force"; measured_error: what `finger-model verify --reduced` found when it was
+    geometry, law: what it was built for; geometry_hash: of the geometry; hash: of the file's numbers; range: dict of
+    the parameters' (low, high) and of "force"; measured_error: what `finger-model verify --reduced` found when it was
     built; settings: of the build. Raises InputError for arrays that do not belong together.
     """
 
@@ -72,17 +72,40 @@ class ReducedModel:
             self.measured_error = dict(meta["measured_error"])
             self.settings = dict(meta["settings"])
             self.friction = float(meta["friction"])
+            self.law = law_of(str(meta.get("law", "")))
             self._prepare()
         except (KeyError, TypeError, ValueError, IndexError) as error:
             raise InputError(
                 f"reduced model: the file does not hold what it should ({error}); build it again with "
                 "'finger-model reduce'"
             ) from None
+        if self.law is not LAW:
+            raise InputError(
+                f"reduced model: built for the law '{self.law.name}'; only reduced models of "
+                f"'{LAW.name}' can be run, use --solver full"
+            )
         if self.geometry.hash() != self.geometry_hash:
             raise InputError(
                 "reduced model: its geometry does not have the hash it claims; build it again with "
                 "'finger-model reduce'"
             )
+
+    @property
+    def space(self) -> ParameterSpace:
+        """The parameters of the law it was built for; vectors (n,) have their order."""
+        return self.law.PARAMETERS
+
+    @property
+    def fixed(self) -> dict[str, float]:
+        """Properties of the material that it was built for and no fit varies, as in material.yaml."""
+        properties = {**self.law().to_dict(), **self.meta.get("fixed", {})}
+        properties["friction"] = self.friction
+        return {name: value for name, value in properties.items() if name not in self.space}
+
+    @property
+    def material(self) -> ConstitutiveLaw:
+        """The law's default material with the fixed properties that the model was built for."""
+        return replace(self.law(), **self.fixed)  # type: ignore[type-var]
 
     def _prepare(self) -> None:
         a = self.arrays
@@ -183,7 +206,7 @@ class ReducedModel:
 
     # Parameters ------------------------------------------------------------------------------
 
-    def constants(self, parameters: np.ndarray | Material) -> np.ndarray:
+    def constants(self, parameters: np.ndarray | ConstitutiveLaw) -> np.ndarray:
         """The kernels' record (1,) of one parameter set; raises InputError if it is not positive."""
         vector = self._vector(parameters)
         E0, E1, tau1, E2 = vector
@@ -208,54 +231,38 @@ class ReducedModel:
         rk.rest(self.networks, constants, state, self.work)
         return state
 
-    def _vector(self, parameters: Any) -> np.ndarray:
-        if isinstance(parameters, Material):
-            if parameters.friction != self.friction:
-                raise InputError(
-                    f"material: 'friction' is {parameters.friction:g}, the reduced model was built for "
-                    f"{self.friction:g}; use --solver full or build a reduced model for it"
-                )
-            default = Material()
-            for name in (
-                "poisson_ratio_bulk",
-                "poisson_ratio_epidermis",
-            ):
-                if getattr(parameters, name) != getattr(default, name):
-                    raise InputError(
-                        f"material: '{name}' is {getattr(parameters, name):g}, the reduced model was "
-                        f"built for {getattr(default, name):g}; use --solver full"
-                    )
+    def _vector(self, parameters: np.ndarray | ConstitutiveLaw) -> np.ndarray:
+        """Parameters (n,) as floats; raises InputError for what the model was not built for."""
+        if isinstance(parameters, ConstitutiveLaw):
+            self._check_material(parameters)
             parameters = parameters.vector()
-        vector = np.asarray(parameters, dtype=float)
-        if vector.shape != (4,):
+        return self.space.checked(parameters)
+
+    def _check_material(self, material: ConstitutiveLaw) -> None:
+        """Refuse another law and other fixed properties than the model was built for."""
+        if material.name != self.law.name:
             raise InputError(
-                f"parameters have shape {vector.shape}, four numbers E0, E1, tau1, E2 are needed"
+                f"material: the law is '{material.name}', the reduced model was built for "
+                f"'{self.law.name}'; use --solver full"
             )
-        if not (np.all(np.isfinite(vector)) and np.all(vector > 0)):
-            raise InputError(f"parameters are {vector.tolist()}, positive numbers are needed")
-        return vector
+        for name, built in self.fixed.items():
+            value = getattr(material, name)
+            if value != built:
+                raise InputError(
+                    f"material: '{name}' is {value:g}, the reduced model was built for {built:g}; "
+                    "use --solver full"
+                )
 
-    @property
-    def space(self) -> ParameterSpace:
-        """The space of the parameters."""
-        return Material.PARAMETERS
-
-    @property
-    def material(self) -> Material:
-        """The default material with the friction that the model was built for."""
-        return replace(Material(), friction=self.friction)
-
-    def out_of_range(self, parameters: np.ndarray | Material) -> list[str]:
+    def out_of_range(self, parameters: np.ndarray | ConstitutiveLaw) -> list[str]:
         """Names of the parameters outside the range the model was built for; empty when all are inside."""
-        vector = self._vector(parameters)
         names = []
-        for name, value in zip(RANGE_NAMES, vector):
+        for name, value in zip(self.space.names, self._vector(parameters)):
             low, high = self.range[name]
             if not low * (1 - 1e-9) <= value <= high * (1 + 1e-9):
                 names.append(name)
         return names
 
-    def force_limit(self, parameters: np.ndarray | Material) -> float:
+    def force_limit(self, parameters: np.ndarray | ConstitutiveLaw) -> float:
         """Largest force (N) the model was built for with these parameters: its own limit or the full order's."""
         E0, E1, _, E2 = self._vector(parameters)
         length = self.geometry.pad_semi_axis_radial
@@ -269,7 +276,7 @@ class ReducedModel:
 
     # Use -------------------------------------------------------------------------------------
 
-    def start(self, parameters: np.ndarray | Material) -> ReducedState:
+    def start(self, parameters: np.ndarray | ConstitutiveLaw) -> ReducedState:
         """A finger of these parameters at rest."""
         vector = self._vector(parameters)
         constants = self.constants(vector)
@@ -308,7 +315,7 @@ class ReducedModel:
         return table
 
     def simulate(
-        self, material: np.ndarray | Material, time: np.ndarray, force: np.ndarray
+        self, material: np.ndarray | ConstitutiveLaw, time: np.ndarray, force: np.ndarray
     ) -> ContactHistory:
         """Contact under forces (n,) in N at times (n,) in s; at rest before time[0], which may carry load.
 
@@ -321,7 +328,7 @@ class ReducedModel:
             name = outside[0]
             low, high = self.range[name]
             raise InputError(
-                f"material: '{name}' is {vector[RANGE_NAMES.index(name)]:g}, outside the reduced model's "
+                f"material: '{name}' is {vector[self.space.index(name)]:g}, outside the reduced model's "
                 f"{low:g} … {high:g}; use --solver full"
             )
         constants = self.constants(vector)
@@ -352,7 +359,7 @@ class ReducedModel:
     ) -> list[np.ndarray]:
         """Areas of many parameter sets over many trials, on all cores that numba may use.
 
-        parameters (P, 4): E0, E1, tau1, E2; trials: (time (n,), force (n,)) or (time, force, rows (f,)), rows being
+        parameters (P, n): vectors of `space`; trials: (time (n,), force (n,)) or (time, force, rows (f,)), rows being
         the samples whose area is wanted (all of them without). Returns one (P, f) array of areas (m²) per trial.
         Forces beyond the limit are held at it, parameters out of range are not refused: see `out_of_range`.
         """

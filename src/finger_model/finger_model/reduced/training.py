@@ -17,9 +17,6 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from . import kernels as rk
 from .training_runs import Run
 
-BETAS = (0.03, 0.15)
-"""Memory of the friction states, in logarithm of indentation."""
-
 FIRST_FORCE = 0.04
 """N; below it the area is not trained on."""
 

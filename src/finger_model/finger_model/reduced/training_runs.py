@@ -25,15 +25,8 @@ from ..fem.full_order import FullOrderModel, Stepper
 from ..fem.mesh import BULK
 from ..geometry import Geometry
 from ..laws import UNIT
-from ..material import Material
-from .force_histories import (
-    FULL_RANGE,
-    KINDS,
-    PAPER_BOX,
-    random_history,
-    random_parameters,
-    training_parameters,
-)
+from ..laws.standard_linear_solid import PARAMETERS, StandardLinearSolid
+from .force_histories import KINDS, random_history, random_parameters, training_parameters
 
 COMPONENT_WEIGHTS = np.array([1.0, 1.0, 1.0, 2.0])
 """Of rr, zz, θθ and rz in the double contraction of symmetric tensors."""
@@ -73,7 +66,7 @@ def training_case(seed: int, index: int) -> Case:
     """The index-th training history of a seed: two thirds around the paper's box, the rest over the full range."""
     rng = np.random.default_rng([seed, index])
     wide = index % 3 == 2
-    parameters = random_parameters(rng, FULL_RANGE) if wide else training_parameters(rng)
+    parameters = random_parameters(rng, PARAMETERS.range) if wide else training_parameters(rng)
     kind = (*KINDS[1:], "random", "random")[index % 7]
     if wide or rng.random() < 0.25:
         peak = np.exp(rng.uniform(np.log(0.15), np.log(3.0)))
@@ -87,7 +80,7 @@ def held_out_case(seed: int, index: int) -> Case:
     """The index-th held-out history: paper's box, 1.35 N, kinds in turn."""
     rng = np.random.default_rng([seed, index, 1])
     kind = KINDS[index % len(KINDS)]
-    parameters = random_parameters(rng, PAPER_BOX)
+    parameters = random_parameters(rng, PARAMETERS.box)
     time, force = random_history(rng, kind)
     return Case(parameters, time, force, kind)
 
@@ -110,7 +103,7 @@ def run_case(
     model: FullOrderModel, case: Case, modes: np.ndarray | None, friction: float
 ) -> tuple[Run, np.ndarray]:
     """Run one case; modes (k, E_bulk·16), already weighted. Also returns some fields B for the choice of modes."""
-    material = Material(friction=friction).with_vector(case.parameters)
+    material = StandardLinearSolid(friction=friction).with_vector(case.parameters)
     stepper = model.start(material, float(case.time[0]))
     rows, internal, total, fields = [], [], [], []
     failed = np.nan

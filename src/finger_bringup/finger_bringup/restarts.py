@@ -1,0 +1,34 @@
+"""How long a process that ended by itself stays down before it is started again. No ROS.
+
+Read by `finger-rig up` and by the launch files alike.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+FIRST_DELAY = 1.0
+"""s before the first restart; doubled for each further one."""
+
+LONGEST_DELAY = 15.0
+"""s, where the doubling ends."""
+
+STABLE_AFTER = 60.0
+"""s without an end after which the delay is FIRST_DELAY again."""
+
+
+@dataclass
+class RestartDelay:
+    """Delays of one process."""
+
+    first: float = FIRST_DELAY
+    longest: float = LONGEST_DELAY
+    _next: float | None = None
+
+    def after_running(self, duration: float) -> float:
+        """Delay in s before the restart of a process that ran for `duration` (s)."""
+        if self._next is None or duration > STABLE_AFTER:
+            self._next = self.first
+        delay = min(self._next, self.longest)
+        self._next = 2.0 * delay
+        return delay

@@ -1,0 +1,22 @@
+"""Pauses between attempts at something that may fail for a while."""
+
+from __future__ import annotations
+
+
+class Pauses:
+    """Pauses in s that double from `first` to `longest`; `reset` begins again with the first."""
+
+    def __init__(self, first: float, longest: float) -> None:
+        self._first = first
+        self._longest = longest
+        self._next = first
+
+    def next(self) -> float:
+        """Pause before the next attempt."""
+        pause = self._next
+        self._next = min(2 * pause, self._longest)
+        return pause
+
+    def reset(self) -> None:
+        """After an attempt that succeeded."""
+        self._next = self._first

@@ -1,0 +1,60 @@
+"""The order in which offline inputs reach the estimator: by log time, each kind after a wait of its own."""
+
+from __future__ import annotations
+
+import heapq
+from collections import deque
+from collections.abc import Iterator
+from typing import Any
+
+from finger_bag.reader import BagMessage
+
+AREA_WAIT_NS = 1_000_000_000
+"""Log time after which an area or reading is handed to the estimator; records of late ones have come by then."""
+
+WRENCH_WAIT_NS = 2_000_000_000
+"""Log time after which a wrench is handed over; areas that come later than this could not be used live either."""
+
+BLOCK = 4000
+"""Wrenches that are handed over at once."""
+
+
+class InputOrder:
+    """Holds wrenches, areas and readings until no later message of the bag can precede them."""
+
+    def __init__(self) -> None:
+        self._wrenches: deque[BagMessage] = deque()
+        # Log time, number of the input, whether it is a reading, arguments for the estimator.
+        self._inputs: list[tuple[int, int, bool, tuple[Any, ...]]] = []
+        self._count = 0
+
+    def add_wrench(self, item: BagMessage) -> None:
+        """Add a wrench; they come in order of log time."""
+        self._wrenches.append(item)
+
+    def add_area(self, log_ns: int, stamp: int, area: float, sd: float, flags: int) -> None:
+        """Add an area (m²) with its standard deviation."""
+        self._add(log_ns, False, (stamp, area, sd, flags))
+
+    def add_moisture(self, log_ns: int, stamp: int, value: float) -> None:
+        """Add a reading (a.u.)."""
+        self._add(log_ns, True, (stamp, value))
+
+    def _add(self, log_ns: int, moisture: bool, values: tuple[Any, ...]) -> None:
+        # The number keeps inputs of equal log time in the order they came.
+        self._count += 1
+        heapq.heappush(self._inputs, (log_ns, self._count, moisture, values))
+
+    def inputs_until(self, log_ns: int) -> Iterator[tuple[bool, tuple[Any, ...]]]:
+        """Take areas and readings logged until then: whether it is a reading, arguments for the estimator."""
+        while self._inputs and self._inputs[0][0] <= log_ns:
+            _, _, moisture, values = heapq.heappop(self._inputs)
+            yield moisture, values
+
+    def wrenches_until(self, log_ns: int) -> Iterator[list[BagMessage]]:
+        """Take wrenches logged until then, in blocks."""
+        while self._wrenches and self._wrenches[0].log_time_ns <= log_ns:
+            block: list[BagMessage] = []
+            while self._wrenches and len(block) < BLOCK and self._wrenches[0].log_time_ns <= log_ns:
+                block.append(self._wrenches.popleft())
+            yield block

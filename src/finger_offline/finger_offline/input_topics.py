@@ -1,0 +1,62 @@
+"""Which topics of a bag a run of `finger-bag process` reads, and which ones it writes anew."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from finger_bag.reader import BagReader
+from finger_bag.streams import find_topic, find_used, find_wrench, missing
+
+from .image_areas import IMAGES
+from .process_options import ProcessOptions
+
+
+@dataclass(frozen=True)
+class InputTopics:
+    """Absolute names of the topics that a run reads, None for those it does not use."""
+
+    wrench: str
+    area: str | None
+    moisture: str | None
+    image: str | None
+    events: str | None
+    replaced: frozenset[str]
+    """Topics of the input that are not copied, as the run writes its own or does not follow them."""
+
+    @classmethod
+    def of(cls, reader: BagReader, options: ProcessOptions) -> InputTopics:
+        """Find them; raises InputError when the bag has no wrench, or no images where these are asked for."""
+        wrench = find_wrench(reader, options)
+        area = find_topic(reader, "contact_area", options)
+        images = [t for name in IMAGES if (t := find_used(reader, name, options)) is not None]
+        absent = find_used(reader, "contact_area", options) is None
+        from_images = options.images == "yes" or (
+            options.images == "auto" and absent and bool(images)
+        )
+        if from_images and not images:
+            raise missing(reader, "image_raw")
+        recorded = find_topic(reader, "model_events", options)
+        follow = find_used(reader, "model_events", options) and not options.is_own()
+        replaced = {beside(wrench, "contact_state")}
+        if from_images:
+            replaced |= {beside(wrench, "contact_area"), area or ""}
+        if not follow:
+            replaced.add(recorded or "")
+        return cls(
+            wrench=wrench,
+            area=None if from_images else area,
+            moisture=find_topic(reader, "moisture", options),
+            image=images[0] if from_images else None,
+            events=recorded if follow else None,
+            replaced=frozenset(replaced),
+        )
+
+    def used(self) -> list[str]:
+        """The topics that are read."""
+        topics = (self.wrench, self.area, self.moisture, self.image, self.events)
+        return [topic for topic in topics if topic is not None]
+
+
+def beside(topic: str, name: str) -> str:
+    """Topic of a name in the namespace of another topic."""
+    return topic.rpartition("/")[0] + "/" + name

@@ -1,0 +1,116 @@
+"""The bag that `finger-bag process` writes: the input's messages, with the areas and estimates of the run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from finger_bag.cdr_layout import frame_id_of_cdr
+from finger_bag.copying import announce, copy_attachments
+from finger_bag.reader import BagMessage, BagReader
+from finger_bag.schema import IMAGE_TOPICS, PARAMETERS_ATTACHMENT, TOPICS, spec_of
+from finger_bag.writer import BagWriter
+from finger_common.errors import InputError
+from finger_common.files import read_bytes
+from finger_model.estimator import EstimateBlock, EstimatorEvent
+from finger_model.messages import event_fields
+from finger_vision.area_sensor import ContactMeasurement
+
+from .contact_states import serialize
+from .image_areas import area_fields
+from .input_topics import InputTopics, beside
+from .process_options import ProcessOptions
+
+IMAGE_TYPES = {TOPICS[name].type for name in ("image_raw", "image_raw/compressed")}
+
+
+class OutputBag:
+    """Writes the new bag; a context manager that leaves nothing behind after an error."""
+
+    def __init__(
+        self,
+        path: str | Path,
+        reader: BagReader,
+        topics: InputTopics,
+        options: ProcessOptions,
+        model_hash: str,
+    ) -> None:
+        known = reader.info.metadata.to_mapping()
+        known.pop("software_version", None)
+        metadata = {
+            **known,
+            "processed_from": reader.path.name,
+            "reduced_model_hash": model_hash,
+            "areas_from": "contact_area" if topics.image is None else "images",
+        }
+        self._reader, self._options = reader, options
+        self._state_topic = beside(topics.wrench, "contact_state")
+        self._area_topic = beside(topics.wrench, "contact_area")
+        self._event_topic = beside(topics.wrench, "model_events")
+        self._skipped = set(topics.replaced)
+        self._announced: set[tuple[str, str]] = set()
+        self.left_out: dict[tuple[str, str], str] = {}
+        """Why topics of the input, by name and type, could not be copied."""
+        self._writer = BagWriter(path, metadata)
+
+    def __enter__(self) -> OutputBag:
+        writer = self._writer.__enter__()
+        copy_attachments(self._reader, writer)
+        if self._options.parameter_file:
+            data = read_bytes(self._options.parameter_file, "parameter file")
+            writer.attach(PARAMETERS_ATTACHMENT, data)
+        writer.add_topic(self._state_topic)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._writer.__exit__(kind, error, traceback)
+
+    def copy(self, item: BagMessage) -> None:
+        """Copy a message of the input, unless its topic is written anew or shows the print."""
+        key = (item.topic, item.type)
+        if item.topic in self._skipped or key in self.left_out:
+            return
+        try:
+            if key not in self._announced:
+                if not self._options.keep_images and _is_image(item):
+                    self._skipped.add(item.topic)
+                    return
+                announce(self._writer, self._reader.topic_info(*key))
+                self._announced.add(key)
+            self._writer.copy(item)
+        except InputError as error:
+            self.left_out[key] = str(error)
+
+    def write_area(self, measured: ContactMeasurement, stamp: int, log_ns: int) -> None:
+        """Write an area measured in an image."""
+        self._writer.write(self._area_topic, area_fields(stamp, measured, "plate"), log_ns)
+
+    def write_event(self, event: EstimatorEvent, log_ns: int) -> None:
+        """Write an event of the estimator."""
+        self._writer.write(self._event_topic, event_fields(event, 0), log_ns)
+
+    def write_states(
+        self, block: EstimateBlock, stamps: np.ndarray, logs: np.ndarray, wrench: bytes
+    ) -> None:
+        """Write estimates, each logged with its wrench; stamps, logs (n,) in ns of all wrenches; wrench: one of them."""
+        own = block.column("stamp_ns")
+        if len(block) == len(stamps):
+            times = logs.tolist()
+        else:
+            # Samples that the estimator dropped, such as repeated stamps, have no estimate.
+            log_of = dict(zip(stamps[::-1].tolist(), logs[::-1].tolist()))
+            times = [log_of[stamp] for stamp in own.tolist()]
+        states = serialize(block, frame_id_of_cdr(wrench))
+        self._writer.write_many(self._state_topic, states, times)
+
+
+def _is_image(item: BagMessage) -> bool:
+    spec = spec_of(item.topic)
+    return item.type in IMAGE_TYPES or (spec is not None and spec.name in IMAGE_TOPICS)

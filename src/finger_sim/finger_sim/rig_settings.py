@@ -1,0 +1,139 @@
+"""Settings of the simulated rig, and where its devices are found."""
+
+from __future__ import annotations
+
+import secrets
+import socket
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from finger_common.errors import InputError
+from finger_common.settings import Settings, setting
+from finger_driver import can_bus
+
+from .conditions import condition
+from .ftir import IMAGE_HEIGHT, IMAGE_WIDTH, Scene
+from .trial_plan import CameraView, TrialRequest
+
+CAN_CHANNEL = "239.74.163.2"
+"""Multicast group of the simulated CAN bus."""
+
+
+@dataclass(frozen=True)
+class RigAddresses:
+    """Folder of the rig, multicast group and port of its CAN bus."""
+
+    folder: Path
+    can_port: int = can_bus.DEFAULT_PORT
+    can_channel: str = CAN_CHANNEL
+
+    @classmethod
+    def private(cls, folder: Path) -> RigAddresses:
+        """Addresses that no other rig on this machine uses: own port, own group."""
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.bind(("", 0))
+            port = int(probe.getsockname()[1])
+        group = ".".join(str(1 + secrets.randbelow(254)) for _ in range(3))
+        return cls(folder, port, f"239.{group}")
+
+    @property
+    def spool(self) -> Path:
+        """Folder in which frames appear."""
+        return self.folder / "spool"
+
+    @property
+    def probe(self) -> Path:
+        """Serial device of the moisture probe (a link to a pseudo-terminal)."""
+        return self.folder / "moisture_probe"
+
+    @property
+    def calibration(self) -> Path:
+        """Plate calibration of the simulated camera, without error."""
+        return self.folder / "plate_calibration.yaml"
+
+    @property
+    def truth(self) -> Path:
+        """Folder of the true contacts."""
+        return self.folder / "truth"
+
+    @property
+    def planned(self) -> Path:
+        """Folder of the frames of planned trials."""
+        return self.folder / "planned"
+
+    def parameters(self) -> dict[str, Any]:
+        """As parameters of the rig's node."""
+        return {
+            "folder": str(self.folder),
+            "can_port": self.can_port,
+            "can_channel": self.can_channel,
+        }
+
+
+@dataclass(frozen=True)
+class RigSettings(Settings):
+    """How the rig behaves, and where."""
+
+    folder: str = setting("", "Folder of the rig: frames, link to the probe, truth.")
+    can_port: int = setting(
+        can_bus.DEFAULT_PORT,
+        "UDP port of the simulated CAN bus; another for each rig on one machine.",
+        minimum=1,
+        maximum=65535,
+    )
+    can_channel: str = setting(CAN_CHANNEL, "Multicast group of the simulated CAN bus.")
+    seed: int = setting(1, "Seed of everything that varies.", minimum=0)
+    width: int = setting(IMAGE_WIDTH, "Width of a frame in pixels.", minimum=64, maximum=4096)
+    height: int = setting(IMAGE_HEIGHT, "Height of a frame in pixels.", minimum=64, maximum=4096)
+    frame_rate: float = setting(10.0, "Frames per second.", unit="Hz", minimum=0.5, maximum=60.0)
+    noise: float = setting(
+        Scene.noise,
+        "Standard deviation of a pixel's noise, greys of 255.",
+        minimum=0.0,
+        maximum=50.0,
+    )
+    reading_time: float = setting(
+        1.0,
+        "Time a moisture reading takes; a Corneometer needs about 1 s.",
+        unit="s",
+        minimum=0.0,
+        maximum=60.0,
+    )
+    refinement: float = setting(
+        1.0, "Of the simulated finger's mesh; 1 is the default mesh.", minimum=0.3
+    )
+    upcoming: list[str] = setting(
+        [""],
+        "Blocks of trials to plan ahead, CONDITION:TRIALS; without any, the next trial is guessed.",
+    )
+
+    def validate(self) -> None:
+        if not self.folder:
+            raise InputError("parameter 'folder' is empty; name a folder for the simulated rig")
+        self.upcoming_trials()
+
+    @property
+    def addresses(self) -> RigAddresses:
+        """Where the devices are found."""
+        return RigAddresses(Path(self.folder), self.can_port, self.can_channel)
+
+    @property
+    def view(self) -> CameraView:
+        """What the camera sees."""
+        return CameraView(self.frame_rate, self.width, self.height, noise=self.noise)
+
+    def upcoming_trials(self) -> list[TrialRequest]:
+        """Requests of all trials of the blocks; indices run through the session.
+
+        Raises InputError for a block that cannot be read or an unknown condition.
+        """
+        names: list[str] = []
+        for block in filter(None, self.upcoming):
+            name, _, number = block.partition(":")
+            if not name or not number.isdigit():
+                raise InputError(
+                    f"block '{block}' cannot be read; write CONDITION:TRIALS, such as dry:3"
+                )
+            names += [condition(name).name] * int(number)
+        return [TrialRequest(name, index, 0, self.seed) for index, name in enumerate(names)]
