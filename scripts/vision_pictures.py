@@ -1,4 +1,4 @@
-"""Draw the pictures of docs/vision.md from rendered prints: each step, and the failures that remain."""
+"""Draw the pictures of docs/vision.md from rendered prints: each step, and remaining failures."""
 
 from __future__ import annotations
 

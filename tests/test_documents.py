@@ -1,9 +1,9 @@
 """Commands shown in README.md and docs/ run, and links between documents lead somewhere.
 
-A fenced block marked `sh` is a script. It runs in an empty folder that holds links to `bags`, `examples` and
-`docs`, with the environment's commands on the path. Blocks of one document run in order in the same folder. A
-comment line before the fence changes that: `<!-- not run: reason -->` leaves the block out and says why,
-`<!-- slow -->` runs it with the slow tests only.
+A fenced block marked `sh` is a script. It runs in an empty folder that holds links to `bags`,
+`examples` and `docs`, with the environment's commands on the path. Blocks of one document run in
+order in the same folder. A comment line before the fence changes that: `<!-- not run: reason -->`
+leaves the block out and gives the reason, `<!-- slow -->` runs it with the slow tests only.
 """
 
 from __future__ import annotations
@@ -12,8 +12,10 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -54,9 +56,20 @@ def blocks(document: Path) -> list[Block]:
     return found
 
 
-def with_blocks(slow: bool) -> list[Path]:
-    existing = [d for d in DOCUMENTS if d.exists()]
-    return [d for d in existing if any(b.slow == slow for b in blocks(d))]
+def name_of(document: Path) -> str:
+    """Name of a document in the checkout."""
+    return str(document.relative_to(ROOT))
+
+
+def documents_with_blocks() -> Iterator[Any]:
+    """(document, slow) of every document with blocks; those with slow ones again for slow tests."""
+    for document in filter(Path.exists, DOCUMENTS):
+        kinds = {block.slow for block in blocks(document)}
+        if False in kinds:
+            yield pytest.param(document, False, id=name_of(document))
+        if True in kinds:
+            marks = (pytest.mark.slow, pytest.mark.timeout(1800))
+            yield pytest.param(document, True, id=f"{name_of(document)}, slow", marks=marks)
 
 
 def run_blocks(document: Path, folder: Path, slow: bool) -> None:
@@ -84,19 +97,12 @@ def run_blocks(document: Path, folder: Path, slow: bool) -> None:
         )
 
 
-@pytest.mark.parametrize("document", with_blocks(slow=False), ids=lambda d: d.name)
-def test_commands_shown_run(document: Path, tmp_path: Path, ros_domain: int) -> None:
-    run_blocks(document, tmp_path, slow=False)
+@pytest.mark.parametrize(("document", "slow"), list(documents_with_blocks()))
+def test_commands_shown_run(document: Path, slow: bool, tmp_path: Path, ros_domain: int) -> None:
+    run_blocks(document, tmp_path, slow)
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(1800)
-@pytest.mark.parametrize("document", with_blocks(slow=True), ids=lambda d: d.name)
-def test_long_commands_shown_run(document: Path, tmp_path: Path, ros_domain: int) -> None:
-    run_blocks(document, tmp_path, slow=True)
-
-
-@pytest.mark.parametrize("document", [d for d in DOCUMENTS if d.exists()], ids=lambda d: d.name)
+@pytest.mark.parametrize("document", [d for d in DOCUMENTS if d.exists()], ids=name_of)
 def test_links_between_documents_lead_somewhere(document: Path) -> None:
     broken = []
     text = re.sub(r"`[^`\n]*`", "", document.read_text())  # what stands in code is no link

@@ -1,4 +1,4 @@
-"""The bags in `bags/`: fit for use, and equally readable by programs that are not ours."""
+"""The bags in `bags/`: fit for use, and readable by programs of others."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import pytest
 import yaml
 
 from finger_bag.reader import open_bag
+from finger_model.paper import CONDITIONS, TARGET_FORCE
 from finger_offline.trials import load_trials
 
-CONDITIONS = {"dry": 37.56, "natural": 69.31, "moist": 105.33}
 TYPES = {
     "/finger/wrench": "geometry_msgs/msg/WrenchStamped",
     "/finger/wrench_raw": "geometry_msgs/msg/WrenchStamped",
@@ -27,7 +27,7 @@ TYPES = {
 STAMPED = ("/finger/wrench", "/finger/contact_area", "/finger/contact_state", "/finger/moisture")
 
 
-@pytest.fixture(scope="module", params=CONDITIONS)
+@pytest.fixture(scope="module", params=sorted(CONDITIONS))
 def bag(request: pytest.FixtureRequest, project_root: Path) -> Path:
     return project_root / "bags" / request.param
 
@@ -43,7 +43,7 @@ def check_stamps(stamps: dict[str, list[int]]) -> None:
 
 
 def test_rosbags_reads_types_counts_and_stamps(bag: Path) -> None:
-    rosbags = pytest.importorskip("rosbags.rosbag2")
+    rosbags = pytest.importorskip("rosbags.rosbag2", reason="rosbags is not installed")
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS2_JAZZY)
@@ -102,7 +102,7 @@ def test_metadata_is_that_of_rosbag2(bag: Path) -> None:
     assert [bag / path for path in information["relative_file_paths"]] == sorted(bag.glob("*.mcap"))
 
 
-def test_a_bag_is_small_and_holds_three_whole_trials_of_its_condition(bag: Path) -> None:
+def test_a_bag_is_small_and_holds_three_complete_trials_of_its_condition(bag: Path) -> None:
     assert sum(f.stat().st_size for f in bag.iterdir()) < 8e6
     found = load_trials([bag])
     assert not found.exclusions and len(found.trials) == 3
@@ -110,8 +110,8 @@ def test_a_bag_is_small_and_holds_three_whole_trials_of_its_condition(bag: Path)
         assert trial.condition == bag.name
         assert len(trial.moisture_before) == len(trial.moisture_after) == 3
         readings = trial.moisture_before + trial.moisture_after
-        assert abs(np.mean(readings) - CONDITIONS[bag.name]) < 20
-        assert trial.force.max() >= 1.35
+        assert abs(np.mean(readings) - CONDITIONS[bag.name].moisture) < 20
+        assert trial.force.max() >= TARGET_FORCE
         assert 30e-6 < trial.area.max() < 150e-6
 
 

@@ -18,7 +18,7 @@ assumption below the 5.6–9.2 % within-person variation reported for the instru
 
 @dataclass(frozen=True)
 class Condition:
-    """Material of the simulated finger in one condition, moisture of its trials (mean, SD, a.u.)."""
+    """Material of the simulated finger in a condition, moisture of the trials (mean, SD) in a.u."""
 
     name: str
     material: Material

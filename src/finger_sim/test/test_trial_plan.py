@@ -1,4 +1,4 @@
-"""Planned trials: the truth of the full-order finger, pictures of it, and the planner that makes them ahead."""
+"""Planned trials: true contacts of the full-order finger, their frames, and the planner."""
 
 import functools
 import json

@@ -182,7 +182,7 @@ def guess_background(
     grid = tile_grid(frame)
     level: np.ndarray = cv2.resize(reached, grid, interpolation=cv2.INTER_AREA).astype(np.float32)
     sign = -1.0 if bright_ridges else 1.0
-    # The envelope of noise lies above its mean by about 1.5 standard deviations of a half-size pixel.
+    # The envelope of noise lies about 1.5 standard deviations of a half-size pixel above its mean.
     level -= sign * 0.75 * float(np.percentile(deviation, 10))
     plate = plate_tiles(deviation)
     level[plate] = mean[plate]

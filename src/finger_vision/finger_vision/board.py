@@ -17,8 +17,8 @@ DICTIONARY = "DICT_4X4_100"
 class Board:
     """A flat board of squares.
 
-    kind: "checkerboard" or "charuco". columns, rows: squares, not inner corners. square: side, m. marker: side of
-    a ChArUco marker, m. dictionary: of its markers, an OpenCV name.
+    kind: "checkerboard" or "charuco". columns, rows: squares, not inner corners. square: side, m.
+    marker: side of a ChArUco marker, m. dictionary: of its markers, an OpenCV name.
     """
 
     kind: str
@@ -72,7 +72,11 @@ class Board:
 
 @dataclass(frozen=True)
 class View:
-    """A board found in an image: its name, corners on the board (n, 3) m, and in the image (n, 2) px."""
+    """A board found in an image.
+
+    name: of the image. points, pixels: corners on the board (n, 3) m and in the image (n, 2) px.
+    size: (width, height) of the image.
+    """
 
     name: str
     points: np.ndarray
@@ -81,9 +85,10 @@ class View:
 
 
 def find_board(image: np.ndarray, board: Board, name: str = "image") -> View | None:
-    """The board in an image (H, W) uint8, None when it is not there or too little of it is.
+    """The board in an image (H, W) uint8, None when too little of it is visible.
 
-    A mirrored view (through a prism) is found too: a checkerboard as it is, a ChArUco board by flipping the image.
+    A mirrored view (through a prism) is found too: a checkerboard as it is, a ChArUco board by
+    flipping the image.
     """
     height, width = image.shape
     if board.kind == "checkerboard":

@@ -47,19 +47,20 @@ def calibrate_plate(
 ) -> CalibrationReport:
     """Calibrate from all `views` and those of the board on the plate.
 
-    lens False leaves the lens out: the homography alone, from `plate_views`. Raises InputError with the reason for
-    a set that does not determine the answer.
+    lens: False for the homography alone, from `plate_views`, without lens distortion. Raises
+    InputError with the reason for views that do not determine the calibration.
     """
     if not plate_views:
         raise InputError(
-            "no view shows the board lying on the plate; give one with --on-plate, sharp and complete"
+            "no view shows the board lying on the plate; give one with --on-plate, sharp and "
+            "complete"
         )
     size = plate_views[0].size
     for view in [*views, *plate_views]:
         if view.size != size:
             raise InputError(
-                f"{view.name}: image is {view.size[0]}×{view.size[1]}, others are {size[0]}×{size[1]}; "
-                "use images of one camera setting"
+                f"{view.name}: image is {view.size[0]}×{view.size[1]}, others are "
+                f"{size[0]}×{size[1]}; use images of one camera setting"
             )
     base = PlateCalibration(1e-9, image_size=size)
     errors: dict[str, float] = {}
@@ -83,15 +84,15 @@ def _lens(
 ) -> tuple[PlateCalibration, dict[str, float], float, float]:
     if len(views) < MINIMUM_VIEWS:
         raise InputError(
-            f"the board was found in {len(views)} views, {MINIMUM_VIEWS} at different angles are needed; "
-            "take more, or calibrate the plate alone with --no-lens"
+            f"the board was found in {len(views)} views, {MINIMUM_VIEWS} at different angles are "
+            "needed; take more, or calibrate the plate alone with --no-lens"
         )
     corners = np.concatenate([v.pixels for v in views])
     cover = np.prod(np.ptp(corners, axis=0)) / (size[0] * size[1])
     if cover < MINIMUM_COVER:
         raise InputError(
-            f"the boards cover {100 * cover:.0f} % of the image, {100 * MINIMUM_COVER:.0f} % are needed; "
-            "bring the board to all sides and closer"
+            f"the boards cover {100 * cover:.0f} % of the image, {100 * MINIMUM_COVER:.0f} % are "
+            "needed; bring the board to all sides and closer"
         )
     points = [v.points.astype(np.float32) for v in views]
     pixels = [v.pixels.astype(np.float32).reshape(-1, 1, 2) for v in views]
@@ -124,8 +125,8 @@ def _lens(
     focal = float(np.max(np.ravel(deviations)[:2] / np.array([camera[0, 0], camera[1, 1]])))
     if focal > FOCAL_DEVIATION:
         raise InputError(
-            f"the focal length is uncertain by {100 * focal:.0f} %, {100 * FOCAL_DEVIATION:.0f} % are accepted; "
-            "take more views with more tilt, or use --no-lens"
+            f"the focal length is uncertain by {100 * focal:.0f} %, {100 * FOCAL_DEVIATION:.0f} % "
+            "are accepted; take more views with more tilt, or use --no-lens"
         )
     calibration = PlateCalibration(
         1e-9,
@@ -156,8 +157,8 @@ def _plate(
     extent = float(np.ptp(np.concatenate(targets), axis=0).max())
     if plate_error > 0.01 * extent:
         raise InputError(
-            f"the plate views differ by {plate_error * 1e6:.0f} µm; lay the board flat on the plate in each, "
-            "and do not move the camera"
+            f"the plate views differ by {plate_error * 1e6:.0f} µm; lay the board flat on the "
+            "plate in each, and do not move the camera"
         )
     probe = centre + np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
     corner = _apply(homography, probe)
@@ -183,7 +184,10 @@ def _plate(
 def _in_plate_frame(
     pixels: np.ndarray, board: np.ndarray, centre: np.ndarray, name: str
 ) -> np.ndarray:
-    """Board points (n, 2) m in the plate frame: origin at the optical axis, x along the image's x, y down."""
+    """Board points (n, 2) m in the plate frame: origin at the optical axis, x along the image's x.
+
+    y points down in the image.
+    """
     homography = _fit(pixels, board, name)
     origin, right, below = _apply(homography, centre + np.array([[0, 0], [1, 0], [0, 1]]))
     along = (right - origin) / np.linalg.norm(right - origin)

@@ -71,8 +71,8 @@ class PlateCalibration:
         """Raises InputError when an image of that size does not belong to this calibration."""
         if self.image_size is not None and (width, height) != self.image_size:
             raise InputError(
-                f"image is {width}×{height}, the plate calibration is for "
-                f"{self.image_size[0]}×{self.image_size[1]}; calibrate again or set the camera's size"
+                f"image is {width}×{height}, the plate calibration is for {self.image_size[0]}×"
+                f"{self.image_size[1]}; calibrate again or set the camera's size"
             )
 
     def homography_for(self, width: int, height: int) -> np.ndarray:
@@ -209,8 +209,8 @@ class PlateCalibration:
             if math.isfinite(getattr(self, key)):
                 data[key] = float(getattr(self, key))
         return (
-            "# Plate calibration. area_per_pixel: m^2 of a rectified pixel. plate_homography: from\n"
-            "# undistorted pixels to m on the plate. reprojection_error: px RMS; plate_error: m RMS.\n"
+            "# Plate calibration. area_per_pixel: m^2 of a rectified pixel. plate_homography:\n"
+            "# undistorted pixels to m on the plate. reprojection_error: px, plate_error: m; RMS.\n"
             + yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=100)
         )
 

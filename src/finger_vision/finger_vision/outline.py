@@ -9,9 +9,9 @@ import numpy as np
 
 
 def convex_corners(mask: np.ndarray) -> np.ndarray:
-    """(n, 2) corners of the convex hull of a mask's pixels taken as squares; (0, 2) for an empty mask.
+    """(n, 2) corners of the convex hull of a mask's pixels; (0, 2) for an empty mask.
 
-    Centres of pixels would leave half a pixel out all round.
+    Pixels count as squares: their centres would leave out half a pixel all round.
     """
     rows = np.flatnonzero(mask.any(axis=1))
     if len(rows) == 0:
@@ -26,7 +26,7 @@ def convex_corners(mask: np.ndarray) -> np.ndarray:
 
 
 def closed_outline(mask: np.ndarray, gap: int) -> np.ndarray:
-    """(n, 2) outer contour of a mask after gaps up to `gap` pixels are closed; (0, 2) for an empty mask."""
+    """(n, 2) outer contour of a mask whose gaps up to `gap` pixels are closed; (0, 2) for none."""
     size = gap | 1
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
     padded = cv2.copyMakeBorder(mask, size, size, size, size, cv2.BORDER_CONSTANT, value=0)

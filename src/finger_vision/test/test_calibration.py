@@ -32,7 +32,7 @@ def photograph(
     distortion: np.ndarray = DISTORTION,
     noise: float = 2.0,
 ) -> np.ndarray:
-    """Image of the board, its centre at `shift` (m) before the camera, turned by a rotation vector."""
+    """Image of the board, its centre `shift` (m) from the camera, turned by a rotation vector."""
     picture = board.draw(64)
     u, v = np.meshgrid(np.arange(SIZE[0], dtype=np.float64), np.arange(SIZE[1], dtype=np.float64))
     rays = cv2.undistortPoints(
@@ -259,7 +259,8 @@ def test_command_gives_the_same_calibration_from_bags(tmp_path: Path, write_imag
         ("area_per_pixel: 1.0e-9\nplate_homography: {rows: 3, cols: 3, data: [1, 2]}\n", "3×3"),
         ("area_per_pixel: 1.0e-9\nimage_width: nan\nimage_height: 4\n", "image_width"),
         (
-            "area_per_pixel: 1.0e-9\nplate_homography: {rows: 3, cols: 3, data: [1,0,0,0,1,0,0,0,1]}\n",
+            "area_per_pixel: 1.0e-9\n"
+            "plate_homography: {rows: 3, cols: 3, data: [1,0,0,0,1,0,0,0,1]}\n",
             "image_width",
         ),
         ("- 1\n- 2\n", "key: value"),

@@ -25,10 +25,8 @@ def segmenter_for(dpi: float) -> FtirSegmenter:
 
 
 @pytest.fixture(scope="module")
-def prints(project_root: Path) -> list[dict]:
-    folder = project_root.parent / "shared" / "data" / "fingerprints"
-    if not folder.is_dir():
-        pytest.skip("real fingerprint images are not on this machine")
+def prints(fingerprints: Path) -> list[dict]:
+    folder = fingerprints
     rows = []
     with (folder / "areas.csv").open() as file:
         for row in csv.DictReader(file):

@@ -52,7 +52,8 @@ def test_a_burst_is_answered_with_its_newest_frame_and_the_rest_is_counted(peer)
         values = [v for r in reports[-1:] for s in r.status for v in s.values]
         return next((int(v.value) for v in values if v.key == key), 0)
 
-    # The middleware may leave out frames of a burst before the node sees them, so one burst need not show a count.
+    # The middleware may leave out frames of a burst before the node receives them, so one burst
+    # need not show a count.
     sent = 1
     for burst in range(10):
         for i, frame in enumerate(frames):
