@@ -1,7 +1,7 @@
 """Helpers of the driver tests.
 
 Simulators in processes of their own, steered over their standard input, and the table that a
-moisture probe's program writes.
+moisture probe's program writes; an observer of nodes.
 """
 
 from __future__ import annotations
@@ -93,6 +93,52 @@ def device(*arguments: object) -> Iterator[DeviceProcess]:
         yield process
     finally:
         process.close()
+
+
+class Observer:
+    """A node in this process that listens and calls services."""
+
+    def __init__(self, domain: int) -> None:
+        import rclpy
+        import rclpy.executors
+
+        self._rclpy = rclpy
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=domain)
+        self.node = rclpy.create_node("observer", context=self.context)
+        self._executor = rclpy.executors.SingleThreadedExecutor(context=self.context)
+        self._executor.add_node(self.node)
+
+    def listen(self, kind: Any, topic: str, depth: int = 200, reliable: bool = False) -> list[Any]:
+        from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+        reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
+        got: list[Any] = []
+        self.node.create_subscription(
+            kind, topic, got.append, QoSProfile(depth=depth, reliability=reliability)
+        )
+        return got
+
+    def until(self, condition: Callable[[], Any], seconds: float = 120, what: str = "") -> Any:
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            result = condition()
+            if result:
+                return result
+            self._executor.spin_once(timeout_sec=0.05)
+        raise AssertionError(f"did not come: {what}")
+
+    def call(self, kind: Any, name: str, request: Any) -> Any:
+        client = self.node.create_client(kind, name)
+        self.until(client.service_is_ready, what=name)
+        future = client.call_async(request)
+        self.until(future.done, what=name)
+        return future.result()
+
+    def close(self) -> None:
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self._rclpy.shutdown(context=self.context)
 
 
 class ExportFile:

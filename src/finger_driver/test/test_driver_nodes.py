@@ -3,66 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from device_process import device
+from device_process import Observer, device
+
+from finger_common.stamps import header_stamp
 
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-
-
-class Observer:
-    def __init__(self, domain: int) -> None:
-        self.context = rclpy.Context()
-        rclpy.init(context=self.context, domain_id=domain)
-        self.node = rclpy.create_node("observer", context=self.context)
-        self._executor = rclpy.executors.SingleThreadedExecutor(context=self.context)
-        self._executor.add_node(self.node)
-
-    def listen(self, kind: Any, topic: str, depth: int = 200, reliable: bool = False) -> list[Any]:
-        from rclpy.qos import QoSProfile, ReliabilityPolicy
-
-        reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
-        got: list[Any] = []
-        self.node.create_subscription(
-            kind, topic, got.append, QoSProfile(depth=depth, reliability=reliability)
-        )
-        return got
-
-    def until(self, condition: Callable[[], Any], seconds: float = 120, what: str = "") -> Any:
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            result = condition()
-            if result:
-                return result
-            self._executor.spin_once(timeout_sec=0.05)
-        raise AssertionError(f"did not come: {what}")
-
-    def call(self, kind: Any, name: str, request: Any) -> Any:
-        client = self.node.create_client(kind, name)
-        self.until(client.service_is_ready, what=name)
-        future = client.call_async(request)
-        self.until(future.done, what=name)
-        return future.result()
-
-    def close(self) -> None:
-        self._executor.shutdown()
-        self.node.destroy_node()
-        rclpy.shutdown(context=self.context)
-
-
-@pytest.fixture
-def observer(ros_domain: int) -> Any:
-    observer = Observer(ros_domain)
-    yield observer
-    observer.close()
-
-
-def stamp(message: Any) -> int:
-    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
 
 
 def test_force_node_streams_tares_when_asked_and_follows_its_lifecycle(
@@ -87,7 +37,7 @@ def test_force_node_streams_tares_when_asked_and_follows_its_lifecycle(
             "-p", "response_timeout:=0.2",
         )  # fmt: skip
         observer.until(lambda: len(raw) > 200 and tared, what="wrench_raw and wrench")
-        stamps = np.array([stamp(m) for m in raw[-200:]])
+        stamps = np.array([header_stamp(m) for m in raw[-200:]])
         assert np.all(np.diff(stamps) > 0)
         assert abs(stamps[-1] - time.time_ns()) < 5e9
         assert tared[-1].wrench.force.z == pytest.approx(-1.5, abs=0.03), "tared unasked"
@@ -170,16 +120,17 @@ def test_camera_node_publishes_every_frame_with_its_calibration(
         infos.clear()
         observer.until(lambda: len(infos) >= 20, what="twenty frames")
         observer.until(
-            lambda: images and stamp(images[-1]) >= stamp(infos[19]), what="their images"
+            lambda: images and header_stamp(images[-1]) >= header_stamp(infos[19]),
+            what="their images",
         )
         assert images[0].encoding == "mono8" and images[0].step == 1280
         assert (images[0].height, images[0].width, len(images[0].data)) == (1024, 1280, 1280 * 1024)
-        received = [stamp(m) + 250_000_000 for m in images]
+        received = [header_stamp(m) + 250_000_000 for m in images]
         written = {int(p.name.split("_")[0]) for p in frames.glob("*.pgm")}
         assert set(received) <= written, "stamp is not acquisition plus offset"
         # Each image goes with a small message of the same stamp: what the busy node skipped is not sent at all.
-        sent = {stamp(m) for m in infos}
-        arrived = sent & {stamp(m) for m in images}
+        sent = {header_stamp(m) for m in infos}
+        arrived = sent & {header_stamp(m) for m in images}
         assert len(arrived) >= 0.8 * len(sent), f"{len(sent) - len(arrived)} images were lost"
         assert infos[-1].k[0] == 0.0 and infos[-1].width == 1280
 
