@@ -1,5 +1,5 @@
 """Verification of the full-order model: what it must show, measured.
 
-Each module has functions that return a `Check`; `finger-model verify` runs them all and writes a page with figures,
-the tests assert them one by one.
+Each module has functions that return a `Check`; `finger-model verify` runs them all and writes a
+page with figures, the tests assert them one by one.
 """

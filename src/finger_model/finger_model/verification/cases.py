@@ -11,15 +11,16 @@ from ..fem.full_order import FullOrderModel
 from ..fem.mesh import BULK, Mesh, finger_mesh
 from ..geometry import Geometry
 from ..material import Material
+from ..paper import CONDITIONS, TARGET_FORCE
 
 ELASTIC = 1e9
 """E1 over E0 of a bulk written as elastic."""
 
-STUDY = {
-    "dry": Material(E0=100e3, E1=43.33e3, tau1=0.10, E2=1652e3),
-    "natural": Material(),
-    "moist": Material(E0=160e3, E1=15e3, tau1=0.01, E2=700e3),
-}
+STUDY = {name: Material(**condition.parameters) for name, condition in CONDITIONS.items()}
+"""Materials of the study's conditions: dry, natural, moist."""
+
+LOAD = TARGET_FORCE
+"""N, at which presses of the verification end."""
 
 
 def elastic(modulus: float, **others: float) -> Material:
@@ -55,9 +56,11 @@ def sphere(radius: float = 10e-3, refinement: float = 1.0) -> FullOrderModel:
 def block(
     radius: float, height: float, across: int, along: int, distortion: float = 0.0
 ) -> FullOrderModel:
-    """Cylinder z = −height … 0 of bulk tissue, its top held axially, free to spread, its lower face the skin.
+    """Cylinder z = −height … 0 of bulk tissue, its top held axially, free to spread, its lower face
+    the skin.
 
-    across, along: elements over height and radius; distortion: random shift of inner nodes in element sizes.
+    across, along: elements over height and radius; distortion: random shift of inner nodes in
+    element sizes.
     """
     rows = np.linspace(0.0, -height, across + 1)
     columns = np.linspace(radius, 0.0, along + 1)
@@ -95,6 +98,13 @@ def reference(name: str) -> dict[str, np.ndarray]:
     with files("finger_model").joinpath(f"data/verification/{name}.csv").open() as file:
         table = np.genfromtxt(file, delimiter=",", names=True)
     return {column: table[column] for column in table.dtype.names or ()}
+
+
+def smooth_area(name: str, load: np.ndarray) -> np.ndarray:
+    """Area (mm²) at loads (n,) in N of a reference curve: a cubic in log force and log area."""
+    table = reference(name)
+    fit = np.polyfit(np.log(table["force_N"]), np.log(table["area_mm2"]), 3)
+    return np.exp(np.polyval(fit, np.log(load)))
 
 
 def ramp(force: float, duration: float, steps: int) -> tuple[np.ndarray, np.ndarray]:

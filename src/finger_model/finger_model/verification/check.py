@@ -1,16 +1,17 @@
-"""Result of one verification."""
+"""Result of one verification: numbers with limits, and curves for a figure."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
-from matplotlib.figure import Figure
+import numpy as np
 
 
 @dataclass(frozen=True)
 class Measure:
-    """One number against its limit: value in [low, high], either may be None; both None for a figure reported."""
+    """One number and its limits: value in [low, high], either may be None; both None: reported only."""
 
     what: str
     value: float
@@ -35,15 +36,44 @@ class Measure:
         return f"{self.low:g} … {self.high:g}"
 
 
+class Curve(NamedTuple):
+    """Points x, y (n,), matplotlib's format of the line, and its label."""
+
+    x: np.ndarray
+    y: np.ndarray
+    style: str = "-"
+    label: str | None = None
+
+
+@dataclass
+class Panel:
+    """One panel of a figure. scale: "linear", "semilogx", "semilogy" or "loglog"."""
+
+    x_label: str
+    y_label: str
+    curves: list[Curve]
+    scale: str = "linear"
+    legend: str = ""
+
+    def draw(self, axes) -> None:
+        """Draw on matplotlib axes."""
+        plot = axes.plot if self.scale == "linear" else getattr(axes, self.scale)
+        for curve in self.curves:
+            plot(curve.x, curve.y, curve.style, label=curve.label, markersize=4, linewidth=1.2)
+        axes.set(xlabel=self.x_label, ylabel=self.y_label)
+        if any(curve.label for curve in self.curves):
+            axes.legend(title=self.legend or None, fontsize="small")
+
+
 @dataclass
 class Check:
-    """One point of the verification with its numbers and, perhaps, a figure."""
+    """One point of the verification with its numbers and the panels of its figure, if it has one."""
 
     name: str
     title: str
     text: str
-    measures: list[Measure] = field(default_factory=list)
-    draw: Callable[[Figure], None] | None = None
+    measures: list[Measure]
+    panels: Sequence[Panel] = field(default_factory=list)
 
     @property
     def passes(self) -> bool:
@@ -53,3 +83,13 @@ class Check:
     def __getitem__(self, what: str) -> float:
         """Value of a measure."""
         return next(m.value for m in self.measures if m.what == what)
+
+
+def percent(value: np.ndarray | float, exact: np.ndarray | float) -> np.ndarray:
+    """Relative difference in %."""
+    return 100.0 * (np.asarray(value) / exact - 1.0)
+
+
+def largest(values: np.ndarray) -> float:
+    """Largest absolute value."""
+    return float(np.abs(values).max())

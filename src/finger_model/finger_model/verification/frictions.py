@@ -3,33 +3,27 @@
 from __future__ import annotations
 
 import numpy as np
-from matplotlib.figure import Figure
 from scipy.integrate import solve_bvp, trapezoid
 
 from ..fem.equilibrium import SLIP, STICK
 from ..fem.full_order import FullOrderModel
 from ..material import Material
-from .cases import block, elastic, ramp, reference
-from .check import Check, Measure
-
-
-def _smooth(name: str, load: np.ndarray) -> np.ndarray:
-    table = reference(name)
-    fit = np.polyfit(np.log(table["force_N"]), np.log(table["area_mm2"]), 3)
-    return np.exp(np.polyval(fit, np.log(load)))
+from ..paper import FRICTION
+from .cases import LOAD, block, elastic, ramp, smooth_area
+from .check import Check, Curve, Measure, Panel, percent
 
 
 def effect_on_area() -> Check:
     """A(0)/A(0.25) − 1 against CalculiX."""
     model = FullOrderModel()
-    loads = np.array([0.2, 0.5, 1.35])
-    time, force = ramp(1.35, 27.0, 27)
+    loads = np.array([0.2, 0.5, LOAD])
+    time, force = ramp(LOAD, 27.0, 27)
     areas = {}
-    for friction in (0.0, 0.25):
+    for friction in (0.0, FRICTION):
         material = elastic(30e3, E2=1652e3, friction=friction)
         areas[friction] = np.interp(loads, force, model.simulate(material, time, force).area)
-    ours = 100 * (areas[0.0] / areas[0.25] - 1)
-    theirs = 100 * (_smooth("dry_frictionless", loads) / _smooth("dry_friction", loads) - 1)
+    ours = percent(areas[0.0], areas[FRICTION])
+    theirs = percent(smooth_area("dry_frictionless", loads), smooth_area("dry_friction", loads))
     measures = []
     for load, own, other in zip(loads, ours, theirs):
         measures.append(Measure(f"A(0)/A(0.25) − 1 at {load:g} N", float(own), "%", low=0.0))
@@ -52,7 +46,7 @@ def coulomb() -> Check:
     surface = model.mesh.surface
     stepper = model.start(Material())
     time = np.linspace(0.0, 2.5, 101)[1:]
-    force = np.interp(time, [0, 1, 1.5, 2.5], [0, 1.35, 1.35, 0.0])
+    force = np.interp(time, [0, 1, 1.5, 2.5], [0, LOAD, LOAD, 0.0])
     excess, creep, work = [], [], []
     fields, status = stepper.fields(), stepper.state.contact.status
     sticking, largest = 0, 0.0
@@ -61,7 +55,7 @@ def coulomb() -> Check:
         stepper.step(float(instant), float(load))
         state = stepper.state
         contact = state.contact
-        bound = 0.25 * contact.normal
+        bound = FRICTION * contact.normal
         excess.append(float(np.max(np.abs(contact.shear) - bound)))
         largest = max(largest, float(bound.max()))
         moved = np.abs(state.positions[surface, 0] - before.positions[surface, 0])
@@ -72,19 +66,11 @@ def coulomb() -> Check:
         if instant <= 1.0:
             fields, status = stepper.fields(), contact.status.copy()
 
-    def draw(figure: Figure) -> None:
-        axes = figure.add_subplot()
-        touched = fields.contact_pressure > 0
-        r = fields.contact_radius[touched] * 1e3
-        axes.plot(r, 0.25e-3 * fields.contact_pressure[touched], "k-", label="μ p")
-        axes.plot(r, -0.25e-3 * fields.contact_pressure[touched], "k-")
-        shear = fields.contact_shear[touched] * 1e-3
-        kind = status[touched]
-        axes.plot(r[kind == STICK], shear[kind == STICK], "o", label="sticks")
-        axes.plot(r[kind == SLIP], shear[kind == SLIP], "s", label="slips")
-        axes.set(xlabel="r (mm)", ylabel="shear traction at 1.35 N (kPa)")
-        axes.legend()
-
+    touched = fields.contact_pressure > 0
+    r = fields.contact_radius[touched] * 1e3
+    bound = FRICTION * 1e-3 * fields.contact_pressure[touched]
+    shear, kind = fields.contact_shear[touched] * 1e-3, status[touched]
+    sticks, slips = kind == STICK, kind == SLIP
     return Check(
         "coulomb",
         "Coulomb's law",
@@ -96,7 +82,18 @@ def coulomb() -> Check:
             Measure("largest number of sticking nodes", sticking, low=3),
             Measure("smallest friction work of a step", min(work) * 1e6, "µJ", low=-1e-12),
         ],
-        draw,
+        [
+            Panel(
+                "r (mm)",
+                f"shear traction at {LOAD:g} N (kPa)",
+                [
+                    Curve(r, bound, "k-", "μ p"),
+                    Curve(r, -bound, "k-"),
+                    Curve(r[sticks], shear[sticks], "o", "sticks"),
+                    Curve(r[slips], shear[slips], "s", "slips"),
+                ],
+            )
+        ],
     )
 
 
@@ -137,18 +134,6 @@ def disc() -> Check:
     moved = fields.displacement.reshape(101, 6, 2)[::-1, :, 0].mean(axis=1)
     nodes = model.mesh.nodes[surface, 0]
     slipping = np.mean(stepper.state.contact.status[1:] == SLIP)
-
-    def draw(figure: Figure) -> None:
-        left, right = figure.subplots(1, 2)
-        left.plot(grid * 1e3, u * 1e6, "k-", label="slab theory")
-        left.plot(nodes * 1e3, moved * 1e6, ".", label="model")
-        left.plot(grid * 1e3, ratio * squeeze * grid * 1e6, "k:", label="no friction")
-        left.set(xlabel="r (mm)", ylabel="radial displacement (µm)")
-        left.legend()
-        right.plot(grid * 1e3, pressure, "k-")
-        right.plot(nodes[:-1] * 1e3, fields.contact_pressure[:-1], ".")
-        right.set(xlabel="r (mm)", ylabel="contact pressure (Pa)")
-
     return Check(
         "disc",
         "Disc on a rough plane",
@@ -158,13 +143,31 @@ def disc() -> Check:
         [
             Measure("share of slipping nodes", float(slipping), low=0.98),
             Measure(
-                "error of the rim's displacement", float(100 * (moved[-1] / u[-1] - 1)), "%", -2, 2
+                "error of the rim's displacement", float(percent(moved[-1], u[-1])), "%", -2, 2
             ),
-            Measure("error of the force", 100 * (stepper.state.force / force - 1), "%", -1, 1),
+            Measure("error of the force", float(percent(stepper.state.force, force)), "%", -1, 1),
             Measure(
                 "rim displacement over the frictionless one",
                 float(u[-1] / (ratio * squeeze * radius)),
             ),
         ],
-        draw,
+        [
+            Panel(
+                "r (mm)",
+                "radial displacement (µm)",
+                [
+                    Curve(grid * 1e3, u * 1e6, "k-", "slab theory"),
+                    Curve(nodes * 1e3, moved * 1e6, ".", "model"),
+                    Curve(grid * 1e3, ratio * squeeze * grid * 1e6, "k:", "no friction"),
+                ],
+            ),
+            Panel(
+                "r (mm)",
+                "contact pressure (Pa)",
+                [
+                    Curve(grid * 1e3, pressure, "k-"),
+                    Curve(nodes[:-1] * 1e3, fields.contact_pressure[:-1], "."),
+                ],
+            ),
+        ],
     )

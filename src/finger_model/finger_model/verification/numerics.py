@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from ..fem.full_order import FullOrderModel
 from ..material import Material
-from .cases import STUDY, block, elastic, ramp
-from .check import Check, Measure
+from .cases import LOAD, STUDY, block, elastic, ramp
+from .check import Check, Curve, Measure, Panel, largest, percent
 
 
 def patch_tests() -> Check:
@@ -78,7 +77,7 @@ def newton() -> Check:
 
 def space(refinements: tuple[float, ...] = (0.5, 1.0, 2.0)) -> Check:
     """Order of convergence in space and the mesh error of the default settings."""
-    loads = np.array([0.1, 0.2, 0.5, 1.0, 1.35])
+    loads = np.array([0.1, 0.2, 0.5, 1.0, LOAD])
     table = {}
     for name in ("dry", "moist"):
         material = elastic(STUDY[name].composite_modulus, E2=STUDY[name].E2, friction=0.0)
@@ -95,27 +94,20 @@ def space(refinements: tuple[float, ...] = (0.5, 1.0, 2.0)) -> Check:
             a, b, c = coarse[index][-1], middle[index][-1], fine[index][-1]
             order = float(np.log2(abs((a - b) / (b - c))))
             limit = fine[index] + (fine[index] - middle[index]) / (2.0**1.5 - 1.0)
-            error = 100 * (table[name, 1.0][index] / limit - 1)
             measures.append(Measure(f"{name}: order of {what} at 1.35 N", order, low=1.0))
             measures.append(
                 Measure(
                     f"{name}: largest {what} error of the default mesh, 0.1 … 1.35 N",
-                    float(np.abs(error).max()),
+                    largest(percent(table[name, 1.0][index], limit)),
                     "%",
                     high=1.0,
                 )
             )
             series[name, what] = [
-                float(100 * np.abs(table[name, r][index] / limit - 1).max()) for r in refinements
+                largest(percent(table[name, r][index], limit)) for r in refinements
             ]
 
-    def draw(figure: Figure) -> None:
-        axes = figure.add_subplot()
-        for (name, what), values in series.items():
-            axes.loglog(1 / np.array(refinements), values, "o-", label=f"{name}, {what}")
-        axes.set(xlabel="node spacing over default", ylabel="largest error, 0.1–1.35 N (%)")
-        axes.legend()
-
+    spacing = 1 / np.array(refinements)
     return Check(
         "space",
         "Convergence in space",
@@ -124,7 +116,17 @@ def space(refinements: tuple[float, ...] = (0.5, 1.0, 2.0)) -> Check:
         + "; the limit is extrapolated from the two finest with order 1.5. Contact edge and clamped rims are "
         "singular, so that the full order 2 of the element is not reached.",
         measures,
-        draw,
+        [
+            Panel(
+                "node spacing over default",
+                "largest error, 0.1–1.35 N (%)",
+                [
+                    Curve(spacing, values, "o-", f"{name}, {what}")
+                    for (name, what), values in series.items()
+                ],
+                "loglog",
+            )
+        ],
     )
 
 
@@ -132,29 +134,22 @@ def time_steps() -> Check:
     """Order of convergence in time and the error of 20 steps."""
     model = FullOrderModel()
     counts = (5, 10, 20, 40)
-    fine = model.simulate(Material(friction=0.0), *ramp(1.35, 1.0, 160))
+    fine = model.simulate(Material(friction=0.0), *ramp(LOAD, 1.0, 160))
     errors = {}
     for count in counts:
-        history = model.simulate(Material(friction=0.0), *ramp(1.35, 1.0, count))
+        history = model.simulate(Material(friction=0.0), *ramp(LOAD, 1.0, count))
         rows = 160 // count * np.arange(1, count + 1)
         errors[count] = (
             abs(history.indentation[-1] / fine.indentation[-1] - 1),
             float(np.abs(history.area[1:] / fine.area[rows] - 1).max()),
         )
     order = float(np.log2(errors[5][0] / errors[20][0]) / 2)
-    with_friction = model.simulate(Material(), *ramp(1.35, 1.0, 20))
-    finest = model.simulate(Material(), *ramp(1.35, 1.0, 160))
+    with_friction = model.simulate(Material(), *ramp(LOAD, 1.0, 20))
+    finest = model.simulate(Material(), *ramp(LOAD, 1.0, 160))
     rows = 8 * np.arange(1, 21)
     friction_error = np.abs(with_friction.area[1:] / finest.area[rows] - 1)[1:].max()
 
-    def draw(figure: Figure) -> None:
-        axes = figure.add_subplot()
-        axes.loglog(counts, [100 * errors[n][0] for n in counts], "o-", label="indentation, end")
-        axes.loglog(counts, [100 * errors[n][1] for n in counts], "s-", label="area, largest")
-        axes.loglog(counts, 100 * errors[5][0] * (5 / np.array(counts)) ** 2, "k:", label="order 2")
-        axes.set(xlabel="steps to 1.35 N in 1 s", ylabel="error (%)")
-        axes.legend()
-
+    order_2 = 100 * errors[5][0] * (5 / np.array(counts)) ** 2
     return Check(
         "time",
         "Convergence in time",
@@ -169,5 +164,16 @@ def time_steps() -> Check:
                 high=0.3,
             ),
         ],
-        draw,
+        [
+            Panel(
+                "steps to 1.35 N in 1 s",
+                "error (%)",
+                [
+                    Curve(counts, [100 * errors[n][0] for n in counts], "o-", "indentation, end"),
+                    Curve(counts, [100 * errors[n][1] for n in counts], "s-", "area, largest"),
+                    Curve(counts, order_2, "k:", "order 2"),
+                ],
+                "loglog",
+            )
+        ],
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from textwrap import fill
 
 from matplotlib.figure import Figure
 
@@ -37,21 +38,20 @@ def write_page(checks: Sequence[Check], folder: Path) -> Path:
     lines = [
         "# Verification of the full-order model",
         "",
-        "Made by `finger-model verify -o docs`. Theory and symbols: [theory.md](theory.md). Default mesh "
-        "(refinement 1) unless said otherwise.",
+        "Made by `finger-model verify -o docs`. Theory and symbols: [theory.md](theory.md). The mesh",
+        "is the default one (refinement 1) unless the text names another.",
         "",
         "| check | result |",
         "|---|---|",
     ]
     for check in checks:
-        anchor = "".join(
-            c for c in check.title.lower().replace(" ", "-") if c.isalnum() or c in "-–"
-        )
-        lines.append(
-            f"| [{check.title}](#{anchor}) | {'passes' if check.passes else '**fails**'} |"
-        )
+        words = check.title.lower().replace(" ", "-")
+        anchor = "".join(c for c in words if c.isalnum() or c in "-–")
+        result = "passes" if check.passes else "**fails**"
+        lines.append(f"| [{check.title}](#{anchor}) | {result} |")
     for check in checks:
-        lines += ["", f"## {check.title}", "", check.text, "", "| measured | value | limit |"]
+        text = fill(check.text, 100, break_long_words=False, break_on_hyphens=False)
+        lines += ["", f"## {check.title}", "", text, "", "| measured | value | limit |"]
         lines.append("|---|---|---|")
         for measure in check.measures:
             mark = "" if measure.passes else " **fails**"
@@ -59,10 +59,13 @@ def write_page(checks: Sequence[Check], folder: Path) -> Path:
             limit = measure.limit()
             limit += unit if limit != "reported" else ""
             lines.append(f"| {measure.what} | {measure.value:.3g}{unit}{mark} | {limit} |")
-        if check.draw is not None:
-            figure = Figure(figsize=(7.5, 3.6), layout="constrained")
-            check.draw(figure)
+        if check.panels:
             name = f"figures/verification_{check.name}.png"
+            figure = Figure(figsize=(7.5, 3.6), layout="constrained")
+            for axes, panel in zip(
+                figure.subplots(1, len(check.panels), squeeze=False)[0], check.panels
+            ):
+                panel.draw(axes)
             save(figure, folder / name, dpi=110)
             lines += ["", f"![{check.title}]({name})"]
     path = folder / "verification.md"
