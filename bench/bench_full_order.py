@@ -15,7 +15,10 @@ STEPS = 20
 
 
 def trial(refinement: float = 1.0, repeats: int = 1) -> tuple[int, list[float], float]:
-    """Unknowns, wall time (s) of each repeat and final area (m²) of the natural trial: 1.35 N in 1 s, friction."""
+    """Unknowns, wall time (s) of each repeat and final area (m²) of the natural trial.
+
+    1.35 N in 1 s, with friction.
+    """
     from finger_model.fem.full_order import FullOrderModel
     from finger_model.material import Material
 
@@ -55,7 +58,8 @@ def run(report: Any) -> None:
         sizes.append(unknowns)
         medians.append(statistics.median(times))
         report.note(
-            f"refinement {refinement:g}: {unknowns} unknowns, {medians[-1]:.3f} s, area {area * 1e6:.2f} mm²"
+            f"refinement {refinement:g}: {unknowns} unknowns, {medians[-1]:.3f} s, "
+            f"area {area * 1e6:.2f} mm²"
         )
     exponent = float(np.polyfit(np.log(sizes), np.log(medians), 1)[0])
     report.add("full_order_growth", exponent, "exponent of time over unknowns")

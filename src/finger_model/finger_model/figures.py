@@ -1,8 +1,9 @@
-"""Figures of the full-order model."""
+"""Figures of the full-order and the reduced model."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import matplotlib
 import numpy as np
@@ -14,7 +15,11 @@ from finger_common.files import atomic_write
 
 from .fem.fields import Fields
 from .geometry import Geometry
-from .history import ContactPoint
+from .history import ContactHistory, ContactPoint
+
+if TYPE_CHECKING:
+    from .reduced.error import ErrorTable
+    from .reduced.training_runs import Run
 
 
 def save(figure: Figure, path: str | Path, dpi: int = 150) -> None:
@@ -25,7 +30,7 @@ def save(figure: Figure, path: str | Path, dpi: int = 150) -> None:
 
 
 def half_section(fields: Fields, geometry: Geometry, point: ContactPoint, path: str | Path) -> None:
-    """Draw the deformed half-section with von Mises stress in the soft parts, bone, nail and plate; a PNG."""
+    """Draw the deformed half-section with the von Mises stress of the soft parts as PNG."""
     figure = Figure(figsize=(7.0, 4.2), layout="constrained")
     axes = figure.add_subplot()
     polygons = fields.deformed[fields.cells] * 1e3
@@ -75,3 +80,23 @@ def _interface(fields: Fields) -> np.ndarray:
     shared = np.intersect1d(bulk, skin)
     r, z = fields.nodes[shared].T
     return shared[np.argsort(np.arctan2(r, -z))]
+
+
+def error_distribution(
+    table: ErrorTable, run: Run, found: ContactHistory, path: str | Path
+) -> None:
+    """Draw the errors of a reduced model over all pairs, and one run with its own result."""
+    figure = Figure(figsize=(11, 4.2), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    share = np.linspace(0, 100, len(table.pairs))
+    left.plot(share, np.sort([100 * p.rms for p in table.pairs]), label="RMS over the history")
+    left.plot(share, np.sort([100 * p.worst for p in table.pairs]), label="worst instant")
+    left.axhline(1, color="C0", ls=":")
+    left.axhline(2, color="C1", ls=":")
+    left.set(xlabel="share of the pairs (%)", ylabel="error of area (% of the largest)", ylim=0)
+    left.legend()
+    right.plot(run.time, run.area * 1e6, "k", label="full order")
+    right.plot(run.time, found.area * 1e6, "C3--", label="reduced")
+    right.set(xlabel="time (s)", ylabel="area (mm²)", title=f"worst pair ({run.kind})")
+    right.legend()
+    save(figure, path, dpi=130)

@@ -15,16 +15,18 @@ from finger_common.files import from_numbers, load_yaml, sha256_of
 
 @dataclass(frozen=True)
 class Geometry:
-    """Axisymmetric fingertip: half-ellipsoid pad with epidermis, rigid bone and nail disc. Lengths in m.
+    """Axisymmetric fingertip: half-ellipsoid pad with epidermis, rigid bone and nail disc. Lengths
+    in m.
 
-    The axis of symmetry is z, pointing up. The pad is the lower half of an ellipsoid centred at the origin, its
-    flat top at z = 0; the plate comes from below. The epidermis has its thickness on both semi-axes: inside it is
-    bounded by the half-ellipsoid with semi-axes smaller by the thickness. The bone is the lower half of an
-    ellipsoid centred at height `bone_center_height`; a centre below the top is continued upwards by a cylinder of
-    the bone's radius, a centre above it is cut by the top. The nail is a disc on the top.
+    The axis of symmetry is z, pointing up. The pad is the lower half of an ellipsoid centred at the
+    origin, its flat top at z = 0; the plate comes from below. The epidermis has its thickness on
+    both semi-axes: inside it is bounded by the half-ellipsoid with semi-axes smaller by the
+    thickness. The bone is the lower half of an ellipsoid centred at height `bone_center_height`; a
+    centre below the top is continued upwards by a cylinder of the bone's radius, a centre above it
+    is cut by the top. The nail is a disc on the top.
 
-    The paper's Table I is not available: the defaults are assumptions within the span of the literature
-    (fingertip width 16–20 mm: Dandekar, Raju, Srinivasan 2003).
+    The paper's Table I is not available: the defaults are assumptions within the span of the
+    literature (fingertip width 16–20 mm: Dandekar, Raju, Srinivasan 2003).
 
     Raises InputError for lengths that are not positive or a bone that does not fit into the pad.
     """
@@ -79,20 +81,21 @@ class Geometry:
         smallest = min(self.pad_semi_axis_radial, self.pad_semi_axis_axial)
         if self.epidermis_thickness > 0.5 * smallest:
             raise InputError(
-                f"geometry: 'epidermis_thickness' {self.epidermis_thickness:g} m is more than half the "
-                "smaller semi-axis of the pad; make it thinner"
+                f"geometry: 'epidermis_thickness' {self.epidermis_thickness:g} m is more than half "
+                "the smaller semi-axis of the pad; make it thinner"
             )
         if self.bone_center_height >= self.bone_semi_axis_axial:
             raise InputError(
-                f"geometry: 'bone_center_height' {self.bone_center_height:g} m lifts the whole bone out of "
-                "the pad; keep it below 'bone_semi_axis_axial'"
+                f"geometry: 'bone_center_height' {self.bone_center_height:g} m lifts the whole "
+                "bone out of the pad; keep it below 'bone_semi_axis_axial'"
             )
         r, z = self.bone_profile(np.linspace(0.0, 1.0, 101))
         # At least 5 % of soft tissue between bone and epidermis, for a mesh that can be squeezed.
         if np.any((r / inner_radial) ** 2 + (z / inner_axial) ** 2 > 0.95**2):
             raise InputError(
                 "geometry: the bone reaches the epidermis (bone larger than the pad); make "
-                "'bone_semi_axis_radial' or 'bone_semi_axis_axial' smaller, or raise 'bone_center_height'"
+                "'bone_semi_axis_radial' or 'bone_semi_axis_axial' smaller, or raise "
+                "'bone_center_height'"
             )
 
     @property
@@ -109,7 +112,7 @@ class Geometry:
         return self.pad_semi_axis_radial**2 / self.pad_semi_axis_axial
 
     def bone_profile(self, fraction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Points (r, z) (n,) in m of the bone's face at fractions (n,) of the way from its tip to the top."""
+        """Points (r, z) (n,) in m of the bone's face at fractions (n,) from its tip to the top."""
         fraction = np.asarray(fraction, dtype=float)
         a, b, height = (
             self.bone_semi_axis_radial,
@@ -127,7 +130,7 @@ class Geometry:
 
     @classmethod
     def from_dict(cls, data: dict[str, Any], where: str = "geometry") -> Geometry:
-        """Geometry from a mapping; keys left out keep their default, unknown keys raise InputError."""
+        """From a mapping; keys left out keep their default, unknown keys raise InputError."""
         return from_numbers(cls, data, where)
 
     @classmethod
@@ -140,5 +143,5 @@ class Geometry:
         return asdict(self)
 
     def hash(self) -> str:
-        """Hexadecimal digest of the lengths, rounded to 1 nm; names the geometry a reduced model is built for."""
+        """Digest (hexadecimal) of the lengths rounded to 1 nm; names the geometry of a model."""
         return sha256_of({key: round(value * 1e9) for key, value in self.to_dict().items()})

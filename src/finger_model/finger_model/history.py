@@ -1,4 +1,4 @@
-"""What a model gives back: one contact point per instant, a history per force record; the CSV contract."""
+"""Contact at one instant and over time, as models give it; the CSV files of force and contact."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ CSV_HEADER = "time_s,force_n,area_mm2,radius_mm,indentation_mm,peak_pressure_kpa
 class ContactPoint:
     """Contact at one instant (SI): s, N, m², m, m, Pa, Pa.
 
-    `indentation` is the plate's travel from first touch of the unloaded shape; without contact it is where the
-    plate would just touch. `peak_pressure` is the maximum of the smoothed contact pressure, `mean_pressure` force
-    over area.
+    `indentation` is the plate's travel from first touch of the unloaded shape; without contact it
+    is where the plate would just touch. `peak_pressure` is the maximum of the smoothed contact
+    pressure, `mean_pressure` force over area.
     """
 
     time: float
@@ -54,7 +54,7 @@ class ContactHistory:
         return cls(**{f.name: np.array([getattr(p, f.name) for p in points]) for f in fields(cls)})
 
     def csv_text(self) -> str:
-        """`time_s,force_n,area_mm2,radius_mm,indentation_mm,peak_pressure_kpa`, one line per instant."""
+        """The header CSV_HEADER and one line per instant."""
         columns = (
             self.area * 1e6,
             self.radius * 1e3,
@@ -104,13 +104,13 @@ def check_force_history(
     if len(bad):
         row = int(bad[0]) + 1
         raise InputError(
-            f"{where}: time does not increase from row {row} ({time[row - 1]:g} s) to row {row + 1} "
-            f"({time[row]:g} s); sort the rows and remove repeated times"
+            f"{where}: time does not increase from row {row} ({time[row - 1]:g} s) to row "
+            f"{row + 1} ({time[row]:g} s); sort the rows and remove repeated times"
         )
     return time, force
 
 
 def read_force_csv(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
-    """Time (n,) in s and force (n,) in N of a file with columns `time_s,force_n`; raises InputError."""
+    """Time (n,) in s and force (n,) in N of columns `time_s,force_n`; raises InputError."""
     table = read_csv(path, ["time_s", "force_n"])
     return check_force_history(table["time_s"], table["force_n"], str(path))

@@ -89,7 +89,7 @@ def test_same_input_gives_same_output_bit_for_bit(model):
 
 
 def test_dimensionless_scaling_is_exact(model):
-    """Forces and moduli times ten give the same shapes: nothing in the contact has a scale of its own."""
+    """Forces and moduli times ten give the same shapes: the contact has no scale of its own."""
     time, force = ramp(1.0, 1.0, 10)
     soft = model.simulate(Material(), time, force)
     stiff = model.simulate(
@@ -143,7 +143,7 @@ def test_corners_of_the_range_up_to_3_newton(model, E0, E1, tau1, E2):
 
 
 def test_a_fast_damper_leaves_no_corner_where_nodes_touch(model):
-    """Moist set, τ1 = 10 ms: the slope of the area changes evenly between and at the events of single nodes."""
+    """Moist set, τ1 = 10 ms: the slope of the area changes evenly, also where nodes touch."""
     time, force = ramp(1.35, 1.0, 200)
     material = Material(E0=160e3, E1=15e3, tau1=0.01, E2=700e3)
     second = np.abs(np.diff(model.simulate(material, time, force).area, 2))
@@ -153,7 +153,7 @@ def test_a_fast_damper_leaves_no_corner_where_nodes_touch(model):
 
 
 def test_the_memory_of_the_edge_ends_with_the_load_path(model):
-    """A ramp that pauses, slackens and goes on faster: fine and coarse steps agree on every area."""
+    """A ramp that pauses, slows and goes on faster: fine and coarse steps agree."""
     knots = [0.0, 0.3, 0.35, 0.45, 0.6]
     loads = [0.0, 0.5, 0.5, 0.6, 1.35]
     material = Material(E0=160e3, E1=15e3, tau1=0.01, E2=700e3)
@@ -176,7 +176,7 @@ def test_load_beyond_what_the_finger_carries_names_time_force_and_cause(model):
 
 @pytest.mark.parametrize("steps", [1, 20])
 def test_crushed_tissue_is_an_error_and_no_area(model, steps):
-    """30 N press the natural set to a tenth of its volume: there the law means nothing, however it is reached."""
+    """30 N press the natural set to a tenth of its volume, which no law describes."""
     time, force = ramp(30.0, 1.0, steps)
     with pytest.raises(ModelError, match=r"squeezed below 0\.2 of its volume"):
         model.simulate(Material(), time, force)
@@ -259,7 +259,7 @@ def test_other_geometries_press_as_well(values):
 
 
 def test_nearly_incompressible_tissue_does_not_lock(model):
-    """From ν = 0.48 to 0.4999 the indentation falls by the tissue's own stiffening, not by locking."""
+    """From ν = 0.48 to 0.4999 the indentation falls by the tissue's stiffening, not by locking."""
     load = np.array([0.5])
     depth = [
         FullOrderModel(refinement=refinement)

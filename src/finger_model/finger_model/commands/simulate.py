@@ -23,10 +23,11 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         "simulate",
         help="force history to contact history",
         description=(
-            "Simulate a finger under a force history. The input has columns time_s,force_n, the output "
-            "time_s,force_n,area_mm2,radius_mm,indentation_mm,peak_pressure_kpa, one row per row. The finger is at "
-            "rest before the first row. Without --solver the reduced model is used where there is one for the "
-            "geometry, material and load, the full-order model otherwise."
+            "Simulate a finger under a force history. The input has the columns time_s,force_n, "
+            "the output time_s,force_n,area_mm2,radius_mm,indentation_mm,peak_pressure_kpa with "
+            "one row per input row. The finger is at rest before the first row. Without --solver "
+            "the reduced model is used where there is one for the geometry, material and load, and the "
+            "full-order model otherwise."
         ),
         example=(
             "finger-model simulate --force force.csv -o contact.csv\n"
@@ -124,7 +125,8 @@ def _full(
     if arguments.at is not None:
         if not time[0] <= arguments.at <= time[-1]:
             raise InputError(
-                f"--at {arguments.at:g} s is outside the force history ({time[0]:g} … {time[-1]:g} s)"
+                f"--at {arguments.at:g} s is outside the force history "
+                f"({time[0]:g} … {time[-1]:g} s)"
             )
         row = int(np.argmin(np.abs(time - arguments.at)))
     for path in (arguments.plot, arguments.vtu, arguments.output):

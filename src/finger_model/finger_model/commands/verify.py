@@ -21,10 +21,10 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         "verify",
         help="measure the model against what is known",
         description=(
-            "Run the verification of the full-order model: patch tests, orders of convergence, Hertz, Lee–Radok, "
-            "limits, independent reference curves, energy, smoothness, monotonicity and friction. Prints every "
-            "number with its limit; with -o it also writes verification.md and its figures. Exit code 1 if a "
-            "number misses its limit."
+            "Run the verification of the full-order model: patch tests, orders of convergence, "
+            "Hertz, Lee–Radok, limits, independent reference curves, energy, smoothness, "
+            "monotonicity and friction. Every number is printed with its limit; -o also writes "
+            "verification.md and its figures. Exit code 1 if a number misses its limit."
         ),
         example=(
             "finger-model verify -o docs\nfinger-model verify hertz calculix\n"

@@ -1,7 +1,4 @@
-"""Contact areas of many parameter sets by the full-order model.
-
-A fit needs no more of a law that has no reduced model.
-"""
+"""Contact areas of many parameter sets by the full-order model, for fits of any law."""
 
 from __future__ import annotations
 

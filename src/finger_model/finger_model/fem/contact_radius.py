@@ -158,7 +158,7 @@ def _continued(forces: np.ndarray, radii: np.ndarray, last: int, before: Edge | 
 
 
 def _hermite(force: float, edge: Edge, inner: float, outer: float) -> float:
-    """Radius (m) at a force (N/rad) between the events of an edge at radii `inner` and `outer` (m)."""
+    """Radius (m) at a force (N/rad) between events at radii `inner` and `outer` (m)."""
     width = edge.next_force - edge.force
     u = (force - edge.force) / width
     return float(
@@ -256,7 +256,7 @@ def gap_radius(skin: np.ndarray, contact: Contact) -> float:
 
 
 def contact_pressure(skin: np.ndarray, contact: Contact) -> np.ndarray:
-    """Pressure (S,) in Pa at the skin nodes (S, 2): their force over their share of the skin's area."""
+    """Pressure (S,) in Pa at skin nodes (S, 2): their force over their share of the area."""
     area = _node_areas(skin)
     return np.where(contact.normal > 0, contact.normal / area, 0.0)
 

@@ -300,7 +300,7 @@ def strain_measures(x, elements, c_bar, c_bar_inverse, jacobian):
 
 @njit(cache=True, fastmath=True)
 def first_invariant(x, elements):
-    """tr C̄ (E, 4) at the Gauss points, 3 where an element is turned inside out; x (N, 2) positions."""
+    """tr C̄ (E, 4) at the Gauss points for node positions x (N, 2); 3 where J ≤ 0."""
     cells, gradient, radius, weight = elements
     found = np.full(weight.shape, 3.0)
     xr = np.empty(4)
@@ -320,7 +320,7 @@ def first_invariant(x, elements):
 
 @njit(cache=True)
 def band_rows(band, dofs, rows):
-    """Copy the full rows of the symmetric band matrix: rows[k, b + m] = K[dofs[k], dofs[k] + m], |m| ≤ b."""
+    """Copy full rows of the symmetric band matrix: rows[k, b + m] = K[dofs[k], dofs[k] + m]."""
     n, width = band.shape
     b = width - 1
     for k in range(dofs.shape[0]):
@@ -385,7 +385,7 @@ def copy_rows(rows, dofs, which, start, out):
 
 @njit(cache=True, fastmath=True)
 def substitute_forward(band, start, x):
-    """Solve L y = x in place for x (n − start, m), with L[i, j] = band[j, i − j] from row `start` on."""
+    """Solve L y = x in place for x (n − start, m); L[i, j] = band[j, i − j] from row `start`."""
     n, m = x.shape
     width = band.shape[1]
     for j in range(n):

@@ -57,7 +57,7 @@ class Contact:
 
 
 class ContactSet(NamedTuple):
-    """Indices of skin nodes: those in contact, and of those free to move radially the ones that stick and that slip."""
+    """Indices of skin nodes in contact, and of those that stick and slip off the axis."""
 
     active: np.ndarray
     sticking: np.ndarray
@@ -192,7 +192,7 @@ class Equilibrium:
         )
 
     def assemble(self, x: np.ndarray, material: Stiffness, stiffness: bool = True) -> float:
-        """Fill `force` (and `band`) at positions x (N, 2); the smallest J, not positive if inverted."""
+        """Fill `force` (and `band`) at positions x (N, 2); returns the smallest J."""
         return elements.assemble(x, self.elements, material, stiffness, self.force, self.band)
 
     def solve(
@@ -307,7 +307,7 @@ class Equilibrium:
         return ContactSet(active, free[~slips], free[slips])
 
     def _residual(self, contact: Contact, nodes: ContactSet, friction: float) -> np.ndarray:
-        """Unbalanced force (2N,) of the unknowns that are not held; `force` is that of the state."""
+        """Unbalanced force (2N,) of the unknowns that are not held, from `force`."""
         residual = -self.force
         slips = nodes.slipping
         drag = friction * contact.direction[slips] * self.force[self.axial[slips]]

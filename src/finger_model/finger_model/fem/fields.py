@@ -46,7 +46,7 @@ class Fields:
         return self.nodes + self.displacement
 
     def to_vtu(self, path: str | Path) -> None:
-        """Write an unstructured VTK file (ParaView) of the deformed half-section in the x–z plane, SI units."""
+        """Write an unstructured VTK file of the deformed half-section in the x–z plane (SI)."""
         pad = np.zeros(len(self.nodes))
         points = np.column_stack([self.deformed[:, 0], pad, self.deformed[:, 1]])
         moved = np.column_stack([self.displacement[:, 0], pad, self.displacement[:, 1]])

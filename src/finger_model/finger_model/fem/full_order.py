@@ -30,10 +30,10 @@ from .mesh import Mesh, finger_mesh
 from .mesh_material import Crushed, MeshMaterial
 
 SMALLEST_CUT = 2.0**-14
-"""A step that cannot converge is cut to a quarter until it is this fraction of the step asked for."""
+"""Smallest fraction of a step: a step that does not converge is cut to a quarter, down to this."""
 
 SMALLEST_PART = 1.0 / 64.0
-"""A step is not divided further than this for the sake of its path."""
+"""Smallest fraction into which a step is divided to follow its path."""
 MAXIMUM_NEW_NODES = 1
 """Maximum number of new contact nodes in one part of a divided step."""
 
@@ -176,8 +176,8 @@ class Stepper:
                     self.state, self._before = start, before
                     what = f"{value:.4g} N" if loaded else f"{value * 1e3:.4g} mm"
                     raise ModelError(
-                        f"no equilibrium at t = {instant:.4g} s, {what}: {error}; the load is beyond what this "
-                        "finger carries: lower it or use stiffer moduli"
+                        f"no equilibrium at t = {instant:.4g} s, {what}: {error}; the load is "
+                        "beyond what this finger carries: lower it or use stiffer moduli"
                     ) from None
                 continue
             done = goal

@@ -18,9 +18,9 @@ from ..geometry import Geometry
 BULK, EPIDERMIS, NAIL = 0, 1, 2
 
 CONTACT_SPACING = 0.02
-"""Node spacing in the contact over the pad's radial semi-axis, at refinement 1 (0.17 mm by default)."""
+"""Node spacing in the contact over the pad's radial semi-axis at refinement 1 (0.17 mm)."""
 SKIN_SPACING = 1.0 / 3.0
-"""Largest node spacing in the contact over the thickness of the epidermis, down to half of CONTACT_SPACING."""
+"""Largest node spacing in the contact over the epidermis thickness; not below CONTACT_SPACING/2."""
 BULK_LAYERS = 13
 SKIN_LAYER = 0.72
 """Thickness of a layer of skin elements over the node spacing in the contact."""
@@ -93,7 +93,7 @@ def _bulk_fractions(layers: int) -> np.ndarray:
 
 
 def _column(geometry: Geometry, angle: float, bulk: np.ndarray, layers: int) -> np.ndarray:
-    """Nodes (n, 2) from bone to skin at an eccentric angle; the last column is fitted to the nail's edge."""
+    """Nodes (n, 2) from bone to skin at an eccentric angle; the last column has the nail's edge."""
     top = angle > 0.5 * math.pi * (1 - 1e-12)
     sine, cosine = math.sin(angle), 0.0 if top else math.cos(angle)
     bone = np.array([x[0] for x in geometry.bone_profile(np.array([angle / (0.5 * math.pi)]))])

@@ -1,4 +1,4 @@
-"""A material law on the elements of a mesh: soft tissue by the law, epidermis and nail neo-Hookean."""
+"""A material law on a mesh: soft tissue by the law, epidermis and nail neo-Hookean."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from .elements import Elements, Stiffness
 from .mesh import BULK, EPIDERMIS, NAIL, Mesh
 
 SMALLEST_VOLUME = 0.2
-"""Tissue squeezed below this fraction of its volume has left what a law describes: it is crushed."""
+"""Fraction of its volume below which tissue is crushed: no law describes it there."""
 
 
 class Crushed(Exception):

@@ -146,8 +146,8 @@ class ConstitutiveLaw(ABC):
         ratio = self.bulk_modulus / self.long_term_shear_modulus
         if ratio > LARGEST_BULK_OVER_SHEAR:
             raise InputError(
-                f"material: the bulk modulus is {ratio:.2g} times the long-term shear modulus, more "
-                f"than {LARGEST_BULK_OVER_SHEAR:g}; {self.STIFFNESS_ADVICE}"
+                f"material: the bulk modulus is {ratio:.2g} times the long-term shear modulus, "
+                f"more than {LARGEST_BULK_OVER_SHEAR:g}; {self.STIFFNESS_ADVICE}"
             )
 
     # Moduli ----------------------------------------------------------------------------------

@@ -1,7 +1,7 @@
 """Building a reduced model: full-order runs, coordinates, training, measured error, file.
 
-An interrupted build goes on when it is started again with the same settings: finished runs lie in a folder beside the
-output (`OUTPUT.parts`) until the file is written.
+An interrupted build goes on when it is started again with the same settings: finished runs lie in a
+folder beside the output (`OUTPUT.parts`) until the file is written.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ LARGEST_FORCE = 3.0
 """N, end of the range the model is built for."""
 
 FAR_WEIGHT = 0.35
-"""Weight of errors far from the paper's box, where they are larger and would dominate the training."""
+"""Weight of errors far from the paper's box: they are larger and would dominate the training."""
 
 FORCE_LIMIT_RUNS = 4
 """Histories that must have reached the largest load, over E L², that the model is used for."""
@@ -81,8 +81,8 @@ def build(
     usable = [r for r in training if len(r.time) > 5 and r.area.max() > 0]
     if len(usable) < 0.8 * len(training):
         raise ModelError(
-            f"only {len(usable)} of {len(training)} full-order runs of this geometry succeeded; the finger "
-            "carries too little, change the geometry"
+            f"only {len(usable)} of {len(training)} full-order runs of this geometry succeeded; "
+            "the finger carries too little, change the geometry"
         )
     arrays = train(usable, geometry, settings, report)
     held_out = runs_of("held_out", "held-out runs", held_out_case, settings.held_out)
@@ -134,7 +134,8 @@ def _near_box(run: Run) -> bool:
 def _force_limit(runs: list[Run], length: float) -> np.ndarray:
     """Coefficients of `ReducedModel.force_limit`.
 
-    They give a load over E L² that several runs reached and at which none failed; E is the composite modulus.
+    They give a load over E L² that several runs reached and at which none failed; E is the
+    composite modulus.
     """
     visited, failed = [], [math.inf]
     for run in runs:

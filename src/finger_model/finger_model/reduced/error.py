@@ -1,4 +1,4 @@
-"""Error of a reduced model against full-order runs: per pair of parameter set and history, and its distribution."""
+"""Error of a reduced model against full-order runs, over pairs of parameters and history."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ..laws.standard_linear_solid import PARAMETERS
 from .model import ReducedModel
 from .training_runs import Run
 
@@ -14,7 +15,10 @@ COUNTED_FORCE = 0.1
 """N; rows below it do not count."""
 
 GOAL_RMS, GOAL_WORST, LIMIT_RMS, LIMIT_WORST = 0.01, 0.02, 0.015, 0.04
-"""Share of the history's largest area: RMS and worst instant of 99 % of the pairs, and of every pair."""
+"""Shares of the history's largest area.
+
+GOAL: RMS and worst instant of 99 % of the pairs; LIMIT: of every pair.
+"""
 
 
 @dataclass
@@ -52,6 +56,10 @@ class ErrorTable:
             np.all((self._column("rms") <= LIMIT_RMS) & (self._column("worst") <= LIMIT_WORST))
         )
 
+    def worst(self) -> PairError:
+        """The pair with the largest error at an instant."""
+        return max(self.pairs, key=lambda pair: pair.worst)
+
     def summary(self) -> dict[str, Any]:
         """Figures kept in the model's file, as shares."""
         rms, worst = self._column("rms"), self._column("worst")
@@ -70,8 +78,8 @@ class ErrorTable:
     def text(self) -> str:
         """The distribution, errors by kind of history and the worst pair, for the terminal."""
         lines = [
-            f"{len(self.pairs)} pairs of parameter set and force history, F ≥ {COUNTED_FORCE} N, errors in % of "
-            "the history's largest value",
+            f"{len(self.pairs)} pairs of parameter set and force history, F ≥ {COUNTED_FORCE} N, "
+            "errors in % of the history's largest value",
             f"{'':24s}{'median':>8s}{'90 %':>8s}{'99 %':>8s}{'worst':>8s}",
         ]
         for label, name in (
@@ -87,12 +95,12 @@ class ErrorTable:
             part = ErrorTable([p for p in self.pairs if p.kind == kind])
             row = np.percentile(100 * part._column("rms"), [50, 90, 99, 100])
             lines.append(f"  {kind + ', area RMS':22s}" + "".join(f"{v:8.2f}" for v in row))
-        worst = max(self.pairs, key=lambda p: p.worst)
-        E0, E1, tau1, E2 = worst.parameters
+        worst = self.worst()
+        values = zip(PARAMETERS, worst.parameters)
+        named = ", ".join(f"{p.symbol} {p.text(value)} {p.display_unit}" for p, value in values)
         lines.append(
-            f"worst pair: {worst.kind}, E0 {E0 / 1e3:.1f} kPa, E1 {E1 / 1e3:.1f} kPa, tau1 {tau1:.4f} s, "
-            f"E2 {E2 / 1e3:.0f} kPa: RMS {100 * worst.rms:.2f} %, {100 * worst.worst:.2f} % at "
-            f"{worst.worst_force:.2f} N"
+            f"worst pair: {worst.kind}, {named}: RMS {100 * worst.rms:.2f} %, "
+            f"{100 * worst.worst:.2f} % at {worst.worst_force:.2f} N"
         )
         lines.append(
             f"within 1 % RMS and 2 % worst: {100 * self.share_within():.1f} % of the pairs; "

@@ -1,7 +1,7 @@
 """Random parameter sets and force histories for training and verifying the reduced model.
 
-A history is (time, force), (n,) each, fine enough for the full-order model: force changes by at most a given share
-of the peak from row to row. All draws come from the generator that is passed in.
+A history is (time, force), (n,) each, fine enough for the full-order model: force changes by at
+most a given share of the peak from row to row. All draws come from the generator that is passed in.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ def training_parameters(rng: np.random.Generator) -> np.ndarray:
 
 
 def _fine(time: list[float], force: list[float], step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Rows between the corners of a piecewise linear history so that force and time change little from row to row.
+    """Rows between the corners of a piecewise linear history so that force and time change little
+    from row to row.
 
     The rise from zero is cut finer: rows at force shares of (i/n)^1.5.
     """
@@ -60,7 +61,7 @@ def _fine(time: list[float], force: list[float], step: float) -> tuple[np.ndarra
 def human_press(
     rng: np.random.Generator, peak: float = TARGET_FORCE, rate: float = 40.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A human-like press: smooth rise of 0.5–2 s with overshoot, tremor of 8–12 Hz, short hold, release."""
+    """A human-like press: rise of 0.5–2 s, overshoot, tremor of 8–12 Hz, short hold, release."""
     rise, hold, release = rng.uniform(0.5, 2.0), rng.uniform(0.2, 0.6), rng.uniform(0.2, 0.6)
     time = np.arange(0.0, rise + hold + release + 0.1, 1.0 / rate)
     overshoot = 1 + rng.uniform(0.0, 0.12)

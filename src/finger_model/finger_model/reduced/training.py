@@ -1,8 +1,9 @@
 """Training of the reduced model's networks on full-order runs, by Levenberg and Marquardt's method.
 
-Two hidden layers of the smooth sigmoid v/√(1 + v²), weighted least squares over all rows of the runs. First the
-drive, on the full order's own states; then the contact network on the states that the reduced model visits with that
-drive, so that it makes up for what the drive leaves (`reduction.train`).
+Two hidden layers of the smooth sigmoid v/√(1 + v²), weighted least squares over all rows of the
+runs. First the drive, on the full order's own states; then the contact network on the states that
+the reduced model visits with that drive, so that it makes up for what the drive leaves
+(`reduction.train`).
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ class Samples:
 def features(
     x: np.ndarray, a: np.ndarray, q: np.ndarray | None, stiffness: np.ndarray
 ) -> np.ndarray:
-    """Inputs of a network (n, 2 + 2k + m + 1): x, ln(x + …), a, a/(x + …), q, ln E2/E0; see reduced_kernels."""
+    """Inputs of a network (n, 2 + 2k + m + 1), in the order of `kernels`."""
     columns = [x, np.log(x + rk.SHIFT_LOG), a, a / (x + rk.SHIFT_RATIO)[:, None]]
     columns += [q] if q is not None else []
     return np.column_stack([*columns, stiffness])
@@ -65,7 +66,8 @@ def contact_samples(
 ) -> Samples:
     """Samples of ln(A/(L² x²)) and ln(p_max/p_mean) of one run that counts so much.
 
-    states (n, k + m): a and q that were visited. The error of the area counts relative to the run's largest area.
+    states (n, k + m): a and q that were visited. The error of the area counts relative to the run's
+    largest area.
     """
     touching = (run.force >= FIRST_FORCE) & (run.area > 0) & (run.peak > 0)
     x = load_measure(run, length)[touching]
@@ -179,10 +181,11 @@ def fit(
     report: Callable[[float], None] | None = None,
     ridge: float = 1e-6,
 ) -> float:
-    """Weighted least squares by Levenberg and Marquardt's method; returns the root mean square weighted error.
+    """Weighted least squares by Levenberg and Marquardt's method; returns the root mean square
+    weighted error.
 
-    The Jacobian is formed in single precision, a block of rows at a time; ridge weighs the squares of the values.
-    Steps are taken on a quarter of the rows for the first half of the iterations.
+    The Jacobian is formed in single precision, a block of rows at a time; ridge weighs the squares
+    of the values. Steps are taken on a quarter of the rows for the first half of the iterations.
     """
     x = (samples.inputs - network.input_mean) / network.input_scale
     t = (samples.targets - network.output_mean) / network.output_scale

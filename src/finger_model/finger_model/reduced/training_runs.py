@@ -63,7 +63,7 @@ class Run:
 
 
 def training_case(seed: int, index: int) -> Case:
-    """The index-th training history of a seed: two thirds around the paper's box, the rest over the full range."""
+    """The index-th training history: two thirds around the paper's box, the rest over the range."""
     rng = np.random.default_rng([seed, index])
     wide = index % 3 == 2
     parameters = random_parameters(rng, PARAMETERS.range) if wide else training_parameters(rng)
@@ -85,6 +85,14 @@ def held_out_case(seed: int, index: int) -> Case:
     return Case(parameters, time, force, kind)
 
 
+def wide_held_out_case(seed: int, index: int) -> Case:
+    """The index-th held-out history over the whole range of parameters, to a peak of 0.15–3 N."""
+    rng = np.random.default_rng([seed, index, 2])
+    peak = float(np.exp(rng.uniform(np.log(0.15), np.log(3.0))))
+    kind = KINDS[index % len(KINDS)]
+    return Case(random_parameters(rng, PARAMETERS.range), *random_history(rng, kind, peak), kind)
+
+
 def weight_of(model: FullOrderModel) -> np.ndarray:
     """Quadrature weights (E_bulk, 4, 1) of the bulk, over the pad's volume scale."""
     bulk = model.mesh.part == BULK
@@ -102,7 +110,10 @@ def internal_field(stepper: Stepper) -> tuple[np.ndarray, np.ndarray]:
 def run_case(
     model: FullOrderModel, case: Case, modes: np.ndarray | None, friction: float
 ) -> tuple[Run, np.ndarray]:
-    """Run one case; modes (k, E_bulk·16), already weighted. Also returns some fields B for the choice of modes."""
+    """Run one case; also returns some fields B, for the choice of modes.
+
+    modes (k, E_bulk·16): already weighted.
+    """
     material = StandardLinearSolid(friction=friction).with_vector(case.parameters)
     stepper = model.start(material, float(case.time[0]))
     rows, internal, total, fields = [], [], [], []
@@ -139,7 +150,10 @@ def run_case(
 
 
 def principal_modes(fields: np.ndarray, weight: np.ndarray, number: int) -> np.ndarray:
-    """Weighted projections (number, n) of the principal components of fields (m, n): a = modes @ field."""
+    """Weighted projections (number, n) on the principal components of fields (m, n).
+
+    The coordinates of a field are modes @ field.
+    """
     root = np.sqrt(weight.ravel())
     scaled = fields * root
     values, vectors = np.linalg.eigh(scaled @ scaled.T)

@@ -29,7 +29,7 @@ def elastic(modulus: float, **others: float) -> Material:
 
 
 def long_term(material: Material) -> Material:
-    """Elastic material with the long-term shear modulus and the bulk modulus of a viscoelastic one."""
+    """Elastic material with long-term shear modulus and bulk modulus of a viscoelastic one."""
     shear, bulk = material.long_term_shear_modulus, material.bulk_modulus
     modulus = 9.0 * bulk * shear / (3.0 * bulk + shear)
     ratio = (3.0 * bulk - 2.0 * shear) / (2.0 * (3.0 * bulk + shear))
@@ -37,7 +37,10 @@ def long_term(material: Material) -> Material:
 
 
 def sphere(radius: float = 10e-3, refinement: float = 1.0) -> FullOrderModel:
-    """Homogeneous half-ball held on its flat side, with a small rigid core; skin and bulk need one modulus."""
+    """Half-ball held on its flat side, with a small rigid core.
+
+    It is homogeneous where skin and soft tissue have one modulus.
+    """
     geometry = Geometry(
         pad_semi_axis_radial=radius,
         pad_semi_axis_axial=radius,

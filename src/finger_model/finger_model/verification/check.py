@@ -11,7 +11,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Measure:
-    """One number and its limits: value in [low, high], either may be None; both None: reported only."""
+    """One number and its limits, each of which may be None; without limits it is reported only."""
 
     what: str
     value: float
@@ -67,7 +67,7 @@ class Panel:
 
 @dataclass
 class Check:
-    """One point of the verification with its numbers and the panels of its figure, if it has one."""
+    """One point of the verification: its numbers, and the panels of its figure if it has one."""
 
     name: str
     title: str

@@ -1,4 +1,4 @@
-"""Limits in time, independent reference curves, energy, smoothness and monotonicity of the finger."""
+"""Finger: limits in time, independent reference curves, energy, smoothness, monotonicity."""
 
 from __future__ import annotations
 

@@ -98,7 +98,7 @@ def coulomb() -> Check:
 
 
 def disc() -> Check:
-    """Thin disc squeezed between a smooth and a rough plane: Coulomb slip all over, the friction hill."""
+    """Thin disc squeezed between a smooth and a rough plane: it slips everywhere."""
     radius, height, friction, squeeze = 10e-3, 0.5e-3, 0.015, 0.004
     modulus, ratio = 30e3, 0.3
     shear = modulus / (2 * (1 + ratio))
@@ -137,9 +137,10 @@ def disc() -> Check:
     return Check(
         "disc",
         "Disc on a rough plane",
-        "A disc of radius 10 mm and height 0.5 mm (30 kPa, ν = 0.3) squeezed by 0.4 % between a smooth and a rough "
-        "plane, μ = 0.015. It slips outwards all over; the slab theory of upsetting (Siebel's friction hill, here "
-        "with an elastic disc) is h (dσ_r/dr + (σ_r − σ_θ)/r) = μ p with Hooke's law and uniform axial strain.",
+        "A disc of radius 10 mm and height 0.5 mm (30 kPa, ν = 0.3) squeezed by 0.4 % between a "
+        "smooth and a rough plane, μ = 0.015. It slips outwards everywhere. The slab theory of "
+        "upsetting (Siebel's friction hill, here with an elastic disc) is "
+        "h (dσ_r/dr + (σ_r − σ_θ)/r) = μ p with Hooke's law and uniform axial strain.",
         [
             Measure("share of slipping nodes", float(slipping), low=0.98),
             Measure(

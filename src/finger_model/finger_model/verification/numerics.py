@@ -37,8 +37,9 @@ def patch_tests() -> Check:
     return Check(
         "patch",
         "Patch tests",
-        "A distorted patch of 16 elements whose outline is stretched by 1.15 and 0.8 must find the homogeneous "
-        "deformation inside. A block of distorted elements pressed flat by 20 % must feel an even pressure.",
+        "A distorted patch of 16 elements whose outline is stretched by 1.15 and 0.8 must find the "
+        "homogeneous deformation inside. A block of distorted elements pressed flat by 20 % must "
+        "have an even pressure.",
         [
             Measure("largest error of position over size", error, high=1e-9),
             Measure(
@@ -68,9 +69,8 @@ def newton() -> Check:
     return Check(
         "newton",
         "Quadratic convergence of Newton's method",
-        "Residuals, relative to the plate's force, of the iterations of one step from 0.9 N to 1 N: "
-        + ", ".join(f"{value:.1e}" for value in residuals)
-        + ".",
+        "Residuals, relative to the plate's force, of the iterations of one step from 0.9 N to "
+        "1 N: " + ", ".join(f"{value:.1e}" for value in residuals) + ".",
         [Measure("order of the last three iterations", order, low=1.7)],
     )
 
@@ -113,8 +113,8 @@ def space(refinements: tuple[float, ...] = (0.5, 1.0, 2.0)) -> Check:
         "Convergence in space",
         "Elastic composite sets of the study, frictionless, on meshes of refinement "
         + ", ".join(f"{r:g}" for r in refinements)
-        + "; the limit is extrapolated from the two finest with order 1.5. Contact edge and clamped rims are "
-        "singular, so that the full order 2 of the element is not reached.",
+        + "; the limit is extrapolated from the two finest with order 1.5. Contact edge and "
+        "clamped rims are singular, so that the full order 2 of the element is not reached.",
         measures,
         [
             Panel(

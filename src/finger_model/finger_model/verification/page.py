@@ -34,12 +34,12 @@ CHECKS: dict[str, Callable[[], Check]] = {
 
 
 def write_page(checks: Sequence[Check], folder: Path) -> Path:
-    """Write verification.md and figures/verification_*.png into a folder; returns the page's path."""
+    """Write verification.md and figures/verification_*.png into a folder; returns the path."""
     lines = [
         "# Verification of the full-order model",
         "",
-        "Made by `finger-model verify -o docs`. Theory and symbols: [theory.md](theory.md). The mesh",
-        "is the default one (refinement 1) unless the text names another.",
+        "Made by `finger-model verify -o docs`. Theory and symbols: [theory.md](theory.md). The",
+        "mesh is the default one (refinement 1) unless the text names another.",
         "",
         "| check | result |",
         "|---|---|",
