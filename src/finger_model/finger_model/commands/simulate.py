@@ -26,8 +26,8 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
             "Simulate a finger under a force history. The input has the columns time_s,force_n, "
             "the output time_s,force_n,area_mm2,radius_mm,indentation_mm,peak_pressure_kpa with "
             "one row per input row. The finger is at rest before the first row. Without --solver "
-            "the reduced model is used where there is one for the geometry, material and load, and the "
-            "full-order model otherwise."
+            "the reduced model is used where there is one for the geometry, material and load, "
+            "and the full-order model otherwise."
         ),
         example=(
             "finger-model simulate --force force.csv -o contact.csv\n"
