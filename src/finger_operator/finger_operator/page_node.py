@@ -1,13 +1,14 @@
-"""Node that serves the operator's page: thin shell over `page.server` and `page.feed`.
+"""Node that serves the operator's page.
 
-Listens to the suite, shows it, and turns the page's commands into services of the protocol, the force driver and the
-moisture driver.
+It shows the streams and states of the suite, and turns the page's commands into service calls to
+the protocol, the force driver and the moisture driver.
 """
 
 from __future__ import annotations
 
 import asyncio
 import json
+import math
 import queue
 import sys
 import time
@@ -18,10 +19,9 @@ import cv2
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
-from rcl_interfaces.msg import Parameter as ParameterMessage
-from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.clock import Clock, ClockType
+from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
@@ -36,75 +36,27 @@ from finger_common.node import (
     PolledSubscription,
     main_of,
 )
-from finger_common.parameters import Parameter, ParameterTable
+from finger_common.stamps import NANOSECONDS, header_stamp, seconds
+from finger_common.trial_phases import TrialPhase
 from finger_msgs.msg import ContactArea, ContactState, Moisture, Trial
 from finger_msgs.srv import SetMoisture
 
+from .normal_force import NormalForce
+from .page.access import is_loopback
+from .page.commands import COMMANDS
 from .page.feed import ForceMemory, HealthBoard, measured_point, model_point
-from .page.server import PageServer, PageSettings, is_loopback
-
-PARAMETERS = ParameterTable(
-    Parameter(
-        "host",
-        "127.0.0.1",
-        "Address to serve on; 0.0.0.0 for all networks of this machine.",
-        advice="For a tablet set 0.0.0.0 and open the address with the token from the log.",
-    ),
-    Parameter(
-        "port",
-        8080,
-        "TCP port of the page; 0 takes a free one and logs it.",
-        minimum=0,
-        maximum=65535,
-    ),
-    Parameter(
-        "token",
-        "",
-        "Secret that commands must carry; empty: a new one at each start, shown in the log.",
-        advice="Set one to keep a tablet's bookmark valid; other people on the network must not know it.",
-    ),
-    Parameter(
-        "share_images",
-        False,
-        "Send live images beyond this machine. Prints are biometric data.",
-    ),
-    Parameter(
-        "allowed_hosts",
-        [""],
-        "Further host names under which the page may be opened (a reverse proxy's, say).",
-    ),
-    Parameter(
-        "normal_axis",
-        "-z",
-        "Sensor axis along which the force is positive under a press; the model's parameter of the same name.",
-        choices=("+x", "-x", "+y", "-y", "+z", "-z"),
-        advice="If the curve goes down under a press, try the opposite sign.",
-    ),
-    Parameter(
-        "display_rate",
-        100.0,
-        "Force samples a second that the page shows; a quarter as many of the model's areas.",
-        "Hz",
-        5.0,
-        1000.0,
-        advice="Lower it when the page node needs too much of the processor.",
-    ),
-    Parameter("image_width", 640, "Width of the live image.", "pixel", 64, 4096, runtime=True),
-    Parameter("jpeg_quality", 80, "Quality of the live image.", "", 10, 100, runtime=True),
-)
-
+from .page.server import PageServer
+from .page.settings import PageSettings
 
 POLL = 0.04
-"""s between looks for force samples and estimates."""
+"""s between readings of force samples and estimates."""
 
-
-def stamp_of(header: Any) -> int:
-    """Stamp of a header in ns."""
-    return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
+Answer = Future[tuple[bool, str]]
+"""Success and a sentence, for the browser that gave a command."""
 
 
 def picture(message: Image) -> np.ndarray | None:
-    """Image (H, W) or (H, W, 3) in OpenCV's order of colours; None for an encoding the page does not show."""
+    """Image (H, W) or (H, W, 3) in OpenCV's order of colours; None for an unknown encoding."""
     channels = {"mono8": 1, "rgb8": 3, "bgr8": 3}.get(message.encoding)
     if channels is None or message.height * message.step != len(message.data):
         return None
@@ -119,35 +71,23 @@ def picture(message: Image) -> np.ndarray | None:
 class PageNode(ManagedNode):
     """Serves the page while active."""
 
-    TABLE = PARAMETERS
+    SETTINGS = (PageSettings,)
     NAME = "page"
 
     def configure(self) -> None:
-        # The server's thread must not wait 5 ms for each turn of the thread that takes the force samples.
+        # The server's thread must not wait 5 ms for the thread that reads the force samples.
         sys.setswitchinterval(0.001)
-        values = self.values
+        settings = self.settings(PageSettings)
         self._health = Health("page")
         self.healths = [self._health]
-        axis = values["normal_axis"]
-        self._axis, self._sign = axis[1], -1.0 if axis[0] == "-" else 1.0
-        self._jobs: queue.SimpleQueue[tuple[str, dict[str, Any], Future[tuple[bool, str]]]] = (
-            queue.SimpleQueue()
-        )
+        self._normal_force = NormalForce(settings.normal_axis)
+        self._jobs: queue.SimpleQueue[tuple[str, dict[str, Any], Answer]] = queue.SimpleQueue()
         self._job_waits = self.create_guard_condition(self._serve_jobs)
-        self._server = PageServer(
-            PageSettings(
-                host=values["host"],
-                port=values["port"],
-                token=values["token"],
-                share_images=values["share_images"],
-                allowed_hosts=tuple(name for name in values["allowed_hosts"] if name),
-            ),
-            self._command,
-        )
+        self._server = PageServer(settings, self._command)
         self._triggers: dict[str, Any] = {}
         self._parameters_client = self.create_client(SetParameters, "protocol/set_parameters")
         self._moisture_client = self.create_client(SetMoisture, "moisture/set_moisture")
-        for name in ("start", "pause", "resume", "redo", "repeat", "skip", "close"):
+        for name in COMMANDS.keys() - {"tare", "moisture", "preparation", "configure"}:
             self._triggers[name] = self.create_client(Trigger, f"protocol/{name}")
         self._triggers["tare"] = self.create_client(Trigger, "force/tare")
 
@@ -164,7 +104,7 @@ class PageNode(ManagedNode):
         self._health.notes["address"] = self._server.url
         qos = self.stream_qos()
         deep = self.stream_qos(max(self.values["qos_depth"], POLLED_DEPTH))
-        # Two streams of 500 Hz would leave the cue waiting for the processor if the executor went round for each sample.
+        # An executor round for each sample of two 500 Hz streams would delay the cue.
         self._wrench = PolledSubscription(self, WrenchStamped, "wrench", deep)
         self._state = PolledSubscription(self, ContactState, "contact_state", deep)
         self._inputs = [
@@ -204,7 +144,7 @@ class PageNode(ManagedNode):
     # What is shown ---------------------------------------------------------------------------
 
     def _poll(self) -> None:
-        period = 1e9 / self.values["display_rate"]
+        period = NANOSECONDS / self.values["display_rate"]
         for data, _ in self._wrench.take():
             stamp = stamp_of_cdr(data)
             if not 0 <= stamp - self._last_force < period:
@@ -217,10 +157,10 @@ class PageNode(ManagedNode):
                 self._show_state(deserialize_message(data, ContactState))
 
     def _show_force(self, stamp: int, message: WrenchStamped) -> None:
-        force = self._sign * getattr(message.wrench.force, self._axis)
+        force = self._normal_force(message)
         self._memory.add(stamp, force)
-        if force == force:
-            self._server.publish_force(stamp * 1e-9, force)
+        if math.isfinite(force):
+            self._server.publish_force(seconds(stamp), force)
         self._health.sample()
 
     def _show_state(self, message: ContactState) -> None:
@@ -233,7 +173,7 @@ class PageNode(ManagedNode):
     def _on_area(self, message: ContactArea) -> None:
         self._poll()
         point = measured_point(
-            self._memory, stamp_of(message.header), message.gross_area, message.flags
+            self._memory, header_stamp(message), message.gross_area, message.flags
         )
         if point:
             self._server.publish_point("measured", point)
@@ -244,8 +184,12 @@ class PageNode(ManagedNode):
 
     def _on_trial(self, message: Trial) -> None:
         self._server.publish_cue(
-            stamp_of(message.header),
-            {"phase": message.phase, "index": message.index, "note": message.note},
+            header_stamp(message),
+            {
+                "phase": TrialPhase(message.phase).name.lower(),
+                "index": message.index,
+                "note": message.note,
+            },
         )
 
     def _on_status(self, message: String) -> None:
@@ -268,7 +212,7 @@ class PageNode(ManagedNode):
             self._health.notes["cue_latency_ms"] = f"{latencies[-1] * 1e3:.0f}"
 
     def _watch_images(self, wanted: bool) -> None:
-        # The overlay is made only while somebody looks.
+        # The overlay is made only while a browser shows it.
         if wanted and self._image_subscription is None:
             self._image_subscription = self.create_stream_subscription(
                 Image, "contact_image", self._on_image, self.stream_qos(1)
@@ -289,13 +233,13 @@ class PageNode(ManagedNode):
         options = [cv2.IMWRITE_JPEG_QUALITY, self.values["jpeg_quality"]]
         good, jpeg = cv2.imencode(".jpg", np.ascontiguousarray(image), options)
         if good:
-            self._server.publish_image(jpeg.tobytes(), stamp_of(message.header))
+            self._server.publish_image(jpeg.tobytes(), header_stamp(message))
 
     # Commands --------------------------------------------------------------------------------
 
     async def _command(self, name: str, arguments: dict[str, Any]) -> tuple[bool, str]:
         """Runs in the server's thread; the node's own thread does the work."""
-        future: Future[tuple[bool, str]] = Future()
+        future: Answer = Future()
         self._jobs.put((name, arguments, future))
         self._job_waits.trigger()
         return await asyncio.wrap_future(future)
@@ -308,9 +252,7 @@ class PageNode(ManagedNode):
                 return
             self._begin(name, arguments, future)
 
-    def _begin(
-        self, name: str, arguments: dict[str, Any], future: Future[tuple[bool, str]]
-    ) -> None:
+    def _begin(self, name: str, arguments: dict[str, Any], future: Answer) -> None:
         if name == "moisture":
             step = self._status.get("step")
             phase = {
@@ -329,9 +271,9 @@ class PageNode(ManagedNode):
             lines = [f"{condition}: {' '.join(text.split())}" for condition, text in texts.items()]
             self._set_parameters({"preparations": lines}, future)
         elif name == "repeat":
-            selected: Future[tuple[bool, str]] = Future()
+            selected: Answer = Future()
 
-            def then(done: Future[tuple[bool, str]]) -> None:
+            def then(done: Answer) -> None:
                 good, reason = done.result()
                 self._trigger("repeat", future) if good else future.set_result((False, reason))
 
@@ -340,22 +282,18 @@ class PageNode(ManagedNode):
         else:
             self._trigger(name, future)
 
-    def _trigger(self, name: str, future: Future[tuple[bool, str]]) -> None:
+    def _trigger(self, name: str, future: Answer) -> None:
         who = "force driver" if name == "tare" else "protocol node"
         self._call(self._triggers[name], Trigger.Request(), future, f"the {who} is not running")
 
-    def _set_parameters(self, values: dict[str, Any], future: Future[tuple[bool, str]]) -> None:
+    def _set_parameters(self, values: dict[str, Any], future: Answer) -> None:
         request = SetParameters.Request(
-            parameters=[
-                ParameterMessage(name=k, value=parameter_value(v)) for k, v in values.items()
-            ]
+            parameters=[Parameter(k, value=v).to_parameter_msg() for k, v in values.items()]
         )
         absent = "the protocol node is not running"
         self._call(self._parameters_client, request, future, absent)
 
-    def _call(
-        self, client: Any, request: Any, future: Future[tuple[bool, str]], absent: str
-    ) -> None:
+    def _call(self, client: Any, request: Any, future: Answer, absent: str) -> None:
         if not client.service_is_ready():
             future.set_result((False, absent))
             return
@@ -371,17 +309,6 @@ class PageNode(ManagedNode):
                 future.set_result((response.success, response.message))
 
         client.call_async(request).add_done_callback(answered)
-
-
-def parameter_value(value: Any) -> ParameterValue:
-    """A value as a parameter message."""
-    if isinstance(value, float):
-        return ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
-    if isinstance(value, int):
-        return ParameterValue(type=ParameterType.PARAMETER_INTEGER, integer_value=value)
-    if isinstance(value, str):
-        return ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value)
-    return ParameterValue(type=ParameterType.PARAMETER_STRING_ARRAY, string_array_value=list(value))
 
 
 main = main_of(PageNode)

@@ -13,14 +13,11 @@ import aiohttp
 import pytest
 
 from finger_common.errors import InputError
+from finger_operator.page.access import is_loopback
+from finger_operator.page.commands import COMMANDS, check_command
 from finger_operator.page.feed import ForceMemory, HealthBoard, measured_point, model_point
-from finger_operator.page.server import (
-    COMMANDS,
-    PageServer,
-    PageSettings,
-    check_command,
-    is_loopback,
-)
+from finger_operator.page.server import PageServer
+from finger_operator.page.settings import PageSettings
 
 
 class Served:
@@ -255,17 +252,17 @@ def test_cues_are_never_dropped_and_come_before_the_rest(served: Served) -> None
 def test_late_browser_learns_state_and_cue_participant_only_the_cue(served: Served) -> None:
     served.server.publish("status", {"step": "prepare"})
     served.server.publish("health", {"items": []})
-    served.server.publish_cue(time.time_ns(), {"phase": 1})
+    served.server.publish_cue(time.time_ns(), {"phase": "prepare"})
 
     async def body(session: aiohttp.ClientSession) -> None:
         async with served.connect(session) as socket:
-            assert (await next_of(socket, "cue"))["phase"] == 1
+            assert (await next_of(socket, "cue"))["phase"] == "prepare"
             assert (await next_of(socket, "status"))["step"] == "prepare"
         async with served.connect(session, "participant") as socket:
             await next_of(socket, "cue")
             served.server.publish("status", {"step": "press"})
             served.server.publish_force(0.0, 1.0)
-            served.server.publish_cue(time.time_ns(), {"phase": 4})
+            served.server.publish_cue(time.time_ns(), {"phase": "lift"})
             kinds = []
             while "cue" not in kinds:
                 kinds.append(json.loads((await socket.receive()).data)["type"])
@@ -285,7 +282,7 @@ def test_images_go_to_watchers_only(served: Served) -> None:
             message = await watcher.receive()
             assert message.type is aiohttp.WSMsgType.BINARY
             assert message.data == (7).to_bytes(8, "little") + b"jpeg"
-            served.server.publish_cue(time.time_ns(), {"phase": 1})
+            served.server.publish_cue(time.time_ns(), {"phase": "prepare"})
             await next_of(other, "hello")
             assert (await other.receive()).type is aiohttp.WSMsgType.TEXT, "no image for the other"
         async with served.connect(session, "participant") as participant:
@@ -337,7 +334,7 @@ def test_shown_cue_gives_its_delay_from_the_force_sample(served: Served) -> None
     async def body(session: aiohttp.ClientSession) -> None:
         async with served.connect(session) as socket:
             await next_of(socket, "hello")
-            served.server.publish_cue(time.time_ns() - 30_000_000, {"phase": 4})
+            served.server.publish_cue(time.time_ns() - 30_000_000, {"phase": "lift"})
             cue = await next_of(socket, "cue")
             await socket.send_json({"type": "shown", "id": cue["id"]})
             await socket.send_json({"type": "shown", "id": 12345})
@@ -360,12 +357,12 @@ def test_force_memory_interpolates_and_forgets() -> None:
     assert memory.at(0) == 9.0
 
 
-def test_health_not_heard_of_is_stale() -> None:
+def test_health_of_a_silent_node_is_stale() -> None:
     board = HealthBoard()
     board.add(0.0, "finger/force: sensor", 0, "active", {"measured_rate_hz": "500"})
     assert board.snapshot(1.0)[0]["level"] == 0
     late = board.snapshot(5.0)[0]
-    assert late["level"] == 3 and "not heard" in late["message"]
+    assert late["level"] == 3 and "silent" in late["message"]
     for k in range(1000):
         board.add(1.0, f"n{k}", 0, "", {})
     assert len(board.snapshot(1.0)) <= HealthBoard.LIMIT

@@ -10,11 +10,12 @@ from bisect import bisect_left
 from collections import deque
 from typing import Any
 
-MEMORY = 4_000_000_000
-"""ns of force kept to give an image its force; more than any camera and vision take."""
+from finger_common.diagnostics import STALE
+from finger_common.flags import AreaFlag
+from finger_common.stamps import NANOSECONDS
 
-NO_CONTACT = 1
-"""ContactArea.FLAG_NO_CONTACT."""
+MEMORY = 4 * NANOSECONDS
+"""ns of force kept to give an image its force; more than any camera and vision take."""
 
 
 class ForceMemory:
@@ -55,7 +56,7 @@ def measured_point(
 ) -> list[float] | None:
     """[force N, area mm²] of one measured area (m²), or None where there is no contact or no force."""
     force = memory.at(stamp_ns)
-    if force is None or flags & NO_CONTACT or not math.isfinite(area) or force <= 0:
+    if force is None or flags & AreaFlag.NO_CONTACT or not math.isfinite(area) or force <= 0:
         return None
     return [round(force, 4), round(area * 1e6, 3)]
 
@@ -68,7 +69,7 @@ def model_point(force: float, area: float) -> list[float] | None:
 
 
 class HealthBoard:
-    """Newest status of every node and device of /diagnostics; one not heard for 3 s is stale."""
+    """Newest status of every node and device of /diagnostics; one silent for 3 s is stale."""
 
     STALE_AFTER = 3.0
     LIMIT = 64
@@ -80,7 +81,12 @@ class HealthBoard:
         """One status at time `now` (s, steady)."""
         if name not in self._entries and len(self._entries) >= self.LIMIT:
             return
-        entry = {"name": name, "level": min(max(level, 0), 3), "message": message, "values": values}
+        entry = {
+            "name": name,
+            "level": min(max(level, 0), STALE),
+            "message": message,
+            "values": values,
+        }
         self._entries[name] = (now, entry)
 
     def snapshot(self, now: float) -> list[dict[str, Any]]:
@@ -89,7 +95,7 @@ class HealthBoard:
         for name in sorted(self._entries):
             heard, entry = self._entries[name]
             if now - heard > self.STALE_AFTER:
-                age = f"not heard for {now - heard:.0f} s"
-                entry = {**entry, "level": 3, "message": age}
+                age = f"silent for {now - heard:.0f} s"
+                entry = {**entry, "level": STALE, "message": age}
             result.append(entry)
         return result

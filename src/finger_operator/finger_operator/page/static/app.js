@@ -1,5 +1,5 @@
 // The operator's page. State comes over one WebSocket; every command goes back over it with the page's token.
-import { Link, PHASES, draw, whenShown } from "./cue.js";
+import { Link, draw, whenShown } from "./cue.js";
 import { areaPlot, forcePlot } from "./plot.js";
 
 const $ = (id) => document.getElementById(id);
@@ -7,7 +7,7 @@ const token = document.querySelector("meta[name=token]").content;
 const SPAN = 10;
 
 const state = {
-  status: { step: "closed" }, cue: null, force: [], target: 1.35, health: [], answers: new Map(),
+  status: { step: "closed" }, cue: null, force: [], target: 1, health: [], answers: new Map(),
   now: { measured: [], model: [] }, before: { measured: [], model: [] }, number: 0, imageUrl: null, area: null,
 };
 let dirty = true;
@@ -52,12 +52,13 @@ function pauseOrResume() {
 }
 
 function openSession() {
-  const plan = state.status.plan || {};
-  $("plan-subject").value = plan.subject || "";
-  $("plan-conditions").value = (plan.conditions || ["dry", "natural", "moist"]).join(", ");
-  $("plan-trials").value = plan.trials ?? 15;
-  $("plan-readings").value = plan.readings ?? 3;
-  $("plan-target").value = plan.target_force ?? 1.35;
+  const plan = state.status.plan;
+  if (!plan) return tell("The protocol node is not running.", false);
+  $("plan-subject").value = plan.subject;
+  $("plan-conditions").value = plan.conditions.join(", ");
+  $("plan-trials").value = plan.trials;
+  $("plan-readings").value = plan.readings;
+  $("plan-target").value = plan.target_force;
   $("plan-error").textContent = "";
   $("session-dialog").showModal();
 }
@@ -79,8 +80,7 @@ async function beginSession(event) {
 // Cue -----------------------------------------------------------------------------------------
 
 function showCue(message) {
-  const phase = PHASES[message.phase] || "idle";
-  const began = phase === "press" && (!state.cue || state.cue.phase !== message.phase);
+  const began = message.phase === "press" && (!state.cue || state.cue.phase !== message.phase);
   state.cue = message;
   drawCue();
   // The frame that carries the cue carries nothing else that takes time to draw.
@@ -99,7 +99,7 @@ function showCue(message) {
 
 function drawCue() {
   const s = state.status;
-  let name = state.cue ? PHASES[state.cue.phase] || "idle" : "idle";
+  let name = state.cue ? state.cue.phase : "idle";
   if (s.step === "closed") name = "closed";
   else if (s.paused) name = "paused";
   // Press and lift are the cue's own; the finer steps come with the status.
@@ -357,7 +357,7 @@ function frame(now) {
     bar.setAttribute("aria-valuenow", (force || 0).toFixed(2));
     bar.setAttribute("aria-valuemax", (state.target * 1.25).toFixed(2));
     // Just before the cue to lift the plots wait, for half a second at most: a plot being drawn would hold the cue up.
-    const pressing = state.cue && PHASES[state.cue.phase] === "press";
+    const pressing = state.cue && state.cue.phase === "press";
     if (!(pressing && force > 0.8 * state.target && now - plotted < 500)) {
       plotted = now;
       forcePlot($("force-plot"), state.force, state.target, SPAN);
@@ -386,7 +386,7 @@ $("session-form").onsubmit = beginSession;
 $("moisture-form").onsubmit = async (event) => {
   event.preventDefault();
   const text = $("moisture-input").value;
-  if (text === "") return tell("Type a reading of 0 to 130 a.u. first.", false);
+  if (text === "") return tell(`Type a reading of ${$("moisture-input").placeholder} a.u. first.`, false);
   const answer = await command("moisture", { value: Number(text) });
   if (answer.success) { $("moisture-input").value = ""; $("moisture-input").blur(); }
 };

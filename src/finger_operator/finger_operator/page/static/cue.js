@@ -1,6 +1,4 @@
-// The cue, shared by the operator's page and the participant's view. Word, shape and colour say the same thing.
-
-export const PHASES = ["idle", "prepare", "moisture_before", "press", "lift", "moisture_after", "done", "failed", "paused"];
+// The cue, shared by the operator's page and the participant's view: word, shape and colour.
 
 const ARROWS = {
   press: "M40 8h20v46h22L50 92 18 54h22z",
@@ -41,7 +39,7 @@ export function whenShown(callback) {
   });
 }
 
-// A socket that comes back by itself.
+// A socket that connects again by itself.
 export class Link {
   constructor(view, receive, state) {
     this.view = view;

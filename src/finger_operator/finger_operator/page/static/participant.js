@@ -1,13 +1,15 @@
-import { Link, PHASES, draw } from "./cue.js";
+import { Link, draw } from "./cue.js";
 
-const words = { idle: "Please wait", prepare: "Please wait", moisture_before: "Moisture", moisture_after: "Moisture", done: "Thank you", failed: "Once more", paused: "Break" };
+const words = {
+  idle: "Please wait", prepare: "Please wait", moisture_before: "Moisture",
+  moisture_after: "Moisture", done: "Thank you", failed: "Once more", paused: "Break",
+};
 
 new Link("participant", (data) => {
   if (typeof data !== "string") return;
   const message = JSON.parse(data);
   if (message.type !== "cue") return;
-  const phase = PHASES[message.phase];
-  draw(phase, words[phase]);
+  draw(message.phase, words[message.phase]);
 }, (connected) => {
   if (!connected) draw("idle", "Please wait");
 });

@@ -1,0 +1,56 @@
+"""The commands of the page, with the names and types of their arguments."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from finger_common.errors import InputError
+
+COMMANDS: dict[str, dict[str, type]] = {
+    "start": {},
+    "pause": {},
+    "resume": {},
+    "redo": {},
+    "skip": {},
+    "close": {},
+    "tare": {},
+    "repeat": {"index": int},
+    "moisture": {"value": float},
+    "preparation": {"condition": str, "text": str},
+    "configure": {
+        "subject": str,
+        "conditions": list,
+        "trials": int,
+        "readings": int,
+        "target_force": float,
+    },
+}
+
+
+def check_command(message: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
+    """Name and checked arguments of a command; raises InputError naming what is wrong with it."""
+    name = message.get("name")
+    if not isinstance(name, str) or name not in COMMANDS:
+        raise InputError("no such command")
+    given = message.get("arguments", {})
+    wanted = COMMANDS[name]
+    if not isinstance(given, dict) or set(given) != set(wanted):
+        raise InputError(f"command '{name}' takes the arguments {', '.join(wanted) or 'none'}")
+    arguments = {}
+    for key, kind in wanted.items():
+        value: Any = given[key]
+        if kind is float and type(value) is int:
+            value = float(value)
+        if not isinstance(value, kind) or isinstance(value, bool):
+            raise InputError(f"command '{name}': '{key}' is not a {kind.__name__}")
+        if isinstance(value, float) and not abs(value) < 1e9:
+            raise InputError(f"command '{name}': '{key}' is not a finite number")
+        if isinstance(value, int) and not 0 <= value < 1_000_000:
+            raise InputError(f"command '{name}': '{key}' is out of range")
+        if isinstance(value, list) and not (
+            0 < len(value) < 100 and all(isinstance(v, str) for v in value)
+        ):
+            raise InputError(f"command '{name}': '{key}' is not a list of names")
+        arguments[key] = value
+    return name, arguments

@@ -1,0 +1,57 @@
+"""Parameters of the page: where it is served, to whom, and what it shows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from finger_common.axes import DEFAULT_NORMAL_AXIS, NORMAL_AXES
+from finger_common.settings import Settings, setting
+
+
+@dataclass(frozen=True)
+class PageSettings(Settings):
+    """Parameters of the page node."""
+
+    host: str = setting(
+        "127.0.0.1",
+        "Address to serve on; 0.0.0.0 for all networks of this machine.",
+        advice="For a tablet set 0.0.0.0 and open the address with the token from the log.",
+    )
+    port: int = setting(
+        8080,
+        "TCP port of the page; 0 selects a free one, which the log names.",
+        minimum=0,
+        maximum=65535,
+    )
+    token: str = setting(
+        "",
+        "Secret that commands must carry; empty: a new one at each start, shown in the log.",
+        advice="Set one to keep a tablet's bookmark valid; other people on the network must not "
+        "know it.",
+    )
+    share_images: bool = setting(
+        False, "Send live images beyond this machine. Prints are biometric data."
+    )
+    allowed_hosts: list = setting(
+        [""],
+        "Further host names under which the page may be opened, such as that of a reverse proxy.",
+    )
+    normal_axis: str = setting(
+        DEFAULT_NORMAL_AXIS,
+        "Sensor axis along which the force is positive under a press; the model's parameter of "
+        "the same name.",
+        choices=NORMAL_AXES,
+        advice="If the curve goes down under a press, try the opposite sign.",
+    )
+    display_rate: float = setting(
+        100.0,
+        "Force samples per second that the page shows; a quarter as many of the model's areas.",
+        "Hz",
+        5.0,
+        1000.0,
+        advice="Lower it when the page node needs too much of the processor.",
+    )
+    image_width: int = setting(640, "Width of the live image.", "pixel", 64, 4096, runtime=True)
+    jpeg_quality: int = setting(
+        80, "Quality of the live image.", minimum=10, maximum=100, runtime=True
+    )

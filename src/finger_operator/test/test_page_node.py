@@ -1,0 +1,90 @@
+"""The page node over DDS, with a WebSocket in place of a browser."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import re
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+
+def test_commands_reach_the_protocol_and_its_cues_come_back(
+    ros_domain: int, process: Any, free_port: Callable[[], int], tmp_path: Path
+) -> None:
+    port = free_port()
+
+    def start(module: str, *parameters: str) -> None:
+        flags = [flag for parameter in parameters for flag in ("-p", parameter)]
+        process("-m", f"finger_operator.{module}", "--ros-args", *flags)
+
+    start("protocol_node", f"output:={tmp_path}", "need_recorder:=false")
+    start("page_node", f"port:={port}")
+
+    async def page(session: aiohttp.ClientSession) -> str:
+        end = time.monotonic() + 60
+        while time.monotonic() < end:
+            try:
+                async with session.get(f"http://127.0.0.1:{port}/") as answer:
+                    return await answer.text()
+            except aiohttp.ClientError:
+                await asyncio.sleep(0.2)
+        raise AssertionError("the page is not served")
+
+    async def run() -> None:
+        async with aiohttp.ClientSession() as session:
+            text = await page(session)
+            assert "{{" not in text
+            assert 'id="plan-trials" type="number" min="1" max="1000"' in text
+            token = re.search(r'name="token" content="([^"]+)"', text)
+            assert token is not None
+            url, origin = f"http://127.0.0.1:{port}/ws", f"http://127.0.0.1:{port}"
+            async with session.ws_connect(url, headers={"Origin": origin}) as socket:
+                numbers = itertools.count()
+                received: list[dict[str, Any]] = []
+
+                async def receive(kind: str, **wanted: Any) -> dict[str, Any]:
+                    """The first message of that kind and content, also one that came before."""
+                    wanted["type"] = kind
+                    for message in received:
+                        if wanted.items() <= message.items():
+                            return message
+                    while True:
+                        received.append(await socket.receive_json())
+                        if wanted.items() <= received[-1].items():
+                            return received[-1]
+
+                async def command(name: str, **arguments: Any) -> dict[str, Any]:
+                    number = next(numbers)
+                    await socket.send_json(
+                        {
+                            "type": "command",
+                            "name": name,
+                            "arguments": arguments,
+                            "token": token[1],
+                            "id": number,
+                        }
+                    )
+                    return await receive("answer", id=number)
+
+                closed = await receive("status", step="closed")
+                assert closed["plan"]["trials"] == 15
+                plan = {"conditions": ["dry"], "trials": 2, "readings": 3, "target_force": 1.2}
+                refused = await command("configure", subject="S01", **{**plan, "trials": 0})
+                assert not refused["success"] and "1 … 1000" in refused["message"]
+                assert (await command("configure", subject="S01", **plan))["success"]
+                assert (await command("start"))["success"]
+                assert (await receive("cue", phase="prepare"))["index"] == 0
+                assert (await receive("status", step="prepare"))["target_force"] == 1.2
+                assert (await command("repeat", index=1))["success"]
+                await receive("status", index=1)
+                assert not (await command("tare"))["success"], "no force driver runs"
+
+    asyncio.run(asyncio.wait_for(run(), 45))
