@@ -69,18 +69,26 @@ class McapWriter:
         self._compress = COMPRESSORS[compression]()
         self.size = 0
         """Bytes written."""
-        self.total = 0
-        """Messages added."""
         self.start = self.end = 0
         """First and last log time (ns); meaningful once there is a message."""
-        self.counts: dict[int, int] = {}
-        """Messages by channel."""
+        self._counts: dict[int, int] = {}
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
         self._attachments: list[AttachmentIndex] = []
         self._metadata: list[MetadataIndex] = []
         self._chunks: list[ChunkIndex] = []
         self._begin_chunk()
+
+    @property
+    def counts(self) -> dict[int, int]:
+        """Messages by channel, the chunk in progress included."""
+        waiting = {channel: len(index) // 2 for channel, index in list(self._index.items())}
+        return {channel: n + waiting.get(channel, 0) for channel, n in self._counts.items()}
+
+    @property
+    def total(self) -> int:
+        """Messages added."""
+        return sum(self._counts.values()) + len(self._times)
 
     def write_header(self, profile: str, library: str) -> None:
         """Begin the file."""
@@ -103,7 +111,7 @@ class McapWriter:
             metadata=metadata,
         )
         self._channels.append(channel)
-        self.counts[channel.id] = 0
+        self._counts[channel.id] = 0
         self._add_to_chunk(_bytes_of(channel))
         return channel.id
 
@@ -116,12 +124,13 @@ class McapWriter:
         """
         length = len(data)
         head = _MESSAGE.pack(5, _HEAD + length, channel_id, sequence, log_time, publish_time)
-        self._index[channel_id] += (log_time, self._chunk_bytes)
-        self._parts += (head, data)
+        index = self._index[channel_id]
+        index.append(log_time)
+        index.append(self._chunk_bytes)
+        self._parts.append(head)
+        self._parts.append(data)
         self._times.append(log_time)
         self._chunk_bytes += _MESSAGE.size + length
-        self.counts[channel_id] += 1
-        self.total += 1
         if self._chunk_bytes > self._chunk_size:
             self._end_chunk()
 
@@ -222,6 +231,7 @@ class McapWriter:
             offsets[channel_id] = self.size
             body = struct.pack(f"<HI{len(entries)}Q", channel_id, 8 * len(entries), *entries)
             self._write(_RECORD.pack(Opcode.MESSAGE_INDEX, len(body)) + body)
+            self._counts[channel_id] += len(entries) // 2
         self._chunks.append(
             ChunkIndex(
                 message_start_time=first,
