@@ -1,11 +1,12 @@
-"""Latency and losses of `contact_state`: load generator, model node and a counting third process over DDS.
+"""Latency and losses of `contact_state`: load, model node and a counting process, over DDS.
 
-The generator publishes `wrench` with the publish time as stamp and `contact_area` at 10 Hz; for one finger another
-process publishes images of 1280 × 1024 at 10 Hz, which the vision node works on. The model node's own figure counts from the middleware's receive time of the
-wrench to the return of publish, so waiting in its queue counts; it is read from /diagnostics. The end-to-end figure is
-from the generator's publish to the receipt by the third process.
+The load publishes `wrench` with the publish time as stamp, and `contact_area` at 10 Hz. For one
+finger another process publishes images of 1280 × 1024 at 10 Hz, which the vision node processes. The
+model node's own figure counts from the middleware's receive time of the wrench to the return of
+publish, waiting in its queue included; it is read from /diagnostics. The end-to-end figure is from
+the load's publish to the receipt by the counting process.
 
-`python bench/bench_contact_state.py --rate 500 --fingers 1 --duration 60` runs one case by itself.
+`python bench/bench_contact_state.py --rate 500 --fingers 1 --duration 60` runs one case.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from finger_common.stamps import fill_time, header_stamp
 
 FULL_DURATION = 60.0
 SHORT_DURATION = 10.0
@@ -75,13 +78,12 @@ def send(rate: float, fingers: int, duration: float, result: Path) -> None:
         message.wrench.force.z = -float(force[i])
         for publisher in wrench:
             now = time.time_ns()
-            message.header.stamp.sec, message.header.stamp.nanosec = divmod(now, 10**9)
+            fill_time(message.header.stamp, now)
             publisher.publish(message)
             sent[i] = now
         if i % every == every // 2:
             # The image of 60 ms ago has gone through camera and vision.
-            stamp = divmod(sent[i] - 60_000_000, 10**9)
-            measured.header.stamp.sec, measured.header.stamp.nanosec = map(int, stamp)
+            fill_time(measured.header.stamp, sent[i] - 60_000_000)
             measured.gross_area = float(50e-6 * force[i] ** 0.7)
             measured.area_stddev = 1.5e-6
             measured.flags = 0 if force[i] > 0.05 else 1
@@ -113,13 +115,13 @@ def photograph() -> None:
     print_like = (np.hypot(x - 640, y - 512) < 250) & (np.sin(0.6 * np.hypot(x - 500, y)) > 0)
     picture.data = np.where(print_like, 160, 30).astype(np.uint8).tobytes()
     while True:
-        picture.header.stamp.sec, picture.header.stamp.nanosec = divmod(time.time_ns(), 10**9)
+        fill_time(picture.header.stamp, time.time_ns())
         publisher.publish(picture)
         time.sleep(0.1)
 
 
 def count(fingers: int, result: Path) -> None:
-    """Count contact_state messages and their delay until SIGTERM; writes stamps, delays and the nodes' figures."""
+    """Count contact_state messages until SIGTERM; writes their number, delays and nodes' figures."""
     import rclpy
     from diagnostic_msgs.msg import DiagnosticArray
     from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -135,7 +137,7 @@ def count(fingers: int, result: Path) -> None:
     subscriptions = []
 
     def take(which: int, message: Any, info: Any) -> None:
-        stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+        stamp = header_stamp(message)
         stamps[which].append(stamp)
         delays.append(info["received_timestamp"] - stamp)
 

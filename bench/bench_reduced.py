@@ -27,7 +27,7 @@ PAIRS = 204
 def step_times(number: int = 20000) -> np.ndarray:
     """Times (number,) in s of single steps through Python, on a press with 500 Hz."""
     model = ReducedModel.load()
-    state = model.start(np.array([140e3, 22.35e3, 0.5, 1795e3]))
+    state = model.start(model.space.default)
     force = 0.7 + 0.6 * np.sin(np.arange(number) * 0.01)
     for i in range(1000):
         model.step(state, 0.002, force[i])

@@ -1,10 +1,11 @@
-"""Hold a finger's contact area on a plate by regulating the normal force: an example of using `contact_state`.
+"""Hold a finger's contact area on a plate by the normal force: an example of using `contact_state`.
 
     python examples/grasp_controller.py --ros-args -r __ns:=/finger -p target_area:=30.0e-6
 
-Subscribes `contact_state` and answers every state with the force to press with on `grasp_force` (std_msgs/Float64, N).
-The controller itself, `AreaController`, knows no ROS. It opens (0 N) when the state is stale, invalid or has been reset,
-and stays open until the state has been good for a while.
+The node subscribes to `contact_state` and answers every state with the force to press with, on
+`grasp_force` (std_msgs/Float64, N). The controller itself, `AreaController`, uses no ROS. It opens
+(0 N) when the state is stale, invalid or was reset. It presses again only after the state has been
+good for a while.
 """
 
 from __future__ import annotations
@@ -12,17 +13,20 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-OPENING_FLAGS = 1 | 4096 | 8192
-"""FLAG_FORCE_INVALID, FLAG_MODEL_FAILED, FLAG_TIME_RESET of ContactState: open at once."""
+from finger_common.flags import StateFlag
+
+OPENING_FLAGS = StateFlag.FORCE_INVALID | StateFlag.MODEL_FAILED | StateFlag.TIME_RESET
+"""Flags of ContactState at which to open at once."""
 
 
 @dataclass
 class AreaController:
     """Integral control of the normal force, scaled by the model's slope dA/dF.
 
-    target_area: m²; gain: 1/s, of the error in area; approach_rate: N/s before contact; largest_force: N;
-    largest_rate: N/s; largest_step: s, a longer time between two states counts as this; stale_after: s without a
-    state until it opens; settle: s of good states before it presses again. `force` is what to press with (N).
+    target_area: m²; gain: 1/s, of the error in area; approach_rate: N/s before contact;
+    largest_force: N; largest_rate: N/s; largest_step: s, a longer time between two states counts as
+    this; stale_after: s without a state until it opens; settle: s of good states before it presses
+    again. `force` is the force to press with (N), `reason` why it is open.
     """
 
     target_area: float
@@ -48,9 +52,11 @@ class AreaController:
         in_contact: bool,
         flags: int,
     ) -> float:
-        """Force to press with (N), after a contact state with a header `stamp` (s), received at `received` (s).
+        """Force to press with (N) after a contact state.
 
-        The two clocks need not be the same: the stamp tells how long the force has acted, the other what is stale.
+        stamp: of its header (s), from which follows how long the force has acted; received: when it
+        came (s), from which follows when it is stale. The two clocks need not be the same. area: m²;
+        slope: m²/N.
         """
         self.watch(received)
         self._received = received
@@ -71,7 +77,7 @@ class AreaController:
         return self.force
 
     def watch(self, now: float) -> float:
-        """Force to press with (N) at `now` (s, the clock of `received`): opens when the newest state is stale."""
+        """Force to press with (N) at `now` (s, on the clock of `received`); opens when stale."""
         if now - self._received > self.stale_after:
             self._open("contact state is stale")
         return self.force
@@ -90,6 +96,7 @@ def main() -> None:
     from rclpy.qos import QoSProfile, ReliabilityPolicy
     from std_msgs.msg import Float64
 
+    from finger_common.stamps import header_stamp, seconds
     from finger_msgs.msg import ContactState
 
     rclpy.init()
@@ -101,20 +108,20 @@ def main() -> None:
     publisher = node.create_publisher(Float64, "grasp_force", 1)
     # A steady clock: what is stale must not depend on a clock that may stop or be set.
     steady = rclpy.clock.Clock(clock_type=rclpy.clock.ClockType.STEADY_TIME)
-    said = controller.reason
+    logged = controller.reason
 
     def now() -> float:
         return steady.now().nanoseconds * 1e-9
 
     def command(force: float) -> None:
-        nonlocal said
+        nonlocal logged
         publisher.publish(Float64(data=force))
-        if controller.reason != said:
-            said = controller.reason
-            node.get_logger().info(f"open: {said}" if said else "pressing")
+        if controller.reason != logged:
+            logged = controller.reason
+            node.get_logger().info(f"open: {logged}" if logged else "pressing")
 
     def on_state(state: ContactState) -> None:
-        stamp = state.header.stamp.sec + state.header.stamp.nanosec * 1e-9
+        stamp = seconds(header_stamp(state))
         area, slope = state.area, state.area_force_slope
         command(controller.on_state(now(), stamp, area, slope, state.in_contact, state.flags))
 

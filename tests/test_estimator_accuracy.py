@@ -1,7 +1,7 @@
-"""The estimator over sessions of simulated trials: what fusion gains, and whether its standard deviation is honest.
+"""The estimator over sessions of simulated trials: gain by fusion, and its standard deviation.
 
-Truth is the full-order finger of the study (finger_sim); force and area carry the study's measurement noise, areas come at
-10 Hz. Fast variant: the truth is the reduced model with other parameters.
+Truth is the full-order finger of the study (finger_sim). Force and area carry the study's measurement
+noise; areas come at 10 Hz. Fast variant: the truth is the reduced model with other parameters.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from finger_sim.press import plan_press
 from finger_sim.study_trial import AREA_NOISE, FORCE_NOISE, Misfit, misfit_of, stream
 
 NATURAL = condition("natural").material.vector()
-OFF = {
+PARAMETERS = {
     "right": NATURAL,
     "20 % soft": NATURAL * np.array([0.8, 0.8, 1.0, 0.8]),
     "20 % stiff": NATURAL * np.array([1.2, 1.2, 1.0, 1.2]),
@@ -42,7 +42,7 @@ class Trial:
 
 @dataclass
 class Score:
-    """Over all samples in contact: errors of fused, model and measured area (m²) and the standard deviation given."""
+    """Over all samples in contact: errors of fused, model and measured area, and the SD given (m²)."""
 
     fused: np.ndarray
     model: np.ndarray
@@ -120,7 +120,7 @@ def check(score: Score, off: bool) -> None:
 def test_fusion_halves_the_error_of_wrong_parameters(which: str) -> None:
     model = ReducedModel.load()
     trials = [trial_of(1, i, False, model) for i in range(10)]
-    score = session(trials, OFF[which], 1)
+    score = session(trials, PARAMETERS[which], 1)
     assert rms(score.fused) <= 0.5 * rms(score.model)
     assert rms(score.fused) <= 1.1 * rms(score.measured)
     assert score.coverage >= 0.9
@@ -150,9 +150,9 @@ def pooled_score(name: str, parameters: np.ndarray, misfit: bool) -> Score:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("misfit", [False, True])
-@pytest.mark.parametrize("which", list(OFF))
-def test_the_standard_deviation_is_honest_and_sharp(which: str, misfit: bool) -> None:
-    check(pooled_score(which, OFF[which], misfit), which != "right")
+@pytest.mark.parametrize("which", list(PARAMETERS))
+def test_the_standard_deviation_is_calibrated_and_small(which: str, misfit: bool) -> None:
+    check(pooled_score(which, PARAMETERS[which], misfit), which != "right")
 
 
 @pytest.mark.slow

@@ -1,10 +1,14 @@
-"""Node `model`: publishes `contact_state` for every wrench sample, corrected by `contact_area` and `moisture`."""
+"""Node `model`: publishes `contact_state` for every wrench sample.
+
+The estimate is corrected by `contact_area`; its parameters follow `moisture`.
+"""
 
 from __future__ import annotations
 
 import gc
 import json
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -54,7 +58,7 @@ class ModelSettings(Settings):
     )
     force_stale_after: float = setting(
         0.1,
-        "Silence of the wrench from which diagnostics report an error.",
+        "Time without a wrench sample after which diagnostics report an error.",
         unit="s",
         minimum=0.001,
         maximum=60.0,
@@ -62,14 +66,15 @@ class ModelSettings(Settings):
     )
 
 
-DRAIN = 64
-"""Waiting samples taken in one go before other callbacks have their turn."""
+SAMPLES_PER_CALLBACK = 64
+"""Waiting samples processed in one callback, before other callbacks have their turn."""
 
-_STALE = {
+_WARNINGS = {
     StateFlag.MOISTURE_MISSING: "no moisture reading yet, default parameters are in use",
     StateFlag.MOISTURE_STALE: "the moisture reading is older than moisture_stale_after",
     StateFlag.MOISTURE_OUT_OF_RANGE: "the moisture reading lies outside the fitted sets",
-    StateFlag.PARAMETERS_OUT_OF_RANGE: "the material parameters lie outside the reduced model's range",
+    StateFlag.PARAMETERS_OUT_OF_RANGE: "the material parameters lie outside the range of the "
+    "reduced model",
     StateFlag.AREA_STALE: "no area was fused for longer than area_stale_after while in contact",
     StateFlag.FORCE_INVALID: "the force is not a finite number",
     StateFlag.FORCE_OUT_OF_RANGE: "the force is beyond what the reduced model was built for",
@@ -145,21 +150,18 @@ class ModelNode(ManagedNode):
         )
         area = self.create_stream_subscription(ContactArea, "contact_area", self._on_area, qos)
         moisture = self.create_stream_subscription(Moisture, "moisture", self._on_moisture, qos)
+        services = (
+            (Trigger, "~/reset", self._on_reset),
+            (ForceForArea, "~/force_for_area", self._on_force_for_area),
+            (PredictContact, "~/predict", self._on_predict),
+        )
         self._entities = [
             (self.destroy_publisher, self._state_publisher),
             (self.destroy_publisher, self._event_publisher),
             (self.destroy_subscription, self._wrench),
             (self.destroy_subscription, area),
             (self.destroy_subscription, moisture),
-            (self.destroy_service, self.create_service(Trigger, "~/reset", self._on_reset)),
-            (
-                self.destroy_service,
-                self.create_service(ForceForArea, "~/force_for_area", self._on_force_for_area),
-            ),
-            (
-                self.destroy_service,
-                self.create_service(PredictContact, "~/predict", self._on_predict),
-            ),
+            *((self.destroy_service, self.create_service(*service)) for service in services),
         ]
         self._jump_handle = self.get_clock().create_jump_callback(
             JumpThreshold(
@@ -169,9 +171,10 @@ class ModelNode(ManagedNode):
         )
         error = self._model.measured_error
         self.get_logger().info(
-            f"reduced model {self._model.hash[:8]}, RMS error {100 * self._model.rms_error:.2f} %, "
-            f"parameter sets {self._sets.hash[:8]}"
-            + (f", held against {error['pairs']} full-order histories" if "pairs" in error else "")
+            f"reduced model {self._model.hash[:8]} of law '{self._model.law.name}', RMS error "
+            f"{100 * self._model.rms_error:.2f} %"
+            + (f" in {error['pairs']} full-order histories" if "pairs" in error else "")
+            + f"; parameter sets {self._sets.hash[:8]}"
         )
 
     def activate(self) -> None:
@@ -181,7 +184,7 @@ class ModelNode(ManagedNode):
         self._started = False
         self._jumped = False
         self._latency = LatencyHistogram()
-        # What exists now lives as long as the node; the collector need not walk it at every sample.
+        # What exists now lives as long as the node; the garbage collector leaves it alone.
         gc.collect()
         gc.freeze()
         self._active = True
@@ -230,17 +233,20 @@ class ModelNode(ManagedNode):
     # Streams ---------------------------------------------------------------------------------
 
     def _on_wrench(self, message: WrenchStamped, info: dict[str, int]) -> None:
-        """One sample, and those that wait behind it: the executor's round trip costs more than an estimate."""
-        self._take_wrench(message, info)
+        """One sample, and those that wait behind it.
+
+        A round of the executor takes longer than an estimate.
+        """
+        self._process_wrench(message, info)
         handle = self._wrench.handle
-        for _ in range(DRAIN):
+        for _ in range(SAMPLES_PER_CALLBACK):
             with handle:
                 taken = handle.take_message(WrenchStamped, False)
             if taken is None:
                 return
-            self._take_wrench(*taken)
+            self._process_wrench(*taken)
 
-    def _take_wrench(self, message: WrenchStamped, info: dict[str, int]) -> None:
+    def _process_wrench(self, message: WrenchStamped, info: dict[str, int]) -> None:
         estimator = self.estimator
         if not self._active or estimator is None:
             return
@@ -297,46 +303,45 @@ class ModelNode(ManagedNode):
 
     # Services --------------------------------------------------------------------------------
 
-    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Any:
-        if not self._active or self.estimator is None:
-            response.success, response.message = False, "the node is not active; activate it first"
-            return response
-        self._publish_event(self.estimator.reset("service ~/reset"))
-        response.success, response.message = True, "finger at rest, nothing remembered of it"
-        return response
-
-    def _answer(self, response: Any, question: Any) -> Any:
-        """Run a question to the estimator; errors become the response's message."""
+    def _answer(self, response: Any, request: Callable[[ContactEstimator], None]) -> Any:
+        """Carry out a service request; errors become the response's message."""
         if not self._active or self.estimator is None:
             response.success, response.message = False, "the node is not active; activate it first"
             return response
         try:
-            question(self.estimator)
+            request(self.estimator)
             response.success = True
         except FingerError as error:
             response.success, response.message = False, one_line(error)
         return response
 
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        def reset(estimator: ContactEstimator) -> None:
+            self._publish_event(estimator.reset("service ~/reset"))
+            response.message = "reset to a finger at rest that was not seen before"
+
+        return self._answer(response, reset)
+
     def _on_force_for_area(self, request: Any, response: Any) -> Any:
-        def ask(estimator: ContactEstimator) -> None:
+        def answer(estimator: ContactEstimator) -> None:
             response.force = estimator.force_for_area(request.area, request.horizon)
 
-        return self._answer(response, ask)
+        return self._answer(response, answer)
 
     def _on_predict(self, request: Any, response: Any) -> Any:
-        def ask(estimator: ContactEstimator) -> None:
+        def answer(estimator: ContactEstimator) -> None:
             history = estimator.predict(np.array(request.time), np.array(request.force))
             response.area = history.area.tolist()
             response.indentation = history.indentation.tolist()
 
-        return self._answer(response, ask)
+        return self._answer(response, answer)
 
     # Diagnostics -----------------------------------------------------------------------------
 
     def publish_diagnostics(self) -> None:
-        """Flags of the last estimate, counters and latency beside what the shell reports."""
+        """Warnings of the last estimate's flags; counters and latency as notes."""
         if self.estimator is not None and self._active:
-            for flag, sentence in _STALE.items():
+            for flag, sentence in _WARNINGS.items():
                 key = flag.name.lower()  # type: ignore[union-attr]
                 if self._last_flags & flag:
                     self.log_fault(self.inputs, key, sentence, WARN)

@@ -50,7 +50,7 @@ MS = 1_000_000
 
 
 class Bench:
-    """Talks to one model node in namespace /finger and keeps what it says."""
+    """Sends to one model node in namespace /finger and keeps what it publishes."""
 
     def __init__(self) -> None:
         self.node = rclpy.create_node("bench")
@@ -87,7 +87,7 @@ class Bench:
         self.settle()
 
     def settle(self) -> None:
-        """Spin for what is still on its way: discovery of the other end, messages without an answer."""
+        """Spin for what is still in transit: discovery, messages without an answer."""
         end = time.monotonic() + 0.5
         while time.monotonic() < end:
             rclpy.spin_once(self.node, timeout_sec=0.02)
@@ -257,10 +257,10 @@ def test_services_and_parameters_answer_and_refuse_with_a_reason(
     bench.press(T0 + 1000 * MS, -0.7)
     bench.answered(201)
     assert bench.states[-1].normal_force == 0.7
-    said = bench.diagnostics
-    bench.until(lambda: "no sample" in said.get("contact state", {}).get("message", ""))
-    assert float(said["contact state"]["latency_p99_ms"]) > 0
-    assert "moisture" in said["inputs"]["message"]
+    found = bench.diagnostics
+    bench.until(lambda: "no sample" in found.get("contact state", {}).get("message", ""))
+    assert float(found["contact state"]["latency_p99_ms"]) > 0
+    assert "moisture" in found["inputs"]["message"]
 
 
 def test_it_is_silent_until_activated(bench: Bench, process: Callable[..., Any]) -> None:

@@ -10,6 +10,8 @@ from finger_common.flags import AreaFlag
 from finger_common.moisture import MOISTURE_RANGE
 from finger_common.settings import Settings, setting
 
+from ..paper import NATURAL
+
 _REJECTED = AreaFlag.NO_CONTACT | AreaFlag.SPARSE | AreaFlag.CLIPPED | AreaFlag.LOW_CONTRAST
 
 
@@ -112,7 +114,7 @@ class EstimatorSettings(Settings):
         runtime=True,
     )
     default_moisture: float = setting(
-        69.31,
+        NATURAL.moisture,
         "Reading assumed until the first one arrives (mean of the paper's natural condition).",
         unit="a.u.",
         minimum=MOISTURE_RANGE[0],
