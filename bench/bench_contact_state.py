@@ -1,8 +1,8 @@
 """Latency and losses of `contact_state`: load, model node and a counting process, over DDS.
 
 The load publishes `wrench` with the publish time as stamp, and `contact_area` at 10 Hz. For one
-finger another process publishes images of 1280 × 1024 at 10 Hz, which the vision node processes. The
-model node's own figure counts from the middleware's receive time of the wrench to the return of
+finger another process publishes images of 1280 × 1024 at 10 Hz, which the vision node processes.
+The model node's own figure counts from the middleware's receive time of the wrench to the return of
 publish, waiting in its queue included; it is read from /diagnostics. The end-to-end figure is from
 the load's publish to the receipt by the counting process.
 
@@ -121,7 +121,7 @@ def photograph() -> None:
 
 
 def count(fingers: int, result: Path) -> None:
-    """Count contact_state messages until SIGTERM; writes their number, delays and nodes' figures."""
+    """Count contact_state messages until SIGTERM; writes number, delays and nodes' figures."""
     import rclpy
     from diagnostic_msgs.msg import DiagnosticArray
     from rclpy.qos import QoSProfile, ReliabilityPolicy

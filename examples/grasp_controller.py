@@ -55,8 +55,8 @@ class AreaController:
         """Force to press with (N) after a contact state.
 
         stamp: of its header (s), from which follows how long the force has acted; received: when it
-        came (s), from which follows when it is stale. The two clocks need not be the same. area: m²;
-        slope: m²/N.
+        came (s), from which follows when it is stale. The two clocks need not be the same. area:
+        m²; slope: m²/N.
         """
         self.watch(received)
         self._received = received

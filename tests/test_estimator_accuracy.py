@@ -1,7 +1,8 @@
 """The estimator over sessions of simulated trials: gain by fusion, and its standard deviation.
 
-Truth is the full-order finger of the study (finger_sim). Force and area carry the study's measurement
-noise; areas come at 10 Hz. Fast variant: the truth is the reduced model with other parameters.
+Truth is the full-order finger of the study (finger_sim). Force and area carry the study's
+measurement noise; areas come at 10 Hz. Fast variant: the truth is the reduced model with other
+parameters.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ class Trial:
 
 @dataclass
 class Score:
-    """Over all samples in contact: errors of fused, model and measured area, and the SD given (m²)."""
+    """Of all samples in contact: errors of fused, model and measured area; SD given (m²)."""
 
     fused: np.ndarray
     model: np.ndarray

@@ -149,8 +149,8 @@ def test_the_nodes_together_hold_the_area_and_open_without_state(
     )
     process("-m", "finger_model.model_node", "--ros-args", "-r", "__ns:=/finger")
     controller = project_root / "examples" / "grasp_controller.py"
-    # The plant waits for each answer, so the result does not depend on the speed of the machine; the
-    # controller therefore accepts old states.
+    # The plant waits for each answer, so the result does not depend on the speed of the machine;
+    # the controller therefore accepts old states.
     arguments = ("-p", f"target_area:={TARGET!r}", "-p", "stale_after:=20.0")
     process(controller, "--ros-args", "-r", "__ns:=/finger", *arguments)
 

@@ -1,4 +1,7 @@
-"""Between messages and the core's plain data, by attribute access: serves rclpy messages and a bag reader's objects."""
+"""Between messages and the core's plain data.
+
+Messages are read by attribute: those of rclpy and those of a bag reader alike.
+"""
 
 from __future__ import annotations
 
@@ -70,7 +73,7 @@ def event_fields(event: EstimatorEvent, sequence: int) -> dict[str, Any]:
 
 
 def fill_contact_state(message: Any, estimate: ContactEstimate) -> None:
-    """Set the fields of a ContactState message that is used again and again (cheaper than a new one)."""
+    """Set the fields of a ContactState message; using one again is cheaper than a new one."""
     fill_time(message.header.stamp, estimate.stamp_ns)
     fill_time(message.onset, estimate.onset_ns)
     for name in _COPIED:

@@ -226,7 +226,7 @@ class ModelNode(ManagedNode):
         check_sets(sets, self._model, path or "the shipped sets")
         if sets.reduced_model_hash and sets.reduced_model_hash != self._model.hash:
             self.get_logger().warning(
-                f"{path or 'parameter sets'}: fitted with another reduced model of the same geometry"
+                f"{path or 'parameter sets'}: fitted with another reduced model of this geometry"
             )
         return sets
 

@@ -46,8 +46,8 @@ MOISTURE_MAXIMUM = MOISTURE_RANGE[1]
 class ParameterSet:
     """Parameters of one condition.
 
-    moisture, moisture_sd: a.u.; parameters (n,): in the order of the law's space, SI; covariance_log
-    (n, n): covariance of their logarithms, zero where it is not known.
+    moisture, moisture_sd: a.u.; parameters (n,): in the order of the law's space, SI;
+    covariance_log (n, n): covariance of their logarithms, zero where it is not known.
     """
 
     condition: str
@@ -129,7 +129,7 @@ class ParameterSets:
 
     @classmethod
     def parse(cls, text: str, where: str = "parameter sets") -> ParameterSets:
-        """From the text of a parameters.yaml; raises InputError naming `where`, the set and the key."""
+        """From the text of parameters.yaml; raises InputError naming `where`, set and key."""
         data = parse_yaml(text, where)
         law = law_of(str(data.get("law") or ""))
         entries = data.get("sets")

@@ -33,7 +33,7 @@ def estimator(model: ReducedModel) -> ContactEstimator:
 
 
 def press(n: int = 1000, period: int = 2 * MS) -> tuple[np.ndarray, np.ndarray]:
-    """Stamps (n,) and forces (n, 3) of a press to 1.35 N on a sensor whose z points at the finger."""
+    """Stamps (n,) and forces (n, 3) of a press to 1.35 N; z of the sensor points at the finger."""
     stamps = T0 + period * np.arange(n)
     share = np.arange(n) / n
     normal = 1.35 * np.clip(np.minimum(share / 0.4, (0.9 - share) / 0.2), -0.005, 1)

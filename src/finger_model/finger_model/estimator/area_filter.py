@@ -4,14 +4,14 @@ With φ = ln(F / 1 N) the error is
 
     ln A_true − ln A_model = h x,    h = (1, φ, 1, φ),    x = (m, g, d, e)
 
-where m and g belong to the finger (they last over contacts), d and e to the contact (drawn anew at each
-onset), and d drifts within a contact.
+where m and g belong to the finger (they last over contacts), d and e to the contact (drawn anew at
+each onset), and d drifts within a contact.
 
-How much contacts of one finger differ is not known beforehand: presses of a simulated finger are all
-alike, real ones scatter by 5 %. So a bank of such filters runs side by side, with SCALES times the
-deviations of d and e and DRIFT_SCALES times the drift that the settings name. Each is weighted by how
-well it predicted the areas measured so far (Bayesian model averaging: Hoeting et al., Stat. Sci. 14(4),
-1999); the estimate is the mixture's mean and variance.
+How much contacts of one finger differ is not known beforehand: presses of a simulated finger are
+all alike, real ones scatter by 5 %. So a bank of such filters runs side by side, with SCALES times
+the deviations of d and e and DRIFT_SCALES times the drift that the settings name. Each is weighted
+by how well it predicted the areas measured so far (Bayesian model averaging: Hoeting et al., Stat.
+Sci. 14(4), 1999); the estimate is the mixture's mean and variance.
 """
 
 from __future__ import annotations

@@ -1,4 +1,8 @@
-"""One contact estimate: the only declaration of its fields. Messages, CDR bytes and CSV columns derive from it."""
+"""One contact estimate: the only declaration of its fields.
+
+The compiled core's rows, messages, CDR bytes and CSV columns derive from it. To add a field, add it
+here and to ContactState.msg, and fill it in `stream.py`; CSV_FIELDS has the order of CSV columns.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +17,9 @@ import numpy as np
 class Field:
     """What is known of a field of ContactEstimate.
 
-    type: as in ContactState.msg; unit: SI; column: name in the CSV file, empty for none; scale: from the
-    unit to that of the column; message: place in ContactState where it is not the field's own name.
+    type: as in ContactState.msg; unit: SI; column: name in the CSV file, empty for none; scale:
+    from the unit to that of the column; message: place in ContactState where it is not the field's
+    own name.
     """
 
     type: str
@@ -26,7 +31,7 @@ class Field:
 
 
 class ContactEstimate(NamedTuple):
-    """State of the contact at one wrench sample: fields, order, units and flags of ContactState (SI).
+    """State of the contact at one wrench sample: the fields of ContactState, in its order.
 
     Values that are not known are NaN; `onset_ns` is 0 before the first contact.
     """

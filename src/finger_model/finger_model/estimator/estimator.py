@@ -7,21 +7,24 @@
 
 Rules of input, all by the stamps the samples carry (int, ns), never by when they arrive:
 
-- **Wrench samples** may be irregular. Between two samples the force runs linearly, however long the gap; after more
-  than `gap_limit` the later sample is flagged. A sample stamped like the newest is a duplicate and is dropped; one
-  older than that is out of order, is dropped and flags the next estimate; one older by more than
-  `time_reset_after` is a jump of time: the state is reset and the sample is the first of a new stream. A force
-  that is not finite gives an estimate flagged invalid and leaves the state; the next valid sample bridges it.
-- **Areas and moisture readings** stamped t enter at the first wrench sample stamped t + `fusion_delay` or later. One
-  that is handed over after such a sample is not used, is counted and flags the next estimate.
-- **Events** (reset, parameters, settings) take effect before the first wrench sample stamped like them or later.
+- **Wrench samples** may be irregular. Between two samples the force runs linearly, however long the
+  gap; after more than `gap_limit` the later sample is flagged. A sample stamped like the newest is
+  a duplicate and is dropped; one older than that is out of order, is dropped and flags the next
+  estimate; one older by more than `time_reset_after` is a jump of time: the state is reset and the
+  sample is the first of a new stream. A force that is not finite gives an estimate flagged invalid
+  and leaves the state; the next valid sample bridges it.
+- **Areas and moisture readings** stamped t enter at the first wrench sample stamped t +
+  `fusion_delay` or later. One that is handed over after such a sample is not used, is counted and
+  flags the next estimate.
+- **Events** (reset, parameters, settings) take effect before the first wrench sample stamped like
+  them or later.
 
-So the output is a function of stamped inputs alone: the same inputs give the same numbers, bit for bit, live and
-from a bag, one by one (`add_wrench`) or many at once (`add_wrenches`).
+So the output is a function of stamped inputs alone: the same inputs give the same numbers, bit for
+bit, live and from a bag, one by one (`add_wrench`) or many at once (`add_wrenches`).
 
-Contact begins at `onset_force` and ends below `liftoff_force`. In the air areas and pressures are zero while the
-internal strain keeps relaxing. Below the lift-off force the model still follows the force, so that noise in the air
-leaves no trace in the strain.
+Contact begins at `onset_force` and ends below `liftoff_force`. In the air areas and pressures are
+zero while the internal strain keeps relaxing. Below the lift-off force the model still follows the
+force, so that noise in the air leaves no trace in the strain.
 """
 
 from __future__ import annotations
@@ -50,11 +53,11 @@ from .settings import EstimatorSettings
 
 
 class ContactEstimator:
-    """Contact state from a stream of forces, corrected by measured areas, with parameters that follow moisture.
+    """Contact state from forces, corrected by measured areas; parameters follow moisture.
 
-    model: the reduced model; parameter_sets: None for the shipped ones; settings: None for the defaults.
-    `counters` counts duplicates, out_of_order, resets, late_areas, late_moistures, flagged_areas.
-    Raises InputError for parameter sets that were fitted with another geometry.
+    model: the reduced model; parameter_sets: None for the shipped ones; settings: None for the
+    defaults. `counters` counts duplicates, out_of_order, resets, late_areas, late_moistures,
+    flagged_areas. Raises InputError for parameter sets that were fitted with another geometry.
     """
 
     def __init__(
@@ -81,7 +84,7 @@ class ContactEstimator:
     # Inputs ----------------------------------------------------------------------------------
 
     def add_wrench(self, stamp_ns: int, force: Sequence[float]) -> list[ContactEstimate]:
-        """Process one sample: force (3,) in N, in the sensor's axes. One estimate, or none for a dropped one."""
+        """One estimate for a sample of force (3,) in N, in the sensor's axes; none if dropped."""
         if not self._accept(stamp_ns):
             return []
         self._apply_due(stamp_ns)
@@ -92,9 +95,9 @@ class ContactEstimator:
         return [ContactEstimate._make(self._one_row.item())]
 
     def add_wrenches(self, stamps_ns: np.ndarray, forces: np.ndarray) -> EstimateBlock:
-        """Process many samples, stamps (n,) and forces (n, 3) in N, in the order they came: as `add_wrench`, but fast.
+        """As `add_wrench` for many samples, in the order they came, but fast.
 
-        Rows of dropped samples are left out of the block.
+        stamps_ns (n,), forces (n, 3) in N. Rows of dropped samples are left out of the block.
         """
         stamps = np.ascontiguousarray(stamps_ns, dtype=np.int64)
         forces = np.ascontiguousarray(forces, dtype=float)
@@ -122,7 +125,8 @@ class ContactEstimator:
     def add_area(self, stamp_ns: int, area: float, sd: float, flags: int = 0) -> bool:
         """Add a measured gross area and its standard deviation (m²); flags as in ContactArea.
 
-        False when it comes too late to be used (the next estimate is flagged). A second one of a stamp is left out.
+        False when it comes too late to be used (the next estimate is flagged). A second one of a
+        stamp is left out.
         """
         if self._inputs.knows_late("area", stamp_ns):
             return False
@@ -137,7 +141,7 @@ class ContactEstimator:
         return True
 
     def add_moisture(self, stamp_ns: int, value: float) -> bool:
-        """Add a moisture reading (a.u.); false when it comes too late or is not a number from 0 to 130."""
+        """Add a moisture reading (a.u.); false when it comes too late or is out of the scale."""
         if self._inputs.knows_late("moisture", stamp_ns):
             return False
         if self._inputs.is_late(stamp_ns, self.last_stamp):
@@ -146,14 +150,18 @@ class ContactEstimator:
         return self._inputs.add_moisture(stamp_ns, value)
 
     def apply_event(self, event: EstimatorEvent) -> None:
-        """Apply a recorded event, which takes effect by its stamp. Raises InputError for one of another model."""
+        """Apply a recorded event, which takes effect by its stamp.
+
+        Raises InputError for an event of another reduced model.
+        """
         if event.model_hash and event.model_hash != self.model.hash:
             raise InputError(
                 f"the event was recorded with reduced model {event.model_hash[:8]}, this one is "
                 f"{self.model.hash[:8]}; use the same model file"
             )
         if event.is_time_jump:
-            # Its stamp lies before samples already processed; it belongs to the sample that steps back to it.
+            # Its stamp lies before samples already processed; it belongs to the sample that steps
+            # back to it.
             self._jumps.add(event.stamp_ns)
             return
         bisect.insort(self._events, event, key=lambda e: e.stamp_ns)
@@ -165,7 +173,10 @@ class ContactEstimator:
     # Changes ---------------------------------------------------------------------------------
 
     def reset(self, reason: str = "asked for") -> EstimatorEvent:
-        """Back to a finger at rest, not seen before; the moisture reading stays. Returns the event to record."""
+        """Back to a finger at rest, not seen before; the moisture reading stays.
+
+        Returns the event to record.
+        """
         return self._record_event(EventType.RESET, reason)
 
     def change_settings(self, settings: EstimatorSettings, reason: str = "") -> EstimatorEvent:
@@ -173,20 +184,23 @@ class ContactEstimator:
         return self._record_event(EventType.SETTINGS, reason, settings=settings.to_json())
 
     def change_parameters(self, sets: ParameterSets, reason: str = "") -> EstimatorEvent:
-        """New parameter sets from the next sample on; the state goes on. Returns the event to record.
+        """New parameter sets from the next sample on; the state goes on.
 
-        Raises InputError for sets fitted with another geometry.
+        Returns the event to record. Raises InputError for sets fitted with another geometry.
         """
         check_sets(sets, self.model)
         return self._record_event(EventType.PARAMETERS, reason, parameter_sets=sets.to_yaml())
 
     def clock_jump_event(self, stamp_ns: int) -> EstimatorEvent:
-        """Reset the state: a clock jumped back, and the next sample has this stamp. Returns the event to record."""
+        """Reset the state: a clock jumped back, and the next sample has this stamp.
+
+        Returns the event to record.
+        """
         self._jump_back(stamp_ns)
         return replace(self._event(EventType.RESET, TIME_JUMP), stamp_ns=int(stamp_ns))
 
     def note_late(self, areas: Sequence[int] = (), moistures: Sequence[int] = ()) -> EstimatorEvent:
-        """Event that records which inputs had come too late, so that a replay leaves them out too."""
+        """Event that records which inputs came too late, so that a replay leaves them out too."""
         event = self._event(EventType.SETTINGS, "inputs came too late to be used")
         return replace(event, late_areas=tuple(areas), late_moistures=tuple(moistures))
 
@@ -212,7 +226,7 @@ class ContactEstimator:
         return float(self._selected.constants["force_limit"][0])
 
     def statistics(self) -> dict[str, int]:
-        """Counts since the start or the last reset: fused, rejected, gaps, contacts, and `counters`."""
+        """Fused and rejected areas, gaps and contacts since the last reset, and `counters`."""
         return {**self._state.counts(), **self.counters}
 
     def predict(self, time: np.ndarray, force: np.ndarray) -> ContactHistory:
@@ -220,7 +234,7 @@ class ContactEstimator:
         return prediction.predict(self._state, time, force)
 
     def force_for_area(self, area: float, horizon: float = 0.0) -> float:
-        """Force (N) that gives an area (m²), see `prediction.force_for_area`; the state stays as it is."""
+        """Force (N) for an area (m²), see `prediction.force_for_area`; the state stays as it is."""
         return prediction.force_for_area(self._state, area, horizon)
 
     # Samples ---------------------------------------------------------------------------------
@@ -247,7 +261,7 @@ class ContactEstimator:
         return True
 
     def _process(self, stamps: np.ndarray, forces: np.ndarray, rows: np.ndarray) -> None:
-        """Run accepted samples of increasing stamps through the core, with the areas that come due."""
+        """Run accepted samples of increasing stamps, and the areas that come due."""
         areas = self._inputs.due_areas(int(stamps[-1]))
         used = self._state.process(stamps, forces, areas, rows)
         if used:
@@ -304,7 +318,8 @@ class ContactEstimator:
 
     def _take_over_sets(self, text: str) -> bool:
         """Parameter sets of an event; true when they differ from those in force."""
-        # Events are frequent, as with every late area, and parsing takes longer than a sample may wait.
+        # Events are frequent, as with every late area, and parsing takes longer than a sample may
+        # wait.
         if text == self.parameter_sets.to_yaml():
             return False
         before = self.parameter_sets.hash
@@ -322,7 +337,7 @@ class ContactEstimator:
                 self._state.add_flag(flag)
 
     def _jump_back(self, stamp_ns: int) -> None:
-        """Time jumped back to `stamp_ns`: drop what belongs to a later time and flag the next estimate."""
+        """Time jumped back to `stamp_ns`: reset the state and flag the next estimate."""
         self._inputs.jump_back(stamp_ns)
         self._moisture = None
         self._configure()
@@ -354,8 +369,8 @@ def replay(
 ) -> Iterator[EstimateBlock]:
     """Run recorded inputs through an estimator; gives what a live node made of them, bit for bit.
 
-    wrenches: blocks of stamps (n,) and forces (n, 3), in the order recorded; areas: (stamp_ns, area, sd, flags);
-    moistures: (stamp_ns, value); events: all of the recording.
+    wrenches: blocks of stamps (n,) and forces (n, 3), in the order recorded; areas: (stamp_ns,
+    area, sd, flags); moistures: (stamp_ns, value); events: all of the recording.
     """
     estimator.expect_late(events)
     for event in events:

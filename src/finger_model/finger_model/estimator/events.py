@@ -1,4 +1,4 @@
-"""Changes of the estimator that are not in its inputs; recorded, so that a replay makes them too."""
+"""Changes of the estimator beside its inputs; recorded, so that a replay makes them too."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class EstimatorEvent:
         return self.type == EventType.RESET and self.reason == TIME_JUMP
 
     def estimator_settings(self) -> EstimatorSettings:
-        """Settings in force after the event; raises InputError for text that is not a JSON object."""
+        """Settings in force after the event; raises InputError for text that is no JSON object."""
         try:
             values = json.loads(self.settings)
         except ValueError:

@@ -16,7 +16,7 @@ from .settings import EstimatorSettings
 
 
 class FilterState:
-    """Reduced model's state, filters and remembered samples of one finger, and the configuration in force."""
+    """One finger: state of the reduced model, filters, past samples; and the configuration."""
 
     def __init__(self, model: ReducedModel) -> None:
         self.model = model
@@ -80,7 +80,7 @@ class FilterState:
         return {name: int(counters[name][0]) for name in stream.COUNTERS.names or ()}
 
     def forget(self, keep_stream: bool = False) -> None:
-        """A finger at rest that was not seen before; `keep_stream`: the stream of samples goes on."""
+        """A finger at rest, not seen before; `keep_stream`: the stream of samples goes on."""
         kept = self._stream.copy()
         self.state[:] = np.zeros(1, stream.STATE)
         self._stream["pending_flags"] = kept["pending_flags"]
@@ -98,7 +98,7 @@ class FilterState:
     def process(
         self, stamps: np.ndarray, forces: np.ndarray, areas: np.ndarray, rows: np.ndarray
     ) -> int:
-        """Process samples; arguments as of `stream.process`. Returns the number of areas used up."""
+        """Process samples as `stream.process` does; returns the number of areas used up."""
         return stream.process(
             self.model.networks,
             self.constants,

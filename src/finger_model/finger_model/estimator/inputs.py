@@ -23,8 +23,8 @@ _NO_AREAS = np.zeros(0, stream.AREA)
 class InputQueue:
     """Areas and readings in the order of their stamps (ns), until they are due.
 
-    An input of stamp t is due at the first wrench sample stamped t + `delay` (ns) or later; one that
-    comes after such a sample is late and is not used. `counters` counts what was left out.
+    An input of stamp t is due at the first wrench sample stamped t + `delay` (ns) or later; one
+    that comes after such a sample is late and is not used. `counters` counts what was left out.
     """
 
     def __init__(self, counters: Counter[str]) -> None:
@@ -36,7 +36,7 @@ class InputQueue:
         self._known_late: set[tuple[str, int]] = set()
 
     def is_late(self, stamp_ns: int, newest: int | None) -> bool:
-        """Whether an input of this stamp comes too late; newest: stamp of the newest wrench sample."""
+        """Whether an input of this stamp is late; newest: stamp of the newest wrench sample."""
         return newest is not None and stamp_ns + self.delay <= newest
 
     def knows_late(self, kind: str, stamp_ns: int) -> bool:
@@ -73,7 +73,7 @@ class InputQueue:
         return True
 
     def due_areas(self, stamp_ns: int) -> np.ndarray:
-        """Areas (k,) that are due at a wrench sample of this stamp; they stay until `remove_areas`."""
+        """Areas (k,) due at a wrench sample of this stamp; they stay until `remove_areas`."""
         due = bisect.bisect_right(self._areas, stamp_ns - self.delay, key=_stamp)
         return np.array(self._areas[:due], stream.AREA) if due else _NO_AREAS
 
@@ -82,7 +82,7 @@ class InputQueue:
         del self._areas[:number]
 
     def due_moisture(self, stamp_ns: int) -> tuple[int, float] | None:
-        """Next reading that is due at this stamp, removed from the queue; None when there is none."""
+        """Remove and return the next reading that is due at this stamp, None without one."""
         if self._moistures and self._moistures[0][0] + self.delay <= stamp_ns:
             return self._moistures.pop(0)
         return None

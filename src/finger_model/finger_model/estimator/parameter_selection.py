@@ -24,7 +24,8 @@ class SelectedParameters:
     """Parameters in use.
 
     parameters (n,): in the order of the sets' space; constants: the reduced model's record of them;
-    name: of the parameter set; flags: of StateFlag; prior_variance: of ln A for a finger not seen before.
+    name: of the parameter set; flags: of StateFlag; prior_variance: of ln A for a finger not seen
+    before.
     """
 
     parameters: np.ndarray

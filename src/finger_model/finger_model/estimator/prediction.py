@@ -1,4 +1,4 @@
-"""Contact under a force that has not been applied yet. The state of the estimator stays as it is."""
+"""Contact under a force not applied yet; the state of the estimator stays as it is."""
 
 from __future__ import annotations
 

@@ -37,7 +37,8 @@ class EstimatorSettings(Settings):
     )
     liftoff_force: float = setting(
         LIFTOFF_FORCE,
-        "Normal force below which a contact ends; below onset_force, so that noise does not chatter.",
+        "Normal force below which a contact ends; lower than onset_force, so that noise does not "
+        "start and end contacts.",
         unit="N",
         minimum=0.0,
         maximum=1.0,
@@ -45,8 +46,8 @@ class EstimatorSettings(Settings):
     )
     lateral_ratio: float = setting(
         0.25,
-        "Lateral over normal force above which a sample is flagged (the friction coefficient of the "
-        "model).",
+        "Lateral over normal force above which a sample is flagged; the friction coefficient of "
+        "the model.",
         minimum=0.0,
         maximum=10.0,
         runtime=True,
@@ -71,8 +72,8 @@ class EstimatorSettings(Settings):
     )
     fusion_delay: float = setting(
         0.1,
-        "An area or moisture reading stamped t enters at the first wrench sample stamped t plus this "
-        "or later; one that arrives after that is not used.",
+        "An area or moisture reading stamped t enters at the first wrench sample stamped t plus "
+        "this or later; one that arrives after that is not used.",
         unit="s",
         minimum=0.0,
         maximum=1.0,
@@ -91,8 +92,8 @@ class EstimatorSettings(Settings):
     )
     outlier_limit: float = setting(
         5.0,
-        "Standard deviations between measured and expected area from which a measurement is rejected; "
-        "the third in a row is accepted.",
+        "Standard deviations between measured and expected area from which a measurement is "
+        "rejected; the third in a row is accepted.",
         minimum=1.0,
         maximum=100.0,
         runtime=True,
@@ -139,14 +140,15 @@ class EstimatorSettings(Settings):
     )
     slope_sd: float = setting(
         0.017,
-        "Standard deviation of the model's error in the exponent of area over force, d ln A / d ln F.",
+        "Standard deviation of the model's error in the exponent of area over force, "
+        "d ln A / d ln F.",
         minimum=0.0,
         maximum=1.0,
         runtime=True,
     )
     drift_sd: float = setting(
         0.02,
-        "Relative standard deviation by which the model's error drifts within one second of contact; "
+        "Relative standard deviation by which the model's error drifts in one second of contact; "
         "a first value: the estimator weighs 0.1 and 2 times this by the areas measured so far.",
         minimum=0.0,
         maximum=1.0,

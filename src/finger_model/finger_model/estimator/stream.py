@@ -1,8 +1,8 @@
 """Compiled core of the estimator: many wrench samples through model and filters in one call.
 
-A measured area of stamp t corrects the filters at t, against the model's area at t from the remembered
-samples. Measurements enter in the order of their stamps, so the prediction from t to now is only the
-drift of the contact's error.
+A measured area of stamp t corrects the filters at t, against the model's area at t from the
+remembered samples. Measurements enter in the order of their stamps, so the prediction from t to now
+is only the drift of the contact's error.
 """
 
 from __future__ import annotations
@@ -236,11 +236,12 @@ def _write_moisture(config, stamp, row):
 
 @njit(cache=True)
 def process(net, par, finger, work, configuration, states, stamps, forces, areas, rows):
-    """Process wrench samples (n,), (n, 3) of increasing stamps, and the measured areas that come due.
+    """Process wrench samples of increasing stamps, and the measured areas that come due.
 
-    net, par, finger, work: records of the reduced model; configuration (1,), states (1,): CONFIGURATION,
-    STATE; areas (k,): AREA in the order of their stamps. Fills rows (n,) of ESTIMATE_DTYPE but for
-    `parameter_set`; returns the number of areas used up.
+    net, par, finger, work: records of the reduced model; configuration (1,), states (1,):
+    CONFIGURATION, STATE; stamps (n,), forces (n, 3): ns, N; areas (k,): AREA in the order of their
+    stamps. Fills rows (n,) of
+    ESTIMATE_DTYPE but for `parameter_set`; returns the number of areas used up.
     """
     config, state = configuration[0], states[0]
     stream = state.stream

@@ -1,24 +1,26 @@
 """Compiled kernels of the reduced model: one time step, and many histories at once.
 
-Everything is dimensionless inside: force f = F / (E0 L²) with the pad's radial semi-axis L, x = f^(1/3), internal
-strain amplitudes a (k,), friction states q (m,). Two small networks of the same form,
+Everything is dimensionless inside: force f = F / (E0 L²) with the pad's radial semi-axis L, x =
+f^(1/3), internal strain amplitudes a (k,), friction states q (m,). Two small networks of the same
+form,
 
     drive    (δ/L, c)                            = N₁(x, a; ln E2/E0)
     contact  (ln(A / (L² x²)), ln(p_max/p_mean)) = N₂(x, a, q; ln E2/E0)
 
-give indentation δ and drive c of the internal strain, area A and peak over mean pressure. The state follows
+give indentation δ and drive c of the internal strain, area A and peak over mean pressure. The state
+follows
 
     τ1 da_i/dt = (E0/E1) c_i − a_i                         (the paper's eq. 2 in the coordinates a)
     dq_j = (sgn(dδ) − q_j) |d ln δ| / β_j,  q = 1 in the air   (stick after a reversal of the load)
 
-with the exponential integrator for a drive that is linear within a step, implicit in a. A step of the
-caller is divided where the force changes much. No `fastmath`: the order of the additions is that of the
-source, so that a value does not depend on whether it came from a stream or a batch.
+with the exponential integrator for a drive that is linear within a step, implicit in a. A step of
+the caller is divided where the force changes much. No `fastmath`: the order of the additions is
+that of the source, so that a value does not depend on whether it came from a stream or a batch.
 
-The kernels work on four records, whose dtypes `record_types` gives for the sizes of a model: `net` (both
-networks), `par` (one parameter set), `state` (one finger) and `work` (scratch; holds nothing between
-calls). Functions without a leading underscore take each record as an array of one element. Widths of
-layers are multiples of four: four rows of a layer are added at a time.
+The kernels work on four records, whose dtypes `record_types` gives for the sizes of a model: `net`
+(both networks), `par` (one parameter set), `state` (one finger) and `work` (scratch; holds nothing
+between calls). Functions without a leading underscore take each record as an array of one element.
+Widths of layers are multiples of four: four rows of a layer are added at a time.
 """
 
 from __future__ import annotations
@@ -33,7 +35,8 @@ CONTACT_OUTPUTS = 2
 """Outputs of the contact network; the drive network has 1 + k."""
 
 SHIFT_LOG, SHIFT_RATIO = 0.03, 0.1
-"""The networks see x, ln(x + SHIFT_LOG), a and a/(x + SHIFT_RATIO): flattening by a at small loads."""
+"""The networks' inputs are x, ln(x + SHIFT_LOG), a and a/(x + SHIFT_RATIO): a flattens at small
+loads."""
 
 _SUBSTEP = 0.15
 _MOST_SUBSTEPS = 4
@@ -189,7 +192,10 @@ def _contact(net, par, state, work, x):
 
 @njit(cache=True)
 def _drive_jacobian(net, work, x):
-    """∂c_i/∂a_j (k, k) where the drive was evaluated last, into work.jacobian; overwrites its layers."""
+    """∂c_i/∂a_j (k, k) where the drive was evaluated last, into work.jacobian.
+
+    Overwrites the layers of that evaluation.
+    """
     layers, h1, h2 = net.drive, work.drive_1, work.drive_2
     sensitivity, jacobian = work.sensitivity, work.jacobian
     k, n = sensitivity.shape
@@ -246,10 +252,11 @@ def _solve(matrix, right):
 
 @njit(cache=True)
 def _advance(net, par, state, work, dt, force):
-    """Advance by dt (s) to `force` (N), reached linearly from the force before; clipped to 0 … force_limit.
+    """Advance by dt (s) to `force` (N), reached linearly from the force before.
 
-    The end of a step solves a₁ = e^(−h) a₀ + (E0/E1)(w₀ c₀ + w₁ c(a₁)) by Newton's method, which is stable for
-    any ratio h of step and τ1.
+    The force is clipped to 0 … force_limit. The end of a step solves
+    a₁ = e^(−h) a₀ + (E0/E1)(w₀ c₀ + w₁ c(a₁)) by Newton's method, which is stable for any ratio h
+    of step and τ1.
     """
     a, q, trial, residual = state.amplitudes, state.friction, work.trial, work.residual
     k = len(a)
@@ -376,7 +383,10 @@ def step(net, par, state, work, dt, force):
 
 @njit(cache=True)
 def follow(net, par, state, work, before, time, force, table):
-    """Area, indentation and peak pressure (n, 3) along time and force (n,), from a state at time `before`."""
+    """Area, indentation and peak pressure (n, 3) along time and force (n,).
+
+    The state that they begin with is that of time `before`.
+    """
     for i in range(len(time)):
         _advance(net[0], par[0], state[0], work[0], time[i] - before, force[i])
         _pressure_and_area(net[0], par[0], state[0], work[0])
@@ -409,10 +419,10 @@ def _areas(net, par, state, work, time, force, first, last, wanted, out):
 
 @njit(cache=True, parallel=True)
 def batch(net, par, state, work, time, force, start, wanted, out):
-    """Areas out (P, frames) of P parameter sets par (P,) over all trials; `state` and `work` are templates.
+    """Areas out (P, frames) of P parameter sets par (P,) over all trials.
 
-    The trials lie end to end in time and force (n,), trial t in start[t] … start[t + 1] − 1;
-    wanted (n,): the frame of `out` that a sample gives, −1 for none.
+    `state` and `work` are templates. The trials lie end to end in time and force (n,), trial t in
+    start[t] … start[t + 1] − 1; wanted (n,): the frame of `out` that a sample gives, −1 for none.
     """
     trials = len(start) - 1
     for job in prange(len(par) * trials):

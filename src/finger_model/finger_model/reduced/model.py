@@ -1,4 +1,4 @@
-"""The reduced model at run time: load a file, then any parameters and any force history in microseconds a step."""
+"""The reduced model at run time: any parameters and any force history in microseconds a step."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ LAW = StandardLinearSolid
 
 
 class _Folded(NamedTuple):
-    """A network for the kernels: bias of the first layer, the row of ln E2/E0 in it, layers by name."""
+    """A network for the kernels: first layer's bias, row of ln E2/E0 in it, layers by name."""
 
     first_bias: np.ndarray
     stiffness_row: np.ndarray
@@ -42,7 +42,7 @@ class _Folded(NamedTuple):
 
 @dataclass
 class ReducedState:
-    """One finger on its way: `parameters` (n,), the kernels' records and the time (s) since rest."""
+    """One finger: its parameters (n,), the kernels' records and the time (s) since rest."""
 
     parameters: np.ndarray
     constants: np.ndarray
@@ -57,9 +57,10 @@ class ReducedState:
 class ReducedModel:
     """Reduced model of one geometry and one material law.
 
-    geometry, law: what it was built for; geometry_hash: of the geometry; hash: of the file's numbers; range: dict of
-    the parameters' (low, high) and of "force"; measured_error: what `finger-model verify --reduced` found when it was
-    built; settings: of the build. Raises InputError for arrays that do not belong together.
+    geometry, law: what it was built for; geometry_hash: of the geometry; hash: of the file's
+    numbers; range: dict of the parameters' (low, high) and of "force"; measured_error: what
+    `finger-model verify --reduced` found when it was built; settings: of the build. Raises
+    InputError for arrays that do not belong together.
     """
 
     def __init__(self, arrays: dict[str, np.ndarray], meta: dict[str, Any]) -> None:
@@ -76,7 +77,7 @@ class ReducedModel:
             self._prepare()
         except (KeyError, TypeError, ValueError, IndexError) as error:
             raise InputError(
-                f"reduced model: the file does not hold what it should ({error}); build it again with "
+                f"reduced model: the file is not complete ({error}); build it again with "
                 "'finger-model reduce'"
             ) from None
         if self.law is not LAW:
@@ -97,7 +98,7 @@ class ReducedModel:
 
     @property
     def fixed(self) -> dict[str, float]:
-        """Properties of the material that it was built for and no fit varies, as in material.yaml."""
+        """Fixed properties of the material that it was built for, as in material.yaml."""
         properties = {**self.law().to_dict(), **self.meta.get("fixed", {})}
         properties["friction"] = self.friction
         return {name: value for name, value in properties.items() if name not in self.space}
@@ -134,7 +135,7 @@ class ReducedModel:
         self.rms_error = float(self.measured_error.get("rms_p99", 0.01))
 
     def _network(self, name: str, inputs: int, outputs: int) -> _Folded:
-        """A network as the kernels take it; raises ValueError for layers that do not fit together."""
+        """A network for the kernels; raises ValueError for layers that do not fit together."""
         a = {k.removeprefix(name + "_"): v for k, v in self.arrays.items() if k.startswith(name)}
         first, second, last = (a[f"weights_{i}"] for i in (1, 2, 3))
         width = len(a["bias_1"])
@@ -144,7 +145,8 @@ class ReducedModel:
             or last.shape != (width, outputs)
         ):
             raise ValueError(f"layers of the {name} network do not fit together")
-        # Scaling of inputs and outputs goes into the weights; the last input, ln E2/E0, into the bias.
+        # Scaling of inputs and outputs goes into the weights; the last input, ln E2/E0, into the
+        # bias.
         first = first / a["input_scale"][:, None]
         k = self.latents
         layers = {
@@ -166,8 +168,8 @@ class ReducedModel:
     def load(cls, path: str | Path | None = None, geometry: Geometry | None = None) -> ReducedModel:
         """From a file of `finger-model reduce`; None for the shipped one of the default geometry.
 
-        Raises InputError for a file that is not one, of another version, or made for another geometry than
-        `geometry` (when given).
+        Raises InputError for a file that is not one, of another version, or made for another
+        geometry than `geometry` (when given).
         """
         if path is None:
             model = _shipped()
@@ -194,7 +196,8 @@ class ReducedModel:
             ) from None
         if not isinstance(meta, dict) or meta.get("format") != FORMAT:
             raise InputError(
-                f"{where}: reduced model of another version; make it again with 'finger-model reduce'"
+                f"{where}: reduced model of another version; build it again with "
+                "'finger-model reduce'"
             )
         return cls(arrays, meta)
 
@@ -207,7 +210,7 @@ class ReducedModel:
     # Parameters ------------------------------------------------------------------------------
 
     def constants(self, parameters: np.ndarray | ConstitutiveLaw) -> np.ndarray:
-        """The kernels' record (1,) of one parameter set; raises InputError if it is not positive."""
+        """The kernels' record (1,) of one parameter set; raises InputError for bad parameters."""
         vector = self._vector(parameters)
         E0, E1, tau1, E2 = vector
         length = self.geometry.pad_semi_axis_radial
@@ -254,7 +257,7 @@ class ReducedModel:
                 )
 
     def out_of_range(self, parameters: np.ndarray | ConstitutiveLaw) -> list[str]:
-        """Names of the parameters outside the range the model was built for; empty when all are inside."""
+        """Names of the parameters outside the range that the model was built for."""
         names = []
         for name, value in zip(self.space.names, self._vector(parameters)):
             low, high = self.range[name]
@@ -263,7 +266,7 @@ class ReducedModel:
         return names
 
     def force_limit(self, parameters: np.ndarray | ConstitutiveLaw) -> float:
-        """Largest force (N) the model was built for with these parameters: its own limit or the full order's."""
+        """Largest force (N) that the model was built for with these parameters."""
         E0, E1, _, E2 = self._vector(parameters)
         length = self.geometry.pad_semi_axis_radial
         c = self._limit
@@ -308,7 +311,8 @@ class ReducedModel:
     ) -> np.ndarray:
         """Area (m²), indentation (m) and peak pressure (Pa) as columns (n, 3); `state` goes along.
 
-        constants, state: the kernels' records; time (n,) in s, the state's own being `before`; force (n,) in N.
+        constants, state: the kernels' records; time (n,) in s, the state's own being `before`;
+        force (n,) in N.
         """
         table = np.empty((len(time), 3))
         rk.follow(self.networks, constants, state, self.work, before, time, force, table)
@@ -317,9 +321,12 @@ class ReducedModel:
     def simulate(
         self, material: np.ndarray | ConstitutiveLaw, time: np.ndarray, force: np.ndarray
     ) -> ContactHistory:
-        """Contact under forces (n,) in N at times (n,) in s; at rest before time[0], which may carry load.
+        """Contact under forces (n,) in N at times (n,) in s.
 
-        Raises InputError for time that does not increase, parameters out of range or a force beyond the limit.
+        The finger is at rest before time[0], which may carry load.
+
+        Raises InputError for time that does not increase, parameters out of range or a force beyond
+        the limit.
         """
         time, force = check_force_history(time, force)
         vector = self._vector(material)
@@ -328,23 +335,26 @@ class ReducedModel:
             name = outside[0]
             low, high = self.range[name]
             raise InputError(
-                f"material: '{name}' is {vector[self.space.index(name)]:g}, outside the reduced model's "
-                f"{low:g} … {high:g}; use --solver full"
+                f"material: '{name}' is {vector[self.space.index(name)]:g}, outside the reduced "
+                f"model's {low:g} … {high:g}; use --solver full"
             )
         constants = self.constants(vector)
         limit = float(constants["force_limit"][0])
         if force.max() > limit:
             row = int(np.argmax(force > limit))
             raise InputError(
-                f"force {force[row]:.3g} N at t = {time[row]:.4g} s is beyond the reduced model's limit of "
-                f"{limit:.3g} N for this material; lower the force or use --solver full"
+                f"force {force[row]:.3g} N at t = {time[row]:.4g} s is beyond the reduced model's "
+                f"limit of {limit:.3g} N for this material; lower the force or use --solver full"
             )
         state = self.state_at_rest(constants)
         table = self.follow(constants, state, time, force, before=time[0])
         return history_of(time, force, table)
 
     def visited(self, parameters: np.ndarray, time: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """Amplitudes a and friction states q (n, k + m) under forces (n,) in N at times (n,) in s; see the kernels."""
+        """Amplitudes a and friction states q (n, k + m), see the kernels.
+
+        They are those under forces (n,) in N at times (n,) in s.
+        """
         constants = self.constants(parameters)
         state = np.zeros(1, self._types.state)
         amplitudes = np.empty((len(time), self.latents))
@@ -359,9 +369,10 @@ class ReducedModel:
     ) -> list[np.ndarray]:
         """Areas of many parameter sets over many trials, on all cores that numba may use.
 
-        parameters (P, n): vectors of `space`; trials: (time (n,), force (n,)) or (time, force, rows (f,)), rows being
-        the samples whose area is wanted (all of them without). Returns one (P, f) array of areas (m²) per trial.
-        Forces beyond the limit are held at it, parameters out of range are not refused: see `out_of_range`.
+        parameters (P, n): vectors of `space`; trials: (time (n,), force (n,)) or (time, force, rows
+        (f,)), rows being the samples whose area is wanted (all of them without). Returns one (P, f)
+        array of areas (m²) per trial. Forces beyond the limit are held at it, parameters out of
+        range are not refused: see `out_of_range`.
         """
         parameters = np.atleast_2d(np.asarray(parameters, dtype=float))
         constants = np.concatenate([self.constants(row) for row in parameters])
