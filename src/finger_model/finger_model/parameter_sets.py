@@ -38,9 +38,6 @@ from finger_common.moisture import MOISTURE_RANGE, is_moisture
 
 from .laws import ConstitutiveLaw, ParameterSpace, StandardLinearSolid, law_of
 
-PARAMETER_NAMES = StandardLinearSolid.PARAMETERS.names
-MOISTURE_MAXIMUM = MOISTURE_RANGE[1]
-
 
 @dataclass(frozen=True)
 class ParameterSet:
