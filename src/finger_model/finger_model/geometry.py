@@ -90,7 +90,7 @@ class Geometry:
                 "bone out of the pad; keep it below 'bone_semi_axis_axial'"
             )
         r, z = self.bone_profile(np.linspace(0.0, 1.0, 101))
-        # At least 5 % of soft tissue between bone and epidermis, for a mesh that can be squeezed.
+        # At least 5 % of bulk tissue between bone and epidermis, for a mesh that can be squeezed.
         if np.any((r / inner_radial) ** 2 + (z / inner_axial) ** 2 > 0.95**2):
             raise InputError(
                 "geometry: the bone reaches the epidermis (bone larger than the pad); make "

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -92,3 +94,8 @@ def test_between_two_moistures_coordinates_are_linear_and_the_ends_hold() -> Non
     assert not outside
     vector, _, outside = PARAMETERS.interpolate(moistures, logs, covariances, 70.0)
     assert np.allclose(vector, 4 * NATURAL) and outside
+
+
+def test_the_theory_page_has_the_parameters_of_the_default_law() -> None:
+    page = Path(__file__).resolve().parents[3] / "docs" / "theory.md"
+    assert PARAMETERS.markdown() in page.read_text()

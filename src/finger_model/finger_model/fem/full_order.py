@@ -44,7 +44,7 @@ class State:
     `contact`.
 
     time (s), force (N); positions (N, 2); contact; tissue: strain and internal variables of the
-    soft tissue. radius of the contact (m); edge: history of the contact's edge; reserve: rise of
+    bulk tissue. radius of the contact (m); edge: history of the contact's edge; reserve: rise of
     the force (N) until two more nodes touch. stored: elastic energy; work of the plate, dissipation
     in the tissue and friction_work since the start (J).
     """

@@ -1,4 +1,4 @@
-"""A material law on a mesh: soft tissue by the law, epidermis and nail neo-Hookean."""
+"""A material law on a mesh: bulk tissue by the law, epidermis and nail neo-Hookean."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ class StepMaterial:
 class MeshMaterial:
     """A law on a mesh.
 
-    law; tissue_index (n,): elements of the soft tissue; shear (E,): shear modulus in Pa of
-    epidermis and nail, zero in the soft tissue; bulk (E,): bulk modulus in Pa; elastic_metric (E,
+    law; tissue_index (n,): elements of the bulk tissue; shear (E,): shear modulus in Pa of
+    epidermis and nail, zero in the bulk tissue; bulk (E,): bulk modulus in Pa; elastic_metric (E,
     4, 4): H in Pa of epidermis and nail.
     """
 

@@ -1,4 +1,4 @@
-"""What a material law of the finger is: parameters, fixed properties, and the soft tissue's
+"""What a material law of the finger is: parameters, fixed properties, and the bulk tissue's
 response.
 
 A law is one dataclass in one file. It declares its parameters as fields made with `parameter(…)`,
@@ -31,7 +31,7 @@ NAIL_MODULUS_RANGE = (1e3, 1e12)
 """Pa, accepted moduli of the nail."""
 
 LARGEST_BULK_OVER_SHEAR = 2e5
-"""Largest bulk modulus over long-term shear modulus of the soft tissue: beyond it Newton's method
+"""Largest bulk modulus over long-term shear modulus of the bulk tissue: beyond it Newton's method
 loses its digits."""
 
 UNIT = np.array([1.0, 1.0, 1.0, 0.0])
@@ -56,7 +56,7 @@ def parameter(default: float, meaning: str, **description: Any) -> Any:
 
 
 class Tissue(NamedTuple):
-    """Strain and internal variables at the Gauss points of the n elements of soft tissue.
+    """Strain and internal variables at the Gauss points of the n elements of bulk tissue.
 
     c_bar, c_bar_inverse (n, 4, 4): C̄ = J^(−2/3) FᵀF and its inverse; internal (k, n, 4, 4): the
     law's k internal tensors. Axes: element, Gauss point, component. Arrays are never changed in
@@ -82,7 +82,7 @@ class StepEnergy(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class ConstitutiveLaw(ABC):
-    """Material of the whole finger: a law of the soft tissue, elastic epidermis and nail, friction.
+    """Material of the whole finger: a law of the bulk tissue, elastic epidermis and nail, friction.
 
     A subclass is a frozen keyword-only dataclass. Its fields made with `parameter` form PARAMETERS;
     the fields here are fixed properties, which no fit varies. Epidermis and nail are neo-Hookean,
@@ -160,16 +160,16 @@ class ConstitutiveLaw(ABC):
     @property
     @abstractmethod
     def instantaneous_shear_modulus(self) -> float:
-        """Shear modulus (Pa) of the resting soft tissue under a sudden small strain."""
+        """Shear modulus (Pa) of the resting bulk tissue under a sudden small strain."""
 
     @property
     def long_term_shear_modulus(self) -> float:
-        """Shear modulus (Pa) of the soft tissue under a small strain held for ever."""
+        """Shear modulus (Pa) of the bulk tissue under a small strain held for ever."""
         return self.instantaneous_shear_modulus
 
     @property
     def bulk_modulus(self) -> float:
-        """K = 2 G (1 + ν)/(3 (1 − 2ν)) of the soft tissue in Pa, constant in time."""
+        """K = 2 G (1 + ν)/(3 (1 − 2ν)) of the bulk tissue in Pa, constant in time."""
         ratio = self.poisson_ratio_bulk
         shear = self.instantaneous_shear_modulus
         return 2.0 * shear * (1.0 + ratio) / (3.0 * (1.0 - 2.0 * ratio))
@@ -179,7 +179,7 @@ class ConstitutiveLaw(ABC):
         """Time (s) in which the strain follows a change of load; infinite for elastic tissue."""
         return math.inf
 
-    # Response of the soft tissue -------------------------------------------------------------
+    # Response of the bulk tissue -------------------------------------------------------------
 
     @abstractmethod
     def step_energy(self, duration: float, before: Tissue) -> StepEnergy:

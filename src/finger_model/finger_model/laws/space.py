@@ -156,6 +156,17 @@ class ParameterSpace:
         """Name of the quantity that sums a fit up: the first derived one, else the first parameter."""
         return next(iter(self.derived), self.names[0])
 
+    def markdown(self) -> str:
+        """Table of the parameters for a law's page."""
+        lines = ["| parameter | symbol | search box | range | meaning |", "|---|---|---|---|---|"]
+        for p in self.parameters:
+            box, range_ = (
+                f"{low * p.display_factor:g} … {high * p.display_factor:g} {p.display_unit}".strip()
+                for low, high in (p.bounds, p.range)
+            )
+            lines.append(f"| `{p.name}` | {p.symbol} | {box} | {range_} | {p.meaning} |")
+        return "\n".join(lines)
+
     # Vectors and mappings --------------------------------------------------------------------
 
     @property

@@ -33,7 +33,7 @@ def _with_composite_modulus(vectors: np.ndarray, modulus: np.ndarray) -> np.ndar
 COMPOSITE_MODULUS = DerivedQuantity(
     "composite_E",
     unit="Pa",
-    meaning="Long-term modulus of the soft tissue, 1/(1/E0 + 1/E1).",
+    meaning="Long-term modulus of the bulk tissue, 1/(1/E0 + 1/E1).",
     symbol="E",
     display_unit="kPa",
     display_factor=1e-3,
@@ -75,7 +75,7 @@ class StandardLinearSolid(ConstitutiveLaw):
 
     E0: float = _paper(
         "E0",
-        "Modulus of the spring of the soft tissue: its stiffness under a sudden load.",
+        "Modulus of the spring of the bulk tissue: its stiffness under a sudden load.",
         unit="Pa",
         symbol="E₀",
         display_unit="kPa",

@@ -39,7 +39,7 @@ def long_term(material: Material) -> Material:
 def sphere(radius: float = 10e-3, refinement: float = 1.0) -> FullOrderModel:
     """Half-ball held on its flat side, with a small rigid core.
 
-    It is homogeneous where skin and soft tissue have one modulus.
+    It is homogeneous where skin and bulk tissue have one modulus.
     """
     geometry = Geometry(
         pad_semi_axis_radial=radius,

@@ -180,7 +180,7 @@ def energy(steps: int = 400) -> Check:
                 [
                     Curve(time, work * 1e6, label="work of the plate"),
                     Curve(time, stored * 1e6, label="stored"),
-                    Curve(time, dissipated * 1e6, label="dissipated in the soft tissue"),
+                    Curve(time, dissipated * 1e6, label="dissipated in the bulk tissue"),
                     Curve(time, friction * 1e6, label="friction"),
                 ],
             )
