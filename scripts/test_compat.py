@@ -38,7 +38,14 @@ def main() -> int:
             "NumPy 1.26, OpenCV 4 and libraries from PyPI",
             lambda: env.run(
                 *[env.python, "-m", "pip", "install", "-q", "-r", requirements, *PINS],
-                *["pytest>=8", "pytest-timeout", "hypothesis", "setuptools<80", "wheel"],
+                *[
+                    "pytest>=8",
+                    "pytest-timeout",
+                    "hypothesis",
+                    "mcap-ros2-support",
+                    "setuptools<80",
+                    "wheel",
+                ],
             ),
         )
     except SetupError as error:
