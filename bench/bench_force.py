@@ -1,6 +1,7 @@
 """The force driver at 500 Hz against a NETCANOEM board on a simulated bus in another process.
 
-Figures: polls without a sample, interval jitter, share of one core. Five minutes; `--quick` ten seconds.
+Figures: polls without a sample, interval jitter, share of one core. Five minutes, with `--quick`
+ten seconds.
 """
 
 from __future__ import annotations

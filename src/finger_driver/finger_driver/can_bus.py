@@ -89,7 +89,7 @@ class HostMulticastBus(can.BusABC):
             if hasattr(socket, "SO_REUSEPORT"):
                 self._receiver.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
             request_kernel_stamps(self._receiver)
-            # Bound to the group, Linux delivers this group's datagrams only; Windows cannot bind to it.
+            # Bound to the group, Linux delivers its datagrams only; Windows cannot bind to it.
             self._receiver.bind(("" if sys.platform == "win32" else channel, port))
             self._receiver.setsockopt(
                 socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(channel) + loopback

@@ -186,7 +186,7 @@ class StampStatistics:
             self._stamps.append(stamp_ns)
 
     def notes(self) -> dict[str, str]:
-        """Standard deviation and maximum of the intervals in ms; empty with fewer than three stamps."""
+        """Standard deviation and maximum of the intervals in ms; empty below three stamps."""
         stamps = self._stamps
         if len(stamps) < 3:
             return {}

@@ -157,7 +157,7 @@ class DeviceNode(ManagedNode):
             if abs(step) > _CLOCK_STEP:
                 self.device.note(
                     "clock_step",
-                    f"the system clock was stepped by {step:+.3f} s; stamps go on as before, restart "
-                    "all nodes to follow it",
+                    f"the system clock was stepped by {step:+.3f} s; stamps go on as before, "
+                    "restart all nodes to follow it",
                 )
         super().publish_diagnostics()

@@ -1,4 +1,4 @@
-"""Between plain data and messages, by attribute access only: no message package is imported here."""
+"""Between plain data and messages, by attribute access: no message package is imported here."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Node `moisture`: publishes `moisture`, one message per reading; the operator can enter readings."""
+"""Node `moisture`: publishes `moisture` for each reading, also those that the operator enters."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ class Sources(Generic[D]):
         return cls
 
     def settings(self, *beside: type[Settings]) -> tuple[type[Settings], ...]:
-        """The choice `device`, then the settings of every source, for a node that also has `beside`.
+        """The choice `device`, then the settings of every source, for a node that has `beside` too.
 
         A source that cannot be imported or whose settings contradict those of another is left out;
         `problems` says why.

@@ -13,7 +13,8 @@ from .force.source import GOOD, ForceSource, WrenchSample
 class TareResult:
     """Outcome of a tare.
 
-    bias (6,) in the source's channels, None when refused. offset (6,) N and N m. message: one sentence.
+    bias (6,) in the source's channels, None when refused. offset (6,) N and N m. message: one
+    sentence.
     """
 
     bias: np.ndarray | None
@@ -24,8 +25,9 @@ class TareResult:
 class TareCollector:
     """Collects samples for one tare.
 
-    duration: s of signal to average. force_limit N, torque_limit N m: the greatest peak-to-peak movement of any
-    axis that still counts as still, measured on means of a tenth of the duration so that noise does not count.
+    duration: s of signal to average. force_limit N, torque_limit N m: the greatest peak-to-peak
+    movement of any axis that counts as still, measured on means of a tenth of the duration so that
+    noise does not count.
     """
 
     PARTS = 10
@@ -66,7 +68,8 @@ class TareCollector:
                 None,
                 nothing,
                 "not tared: the signal moved by up to "
-                f"{moved[:3].max():.3g} N and {moved[3:].max():.3g} N m; take the finger off and try again",
+                f"{moved[:3].max():.3g} N and {moved[3:].max():.3g} N m; take the finger off and "
+                "try again",
             )
         bias = channels.mean(axis=0)
         offset = source.wrench_of(bias)

@@ -23,7 +23,7 @@ from finger_common.processes import bound_to_parent
 
 
 class DeviceProcess:
-    """`finger-device-sim …` in a process; `say` sends a command and waits until it is carried out."""
+    """`finger-device-sim …` in a process; `say` sends a command and waits until it is done."""
 
     def __init__(self, *arguments: object) -> None:
         self._child = subprocess.Popen(

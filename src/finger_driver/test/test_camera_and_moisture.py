@@ -153,7 +153,7 @@ def test_colour_and_16_bit_images_become_grey() -> None:
 
 
 class FakeUeye:
-    """The part of pyueye.ueye that the driver uses, with the types of ctypes, and the order of calls kept."""
+    """The part of pyueye.ueye that the driver uses, with the types of ctypes; records its calls."""
 
     HIDS = c_uint = ctypes.c_uint
     int = ctypes.c_int

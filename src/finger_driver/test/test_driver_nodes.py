@@ -69,7 +69,10 @@ def test_force_node_streams_tares_when_asked_and_follows_its_lifecycle(
 
         status = observer.until(
             lambda: [
-                s for a in diagnostics for s in a.status if "force: force" in s.name and "FT01234" in s.hardware_id
+                s
+                for a in diagnostics
+                for s in a.status
+                if "force: force" in s.name and "FT01234" in s.hardware_id
             ],
             what="diagnostics",
         )[-1]  # fmt: skip
@@ -101,7 +104,7 @@ def test_force_node_streams_tares_when_asked_and_follows_its_lifecycle(
 def test_camera_node_publishes_every_frame_with_its_calibration(
     observer: Observer, process: Any, tmp_path: Path
 ) -> None:
-    """1280×1024 at 10 Hz, best effort: with too small a shared memory two in three images were lost."""
+    """1280×1024 at 10 Hz, best effort: too small a shared memory lost two in three images."""
     from sensor_msgs.msg import CameraInfo, Image
     from sensor_msgs.srv import SetCameraInfo
 
@@ -128,7 +131,7 @@ def test_camera_node_publishes_every_frame_with_its_calibration(
         received = [header_stamp(m) + 250_000_000 for m in images]
         written = {int(p.name.split("_")[0]) for p in frames.glob("*.pgm")}
         assert set(received) <= written, "stamp is not acquisition plus offset"
-        # Each image goes with a small message of the same stamp: what the busy node skipped is not sent at all.
+        # Each image goes with a small message of the same stamp; a skipped one is not sent.
         sent = {header_stamp(m) for m in infos}
         arrived = sent & {header_stamp(m) for m in images}
         assert len(arrived) >= 0.8 * len(sent), f"{len(sent) - len(arrived)} images were lost"

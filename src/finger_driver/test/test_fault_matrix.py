@@ -435,7 +435,10 @@ NETFT_FAULTS = [
     ("digital board fault", ["status 0xA0000000"], ["status 0"], 0.3, True, 2, "digital board"),
     ("monitor latched", ["status 0x80010000"], ["status 0"], 0.3, False, 1, "latched"),
     ("page cut off after a reboot", ["bad_page 2", "reboot 1"], [], 0.5, True, 2, ""),
-    ("other units after a reboot", ["reboot 1", "units lbf lbf-in 1000 1000"], [], 0.4, True, 2, ""),
+    (
+        "other units after a reboot", ["reboot 1", "units lbf lbf-in 1000 1000"], [],
+        0.4, True, 2, "",
+    ),
 ]  # fmt: skip
 
 
@@ -502,8 +505,8 @@ def camera(
     folder = tmp_path_factory.mktemp("frames")
     with device("images", folder, "--size", "160x120", "--rate", 25) as simulator:
         under_test = NodeUnderTest(
-            domain, CameraNode, "_image", device="folder", path=str(folder), rate=25.0, frozen_after=4,
-            **FAST_RECONNECT,
+            domain, CameraNode, "_image", device="folder", path=str(folder), rate=25.0,
+            frozen_after=4, **FAST_RECONNECT,
         )  # fmt: skip
         yield simulator, under_test
         under_test.close()
@@ -632,15 +635,24 @@ SERIAL_FAULTS = [
     ("half a line", ["half_line 1", "send 41.0", "wait 0.7", "send 42.0"], [42.0], 1, "broke off"),
     ("bytes that are not text", ["garbage 1", "send 1", "send 43.0"], [43.0], 1, "not ASCII"),
     ("no end of line", ["no_end 1", "send 1", "wait 0.7", "send 44.0"], [44.0], 1, "broke off"),
-    ("unplugged and back", ["unplug", "wait 0.5", "plug", "reconnect", "send 45.0"], [45.0], 2, "port"),
+    (
+        "unplugged and back", ["unplug", "wait 0.5", "plug", "reconnect", "send 45.0"],
+        [45.0], 2, "port",
+    ),
     ("two readings in one piece", ["held 1", "send 47.0", "send 48.0"], [47.0, 48.0], 0, ""),
     ("reading 131", ["send 131", "send 46.0"], [131.0, 46.0], 1, "131 a.u. is outside"),
 ]  # fmt: skip
 EXPORT_FAULTS = [
     ("file rewritten in place", ["send 50", "rewrite", "send 51"], [50.0, 51.0], 0, ""),
     ("row written in two halves", ["half_row", "send 52"], [52.0], 0, ""),
-    ("column missing", ["wrong_header", "send 53", "wait 0.6", "rewrite", "send 54"], [53.0, 54.0], 2, "no column 'value'"),
-    ("not a table", ["garbage", "send 55", "wait 0.6", "rewrite", "send 56"], [55.0, 56.0], 2, "not utf-8"),
+    (
+        "column missing", ["wrong_header", "send 53", "wait 0.6", "rewrite", "send 54"],
+        [53.0, 54.0], 2, "no column 'value'",
+    ),
+    (
+        "not a table", ["garbage", "send 55", "wait 0.6", "rewrite", "send 56"],
+        [55.0, 56.0], 2, "not utf-8",
+    ),
     ("reading 131", ["send 131"], [131.0], 1, "131 a.u. is outside"),
 ]  # fmt: skip
 

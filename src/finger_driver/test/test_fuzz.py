@@ -1,7 +1,7 @@
-"""Random and mutated bytes through every decoder: no exception escapes, no hang, memory stays bounded.
+"""Random and mutated bytes through every decoder: no exception escapes, memory stays bounded.
 
-3000 inputs per decoder here, 100 000 in the slow run. Mutations start from valid bytes, so that the inner branches
-are reached.
+3000 inputs per decoder here, 100 000 in the slow run. Mutations start from valid bytes, so that the
+inner branches are reached.
 """
 
 from __future__ import annotations

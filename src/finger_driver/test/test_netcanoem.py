@@ -1,4 +1,4 @@
-"""NETCANOEM: bytes of a real board, arithmetic of the manual, and the driver on buses that behave badly."""
+"""NETCANOEM: bytes of a real board, arithmetic of the manual, the driver on faulty buses."""
 
 from __future__ import annotations
 
@@ -32,7 +32,11 @@ def test_gauges_of_a_captured_reading() -> None:
 
 def test_matrix_row_of_a_captured_start_up() -> None:
     row = netcanoem.decode_matrix_row(
-        (hexa("3F 40 25 6A C1 DA D5 F4"), hexa("3F F8 5F 58 C1 CC ED 0E"), hexa("3F 9F F9 FC C1 DD 29 AD"))
+        (
+            hexa("3F 40 25 6A C1 DA D5 F4"),
+            hexa("3F F8 5F 58 C1 CC ED 0E"),
+            hexa("3F 9F F9 FC C1 DD 29 AD"),
+        )
     )  # fmt: skip
     expected = [0.7505709, -27.3544693, 1.9404097, -25.6157494, 1.2498164, -27.6453495]
     np.testing.assert_allclose(row, expected, rtol=1e-7)
@@ -88,7 +92,7 @@ def test_options_are_read_and_refused() -> None:
 
 
 class EchoBus(can.BusABC):
-    """Two ends of a bus that gives each sender its own frames back, `copies` times, as udp_multicast does."""
+    """A bus that gives each sender its own frames back, `copies` times, as udp_multicast does."""
 
     def __init__(self, inner: can.BusABC, copies: int) -> None:
         super().__init__("echo")

@@ -1,4 +1,4 @@
-"""Net F/T and DBC-described sensors: bytes, pages, averaging, and drivers against simulators in other processes."""
+"""Net F/T and DBC-described sensors: bytes, pages, averaging, drivers against simulators."""
 
 from __future__ import annotations
 
@@ -52,7 +52,10 @@ def test_page_gives_scales_in_si_and_counts_that_are_not_a_million() -> None:
         (b"<html>router</html>", "cfgcpf"),
         (b"not xml", "not readable XML"),
         (b"<n><cfgcpf>0</cfgcpf></n>", "positive"),
-        (b"<n><cfgcpf>1</cfgcpf><cfgcpt>1</cfgcpt><scfgfu>stone</scfgfu><scfgtu>Nm</scfgtu></n>", "stone"),
+        (
+            b"<n><cfgcpf>1</cfgcpf><cfgcpt>1</cfgcpt><scfgfu>stone</scfgfu><scfgtu>Nm</scfgtu></n>",
+            "stone",
+        ),
         (b'<!DOCTYPE a [<!ENTITY b "c">]><n/>', "declarations"),
     ],
 )  # fmt: skip

@@ -12,7 +12,7 @@ from finger_driver.tare import TareCollector
 
 @pytest.mark.parametrize("drift", [0.0, 50e-6, -120e-6])
 def test_a_device_clock_is_mapped_to_a_tenth_of_the_jitter(drift: float) -> None:
-    """500 Hz for 40 s; receipt late by 0.3 ms plus exponential jitter of 1 ms, as over USB or a network."""
+    """500 Hz for 40 s; receipt late by 0.3 ms and exponential jitter of 1 ms, as over a network."""
     random = np.random.default_rng(7)
     mapper = ClockMapper(1e7)
     start = 1_700_000_000_000_000_000

@@ -1,4 +1,4 @@
-"""Frames handed over as files in a folder, by the simulated rig or by another program that owns the camera.
+"""Frames as files in a folder, from the simulated rig or another program that owns the camera.
 
 A frame is a file `<stamp>_<sequence>.pgm` (or .png, .tif, .bmp): the acquisition time in ns since
 the epoch and the frame's number, in decimal. Files appear whole, by renaming. The writer keeps only

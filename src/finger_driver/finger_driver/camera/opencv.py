@@ -1,4 +1,4 @@
-"""Any source that OpenCV's VideoCapture opens: V4L2 camera, file, image sequence, GStreamer pipeline.
+"""Whatever OpenCV's VideoCapture opens: V4L2 camera, file, image sequence, GStreamer pipeline.
 
 A camera is read by a thread without pause that keeps only the newest frame: V4L2 queues up to four
 frames, and a slower reader would get ever older ones. Files and sequences are played at `rate`
@@ -214,7 +214,7 @@ class _Grabber(threading.Thread):
             sequence += 1
 
     def _stamp(self) -> int:
-        """Time of the frame: the kernel's (V4L2 gives its steady clock in ms) where it can be believed."""
+        """Time of the frame: the kernel's (V4L2: steady clock, ms) where it is recent, else now."""
         now, steady = self._clock.now(), time.monotonic()
         age = steady - self._capture.get(cv2.CAP_PROP_POS_MSEC) * 1e-3
         return now - nanoseconds(age) if 0 <= age < 1 else now

@@ -1,4 +1,4 @@
-"""ATI NETCANOEM on any python-can bus: start-up, polling at a fixed rate, everything that can go wrong.
+"""ATI NETCANOEM on any python-can bus: start-up, polling at a fixed rate, faults.
 
 The board is polled: one request, two reply frames. Frames of other devices may lie between them,
 the bus may echo the driver's own frames, replies may be lost or late. Rules used here:

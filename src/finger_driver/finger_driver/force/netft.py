@@ -6,7 +6,7 @@
 - Records carry no time. Their number and the box's rate make a device clock, mapped to host time of
   receipt (kernel stamps); when the rate proves not to be what the page says, receipt itself is the
   stamp.
-- What waited in the socket longer than `_OLD` s is skipped, so that a slow reader never lags behind.
+- What waited in the socket longer than `_OLD` s is skipped, so that a slow reader never lags.
 - A box that sends faster than `rate` is averaged over whole blocks, stamped in the block's middle.
   Its own decimation has no filter.
 - The box forgets the stream at a reboot and serves one client only; silence or a restarted
@@ -145,8 +145,8 @@ class NetFtSource(ForceSource):
         if not ready:
             self.close()
             raise DeviceError(
-                f"{self._where()}: the web page answers but no record comes; check the firewall and "
-                f"UDP port {self.settings.netft_port}"
+                f"{self._where()}: the web page answers but no record comes; check the firewall "
+                f"and UDP port {self.settings.netft_port}"
             )
 
     def _begin(self) -> None:

@@ -26,7 +26,7 @@ class ForceSettings(Settings):
         unit="Hz",
         minimum=1.0,
         maximum=7000.0,
-        advice="A CAN bus of 250 kbit/s carries at most about 800 readings of a NETCANOEM per second.",
+        advice="A CAN bus of 250 kbit/s carries at most about 800 NETCANOEM readings per second.",
     )
 
 

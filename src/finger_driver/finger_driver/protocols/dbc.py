@@ -78,7 +78,7 @@ class SensorMapping:
         return found
 
     def decode(self, name: str, data: bytes) -> dict[str, float]:
-        """Signals of one frame; raises DeviceError when the data are too short or do not `match`."""
+        """Signals of one frame; raises DeviceError for data too short or that do not `match`."""
         try:
             signals = self.database.decode_message(name, data, decode_choices=False)
         except Exception as error:

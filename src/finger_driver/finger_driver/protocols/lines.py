@@ -23,7 +23,7 @@ class ParsedLine:
 
 
 def compile_pattern(pattern: str) -> re.Pattern[str]:
-    """Compiled pattern; raises InputError for no regular expression or one without group `value`."""
+    """Compiled pattern; raises InputError for a wrong one or one without a group `value`."""
     try:
         compiled = re.compile(pattern)
     except re.error as error:

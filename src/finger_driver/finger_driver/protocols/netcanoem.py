@@ -1,8 +1,9 @@
 """ATI NETCANOEM wire protocol (F/T over CAN): addressing, opcodes, status word, arithmetic.
 
-Source: ATI "F/T CAN Bus and Serial Bus Network Interface for OEM", 9610-05-1030-04, sections 7 to 10. All data
-are big-endian. An 11-bit identifier is `base << 4 | opcode` with a 7-bit base. A request and its first reply carry
-the same identifier and differ only in length, so everything here is matched on identifier *and* length.
+Source: ATI "F/T CAN Bus and Serial Bus Network Interface for OEM", 9610-05-1030-04, sections 7 to
+10. All data are big-endian. An 11-bit identifier is `base << 4 | opcode` with a 7-bit base. A
+request and its first reply carry the same identifier and differ only in length, so everything here
+is matched on identifier *and* length.
 
 Nothing in this module touches a bus: frames are (identifier, data) pairs.
 """
@@ -186,8 +187,8 @@ def saturated(gauges: np.ndarray) -> np.ndarray:
 class Calibration:
     """What turns gauges into a wrench.
 
-    matrix: (6, 6), rows Fx Fy Fz Tx Ty Tz, columns gauges 0…5. Raises DeviceError when it is not finite or
-    singular, counts are not positive or a unit code is unknown.
+    matrix: (6, 6), rows Fx Fy Fz Tx Ty Tz, columns gauges 0…5. Raises DeviceError when it is not
+    finite or singular, counts are not positive or a unit code is unknown.
     """
 
     matrix: np.ndarray
@@ -214,7 +215,7 @@ class Calibration:
         object.__setattr__(self, "scaled", matrix * scale[:, None])
 
     def wrench(self, gauges: np.ndarray) -> np.ndarray:
-        """Wrench (6,) in N and N m of gauges (6,) from which the bias was taken (manual, figure 7.1)."""
+        """Wrench (6,) in N and N m of gauges (6,) without their bias (manual, figure 7.1)."""
         return self.scaled @ np.asarray(gauges, dtype=float)
 
     def gauges(self, wrench: np.ndarray) -> np.ndarray:

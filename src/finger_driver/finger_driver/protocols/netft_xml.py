@@ -21,7 +21,7 @@ MAX_BYTES = 1_000_000
 
 @dataclass(frozen=True)
 class Configuration:
-    """What the page says: counts per unit, units, product, rate of RDT (0 where it says nothing)."""
+    """What the page gives: counts per unit, units, product, rate of RDT (0 where it is absent)."""
 
     counts_per_force: float
     counts_per_torque: float

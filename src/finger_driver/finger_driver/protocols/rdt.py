@@ -1,8 +1,8 @@
 """ATI Net F/T Raw Data Transfer (RDT) over UDP.
 
-Source: ATI 9620-05-net ft, section 10, and the public driver netft/ros-netft (status word, order of commands).
-Big-endian. A request is 8 bytes (0x1234, command, sample count), a record 36 bytes; in buffered mode a datagram
-holds several records.
+Source: ATI 9620-05-net ft, section 10, and the public driver netft/ros-netft (status word, order of
+commands). Big-endian. A request is 8 bytes (0x1234, command, sample count), a record 36 bytes; in
+buffered mode a datagram holds several records.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ STATUS_BITS = {
 
 @dataclass(frozen=True)
 class Record:
-    """One record: numbers of record and internal sample, status word, counts of Fx Fy Fz Tx Ty Tz."""
+    """Numbers of record and internal sample, status word, counts of Fx Fy Fz Tx Ty Tz."""
 
     rdt_sequence: int
     ft_sequence: int

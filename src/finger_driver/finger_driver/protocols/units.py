@@ -1,7 +1,7 @@
 """Units of force and torque as sensors name them, and their factors to N and N m.
 
-Codes: ATI manual 9610-05-1030-04, table of opcode 0x8; the same codes stand in READCALINFO of the Net F/T
-(9620-05-net ft, section 11). Names: the Net F/T's XML pages. Factors: NIST SP 811.
+Codes: ATI manual 9610-05-1030-04, table of opcode 0x8; the same codes are used in READCALINFO of
+the Net F/T (9620-05-net ft, section 11). Names: the Net F/T's XML pages. Factors: NIST SP 811.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ Each serves the device's own protocol, is given values from outside and knows no
 
     bus = can_bus.open_bus("udp_multicast", options={"port": 43210})
     force = NetcanoemSimulator(bus, force=lambda stamp_ns: wrench6).start()   # until .stop()
-    force.faults.set("silent", -1)   # n > 0: the next n times; -1: until .faults.clear() or set(…, 0)
+    force.faults.set("silent", -1)   # n > 0: the next n times; -1: until clear() or set(…, 0)
 
     probe = SerialMoistureSimulator(link="run/moisture")    # a pty; the driver opens probe.port
     probe.send(42.0, "before")

@@ -9,7 +9,7 @@ from finger_common.errors import InputError
 
 
 class Faults:
-    """Named faults with an integer each: 0 off, n > 0 for the next n occasions, -1 until switched off.
+    """Named faults with an integer each: 0 off, n > 0 the next n occasions, -1 until switched off.
 
     `take` uses up one occasion; `value` does not, for faults whose number is a setting (a status
     word, a slot, …).

@@ -35,8 +35,8 @@ FAULTS = {
 class FrameFolderWriter:
     """Writes frames (H, W) uint8 as PGM; keeps the newest `keep` files.
 
-    Frames that an earlier writer left in the folder are removed. Raises InputError when the folder cannot be
-    written to.
+    Frames that an earlier writer left in the folder are removed. Raises InputError when the folder
+    cannot be written to.
     """
 
     def __init__(self, folder: str | Path, keep: int = 50) -> None:

@@ -49,7 +49,8 @@ def three_beam_matrix(radius: float = 5e-3, sensitivity: float = 500.0) -> np.nd
     """Calibration matrix (6, 6) of an idealised transducer, N and N mm per count times 1e6.
 
     Three beams at 120° on `radius` (m), each with one gauge for axial and one for tangential load,
-    `sensitivity` in counts per N on a beam. Statics gives gauges from the wrench; the matrix is its inverse.
+    `sensitivity` in counts per N on a beam. Statics gives gauges from the wrench; the matrix is its
+    inverse.
     """
     to_gauges = np.zeros((6, 6))
     for beam in range(3):
@@ -87,8 +88,9 @@ class NetcanoemOptions(LoadOptions, BusOptions):
 class NetcanoemSimulator(CanSimulator):
     """ATI NETCANOEM on a CAN bus.
 
-    force: called with the time (ns since the epoch) of each reading, gives the wrench (6,) in N and N m.
-    slots: calibrations by slot number. noise: standard deviation in counts. gauge_offset: (6,) counts unloaded.
+    force: called with the time (ns since the epoch) of each reading, gives the wrench (6,) in N and
+    N m. slots: calibrations by slot number. noise: standard deviation in counts. gauge_offset: (6,)
+    counts unloaded.
     response_time: s between request and reply.
     """
 

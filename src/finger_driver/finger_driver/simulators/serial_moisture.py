@@ -41,7 +41,8 @@ class SerialOptions(Settings):
 class SerialMoistureSimulator(Simulator):
     """Serial moisture adapter on a pseudo-terminal.
 
-    Its far end is named `port`; `link`, if given, is a symbolic link to it that stays. `send` writes a reading as `line` formats it; `values` are sent in turn every `period` s.
+    Its far end is named `port`; `link`, if given, is a symbolic link to it that stays. `send`
+    writes a reading as `line` formats it; `values` are sent in turn every `period` s.
     """
 
     NAME = "serial"

@@ -1,4 +1,4 @@
-"""What all simulated devices share: faults, a thread, options and commands of `finger-device-sim`."""
+"""What all simulated devices share: faults, a thread, options, commands of `finger-device-sim`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Values to feed a simulated device with when nothing else does: pressing forces and test images."""
+"""Values for a simulated device when nothing else gives them: pressing forces, test images."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def constant_wrench(text: str) -> Wrench:
 
 
 def pressing_wrench(peak: float, axis: str = "+z", period: float = 4.0) -> Wrench:
-    """A raised-cosine press to `peak` N in the first half of each `period` s, no load in the second."""
+    """A raised-cosine press to `peak` N in the first half of each `period` s, then no load."""
     direction = axis_vector(axis)
 
     def wrench(stamp_ns: int) -> np.ndarray:
