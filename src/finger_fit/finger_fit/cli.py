@@ -16,6 +16,8 @@ from rich.table import Table
 from finger_common.axes import NORMAL_AXES
 from finger_common.cli import EXIT_INTERRUPTED, Parser, add_settings, run, settings_from
 from finger_common.errors import InputError
+from finger_model.fem.area_model import FullOrderAreas
+from finger_model.laws import law_of
 from finger_model.reduced import ReducedModel
 
 from .options import FitOptions
@@ -54,6 +56,12 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--calibration", metavar="YAML", help="plate calibration for areas from images")
     p.add_argument("--mapping", metavar="FILE", help="YAML file with other topic names, units")
     p.add_argument("--model", metavar="NPZ", help="reduced model file (default: the shipped one)")
+    p.add_argument(
+        "--law",
+        metavar="NAME",
+        default="",
+        help="another installed material law; it is fitted with the full-order model (slow)",
+    )
     p.add_argument("--quiet", action="store_true", help="no progress")
     add_settings(p, FitOptions)
     return p
@@ -118,7 +126,9 @@ def command(argv: Sequence[str] | None = None) -> int:
     for bag in args.bags:
         if not Path(bag).exists():
             raise InputError(f"{bag}: no such bag; check the path")
-    model = ReducedModel.load(args.model)
+    if args.law and args.model:
+        raise InputError("--law and --model: a reduced model has its own law; give one of the two")
+    model = FullOrderAreas(law_of(args.law)()) if args.law else ReducedModel.load(args.model)
     with Screen(args.quiet) as screen:
         result = fit_bags(
             args.bags, options, args.output, args.condition, model, screen,

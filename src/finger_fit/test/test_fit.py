@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import os
 import re
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 
 from finger_common.errors import InputError
-from finger_fit import results
+from finger_fit import report, results
 from finger_fit.engine import DaskEngine
 from finger_fit.options import FitOptions
 from finger_fit.problem import MM4
@@ -20,6 +21,7 @@ from finger_fit.report import write_report
 from finger_fit.results import FitResult
 from finger_fit.search import Stopped, all_free, refine
 from finger_fit.study import fit_condition, fit_records
+from finger_model.fem.full_order import FullOrderModel
 from finger_model.parameter_sets import ParameterSets
 
 QUICK = dict(full_order=False, profiles=False, bootstrap=0, grid=3)
@@ -124,11 +126,11 @@ def test_interruption_leaves_the_best_so_far(double, stop_at: str, signal: type)
     problem = double.make_problem(noise=1e-6, trials=4)
     options = FitOptions(full_order=False, profiles=False, bootstrap=5, grid=4, rounds=10)
 
-    def report(condition: str, stage: str, number: int, *_: object) -> None:
+    def progress(condition: str, stage: str, number: int, *_: object) -> None:
         if stage == stop_at and number == 2:
             raise signal
 
-    fit = fit_condition(problem, options, report=report)
+    fit = fit_condition(problem, options, report=progress)
     assert fit.status == "interrupted" and fit.reasons
     assert np.isfinite(fit.cost) and problem.cost(fit.parameters)[0] == pytest.approx(fit.cost)
     assert len(fit.top) >= 1
@@ -203,6 +205,26 @@ def test_report_is_one_self_contained_page_with_its_figures_beside_it(
     ):
         assert words in page
     assert not re.search(r"\bnan\b", re.sub(r"base64,[^\"]*", "", page))
+
+
+def test_report_draws_and_computes_nothing(study, tmp_path: Path, monkeypatch) -> None:
+    """No model runs for the report, and its modules import no solver."""
+
+    def refuse(*_: object) -> None:
+        raise AssertionError("the report runs a model")
+
+    for fit in study.fits.values():
+        monkeypatch.setattr(type(fit.problem.model), "batch", refuse)
+    monkeypatch.setattr(FullOrderModel, "start", refuse)
+    write_report(study, tmp_path)
+    imported = set()
+    for file in Path(report.__file__).parent.glob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.ImportFrom):
+                imported.add("." * node.level + (node.module or ""))
+    rooms = {"search", "full_order", "study", "engine"}
+    assert not {name for name in imported if name.lstrip(".").split(".")[0] in rooms}
+    assert not [n for n in imported if re.search(r"finger_model\.(fem|reduced)|scipy|pymoo", n)]
 
 
 def test_dask_gives_the_local_result_and_survives_a_killed_worker(double) -> None:

@@ -11,10 +11,10 @@ import numpy as np
 
 from finger_model.fem.area_model import FullOrderAreas
 from finger_model.geometry import Geometry
-from finger_model.laws import ConstitutiveLaw, StandardLinearSolid
+from finger_model.laws import ConstitutiveLaw
 
 from ..engine import Done, Engine, LocalEngine
-from ..problem import FitProblem, FitTrial
+from ..problem import FitProblem, FitTrial, material_of
 
 REFINEMENT = 1.25
 """Of the mesh. The areas of the default mesh err by 0.05–0.15 %, which in the poorly constrained
@@ -45,13 +45,9 @@ class FullOrder:
 
     @classmethod
     def like(cls, model: Any, engine: Engine | None = None) -> FullOrder:
-        """With the law, geometry, friction and other constants that a model was built for.
-
-        A model that states none has those of the defaults.
-        """
-        material = getattr(model, "material", None) or StandardLinearSolid()
+        """With the law, geometry, friction and other constants that a model was built for."""
         geometry = getattr(model, "geometry", None) or Geometry()
-        return cls(geometry, material, engine or LocalEngine())
+        return cls(geometry, material_of(model), engine or LocalEngine())
 
     def areas(
         self, problem: FitProblem, candidates: np.ndarray, done: Done | None = None

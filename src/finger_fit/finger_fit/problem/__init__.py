@@ -1,6 +1,6 @@
 """The fit's problem: trials, the model, and the cost of a parameter set."""
 
-from .cost import AreaCorrection, AreaModel, FitProblem
+from .cost import AreaCorrection, AreaModel, FitProblem, material_of
 from .power_law import PowerLaw, fit_power_law
 from .trials import Exclusion, FitTrial, TrialRejected, prepare, prepare_all
 from .units import MM2, MM4
@@ -16,6 +16,7 @@ __all__ = [
     "PowerLaw",
     "TrialRejected",
     "fit_power_law",
+    "material_of",
     "prepare",
     "prepare_all",
 ]

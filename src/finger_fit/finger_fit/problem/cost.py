@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from finger_common.files import sha256_of
-from finger_model.laws import ParameterSpace
+from finger_model.laws import ConstitutiveLaw, ParameterSpace, StandardLinearSolid
 
 from ..options import FitOptions
 from .trials import FitTrial
@@ -36,6 +36,11 @@ class AreaModel(Protocol):
         A trial is time (n,) in s, force (n,) in N and rows (f,), the samples whose area is wanted.
         """
         ...
+
+
+def material_of(model: Any) -> ConstitutiveLaw:
+    """Law and fixed properties of a model; the default law where the model states none."""
+    return getattr(model, "material", None) or StandardLinearSolid()
 
 
 @dataclass(frozen=True)

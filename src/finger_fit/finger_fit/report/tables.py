@@ -134,6 +134,8 @@ def verdict(result: FitResult) -> str:
                 f"changes {fit.space.describe(check.headline).html} by {100 * check.change:.1f} % "
                 f"(limit {100 * check.CHANGE_LIMIT:g} %)."
             )
+        elif fit.status == "final":
+            lines.append(f"{title} is final: the fit used the full-order model itself.")
         elif fit.status == "not checked":
             lines.append(f"{title} was not checked against the full-order model.")
         else:
@@ -409,6 +411,7 @@ def provenance(result: FitResult) -> str:
         ["software", escape(str(sources.get("software_version", "–")))],
         ["Python, NumPy, SciPy, pymoo", escape(", ".join(packages))],
         ["seed", str(options.seed)],
+        ["material law", escape(str(sources.get("law", "–")))],
         ["geometry", _code(sources.get("geometry_hash", "–"))],
         ["reduced model", _code(sources.get("reduced_model_hash", "–"))],
         [

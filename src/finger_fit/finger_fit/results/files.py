@@ -14,7 +14,7 @@ from finger_common.files import atomic_write
 from finger_common.moisture import MOISTURE_RANGE
 from finger_model.parameter_sets import ParameterSet, ParameterSets
 
-from ..problem import MM4
+from ..problem import MM4, material_of
 from ..uncertainty import shifted_interval
 from .fits import ConditionFit, FitResult
 
@@ -174,6 +174,7 @@ def parameter_sets(result: FitResult) -> ParameterSets:
         str(result.sources.get("geometry_hash", "")),
         str(result.sources.get("reduced_model_hash", "")),
         "fit",
+        type(material_of(next(iter(result.fits.values())).problem.model)),
     )
 
 

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from finger_model.fem.area_model import FullOrderAreas
+
 from ..engine import Engine, LocalEngine
 from ..full_order import BetterModel, FullOrder, check, correct
 from ..options import FitOptions
@@ -79,6 +81,8 @@ class _Stages:
         self.problem, self.options, self.name, self.folder = problem, options, name, folder
         self.engine = engine or LocalEngine()
         self.better = better or FullOrder.like(problem.model, self.engine)
+        # A full-order model needs neither correction nor check.
+        self.reduced = not isinstance(problem.model, FullOrderAreas)
         self.coordinates = all_free(problem)
         self.start = np.empty((0, len(problem.space)))
 
@@ -136,17 +140,18 @@ class _Stages:
             others = [name for name in options.optimizer if name != "pso"]
             fit.cross_checks = [self.cross_check(fit, name) for name in others]
         count = progress.count("full order")
-        if options.full_order and options.correct:
+        if options.full_order and options.correct and self.reduced:
             with progress.timed("full order"):
                 found, fit.correction = correct(problem, fit.parameters, self.better, done=count)
             fit.parameters, fit.cost = found.parameters, found.cost
         fit.top, fit.top_costs = top_candidates(fit, options.top)
         with progress.timed("sensitivities"):
             fit.covariance = covariance(problem, fit.parameters)
-        if options.full_order:
+        if options.full_order and self.reduced:
             with progress.timed("full order"):
                 fit.full_order = check(problem, fit.top, self.better, count)
             fit.reasons = fit.full_order.reasons
+        if options.full_order:
             fit.status = "not final" if fit.reasons else "final"
         if options.profiles:
             names = problem.space.quantity_names

@@ -9,13 +9,14 @@ from typing import Any
 
 from finger_bag.schema import software_version
 from finger_common.errors import InputError, ModelError
+from finger_model.fem.area_model import FullOrderAreas
 from finger_model.reduced import ReducedModel
 
 from .. import results
 from ..engine import Engine, engine_for
 from ..full_order import FullOrder
 from ..options import FitOptions
-from ..problem import Exclusion, FitProblem, prepare_all
+from ..problem import Exclusion, FitProblem, material_of, prepare_all
 from ..report import write_report
 from ..results import ConditionFit, FitResult
 from ..search import Stopped
@@ -74,8 +75,10 @@ def _further(result: FitResult, records: Sequence[Any], engine: Engine) -> None:
     """The other force mode, and the additional fits that the options ask for."""
     options, fits = result.options, result.fits
     progress = Progress("", len(result.space), None)
-    with progress.timed("other force mode"):
-        result.force_modes = {name: force_modes(fit, records) for name, fit in fits.items()}
+    # A fit by the full-order model itself takes minutes, and is not repeated for a comparison.
+    if not isinstance(next(iter(fits.values())).problem.model, FullOrderAreas):
+        with progress.timed("other force mode"):
+            result.force_modes = {name: force_modes(fit, records) for name, fit in fits.items()}
     if options.shared and len(fits) > 1:
         result.shared = shared_fit(
             {name: fit.problem for name, fit in fits.items()},
@@ -106,9 +109,9 @@ def fit_bags(
 ) -> FitResult:
     """Fit bags and write fit.json, parameters.yaml, report.html and its figures into `output`.
 
-    paths: bags and folders of bags; model: a ReducedModel, None for the shipped one; conditions:
-    names to fit, empty for all. Nothing is written without `output`. Raises InputError for bags
-    that cannot be fitted.
+    paths: bags and folders of bags; model: a ReducedModel, or a FullOrderAreas of any law, None for
+    the shipped reduced model; conditions: names to fit, empty for all. Nothing is written without
+    `output`. Raises InputError for bags that cannot be fitted.
     """
     options = options or FitOptions()
     model = model or ReducedModel.load()
@@ -124,9 +127,10 @@ def fit_bags(
     result.problems = [*loaded.problems, *result.problems]
     result.sources = {
         "bags": loaded.sources,
-        "geometry_hash": model.geometry_hash,
-        "reduced_model_hash": model.hash,
-        "reduced_model_error": model.measured_error,
+        "law": material_of(model).name,
+        "geometry_hash": model.geometry.hash(),
+        "reduced_model_hash": getattr(model, "hash", ""),
+        "reduced_model_error": getattr(model, "measured_error", {}),
         "software_version": software_version(),
     }
     result.seconds.update(progress.seconds)
