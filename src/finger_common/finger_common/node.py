@@ -194,7 +194,11 @@ class ManagedNode(LifecycleNode):
             plugins.load(chosen.get(name, own[name].default)).SETTINGS
             for name, plugins in cls.PLUGINS.items()
         ]
-        return parameters_of(NodeSettings, *cls.settings_classes(), *plugins) + cls.TABLE
+        try:
+            return parameters_of(NodeSettings, *cls.settings_classes(), *plugins) + cls.TABLE
+        except ValueError as error:
+            names = ", ".join(plugin.__name__ for plugin in plugins)
+            raise InputError(f"{names}: {error}; rename this setting of the plugin") from None
 
     @classmethod
     def settings_classes(cls) -> tuple[type[Settings], ...]:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -75,10 +73,8 @@ def calibration_of(
             f"{reader.path}: no plate calibration attached ({CALIBRATION_ATTACHMENT}); "
             "give one with --calibration, or --area-per-pixel"
         )
-    with tempfile.TemporaryDirectory(prefix="finger_bag_") as folder:
-        path = Path(folder) / CALIBRATION_ATTACHMENT
-        path.write_bytes(data)
-        return PlateCalibration.load(path)
+    where = f"{reader.path}, {CALIBRATION_ATTACHMENT}"
+    return PlateCalibration.from_yaml(data.decode(errors="replace"), where)
 
 
 class ImageAreas:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 
+from finger_common.errors import InputError
 from finger_common.flags import AreaFlag
 from finger_common.plugins import Plugins
 from finger_common.settings import Settings, setting
@@ -20,7 +21,23 @@ from finger_common.settings import Settings, setting
 if TYPE_CHECKING:
     from .calibration import PlateCalibration
 
-AREA_SENSORS = Plugins("finger_vision.area_sensor", "area sensor")
+
+class AreaSensors(Plugins):
+    """The installed area sensors."""
+
+    def load(self, name: str) -> Any:
+        """The class of an area sensor; raises InputError where it is absent or unusable."""
+        sensor = super().load(name)
+        settings = getattr(sensor, "SETTINGS", None)
+        if not (isinstance(settings, type) and issubclass(settings, Settings)):
+            raise InputError(
+                f"area sensor '{name}': {sensor!r} has no SETTINGS, a Settings class; correct its "
+                "entry point or remove its package"
+            )
+        return sensor
+
+
+AREA_SENSORS = AreaSensors("finger_vision.area_sensor", "area sensor")
 
 DEFAULT_AREA_SENSOR = "ftir"
 

@@ -38,8 +38,6 @@ class CalibrationReport:
 
     calibration: PlateCalibration
     view_errors: dict[str, float]
-    focal_deviation: float
-    tilt_span: float
 
 
 def calibrate_plate(
@@ -62,26 +60,19 @@ def calibrate_plate(
                 f"{view.name}: image is {view.size[0]}×{view.size[1]}, others are "
                 f"{size[0]}×{size[1]}; use images of one camera setting"
             )
-    base = PlateCalibration(1e-9, image_size=size)
-    errors: dict[str, float] = {}
-    deviation, span = math.nan, 0.0
-    if lens:
-        base, errors, deviation, span = _lens(views, size)
-    return CalibrationReport(
-        replace(
-            _plate(base, plate_views, size),
-            camera_name=camera_name,
-            date=datetime.now(timezone.utc).isoformat(timespec="seconds"),
-        ),
-        errors,
-        deviation,
-        span,
+    camera, errors = _lens(views, size) if lens else (PlateCalibration(image_size=size), {})
+    calibration = replace(
+        _plate(camera, plate_views, size),
+        camera_name=camera_name,
+        date=datetime.now(timezone.utc).isoformat(timespec="seconds"),
     )
+    return CalibrationReport(calibration, errors)
 
 
 def _lens(
     views: Sequence[View], size: tuple[int, int]
-) -> tuple[PlateCalibration, dict[str, float], float, float]:
+) -> tuple[PlateCalibration, dict[str, float]]:
+    """Camera matrix and distortion, and the RMS error (px) of each view."""
     if len(views) < MINIMUM_VIEWS:
         raise InputError(
             f"the board was found in {len(views)} views, {MINIMUM_VIEWS} at different angles are "
@@ -96,7 +87,7 @@ def _lens(
         )
     points = [v.points.astype(np.float32) for v in views]
     pixels = [v.pixels.astype(np.float32).reshape(-1, 1, 2) for v in views]
-    # OpenCV's own start values; its type hints do not know that None asks for them.
+    # None: OpenCV's own start values, which its type hints do not allow.
     start: Any = None
     try:
         error, camera, distortion, rotations, _, deviations, _, per_view = (
@@ -129,13 +120,12 @@ def _lens(
             "are accepted; take more views with more tilt, or use --no-lens"
         )
     calibration = PlateCalibration(
-        1e-9,
         camera_matrix=camera,
         distortion=np.ravel(distortion)[:5],
         image_size=size,
         reprojection_error=float(error),
     )
-    return calibration, errors, focal, span
+    return calibration, errors
 
 
 def _plate(

@@ -19,7 +19,7 @@ import numpy as np
 import yaml
 
 from finger_common.errors import InputError
-from finger_common.files import atomic_write, load_yaml, number
+from finger_common.files import atomic_write, number, parse_yaml, read_text
 from finger_common.settings import Settings, setting
 
 FILE_VERSION = 1
@@ -135,43 +135,7 @@ class PlateCalibration:
         area = 0.5 * np.abs(diagonal[..., 0] * other[..., 1] - diagonal[..., 1] * other[..., 0])
         return (area / step**2).astype(np.float32)
 
-    def rectified_map(self, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
-        """Maps for cv2.remap to a rectified image of the same size, its centre at the origin."""
-        pitch = math.sqrt(self.area_per_pixel)
-        x = (np.arange(width) - (width - 1) / 2) * pitch
-        y = (np.arange(height) - (height - 1) / 2) * pitch
-        grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-        pixels = self.to_pixels(grid, width, height).reshape(height, width, 2)
-        pixels = np.clip(pixels, -1e5, 1e5).astype(np.float32)
-        return cv2.convertMaps(pixels[..., 0], pixels[..., 1], cv2.CV_16SC2)
-
-    def rectify(self, image: np.ndarray) -> np.ndarray:
-        """(H, W) uint8 seen squarely; each pixel covers `area_per_pixel`."""
-        height, width = image.shape[:2]
-        if not self.calibrated:
-            return image
-        first, second = self.rectified_map(width, height)
-        return cv2.remap(image, first, second, cv2.INTER_LINEAR)
-
     # Files -----------------------------------------------------------------------------------
-
-    def camera_info_fields(self) -> dict[str, Any]:
-        """Fields of a sensor_msgs/CameraInfo: height, width, distortion_model, d, k, r, p.
-
-        `r` is the identity: the plate's homography is no rotation of the camera and is not sent.
-        """
-        if self.camera_matrix is None or self.image_size is None:
-            raise InputError("this calibration holds no camera matrix; run finger-vision calibrate")
-        k = self.camera_matrix
-        return {
-            "height": self.image_size[1],
-            "width": self.image_size[0],
-            "distortion_model": "plumb_bob",
-            "d": [float(v) for v in self.distortion],
-            "k": [float(v) for v in k.ravel()],
-            "r": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-            "p": [float(v) for v in np.column_stack([k, np.zeros(3)]).ravel()],
-        }
 
     def save(self, path: str | Path) -> None:
         """Write the YAML file."""
@@ -180,15 +144,6 @@ class PlateCalibration:
 
     def to_yaml(self) -> str:
         """Text of the YAML file; its camera part is that of ROS's camera_calibration."""
-
-        def matrix(values: np.ndarray) -> dict[str, Any]:
-            values = np.atleast_2d(values)
-            return {
-                "rows": int(values.shape[0]),
-                "cols": int(values.shape[1]),
-                "data": [float(v) for v in values.ravel()],
-            }
-
         data: dict[str, Any] = {
             "version": FILE_VERSION,
             "camera_name": self.camera_name,
@@ -198,13 +153,14 @@ class PlateCalibration:
         if self.image_size is not None:
             data["image_width"], data["image_height"] = map(int, self.image_size)
         if self.camera_matrix is not None:
-            data["camera_matrix"] = matrix(self.camera_matrix)
+            projection = np.column_stack([self.camera_matrix, np.zeros(3)])
+            data["camera_matrix"] = _matrix(self.camera_matrix)
             data["distortion_model"] = "plumb_bob"
-            data["distortion_coefficients"] = matrix(self.distortion)
-            data["rectification_matrix"] = matrix(np.eye(3))
-            data["projection_matrix"] = matrix(np.column_stack([self.camera_matrix, np.zeros(3)]))
+            data["distortion_coefficients"] = _matrix(self.distortion)
+            data["rectification_matrix"] = _matrix(np.eye(3))
+            data["projection_matrix"] = _matrix(projection)
         if self.plate_from_pixel is not None:
-            data["plate_homography"] = matrix(self.plate_from_pixel)
+            data["plate_homography"] = _matrix(self.plate_from_pixel)
         for key in ("reprojection_error", "plate_error"):
             if math.isfinite(getattr(self, key)):
                 data[key] = float(getattr(self, key))
@@ -217,60 +173,72 @@ class PlateCalibration:
     @classmethod
     def load(cls, path: str | Path) -> PlateCalibration:
         """Read a YAML file; raises InputError naming file and key."""
-        data = load_yaml(path, "plate calibration")
-        where = str(path)
+        return cls.from_yaml(read_text(path, "plate calibration"), str(path))
+
+    @classmethod
+    def from_yaml(cls, text: str, where: str) -> PlateCalibration:
+        """From the text of a YAML file; raises InputError naming `where` and the key."""
+        data = parse_yaml(text, where)
         version = data.get("version", FILE_VERSION)
         if version != FILE_VERSION:
             raise InputError(
                 f"{where}: version {version!r} is not known, {FILE_VERSION} is; calibrate again"
             )
-
-        def matrix(key: str, shape: tuple[int, int]) -> np.ndarray | None:
-            if key not in data:
-                return None
-            try:
-                values = np.array(data[key]["data"], dtype=float)
-                size = (int(data[key]["rows"]), int(data[key]["cols"]))
-            except (TypeError, KeyError, ValueError):
-                raise InputError(f"{where}: '{key}' needs rows, cols and data") from None
-            if size != shape or values.size != shape[0] * shape[1] or not np.isfinite(values).all():
-                raise InputError(
-                    f"{where}: '{key}' must be {shape[0]}×{shape[1]} finite numbers; correct it"
-                )
-            return values.reshape(shape)
-
         size = None
         if "image_width" in data or "image_height" in data:
-            size = (
-                int(number(data, "image_width", where)),
-                int(number(data, "image_height", where)),
-            )
-            if min(size) <= 0:
-                raise InputError(f"{where}: image size {size[0]}×{size[1]} is not above zero")
-        distortion = matrix("distortion_coefficients", (1, 5))
-        homography = matrix("plate_homography", (3, 3))
+            width, height = (int(number(data, f"image_{n}", where)) for n in ("width", "height"))
+            if min(width, height) <= 0:
+                raise InputError(f"{where}: image size {width}×{height} is not above zero")
+            size = (width, height)
+        distortion = _read_matrix(data, "distortion_coefficients", (1, 5), where)
+        homography = _read_matrix(data, "plate_homography", (3, 3), where)
         if homography is not None and abs(np.linalg.det(homography)) < 1e-30:
             raise InputError(f"{where}: 'plate_homography' is singular; calibrate again")
         if homography is not None and size is None:
             raise InputError(f"{where}: 'image_width' and 'image_height' are missing; add them")
-
-        def optional(key: str) -> float:
-            return number(data, key, where) if key in data else math.nan
-
+        errors = {
+            key: number(data, key, where)
+            for key in ("reprojection_error", "plate_error")
+            if key in data
+        }
+        area_per_pixel = number(data, "area_per_pixel", where)
         try:
             return cls(
-                area_per_pixel=number(data, "area_per_pixel", where),
+                area_per_pixel=area_per_pixel,
                 plate_from_pixel=homography,
-                camera_matrix=matrix("camera_matrix", (3, 3)),
+                camera_matrix=_read_matrix(data, "camera_matrix", (3, 3), where),
                 distortion=np.zeros(5) if distortion is None else distortion[0],
                 image_size=size,
-                reprojection_error=optional("reprojection_error"),
-                plate_error=optional("plate_error"),
                 camera_name=str(data.get("camera_name", "")),
                 date=str(data.get("date", "")),
+                **errors,
             )
         except InputError as error:
             raise InputError(f"{where}: {str(error).removeprefix(where + ': ')}") from None
+
+
+def _matrix(values: np.ndarray) -> dict[str, Any]:
+    """A matrix as ROS's camera_calibration writes it."""
+    rows, columns = np.atleast_2d(values).shape
+    return {"rows": rows, "cols": columns, "data": [float(v) for v in np.ravel(values)]}
+
+
+def _read_matrix(
+    data: dict[str, Any], key: str, shape: tuple[int, int], where: str
+) -> np.ndarray | None:
+    """The matrix under a key, None where absent; raises InputError for another shape."""
+    if key not in data:
+        return None
+    try:
+        values = np.array(data[key]["data"], dtype=float)
+        size = (int(data[key]["rows"]), int(data[key]["cols"]))
+    except (TypeError, KeyError, ValueError):
+        raise InputError(f"{where}: '{key}' needs rows, cols and data") from None
+    if size != shape or values.size != shape[0] * shape[1] or not np.isfinite(values).all():
+        raise InputError(
+            f"{where}: '{key}' must be {shape[0]}×{shape[1]} finite numbers; correct it"
+        )
+    return values.reshape(shape)
 
 
 @dataclass(frozen=True)

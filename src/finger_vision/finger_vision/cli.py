@@ -65,7 +65,12 @@ def _parser(area_sensor: str) -> Parser:
         help=f"area sensor that measures: {', '.join(AREA_SENSORS.names())} (default: %(default)s)",
     )
     settings = area.add_argument_group(f"settings of the area sensor '{area_sensor}'")
-    add_settings(settings, AREA_SENSORS.load(area_sensor).SETTINGS)
+    try:
+        add_settings(settings, AREA_SENSORS.load(area_sensor).SETTINGS)
+    except argparse.ArgumentError as error:
+        raise InputError(
+            f"area sensor '{area_sensor}': {error}; rename this setting of the sensor"
+        ) from None
     _add_calibrate(commands)
     return parser
 

@@ -47,12 +47,8 @@ class VisionSettings(Settings):
 def contact_area_message(fields: dict[str, Any]) -> ContactArea:
     """ContactArea without header from `contact_area_fields`."""
     x, y, z = fields["centroid"]
-    message = ContactArea(centroid=Point(x=x, y=y, z=z))
-    message.hull = [Point32(x=float(u), y=float(v), z=0.0) for u, v in fields["hull"]]
-    for name, value in fields.items():
-        if name not in ("centroid", "hull"):
-            setattr(message, name, value)
-    return message
+    hull = [Point32(x=float(u), y=float(v), z=0.0) for u, v in fields["hull"]]
+    return ContactArea(**{**fields, "centroid": Point(x=x, y=y, z=z), "hull": hull})
 
 
 class VisionNode(ManagedNode):
