@@ -1,10 +1,11 @@
 """Operator's page: time from the force sample that reaches the target to the cue on the screen.
 
-page_cue_latency_p50 and _p99: a stand-in rig in this process publishes force at 500 Hz, areas at 10 Hz and readings; the
-protocol node, the page node and a headless browser run as processes of their own. page_cue_latency_rig_p50 and _p99: the
-whole simulated rig runs beside them (devices, drivers, vision, model, recorder), which nearly fills two cores.
-The browser notes when the frame with the cue to lift was handed to the screen (on the same clock, this being one machine).
-What is missing: the screen's own delay, and a real sensor's and driver's.
+page_cue_latency_p50 and _p99: a stand-in rig in this process publishes force at 500 Hz, areas at
+10 Hz and readings; the protocol node, the page node and a headless browser run as separate
+processes. page_cue_latency_rig_p50 and _p99: the whole simulated rig runs beside them (devices,
+drivers, vision, model, recorder), which nearly fills two cores. The browser notes when the frame
+with the cue to lift was given to the screen, on the same clock. Not included: the delay of the
+screen, and those of a real sensor and driver.
 """
 
 from __future__ import annotations
@@ -35,7 +36,10 @@ from finger_common.stamps import header_stamp
 
 TARGET = 1.35  # N
 NAMESPACE = ("-r", "__ns:=/finger")
-OPTIONS = "--no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking --disable-component-update --disable-sync".split()
+OPTIONS = (
+    "--no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
+    "--disable-component-update --disable-sync"
+).split()
 
 WATCH = """
 window.shown = [];
@@ -43,7 +47,8 @@ new MutationObserver(() => {
   const look = document.getElementById("cue").dataset.look;
   requestAnimationFrame(() => {
     const channel = new MessageChannel();
-    channel.port1.onmessage = () => window.shown.push([look, performance.timeOrigin + performance.now()]);
+    const now = () => performance.timeOrigin + performance.now();
+    channel.port1.onmessage = () => window.shown.push([look, now()]);
     channel.port2.postMessage(0);
   });
 }).observe(document.getElementById("cue"), {attributes: true, attributeFilter: ["data-look"]});
@@ -51,7 +56,7 @@ new MutationObserver(() => {
 
 
 class StandIn(threading.Thread):
-    """Publishes what a rig would: presses when the cue says press, lifts 0.3 s after the cue to lift."""
+    """A stand-in rig: presses at the cue to press, lifts 0.3 s after the cue to lift."""
 
     def __init__(self, domain: int) -> None:
         super().__init__(daemon=True)
@@ -166,7 +171,7 @@ def watched_page(path: str, port: int) -> Iterator[Any]:
 
 
 def delays(page: Any, crossings: list[float]) -> np.ndarray:
-    """ms from each crossing (s) to the frame with its cue to lift; infinite where none came before the next crossing."""
+    """ms from each crossing (s) to the frame with its cue to lift; infinite where none came."""
     lifts = np.array([t / 1e3 for look, t in page.evaluate("window.shown") if look == "lift"])
     found = []
     for crossing, following in itertools.pairwise([*sorted(crossings), np.inf]):
@@ -187,9 +192,10 @@ def with_stand_in(path: str, presses: int, folder: Path) -> np.ndarray:
     domain, port = free_domain(), free_port()
     os.environ.update(ROS_DOMAIN_ID=str(domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
     protocol = node(
-        "protocol_node", f"output:={folder}", "subject:=S01", "conditions:=[natural]", f"trials:={presses}",
-        "readings:=0", "need_recorder:=false", "confirm_preparation:=false", "verdict_time:=0.2", "clear_time:=0.2",
-        "release_time:=0.1", "gap_limit:=1.0", "frame_gap_limit:=2.0", "stale_after:=2.0",
+        "protocol_node", f"output:={folder}", "subject:=S01", "conditions:=[natural]",
+        f"trials:={presses}", "readings:=0", "need_recorder:=false", "confirm_preparation:=false",
+        "verdict_time:=0.2", "clear_time:=0.2", "release_time:=0.1", "gap_limit:=1.0",
+        "frame_gap_limit:=2.0", "stale_after:=2.0",
     )  # fmt: skip
     rig = StandIn(domain)
     with quietly(protocol, node("page_node", f"port:={port}")):
@@ -210,7 +216,7 @@ def with_stand_in(path: str, presses: int, folder: Path) -> np.ndarray:
 
 
 def with_whole_rig(path: str, presses: int, folder: Path) -> np.ndarray:
-    """Delays (presses,) in ms with the whole simulated rig, whose bags tell when the cues were due."""
+    """Delays (presses,) in ms with the whole simulated rig; its bags hold when cues were due."""
     sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
     from demo.session import SessionRequest, record_session
 
@@ -261,6 +267,6 @@ def run(report: Any) -> None:
             name = f"page_cue_latency_{infix}p{q}"
             report.add(name, float(np.percentile(seen, q)), "ms", 50, "lower")
         report.note(
-            f"page: {len(seen)} cues of {len(found)} presses, worst {seen.max():.1f} ms, from the stamp of the force sample to the "
-            "frame with the cue in a headless browser on this machine"
+            f"page: {len(seen)} cues of {len(found)} presses, worst {seen.max():.1f} ms, from the "
+            "stamp of the force sample to the frame with the cue in a headless browser on this machine"
         )

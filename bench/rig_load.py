@@ -1,7 +1,8 @@
-"""The full load of a rig on the recorder: publishes it, records it, counts what is missing in the bag.
+"""The full load of a rig on the recorder: publish it, record it, count what the bag lacks.
 
-Two 500 Hz wrenches, contact_state at 500 Hz, 1280 × 1024 mono8 images with noise and contact_area and camera_info at
-10 Hz, moisture and trial now and then. `python bench/rig_load.py publish …` is the publishing process.
+Two 500 Hz wrenches, contact_state at 500 Hz, 1280 × 1024 mono8 images with noise and contact_area
+and camera_info at 10 Hz, moisture and trial now and then. `python bench/rig_load.py publish …` is
+the publishing process.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ TOPICS = {
 
 @dataclass
 class LoadResult:
-    """What was sent and what the bag holds, by topic; processor time of the recorder as a fraction of one core."""
+    """Messages sent and recorded by topic. cpu: of the recorder, as a fraction of one core."""
 
     seconds: float
     sent: dict[str, int]

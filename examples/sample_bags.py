@@ -1,10 +1,10 @@
-"""Makes the sample bags again: three presses per condition of the simulated rig, one small bag each.
+"""Makes the sample bags again: three presses of the simulated rig per condition, in one bag.
 
     python examples/sample_bags.py            # into bags/ of the checkout
 
-The whole suite records them over DDS, as at a rig; then the presses of a condition are put into one bag, message by
-message as they were recorded. The camera's frame is an area of interest of 480×440 pixels with little noise, stored
-as lossless PNG, so that a bag stays small.
+The whole suite records them over DDS, as at a rig; then the presses of a condition are put into one
+bag, message by message as they were recorded. The camera's frame is an area of interest of 480×440
+pixels with little noise, stored as lossless PNG, so that a bag stays small.
 """
 
 from __future__ import annotations
@@ -63,8 +63,8 @@ def own_trial(reader: BagReader) -> tuple[str, int, int]:
 def merge(bags: Sequence[Path], target: Path, condition: str) -> int:
     """Put bags, in order, into one of that condition; returns its size in bytes.
 
-    Messages are copied as they are. Left out: pictures long before and after a press, and what latched topics
-    repeat of earlier trials at the head of a bag.
+    Messages are copied as they are. Left out: pictures long before and after a press, and what
+    latched topics repeat of earlier trials at the head of a bag.
     """
     readers = [open_bag(bag) for bag in bags]
     try:

@@ -1,8 +1,9 @@
 """Write docs/nodes.md and src/finger_bringup/config/rig.yaml from the nodes' own descriptions.
 
-`python scripts/node_reference.py` writes both; `--check` only says whether they are current (exit code 1 if not). The
-parameters come from the tables the nodes declare, topics and services from the calls in their sources, the meaning of
-topics from the bag schema, messages from the comments of the interface files.
+`python scripts/node_reference.py` writes both; `--check` only says whether they are current (exit
+code 1 if not). The parameters come from the tables the nodes declare, topics and services from the
+calls in their sources, the meaning of topics from the bag schema, messages from the comments of the
+interface files.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ REFERENCE = ROOT / "docs" / "nodes.md"
 RIG_FILE = ROOT / "src" / "finger_bringup" / "config" / "rig.yaml"
 
 ORDER = (
-    "force camera moisture vision model recorder fit protocol page bring_up fit_request simulated_rig"
+    "force camera moisture vision model recorder fit protocol page bring_up fit_request "
+    "simulated_rig"
 ).split()
 """Nodes in the reader's order."""
 
@@ -235,12 +237,13 @@ def reference() -> str:
     lines = [
         "# Nodes, topics, services and parameters",
         "",
-        "<!-- Written by scripts/node_reference.py from the sources; a test holds it against them. -->",
+        "<!-- Written by scripts/node_reference.py from the sources; a test compares them. -->",
         "",
-        "Names without a leading `/` are relative to the namespace (`finger` in the launch files); `~` is the "
-        "node's own name. Units are SI on every topic and in every parameter. Each node publishes its health on "
-        "`/diagnostics` once a second and is a lifecycle node: `configure` connects and checks, `activate` "
-        "begins to publish. Start one with `ros2 run PACKAGE EXECUTABLE` or `python -m PACKAGE.EXECUTABLE`.",
+        "Names without a leading `/` are relative to the namespace (`finger` in the launch files);",
+        "`~` is the node's own name. Units are SI on every topic and in every parameter. Each node",
+        "publishes its health on `/diagnostics` once a second and is a lifecycle node: `configure`",
+        "connects and checks, `activate` begins to publish. Start one with",
+        "`ros2 run PACKAGE EXECUTABLE` or `python -m PACKAGE.EXECUTABLE`.",
         "",
         "| node | package | executable |",
         "|---|---|---|",
@@ -262,7 +265,8 @@ def reference() -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
-# The rig's parameter file --------------------------------------------------------------------------
+# The rig's parameter file
+# --------------------------------------------------------------------------
 
 
 def comment(parameter: Parameter) -> str:
@@ -296,10 +300,10 @@ def rig_file() -> str:
     """Text of config/rig.yaml."""
     lines = [
         "# Parameters of the rig, for `ros2 launch finger_bringup rig.launch.py parameters:=…` and",
-        "# `finger-rig up --parameters …`. Copy it, change what your rig needs, delete the rest: what is not",
-        "# named here keeps its default. Units are SI. `/**/` fits every namespace.",
+        "# `finger-rig up --parameters …`. Copy it, change what your rig needs, delete the rest: what",
+        "# is not named here keeps its default. Units are SI. `/**/` fits every namespace.",
         "#",
-        "# Written by scripts/node_reference.py from the nodes' own tables; values are the defaults.",
+        "# Written by scripts/node_reference.py from the nodes' tables; values are defaults.",
     ]
     by_name = {node.name: node for node in descriptions()}
     for name in IN_RIG_FILE:

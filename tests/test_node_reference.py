@@ -1,4 +1,4 @@
-"""The node reference and the rig's parameter file say what the nodes do; nodes leave rclpy's own attributes alone."""
+"""The node reference and the rig's parameter file agree with the nodes."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def attributes_of(file: Path) -> dict[str, int]:
 
 
 def test_no_node_overwrites_an_attribute_of_rclpy(project_root: Path) -> None:
-    """`self._services`, `self._clock`, `self._clients` belong to rclpy's Node; overwriting one breaks it much later."""
+    """`self._services`, `self._clock`, … belong to rclpy's Node; overwriting breaks it."""
     import rclpy.lifecycle.node
     import rclpy.node
 

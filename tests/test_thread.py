@@ -1,4 +1,4 @@
-"""The thread from end to end: press, record, see, model, fit, report, through separate processes over DDS."""
+"""From end to end: press, record, vision, model, fit, report, in separate processes over DDS."""
 
 from __future__ import annotations
 
@@ -72,7 +72,8 @@ def test_contact_state_carries_the_stamps_of_the_wrench(recording: Recording) ->
     state = [stamp_of(m) for m in recording.messages["contact_state"]]
     assert len(state) > 300
     assert np.all(np.diff(state) > 0) and np.all(np.diff(wrench) > 0)
-    # One state per wrench, but for what the recorder missed of either at its start, end and in between.
+    # One state per wrench, but for what the recorder missed of either at its start, end and in
+    # between.
     shared = len(set(state) & set(wrench))
     assert shared >= 0.95 * min(len(state), len(wrench))
 
@@ -129,7 +130,7 @@ def test_the_readings_of_the_probe_arrive_in_order_and_phase(recording: Recordin
 def test_the_suite_ends_cleanly_on_ctrl_c_and_restarts_what_dies(
     tmp_path: Path, ros_domain: int
 ) -> None:
-    """`finger-rig up`: a killed node comes back under a new process; Ctrl-C leaves nothing behind."""
+    """`finger-rig up`: a killed node comes back; Ctrl-C leaves nothing behind."""
     command = [sys.executable, "-m", "finger_bringup.cli", "up", "--simulated"]
     command += ["--folder", str(tmp_path / "rig"), "--without", "page", "recorder", "vision"]
     log = tmp_path / "up.log"
@@ -180,8 +181,10 @@ def processes_of(mark: str, module: str) -> list[int]:
 
 
 def test_the_demo_recovers_what_the_finger_is_made_of(demo: tuple[Path, str]) -> None:
-    """Composite E within 15 % of the truth from three presses (physics: one sigma of 8–10 % from fifteen with more
-    noise), and J well below the power law's."""
+    """Composite E within 15 % of the truth from three presses, and J well below the power law's.
+
+    (Physics: one sigma of 8–10 % from fifteen presses with more noise.)
+    """
     folder, said = demo
     found = json.loads((folder / "summary.json").read_text())["conditions"]["moist"]
     ratio = found["fitted"]["composite_E"] / found["true"]["composite_E"]
@@ -195,7 +198,7 @@ def test_the_demo_recovers_what_the_finger_is_made_of(demo: tuple[Path, str]) ->
 
 
 def test_replaying_the_images_gives_the_areas_that_were_seen_live(demo: tuple[Path, str]) -> None:
-    """Vision over the recorded pictures is the vision of the live node, once both know the empty plate."""
+    """Vision over the recorded images equals the live node's, once both know the empty plate."""
     folder, _ = demo
     processed = sorted((folder / "processed").iterdir())[0]
     areas = []

@@ -1,1 +1,1 @@
-"""The demo: a small simulated study from the finger on the plate to fitted parameters and a report."""
+"""The demo: a small simulated study, from the finger on the plate to a report."""

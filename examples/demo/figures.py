@@ -194,7 +194,7 @@ def cost_figure(results: Sequence[ConditionResult], path: Path) -> None:
 
 
 def live_figure(press: LivePress, path: Path) -> None:
-    """One press as it went by: the frame at the largest contact, force, and the estimate over time."""
+    """One press over time: the frame at the largest contact, the force and the estimate."""
     style()
     figure = plt.figure(figsize=(9.2, 3.3))
     grid = figure.add_gridspec(2, 2, width_ratios=(1, 1.55), height_ratios=(1, 1.7), hspace=0.12)

@@ -65,12 +65,14 @@ def summary_of(results: list[ConditionResult], result: DemoResult) -> dict[str, 
 
 
 CSS = """
-body{font:15px/1.55 system-ui,sans-serif;color:#222;max-width:960px;margin:2.2em auto;padding:0 1.2em}
+body{font:15px/1.55 system-ui,sans-serif;color:#222;max-width:960px}
+body{margin:2.2em auto;padding:0 1.2em}
 h1{font-size:1.7em;margin:0 0 .2em} h2{font-size:1.15em;margin:2em 0 .4em}
 p.lead{color:#555;margin:.2em 0 1.4em} img{max-width:100%;height:auto}
 table{border-collapse:collapse;margin:.6em 0;font-variant-numeric:tabular-nums}
 th,td{padding:.28em .8em;text-align:right;border-bottom:1px solid #e2e2e2}
-th:first-child,td:first-child{text-align:left} thead th{border-bottom:2px solid #999;font-weight:600}
+th:first-child,td:first-child{text-align:left}
+thead th{border-bottom:2px solid #999;font-weight:600}
 td.c{font-weight:600} .note{color:#555;font-size:.92em} figure{margin:.8em 0}
 """
 
@@ -93,43 +95,47 @@ def page_of(results: list[ConditionResult], result: DemoResult, folder: Path) ->
 <html lang="en"><head><meta charset="utf-8"><title>A finger on glass: demo report</title>
 <style>{CSS}</style></head><body>
 <h1>A finger on glass</h1>
-<p class="lead">{trials} presses of a simulated finger in {len(results)} moisture conditions, recorded over DDS by
-the whole suite, replayed from their bags and fitted. The estimates know the finger only through CAN frames, camera
-pictures and lines of a moisture probe.</p>
+<p class="lead">{trials} presses of a simulated finger in {len(results)} moisture conditions,
+recorded over DDS by the whole suite, replayed from their bags and fitted. The estimates receive the
+finger only through CAN frames, camera images and lines of a moisture probe.</p>
 {picture("live", "One press as it was published live")}
-<p class="note">One press as it was published live: the frame at the largest contact with its measured outline (print
-pixelated), the force with the cue at 1.35 N, and the contact area: measured in pictures, estimated at the force rate
-with the shipped parameters, and true.</p>
+<p class="note">One press as it was published live: the frame at the largest contact with its
+measured outline (print pixelated), the force with the cue at 1.35 N, and the contact area: measured
+in images, estimated at the force rate with the shipped parameters, and true.</p>
 <h2>Area over force and over time</h2>
 {picture("area", "Measured area against the fitted model")}
 <h2>Fitted parameters beside the true ones</h2>
 {parameter_table(results)}
 {picture("parameters", "Fitted over true value of each parameter")}
-<p class="note">Bars are 95 % intervals by profile likelihood; where the data cannot tell a parameter, the bar runs to
-the ends of the search box. At presses of 0.5–2 s only the composite modulus E and E2 are well told: E0 and E1 trade
-off, and a small τ1 cannot be seen.</p>
+<p class="note">Bars are 95 % intervals by profile likelihood; for a parameter that is not
+identifiable from these data, the bar extends to the ends of the search box. Presses of 0.5–2 s
+identify only the composite modulus E and E2: E0 and E1 trade off, and a small τ1 has no visible
+effect.</p>
 <h2>J of the model and of the power law</h2>
 {picture("cost", "J of model, truth and power law")}
-<p class="note">J is the sum over presses of the mean squared difference of area, on the same frames for all three (Nam
-and Kuchenbecker 2021). The power law A = kF<sup>m</sup> has one k and m per condition.</p>
+<p class="note">J is the sum over presses of the mean squared difference of area, on the same frames
+for all three (Nam and Kuchenbecker 2021). The power law A = kF<sup>m</sup> has one k and m per
+condition.</p>
 <h2>Moisture</h2>
 {picture("moisture", "Moisture readings by condition")}
 <h2>How it was made</h2>
 <ul>
-<li>recording {seconds.get("record", 0):.0f} s, fit {seconds.get("fit", 0):.0f} s; presses redone on the spot:
-{result.repeated}</li>
+<li>recording {seconds.get("record", 0):.0f} s, fit {seconds.get("fit", 0):.0f} s;
+presses repeated during the session: {result.repeated}</li>
 <li>reduced model: {html.escape(error_text(result))}</li>
-{f"<li>presses left out of the fit:<ul>{excluded}</ul></li>" if excluded else ""}
-<li>the fit's own report with grid, swarm, profiles and residuals: <a href="fit/report.html">fit/report.html</a></li>
+{f"<li>presses excluded from the fit:<ul>{excluded}</ul></li>" if excluded else ""}
+<li>the fit's own report with grid, swarm, profiles and residuals:
+<a href="fit/report.html">fit/report.html</a></li>
 </ul>
-<p class="note">The geometry is the default one, an assumption; the truth is the study truth of the documentation, not
-measured fingers. What the rig does not model is said in <a href="suite.log">suite.log</a>.</p>
+<p class="note">The geometry is the default one, an assumption; the true parameters are those of the
+simulated study, not of measured fingers. <a href="suite.log">suite.log</a> lists what the simulated
+rig does not model.</p>
 </body></html>
 """
 
 
 def error_text(result: DemoResult) -> str:
-    """The reduced model's own statement of its error."""
+    """The reduced model's error as stored with it."""
     error = result.fit.sources.get("reduced_model_error")
     if isinstance(error, dict):
         return ", ".join(f"{k} {v:.3g}" for k, v in error.items() if isinstance(v, (int, float)))

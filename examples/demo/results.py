@@ -1,4 +1,4 @@
-"""What the demo found, as plain data for figures and report: fitted parameters beside the true ones."""
+"""The demo's results as plain data for figures and report."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ PARAMETERS = (
 
 
 PIXELATED = 12
-"""Pixels of a block in pictures of prints: prints are biometric data, simulated ones are shown alike."""
+"""Pixels of a block in pictures of prints, which are biometric data."""
 
 
 @dataclass
@@ -49,7 +49,10 @@ class DemoResult:
 
 @dataclass(frozen=True)
 class TrialCurve:
-    """One press: measured frames (k,) and the model's curve (n,), s from onset, N, mm². counted: frames in J."""
+    """Measured frames (k,) and the model's curve (n,) of one press: s from onset, N, mm².
+
+    counted: frames in J.
+    """
 
     index: int
     frame_time: np.ndarray
@@ -115,7 +118,7 @@ def true_trials(folder: Path) -> Truths:
 def condition_result(
     fit: ConditionFit, records: Sequence[TrialRecord], model: ReducedModel, truth: Truths
 ) -> ConditionResult:
-    """A condition's result as plain data for the figures; records (of all conditions) are the fit's trials."""
+    """A condition's result as plain data. records: the fit's trials, of all conditions."""
     name = fit.condition
     material = STUDY[name].material
     true = fit.space.quantities(material.vector())
@@ -157,7 +160,7 @@ def trial_curve(
     model: ReducedModel,
     truth: Truths,
 ) -> TrialCurve:
-    """One press from onset to lift-off: frames, the fitted model driven by the recorded force, the truth.
+    """One press from onset to lift-off: frames, fitted model under the recorded force, truth.
 
     counted: the areas that count in J.
     """

@@ -138,8 +138,8 @@ class UnattendedNode(ManagedNode):
                     self._failures += 1
         if self._failures > self.values["max_failures"]:
             raise FingerError(
-                f"{self._failures} attempts failed, the last because: {status['message'] or state[0]}; "
-                "check the devices"
+                f"{self._failures} attempts failed, the last because: "
+                f"{status['message'] or state[0]}; check the devices"
             )
         if status["paused"]:
             raise FingerError(f"the study was paused: {status['message'] or 'by an operator'}")

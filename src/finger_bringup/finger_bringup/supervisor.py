@@ -162,7 +162,8 @@ class Supervisor:
     # Processes --------------------------------------------------------------------------------
 
     def _start(self, running: _Running) -> None:
-        # A group of its own: Ctrl-C in the terminal reaches only the supervisor, which ends all in order.
+        # A group of its own: Ctrl-C in the terminal reaches only the supervisor, which ends all in
+        # order.
         process = subprocess.Popen(
             bound_to_parent(running.spec.command),
             stdout=subprocess.PIPE,

@@ -1,4 +1,4 @@
-"""The node table is true to the packages, and `finger-rig` refuses what makes no sense in one sentence."""
+"""The table of nodes agrees with the packages; `finger-rig` refuses wrong options."""
 
 import importlib.util
 import re

@@ -211,7 +211,7 @@ class Protocol:
             raise InputError("the trial is under way; redo, skip or pause it")
 
     def pause(self, now_ns: int) -> None:
-        """Hold the session. An attempt whose press is not over yet is void and begins again on `resume`."""
+        """Hold the session; an attempt whose press is not over is void and begins again."""
         self._now = now_ns
         if self.paused:
             raise InputError("the session is paused already")
@@ -496,7 +496,7 @@ class Protocol:
         self.save()
 
     def _advance(self) -> bool:
-        """Point at the trial at hand if it is open, else at the first open one; false when there is none."""
+        """Choose the current trial if it is open, else the first open one; false for none."""
         if self.trials[self.current].verdict == "pending":
             return True
         for trial in self.trials:

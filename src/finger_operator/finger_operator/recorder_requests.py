@@ -1,4 +1,4 @@
-"""Requests to the recorder, sent one at a time and in order. No ROS: works on any service client."""
+"""Requests to the recorder, sent one at a time and in order, by any service client."""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@ def run(coroutine: Callable[[aiohttp.ClientSession], Any]) -> Any:
 
 
 async def heard(socket: aiohttp.ClientWebSocketResponse) -> None:
-    """Wait until the server has dealt with everything sent so far: messages are answered in order."""
+    """Wait until the server has answered everything sent so far."""
     await socket.send_json({"type": "nonsense"})
     await next_of(socket, "answer")
 

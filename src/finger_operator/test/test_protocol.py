@@ -30,7 +30,7 @@ START = 1_700_000_000 * SECOND
 
 
 class Rig:
-    """A finger, a force sensor at 500 Hz, a camera at 10 Hz, a probe and a recorder on simulated time."""
+    """Finger, force sensor (500 Hz), camera (10 Hz), probe and recorder on simulated time."""
 
     def __init__(self, folder: Path, **plan: Any) -> None:
         self.limits = plan.pop("limits", Limits())
@@ -621,7 +621,7 @@ def test_crash_at_any_moment_resumes_at_the_same_trial(tmp_path: Path, when: str
 
 
 def test_state_file_is_whole_at_every_effect(tmp_path: Path) -> None:
-    """A crash in the middle of any change finds the file of before or after it, never a broken one."""
+    """A crash during any change leaves the file from before or after it, never a broken one."""
     rig = Rig(tmp_path / "session", trials=1, conditions=("dry",))
     seen = []
 

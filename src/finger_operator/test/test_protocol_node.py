@@ -1,4 +1,4 @@
-"""The protocol node over DDS: a trial with a recorder that answers, commands, and a restart after SIGKILL."""
+"""The protocol node over DDS: a trial, commands, and a restart after SIGKILL."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 
 class Suite:
-    """Stands for the rest of the suite: force, areas, readings and a recorder, published from this process."""
+    """Stands in for the rest of the suite: force, areas, readings and a recorder."""
 
     def __init__(self, domain: int) -> None:
         from geometry_msgs.msg import WrenchStamped

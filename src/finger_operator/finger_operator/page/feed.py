@@ -54,7 +54,7 @@ class ForceMemory:
 def measured_point(
     memory: ForceMemory, stamp_ns: int, area: float, flags: int
 ) -> list[float] | None:
-    """[force N, area mm²] of one measured area (m²), or None where there is no contact or no force."""
+    """[force N, area mm²] of one measured area (m²); None without contact or force."""
     force = memory.at(stamp_ns)
     if force is None or flags & AreaFlag.NO_CONTACT or not math.isfinite(area) or force <= 0:
         return None

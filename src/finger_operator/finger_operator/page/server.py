@@ -72,8 +72,8 @@ def operator_page(token: str) -> str:
 class PageServer:
     """Serves the page in a thread of its own.
 
-    command: called in the server's thread with (name, arguments); returns an awaitable of (success, sentence).
-    The `publish…` methods may be called from any thread.
+    command: called in the server's thread with (name, arguments); returns an awaitable of (success,
+    sentence). The `publish…` methods may be called from any thread.
     """
 
     def __init__(
