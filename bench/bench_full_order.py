@@ -21,14 +21,15 @@ def trial(refinement: float = 1.0, repeats: int = 1) -> tuple[int, list[float], 
     """
     from finger_model.fem.full_order import FullOrderModel
     from finger_model.material import Material
+    from finger_model.paper import TARGET_FORCE
 
     model = FullOrderModel(refinement=refinement)
     part = np.arange(STEPS + 1) / STEPS
-    model.simulate(Material(), part[:3], 1.35 * part[:3])  # compile and warm up
+    model.simulate(Material(), part[:3], TARGET_FORCE * part[:3])  # compile and warm up
     times, area = [], 0.0
     for _ in range(repeats):
         begin = time.perf_counter()
-        area = float(model.simulate(Material(), part, 1.35 * part).area[-1])
+        area = float(model.simulate(Material(), part, TARGET_FORCE * part).area[-1])
         times.append(time.perf_counter() - begin)
     return 2 * len(model.mesh.nodes), times, area
 

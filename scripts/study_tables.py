@@ -18,16 +18,17 @@ from recovery import FEWEST_FREE, QUANTITIES, SPACE, WINDOWS, statistics
 from throughput import replace_between
 
 from finger_common.files import atomic_write
+from finger_model.paper import CONDITIONS
 from finger_sim.conditions import STUDY
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "study.md"
 
 PAPER = {
-    "moisture (a.u.)": ("37.56 ± 3.34", "69.31 ± 6.54", "105.33 ± 4.93"),
-    "exponent m": ("0.67", "0.68", "0.50"),
-    "J of the power law (mm⁴)": ("2650", "4767", "1807"),
-    "J of the model (mm⁴)": ("≤ 2150", "≤ 4267", "≤ 1307"),
-    "composite E (kPa)": ("30.23", "19.27", "13.71"),
+    "moisture (a.u.)": [f"{c.moisture:.2f} ± {c.moisture_sd:.2f}" for c in CONDITIONS.values()],
+    "exponent m": [f"{c.power_law_exponent:.2f}" for c in CONDITIONS.values()],
+    "J of the power law (mm⁴)": [f"{c.power_law_cost * 1e12:.0f}" for c in CONDITIONS.values()],
+    "J of the model (mm⁴)": [f"≤ {c.power_law_cost * 1e12 - 500:.0f}" for c in CONDITIONS.values()],
+    "composite E (kPa)": [f"{c.composite_E * 1e-3:.2f}" for c in CONDITIONS.values()],
     "E2 (kPa)": ("1652", "1795", "700 (bound)"),
     "τ1 (s)": ("low", "highest", "0.01 (bound)"),
 }

@@ -11,6 +11,8 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
+from finger_model.paper import TARGET_FORCE
+
 from .results import PARAMETERS, ConditionResult, LivePress
 
 COLOURS = {"dry": "#D55E00", "natural": "#009E73", "moist": "#0072B2"}
@@ -208,7 +210,7 @@ def live_figure(press: LivePress, path: Path) -> None:
     picture.set_title(f"simulated camera, {press.condition} finger", loc="left")
     force = figure.add_subplot(grid[0, 1])
     force.plot(press.time, press.force, color=TRUTH, lw=0.9)
-    force.axhline(1.35, color="#999999", lw=0.8, ls="--")
+    force.axhline(TARGET_FORCE, color="#999999", lw=0.8, ls="--")
     force.set_ylabel("force (N)")
     force.tick_params(labelbottom=False)
     area = figure.add_subplot(grid[1, 1], sharex=force)

@@ -22,12 +22,10 @@ from finger_common.contact_threshold import LIFTOFF_FORCE, ONSET_FORCE, check_th
 from finger_common.settings import setting
 from finger_common.stamps import nanoseconds, seconds
 from finger_common.trial_phases import TrialPhase
+from finger_model.paper import TARGET_FORCE
 from finger_vision.area_sensor import DEFAULT_AREA_SENSOR
 
 from .trial_records import Exclusion, TrialRecord, TrialSet
-
-TARGET_FORCE = 1.35
-"""N; the paper's cue to lift, for bags that name no target."""
 
 
 @dataclass(frozen=True)
