@@ -84,7 +84,7 @@ def test_no_node_overwrites_an_attribute_of_rclpy(project_root: Path) -> None:
     wrong = []
     files = [
         *project_root.glob("src/*/finger_*/*_node.py"),
-        project_root / "src/finger_common/finger_common/node.py",
+        *project_root.glob("src/finger_common/finger_common/node/*.py"),
     ]
     for file in files:
         for name, line in attributes_of(file).items():

@@ -108,8 +108,8 @@ def imports(tree: ast.Module) -> Iterator[tuple[int, str]]:
 
 
 def is_shell(file: Path) -> bool:
-    """Whether a module is a ROS shell: a node, the shell's base or a launch file."""
-    return file.stem.endswith("_node") or file.stem in ("node",) or "launch" in file.parts
+    """Whether a module is a ROS shell: a node, the base of nodes or a launch file."""
+    return file.stem.endswith("_node") or "node" in file.parts or "launch" in file.parts
 
 
 def test_imports_point_one_way(project_root: Path) -> None:

@@ -14,19 +14,22 @@ rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 NODE = """
 import sys
+from dataclasses import dataclass
 from rclpy.duration import Duration
 from std_msgs.msg import Float64
 from finger_common.diagnostics import Health
 from finger_common.errors import InputError
 from finger_common.node import ManagedNode, run_node
-from finger_common.parameters import Parameter, ParameterTable
+from finger_common.settings import Settings, setting
+
+@dataclass(frozen=True)
+class GaugeSettings(Settings):
+    gain: float = setting(1.0, "Gain.", minimum=0.0, maximum=10.0, runtime=True)
+    port: str = setting("a", "Port.")
 
 class Gauge(ManagedNode):
     NAME = "gauge"
-    TABLE = ParameterTable(
-        Parameter("gain", 1.0, "Gain.", minimum=0.0, maximum=10.0, runtime=True),
-        Parameter("port", "a", "Port."),
-    )
+    SETTINGS = (GaugeSettings,)
     def configure(self):
         if self.values["port"] == "missing":
             raise InputError("port 'missing': no such device; plug it in")

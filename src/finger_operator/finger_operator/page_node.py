@@ -204,7 +204,7 @@ class PageNode(ManagedNode):
 
     def _slow(self) -> None:
         for polled in (self._wrench, self._state):
-            self.look_for_mismatch(polled)
+            self.check_mismatch(polled)
         self._server.publish("health", {"items": self._board.snapshot(time.monotonic())})
         self._watch_images(self._server.watchers > 0)
         latencies = self._server.latencies

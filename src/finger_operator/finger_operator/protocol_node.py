@@ -300,7 +300,7 @@ class ProtocolNode(ManagedNode):
 
     def _tick(self) -> None:
         self._poll()
-        self.look_for_mismatch(self._wrench)
+        self.check_mismatch(self._wrench)
         if self._protocol is not None:
             self._protocol.tick(self._now())
         self._recorder.step(self._limits.record_timeout)

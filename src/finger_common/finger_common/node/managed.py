@@ -1,50 +1,35 @@
-"""The rclpy shell that every node of the suite shares.
+"""The lifecycle node that every node of the suite derives from.
 
-`ManagedNode` declares the parameters of its `Settings` classes, refuses bad values with a reason, publishes
-`/diagnostics` at 1 Hz, brings itself up when `autostart` is true and maps errors of the core to failed transitions with
-one sentence in the log. A node overrides `configure`, `activate`, `deactivate` and `cleanup`, which raise a FingerError
-to refuse.
+`ManagedNode` declares the parameters of its `Settings` classes, refuses bad values with a reason,
+publishes `/diagnostics` at 1 Hz, brings itself up when `autostart` is true, and turns errors of the
+core into failed transitions with one sentence in the log. A node overrides `configure`, `activate`,
+`deactivate` and `cleanup`, which raise a FingerError to refuse.
 """
 
 from __future__ import annotations
 
-import os
-import signal
-import sys
-import threading
-import time
 import traceback
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
-from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock, ClockType
-from rclpy.event_handler import (
-    PublisherEventCallbacks,
-    QoSSubscriptionEventType,
-    SubscriptionEventCallbacks,
-    UnsupportedEventTypeError,
-)
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.signals import SignalHandlerOptions
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from .cli import EXIT_BAD_INPUT, one_line
-from .diagnostics import WARN, Health
-from .errors import FingerError, InputError
-from .parameters import ParameterTable
-from .plugins import Plugins
-from .settings import S, Settings, parameters_of, setting
+from ..cli import one_line
+from ..diagnostics import WARN, Health
+from ..errors import FingerError, InputError
+from ..parameters import ParameterTable
+from ..plugins import Plugins
+from ..settings import S, Settings, parameters_of, setting
+from .polling import PolledSubscription
 
 
 @dataclass(frozen=True)
@@ -66,107 +51,6 @@ class NodeSettings(Settings):
     )
 
 
-LATCHED_QOS = QoSProfile(
-    depth=10,
-    history=HistoryPolicy.KEEP_LAST,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
-"""QoS of `model_events`, and of readers that must not miss a message of `trial`: late joiners receive what was said
-before, a recorder that begins after the model the events that made it what it is."""
-
-STATE_QOS = QoSProfile(
-    depth=1,
-    history=HistoryPolicy.KEEP_LAST,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
-"""QoS of publishers of a state, `trial` and the protocol's `status`: late joiners receive the newest alone."""
-
-
-ENDING = (signal.SIGINT, signal.SIGTERM)
-"""Signals that end a node."""
-
-
-class _NeverExecuted(CallbackGroup):
-    """Group of entities that the executor leaves alone."""
-
-    def can_execute(self, entity: Any) -> bool:
-        return False
-
-    def beginning_execution(self, entity: Any) -> bool:
-        return False
-
-    def ending_execution(self, entity: Any) -> None:
-        pass
-
-
-POLLED_DEPTH = 200
-"""Samples that a polled stream keeps at least, whatever `qos_depth` says: a look comes every 50 ms or so."""
-
-
-class PolledSubscription:
-    """Subscription whose messages a node takes when it wants them, for streams that need no prompt answer.
-
-    A round of the executor costs far more than taking a message. QoS events are asked for in the same way: Fast DDS
-    wakes a wait for them again and again while messages lie unread, which would keep a core busy.
-    """
-
-    def __init__(self, node: Node, message_type: Any, topic: str, qos: QoSProfile) -> None:
-        self.topic = topic
-        self._node = node
-        self._type = message_type
-        self._subscription = node.create_subscription(
-            message_type,
-            topic,
-            lambda message: None,
-            qos,
-            callback_group=_NeverExecuted(),
-            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
-        )
-        self._events: dict[QoSSubscriptionEventType, Any] = {}
-        for kind in (
-            QoSSubscriptionEventType.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS,
-            QoSSubscriptionEventType.RCL_SUBSCRIPTION_MESSAGE_LOST,
-        ):
-            # Not every middleware tells both.
-            with suppress(UnsupportedEventTypeError):
-                handle = rclpy_implementation.EventHandle(self._subscription.handle, kind)
-                self._events[kind] = handle
-
-    def take(self) -> Iterator[tuple[bytes, dict[str, Any]]]:
-        """Messages that have come since: serialized, with the middleware's `received_timestamp` and
-        `source_timestamp` in ns."""
-        while True:
-            with self._subscription.handle:
-                taken = self._subscription.handle.take_message(self._type, True)
-            if taken is None:
-                return
-            yield taken
-
-    def new_mismatches(self) -> int:
-        """Publishers found since the last call whose QoS does not fit."""
-        return self._new(QoSSubscriptionEventType.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS)
-
-    def newly_lost(self) -> int:
-        """Messages that the middleware lost since the last call."""
-        return self._new(QoSSubscriptionEventType.RCL_SUBSCRIPTION_MESSAGE_LOST)
-
-    def _new(self, kind: QoSSubscriptionEventType) -> int:
-        handle = self._events.get(kind)
-        if handle is None:
-            return 0
-        with handle:
-            event = handle.take_event()
-        return max(event.total_count_change, 0) if event is not None else 0
-
-    def destroy(self) -> None:
-        """End the subscription."""
-        for handle in self._events.values():
-            handle.destroy_when_not_in_use()
-        self._node.destroy_subscription(self._subscription)
-
-
 class ManagedNode(LifecycleNode):
     """Lifecycle node with described parameters, health and autostart.
 
@@ -179,7 +63,6 @@ class ManagedNode(LifecycleNode):
 
     SETTINGS: tuple[type[Settings], ...] = ()
     PLUGINS: Mapping[str, Plugins] = {}
-    TABLE: ParameterTable = ParameterTable()
     NAME = "node"
 
     @classmethod
@@ -195,7 +78,7 @@ class ManagedNode(LifecycleNode):
             for name, plugins in cls.PLUGINS.items()
         ]
         try:
-            return parameters_of(NodeSettings, *cls.settings_classes(), *plugins) + cls.TABLE
+            return parameters_of(NodeSettings, *cls.settings_classes(), *plugins)
         except ValueError as error:
             names = ", ".join(plugin.__name__ for plugin in plugins)
             raise InputError(f"{names}: {error}; rename this setting of the plugin") from None
@@ -207,7 +90,7 @@ class ManagedNode(LifecycleNode):
 
     @classmethod
     def _own_table(cls) -> ParameterTable:
-        return parameters_of(NodeSettings, *cls.settings_classes()) + cls.TABLE
+        return parameters_of(NodeSettings, *cls.settings_classes())
 
     def __init__(self, **options: Any) -> None:
         super().__init__(self.NAME, **options)
@@ -280,7 +163,7 @@ class ManagedNode(LifecycleNode):
         return self._all.check(values)
 
     def settings(self, cls: type[S]) -> S:
-        """The parameters that `cls` describes, as set when the node was configured or changed since."""
+        """The parameters that `cls` describes, with changes made while the node is active."""
         return cls.select(self.values)
 
     def _on_set_parameters(self, parameters: Sequence[RosParameter]) -> SetParametersResult:
@@ -315,7 +198,7 @@ class ManagedNode(LifecycleNode):
         )
 
     def create_stream_publisher(self, message_type: Any, topic: str, qos: QoSProfile) -> Any:
-        """Publisher that reports subscribers whose QoS does not fit."""
+        """Publisher that reports subscribers whose QoS is incompatible."""
         events = PublisherEventCallbacks(
             incompatible_qos=lambda event: self._report_mismatch(topic, "subscriber")
         )
@@ -324,7 +207,7 @@ class ManagedNode(LifecycleNode):
     def create_stream_subscription(
         self, message_type: Any, topic: str, callback: Any, qos: QoSProfile, **options: Any
     ) -> Any:
-        """Subscription that reports publishers whose QoS does not fit."""
+        """Subscription that reports publishers whose QoS is incompatible."""
         events = SubscriptionEventCallbacks(
             incompatible_qos=lambda event: self._report_mismatch(topic, "publisher")
         )
@@ -332,15 +215,15 @@ class ManagedNode(LifecycleNode):
             message_type, topic, callback, qos, event_callbacks=events, **options
         )
 
-    def look_for_mismatch(self, polled: PolledSubscription) -> None:
-        """Report publishers of a polled topic whose QoS does not fit."""
+    def check_mismatch(self, polled: PolledSubscription) -> None:
+        """Report publishers of a polled topic whose QoS is incompatible."""
         if polled.new_mismatches():
             self._report_mismatch(polled.topic, "publisher")
 
     def _report_mismatch(self, topic: str, who: str) -> None:
         message = (
-            f"a {who} of '{topic}' has a QoS that does not fit and gets or gives no data; "
-            "set qos_reliability alike on both sides"
+            f"a {who} of '{topic}' has an incompatible QoS and exchanges no data with this node; "
+            "set the same qos_reliability on both sides"
         )
         health = self.healths[0] if self.healths else None
         if health is None or health.fault("qos_mismatch", message, WARN):
@@ -397,7 +280,7 @@ class ManagedNode(LifecycleNode):
                 self.get_logger().error(f"{what} failed: {one_line(error)}")
                 return False
             except Exception:
-                # rclpy turns it into a failed transition without a word; a defect must be seen.
+                # rclpy turns it into a failed transition silently; a defect must be visible.
                 self.get_logger().error(f"{what} failed:\n{traceback.format_exc()}")
                 raise
         return True
@@ -462,109 +345,3 @@ class ManagedNode(LifecycleNode):
             response.success = False
             return response
         return super()._LifecycleNodeMixin__on_change_state(request, response)  # type: ignore[misc]
-
-
-def use_large_shared_memory() -> None:
-    """Let Fast DDS pass whole images through shared memory, unless the environment says how to run it.
-
-    To be called before rclpy.init by a process that publishes images. A transport of one's own in the environment
-    (FASTRTPS_DEFAULT_PROFILES_FILE, FASTDDS_BUILTIN_TRANSPORTS) takes precedence.
-    """
-    if "FASTDDS_BUILTIN_TRANSPORTS" not in os.environ:
-        profile = Path(__file__).with_name("data") / "fastdds.xml"
-        os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(profile))
-
-
-class _Ending:
-    """What SIGINT and SIGTERM do to a node's main thread.
-
-    rclpy's own handlers end the context at once, before a node could say its last word. Here a signal interrupts what
-    comes before `spin`; during it, the callback at hand is finished first, unless another signal insists a second later.
-    """
-
-    def __init__(self, executor: SingleThreadedExecutor) -> None:
-        self._executor = executor
-        self._spinning = False
-        self._asked: float | None = None
-        reading, writing = os.pipe()
-        os.set_blocking(writing, False)
-        for number in ENDING:
-            signal.signal(number, self._on_signal)
-        # Python's handlers run only when the main thread is back from the middleware.
-        signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
-        threading.Thread(target=self._wake, args=(reading,), name="signals", daemon=True).start()
-
-    def _on_signal(self, number: int, frame: Any) -> None:
-        now = time.monotonic()
-        if not self._spinning or (self._asked is not None and now - self._asked > 1.0):
-            raise KeyboardInterrupt
-        self._asked = self._asked or now
-
-    def _wake(self, reading: int) -> None:
-        while os.read(reading, 64):
-            self._executor.wake()
-
-    def spin(self) -> None:
-        """Serve callbacks until a signal comes."""
-        self._spinning = True
-        while self._asked is None:
-            self._executor.spin_once()
-
-
-def run_node(node_class: type[ManagedNode], argv: Sequence[str] | None = None) -> int:
-    """Run one node until it is told to stop; returns the exit code.
-
-    A configuration that fails leaves the node up, unconfigured, so that parameters can be corrected and the
-    transition tried again. SIGINT and SIGTERM end it with the device released.
-    """
-    use_large_shared_memory()
-    try:
-        rclpy.init(
-            args=list(argv) if argv is not None else None,
-            signal_handler_options=SignalHandlerOptions.NO,
-        )
-    except Exception as error:
-        print(
-            f"{node_class.NAME}: ROS arguments cannot be used ({one_line(error)}); "
-            "check the parameter file and --ros-args",
-            file=sys.stderr,
-        )
-        return EXIT_BAD_INPUT
-    node: ManagedNode | None = None
-    executor = SingleThreadedExecutor()
-    ending = _Ending(executor)
-    try:
-        node = node_class()
-        executor.add_node(node)
-        if node.autostart:
-            node.bring_up()
-        ending.spin()
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    except FingerError as error:
-        print(f"{node_class.NAME}: {one_line(error)}", file=sys.stderr)
-        return EXIT_BAD_INPUT
-    finally:
-        # A second Ctrl-C during release would leave devices open.
-        for number in ENDING:
-            signal.signal(number, signal.SIG_IGN)
-        if node is not None:
-            node.release()
-            executor.remove_node(node)
-            node.destroy_node()
-        executor.shutdown()
-        rclpy.try_shutdown()
-        sys.stdout.flush()
-        sys.stderr.flush()
-    return 0
-
-
-def main_of(node_class: type[ManagedNode]) -> Any:
-    """`main` function of a node's executable."""
-
-    def main(argv: Sequence[str] | None = None) -> None:
-        code = run_node(node_class, argv)
-        # Daemon threads of the middleware can hang at interpreter exit.
-        os._exit(code)
-
-    return main

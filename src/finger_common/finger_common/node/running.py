@@ -1,0 +1,132 @@
+"""A node as a process: start, signals, end."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+
+from ..cli import EXIT_BAD_INPUT, one_line
+from ..errors import FingerError
+from .managed import ManagedNode
+
+END_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+"""Signals that end a node."""
+
+
+def use_large_shared_memory() -> None:
+    """Let Fast DDS pass whole images through shared memory.
+
+    To be called before rclpy.init by a process that publishes images. A transport named in the
+    environment (FASTRTPS_DEFAULT_PROFILES_FILE, FASTDDS_BUILTIN_TRANSPORTS) takes precedence.
+    """
+    if "FASTDDS_BUILTIN_TRANSPORTS" not in os.environ:
+        profile = Path(__file__).parents[1] / "data" / "fastdds.xml"
+        os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(profile))
+
+
+class _SignalHandler:
+    """Ends a node's main thread on SIGINT and SIGTERM.
+
+    rclpy's own handlers end the context at once, before a node could publish its last state. Here
+    a signal interrupts what comes before `spin`; during it, the running callback is finished first,
+    unless a second signal comes more than a second later.
+    """
+
+    def __init__(self, executor: SingleThreadedExecutor) -> None:
+        self._executor = executor
+        self._spinning = False
+        self._requested_at: float | None = None
+        reading, writing = os.pipe()
+        os.set_blocking(writing, False)
+        for number in END_SIGNALS:
+            signal.signal(number, self._on_signal)
+        # Python's handlers run only when the main thread is back from the middleware.
+        signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+        threading.Thread(target=self._wake, args=(reading,), name="signals", daemon=True).start()
+
+    def _on_signal(self, number: int, frame: Any) -> None:
+        now = time.monotonic()
+        if not self._spinning or (
+            self._requested_at is not None and now - self._requested_at > 1.0
+        ):
+            raise KeyboardInterrupt
+        self._requested_at = self._requested_at or now
+
+    def _wake(self, reading: int) -> None:
+        while os.read(reading, 64):
+            self._executor.wake()
+
+    def spin(self) -> None:
+        """Serve callbacks until a signal comes."""
+        self._spinning = True
+        while self._requested_at is None:
+            self._executor.spin_once()
+
+
+def run_node(node_class: type[ManagedNode], argv: Sequence[str] | None = None) -> int:
+    """Run one node until a signal ends it; returns the exit code.
+
+    A configuration that fails leaves the node up, unconfigured, so that parameters can be corrected and the
+    transition tried again. SIGINT and SIGTERM end it with the device released.
+    """
+    use_large_shared_memory()
+    try:
+        rclpy.init(
+            args=list(argv) if argv is not None else None,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+    except Exception as error:
+        print(
+            f"{node_class.NAME}: ROS arguments cannot be used ({one_line(error)}); "
+            "check the parameter file and --ros-args",
+            file=sys.stderr,
+        )
+        return EXIT_BAD_INPUT
+    node: ManagedNode | None = None
+    executor = SingleThreadedExecutor()
+    handler = _SignalHandler(executor)
+    try:
+        node = node_class()
+        executor.add_node(node)
+        if node.autostart:
+            node.bring_up()
+        handler.spin()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except FingerError as error:
+        print(f"{node_class.NAME}: {one_line(error)}", file=sys.stderr)
+        return EXIT_BAD_INPUT
+    finally:
+        # A second Ctrl-C during release would leave devices open.
+        for number in END_SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
+        if node is not None:
+            node.release()
+            executor.remove_node(node)
+            node.destroy_node()
+        executor.shutdown()
+        rclpy.try_shutdown()
+        sys.stdout.flush()
+        sys.stderr.flush()
+    return 0
+
+
+def main_of(node_class: type[ManagedNode]) -> Any:
+    """`main` function of a node's executable."""
+
+    def main(argv: Sequence[str] | None = None) -> None:
+        code = run_node(node_class, argv)
+        # Daemon threads of the middleware can hang at interpreter exit.
+        os._exit(code)
+
+    return main
