@@ -32,8 +32,7 @@ class CameraNodeSettings(DeviceNodeSettings):
     frame_id: str = setting("camera_optical", "Optical frame of the camera.")
     camera_name: str = setting("camera", "Name of the camera in its calibration file.")
     camera_info_url: str = setting(
-        "",
-        "Calibration: file:///… or package://…; empty for ${ROS_HOME}/camera_info/${NAME}.yaml.",
+        "", "Calibration: file:///… or package://…; empty for ${ROS_HOME}/camera_info/${NAME}.yaml."
     )
     image_time_offset: float = setting(
         0.0,
@@ -85,7 +84,7 @@ class CameraNode(DeviceNode):
         name = self.values["camera_name"]
         if not self._info_path.exists() and not self.values["camera_info_url"]:
             self.get_logger().warning(
-                f"{self._info_path}: no calibration there; camera_info says not calibrated"
+                f"{self._info_path}: no calibration there; camera_info is marked as not calibrated"
             )
             return CameraCalibration(name=name)
         calibration = CameraCalibration.load(self._info_path)
@@ -109,7 +108,7 @@ class CameraNode(DeviceNode):
             self.device.note(
                 "calibration_size",
                 f"images are {shape[1]}×{shape[0]}, the calibration is for {calibration.width}×"
-                f"{calibration.height}; camera_info says not calibrated",
+                f"{calibration.height}; camera_info is marked as not calibrated",
             )
             calibration = CameraCalibration(name=calibration.name)
         health.sample()

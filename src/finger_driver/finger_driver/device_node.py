@@ -35,11 +35,7 @@ class DeviceNodeSettings(Settings):
         maximum=60.0,
     )
     reconnect_longest_pause: float = setting(
-        2.0,
-        "Longest pause between attempts to reconnect.",
-        unit="s",
-        minimum=0.01,
-        maximum=600.0,
+        2.0, "Longest pause between attempts to reconnect.", unit="s", minimum=0.01, maximum=600.0
     )
 
 
@@ -136,7 +132,7 @@ class DeviceNode(ManagedNode):
         try:
             self.on_sample(sample)
         except Exception:
-            # The context ends before the thread does when the process is told to stop.
+            # The context ends before the thread does when the process is ended.
             if self.context.ok():
                 raise
 

@@ -39,7 +39,7 @@ class Sources(Generic[D]):
         self._base = base
         self._default = default
         self.problems: dict[str, str] = {}
-        """Why a source cannot be used, by its name; filled by `settings`."""
+        """Reason why a source cannot be used, by its name; filled by `settings`."""
 
     def names(self) -> tuple[str, ...]:
         """Names of the installed sources, sorted; raises InputError where there is none."""
@@ -71,7 +71,7 @@ class Sources(Generic[D]):
         """The choice `device`, then the settings of every source, for a node that has `beside` too.
 
         A source that cannot be imported or whose settings contradict those of another is left out;
-        `problems` says why.
+        `problems` holds the reason.
         """
         self.problems = {}
         found: dict[str, type[Settings]] = {}

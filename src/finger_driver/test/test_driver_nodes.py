@@ -216,23 +216,22 @@ def test_a_node_that_cannot_be_configured_says_why_and_stays(
     assert len(errors) == 1 and message in errors[0]
 
 
-def test_the_command_has_an_example_and_refuses_in_one_line(tmp_path: Path) -> None:
-    import subprocess
-    import sys
+def test_the_command_has_an_example_and_refuses_in_one_line(tmp_path: Path, capsys: Any) -> None:
+    from finger_common import cli
+    from finger_driver.simulators.cli import _main
 
-    def run(*arguments: object) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            [sys.executable, "-m", "finger_driver.simulators.cli", *map(str, arguments)],
-            capture_output=True, text=True, timeout=60,
-        )  # fmt: skip
-
-    assert "example:" in run("--help").stdout
+    with pytest.raises(SystemExit):
+        cli.run(_main, ["--help"])
+    assert "example:" in capsys.readouterr().out
     (tmp_path / "bad.csv").write_text("time_s,force_n\n0,1\n0,2\n")
     for arguments in (
         ("netcanoem", "--wrench", "1,2"),
         ("netcanoem", "--csv", tmp_path / "bad.csv"),
+        ("netcanoem", "--csv", tmp_path / "bad.csv", "--press", "1"),
+        ("netcanoem", "--base", "0x80"),
         ("images", tmp_path / "f", "--size", "huge"),
         ("netcanoem", "--interface", "nonsense"),
     ):
-        done = run(*arguments)
-        assert done.returncode == 2 and len(done.stderr.strip().splitlines()) == 1, done.stderr
+        assert cli.run(_main, [str(a) for a in arguments]) == 2
+        error = capsys.readouterr().err
+        assert len(error.strip().splitlines()) == 1, error

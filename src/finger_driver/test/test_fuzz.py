@@ -249,7 +249,7 @@ def test_nothing_escapes_from_100_000(decoder: Callable[[random.Random], Iterato
 def test_damaged_spreadsheets_are_refused() -> None:
     import io
 
-    openpyxl = pytest.importorskip("openpyxl")
+    openpyxl = pytest.importorskip("openpyxl", reason="XLSX needs openpyxl")
     book = openpyxl.Workbook()
     book.active.append(["value"])
     book.active.append([42.0])

@@ -136,7 +136,7 @@ class OpenCvSource(CameraSource):
     def close(self) -> None:
         grabber, self._grabber = self._grabber, None
         capture, self._capture = self._capture, None
-        # A capture whose read hangs cannot be released from outside; it is left to its thread.
+        # A capture whose read blocks cannot be released from outside; it is left to its thread.
         if (grabber is None or grabber.stop()) and capture is not None:
             capture.release()
 
@@ -228,7 +228,7 @@ class _Grabber(threading.Thread):
             return newest
 
     def stop(self) -> bool:
-        """End the thread; false when it hangs in the driver."""
+        """End the thread; false when it is blocked in the driver."""
         self._ending.set()
         self.join(2)
         return not self.is_alive()

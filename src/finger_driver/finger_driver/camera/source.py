@@ -23,11 +23,7 @@ class CameraSettings(Settings):
         "pipeline.",
     )
     rate: float = setting(
-        10.0,
-        "Frames per second requested and expected.",
-        unit="Hz",
-        minimum=0.1,
-        maximum=1000.0,
+        10.0, "Frames per second requested and expected.", unit="Hz", minimum=0.1, maximum=1000.0
     )
     width: int = setting(
         0, "Width requested; 0 leaves it as it is.", unit="px", minimum=0, maximum=20000
@@ -36,11 +32,7 @@ class CameraSettings(Settings):
         0, "Height requested; 0 leaves it as it is.", unit="px", minimum=0, maximum=20000
     )
     exposure: float = setting(
-        0.0,
-        "Exposure time requested; 0 leaves it as it is.",
-        unit="s",
-        minimum=0.0,
-        maximum=10.0,
+        0.0, "Exposure time requested; 0 leaves it as it is.", unit="s", minimum=0.0, maximum=10.0
     )
 
 

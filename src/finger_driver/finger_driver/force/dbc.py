@@ -30,8 +30,7 @@ class DbcSettings(can_bus.CanSettings, ForceSettings):
     """Settings of a sensor that a DBC file describes."""
 
     dbc_mapping: str = setting(
-        "",
-        "dbc: YAML file that maps a DBC file's signals; empty for the shipped Robotous RFT.",
+        "", "dbc: YAML file that maps a DBC file's signals; empty for the shipped Robotous RFT."
     )
 
 

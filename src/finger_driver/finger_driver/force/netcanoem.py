@@ -20,7 +20,9 @@ from __future__ import annotations
 
 import contextlib
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import can
 import numpy as np
@@ -169,11 +171,9 @@ class NetcanoemSource(ForceSource):
     def _firmware(self) -> bytes:
         """Firmware frame; counts on the way how often the bus echoes an own frame."""
         first = self._first_id | protocol.READ_FIRMWARE
-        for _ in range(3):
-            self._send(protocol.READ_FIRMWARE)
+        for frames in self._attempts(protocol.READ_FIRMWARE):
             echoes = 0
-            end = time.monotonic() + max(self._timeout, 0.1)
-            while (frame := self._receive(end)) is not None:
+            for frame in frames:
                 if frame.arbitration_id != first:
                     continue
                 if frame.dlc == 4:
@@ -188,11 +188,9 @@ class NetcanoemSource(ForceSource):
         """Choose the slot and see it confirmed beyond the bus's own echoes of the request."""
         expected = self._first_id | protocol.SET_CALIBRATION
         slot = self.settings.calibration_slot
-        for _ in range(3):
-            self._send(protocol.SET_CALIBRATION, bytes([slot]))
+        for frames in self._attempts(protocol.SET_CALIBRATION, bytes([slot])):
             seen = 0
-            end = time.monotonic() + max(self._timeout, 0.1)
-            while (frame := self._receive(end)) is not None:
+            for frame in frames:
                 if frame.arbitration_id == expected and bytes(frame.data) == bytes([slot]):
                     seen += 1
                     if seen > self._echoes:
@@ -230,19 +228,24 @@ class NetcanoemSource(ForceSource):
                 return frame
         return None
 
+    def _attempts(self, opcode: int, data: bytes = b"") -> Iterator[Iterator[can.Message]]:
+        """Send a request three times; each time the frames that come before its timeout."""
+        for _ in range(3):
+            self._send(opcode, data)
+            end = time.monotonic() + max(self._timeout, 0.1)
+            yield iter(partial(self._receive, end), None)
+
     def _ask(self, opcode: int, data: bytes = b"") -> tuple[bytes, ...]:
         """Reply frames to a request, in order; tried three times, then DeviceError."""
         due = protocol.REPLIES[opcode]
-        for _ in range(3):
-            self._send(opcode, data)
+        for frames in self._attempts(opcode, data):
             got: dict[int, bytes] = {}
-            end = time.monotonic() + max(self._timeout, 0.1)
-            while len(got) < len(due) and (frame := self._receive(end)) is not None:
+            for frame in frames:
                 key = (frame.arbitration_id & 0xF, frame.dlc)
                 if key in due:
                     got[key[0]] = bytes(frame.data)
-            if len(got) == len(due):
-                return tuple(got[op] for op, _ in due)
+                if len(got) == len(due):
+                    return tuple(got[op] for op, _ in due)
             self.health.count("retries")
         raise DeviceError(f"{self._where()}: no answer to request 0x{opcode:X}; check the bus load")
 

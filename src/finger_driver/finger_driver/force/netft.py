@@ -4,7 +4,7 @@
   seconds beside the stream, because units changed on the box's web page change the meaning of
   counts without a sign in the records.
 - Records carry no time. Their number and the box's rate make a device clock, mapped to host time of
-  receipt (kernel stamps); when the rate proves not to be what the page says, receipt itself is the
+  receipt (kernel stamps); when the rate proves to differ from the page's, receipt itself is the
   stamp.
 - What waited in the socket longer than `_OLD` s is skipped, so that a slow reader never lags.
 - A box that sends faster than `rate` is averaged over whole blocks, stamped in the block's middle.
@@ -52,9 +52,7 @@ class _PageWatcher(threading.Thread):
     """Reads the page periodically; `changed` once it gives other units, counts or rate."""
 
     def __init__(
-        self,
-        page: Callable[[], netft_xml.Configuration],
-        known: netft_xml.Configuration,
+        self, page: Callable[[], netft_xml.Configuration], known: netft_xml.Configuration
     ) -> None:
         super().__init__(name="netft-page", daemon=True)
         self._page, self._known = page, known

@@ -29,8 +29,7 @@ class TableFormat(Settings):
 
     export_value_column: str = setting("value", "export: heading of the readings' column.")
     export_time_column: str = setting(
-        "",
-        "export: heading of the column with the time of the reading; empty for the file's time.",
+        "", "export: heading of the column with the time of the reading; empty for the file's time."
     )
     export_time_format: str = setting(
         "%Y-%m-%d %H:%M:%S", "export: format of that time, local time."

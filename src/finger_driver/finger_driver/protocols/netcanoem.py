@@ -128,10 +128,7 @@ def decode_gauges(first: bytes, second: bytes) -> tuple[int, np.ndarray]:
 def encode_gauges(status: int, gauges: np.ndarray) -> tuple[bytes, bytes]:
     """The two frames of a reading, from gauges (6,) in order 0…5."""
     g = [int(v) for v in gauges]
-    return (
-        struct.pack(">Hhhh", status, g[0], g[2], g[4]),
-        struct.pack(">hhh", g[1], g[3], g[5]),
-    )
+    return (struct.pack(">Hhhh", status, g[0], g[2], g[4]), struct.pack(">hhh", g[1], g[3], g[5]))
 
 
 def decode_matrix_row(frames: tuple[bytes, bytes, bytes]) -> np.ndarray:

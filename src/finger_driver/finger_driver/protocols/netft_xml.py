@@ -46,7 +46,7 @@ def parse(page: bytes) -> Configuration:
     """Configuration from the page; raises DeviceError naming a missing or wrong element."""
     if len(page) > MAX_BYTES:
         raise DeviceError(f"{PAGE} is larger than {MAX_BYTES} bytes; this is not a Net F/T")
-    # Entities have no business here and can be made to swell.
+    # A Net F/T sends no entities; nested ones can expand without limit.
     if b"<!" in page.replace(b"<!--", b""):
         raise DeviceError(f"{PAGE} holds declarations that a Net F/T does not send")
     try:

@@ -1,7 +1,7 @@
 """An ATI Net F/T box: RDT over UDP with its XML page over HTTP.
 
 Models: start, stop and bias requests, one client at a time, endless and counted streams, real-time
-and buffered mode, both sequence numbers, the status word, counts and units as the page says, output
+and buffered mode, both sequence numbers, the status word, counts and units as on the page, output
 rates as integer fractions of 7000 Hz, `comm.cgi` for the rate, reboot (silent, then waiting for a
 new start); see FAULTS.
 

@@ -41,8 +41,8 @@ class SerialOptions(Settings):
 class SerialMoistureSimulator(Simulator):
     """Serial moisture adapter on a pseudo-terminal.
 
-    Its far end is named `port`; `link`, if given, is a symbolic link to it that stays. `send`
-    writes a reading as `line` formats it; `values` are sent in turn every `period` s.
+    Its far end is named `port`; `link`, if given, is a symbolic link to it that stays. `values` are
+    sent in turn every `period` s.
     """
 
     NAME = "serial"
@@ -52,13 +52,11 @@ class SerialMoistureSimulator(Simulator):
     def __init__(
         self,
         link: str | Path | None = None,
-        line: str = "M={value:.1f};{phase}\r\n",
         values: list[float] | None = None,
         period: float = 5.0,
     ) -> None:
         super().__init__()
         self._link = Path(link) if link is not None else None
-        self._line = line
         self._values = values or []
         self._period = period
         self._controller = self._far = -1
@@ -116,10 +114,8 @@ class SerialMoistureSimulator(Simulator):
 
     def send(self, value: float, phase: str = "before") -> None:
         """Send one reading; phase is "before", "after" or ""."""
-        line = self._line.format(value=value, phase=phase)
-        if not phase:
-            line = line.replace(";", "", 1)
-        data = line.encode("ascii")
+        separator = ";" if phase else ""
+        data = f"M={value:.1f}{separator}{phase}\r\n".encode("ascii")
         if self.faults.take("silent"):
             return
         if self.faults.take("half_line"):
