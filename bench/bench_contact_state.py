@@ -215,9 +215,8 @@ def case(rate: float, fingers: int, duration: float) -> dict[str, Any]:
             for i in range(fingers):
                 name = f"__ns:=/finger{i}"
                 start("-m", "finger_model.model_node", "--ros-args", "-r", name)
-            vision = False
-            if fingers == 1 and _exists("finger_vision.vision_node"):
-                vision = True
+            vision = fingers == 1
+            if vision:
                 start(
                     *("-m", "finger_vision.vision_node", "--ros-args", "-r", "__ns:=/finger0"),
                     *("-r", "contact_area:=contact_area_seen", "-p", "area_per_pixel:=9.86e-10"),
@@ -240,15 +239,6 @@ def case(rate: float, fingers: int, duration: float) -> dict[str, Any]:
                 if child.poll() is None:
                     os.killpg(child.pid, signal.SIGKILL)
                 child.wait()
-
-
-def _exists(module: str) -> bool:
-    import importlib.util
-
-    try:
-        return importlib.util.find_spec(module) is not None
-    except ModuleNotFoundError:
-        return False
 
 
 def in_words(rate: float, fingers: int, result: dict[str, Any]) -> tuple[float, int, str]:

@@ -396,27 +396,6 @@ def follow(net, par, state, work, before, time, force, table):
         table[i, 2] = state[0].peak_pressure
 
 
-@njit(cache=True)
-def visited(net, par, state, work, time, force, amplitudes, friction):
-    """States a (n, k) and q (n, m) along time and force (n,); at rest before time[0]."""
-    _rest(net[0], par[0], state[0], work[0])
-    for i in range(len(time)):
-        dt = time[i] - time[i - 1] if i else 0.0
-        _advance(net[0], par[0], state[0], work[0], dt, force[i])
-        amplitudes[i] = state[0].amplitudes
-        friction[i] = state[0].friction
-
-
-@njit(cache=True)
-def _areas(net, par, state, work, time, force, first, last, wanted, out):
-    """Areas of one trial, samples first … last − 1, written where `wanted` says (−1: nowhere)."""
-    _rest(net, par, state, work)
-    for i in range(first, last):
-        _advance(net, par, state, work, time[i] - time[i - 1] if i > first else 0.0, force[i])
-        if wanted[i] >= 0:
-            out[wanted[i]] = _area(net, par, state, work)
-
-
 @njit(cache=True, parallel=True)
 def batch(net, par, state, work, time, force, start, wanted, out):
     """Areas out (P, frames) of P parameter sets par (P,) over all trials.
@@ -428,16 +407,11 @@ def batch(net, par, state, work, time, force, start, wanted, out):
     for job in prange(len(par) * trials):
         which = job // trials
         trial = job - which * trials
-        own_state, own_work = np.empty_like(state), np.empty_like(work)
-        _areas(
-            net[0],
-            par[which],
-            own_state[0],
-            own_work[0],
-            time,
-            force,
-            start[trial],
-            start[trial + 1],
-            wanted,
-            out[which],
-        )
+        own_state, own_work = np.empty_like(state)[0], np.empty_like(work)[0]
+        _rest(net[0], par[which], own_state, own_work)
+        before = time[start[trial]]
+        for i in range(start[trial], start[trial + 1]):
+            _advance(net[0], par[which], own_state, own_work, time[i] - before, force[i])
+            before = time[i]
+            if wanted[i] >= 0:
+                out[which, wanted[i]] = _area(net[0], par[which], own_state, own_work)

@@ -49,10 +49,6 @@ class ReducedState:
     state: np.ndarray
     time: float = 0.0
 
-    def copy(self) -> ReducedState:
-        """Independent copy."""
-        return replace(self, state=self.state.copy())
-
 
 class ReducedModel:
     """Reduced model of one geometry and one material law.
@@ -355,12 +351,12 @@ class ReducedModel:
 
         They are those under forces (n,) in N at times (n,) in s.
         """
-        constants = self.constants(parameters)
-        state = np.zeros(1, self._types.state)
-        amplitudes = np.empty((len(time), self.latents))
-        friction = np.empty((len(time), len(self.arrays["betas"])))
-        rk.visited(self.networks, constants, state, self.work, time, force, amplitudes, friction)
-        return np.hstack([amplitudes, friction])
+        state = self.start(parameters)
+        out = []
+        for dt, value in zip(np.diff(time, prepend=time[0]), force):
+            self.step(state, dt, value)
+            out.append([*state.state["amplitudes"][0], *state.state["friction"][0]])
+        return np.array(out)
 
     def batch(
         self,
