@@ -199,7 +199,8 @@ def polish(problem: FitProblem, parameters: np.ndarray, starts: np.ndarray) -> L
     J can have more than one local minimum, mostly at the bounds.
     """
     coordinates = all_free(problem)
-    found = [refine(problem, coordinates, start) for start in (parameters, *starts[:2])]
+    others = [s for s in starts[:2] if not np.allclose(s, parameters, rtol=1e-9, atol=0.0)]
+    found = [refine(problem, coordinates, start) for start in (parameters, *others)]
     best = min(found, key=lambda fit: fit.cost)
     return LocalFit(best.parameters, best.cost, sum(fit.evaluations for fit in found))
 
