@@ -1,8 +1,9 @@
 """Bags: speed of processing, and messages lost while recording the full load of a rig.
 
-process_speed: a bag of 60 s with wrench, wrench_raw (500 Hz each), contact_area (10 Hz) and moisture goes through the
-estimator into a new bag, in this process with everything loaded; median of 5 runs. process_speed_images: 20 s with
-1280 × 1024 frames of a ridged contact through vision too. record_lost: see rig_load.py.
+process_speed: a bag of 60 s with wrench, wrench_raw (500 Hz each), contact_area (10 Hz) and
+moisture goes through the estimator into a new bag, in this process with everything loaded; median
+of 5 runs. process_speed_images: 20 s with 1280 × 1024 frames of a ridged contact through vision
+too. record_lost: see rig_load.py.
 """
 
 from __future__ import annotations
@@ -121,7 +122,8 @@ def run(report: Any) -> None:
         load = rig_load.measure(seconds, folder)
         report.add("record_lost", load.lost, "messages", 0, "lower")
         report.note(
-            f"of {sum(load.sent.values())} messages, {load.bag_bytes / load.seconds / 1e6:.1f} MB/s; "
+            f"of {sum(load.sent.values())} messages, "
+            f"{load.bag_bytes / load.seconds / 1e6:.1f} MB/s; "
             f"recorder at {load.cpu:.0%} of a core; sender late by at most {load.late * 1e3:.0f} ms"
         )
         if load.lost:

@@ -1,7 +1,7 @@
 """Record the full load of a rig for half an hour and say what was lost.
 
-`make soak`; `python scripts/soak.py --seconds 60` for a shorter run. The result is printed and written to
-bench/soak.json. Exit code 0 when nothing was lost, 1 otherwise.
+`make soak`; `python scripts/soak.py --seconds 60` for a shorter run. The result is printed and
+written to bench/soak.json. Exit code 0 when nothing was lost, 1 otherwise.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
-"""Where the fields of a serialized message are, so that many messages are read or written as one array.
+"""Where the fields of a serialized message are, so that many messages are read or written as one
+array.
 
-500 Hz for an hour are 1.8 million messages. The places follow from the message definition (OMG CDR: each number is
-aligned to its size, counted from the end of the encapsulation header of 4 bytes) once the lengths of its texts are
-known; messages of equal lengths are one structured NumPy array.
+500 Hz for an hour are 1.8 million messages. The places follow from the message definition (OMG CDR:
+each number is aligned to its size, counted from the end of the encapsulation header of 4 bytes)
+once the lengths of its texts are known; messages of equal lengths are one structured NumPy array.
 """
 
 from __future__ import annotations
@@ -32,8 +33,9 @@ def cdr_layout(
 ) -> np.dtype[Any]:
     """Structured dtype of a serialized message: fields by dotted name, such as "header.stamp.sec".
 
-    text_lengths: bytes of each text of the message in order, the closing zero included; the length itself is the
-    field "NAME.length". padding: bytes behind the last field. Raises InputError for a type that holds a sequence.
+    text_lengths: bytes of each text of the message in order, the closing zero included; the length
+    itself is the field "NAME.length". padding: bytes behind the last field. Raises InputError for a
+    type that holds a sequence.
     """
     order = "<" if little else ">"
     lengths = iter(text_lengths)
@@ -90,7 +92,7 @@ def _is_little(raw: bytes) -> bool:
 
 
 def stamp_of_cdr(raw: bytes) -> int:
-    """Header stamp (ns) of a serialized message that begins with its header; raises InputError for other bytes."""
+    """Header stamp (ns) of a serialized message; raises InputError for bytes without a header."""
     order = "little" if _is_little(raw) else "big"
     seconds = int.from_bytes(raw[_SECONDS : _SECONDS + 4], order, signed=True)  # type: ignore[arg-type]
     nanoseconds = int.from_bytes(raw[_NANOSECONDS : _NANOSECONDS + 4], order)  # type: ignore[arg-type]
@@ -98,7 +100,7 @@ def stamp_of_cdr(raw: bytes) -> int:
 
 
 def frame_id_of_cdr(raw: bytes) -> str:
-    """frame_id of a serialized message that begins with its header; raises InputError for other bytes."""
+    """frame_id of a serialized message; raises InputError for bytes without a header."""
     order = "little" if _is_little(raw) else "big"
     length = int.from_bytes(raw[_FRAME_LENGTH:_FRAME], order)  # type: ignore[arg-type]
     return raw[_FRAME : _FRAME + max(length - 1, 0)].decode(errors="replace")
@@ -117,10 +119,11 @@ def set_stamps(table: np.ndarray, prefix: str, stamps_ns: np.ndarray) -> None:
 def stamps_and_wrenches(
     raws: Sequence[bytes], decode: Callable[[bytes], Any] | None = None, fixed: bool = True
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Stamps (n,) in ns, forces (n, 3) in N and torques (n, 3) in N m of n serialized WrenchStamped.
+    """Stamps (n,) in ns, forces (n, 3) in N and torques (n, 3) in N m of n serialized
+    WrenchStamped.
 
-    decode: decoder for messages that are not laid out as expected, or, without `fixed`, for all; None refuses them. A
-    message that is neither is given the stamp -1.
+    decode: decoder for messages that are not laid out as expected, or, without `fixed`, for all;
+    None refuses them. A message that is neither is given the stamp -1.
     """
     number = len(raws)
     stamps = np.full(number, -1, np.int64)
@@ -161,7 +164,10 @@ def stamps_and_wrenches(
 
 
 def zero_messages(message_type: str, count: int, texts: Mapping[str, str]) -> np.ndarray:
-    """Structured array (count,) of messages with these texts (all that the type has, in order) and zero numbers."""
+    """Structured array (count,) of messages whose numbers are 0.
+
+    texts: all texts that the type has, by dotted name, in order.
+    """
     encoded = {name: text.encode() + b"\x00" for name, text in texts.items()}
     table = np.zeros(count, cdr_layout(message_type, tuple(map(len, encoded.values()))))
     table["encapsulation"] = np.void(b"\x00\x01\x00\x00")  # little endian

@@ -24,7 +24,7 @@ from .replay import ReplaySettings, lateness_text
 EXIT_CHECK_FAILS = 1
 
 COMMANDS = Plugins("finger_bag.commands", "subcommand")
-"""Further subcommands of installed packages: functions that add theirs with the `AddCommand` they get."""
+"""Further subcommands of installed packages: functions that add theirs with an `AddCommand`."""
 
 AddCommand = Callable[[str, Callable[[argparse.Namespace], int], str, str], argparse.ArgumentParser]
 """Adds a subcommand: name, what runs it, one sentence about it, example; gives its parser."""

@@ -1,4 +1,4 @@
-"""Copies of bags: everything that can be read (`recover`), or all but biometric data (`anonymise`)."""
+"""Copies of bags: all that can be read (`recover`), or all but biometric data (`anonymise`)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ TEXT_SUFFIXES = (".yaml", ".yml", ".json", ".csv")
 
 @dataclass
 class BagCopy:
-    """The new bag: messages copied by topic; what was left out on purpose; what could not be read."""
+    """The new bag: messages copied and left out on purpose, by topic; what could not be read."""
 
     path: Path
     counts: dict[str, int] = field(default_factory=dict)
@@ -32,7 +32,8 @@ class BagCopy:
 
 
 def announce(writer: BagWriter, topic: TopicInfo) -> None:
-    """Add a topic of a bag that was read, with its own definition and quality of service, to one being written.
+    """Add a topic of a bag that was read, with its own definition and quality of service, to one
+    being written.
 
     Raises InputError for a topic that cannot be written as it is.
     """
@@ -100,9 +101,9 @@ def shows_no_print(topic: str, message_type: str) -> bool:
 def anonymise(source: str | Path, target: str | Path) -> BagCopy:
     """Copy a bag without biometric data; areas, outlines, force, moisture and metadata stay.
 
-    Only topics of the bag schema are copied, and of these none that shows the print: what another topic holds cannot
-    be known. Attached files are copied when they are YAML, JSON or CSV text. Raises InputError when the bag cannot be
-    read or the target exists.
+    Only topics of the bag schema are copied, and of these none that shows the print: what another
+    topic holds cannot be known. Attached files are copied when they are YAML, JSON or CSV text.
+    Raises InputError when the bag cannot be read or the target exists.
     """
     with open_bag(source) as reader:
         metadata = {**reader.info.metadata.to_mapping(), "anonymised": "true"}

@@ -1,8 +1,9 @@
 """ROS 2 message types without ROS: definitions, type hashes, CDR to objects and plain data to CDR.
 
-The suite's own types are shipped as copies of the interface files of finger_msgs, so that this package reads and
-writes bags where no ROS is installed; the standard ones come from `rosbags`. Definitions found in a bag take
-precedence when the bag is read: it may come from another distribution.
+The suite's own types are shipped as copies of the interface files of finger_msgs, so that this
+package reads and writes bags where no ROS is installed; the standard ones come from `rosbags`.
+Definitions found in a bag take precedence when the bag is read: it may come from another
+distribution.
 """
 
 from __future__ import annotations
@@ -28,10 +29,13 @@ from rosbags.typesys.store import Typestore
 from finger_common.errors import InputError
 
 MAXIMUM_DEFINITION = 128 * 1024
-"""Bytes of a message definition above which it is not parsed; those of the common packages have 50 kB at most."""
+"""Bytes of a definition above which it is not parsed; the common packages have 50 kB at most."""
 
 MAXIMUM_FIELDS = 2000
-"""Fields of a definition, fixed arrays of strings and messages counted by element: code is generated for each."""
+"""Fields of a definition above which it is refused, as code is generated for each.
+
+Fixed arrays of strings and messages count by element.
+"""
 
 MAXIMUM_SEQUENCE = 1 << 28
 """Elements of a sequence above which a message is refused."""
@@ -85,7 +89,8 @@ def typestore() -> Typestore:
 
 @lru_cache(maxsize=256)
 def definition_text(message_type: str) -> str:
-    """Definition with everything it refers to, in the concatenated form of MCAP's "ros2msg" schemas.
+    """Definition with everything it refers to, in the concatenated form of MCAP's "ros2msg"
+    schemas.
 
     Raises InputError for a type that is not known.
     """
@@ -111,8 +116,8 @@ def type_hash(message_type: str) -> str:
 class Decoder:
     """Turns CDR bytes of one type into objects with the message's fields as attributes.
 
-    definition: text in the bag; when it is absent or equal to the known one, the known one serves. Raises InputError
-    for a definition that cannot be parsed and for a type that nothing defines.
+    definition: text in the bag; when it is absent or equal to the known one, the known one serves.
+    Raises InputError for a definition that cannot be parsed and for a type that nothing defines.
     """
 
     def __init__(self, message_type: str, definition: str = "", form: str = "ros2msg") -> None:
@@ -188,7 +193,7 @@ def _referred(message_type: str, types: Mapping[str, Any]) -> set[str]:
 
 
 def _store_of(message_type: str, types: dict[str, Any]) -> Typestore:
-    """Store holding just the given types and the standard ones they refer to without defining them."""
+    """Store of the given types and the standard ones they refer to without defining them."""
     known = typestore()
     types = dict(types)
     for name in _referred(message_type, {**known.fielddefs, **types}):
@@ -250,10 +255,11 @@ def decoder(message_type: str, definition: str = "", form: str = "ros2msg") -> D
 
 
 def encode(message_type: str, fields: Mapping[str, Any]) -> bytes:
-    """CDR bytes (little endian, with encapsulation) of a message given as nested mappings and sequences.
+    """CDR bytes (little endian, with encapsulation) of a message given as nested mappings and
+    sequences.
 
-    Fields left out are zero, false or empty. A stamp may be given as an int, nanoseconds since the epoch. Raises
-    InputError for an unknown type or field and for a value that does not fit.
+    Fields left out are zero, false or empty. A stamp may be given as an int, nanoseconds since the
+    epoch. Raises InputError for an unknown type or field and for a value that does not fit.
     """
     store = typestore()
     if message_type not in store.fielddefs:

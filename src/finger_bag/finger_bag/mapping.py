@@ -57,8 +57,8 @@ _KEYS = {"topic", "unit", "field", "stamp"}
 class MappedTopic:
     """Where a stream of the schema is found in another bag.
 
-    field: dotted name of the value in the message, empty for the schema's own. scale: SI per unit of the bag.
-    log_time: take the recorder's time, for messages without a header.
+    field: dotted name of the value in the message, empty for the schema's own. scale: SI per unit
+    of the bag. log_time: take the recorder's time, for messages without a header.
     """
 
     topic: str = ""

@@ -1,9 +1,9 @@
 """Reading MCAP files that may be damaged, cut off or hostile, in bounded memory.
 
-The `mcap` library trusts a file: it allocates what a length field claims and gives up at the first bad record. Bags
-come from killed recorders and from other people, so this module walks the records itself (MCAP specification,
-"Records") and never allocates more than the file can justify; what cannot be read is left out and said in
-`problems`. The library reads the contents of small records.
+The `mcap` library trusts a file: it allocates what a length field claims and gives up at the first
+bad record. Bags come from killed recorders and from other people, so this module walks the records
+itself (MCAP specification, "Records") and never allocates more than the file can justify; what
+cannot be read is left out and said in `problems`. The library reads the contents of small records.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ MAXIMUM_CHUNK = 1 << 30
 """Bytes of an uncompressed chunk above which it is not read."""
 
 PLAIN_CHUNK = 64 << 20
-"""A chunk that claims more than this must not be smaller than 1/200 of it when compressed (a zip bomb is)."""
+"""Bytes above which a chunk must not claim 200 times its compressed size (a zip bomb does)."""
 
 _RATIO = 200
 _RUN = 4 << 20  # bytes of unchunked messages that are read in one go
@@ -90,8 +90,8 @@ class AttachmentEntry:
 class McapFile:
     """One MCAP file, walked once when it is opened.
 
-    `problems` lists what is wrong with it, in words; `complete` says whether it was closed by its writer. Raises
-    InputError when it is no MCAP file at all or cannot be opened.
+    `problems` lists what is wrong with it, in words; `complete` says whether it was closed by its
+    writer. Raises InputError when it is no MCAP file at all or cannot be opened.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -278,7 +278,7 @@ class McapFile:
             self.attachments.append(AttachmentEntry(name, media_type, body + position, size))
 
     def _next_chunk(self, position: int) -> int:
-        """Where the next chunk that looks whole begins, after damage; the file's length if there is none."""
+        """Where, after damage, the next plausible chunk begins; the file's length if none does."""
         patterns = (b"\x04\x00\x00\x00zstd", b"\x03\x00\x00\x00lz4")
         before = _RECORD.size + _CHUNK.size
         overlap = 64
@@ -337,7 +337,8 @@ class McapFile:
         return data
 
     def messages(self, region: Region, skip: bool = False) -> list[RawMessage]:
-        """Messages of a region in the order they were written; takes schemas and channels on the way.
+        """Messages of a region in the order they were written; takes schemas and channels on the
+        way.
 
         skip: take only schemas and channels.
         """

@@ -1,7 +1,8 @@
 """Reading bags: rosbag2 folders (MCAP, sqlite3, compressed or not), bare MCAP and sqlite3 files.
 
-Reading is streaming and honest: messages come in the order of their log time, one chunk (or a few, where chunks
-overlap in time) is in memory at once, and whatever cannot be read is left out and listed in `BagReader.problems`.
+Reading is streaming and honest: messages come in the order of their log time, one chunk (or a few,
+where chunks overlap in time) is in memory at once, and whatever cannot be read is left out and
+listed in `BagReader.problems`.
 """
 
 from __future__ import annotations
@@ -78,8 +79,9 @@ class BagInfo:
 
 
 class BagMessage:
-    """One message: `topic`, `type`, `log_time_ns`, `publish_time_ns`, `sequence`, `raw` (CDR) and, decoded when
-    asked for, `message` (an object with the type's fields; raises InputError for malformed bytes)."""
+    """One message: `topic`, `type`, `log_time_ns`, `publish_time_ns`, `sequence`, `raw` (CDR) and,
+    decoded when asked for, `message` (an object with the type's fields; raises InputError for
+    malformed bytes)."""
 
     __slots__ = (
         "_message",
@@ -343,10 +345,11 @@ class BagReader:
     # Reading ---------------------------------------------------------------------------------
 
     def topic(self, name: str, namespace: str = "") -> str | None:
-        """Absolute name in this bag of a topic of the schema, such as "wrench"; None when it is absent.
+        """Absolute name in this bag of a topic of the schema, such as "wrench"; None when it is
+        absent.
 
-        namespace: where to look, "/" for no namespace; empty: wherever it is. Raises InputError when the bag holds it
-        under several namespaces.
+        namespace: where to look, "/" for no namespace; empty: wherever it is. Raises InputError
+        when the bag holds it under several namespaces.
         """
         if name.startswith("/") or namespace:
             absolute = name if name.startswith("/") else f"/{namespace.strip('/')}/{name}"
@@ -399,7 +402,8 @@ class BagReader:
     ) -> Iterator[BagMessage]:
         """Messages in the order of log time.
 
-        topics: absolute names; None for all. start (inclusive), stop (exclusive): log time in ns, None for no bound.
+        topics: absolute names; None for all. start (inclusive), stop (exclusive): log time in ns,
+        None for no bound.
         """
         wanted = None if topics is None else set(topics)
         if self._sqlites:
@@ -422,7 +426,8 @@ class BagReader:
         ]
         regions.sort()
         known: dict[tuple[int, int], tuple[str, str] | None] = {}
-        # What was read and may still be overtaken by the next region: (time, file, message), by time.
+        # What was read and may still be overtaken by the next region: (time, file, message), by
+        # time.
         pending: list[tuple[int, int, RawMessage]] = []
         for place, (_, number, index) in enumerate(regions):
             mcap = self._mcaps[number]
@@ -556,8 +561,8 @@ _SQLITE_BROKEN = (OSError, ValueError, KeyError, TypeError, AssertionError, yaml
 def open_bag(path: str | Path) -> BagReader:
     """Open a bag: a rosbag2 folder, or a bare .mcap or .db3 file.
 
-    Raises InputError when there is no bag or nothing of it can be read; damage in parts of it is listed in
-    `problems` instead.
+    Raises InputError when there is no bag or nothing of it can be read; damage in parts of it is
+    listed in `problems` instead.
     """
     return BagReader(path)
 

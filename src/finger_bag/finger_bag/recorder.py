@@ -1,8 +1,9 @@
 """Recording core: a queue, a thread that writes, and the accounts of what was lost. No ROS.
 
-Messages are put in as they came from the middleware, serialized; the thread writes them and hands the file to the
-operating system at least every `flush_interval`, so that a recorder killed at any moment loses no more than what
-arrived since. When the disk is nearly full, the recording is closed cleanly and the reason kept in `error`.
+Messages are put in as they came from the middleware, serialized; the thread writes them and hands
+the file to the operating system at least every `flush_interval`, so that a recorder killed at any
+moment loses no more than what arrived since. When the disk is nearly full, the recording is closed
+cleanly and the reason kept in `error`.
 """
 
 from __future__ import annotations
@@ -78,7 +79,7 @@ class RecorderSettings(Settings):
 
 @dataclass
 class RecordingResult:
-    """What a recording left: `path`, messages by topic, messages lost by topic, why it ended early ("" if not)."""
+    """The bag, messages recorded and lost by topic, and why it ended early ("" if not)."""
 
     path: Path
     counts: dict[str, int] = field(default_factory=dict)
@@ -97,7 +98,8 @@ class RecordingResult:
 class StampGaps:
     """Counts messages that are missing between the stamps of a stream of constant rate.
 
-    The period is the median of the first 50 intervals; from then on an interval of n periods counts n − 1 missing.
+    The period is the median of the first 50 intervals; from then on an interval of n periods counts
+    n − 1 missing.
     """
 
     def __init__(self) -> None:
@@ -169,7 +171,10 @@ class Recorder:
         topics: Mapping[str, str] | None = None,
         attachments: Mapping[str, bytes] | None = None,
     ) -> Path:
-        """Begin a bag. topics: absolute name → type. Raises InputError when a recording runs or `path` cannot be used."""
+        """Begin a bag. topics: absolute name → type.
+
+        Raises InputError when a recording runs already or `path` cannot be used.
+        """
         if self._thread is not None:
             raise InputError(f"recording into {self.path} runs already; stop it first")
         path = Path(path)
@@ -178,8 +183,8 @@ class Recorder:
         free = shutil.disk_usage(parent).free
         if free < settings.minimum_free:
             raise InputError(
-                f"{path}: {free >> 20} MiB are free, recording needs {settings.minimum_free >> 20}; "
-                "make room or choose another disk"
+                f"{path}: {free >> 20} MiB are free, recording needs "
+                f"{settings.minimum_free >> 20}; make room or choose another disk"
             )
         writer = BagWriter(
             path,
@@ -209,7 +214,7 @@ class Recorder:
         return path
 
     def put(self, message: Serialized) -> bool:
-        """Hand over a message; false when it is not recorded (nothing runs, or the queue is full: then it is lost)."""
+        """Hand over a message; false when it is not recorded or lost, as the queue is full."""
         if self._thread is None:
             return False
         if self._error or self._waiting > self.settings.queue_limit:
@@ -339,7 +344,7 @@ class _DiskFull(Exception):
 
 
 def as_png(cdr: bytes) -> bytes | None:
-    """A serialized mono8 Image as a serialized CompressedImage of the same header; None for other encodings."""
+    """A serialized mono8 Image as a serialized CompressedImage; None for other encodings."""
     import cv2
     import numpy as np
 

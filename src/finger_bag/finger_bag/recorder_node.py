@@ -1,7 +1,8 @@
 """Recorder node: writes the rig's topics into a bag, serialized as they come.
 
-Thin shell over `recorder.Recorder`. Subscriptions exist from activation on, so that a recording misses nothing at its
-start; latched messages that came before are repeated at its head. `~/record` starts and stops.
+Thin shell over `recorder.Recorder`. Subscriptions exist from activation on, so that a recording
+misses nothing at its start; latched messages that came before are repeated at its head. `~/record`
+starts and stops.
 """
 
 from __future__ import annotations
@@ -77,11 +78,11 @@ class SessionSettings(Settings):
 
 
 POLL = 0.02
-"""s between looks for messages; the middleware keeps them, with their time of arrival, for `buffer_time`."""
+"""s between two polls; the middleware keeps messages and their time of arrival meanwhile."""
 
 
 def message_class(message_type: str) -> Any:
-    """Class of a message type such as "std_msgs/msg/Header"; raises InputError when it is not installed."""
+    """Class of a type such as "std_msgs/msg/Header"; raises InputError when not installed."""
     package, _, name = message_type.partition("/msg/")
     try:
         return getattr(importlib.import_module(f"{package}.msg"), name)
@@ -106,7 +107,8 @@ class RecorderNode(ManagedNode):
             spec = TOPICS.get(name)
             if not kind and spec is None:
                 raise InputError(
-                    f"parameter 'topics': '{name}' is not in the bag schema; add '=package/msg/Type'"
+                    f"parameter 'topics': '{name}' is not in the bag schema; "
+                    "add '=package/msg/Type'"
                 )
             kind = kind or (spec.type if spec else "")
             message_class(kind)

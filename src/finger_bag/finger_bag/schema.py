@@ -1,9 +1,10 @@
 """What a session bag holds: topics, types, quality of service, metadata and attachments.
 
-A bag is a rosbag2 folder (NAME/metadata.yaml, NAME/NAME_0.mcap, …) whose MCAP files follow the "ros2" profile. All
-trials of a session may be in one bag, or each trial in its own; `trial` messages tell them apart in both cases. A
-metadata record `finger_session` says whose finger, which condition and which software; calibration files travel as
-attachments. docs/bags.md is the page for users.
+A bag is a rosbag2 folder (NAME/metadata.yaml, NAME/NAME_0.mcap, …) whose MCAP files follow the
+"ros2" profile. All trials of a session may be in one bag, or each trial in its own; `trial`
+messages tell them apart in both cases. A metadata record `finger_session` says whose finger, which
+condition and which software; calibration files travel as attachments. docs/bags.md is the page for
+users.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from finger_common.errors import InputError
 SCHEMA_VERSION = "1"
 NAMESPACE = "finger"
 SESSION_RECORD = "finger_session"
-"""Name of the MCAP metadata record with the session's metadata, and prefix of its keys in metadata.yaml."""
+"""MCAP metadata record of the session, and prefix of its keys in metadata.yaml."""
 
 CALIBRATION_ATTACHMENT = "plate_calibration.yaml"
 PARAMETERS_ATTACHMENT = "parameters.yaml"
@@ -28,7 +29,7 @@ RIG_ATTACHMENT = "rig.yaml"
 
 @dataclass(frozen=True)
 class TopicSpec:
-    """One topic of a session bag; `name` is relative to the rig's namespace unless it starts with "/"."""
+    """One topic of a session bag; `name` is in the rig's namespace unless it starts with "/"."""
 
     name: str
     type: str
@@ -120,7 +121,7 @@ def full_name(topic: str, namespace: str = NAMESPACE) -> str:
 
 
 def spec_of(topic: str) -> TopicSpec | None:
-    """Description of a topic by absolute or relative name, None for one that is not in the schema."""
+    """Description of a topic by absolute or relative name, None outside the schema."""
     if topic in TOPICS:
         return TOPICS[topic]
     for name, spec in TOPICS.items():
@@ -141,8 +142,8 @@ def software_version() -> str:
 class SessionMetadata:
     """Metadata of a session bag; text throughout, empty where not known.
 
-    subject is a code, never a name. condition and trial_index are set where the whole bag belongs to one condition or
-    trial; `trial` messages in the bag take precedence.
+    subject is a code, never a name. condition and trial_index are set where the whole bag belongs
+    to one condition or trial; `trial` messages in the bag take precedence.
     """
 
     session: str = ""
@@ -153,7 +154,7 @@ class SessionMetadata:
     """N."""
     rig: str = ""
     source: str = ""
-    """What made the data: "rig", "simulated rig", "simulated study", or the command that processed another bag."""
+    """What made the data: "rig", "simulated rig", "simulated study", or a command."""
     software_version: str = ""
     schema_version: str = SCHEMA_VERSION
     extra: dict[str, str] = field(default_factory=dict)
@@ -174,7 +175,7 @@ class SessionMetadata:
 
 
 def offered_qos(latched: int) -> list[dict[str, Any]]:
-    """Quality of service of a topic as rosbag2 stores it, so that `ros2 bag play` offers the same."""
+    """Quality of service of a topic as rosbag2 stores it for `ros2 bag play`."""
 
     def forever() -> dict[str, int]:
         return {"sec": 9223372036, "nsec": 854775807}

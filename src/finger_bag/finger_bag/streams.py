@@ -51,8 +51,8 @@ class TrialEvent:
 class SessionStreams:
     """Streams of one bag in SI units, in the order recorded.
 
-    wrench_stamp_ns, wrench_log_ns (n,): header stamp and log time; force, torque (n, 3) in the sensor's axes.
-    area_stamp_ns (k,), area, real_area, area_sd (k,) in m², area_flags (k,).
+    wrench_stamp_ns, wrench_log_ns (n,): header stamp and log time; force, torque (n, 3) in the
+    sensor's axes. area_stamp_ns (k,), area, real_area, area_sd (k,) in m², area_flags (k,).
     image_stamp_ns, image_log_ns (m,): frames, whether or not they were looked at.
     """
 
@@ -111,7 +111,7 @@ def find_used(reader: BagReader, name: str, settings: ReadSettings) -> str | Non
 
 
 def find_wrench(reader: BagReader, settings: ReadSettings) -> str:
-    """Absolute topic of the wrench; raises InputError for a bag without messages or without a wrench."""
+    """Absolute topic of the wrench; raises InputError for a bag without messages or wrench."""
     if not reader.info.topics or reader.info.message_count == 0:
         problems = "; ".join(reader.all_problems()[:2])
         raise InputError(
@@ -160,8 +160,8 @@ def read_streams(
 ) -> SessionStreams:
     """Read all streams of a bag in one pass.
 
-    on_image is called with each image message. Raises InputError when there is no wrench or the bag holds no message at
-    all; malformed messages are left out, counted and listed in `problems`.
+    on_image is called with each image message. Raises InputError when there is no wrench or the bag
+    holds no message at all; malformed messages are left out, counted and listed in `problems`.
     """
     mapping = settings.mapping
     wrench = find_wrench(reader, settings)
@@ -229,7 +229,7 @@ def read_streams(
 
 
 def stamp_and_value(item: BagMessage, mapped: MappedTopic) -> tuple[int, float | None]:
-    """Stamp (ns) of a message by its mapping, and the value of the field that the mapping names (SI), if any."""
+    """Stamp (ns) of a message, and the value (SI) of the field that its mapping names, if any."""
     message = item.message
     stamp = item.log_time_ns if mapped.log_time else header_stamp(message)
     if not mapped.field:

@@ -67,12 +67,11 @@ def _known(message_type: str) -> bool:
 class BagWriter:
     """Writes one bag; a context manager.
 
-    path: folder of the bag; must not exist or be empty. The folder takes its name only when the writer closes without
-    an error; with `in_place` it is written where it will stay from the beginning, as a recording must be (what was
-    flushed survives a kill).
-    metadata: SessionMetadata or a mapping with its keys.
-    namespace: put before relative topic names.
-    maximum_size, maximum_duration: bytes and seconds after which the next file of the bag is begun; 0 for never.
+    path: folder of the bag; must not exist or be empty. The folder takes its name only when the
+    writer closes without an error; with `in_place` it is written where it will stay from the
+    beginning, as a recording must be (what was flushed survives a kill). metadata: SessionMetadata
+    or a mapping with its keys. namespace: put before relative topic names. maximum_size,
+    maximum_duration: bytes and seconds after which the next file of the bag is begun; 0 for never.
 
     Raises InputError when the folder exists or cannot be written.
     """
@@ -201,9 +200,9 @@ class BagWriter:
     ) -> str:
         """Announce a topic and return its absolute name.
 
-        message_type: None for a topic of the schema. definition: text of the type where it is not a known one. qos:
-        YAML as rosbag2 stores it; None for the schema's. Raises InputError for an unknown type, or when the topic was
-        announced with another type.
+        message_type: None for a topic of the schema. definition: text of the type where it is not a
+        known one. qos: YAML as rosbag2 stores it; None for the schema's. Raises InputError for an
+        unknown type, or when the topic was announced with another type.
         """
         name = full_name(topic, self.namespace)
         spec = spec_of(topic)
@@ -215,7 +214,8 @@ class BagWriter:
         if channel is not None:
             if channel.type != message_type:
                 raise InputError(
-                    f"topic '{name}' holds '{channel.type}' already, '{message_type}' cannot be added"
+                    f"topic '{name}' holds '{channel.type}' already, "
+                    f"'{message_type}' cannot be added"
                 )
             return name
         if qos is None:
@@ -255,8 +255,8 @@ class BagWriter:
     ) -> None:
         """Write one serialized message as it is.
 
-        A topic that is not of the schema must have been announced by `add_topic`. Raises InputError for bytes without
-        a CDR encapsulation header and for a time that does not fit.
+        A topic that is not of the schema must have been announced by `add_topic`. Raises InputError
+        for bytes without a CDR encapsulation header and for a time that does not fit.
         """
         channel_id = self._ids.get(topic)
         if channel_id is None or self._splits:
@@ -273,7 +273,8 @@ class BagWriter:
             )
         except struct.error:
             raise InputError(
-                f"topic '{topic}': time {log_time_ns} ns is not one of a bag; use ns since the epoch"
+                f"topic '{topic}': time {log_time_ns} ns is outside a bag's range; "
+                "use ns since the epoch"
             ) from None
         except OSError as error:
             raise InputError(f"{self.path}: cannot be written ({error.strerror})") from error
@@ -310,10 +311,12 @@ class BagWriter:
         publish_time_ns: int | None = None,
         message_type: str | None = None,
     ) -> None:
-        """Write one message given as plain data: nested mappings, sequences, arrays; left-out fields are zero.
+        """Write one message given as plain data: nested mappings, sequences, arrays; left-out
+        fields are zero.
 
-        `{"header": {"stamp": 1_700_000_000_000_000_000}, "value": 69.3}` for a moisture reading: a stamp may be an int
-        in ns. log_time_ns None takes the header stamp. Raises InputError for fields that do not fit the type.
+        `{"header": {"stamp": 1_700_000_000_000_000_000}, "value": 69.3}` for a moisture reading: a
+        stamp may be an int in ns. log_time_ns None takes the header stamp. Raises InputError for
+        fields that do not fit the type.
         """
         name = self.add_topic(topic, message_type)
         if log_time_ns is None:
@@ -334,7 +337,8 @@ class BagWriter:
         self._mcap.add_attachment(time.time_ns(), name, media_type, data)
 
     def flush(self, to_disk: bool = False) -> None:
-        """End the chunk in progress and hand everything to the operating system: it survives a kill.
+        """End the chunk in progress and hand everything to the operating system: it survives a
+        kill.
 
         `to_disk` also waits until the disk has it, so that it survives a power cut.
         """

@@ -87,7 +87,7 @@ def change_record(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 def change_inside_chunk(data: bytes, rng: np.random.Generator) -> bytes:
-    """Damage within a chunk's content, with a checksum that fits: what lies behind the checksum is reached."""
+    """Damage within a chunk's content, with a checksum that fits, so that it is parsed."""
     chunks = [(a, b) for opcode, a, b in records(data) if opcode == 6]
     begin, end = chunks[int(rng.integers(len(chunks)))]
     body = data[begin + 9 : end]

@@ -1,4 +1,4 @@
-"""Damaged and hostile bags: a clear error or a clear partial result, in bounded time and memory, nothing escaping."""
+"""Damaged and hostile bags give a clear error or partial result, in bounded time and memory."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A recording of the real nodes over DDS, from the model's first sample on, gives again what was published then."""
+"""A recording of the real nodes over DDS gives again what they published."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class Rig:
         self.send(self.wrench, stamp_ns, wrench=Wrench(force=force))
 
     def press(self) -> None:
-        """Some seconds at 500 Hz, with areas that come too late, a setting changed and a reset on the way."""
+        """Some seconds at 500 Hz with late areas, a changed setting and a reset."""
         from rcl_interfaces.msg import Parameter, ParameterValue
         from rcl_interfaces.srv import SetParameters
         from std_srvs.srv import Trigger

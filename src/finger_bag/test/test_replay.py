@@ -146,7 +146,8 @@ def test_model_node_in_the_time_of_the_bag_estimates_as_offline(
         while not publishers() and time.monotonic() < end:
             rclpy.spin_once(node, timeout_sec=0.1)
         player = process(
-            "-m", "finger_bag.cli", "play", str(path), "--clock", "--wait", "8", "--duration", "7.9",
+            "-m", "finger_bag.cli", "play", str(path), "--clock", "--wait", "8",
+            "--duration", "7.9",
             "--reliability", "reliable", "--topics", "wrench", "contact_area", "moisture",
         )  # fmt: skip
         end = time.monotonic() + 120

@@ -1,4 +1,4 @@
-"""What this package writes, independent readers read with equal content; what they write, it reads."""
+"""Independent readers read what this package writes, and the other way round."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ STATE_TYPE = TOPICS["contact_state"].type
 _COLUMN_FIELDS = {f.column: f for name in CSV_FIELDS for f in ESTIMATE_FIELDS if f.name == name}
 
 COLUMNS = ("time_s", *_COLUMN_FIELDS)
-"""Columns of the tables. The first six are those of `finger-model simulate`; time_s counts from the first row."""
+"""Columns of the tables, first those of `finger-model simulate`; time_s is 0 in the first row."""
 
 
 def serialize(block: EstimateBlock, frame_id: str = "") -> list[bytes]:
@@ -61,8 +61,8 @@ def columns(block: EstimateBlock, start_ns: int) -> dict[str, np.ndarray]:
 def open_table(path: str) -> Iterator[Callable[[EstimateBlock], None]]:
     """Function that appends a block to a CSV or Parquet file, by its suffix.
 
-    The file takes its name only when the block of the `with` ends without an error. Raises InputError for another
-    suffix, or when the file cannot be written.
+    The file takes its name only when the block of the `with` ends without an error. Raises
+    InputError for another suffix, or when the file cannot be written.
     """
     suffix = Path(path).suffix
     if suffix not in (".csv", ".parquet"):

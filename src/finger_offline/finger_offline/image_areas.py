@@ -49,7 +49,7 @@ def grey_image(message: Any) -> np.ndarray:
 
 
 def _refuse_large_png(data: np.ndarray) -> None:
-    """A PNG of some kB may claim gigabytes of pixels: its header says so before they are allocated."""
+    """Refuse a small PNG that claims gigabytes of pixels, before they are allocated."""
     if bytes(data[:8]) == b"\x89PNG\r\n\x1a\n" and len(data) >= 24:
         width, height = (int.from_bytes(bytes(data[i : i + 4]), "big") for i in (16, 20))
         if width * height > MAXIMUM_PIXELS:
@@ -78,7 +78,7 @@ def calibration_of(
 
 
 class ImageAreas:
-    """Collects the areas of images as they come by; `add` one image message after the other, in order."""
+    """Collects the areas of images; `add` one image message after the other, in order."""
 
     def __init__(self, sensor: AreaSensor) -> None:
         self._sensor = sensor
@@ -148,7 +148,10 @@ class MeasuringThread:
     def results(
         self, until_ns: int
     ) -> Iterator[tuple[BagMessage, ContactMeasurement | FingerError]]:
-        """Wait for and take the images logged until then and all but the newest few; an error for an unusable one."""
+        """Wait for and take the images logged until then, and all but the newest few.
+
+        An unusable image gives its error.
+        """
         pending = self._pending
         while pending and (len(pending) > IMAGES_AHEAD or pending[0][0].log_time_ns <= until_ns):
             item, future = pending.popleft()

@@ -1,4 +1,4 @@
-"""The order in which offline inputs reach the estimator: by log time, each kind after a wait of its own."""
+"""Order of the inputs of an offline run: by log time, each kind after a wait of its own."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from typing import Any
 from finger_bag.reader import BagMessage
 
 AREA_WAIT_NS = 1_000_000_000
-"""Log time after which an area or reading is handed to the estimator; records of late ones have come by then."""
+"""Log time after which an area or reading is used; events that name late ones precede it."""
 
 WRENCH_WAIT_NS = 2_000_000_000
-"""Log time after which a wrench is handed over; areas that come later than this could not be used live either."""
+"""Log time after which a wrench is used; areas later than this were late in a live run too."""
 
 BLOCK = 4000
 """Wrenches that are handed over at once."""
@@ -46,7 +46,7 @@ class InputOrder:
         heapq.heappush(self._inputs, (log_ns, self._count, moisture, values))
 
     def inputs_until(self, log_ns: int) -> Iterator[tuple[bool, tuple[Any, ...]]]:
-        """Take areas and readings logged until then: whether it is a reading, arguments for the estimator."""
+        """Take areas and readings logged until then: (is a reading, estimator's arguments)."""
         while self._inputs and self._inputs[0][0] <= log_ns:
             _, _, moisture, values = heapq.heappop(self._inputs)
             yield moisture, values

@@ -21,11 +21,11 @@ class InputTopics:
     image: str | None
     events: str | None
     replaced: frozenset[str]
-    """Topics of the input that are not copied, as the run writes its own or does not follow them."""
+    """Topics of the input that are not copied: the run writes its own or does not follow them."""
 
     @classmethod
     def of(cls, reader: BagReader, options: ProcessOptions) -> InputTopics:
-        """Find them; raises InputError when the bag has no wrench, or no images where these are asked for."""
+        """Find them; raises InputError without a wrench, or without images that are asked for."""
         wrench = find_wrench(reader, options)
         area = find_topic(reader, "contact_area", options)
         images = [t for name in IMAGES if (t := find_used(reader, name, options)) is not None]

@@ -1,4 +1,4 @@
-"""The bag that `finger-bag process` writes: the input's messages, with the areas and estimates of the run."""
+"""The bag that `finger-bag process` writes: the input's messages, new areas and estimates."""
 
 from __future__ import annotations
 
@@ -99,7 +99,10 @@ class OutputBag:
     def write_states(
         self, block: EstimateBlock, stamps: np.ndarray, logs: np.ndarray, wrench: bytes
     ) -> None:
-        """Write estimates, each logged with its wrench; stamps, logs (n,) in ns of all wrenches; wrench: one of them."""
+        """Write estimates, each logged with its wrench.
+
+        stamps, logs (n,): of all wrenches, ns. wrench: one of them, serialized.
+        """
         own = block.column("stamp_ns")
         if len(block) == len(stamps):
             times = logs.tolist()

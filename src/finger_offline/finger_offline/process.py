@@ -1,8 +1,9 @@
-"""Running vision and model over a bag, without middleware, through the same objects as the live nodes.
+"""Running vision and model over a bag, without middleware, through the same objects as the live
+nodes.
 
-One pass, in bounded memory: wrenches wait until everything stamped near them has been read, then go through the
-compiled estimator in blocks. A recording with `model_events` is run with the settings, parameter sets, resets and
-late inputs of the live node, and gives what it published, bit for bit.
+One pass, in bounded memory: wrenches wait until everything stamped near them has been read, then go
+through the compiled estimator in blocks. A recording with `model_events` is run with the settings,
+parameter sets, resets and late inputs of the live node, and gives what it published, bit for bit.
 """
 
 from __future__ import annotations
@@ -64,8 +65,8 @@ def process(
 ) -> ProcessResult:
     """Process one bag into a new one (None: no bag is written).
 
-    progress is called with the fraction done, on_block with each block of estimates. Raises InputError when the bag
-    lacks what is needed or the target exists.
+    progress is called with the fraction done, on_block with each block of estimates. Raises
+    InputError when the bag lacks what is needed or the target exists.
     """
     options = options or ProcessOptions()
     with ExitStack() as stack:
@@ -101,7 +102,7 @@ def _estimator(options: ProcessOptions) -> ContactEstimator:
 
 
 class _Run:
-    """One pass over a bag: messages into the queue, from there through the estimator to the outputs."""
+    """One pass over a bag: messages into the queue, then through the estimator to the outputs."""
 
     def __init__(
         self,
@@ -157,8 +158,9 @@ class _Run:
         late = counters.get("late_areas", 0)
         if late and not replayed:
             problems.append(
-                f"{late} areas were logged more than {seconds(WRENCH_WAIT_NS - AREA_WAIT_NS):.0f} s "
-                "after their stamp and were not used"
+                f"{late} areas were logged more than "
+                f"{seconds(WRENCH_WAIT_NS - AREA_WAIT_NS):.0f} s after their stamp and "
+                "were not used"
             )
         duration = self.reader.info.duration
         return ProcessResult(None, self.states, self.areas, duration, replayed, counters, problems)

@@ -1,4 +1,4 @@
-"""The subcommand `finger-bag process`. Vision and model are imported when it runs, not for its help."""
+"""The subcommand `finger-bag process`. Vision and model are imported only when it runs."""
 
 from __future__ import annotations
 

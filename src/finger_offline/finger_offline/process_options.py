@@ -15,8 +15,9 @@ from finger_vision.area_sensor import DEFAULT_AREA_SENSOR
 class ProcessOptions(ReadSettings):
     """What to run and to write.
 
-    estimator: settings of the estimator by name that replace those recorded. parameter_file, model_file: for the
-    model, empty for those of the suite. table: CSV or Parquet file of the estimates, empty for none.
+    estimator: settings of the estimator by name that replace those recorded. parameter_file,
+    model_file: for the model, empty for those of the suite. table: CSV or Parquet file of the
+    estimates, empty for none.
     """
 
     images: str = setting(
@@ -38,6 +39,6 @@ class ProcessOptions(ReadSettings):
     table: str = ""
 
     def is_own(self) -> bool:
-        """Whether the run has an axis, files or settings of its own, so that recorded events do not apply."""
+        """Whether an axis, files or settings are given, so that recorded events do not apply."""
         own = (self.estimator, self.parameter_file, self.model_file, self.normal_axis)
         return any(own)

@@ -1,4 +1,4 @@
-"""Checks of the trials in a bag, for `finger-bag validate`: presses, target force, moisture, lateral force, lag."""
+"""Checks of the trials in a bag, for `finger-bag validate`."""
 
 from __future__ import annotations
 
@@ -105,10 +105,12 @@ def _check_sync(found: TrialSet, result: Validation) -> None:
 
 
 def force_image_lag(trial: TrialRecord, longest: float = 0.4) -> float | None:
-    """Time (s) by which the area of a press lags the force, positive when the area comes late; None when unclear.
+    """Time (s) by which the area of a press lags the force, positive when the area comes late; None
+    when unclear.
 
-    The lag at which ln A over ln F of the rising and falling flanks is most nearly one line. Creep of the skin
-    delays the area of a soft finger by some 10 ms, so this finds clocks that disagree, not the last frame's delay.
+    The lag at which ln A over ln F of the rising and falling flanks is most nearly one line. Creep
+    of the skin delays the area of a soft finger by some 10 ms, so this finds clocks that disagree,
+    not the last frame's delay.
     """
     usable = np.isfinite(trial.area) & (trial.area > 0)
     stamps, area = trial.area_stamp_ns[usable], trial.area[usable]

@@ -1,4 +1,4 @@
-"""Trials as read from bags: one press with its force, areas and moisture readings, and what was left out."""
+"""Trials as read from bags: a press with its force, areas and moisture readings."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ import numpy as np
 class TrialRecord:
     """One trial (SI). Stamps are acquisition times in ns.
 
-    stamp_ns (n,), force (n,): normal force, positive in compression, at full rate, from `margin` before onset to
-    `margin` after lift-off; lateral_force (n,). area_stamp_ns, area, area_sd (m², NaN where unknown), area_flags (k,):
-    gross areas; real_area (k,). moisture_before, moisture_after: readings (a.u.). onset_ns, liftoff_ns: first sample
-    at or above the onset force, first one below the lift-off force (None when the recording ends before).
-    area_source: "topic" or "images".
+    stamp_ns (n,), force (n,): normal force, positive in compression, at full rate, from `margin`
+    before onset to `margin` after lift-off; lateral_force (n,). area_stamp_ns, area, area_sd (m²,
+    NaN where unknown), area_flags (k,): gross areas; real_area (k,). moisture_before,
+    moisture_after: readings (a.u.). onset_ns, liftoff_ns: first sample at or above the onset force,
+    first one below the lift-off force (None when the recording ends before). area_source: "topic"
+    or "images".
     """
 
     bag: str

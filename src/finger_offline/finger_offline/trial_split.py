@@ -1,4 +1,4 @@
-"""Which press belongs to which trial: by `trial` messages where a bag has them, else by the force."""
+"""Which press belongs to which trial: by `trial` messages if there are any, else by force."""
 
 from __future__ import annotations
 
@@ -78,7 +78,10 @@ def presses(
     liftoff_force: float = LIFTOFF_FORCE,
     merge_gap: float = 0.1,
 ) -> list[tuple[int, int]]:
-    """Presses in normal forces (n,) as (first sample, first sample after); merge_gap (s) as in TrialSettings."""
+    """Presses in normal forces (n,) as (first sample, first sample after).
+
+    The settings are those of TrialSettings.
+    """
     found: list[tuple[int, int]] = []
     for first, end in contacts(force, onset_force, liftoff_force):
         if found and seconds(stamp_ns[first] - stamp_ns[found[-1][1] - 1]) < merge_gap:
@@ -135,8 +138,8 @@ def split(
                 bag,
                 metadata.condition,
                 0,
-                f"no press: normal force along {settings.axis} stays below {settings.onset_force} N "
-                f"(it runs from {normal.min():.2f} to {normal.max():.2f} N)"
+                f"no press: normal force along {settings.axis} stays below "
+                f"{settings.onset_force} N (range {normal.min():.2f} to {normal.max():.2f} N)"
                 if len(normal)
                 else "no press: no usable wrench",
             )
@@ -215,7 +218,7 @@ def _by_messages(
 def _assign_moistures(
     readings: Sequence[MoistureReading], chosen: Sequence[_Press], stamp: np.ndarray
 ) -> list[tuple[list[float], list[float]]]:
-    """Readings before and after each press: by their phase, else by the press that is nearer in time."""
+    """Readings before and after each press: by their phase, else of the nearer press."""
     result: list[tuple[list[float], list[float]]] = [([], []) for _ in chosen]
     if not chosen:
         return result

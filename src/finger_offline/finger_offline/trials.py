@@ -30,8 +30,8 @@ def load_trials(
 ) -> TrialSet:
     """Trials of bags; see TrialSettings for what can be set.
 
-    progress is called with (number of bags done, number of bags, bag). Raises InputError for a bag that cannot be
-    read, holds no wrench, or holds neither contact_area nor images.
+    progress is called with (number of bags done, number of bags, bag). Raises InputError for a bag
+    that cannot be read, holds no wrench, or holds neither contact_area nor images.
     """
     settings = settings or TrialSettings()
     bags = find_bags([paths] if isinstance(paths, (str, Path)) else paths)

@@ -48,7 +48,7 @@ def state_fields(estimate: ContactEstimate, frame_id: str) -> dict[str, Any]:
 
 
 def sample_by_sample(path: Path) -> list[ContactEstimate]:
-    """Estimates as a live node makes them: inputs in the order of log time, one wrench at a time."""
+    """Estimates as a live node makes them: inputs by log time, one wrench at a time."""
     estimator = ContactEstimator(ReducedModel.load())
     found = []
     with open_bag(path) as reader:
@@ -121,7 +121,8 @@ def test_serialized_states_equal_those_encoded_one_by_one() -> None:
 
 
 def live_recording(path: Path) -> list[bytes]:
-    """A bag as the recorder makes it beside a live model node: inputs, events, and what was published.
+    """A bag as the recorder makes it beside a live model node: inputs, events, and what was
+    published.
 
     With a late area, a change of settings and a reset on the way. Gives the published states.
     """
