@@ -46,10 +46,10 @@ def panel(image: np.ndarray, centre: tuple[int, int], half: int) -> np.ndarray:
     return cv2.resize(cut, (SIDE, SIDE), interpolation=cv2.INTER_AREA)
 
 
-def steps_of(look: str, seed: int) -> np.ndarray:
+def steps_of(skin: str, seed: int) -> np.ndarray:
     """Row of panels: frame, background, contrast, ridges, region, outline."""
     scene = Scene(vignetting=0.4, latent=0.08, dust=40, tilt=math.radians(10), tilt_direction=0.5)
-    renderer = FtirRenderer(look, seed, scene)
+    renderer = FtirRenderer(skin, seed, scene)
     segmenter = FtirSegmenter()
     for _ in range(5):
         segmenter.process(renderer.empty())
@@ -66,7 +66,7 @@ def steps_of(look: str, seed: int) -> np.ndarray:
     outline = segmenter.calibration.to_pixels(measured.hull, 1280, 1024)
     cv2.polylines(overlay, [np.rint(outline).astype(np.int32)], True, (0, 170, 0), 3, cv2.LINE_AA)
     panels = [
-        label(panel(steps.frame, centre, half), f"{look}: frame"),
+        label(panel(steps.frame, centre, half), f"{skin}: frame"),
         label(panel(steps.background, centre, half), "learned background"),
         label(panel(cv2.convertScaleAbs(steps.contrast, alpha=1.5), centre, half), "contrast"),
         label(panel(full["touching"], centre, half), f"ridges {measured.real_area * 1e6:.1f} mm2"),
@@ -113,7 +113,7 @@ def failures() -> np.ndarray:
 
 def main() -> None:
     FOLDER.mkdir(parents=True, exist_ok=True)
-    rows = [steps_of(look, 30 + index) for index, look in enumerate(("dry", "natural", "moist"))]
+    rows = [steps_of(skin, 30 + index) for index, skin in enumerate(("dry", "natural", "moist"))]
     cv2.imwrite(str(FOLDER / "vision_steps.png"), np.vstack(rows))
     cv2.imwrite(str(FOLDER / "vision_failures.png"), failures())
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from finger_common.errors import FingerError
+from finger_model.history import ContactHistory
 from finger_sim.conditions import STUDY
 from finger_sim.finger import SimulatedFinger, area_at
 from finger_sim.ftir import AREA_PER_PIXEL
@@ -21,26 +22,30 @@ PRESS = plan_press(np.random.default_rng(1), ramp_time=0.6)
 FRAMES = np.arange(0, PRESS.duration, 0.1)
 
 
-def test_a_moister_finger_gives_a_larger_contact() -> None:
-    largest = {
-        name: SimulatedFinger(c.material).plan(PRESS.time, PRESS.force, FRAMES).area.max()
+@pytest.fixture(scope="module")
+def histories() -> dict[str, ContactHistory]:
+    """Contact under PRESS by condition, at the default step."""
+    return {
+        name: SimulatedFinger(c.material).plan(PRESS.time, PRESS.force, FRAMES)
         for name, c in STUDY.items()
     }
+
+
+def test_a_moister_finger_gives_a_larger_contact(histories) -> None:
+    largest = {name: history.area.max() for name, history in histories.items()}
     assert 0 < largest["dry"] < largest["natural"] < largest["moist"] < 200e-6
 
 
-def test_steps_of_20_ms_are_fine_enough_for_the_truth() -> None:
-    """Halving the step moves no frame's area by more than 1 % of the largest."""
-    material = STUDY["natural"].material
-    areas = []
-    for step in (0.02, 0.01):
-        finger = SimulatedFinger(material, step=step)
-        areas.append(area_at(finger.plan(PRESS.time, PRESS.force, FRAMES), FRAMES))
-    assert np.abs(areas[0] - areas[1]).max() < 0.01 * areas[1].max()
+def test_steps_of_20_ms_are_fine_enough_for_the_truth(histories) -> None:
+    """Halving the step changes no frame's area by more than 1 % of the largest."""
+    finger = SimulatedFinger(STUDY["natural"].material, step=0.01)
+    finer = area_at(finger.plan(PRESS.time, PRESS.force, FRAMES), FRAMES)
+    area = area_at(histories["natural"], FRAMES)
+    assert np.abs(area - finer).max() < 0.01 * finer.max()
 
 
-def test_frames_are_steps_of_the_plan_and_there_is_no_contact_without_force() -> None:
-    history = SimulatedFinger(STUDY["dry"].material).plan(PRESS.time, PRESS.force, FRAMES)
+def test_frames_are_steps_of_the_plan_and_there_is_no_contact_without_force(histories) -> None:
+    history = histories["dry"]
     assert np.all(np.min(np.abs(history.time[:, None] - FRAMES), axis=0) < 2e-5)
     areas = area_at(history, FRAMES)
     assert np.all(areas[FRAMES < PRESS.onset] == 0) and np.all(areas[FRAMES > PRESS.lift_off] == 0)
@@ -53,7 +58,7 @@ def planned(tmp_path_factory: pytest.TempPathFactory):
     return plan_trial(TrialRequest("natural", 3, seed=5), tmp_path_factory.mktemp("plan"), VIEW)
 
 
-def test_frames_show_what_the_truth_says(planned) -> None:
+def test_frames_show_the_true_areas(planned) -> None:
     """The darkened part of a frame grows with the true area and fits inside its circle."""
     pictures = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in planned.frames]
     assert all(p.shape == (VIEW.height, VIEW.width) for p in pictures)
@@ -76,7 +81,7 @@ def test_a_trial_depends_on_its_name_and_seed_alone(planned, tmp_path: Path) -> 
     assert redone.rng("press").random() != TrialRequest("natural", 3, seed=5).rng("press").random()
 
 
-def test_the_truth_is_written_aside(planned, tmp_path: Path) -> None:
+def test_the_truth_is_written_to_a_file(planned, tmp_path: Path) -> None:
     write_truth(tmp_path / "truth.json", planned, 17)
     truth = json.loads((tmp_path / "truth.json").read_text())
     assert truth["start_ns"] == 17 and truth["material"]["E1"] == 22350.0

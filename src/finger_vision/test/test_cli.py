@@ -46,7 +46,7 @@ def test_csv_follows_its_contract(pictures, tmp_path: Path, capsys) -> None:
     assert capsys.readouterr().out == text
 
 
-def test_background_images_take_a_flag_away(pictures, capsys) -> None:
+def test_background_images_remove_a_flag(pictures, capsys) -> None:
     command = ["area", str(pictures["large"]), "--area-per-pixel", "9.86e-10"]
     assert main(command) == 0
     assert "no_background" in capsys.readouterr().out
@@ -80,9 +80,9 @@ def test_bad_input_ends_with_code_2_and_one_sentence(
 def test_images_come_out_of_a_bag_lazily_and_spaced(tmp_path: Path, write_image_bag) -> None:
     path = tmp_path / "board.mcap"
     write_image_bag(path, (np.full((40, 50), i, np.uint8) for i in range(25)), 0.1)
-    taken = list(images_of(path, "image_raw", 1.0))
-    assert [int(image[0, 0]) for _, image in taken] == [0, 10, 20]
-    assert taken[1][0].endswith("at 101.000 s")
+    used = list(images_of(path, "image_raw", 1.0))
+    assert [int(image[0, 0]) for _, image in used] == [0, 10, 20]
+    assert used[1][0].endswith("at 101.000 s")
     board = ["--columns", "12", "--rows", "9", "--square", "0.002", "-o", str(tmp_path / "c.yaml")]
     assert main(["calibrate", str(path), "--on-plate", str(path), *board]) == 2
 

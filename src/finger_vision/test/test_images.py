@@ -1,4 +1,4 @@
-"""Whatever comes in becomes mono8 or is refused with the reason."""
+"""Images of messages and files become arrays or are refused with the reason."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ def test_a_burst_is_answered_with_its_newest_frame_and_the_rest_is_counted(peer)
     assert len(stamps) + counted("dropped") <= sent
 
 
-def test_overlay_is_made_when_somebody_listens(peer) -> None:
+def test_overlay_is_drawn_while_it_has_subscribers(peer) -> None:
     renderer = FtirRenderer("moist", seed=5, scene=Scene(latent=0.0))
     pictures: list[Image] = []
     frame = peer.image(renderer.render(4e-3), 1)

@@ -175,7 +175,7 @@ def test_latent_prints_do_not_count_once_the_background_is_learned() -> None:
         assert seen == pytest.approx(without.process(clean.render(radius)).gross_area, rel=0.02)
 
 
-def test_print_left_by_a_press_of_this_session_is_learned_away() -> None:
+def test_print_left_by_a_press_of_this_session_becomes_background() -> None:
     before = FtirRenderer("natural", 6, Scene(latent=0.0))
     after = FtirRenderer("natural", 6, Scene(latent=0.10))
     segmenter = FtirSegmenter()
@@ -187,7 +187,7 @@ def test_print_left_by_a_press_of_this_session_is_learned_away() -> None:
     assert segmenter.process(after.render(4e-3)).gross_area == pytest.approx(truth, rel=0.03)
 
 
-def test_pressing_finger_is_told_from_another_contact_and_dirt() -> None:
+def test_pressing_finger_is_distinguished_from_another_contact_and_dirt() -> None:
     renderer = FtirRenderer("natural", 7, Scene(latent=0.0, dust=60))
     segmenter = FtirSegmenter()
     segmenter.process(renderer.empty())
@@ -201,7 +201,7 @@ def test_pressing_finger_is_told_from_another_contact_and_dirt() -> None:
     assert seen.gross_area == pytest.approx(alone.gross_area, rel=0.02)
 
 
-def test_flags_say_what_speaks_against_a_frame() -> None:
+def test_flags_name_the_defects_of_a_frame() -> None:
     renderer = FtirRenderer("natural", 8, Scene(latent=0.0))
     calibrated = FtirSegmenter(calibration=renderer.calibration())
     good = renderer.render(4.5e-3)
@@ -277,7 +277,7 @@ def test_wrong_sizes_and_settings_are_refused() -> None:
     segmenter = FtirSegmenter(calibration=renderer.calibration())
     with pytest.raises(InputError, match="640×480, the plate calibration is for 1280×1024"):
         segmenter.process(np.zeros((480, 640), np.uint8))
-    # The next frame is measured as if nothing had happened.
+    # The next frame is measured.
     assert segmenter.process(renderer.render(4e-3)).gross_area > 45e-6
     with pytest.raises(InputError, match="too small"):
         FtirSegmenter().process(np.zeros((20, 20), np.uint8))
