@@ -1,7 +1,7 @@
 """What Nam and Kuchenbecker (IEEE Trans. Haptics 14(2), 303–309, 2021) print, and the study truth.
 
 This is the one home of these numbers: search box, target force, moisture of the conditions, moduli.
-Where the paper is silent, the value is an assumption and says so.
+A value that the paper does not print is an assumption and marked as such.
 """
 
 from __future__ import annotations

@@ -118,7 +118,7 @@ def _full(
     time: np.ndarray,
     force: np.ndarray,
 ) -> ContactHistory:
-    """History of the full-order model, with figure and file of the fields on the way."""
+    """History of the full-order model; also writes the figure and the file of the fields."""
     from ..fem.full_order import FullOrderModel
 
     row = int(np.argmax(force))

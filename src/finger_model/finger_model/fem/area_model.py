@@ -37,7 +37,7 @@ def thinned_rows(
 class FullOrderAreas:
     """Areas by the full-order model, with the interface of `ReducedModel.batch`.
 
-    material: law and fixed properties; its parameters are replaced by those asked for. A trial
+    material: law and fixed properties; its parameters are replaced by the given ones. A trial
     takes about 0.3 s per parameter set on the default mesh; `refinement` 0.5 takes a fifth of that
     and errs by about 1 % of the area. time_step (s), force_step (N): largest steps of the
     simulation where the drive is finer.

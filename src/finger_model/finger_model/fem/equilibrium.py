@@ -223,7 +223,7 @@ class Equilibrium:
         changed = True
         previous = math.inf
         step: np.ndarray | None = None
-        retreats = 0
+        halvings = 0
         rise = 0.0
         for iteration in range(ITERATIONS):
             smallest_volume = self.assemble(x, material.stiffness(x))
@@ -253,19 +253,19 @@ class Equilibrium:
                 tangent = Tangent(self, nodes, friction * contact.direction, load is not None)
             if tangent is None or not tangent.stable:
                 # Too long a step: half of it is undone.
-                if step is None or retreats >= 6:
+                if step is None or halvings >= 6:
                     raise NotConverged(
                         "elements turn inside out"
                         if tangent is None
                         else "the tangent stiffness is not positive definite (the tissue buckles)"
                     )
-                retreats += 1
+                halvings += 1
                 step = 0.5 * step
                 x = x - step
                 rise *= 0.5
                 contact.height -= rise
                 continue
-            retreats = 0
+            halvings = 0
             self.residuals.append(norm)
             previous = norm
 

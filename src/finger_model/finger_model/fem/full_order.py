@@ -1,6 +1,6 @@
 """The full-order finger: finite strain, viscoelastic bulk, rough rigid plate.
 
-`FullOrderModel` holds mesh and solver of a geometry; `Stepper` carries one finger through a load
+`FullOrderModel` holds mesh and solver of a geometry; `Stepper` takes one finger through a load
 history.
 """
 
@@ -40,7 +40,7 @@ MAXIMUM_NEW_NODES = 1
 
 @dataclass
 class State:
-    """All that a finger remembers (SI). Arrays are never changed in place, but for those of
+    """State of a finger (SI). Arrays are never changed in place, but for those of
     `contact`.
 
     time (s), force (N); positions (N, 2); contact; tissue: strain and internal variables of the
@@ -115,7 +115,7 @@ class FullOrderModel:
 
 
 class Stepper:
-    """One finger on its way through a load history; `state` may be copied, kept and put back."""
+    """One finger under a load history; `state` may be copied, kept and set again."""
 
     def __init__(self, model: FullOrderModel, material: ConstitutiveLaw, time: float = 0.0) -> None:
         self.model = model

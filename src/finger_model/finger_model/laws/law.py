@@ -164,7 +164,7 @@ class ConstitutiveLaw(ABC):
 
     @property
     def long_term_shear_modulus(self) -> float:
-        """Shear modulus (Pa) of the bulk tissue under a small strain held for ever."""
+        """Shear modulus (Pa) of the bulk tissue under a constant small strain, after relaxation."""
         return self.instantaneous_shear_modulus
 
     @property

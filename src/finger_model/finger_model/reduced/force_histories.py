@@ -85,7 +85,7 @@ def random_history(
     if kind == "human":
         return human_press(rng, peak)
     if kind == "tapping":
-        # 2 Hz: 0.25 s down and up, 0.25 s in the air.
+        # 2 Hz: 0.25 s down and up, 0.25 s without contact.
         time, force = [0.0], [0.0]
         for tap in range(3):
             height = peak * rng.uniform(0.5, 1.0)
