@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -114,6 +115,16 @@ class FullOrderModel:
         return ContactHistory.from_points(points)
 
 
+class _Target(NamedTuple):
+    """Where the plate goes in a step: to a force (N) or to an indentation (m)."""
+
+    is_force: bool
+    value: float
+
+    def __str__(self) -> str:
+        return f"{self.value:.4g} N" if self.is_force else f"{self.value * 1e3:.4g} mm"
+
+
 class Stepper:
     """One finger under a load history; `state` may be copied, kept and set again."""
 
@@ -137,24 +148,24 @@ class Stepper:
         Raises ModelError naming time, force and cause when no equilibrium is found; the state is
         then unchanged.
         """
-        return self._advance(time, force, None)
+        return self._advance(time, _Target(True, force))
 
     def step_to_position(self, time: float, indentation: float) -> ContactPoint:
         """Advance to `time` (s) with the plate moving to `indentation` (m) from first touch."""
-        return self._advance(time, None, indentation)
+        return self._advance(time, _Target(False, indentation))
 
-    def _advance(self, time: float, force: float | None, indentation: float | None) -> ContactPoint:
+    def _advance(self, time: float, target: _Target) -> ContactPoint:
+        """Advance to `time` (s) in as many parts as path and convergence need."""
         start, before = self.state, self._before
-        loaded = force is not None
-        begin = max(start.force, 0.0) if loaded else self.indentation
-        end = float(force if force is not None else indentation if indentation is not None else 0.0)
+        begin = max(start.force, 0.0) if target.is_force else self.indentation
+        end = float(target.value)
         if not (math.isfinite(time) and math.isfinite(end)):
             raise InputError(f"step to t = {time} s and {end} N or m: finite numbers are needed")
         if time < start.time:
             raise InputError(
                 f"time goes back from {start.time:g} s to {time:g} s; sort the history"
             )
-        if loaded:
+        if target.is_force:
             end = max(end, 0.0)
         done, size = 0.0, 1.0
         while done < 1.0:
@@ -162,28 +173,27 @@ class Stepper:
             if end > begin and (self.material.friction > 0.0 or time > start.time):
                 # Friction and creep depend on the path, which is curved (Hertz: F^(2/3)) while the
                 # contact is small: only a few nodes may touch in one part of the step.
-                rise = self._allowed_rise() if loaded else self._allowed_travel()
+                rise = self._allowed_rise() if target.is_force else self._allowed_travel()
                 goal = min(goal, done + max(rise / (end - begin), SMALLEST_PART))
                 if goal > 1.0 - 1e-9:
                     goal = 1.0
-            value = begin + goal * (end - begin)
+            part = target._replace(value=begin + goal * (end - begin))
             instant = start.time + goal * (time - start.time)
             try:
-                self._try(instant, value if loaded else None, None if loaded else value)
+                self._try(instant, part)
             except (NotConverged, Crushed) as error:
                 size = 0.25 * (goal - done)
                 if size < SMALLEST_CUT:
                     self.state, self._before = start, before
-                    what = f"{value:.4g} N" if loaded else f"{value * 1e3:.4g} mm"
                     raise ModelError(
-                        f"no equilibrium at t = {instant:.4g} s, {what}: {error}; the load is "
+                        f"no equilibrium at t = {instant:.4g} s, {part}: {error}; the load is "
                         "beyond what this finger carries: lower it or use stiffer moduli"
                     ) from None
                 continue
             done = goal
             size = 2.0 * size
-        if force is not None:
-            self.state.force = force
+        if target.is_force:
+            self.state.force = target.value
         return self.point()
 
     @property
@@ -208,13 +218,14 @@ class Stepper:
         equilibrium.assemble(x, rate, stiffness=False)
         return -equilibrium.force, rise / (2.0 * math.pi)
 
-    def _try(self, time: float, force: float | None, indentation: float | None) -> None:
+    def _try(self, time: float, target: _Target) -> None:
         """One step without cutting; leaves the state alone unless it converges."""
         state, friction = self.state, self.material.friction
+        force = target.value if target.is_force else None
+        height = None if target.is_force else self.model.tip_height + target.value
         equilibrium = self.model.equilibrium
         surface = self.model.mesh.surface
         duration = time - state.time
-        height = None if indentation is None else self.model.tip_height + indentation
         x, contact = self._guess(time, force, height)
         contact.reference = np.where(
             state.contact.status != OPEN, state.positions[surface, 0], np.nan
