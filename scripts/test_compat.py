@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "scripts"))
 from setup_env import PACKAGES, Environment, SetupError, check_machine, digest  # noqa: E402
 
-PINS = ["numpy==1.26.4", "opencv-python-headless==4.10.0.84", "pyarrow<22"]
+PINS = ["numpy==1.26.4", "opencv-python-headless==4.10.0.84"]
 
 
 def main() -> int:

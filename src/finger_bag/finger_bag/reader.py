@@ -78,52 +78,28 @@ class BagInfo:
         return seconds(self.end_ns - self.start_ns)
 
 
+@dataclass(slots=True)
 class BagMessage:
-    """One message: `topic`, `type`, `log_time_ns`, `publish_time_ns`, `sequence`, `raw` (CDR) and,
-    decoded when asked for, `message` (an object with the type's fields; raises InputError for
-    malformed bytes)."""
+    """One message of a bag; `raw` is its CDR bytes."""
 
-    __slots__ = (
-        "_message",
-        "_reader",
-        "log_time_ns",
-        "publish_time_ns",
-        "raw",
-        "sequence",
-        "topic",
-        "type",
-    )
-
-    def __init__(
-        self,
-        topic: str,
-        type: str,
-        log_time_ns: int,
-        publish_time_ns: int,
-        sequence: int,
-        raw: bytes,
-        reader: BagReader,
-    ) -> None:
-        self.topic = topic
-        self.type = type
-        self.log_time_ns = log_time_ns
-        self.publish_time_ns = publish_time_ns
-        self.sequence = sequence
-        self.raw = raw
-        self._reader = reader
-        self._message: Any = None
+    topic: str
+    type: str
+    log_time_ns: int
+    publish_time_ns: int
+    sequence: int
+    raw: bytes = field(repr=False)
+    _reader: BagReader = field(repr=False)
+    _message: Any = field(default=None, repr=False)
 
     @property
     def message(self) -> Any:
+        """Object with the type's fields; raises InputError for malformed bytes."""
         if self._message is None:
             try:
                 self._message = self._reader.decoder(self.topic, self.type)(self.raw)
             except InputError as error:
                 raise InputError(f"{self._reader.path}, topic '{self.topic}': {error}") from None
         return self._message
-
-    def __repr__(self) -> str:
-        return f"BagMessage({self.topic!r}, {self.type!r}, {self.log_time_ns}, {len(self.raw)} B)"
 
 
 class BagReader:

@@ -1,11 +1,10 @@
-"""Many contact estimates at once: to serialized ContactState messages, CSV and Parquet."""
+"""Many contact estimates at once: to serialized ContactState messages and CSV."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -59,53 +58,26 @@ def columns(block: EstimateBlock, start_ns: int) -> dict[str, np.ndarray]:
 
 @contextmanager
 def open_table(path: str) -> Iterator[Callable[[EstimateBlock], None]]:
-    """Function that appends a block to a CSV or Parquet file, by its suffix.
+    """Function that appends a block of estimates to a CSV file.
 
-    The file takes its name only when the block of the `with` ends without an error. Raises
-    InputError for another suffix, or when the file cannot be written.
+    The file takes its name only when the `with` ends without an error. Raises InputError for another
+    suffix, or when the file cannot be written.
     """
-    suffix = Path(path).suffix
-    if suffix not in (".csv", ".parquet"):
-        raise InputError(f"{path}: name a .csv or .parquet file")
+    if Path(path).suffix != ".csv":
+        raise InputError(f"{path}: name a .csv file")
     start: list[int] = []
-    with atomic_write(path, "w" if suffix == ".csv" else "wb") as file:
-        write, finish = (_csv_table if suffix == ".csv" else _parquet_table)(file)
+    with atomic_write(path) as file:
 
         def append(block: EstimateBlock) -> None:
             if len(block):
                 start[:] = start or [int(block.column("stamp_ns")[0])]
-                write(columns(block, start[0]))
+                rows = zip(*(column.tolist() for column in columns(block, start[0]).values()))
+                file.writelines(",".join(map(_text, row)) + "\n" for row in rows)
 
+        file.write(",".join(COLUMNS) + "\n")
         yield append
-        finish()
-
-
-_Table = tuple[Callable[[dict[str, np.ndarray]], None], Callable[[], None]]
-"""Functions that append columns and that finish the file."""
-
-
-def _csv_table(file: Any) -> _Table:
-    def write(table: dict[str, np.ndarray]) -> None:
-        rows = zip(*(column.tolist() for column in table.values()))
-        file.writelines(",".join(map(_text, row)) + "\n" for row in rows)
-
-    file.write(",".join(COLUMNS) + "\n")
-    return write, lambda: None
 
 
 def _text(value: float | int | str) -> str:
     """Shortest text that reads back to the same number to 10 digits."""
     return f"{value:.10g}" if isinstance(value, float) else str(value)
-
-
-def _parquet_table(file: Any) -> _Table:
-    try:
-        import pyarrow
-        from pyarrow import parquet
-    except ImportError:
-        raise InputError("Parquet needs pyarrow; install it, or name a .csv file") from None
-    types = {"float64": pyarrow.float64(), "string": pyarrow.string()}
-    fields = [(n, types.get(f.type, pyarrow.int64())) for n, f in _COLUMN_FIELDS.items()]
-    schema = pyarrow.schema([("time_s", pyarrow.float64()), *fields])
-    writer = parquet.ParquetWriter(file, schema)
-    return lambda table: writer.write_table(pyarrow.table(table, schema=schema)), writer.close

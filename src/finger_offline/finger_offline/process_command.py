@@ -45,13 +45,7 @@ def add_command(add: AddCommand) -> None:
     )
     parser.add_argument("--parameters", default="", metavar="FILE", help="parameters.yaml to use")
     parser.add_argument("--model", default="", metavar="FILE", help="reduced model to use")
-    table = parser.add_mutually_exclusive_group()
-    table.add_argument(
-        "--csv", dest="table", default="", metavar="FILE", help="also write the estimates as CSV"
-    )
-    table.add_argument(
-        "--parquet", dest="table", metavar="FILE", help="also write the estimates as Parquet"
-    )
+    parser.add_argument("--csv", default="", metavar="FILE", help="also write the estimates there")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="bags at once")
     add_read_options(parser, ProcessOptions)
 
@@ -62,15 +56,15 @@ def run(args: argparse.Namespace) -> int:
 
     bags = find_bags(args.bags)
     several = len(bags) > 1
-    if several and args.table:
-        raise InputError("--csv and --parquet take one bag; process the bags one by one")
+    if several and args.csv:
+        raise InputError("--csv takes one bag; process the bags one by one")
     options = read_settings_from(
         args,
         ProcessOptions,
         estimator=estimator_settings(args.set),
         parameter_file=args.parameters,
         model_file=args.model,
-        table=args.table,
+        csv=args.csv,
     )
     output = Path(args.output)
     targets = [output / bag.name.split(".")[0] if several else output for bag in bags]
