@@ -98,9 +98,13 @@ class PageNode(ManagedNode):
         self._last_force = self._last_state = 0
         self._image_subscription: Any = None
         self._server.start()
-        local = is_loopback(self.values["host"])
-        address = self._server.url if local else f"{self._server.url}?token={self._server.token}"
-        self.get_logger().info(f"operator's page: {address}")
+        self.get_logger().info(f"operator's page: {self._server.url}")
+        if not is_loopback(self.values["host"]):
+            self.get_logger().info(
+                "operator's page from other machines: "
+                f"http://ADDRESS:{self._server.port}/?token={self._server.token} with this "
+                "machine's address"
+            )
         self._health.notes["address"] = self._server.url
         qos = self.stream_qos()
         deep = self.stream_qos(max(self.values["qos_depth"], POLLED_DEPTH))

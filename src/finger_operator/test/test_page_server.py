@@ -36,8 +36,11 @@ class Served:
     def url(self, path: str = "/") -> str:
         return f"http://{self.host}{path}"
 
-    def connect(self, session: aiohttp.ClientSession, view: str = "operator") -> Any:
-        return session.ws_connect(self.url(f"/ws?view={view}"), origin=f"http://{self.host}")
+    def connect(
+        self, session: aiohttp.ClientSession, view: str = "operator", token: str = ""
+    ) -> Any:
+        path = f"/ws?view={view}&token={token}"
+        return session.ws_connect(self.url(path), origin=f"http://{self.host}")
 
 
 @pytest.fixture
@@ -294,7 +297,7 @@ def test_images_go_to_watchers_only(served: Served) -> None:
 
 
 @pytest.mark.parametrize("share", [False, True])
-def test_beyond_this_machine_no_image_unless_told_and_no_operator_page_without_token(
+def test_beyond_this_machine_images_need_a_setting_and_the_operators_view_the_token(
     monkeypatch: pytest.MonkeyPatch, share: bool
 ) -> None:
     monkeypatch.setattr("finger_operator.page.server.is_loopback", lambda address: False)
@@ -307,7 +310,12 @@ def test_beyond_this_machine_no_image_unless_told_and_no_operator_page_without_t
             assert page.status == 403
         async with session.get(served.url(f"/?token={served.server.token}")) as page:
             assert page.status == 200
-        async with served.connect(session) as socket:
+        for token in ("", "wrong"):
+            with pytest.raises(aiohttp.WSServerHandshakeError, match="403"):
+                await served.connect(session, token=token)
+        async with served.connect(session, "participant"):
+            pass
+        async with served.connect(session, token=served.server.token) as socket:
             assert (await next_of(socket, "hello"))["images"] is share
             await socket.send_json({"type": "watch", "images": True})
             await heard(socket)

@@ -4,8 +4,8 @@ What protects the rig:
 
 - requests whose Host is not this server are refused (a foreign name that resolves here), and so
   are WebSockets whose Origin is another page;
-- commands carry a token that only the operator's page contains; this machine gets that page
-  without further conditions, others with the token in the address;
+- the operator's page and its WebSocket are for this machine, and for others that name the token;
+- commands carry the token, which only the operator's page contains;
 - images go to this machine only, unless `share_images`;
 - messages are small JSON objects of known form; any other is answered with a sentence and has no
   effect.
@@ -191,12 +191,13 @@ class PageServer:
             response.headers.update(HEADERS)
         return response
 
+    def _may_operate(self, request: web.Request) -> bool:
+        return is_loopback(request.remote) or same_secret(request.query.get("token"), self.token)
+
     # Pages -----------------------------------------------------------------------------------
 
     async def _operator_page(self, request: web.Request) -> web.Response:
-        if not is_loopback(request.remote) and not same_secret(
-            request.query.get("token"), self.token
-        ):
+        if not self._may_operate(request):
             return web.Response(
                 status=403,
                 text="Open the operator's page with ?token=… as the page node's log shows it; "
@@ -222,9 +223,11 @@ class PageServer:
         scheme, _, origin = request.headers.get("Origin", "").partition("://")
         if scheme not in ("http", "https") or origin != request.headers.get("Host"):
             return web.Response(status=403, text="Only the page itself may connect.\n")
+        operator = request.query.get("view") != "participant"
+        if operator and not self._may_operate(request):
+            return web.Response(status=403, text="The operator's view needs the token.\n")
         socket = web.WebSocketResponse(heartbeat=20.0, max_msg_size=MESSAGE_LIMIT, compress=False)
         await socket.prepare(request)
-        operator = request.query.get("view") != "participant"
         local = is_loopback(request.remote)
         browser = Browser(socket, operator, operator and (local or self.settings.share_images))
         browser.add_state("hello", json.dumps({"type": "hello", "images": browser.images}))

@@ -15,7 +15,7 @@ class PageSettings(Settings):
     host: str = setting(
         "127.0.0.1",
         "Address to serve on; 0.0.0.0 for all networks of this machine.",
-        advice="For a tablet set 0.0.0.0 and open the address with the token from the log.",
+        advice="For a tablet set 0.0.0.0 and open this machine's address with the token from the log.",
     )
     port: int = setting(
         8080,
@@ -25,7 +25,8 @@ class PageSettings(Settings):
     )
     token: str = setting(
         "",
-        "Secret that commands must carry; empty: a new one at each start, shown in the log.",
+        "Secret that commands, and operators on other machines, must carry; empty: a new one "
+        "at each start, shown in the log.",
         advice="Set one to keep a tablet's bookmark valid; other people on the network must not "
         "know it.",
     )

@@ -325,7 +325,7 @@ function receive(data) {
   }
 }
 
-const link = new Link("operator", receive, (connected) => {
+const link = new Link({ view: "operator", token }, receive, (connected) => {
   $("link").textContent = connected ? "connected" : "not connected";
   $("link").className = connected ? "good" : "bad";
   document.body.classList.toggle("offline", !connected);

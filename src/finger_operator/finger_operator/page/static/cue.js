@@ -42,7 +42,7 @@ export function whenShown(callback) {
 // A socket that connects again by itself.
 export class Link {
   constructor(view, receive, state) {
-    this.view = view;
+    this.view = new URLSearchParams(view);
     this.receive = receive;
     this.state = state;
     this.delay = 250;
@@ -51,7 +51,7 @@ export class Link {
 
   open() {
     const scheme = location.protocol === "https:" ? "wss" : "ws";
-    const socket = new WebSocket(`${scheme}://${location.host}/ws?view=${this.view}`);
+    const socket = new WebSocket(`${scheme}://${location.host}/ws?${this.view}`);
     socket.binaryType = "arraybuffer";
     socket.onopen = () => { this.delay = 250; this.state(true); };
     socket.onmessage = (event) => this.receive(event.data);

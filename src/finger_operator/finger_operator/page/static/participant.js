@@ -5,7 +5,7 @@ const words = {
   moisture_after: "Moisture", done: "Thank you", failed: "Once more", paused: "Break",
 };
 
-new Link("participant", (data) => {
+new Link({ view: "participant" }, (data) => {
   if (typeof data !== "string") return;
   const message = JSON.parse(data);
   if (message.type !== "cue") return;
