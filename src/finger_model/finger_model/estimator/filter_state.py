@@ -22,8 +22,8 @@ class FilterState:
         self.model = model
         self.configuration = np.zeros(1, stream.CONFIGURATION)
         self.state = np.zeros(1, stream.STATE)
-        self.finger = np.zeros(0)
-        self.constants = np.zeros(0)
+        self.finger: np.ndarray = np.zeros(0)
+        self.constants: np.ndarray = np.zeros(0)
         self._stream = self.state["stream"]
 
     # Configuration ---------------------------------------------------------------------------

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import namedtuple
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -19,7 +20,8 @@ from finger_common.flags import StateFlag
 from ..reduced import kernels as rk
 from . import area_filter
 
-FLAG = namedtuple("FLAG", StateFlag.__members__)(*map(int, StateFlag))
+FLAG: Any = namedtuple("FLAG", StateFlag.__members__)(*map(int, StateFlag))  # type: ignore[arg-type]
+"""The bits of StateFlag as constants of compiled code."""
 
 REMEMBERED = 8192
 """Samples remembered: fusion_delay may be 1 s at up to 8 kHz."""
