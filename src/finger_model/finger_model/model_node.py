@@ -137,7 +137,7 @@ class ModelNode(ManagedNode):
         self._model = ReducedModel.load(values["reduced_model_file"] or None, geometry)
         self._sets = self._load_sets(values["parameter_file"])
         settings = self.settings(EstimatorSettings)
-        ContactEstimator(self._model, self._sets, settings).add_wrench(1, (0.0, 0.0, 0.0))
+        _compile(ContactEstimator(self._model, self._sets, settings))
         self.estimator = ContactEstimator(self._model, self._sets, settings)
         self._sequence = 0
         self.health.stale_after = values["force_stale_after"]
@@ -357,6 +357,13 @@ class ModelNode(ManagedNode):
                     f"{self._latency.percentile(percent):.3f}"
                 )
         super().publish_diagnostics()
+
+
+def _compile(estimator: ContactEstimator) -> None:
+    """Compile all that streams and services use, so that none of them waits for it later."""
+    estimator.add_wrench(1, (0.0, 0.0, 0.0))
+    estimator.predict(np.array([0.1]), np.array([0.01]))
+    estimator.force_for_area(1e-6)
 
 
 main = main_of(ModelNode)

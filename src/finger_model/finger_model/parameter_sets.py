@@ -16,7 +16,7 @@
           - …
 
 Between two sets the logarithms of the parameters and the covariance are interpolated linearly over
-moisture. Beyond the driest and the wettest set the end set holds and the result says so.
+moisture. Beyond the driest and the wettest set the end set holds, and the result is marked.
 """
 
 from __future__ import annotations

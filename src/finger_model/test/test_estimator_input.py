@@ -354,7 +354,7 @@ def test_parameters_beyond_the_range_are_flagged(model: ReducedModel) -> None:
     assert flags(ContactEstimator(model, sets), 0, 0.5) & StateFlag.PARAMETERS_OUT_OF_RANGE
 
 
-def test_reset_forgets_the_finger_but_not_the_moisture(estimator: ContactEstimator) -> None:
+def test_a_reset_keeps_the_moisture_reading_alone(estimator: ContactEstimator) -> None:
     estimator.add_moisture(T0 - 100 * MS, 50.0)
     for ms in range(0, 1000, 5):
         one(estimator, ms, 1.0)

@@ -79,7 +79,7 @@ class ContactEstimator:
         self._one_stamp = np.zeros(1, np.int64)
         self._one_force = np.zeros((1, 3))
         self._configure()
-        self._state.forget()
+        self._state.reset()
 
     # Inputs ----------------------------------------------------------------------------------
 
@@ -172,7 +172,7 @@ class ContactEstimator:
 
     # Changes ---------------------------------------------------------------------------------
 
-    def reset(self, reason: str = "asked for") -> EstimatorEvent:
+    def reset(self, reason: str = "on demand") -> EstimatorEvent:
         """Back to a finger at rest, not seen before; the moisture reading stays.
 
         Returns the event to record.
@@ -205,7 +205,7 @@ class ContactEstimator:
         return replace(event, late_areas=tuple(areas), late_moistures=tuple(moistures))
 
     def start_event(self, stamp_ns: int, reason: str = "start") -> EstimatorEvent:
-        """Event that says with what the estimator begins at the sample of this stamp."""
+        """Event that records with what the estimator begins at the sample of this stamp."""
         return replace(self._event(EventType.START, reason), stamp_ns=int(stamp_ns))
 
     # Questions -------------------------------------------------------------------------------
@@ -312,7 +312,7 @@ class ContactEstimator:
             self._moisture = None
         self._configure()
         if event.type in (EventType.START, EventType.RESET):
-            self._state.forget(keep_stream=event.type == EventType.RESET)
+            self._state.reset(keep_stream=event.type == EventType.RESET)
         elif new_sets:
             self._state.initialise_filters()
 
@@ -341,7 +341,7 @@ class ContactEstimator:
         self._inputs.jump_back(stamp_ns)
         self._moisture = None
         self._configure()
-        self._state.forget()
+        self._state.reset()
         self._state.add_flag(StateFlag.TIME_RESET)
 
     # Configuration ---------------------------------------------------------------------------

@@ -79,7 +79,7 @@ class FilterState:
         counters = self.state["counters"]
         return {name: int(counters[name][0]) for name in stream.COUNTERS.names or ()}
 
-    def forget(self, keep_stream: bool = False) -> None:
+    def reset(self, keep_stream: bool = False) -> None:
         """A finger at rest, not seen before; `keep_stream`: the stream of samples goes on."""
         kept = self._stream.copy()
         self.state[:] = np.zeros(1, stream.STATE)

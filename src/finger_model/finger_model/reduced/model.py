@@ -175,7 +175,7 @@ class ReducedModel:
             model = cls._parse(read_bytes(path, "reduced model"), where)
         if geometry is not None and geometry.hash() != model.geometry_hash:
             raise InputError(
-                f"{where} was made for another geometry ({model.geometry_hash[:8]}, asked for "
+                f"{where} was made for another geometry ({model.geometry_hash[:8]}, needed is "
                 f"{geometry.hash()[:8]}); build one with 'finger-model reduce --geometry …'"
             )
         return model
