@@ -26,7 +26,8 @@ os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-    # A shell starts what runs in its background deaf to Ctrl-C, and children inherit it; tests end them by it.
+    # A shell starts what runs in its background deaf to Ctrl-C, and children inherit it; tests end
+    # them by it.
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
@@ -84,8 +85,8 @@ def free_port() -> Callable[[], int]:
 def process(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
     """Function that starts a child process (its own group), ended with the test whatever happens.
 
-    `process("-m", "finger_model.model_node", "--ros-args", …)` runs this Python; output goes to a file whose
-    path is `child.output`. A killed pytest takes its children with it.
+    `process("-m", "finger_model.model_node", "--ros-args", …)` runs this Python; output goes to a
+    file whose path is `child.output`. A killed pytest takes its children with it.
     """
     children: list[subprocess.Popen[str]] = []
 

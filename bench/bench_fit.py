@@ -25,7 +25,9 @@ GOAL = 10.0
 
 
 def study_bags(folder: Path, model: ReducedModel, trials: int) -> None:
-    """Bags of the study's presses with contact_area; areas by the reduced model, for speed is measured, not accuracy."""
+    """Bags of the study's presses with contact_area; areas by the reduced model, for speed is
+    measured, not accuracy.
+    """
     number = 0
     for name, setting in STUDY.items():
         for index in range(trials):
@@ -62,7 +64,8 @@ def run(report: Any) -> None:
             spent.append(time.perf_counter() - start)
         evaluated = sum(f.pso.costs.size * len(f.problem) for f in result.fits.values())
         report.note(
-            f"{evaluated} trial simulations in PSO; paper: 13,500 in 27,000 min (19 days); start points from a "
+            f"{evaluated} trial simulations in PSO; paper: 13,500 in 27,000 min (19 days); "
+            "start points from a "
             f"grid of {options.grid}^4, which is included"
         )
         report.add("fit_study", float(np.median(spent)), "s", GOAL)
@@ -73,7 +76,8 @@ def run(report: Any) -> None:
         start = time.perf_counter()
         result = fit_bags([folder], options, Path(place) / "fit", ["natural"], model)
         report.note(
-            f"one condition with everything: {time.perf_counter() - start:.1f} s; its parts follow, times three for a study"
+            f"one condition with everything: {time.perf_counter() - start:.1f} s; its parts "
+            "follow, times three for a study"
         )
         for stage in ("grid", "polish", "full order", "profiles", "bias", "bootstrap"):
             if stage in result.seconds:

@@ -268,5 +268,6 @@ def run(report: Any) -> None:
             report.add(name, float(np.percentile(seen, q)), "ms", 50, "lower")
         report.note(
             f"page: {len(seen)} cues of {len(found)} presses, worst {seen.max():.1f} ms, from the "
-            "stamp of the force sample to the frame with the cue in a headless browser on this machine"
+            "stamp of the force sample to the frame with the cue in a headless browser on this "
+            "machine"
         )

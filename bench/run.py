@@ -1,8 +1,9 @@
 """Measure the key figures of the suite and write them to bench/results.json.
 
 `python bench/run.py [NAME …]` runs all benchmarks, or those of the modules named (`full_order` for
-bench_full_order.py). Results of modules not run are kept in the file. `--quick` shortens the runs that last a
-fixed time; its figures are for trying the benchmark out, not for quoting, and are not written.
+bench_full_order.py). Results of modules not run are kept in the file. `--quick` shortens the runs
+that last a fixed time; its figures are for trying the benchmark out, not for quoting, and are not
+written.
 """
 
 from __future__ import annotations

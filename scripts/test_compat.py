@@ -1,6 +1,8 @@
-"""Run the core tests in a second environment with NumPy 1.26 and OpenCV 4, as apt ROS 2 Jazzy has them.
+"""Run the core tests in a second environment with NumPy 1.26 and OpenCV 4, as apt ROS 2 Jazzy has
+them.
 
-No ROS goes into that environment: the core of every package runs without it, and tests that need nodes skip.
+No ROS goes into that environment: the core of every package runs without it, and tests that need
+nodes skip.
 """
 
 from __future__ import annotations

@@ -1,8 +1,10 @@
-"""Measure trial simulations per second and core, and say what 1,000 subjects would take. Updates docs/scaling.md.
+"""Measure trial simulations per second and core, and say what 1,000 subjects would take. Updates
+docs/scaling.md.
 
     python scripts/throughput.py [--study out/study] [--write]
 
-Bootstrap samples and bias pairs are counted on the study of seed 1, which is simulated into the folder unless it is there.
+Bootstrap samples and bias pairs are counted on the study of seed 1, which is simulated into the
+folder unless it is there.
 """
 
 from __future__ import annotations
@@ -48,7 +50,9 @@ FULL_ORDER = 180
 
 
 def rate(seconds: float = 2.0) -> float:
-    """Trial simulations per second of processor time of one core: presses of 0.5–2 s in steps of 20 ms."""
+    """Trial simulations per second of processor time of one core: presses of 0.5–2 s in steps of 20
+    ms.
+    """
     model = ReducedModel.load()
     rng = np.random.default_rng(0)
     trials = []
@@ -66,7 +70,9 @@ def rate(seconds: float = 2.0) -> float:
 
 
 def full_order_seconds(runs: int = 6) -> float:
-    """Processor time of one full-order run of a fit: a natural press to the target, the fit's mesh and steps."""
+    """Processor time of one full-order run of a fit: a natural press to the target, the fit's mesh
+    and steps.
+    """
     model = FullOrderModel(refinement=REFINEMENT)
     rng = np.random.default_rng(0)
     spent = 0.0
@@ -94,7 +100,9 @@ class Counting:
 
 @dataclass(frozen=True)
 class Refits:
-    """Trial simulations and processor seconds of one condition's bootstrap samples and bias pairs, default numbers."""
+    """Trial simulations and processor seconds of one condition's bootstrap samples and bias pairs,
+    default numbers.
+    """
 
     bootstrap: int
     bias: int
@@ -103,8 +111,9 @@ class Refits:
 
 
 def refits(folder: Path) -> dict[str, Refits]:
-    """Refits of every condition of the study of seed 1, press alone, at its fit; areas without the correction to full
-    order."""
+    """Refits of every condition of the study of seed 1, press alone, at its fit; areas without the
+    correction to full order.
+    """
     simulate_study(1, folder, images=False, report=None)
     options, model = FitOptions(), Counting(ReducedModel.load())
     trials, _ = prepare_all(load([folder], options).records, options)
@@ -155,11 +164,13 @@ def page_text(per_second: float, full_order: float, found: dict[str, Refits]) ->
     ]
     return "\n".join(rows) + (
         "\n\n"
-        f"Measured ({platform.processor() or platform.machine()}, Python {platform.python_version()}): "
-        f"{per_second:,.0f} trial simulations per second of one core's time, in steps of 20 ms. 1,000 subjects with three conditions then "
-        f"take {hours['search']:.1f} core hours of search, {hours['profiles']:.1f} of profiles, {hours['bias']:.1f} of "
-        f"{options.bias_pairs} bias pairs each and {hours['bootstrap']:.1f} of {options.bootstrap} bootstrap samples "
-        f"each. A full-order run of a fit takes {full_order:.2f} s, correction and check of all conditions "
+        f"Measured ({platform.processor() or platform.machine()}, "
+        f"Python {platform.python_version()}): {per_second:,.0f} trial simulations per second of "
+        "one core's time, in steps of 20 ms. 1,000 subjects with three conditions then take "
+        f"{hours['search']:.1f} core hours of search, {hours['profiles']:.1f} of profiles, "
+        f"{hours['bias']:.1f} of {options.bias_pairs} bias pairs each and "
+        f"{hours['bootstrap']:.1f} of {options.bootstrap} bootstrap samples each. A full-order run "
+        f"of a fit takes {full_order:.2f} s, correction and check of all conditions "
         f"{exact / 3600:.0f} core hours. On 64 cores the whole is {whole:.1f} hours. The "
         "paper's search for one subject took 450 hours."
     )

@@ -191,7 +191,9 @@ def recovery(project_root: Path) -> Any:
 
 
 def test_without_noise_the_corrected_fit_finds_the_finger(recovery: Any) -> None:
-    """Three presses of a finger on a finer mesh than the fit's, the reduced model corrected to full order."""
+    """Three presses of a finger on a finer mesh than the fit's, the reduced model corrected to full
+    order.
+    """
     presses = [plan_study_trial(1, "natural", i, refinement=1.2) for i in range(3)]
     found = recovery.fit_one(presses, 0, "contact", False, ReducedModel.load(), None, search=False)
     assert abs(found["error_log"]["composite_E"]) < 0.01

@@ -19,7 +19,9 @@ EXIT_INTERRUPTED = 130
 
 
 class Parser(argparse.ArgumentParser):
-    """ArgumentParser that keeps the layout of an example given as epilog and never abbreviates options."""
+    """ArgumentParser that keeps the layout of an example given as epilog and never abbreviates
+    options.
+    """
 
     def __init__(self, *args: object, example: str | None = None, **kwargs: object) -> None:
         kwargs.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
@@ -35,7 +37,8 @@ def integer(text: str) -> int:
 
 
 def add_settings(parser: Any, cls: type[Settings], without: str = "") -> None:
-    """Give a parser, or a group of one, an option ``--the-name`` for every field of a settings class.
+    """Give a parser, or a group of one, an option ``--the-name`` for every field of a settings
+    class.
 
     without: name of a field that gets no option.
     """
@@ -88,8 +91,8 @@ def run(
 ) -> int:
     """Run a command's main function and return its exit code.
 
-    A FingerError becomes one line on standard error and exit code 2; Ctrl-C gives 130; a closed pipe (as in
-    `… | head`) ends quietly. Other exceptions are defects and keep their traceback.
+    A FingerError becomes one line on standard error and exit code 2; Ctrl-C gives 130; a closed
+    pipe (as in `… | head`) ends quietly. Other exceptions are defects and keep their traceback.
 
     Example: ``sys.exit(run(main))``.
     """

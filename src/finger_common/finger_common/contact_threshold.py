@@ -12,15 +12,17 @@ ONSET_FORCE = 0.05
 """N, default normal force from which the finger counts as in contact."""
 
 LIFTOFF_FORCE = 0.03
-"""N, default normal force below which a contact ends; below ONSET_FORCE, so that noise does not chatter."""
+"""N, default normal force below which a contact ends; below ONSET_FORCE, so that noise does not
+chatter.
+"""
 
 
 def check_thresholds(onset_force: float, liftoff_force: float) -> None:
     """Raise InputError unless 0 ≤ liftoff_force < onset_force (N)."""
     if not 0.0 <= liftoff_force < onset_force:
         raise InputError(
-            f"liftoff_force is {liftoff_force:g} N, not below onset_force ({onset_force:g} N); lower one or "
-            "raise the other"
+            f"liftoff_force is {liftoff_force:g} N, not below onset_force ({onset_force:g} N); "
+            "lower one or raise the other"
         )
 
 
@@ -30,7 +32,8 @@ def in_contact(
     onset_force: float = ONSET_FORCE,
     liftoff_force: float = LIFTOFF_FORCE,
 ) -> bool:
-    """Whether the finger is in contact at normal force `force` (N), `touching` at the sample before.
+    """Whether the finger is in contact at normal force `force` (N), `touching` at the sample
+    before.
 
     Plain arithmetic, so that compiled kernels wrap it: ``numba.njit(in_contact)``.
     """
@@ -42,7 +45,9 @@ def in_contact(
 def contacts(
     force: np.ndarray, onset_force: float = ONSET_FORCE, liftoff_force: float = LIFTOFF_FORCE
 ) -> Iterator[tuple[int, int]]:
-    """Contacts in normal forces (n,) in N: first sample and first sample after it (n when it does not end)."""
+    """Contacts in normal forces (n,) in N: first sample and first sample after it (n when it does
+    not end).
+    """
     force = np.asarray(force, dtype=float)
     ups = np.flatnonzero(force >= onset_force)
     downs = np.flatnonzero(~(force >= liftoff_force))

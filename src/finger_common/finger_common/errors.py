@@ -18,19 +18,22 @@ class FingerError(Exception):
 class InputError(FingerError):
     """A file, value or argument that cannot be used.
 
-    Raised for: a missing or unreadable file, a wrong header, key, type or range, contradictory options.
+    Raised for: a missing or unreadable file, a wrong header, key, type or range, contradictory
+    options.
     """
 
 
 class DeviceError(FingerError):
     """A device that is absent, silent, misconfigured or reports a fault.
 
-    Raised for: connection refused or lost, no reply within the deadline, an unexpected reply, a critical status.
+    Raised for: connection refused or lost, no reply within the deadline, an unexpected reply, a
+    critical status.
     """
 
 
 class ModelError(FingerError):
     """A computation that could not be carried out.
 
-    Raised for: no convergence of a load step, a load the finger cannot carry; names time, force and cause.
+    Raised for: no convergence of a load step, a load the finger cannot carry; names time, force and
+    cause.
     """

@@ -1,4 +1,6 @@
-"""Reading and writing small files so that nothing half-written is left and every complaint names the file."""
+"""Reading and writing small files so that nothing half-written is left and every complaint names
+the file.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,8 @@ Record = TypeVar("Record", bound="DataclassInstance")
 def atomic_write(path: str | Path, mode: str = "w", **options: Any) -> Iterator[IO[Any]]:
     """Open a file for writing that takes its name only when the block ends without an error.
 
-    `mode` is "w" or "wb"; `options` go to `open`. Raises InputError when the folder cannot be written to.
+    `mode` is "w" or "wb"; `options` go to `open`. Raises InputError when the folder cannot be
+    written to.
     """
     path = Path(path)
     if path.is_dir():
@@ -90,7 +93,8 @@ def parse_yaml(text: str, where: str) -> dict[str, Any]:
         data = {}
     if not isinstance(data, dict):
         raise InputError(
-            f"{where}: expected 'key: value' lines, found {type(data).__name__}; see the documentation"
+            f"{where}: expected 'key: value' lines, found {type(data).__name__}; "
+            "see the documentation"
         )
     return data
 
@@ -121,7 +125,8 @@ def number(data: dict[str, Any], key: str, where: str) -> float:
 def from_numbers(cls: type[Record], data: dict[str, Any], where: str) -> Record:
     """Dataclass of numbers from a mapping; keys left out keep their default.
 
-    Raises InputError for unknown keys and for what the class itself refuses, naming `where` instead of the class.
+    Raises InputError for unknown keys and for what the class itself refuses, naming `where` instead
+    of the class.
     """
     known = [field.name for field in fields(cls)]
     for key in data:
@@ -137,8 +142,9 @@ def from_numbers(cls: type[Record], data: dict[str, Any], where: str) -> Record:
 def read_csv(path: str | Path, columns: Sequence[str]) -> dict[str, np.ndarray]:
     """Numeric columns (n,) of a comma-separated file with a header line.
 
-    Further columns are ignored, lines starting with '#' and blank lines too. Raises InputError naming file, line
-    and column for a missing column, a cell that is not a finite number, or a file without rows.
+    Further columns are ignored, lines starting with '#' and blank lines too. Raises InputError
+    naming file, line and column for a missing column, a cell that is not a finite number, or a file
+    without rows.
     """
     text = read_text(path, "CSV file")
     rows = csv.reader(text.splitlines())
@@ -182,7 +188,9 @@ def read_csv(path: str | Path, columns: Sequence[str]) -> dict[str, np.ndarray]:
 
 
 def sha256_of(value: Any) -> str:
-    """Hash (hexadecimal) of bytes or of anything JSON can hold, independent of the order of keys."""
+    """Hash (hexadecimal) of bytes or of anything JSON can hold, independent of the order of
+    keys.
+    """
     if not isinstance(value, bytes):
         value = json.dumps(value, sort_keys=True, separators=(",", ":")).encode()
     return hashlib.sha256(value).hexdigest()

@@ -1,4 +1,6 @@
-"""Bits of `flags` in ContactState and ContactArea, as in the message definitions (a test keeps them equal)."""
+"""Bits of `flags` in ContactState and ContactArea, as in the message definitions (a test keeps them
+equal).
+"""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Described parameters: one table per node that declares, checks and documents them.
 
-A `Parameter` says name, default, unit, range or choices, meaning and whether it may change while the node is
-active. A `ParameterTable` checks values against it and renders the node reference. No ROS here; the shell in
-`finger_common.node` declares a table on an rclpy node.
+A `Parameter` says name, default, unit, range or choices, meaning and whether it may change while
+the node is active. A `ParameterTable` checks values against it and renders the node reference. No
+ROS here; the shell in `finger_common.node` declares a table on an rclpy node.
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ _TYPES = {bool: "boolean", int: "integer", float: "number", str: "text", list: "
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter. The type is that of `default` (bool, int, float, str, or a list of one of these)."""
+    """One parameter. The type is that of `default` (bool, int, float, str, or a list of one of
+    these).
+    """
 
     name: str
     default: Any
@@ -34,7 +36,9 @@ class Parameter:
     """What to try with it when in trouble."""
 
     def check(self, value: Any) -> Any:
-        """The value in the parameter's type; raises InputError with key, value and what is allowed."""
+        """The value in the parameter's type; raises InputError with key, value and what is
+        allowed.
+        """
         kind = type(self.default)
         if kind is float and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)

@@ -1,7 +1,7 @@
 """Parts of the suite that other packages can add: installed objects found by entry point.
 
-A group is a name such as "finger_driver.force"; an entry of it in a package's metadata, ``name = module:object``,
-makes the object known under that name. Nothing in the suite is edited to add one.
+A group is a name such as "finger_driver.force"; an entry of it in a package's metadata, ``name =
+module:object``, makes the object known under that name. Nothing in the suite is edited to add one.
 """
 
 from __future__ import annotations
@@ -28,7 +28,9 @@ class Plugins:
         return tuple(sorted(self._found()))
 
     def load(self, name: str) -> Any:
-        """The object of that name; raises InputError for an unknown name or one whose import fails."""
+        """The object of that name; raises InputError for an unknown name or one whose import
+        fails.
+        """
         if name not in self._loaded:
             found = self._found()
             if name not in found:
@@ -41,7 +43,7 @@ class Plugins:
                 self._loaded[name] = found[name].load()
             except Exception as error:
                 raise InputError(
-                    f"{self.what} '{name}' ({found[name].value}) cannot be imported: {error}; install what "
-                    "it needs or remove its package"
+                    f"{self.what} '{name}' ({found[name].value}) cannot be imported: "
+                    f"{error}; install what it needs or remove its package"
                 ) from error
         return self._loaded[name]

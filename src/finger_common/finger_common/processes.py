@@ -19,9 +19,11 @@ if os.getppid() == parent:
 
 
 def bound_to_parent(command: Sequence[str | os.PathLike[str]]) -> list[str]:
-    """The command, started so that SIGTERM reaches it when the *thread* that starts it ends, even by SIGKILL.
+    """The command, started so that SIGTERM reaches it when the *thread* that starts it ends, even
+    by SIGKILL.
 
-    Linux only; elsewhere the command is run as it is. Process id and exit code are the command's own.
+    Linux only; elsewhere the command is run as it is. Process id and exit code are the command's
+    own.
     """
     return [
         *(sys.executable, "-I", "-S", "-c", _BOUND, str(os.getpid())),

@@ -7,8 +7,8 @@
     PollSettings(rate=1e9)        # InputError: parameter 'rate' is 1e+09, outside 1 … 7000 Hz; …
     PollSettings.parameters()     # ParameterTable, which declares them on a node and documents them
 
-This is the only declaration of a setting: checks, node parameters, command-line options, YAML files and the node
-reference derive from it. No ROS here.
+This is the only declaration of a setting: checks, node parameters, command-line options, YAML files
+and the node reference derive from it. No ROS here.
 """
 
 from __future__ import annotations
@@ -56,7 +56,9 @@ def setting(
 
 
 class Settings:
-    """Base of frozen dataclasses of described fields. Construction checks every value (InputError)."""
+    """Base of frozen dataclasses of described fields. Construction checks every value
+    (InputError).
+    """
 
     def __post_init__(self) -> None:
         for parameter in self.parameters():
@@ -84,7 +86,9 @@ class Settings:
 
     @classmethod
     def select(cls: type[S], values: Mapping[str, Any]) -> S:
-        """From a mapping that may hold the settings of others too, such as all parameters of a node."""
+        """From a mapping that may hold the settings of others too, such as all parameters of a
+        node.
+        """
         table = cls.parameters()
         return cls(**{name: value for name, value in values.items() if name in table})
 
@@ -98,7 +102,9 @@ class Settings:
 
     @classmethod
     def from_json(cls: type[S], text: str, where: str = "settings") -> S:
-        """From the text of a JSON object, empty for the defaults; raises InputError naming `where`."""
+        """From the text of a JSON object, empty for the defaults; raises InputError naming
+        `where`.
+        """
         try:
             values = json.loads(text) if text.strip() else {}
         except (ValueError, RecursionError) as error:
@@ -122,8 +128,8 @@ def _table(cls: type[Settings]) -> ParameterTable:
 def parameters_of(*classes: type[Settings]) -> ParameterTable:
     """One table of several settings classes, as for a node.
 
-    A field that classes share, by a common base for example, counts once. Raises ValueError where two classes declare
-    one name in different ways.
+    A field that classes share, by a common base for example, counts once. Raises ValueError where
+    two classes declare one name in different ways.
     """
     found: dict[str, Parameter] = {}
     for cls in classes:

@@ -1,4 +1,6 @@
-"""Time stamps: an `int` of nanoseconds since the epoch in the cores, seconds and nanoseconds in messages."""
+"""Time stamps: an `int` of nanoseconds since the epoch in the cores, seconds and nanoseconds in
+messages.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,9 @@ NANOSECONDS = 1_000_000_000
 
 
 def stamp_of(time: Any) -> int:
-    """Nanoseconds of a builtin_interfaces/Time: of rclpy, of a bag reader, or with `nanoseconds` for `nanosec`."""
+    """Nanoseconds of a builtin_interfaces/Time: of rclpy, of a bag reader, or with `nanoseconds`
+    for `nanosec`.
+    """
     nanoseconds = time.nanosec if hasattr(time, "nanosec") else time.nanoseconds
     return int(time.sec) * NANOSECONDS + int(nanoseconds)
 

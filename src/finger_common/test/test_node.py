@@ -36,7 +36,9 @@ class Gauge(ManagedNode):
         self.healths = [Health("gauge", "no. 7")]
         self.publisher = self.create_stream_publisher(Float64, "value", self.stream_qos())
     def activate(self):
-        self.timer = self.create_timer(0.02, lambda: self.publisher.publish(Float64(data=self.values["gain"])))
+        self.timer = self.create_timer(
+            0.02, lambda: self.publisher.publish(Float64(data=self.values["gain"]))
+        )
     def deactivate(self):
         self.destroy_timer(self.timer)
         self.publisher.publish(Float64(data=-1.0))

@@ -76,7 +76,9 @@ class Record:
 def make_record(
     index=0, ramp=1.0, noise=0.0, rng=None, condition="natural", truth=TRUTH, peak=1.5, release=0.3
 ) -> Record:
-    """A press to `peak` N at a steady rate, then a release; areas of the stand-in with noise (m²)."""
+    """A press to `peak` N at a steady rate, then a release; areas of the stand-in with noise
+    (m²).
+    """
     rng = rng or np.random.default_rng(index)
     length = 0.4 + ramp * peak / 1.35 + release + 0.3
     time = np.arange(int(length * RATE)) / RATE

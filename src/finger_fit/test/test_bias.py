@@ -121,7 +121,9 @@ def test_pairs_are_repeatable_and_leave_the_problem_alone(double) -> None:
 
 
 def test_corrected_value_may_leave_the_box(double) -> None:
-    """A truth in a corner: estimates err to one side, and only values beyond the bound can make up for it."""
+    """A truth in a corner: estimates err to one side, and only values beyond the bound can make up
+    for it.
+    """
     truth = np.array([160e3, 25e3, 0.2, 1500e3])
     problem = double.make_problem(noise=NOISE, truth=truth, seed=4)
     best = refine(problem, all_free(problem), truth).parameters

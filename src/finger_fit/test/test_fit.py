@@ -162,8 +162,8 @@ def test_files_hold_what_the_design_says(study, tmp_path: Path) -> None:
     data = json.loads((tmp_path / "fit.json").read_text())
     for name, fit in study.fits.items():
         entry = data["conditions"][name]
-        for key in ("E0", "E1", "E2", "tau1", "composite_E", "J", "J_full_order", "J_power_law", "power_law",
-                    "moisture_mean", "moisture_sd", "trials"):  # fmt: skip
+        for key in ("E0", "E1", "E2", "tau1", "composite_E", "J", "J_full_order", "J_power_law",
+                    "power_law", "moisture_mean", "moisture_sd", "trials"):  # fmt: skip
             assert key in entry
         assert entry["J"] == pytest.approx(fit.cost * 1e12)
         assert entry["composite_E"] == pytest.approx(1 / (1 / entry["E0"] + 1 / entry["E1"]))

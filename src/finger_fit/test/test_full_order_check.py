@@ -1,4 +1,6 @@
-"""The check of a fit against a better model, with the stand-in as the better one and a biased copy as the reduced."""
+"""The check of a fit against a better model, with the stand-in as the better one and a biased copy
+as the reduced.
+"""
 
 from __future__ import annotations
 
@@ -50,8 +52,9 @@ def test_correction_undoes_the_bias_of_the_reduced_model(biased, double) -> None
 
 
 def test_correction_undoes_a_bias_that_changes_along_the_valley(double) -> None:
-    """An error that depends on E0 as strongly as the area does: with the ratio at one point alone, a fit stays near its
-    start."""
+    """An error that depends on E0 as strongly as the area does: with the ratio at one point alone,
+    a fit stays near its start.
+    """
     exact = double.make_problem(options=FitOptions(window="contact"))
 
     class Biased(double.HereditaryModel):

@@ -65,7 +65,9 @@ def test_composite_coordinates_hold_the_modulus_and_the_box(double) -> None:
 
 @pytest.mark.parametrize("window", ["loading", "contact"])
 def test_bias_spread_and_coverage_over_many_seeds(double, window: str) -> None:
-    """The targets of a recovery, where no bound is active; seeds are fixed, so the limits hold or fail for good."""
+    """The targets of a recovery, where no bound is active; seeds are fixed, so the limits hold or
+    fail for good.
+    """
     wide = ["E0=10e3:900e3", "E1=3e3:300e3", "tau1=0.001:8", "E2=100e3:9000e3"]
     options = FitOptions(bounds=wide, window=window)
     names = ("composite_E", "E2", "tau1")

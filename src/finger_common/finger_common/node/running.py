@@ -76,8 +76,8 @@ class _SignalHandler:
 def run_node(node_class: type[ManagedNode], argv: Sequence[str] | None = None) -> int:
     """Run one node until a signal ends it; returns the exit code.
 
-    A configuration that fails leaves the node up, unconfigured, so that parameters can be corrected and the
-    transition tried again. SIGINT and SIGTERM end it with the device released.
+    A configuration that fails leaves the node up, unconfigured, so that parameters can be corrected
+    and the transition tried again. SIGINT and SIGTERM end it with the device released.
     """
     use_large_shared_memory()
     try:

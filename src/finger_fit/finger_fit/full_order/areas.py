@@ -74,7 +74,9 @@ def trial_areas(
     shared: tuple[ConstitutiveLaw, Geometry, float, Sequence[FitTrial]],
     item: tuple[tuple[float, ...], int],
 ) -> np.ndarray:
-    """Areas (k,) in m² of one trial at its frames; all NaN where the finger fails under the load."""
+    """Areas (k,) in m² of one trial at its frames; all NaN where the finger fails under the
+    load.
+    """
     material, geometry, refinement, trials = shared
     parameters, index = item
     trial = trials[index]

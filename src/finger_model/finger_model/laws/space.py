@@ -153,7 +153,9 @@ class ParameterSpace:
 
     @property
     def headline(self) -> str:
-        """Name of the quantity that sums a fit up: the first derived one, else the first parameter."""
+        """Name of the quantity that sums a fit up: the first derived one, else the first
+        parameter.
+        """
         return next(iter(self.derived), self.names[0])
 
     def markdown(self) -> str:
