@@ -2,8 +2,8 @@
 
 The full-order bulk has the energy ½ J^(−2/3) H : C with H = G∞ 1 + (G0 − G∞) A. Over G0, and with r
 = G∞/G0 = E1/(E0 + E1), H/G0 = 1 + B where B = (1 − r)(A − 1): the contact problem at an instant
-depends on E1 only through the field B. B is projected on fields φ_i (principal components of visited
-fields, volume-weighted):
+depends on E1 only through the field B. B is projected on fields φ_i (principal components of
+visited fields, volume-weighted):
 
     a_i = ⟨φ_i, B⟩,  b_i = ⟨φ_i, C̄⁻¹ − 1⟩,  c_i = b_i − a_i
     dA/dt = (C̄⁻¹ − A)/τ, τ = τ1 r   ⇒   τ1 da_i/dt = (E0/E1) c_i − a_i    (exact, for every φ)
