@@ -60,9 +60,8 @@ def columns(block: EstimateBlock, start_ns: int) -> dict[str, np.ndarray]:
 def open_table(path: str) -> Iterator[Callable[[EstimateBlock], None]]:
     """Function that appends a block of estimates to a CSV file.
 
-    The file takes its name only when the `with` ends without an error. Raises InputError for another
-    suffix, or when the file cannot be written.
-    """
+    The file takes its name only when the `with` ends without an error. Raises InputError for
+    another suffix, or when the file cannot be written."""
     if Path(path).suffix != ".csv":
         raise InputError(f"{path}: name a .csv file")
     start: list[int] = []
