@@ -15,7 +15,8 @@ class PageSettings(Settings):
     host: str = setting(
         "127.0.0.1",
         "Address to serve on; 0.0.0.0 for all networks of this machine.",
-        advice="For a tablet set 0.0.0.0 and open this machine's address with the token from the log.",
+        advice="For a tablet set 0.0.0.0 and open this machine's address with the token "
+        "from the log.",
     )
     port: int = setting(
         8080,
