@@ -11,6 +11,7 @@ import pytest
 from finger_common.errors import InputError
 from finger_model.fem.full_order import FullOrderModel
 from finger_model.geometry import Geometry
+from finger_model.laws import LAWS
 from finger_model.laws.standard_linear_solid import PARAMETERS
 from finger_model.material import Material
 from finger_model.reduced import ReducedModel
@@ -187,6 +188,17 @@ def test_a_material_of_another_law_is_refused(model: ReducedModel) -> None:
 
     with pytest.raises(InputError, match=r"'other'.*'standard_linear_solid'.*--solver full"):
         model.simulate(OtherLaw(), *ramp())
+
+
+def test_a_file_of_another_law_is_refused(
+    model: ReducedModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class OtherLaw(Material):
+        name = "other"
+
+    monkeypatch.setattr(LAWS, "_loaded", {"other": OtherLaw})
+    with pytest.raises(InputError, match=r"built for the law 'other'.*'standard_linear_solid'"):
+        ReducedModel(model.arrays, {**model.meta, "law": "other"})
 
 
 def test_a_wrong_number_of_parameters_is_refused(model: ReducedModel) -> None:

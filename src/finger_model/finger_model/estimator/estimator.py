@@ -57,7 +57,7 @@ class ContactEstimator:
 
     model: the reduced model; parameter_sets: None for the shipped ones; settings: None for the
     defaults. `counters` counts duplicates, out_of_order, resets, late_areas, late_moistures,
-    flagged_areas. Raises InputError for parameter sets that were fitted with another geometry.
+    flagged_areas. Raises InputError for parameter sets of another geometry or law than the model's.
     """
 
     def __init__(
@@ -186,7 +186,7 @@ class ContactEstimator:
     def change_parameters(self, sets: ParameterSets, reason: str = "") -> EstimatorEvent:
         """New parameter sets from the next sample on; the state goes on.
 
-        Returns the event to record. Raises InputError for sets fitted with another geometry.
+        Returns the event to record. Raises InputError for sets of another geometry or law.
         """
         check_sets(sets, self.model)
         return self._record_event(EventType.PARAMETERS, reason, parameter_sets=sets.to_yaml())
