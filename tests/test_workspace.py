@@ -33,17 +33,7 @@ LAYERS = {
         "finger_bag",
         "finger_offline",
     },
-    "finger_bringup": {
-        "finger_common",
-        "finger_driver",
-        "finger_vision",
-        "finger_model",
-        "finger_bag",
-        "finger_offline",
-        "finger_fit",
-        "finger_sim",
-        "finger_operator",
-    },
+    "finger_bringup": {"finger_common", "finger_bag", "finger_sim"},
 }
 """Package -> packages it may import (finger_msgs only in nodes)."""
 
