@@ -109,8 +109,5 @@ class Sources(Generic[D]):
 
 def title_of(cls: type) -> str:
     """First sentence of a class's docstring, without its full stop."""
-    return (
-        " ".join((cls.__doc__ or cls.__name__).strip().split("\n\n")[0].split())
-        .split(". ")[0]
-        .rstrip(".")
-    )
+    text = " ".join((cls.__doc__ or cls.__name__).split())
+    return text.split(". ")[0].rstrip(".")
