@@ -153,9 +153,7 @@ class ParameterSpace:
 
     @property
     def headline(self) -> str:
-        """Name of the quantity that sums a fit up: the first derived one, else the first
-        parameter.
-        """
+        """Name of the quantity that summarises a fit: the first derived one, else a parameter."""
         return next(iter(self.derived), self.names[0])
 
     def markdown(self) -> str:

@@ -98,13 +98,11 @@ class Network:
         self.output_scale = t.std(0) + 1e-12
         n, outputs = x.shape[1], t.shape[1]
         self.shapes = [
-            (n, hidden),
-            (hidden,),
-            (hidden, hidden),
-            (hidden,),
-            (hidden, outputs),
-            (outputs,),
+            *((n, hidden), (hidden,)),
+            *((hidden, hidden), (hidden,)),
+            *((hidden, outputs), (outputs,)),
         ]
+        self._ends = np.cumsum([math.prod(shape) for shape in self.shapes])[:-1]
         rng = np.random.default_rng(seed)
         self.values = np.concatenate(
             [
@@ -114,13 +112,9 @@ class Network:
         )
 
     def split(self, values: np.ndarray) -> list[np.ndarray]:
-        """Layers as views of the flat vector."""
-        parts, at = [], 0
-        for shape in self.shapes:
-            size = int(np.prod(shape))
-            parts.append(values[at : at + size].reshape(shape))
-            at += size
-        return parts
+        """Layers (…, *shape) of values (…, P), as views."""
+        parts = np.split(values, self._ends, axis=-1)
+        return [p.reshape(*p.shape[:-1], *shape) for p, shape in zip(parts, self.shapes)]
 
     def outputs(self, values: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Scaled outputs (n, o) of scaled inputs x (n, i)."""
@@ -136,10 +130,7 @@ class Network:
         found = []
         for j in range(outputs):
             matrix = np.zeros((n, len(values)), values.dtype)
-            parts = [
-                matrix[:, at : at + int(np.prod(shape))].reshape(n, *shape)
-                for at, shape in zip(self._starts(), self.shapes)
-            ]
+            parts = self.split(matrix)
             g2 = s2 * w3[:, j]
             g1 = (g2 @ w2.T) * s1
             np.multiply(x[:, :, None], g1[:, None, :], out=parts[0])
@@ -150,10 +141,6 @@ class Network:
             parts[5][:, j] = 1.0
             found.append(matrix)
         return z2 @ w3 + b3, found
-
-    def _starts(self) -> list[int]:
-        sizes = [int(np.prod(shape)) for shape in self.shapes]
-        return [sum(sizes[:i]) for i in range(len(sizes))]
 
     def arrays(self, name: str) -> dict[str, np.ndarray]:
         """As stored in the file of the reduced model, with the network's name before each."""

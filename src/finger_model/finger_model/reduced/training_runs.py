@@ -21,10 +21,10 @@ import numpy as np
 
 from finger_common.errors import ModelError
 
-from ..fem.full_order import FullOrderModel, Stepper
+from ..fem.full_order import FullOrderModel
 from ..fem.mesh import BULK
 from ..geometry import Geometry
-from ..laws import UNIT
+from ..laws import UNIT, Tissue
 from ..laws.standard_linear_solid import PARAMETERS, StandardLinearSolid
 from .force_histories import KINDS, random_history, random_parameters, training_parameters
 
@@ -100,9 +100,8 @@ def weight_of(model: FullOrderModel) -> np.ndarray:
     return (model.equilibrium.elements.weight[bulk] / length**3)[:, :, None] * COMPONENT_WEIGHTS
 
 
-def internal_field(stepper: Stepper) -> tuple[np.ndarray, np.ndarray]:
-    """B and C̄⁻¹ − 1 (E_bulk, 4, 4) of the stepper's state."""
-    material, tissue = stepper.material, stepper.state.tissue
+def internal_field(tissue: Tissue, material: StandardLinearSolid) -> tuple[np.ndarray, np.ndarray]:
+    """B and C̄⁻¹ − 1 (E_bulk, 4, 4) of the bulk tissue."""
     share = material.E0 / (material.E0 + material.E1)
     return share * (tissue.internal[0] - UNIT), tissue.c_bar_inverse - UNIT
 
@@ -125,7 +124,7 @@ def run_case(
             failed = float(case.force[i])
             break
         rows.append((point.area, point.indentation, point.peak_pressure))
-        b, c = internal_field(stepper)
+        b, c = internal_field(stepper.state.tissue, material)
         if modes is not None:
             internal.append(modes @ b.ravel())
             total.append(modes @ c.ravel())

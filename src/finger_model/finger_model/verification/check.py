@@ -39,8 +39,8 @@ class Measure:
 class Curve(NamedTuple):
     """Points x, y (n,), matplotlib's format of the line, and its label."""
 
-    x: np.ndarray
-    y: np.ndarray
+    x: Sequence[float] | np.ndarray
+    y: Sequence[float] | np.ndarray
     style: str = "-"
     label: str | None = None
 
