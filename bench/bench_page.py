@@ -181,7 +181,7 @@ def delays(page: Any, crossings: list[float]) -> np.ndarray:
 
 
 def free_port() -> int:
-    """A TCP port nobody listens on."""
+    """An unused TCP port."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])

@@ -206,7 +206,7 @@ def measure(
 
 
 def process_time(pid: int) -> float | None:
-    """Processor time (s) a process has used; None where it cannot be told."""
+    """Processor time (s) a process has used; None where it is unknown."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

@@ -104,7 +104,7 @@ def merge(bags: Sequence[Path], target: Path, condition: str) -> int:
 
 def make_bags(folder: Path, trials: int, seed: int, console: Console) -> list[Path]:
     """Record a session and write one bag per condition into `folder`, replacing those there."""
-    # Not removed when something fails: its log tells why.
+    # Kept after an error: its log names the cause.
     scratch = Path(tempfile.mkdtemp(prefix="finger_sample_bags_"))
     request = SessionRequest(
         scratch,

@@ -1,6 +1,6 @@
 """Write docs/nodes.md and src/finger_bringup/config/rig.yaml from the nodes' own descriptions.
 
-`python scripts/node_reference.py` writes both; `--check` only says whether they are current (exit
+`python scripts/node_reference.py` writes both; `--check` only checks whether they are current (exit
 code 1 if not). The parameters come from the tables the nodes declare, topics and services from the
 calls in their sources, the meaning of topics from the bag schema, messages from the comments of the
 interface files.
@@ -38,7 +38,7 @@ ORDER = (
 IN_RIG_FILE = "force camera moisture vision model recorder protocol page".split()
 
 OTHER_TOPICS = {
-    "contact_image": "the image with the contact's outline, made only while somebody listens",
+    "contact_image": "the image with the contact's outline, made only while a node subscribes",
     "/diagnostics": "health of every source, once a second",
     "trial": "the trial at hand and its phase, latched",
     "~/status": "everything the operator's page shows of the session (JSON, latched)",
@@ -77,7 +77,7 @@ NODE_FIRST = ("PolledSubscription", "ActionServer", "ActionClient")
 
 @dataclass
 class NodeDescription:
-    """One node: class, its module and what its source says about topics and services."""
+    """One node: class, its module and the topics and services in its source."""
 
     cls: type[ManagedNode]
     module: Any
@@ -311,7 +311,7 @@ def rig_file() -> str:
         lines += ["", f"/**/{name}:", "  ros__parameters:"]
         for parameter in [*own_parameters(node.cls), *NodeSettings.parameters()]:
             if parameter.name == "autostart":
-                continue  # the launch files and finger-rig say
+                continue  # set by the launch files and finger-rig
             lines += [comment(parameter), f"    {parameter.name}: {yaml_text(parameter.default)}"]
     return "\n".join(lines) + "\n"
 
@@ -319,7 +319,7 @@ def rig_file() -> str:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
-        "--check", action="store_true", help="only say whether the files are current"
+        "--check", action="store_true", help="only check whether the files are current"
     )
     args = parser.parse_args()
     stale = []

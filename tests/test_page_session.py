@@ -45,7 +45,7 @@ class Rig:
                 "reading_time": 0.5,
                 "upcoming": upcoming,
             },
-            # All limits as at a real rig: a trial that a busy machine spoils is found on the spot
+            # All limits as at a real rig: a trial that a busy machine spoils fails at once
             # and repeated.
             "protocol": {
                 "trials": trials,
@@ -114,7 +114,7 @@ class Operator:
                 return result
             self.page.wait_for_timeout(50)
         text = self.page.inner_text("body")
-        raise AssertionError(f"waited {seconds:g} s for {what}; the page says:\n{text}")
+        raise AssertionError(f"waited {seconds:g} s for {what}; the page shows:\n{text}")
 
     def see(self, *looks: str, seconds: float = 90.0) -> str:
         """Wait, in the browser, for one of the cue's looks."""
@@ -224,7 +224,7 @@ def test_nine_trials_from_the_page_with_a_redo_a_killed_node_and_an_unplugged_ca
             cues = view.evaluate("window.cues")
             assert cues.index("Press") + 1 == cues.index("Lift"), cues
 
-        # Trial 1 is spoilt on purpose: paused in the middle of the press, then done again.
+        # Trial 1 is made invalid: paused in the middle of the press, then done again.
         operator.ready(1)
         operator.see("press")
         operator.press("p")

@@ -139,10 +139,10 @@ def test_the_suite_ends_cleanly_on_ctrl_c_and_restarts_what_dies(
 
     def until(text: str, seconds: float = 60.0) -> str:
         end = time.monotonic() + seconds
-        while text not in (said := log.read_text()):
-            assert time.monotonic() < end and child.poll() is None, said[-3000:]
+        while text not in (output := log.read_text()):
+            assert time.monotonic() < end and child.poll() is None, output[-3000:]
             time.sleep(0.05)
-        return said
+        return output
 
     try:
         until("simulated rig is ready")
@@ -185,7 +185,7 @@ def test_the_demo_recovers_what_the_finger_is_made_of(demo: tuple[Path, str]) ->
 
     (Physics: one sigma of 8–10 % from fifteen presses with more noise.)
     """
-    folder, said = demo
+    folder, output = demo
     found = json.loads((folder / "summary.json").read_text())["conditions"]["moist"]
     ratio = found["fitted"]["composite_E"] / found["true"]["composite_E"]
     assert 0.85 < ratio < 1.15
@@ -193,7 +193,7 @@ def test_the_demo_recovers_what_the_finger_is_made_of(demo: tuple[Path, str]) ->
     page = (folder / "report.html").read_text()
     assert page.count("data:image/png;base64,") == 5 and "moist" in page
     assert "http" not in page.replace("http-equiv", "")
-    assert "report:" in said and "report.html" in said
+    assert "report:" in output and "report.html" in output
     assert (folder / "fit" / "report.html").exists() and (folder / "fit" / "fit.json").exists()
 
 

@@ -28,7 +28,7 @@ PARAMETERS = (
     ("E0", "E0", 1e-3, "kPa"),
     ("tau1", "τ1", 1.0, "s"),
 )
-"""Key, label, factor from SI, unit; in the order of how well a press can tell them."""
+"""Key, label, factor from SI, unit; the best identifiable first."""
 
 
 PIXELATED = 12

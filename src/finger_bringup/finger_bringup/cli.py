@@ -65,7 +65,7 @@ def parser() -> argparse.ArgumentParser:
     study.add_argument(
         "--no-images",
         action="store_true",
-        help="write areas with measurement noise in place of images; the bags say so",
+        help="write areas with measurement noise in place of images; the bags note it",
     )
     study.add_argument("--misfit", action="store_true", help="with a finger unlike the model")
     study.add_argument(

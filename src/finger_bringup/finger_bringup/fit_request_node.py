@@ -33,7 +33,7 @@ class FitRequestSettings(Settings):
 
 
 class FitFailed(FingerError):
-    """The fit did not succeed; the message says why."""
+    """The fit did not succeed; the message names the cause."""
 
 
 class FitRequestNode(ManagedNode):

@@ -85,7 +85,7 @@ class Launch:
             time.sleep(0.2)
         raise AssertionError(f"nothing came in {seconds:g} s:\n{self.text[-5000:]}")
 
-    def said(self, text: str, times: int = 1, seconds: float = 120.0) -> None:
+    def logged(self, text: str, times: int = 1, seconds: float = 120.0) -> None:
         self.until(lambda: self.text.count(text) >= times, seconds)
 
     def pids(self, executable: str) -> list[int]:
@@ -237,7 +237,7 @@ def test_rig_comes_up_in_order_answers_ros2_and_survives_a_kill(
         f"page_port:={free_port()}",
         f"parameters:={parameters}",
     )
-    running.said("all nodes are active: simulated_rig, force, camera, moisture")
+    running.logged("all nodes are active: simulated_rig, force, camera, moisture")
     options = ("--no-daemon", "--spin-time", "10")
     state = ros2(environment, "lifecycle", "get", "/lab/force", *options)
     assert "active [3]" in state, state
@@ -253,7 +253,7 @@ def test_rig_comes_up_in_order_answers_ros2_and_survives_a_kill(
     os.kill(first[0], signal.SIGKILL)
     running.until(lambda: len(running.pids("vision_node")) == 2)
     assert re.search(r"\[vision_node-\d+\]: process has died", running.text)
-    running.said("all nodes are active", times=2)
+    running.logged("all nodes are active", times=2)
     state = ros2(environment, "lifecycle", "get", "/lab/vision", *options)
     assert "active [3]" in state, state
 
@@ -269,7 +269,7 @@ def test_grasp_listens_to_another_vendors_wrench(
     launch: Callable[..., Launch], environment: dict[str, str]
 ) -> None:
     running = launch("grasp.launch.py", "force:=false", "wrench:=/wrist/wrench")
-    running.said("all nodes are active: model")
+    running.logged("all nodes are active: model")
     info = ros2(environment, "topic", "info", "/wrist/wrench", "--no-daemon", "--spin-time", "8")
     assert "Subscription count: 1" in info, info
     assert running.end() == 0
@@ -284,8 +284,8 @@ def test_replay_of_a_bag_gives_contact_states_and_ends(
     if not bags:
         pytest.skip("no sample bag in bags/")
     running = launch("replay.launch.py", f"bag:={bags[0]}", "rate:=0.5")
-    running.said("all nodes are active: vision, model")
-    running.said("process started with pid", times=4)
+    running.logged("all nodes are active: vision, model")
+    running.logged("process started with pid", times=4)
     rate = ros2(environment, "topic", "hz", "/finger/contact_state", seconds=20.0)
     assert "average rate" in rate, rate + running.text[-2000:]
     assert running.child.wait(240) == 0, running.text[-3000:]

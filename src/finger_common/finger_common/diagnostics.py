@@ -18,7 +18,7 @@ OK, WARN, ERROR, STALE = 0, 1, 2, 3
 
 @dataclass
 class HealthReport:
-    """What one look at a `Health` says; `level` is OK, WARN, ERROR or STALE."""
+    """State of a `Health` at one time; `level` is OK, WARN, ERROR or STALE."""
 
     level: int
     message: str

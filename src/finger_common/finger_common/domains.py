@@ -13,7 +13,7 @@ DOMAINS = range(1, 101)
 
 
 def is_free(domain: int) -> bool:
-    """Whether nobody listens on the domain's discovery port (RTPS: 7400 + 250 domain + 10)."""
+    """Whether the domain's discovery port is unused (RTPS: 7400 + 250 domain + 10)."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.bind(("", 7400 + 250 * domain + 10))

@@ -2,8 +2,8 @@
 
 FingerError
 ├── InputError    what the user gave cannot be used: files, values, arguments (exit code 2)
-├── DeviceError   a device is missing, silent or says something wrong
-└── ModelError    a computation failed and says at which time and load
+├── DeviceError   a device is missing, silent or sends wrong data
+└── ModelError    a computation failed; names time and load
 
 Every message is one sentence that names what is wrong, where, and what to change.
 """

@@ -107,7 +107,7 @@ def load_yaml(path: str | Path, what: str = "YAML file") -> dict[str, Any]:
 def number(data: dict[str, Any], key: str, where: str) -> float:
     """Finite number under a key of a mapping; raises InputError naming key and place.
 
-    Text such as "1e5", which YAML 1.1 reads as a string, counts as the number it says.
+    Text such as "1e5", which YAML 1.1 reads as a string, counts as a number.
     """
     if key not in data:
         raise InputError(f"{where}: key '{key}' is missing; add it")

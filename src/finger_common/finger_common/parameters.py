@@ -1,6 +1,6 @@
 """Described parameters: one table per node that declares, checks and documents them.
 
-A `Parameter` says name, default, unit, range or choices, meaning and whether it may change while
+A `Parameter` has name, default, unit, range or choices, meaning and whether it may change while
 the node is active. A `ParameterTable` checks values against it and renders the node reference. No
 ROS here; the shell in `finger_common.node` declares a table on an rclpy node.
 """

@@ -348,7 +348,7 @@ class Protocol:
             self.save()
 
     def health(self, name: str, level: int, message: str, now_ns: int) -> None:
-        """State of a device or node whose failure spoils a trial, from /diagnostics."""
+        """State of a device or node whose failure makes a trial invalid, from /diagnostics."""
         if level < ERROR:
             self._errors.pop(name, None)
             return

@@ -97,7 +97,7 @@ class StudyPlan(PlanSettings):
 
     def preparation(self, condition: str) -> str:
         """Preparation text of a condition."""
-        return self.preparations.get(condition, "Prepare the finger as your protocol says.")
+        return self.preparations.get(condition, "Prepare the finger as in your protocol.")
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for the state file."""

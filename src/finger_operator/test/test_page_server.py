@@ -58,7 +58,7 @@ def run(coroutine: Callable[[aiohttp.ClientSession], Any]) -> Any:
     return asyncio.run(body())
 
 
-async def heard(socket: aiohttp.ClientWebSocketResponse) -> None:
+async def served_all(socket: aiohttp.ClientWebSocketResponse) -> None:
     """Wait until the server has answered everything sent so far."""
     await socket.send_json({"type": "nonsense"})
     await next_of(socket, "answer")
@@ -279,7 +279,7 @@ def test_images_go_to_watchers_only(served: Served) -> None:
         async with served.connect(session) as watcher, served.connect(session) as other:
             assert (await next_of(watcher, "hello"))["images"] is True
             await watcher.send_json({"type": "watch", "images": True})
-            await heard(watcher)
+            await served_all(watcher)
             assert served.server.watchers == 1
             served.server.publish_image(b"jpeg", 7)
             message = await watcher.receive()
@@ -290,7 +290,7 @@ def test_images_go_to_watchers_only(served: Served) -> None:
             assert (await other.receive()).type is aiohttp.WSMsgType.TEXT, "no image for the other"
         async with served.connect(session, "participant") as participant:
             await participant.send_json({"type": "watch", "images": True})
-            await heard(participant)
+            await served_all(participant)
             assert served.server.watchers == 0
 
     run(body)
@@ -318,7 +318,7 @@ def test_beyond_this_machine_images_need_a_setting_and_the_operators_view_the_to
         async with served.connect(session, token=served.server.token) as socket:
             assert (await next_of(socket, "hello"))["images"] is share
             await socket.send_json({"type": "watch", "images": True})
-            await heard(socket)
+            await served_all(socket)
             assert served.server.watchers == (1 if share else 0)
 
     try:
@@ -346,7 +346,7 @@ def test_shown_cue_gives_its_delay_from_the_force_sample(served: Served) -> None
             cue = await next_of(socket, "cue")
             await socket.send_json({"type": "shown", "id": cue["id"]})
             await socket.send_json({"type": "shown", "id": 12345})
-            await heard(socket)
+            await served_all(socket)
 
     run(body)
     assert len(served.server.latencies) == 1 and 0.03 <= served.server.latencies[0] < 30.0

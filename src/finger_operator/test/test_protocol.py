@@ -393,7 +393,7 @@ def test_late_answer_to_an_old_stop_leaves_the_next_recording_alone(rig: Rig) ->
 
 def test_readings_outside_the_scale_or_of_another_time_do_not_count(rig: Rig) -> None:
     rig.run(0.2)
-    rig.protocol.moisture(rig.now, 50.0)  # nobody asked yet
+    rig.protocol.moisture(rig.now, 50.0)  # no reading is expected yet
     rig.protocol.start(rig.now)
     rig.run(0.2)
     rig.protocol.moisture(rig.now - SECOND, 50.0)  # taken before the trial began

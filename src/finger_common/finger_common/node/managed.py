@@ -189,7 +189,7 @@ class ManagedNode(LifecycleNode):
     # Quality of service ----------------------------------------------------------------------
 
     def stream_qos(self, depth: int | None = None) -> QoSProfile:
-        """QoS of a data stream, as the node's parameters say."""
+        """QoS of a data stream, by the node's parameters."""
         reliable = self.values["qos_reliability"] == "reliable"
         return QoSProfile(
             depth=depth or self.values["qos_depth"],
@@ -329,7 +329,7 @@ class ManagedNode(LifecycleNode):
         return TransitionCallbackReturn.SUCCESS
 
     def release(self) -> None:
-        """Deactivate and clean up whatever the state."""
+        """Deactivate and clean up, in any state."""
         if self._live:
             self._live = False
             if self._active:

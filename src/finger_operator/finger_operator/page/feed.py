@@ -93,9 +93,9 @@ class HealthBoard:
         """All entries by name."""
         result = []
         for name in sorted(self._entries):
-            heard, entry = self._entries[name]
-            if now - heard > self.STALE_AFTER:
-                age = f"silent for {now - heard:.0f} s"
+            last, entry = self._entries[name]
+            if now - last > self.STALE_AFTER:
+                age = f"silent for {now - last:.0f} s"
                 entry = {**entry, "level": STALE, "message": age}
             result.append(entry)
         return result

@@ -268,7 +268,7 @@ class PageServer:
             browser.wants_images = message["images"] and browser.images
         elif kind == "command":
             if not browser.operator or not same_secret(message.get("token"), self.token):
-                browser.complain("this page may not command the rig; open it anew", number)
+                browser.complain("this page may not command the rig; reload it", number)
                 return
             try:
                 name, arguments = check_command(message)

@@ -25,13 +25,13 @@ function command(name, args = {}) {
       resolve({ success: false, message: "not connected" });
     }
   }).then((answer) => {
-    tell(answer.success ? answer.message || `${name}: done` : answer.message, answer.success);
+    notify(answer.success ? answer.message || `${name}: done` : answer.message, answer.success);
     return answer;
   });
 }
 
 let forget = 0;
-function tell(text, good) {
+function notify(text, good) {
   const place = $("answer");
   place.textContent = text;
   place.className = good ? "good" : "bad";
@@ -53,7 +53,7 @@ function pauseOrResume() {
 
 function openSession() {
   const plan = state.status.plan;
-  if (!plan) return tell("The protocol node is not running.", false);
+  if (!plan) return notify("The protocol node is not running.", false);
   $("plan-subject").value = plan.subject;
   $("plan-conditions").value = plan.conditions.join(", ");
   $("plan-trials").value = plan.trials;
@@ -386,7 +386,7 @@ $("session-form").onsubmit = beginSession;
 $("moisture-form").onsubmit = async (event) => {
   event.preventDefault();
   const text = $("moisture-input").value;
-  if (text === "") return tell(`Type a reading of ${$("moisture-input").placeholder} a.u. first.`, false);
+  if (text === "") return notify(`Type a reading of ${$("moisture-input").placeholder} a.u. first.`, false);
   const answer = await command("moisture", { value: Number(text) });
   if (answer.success) { $("moisture-input").value = ""; $("moisture-input").blur(); }
 };
