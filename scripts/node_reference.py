@@ -301,7 +301,7 @@ def rig_file() -> str:
     lines = [
         "# Parameters of the rig, for `ros2 launch finger_bringup rig.launch.py parameters:=…` and",
         "# `finger-rig up --parameters …`. Copy it, change what your rig needs, delete the rest:",
-        "# is not named here keeps its default. Units are SI. `/**/` fits every namespace.",
+        "# what is not named here keeps its default. Units are SI. `/**/` fits every namespace.",
         "#",
         "# Written by scripts/node_reference.py from the nodes' tables; values are defaults.",
     ]
