@@ -6,6 +6,7 @@ Messages are read by attribute: those of rclpy and those of a bag reader alike.
 from __future__ import annotations
 
 import json
+from operator import attrgetter
 from typing import Any
 
 from finger_common.stamps import fill_time, header_stamp, time_fields
@@ -14,6 +15,7 @@ from .estimator import ContactEstimate, EstimatorEvent, EventType
 from .estimator.estimate import ESTIMATE_FIELDS
 
 _COPIED = tuple(f.name for f in ESTIMATE_FIELDS if f.type != "time")
+_copied = attrgetter(*_COPIED)
 
 
 def wrench_of(message: Any) -> tuple[int, tuple[float, float, float]]:
@@ -76,5 +78,5 @@ def fill_contact_state(message: Any, estimate: ContactEstimate) -> None:
     """Set the fields of a ContactState message; using one again is cheaper than a new one."""
     fill_time(message.header.stamp, estimate.stamp_ns)
     fill_time(message.onset, estimate.onset_ns)
-    for name in _COPIED:
-        setattr(message, name, getattr(estimate, name))
+    for name, value in zip(_COPIED, _copied(estimate)):
+        setattr(message, name, value)

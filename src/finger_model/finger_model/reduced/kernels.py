@@ -396,6 +396,17 @@ def follow(net, par, state, work, before, time, force, table):
         table[i, 2] = state[0].peak_pressure
 
 
+@njit(cache=True)
+def _areas(net, par, state, work, time, force, wanted, out):
+    """Areas of one trial, written where `wanted` says (−1: nowhere); records as arrays of one."""
+    _rest(net[0], par[0], state[0], work[0])
+    for i in range(len(time)):
+        dt = time[i] - time[i - 1] if i else 0.0
+        _advance(net[0], par[0], state[0], work[0], dt, force[i])
+        if wanted[i] >= 0:
+            out[wanted[i]] = _area(net[0], par[0], state[0], work[0])
+
+
 @njit(cache=True, parallel=True)
 def batch(net, par, state, work, time, force, start, wanted, out):
     """Areas out (P, frames) of P parameter sets par (P,) over all trials.
@@ -407,11 +418,16 @@ def batch(net, par, state, work, time, force, start, wanted, out):
     for job in prange(len(par) * trials):
         which = job // trials
         trial = job - which * trials
-        own_state, own_work = np.empty_like(state)[0], np.empty_like(work)[0]
-        _rest(net[0], par[which], own_state, own_work)
-        before = time[start[trial]]
-        for i in range(start[trial], start[trial + 1]):
-            _advance(net[0], par[which], own_state, own_work, time[i] - before, force[i])
-            before = time[i]
-            if wanted[i] >= 0:
-                out[which, wanted[i]] = _area(net[0], par[which], own_state, own_work)
+        # Passed as arrays: a record alone does not keep its memory.
+        own_state, own_work = np.empty_like(state), np.empty_like(work)
+        rows = slice(start[trial], start[trial + 1])
+        _areas(
+            net,
+            par[which : which + 1],
+            own_state,
+            own_work,
+            time[rows],
+            force[rows],
+            wanted[rows],
+            out[which],
+        )
