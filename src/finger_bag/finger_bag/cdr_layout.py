@@ -37,7 +37,7 @@ def cdr_layout(
     itself is the field "NAME.length". padding: bytes behind the last field. Raises InputError for a
     type that holds a sequence.
     """
-    order = "<" if little else ">"
+    order: Any = "<" if little else ">"
     lengths = iter(text_lengths)
     found: dict[str, tuple[Any, int]] = {"encapsulation": ("V4", 0)}
     end = 4
@@ -49,7 +49,8 @@ def cdr_layout(
         end = place + np.dtype(dtype).itemsize
 
     def visit(message: str, prefix: str) -> None:
-        for name, (kind, detail) in typestore().fielddefs[message][1]:
+        fields: Any = typestore().fielddefs[message][1]
+        for name, (kind, detail) in fields:
             if kind == Nodetype.NAME:
                 visit(detail, f"{prefix}{name}.")
                 continue

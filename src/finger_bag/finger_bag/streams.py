@@ -261,7 +261,9 @@ def _trial(message: Any) -> TrialEvent:
     texts = [str(getattr(message, name)) for name in ("session", "subject", "condition")]
     numbers = [int(getattr(message, name)) for name in ("index", "attempt", "phase")]
     stamp = header_stamp(message)
-    return TrialEvent(stamp, *texts, *numbers, float(message.target_force), str(message.note))
+    last = (float(message.target_force), str(message.note))
+    values: Any = (stamp, *texts, *numbers, *last)
+    return TrialEvent(*values)
 
 
 def in_stamp_order(stamps: np.ndarray, *others: np.ndarray) -> Iterator[np.ndarray]:

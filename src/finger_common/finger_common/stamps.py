@@ -4,7 +4,9 @@ messages.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, overload
+
+import numpy as np
 
 NANOSECONDS = 1_000_000_000
 """Nanoseconds in a second."""
@@ -34,8 +36,12 @@ def fill_time(time: Any, stamp_ns: int) -> None:
     time.sec, time.nanosec = divmod(int(stamp_ns), NANOSECONDS)
 
 
-def seconds(duration_ns: int) -> float:
-    """Seconds of a duration in nanoseconds."""
+@overload
+def seconds(duration_ns: int) -> float: ...
+@overload
+def seconds(duration_ns: np.ndarray) -> np.ndarray: ...
+def seconds(duration_ns: Any) -> Any:
+    """Seconds of durations (…) in nanoseconds."""
     return duration_ns / NANOSECONDS
 
 

@@ -45,7 +45,7 @@ def serialize(block: EstimateBlock, frame_id: str = "") -> list[bytes]:
 
 def columns(block: EstimateBlock, start_ns: int) -> dict[str, np.ndarray]:
     """Values (n,) of COLUMNS for a block."""
-    found = {"time_s": seconds(block.column("stamp_ns") - start_ns)}
+    found: dict[str, np.ndarray] = {"time_s": seconds(block.column("stamp_ns") - start_ns)}
     for name, field in _COLUMN_FIELDS.items():
         values = block.column(field.name)
         if field.type == "float64":

@@ -118,5 +118,6 @@ def correct(
         change, start = moved(fit.parameters, start), fit.parameters
         if change < SETTLED:
             break
+    assert problem.correction is not None
     largest = float(np.abs(problem.correction.factor(start) - 1.0).max())
     return fit, Correction(before, best, used, largest)

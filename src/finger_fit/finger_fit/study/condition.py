@@ -157,14 +157,14 @@ class _Stages:
             names = problem.space.quantity_names
             shared = (problem, fit.parameters, fit.cost, fit.covariance)
             fit.profiles = dict(zip(names, self.map("profiles", _profile, shared, names)))
-        shared = (problem, fit.parameters, options.seed)
+        seeded = (problem, fit.parameters, options.seed)
         # The swarm alone does not end at a minimum, so refits cannot measure its bias. Polish and
         # correction do.
         if options.bias_pairs and (options.polish or fit.correction is not None):
-            pairs = self.map("bias", _bias_pair, shared, range(options.bias_pairs))
+            pairs = self.map("bias", _bias_pair, seeded, range(options.bias_pairs))
             fit.bias_corrected = bias_corrected(problem.space, fit.parameters, np.array(pairs))
         if options.bootstrap:
-            samples = self.map("bootstrap", _bootstrap, shared, range(options.bootstrap))
+            samples = self.map("bootstrap", _bootstrap, seeded, range(options.bootstrap))
             fit.samples = np.array(samples)
 
     def map(self, stage: str, function: Any, shared: Any, items: Any) -> list[Any]:

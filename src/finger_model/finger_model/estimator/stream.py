@@ -20,7 +20,8 @@ from finger_common.flags import StateFlag
 from ..reduced import kernels as rk
 from . import area_filter
 
-FLAG: Any = namedtuple("FLAG", StateFlag.__members__)(*map(int, StateFlag))  # type: ignore[arg-type]
+_names: Any = namedtuple("FLAG", StateFlag.__members__)  # type: ignore[misc]
+FLAG: Any = _names(*map(int, StateFlag))
 """The bits of StateFlag as constants of compiled code."""
 
 REMEMBERED = 8192
