@@ -1,4 +1,4 @@
-"""Measure trial simulations per second and core, and say what 1,000 subjects would take. Updates
+"""Measure trial simulations per second and core, and the time for 1,000 subjects. Updates
 docs/scaling.md.
 
     python scripts/throughput.py [--study out/study] [--write]

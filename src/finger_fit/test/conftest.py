@@ -38,7 +38,7 @@ def _areas(parameters, time, force):
                 viscous *= np.exp(-h)
                 viscous += force[i - 1] * (mean - np.exp(-h)) + force[i] * (1 - mean)
             cube = 9 * 0.011 / 16 * (force[i] / E0 + viscous / E1)
-            # A stiff skin flattens area over force, so that E2 can be told from E0 and E1.
+            # A stiff skin flattens area over force, so that E2 is identifiable beside E0 and E1.
             out[p, i] = np.pi * max(cube, 0.0) ** (2 / 3) / (1 + 0.2e-6 * E2 * force[i])
     return out
 

@@ -26,8 +26,7 @@ def test_shared_parameter_is_found_and_equal_in_all_conditions(double) -> None:
 
 def test_thickness_enters_as_a_ratio_of_areas_and_is_found(double) -> None:
     problem = double.make_problem(trials=6)
-    # A thicker skin flattens area at low force more: what the full-order model would say, in a
-    # formula.
+    # A thicker skin flattens area at low force more: a formula in place of full-order runs.
     x = np.log(np.array(THICKNESS_FACTORS))[:, None]
     log_ratio = -0.3 * x * np.exp(-problem.force) - 0.1 * x**2
     h0 = 0.6e-3

@@ -127,7 +127,7 @@ def test_profile_is_least_at_the_best_and_brackets_the_truth(fitted, name: str) 
     low, high = p.interval
     assert low < quantity(name, fitted.fit.parameters) < high
     assert low <= quantity(name, fitted.truth) <= high
-    # Near the minimum the profile is the parabola the covariance says.
+    # Near the minimum the profile is the parabola of the covariance.
     assert np.log(high / low) == pytest.approx(2 * 2.14 * fitted.found.deviation(name), rel=0.5)
 
 

@@ -112,12 +112,11 @@ def correct(
         used += 1
         if moved(start, slope_at) > FAR:
             slope, slope_at = None, start
-        problem.correction = correction_around(problem, start, better, slope, done)
-        slope = problem.correction.slope
+        correction = correction_around(problem, start, better, slope, done)
+        problem.correction, slope = correction, correction.slope
         fit = refine(problem, all_free(problem), start)
         change, start = moved(fit.parameters, start), fit.parameters
         if change < SETTLED:
             break
-    assert problem.correction is not None
-    largest = float(np.abs(problem.correction.factor(start) - 1.0).max())
+    largest = float(np.abs(correction.factor(start) - 1.0).max())
     return fit, Correction(before, best, used, largest)

@@ -1,4 +1,4 @@
-"""Progress of a fit: what a caller hears of its stages, and the time that they take."""
+"""Progress of a fit: what a caller learns of its stages, and the time that they take."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ class Progress:
     def rounds(self, stage: str) -> Callable[[int, int, float, np.ndarray], None]:
         """Callback of a stage that improves the best: round, rounds, best cost, best parameters."""
 
-        def tell(number: int, rounds: int, cost: float, best: np.ndarray) -> None:
+        def update(number: int, rounds: int, cost: float, best: np.ndarray) -> None:
             self._cost, self._best = cost, best
             if self._report is not None:
                 self._report(self.condition, stage, number, rounds, cost, best)
 
-        return tell
+        return update
 
     def count(self, stage: str) -> Callable[[int, int], None]:
         """Callback of a stage of independent pieces: pieces done, pieces in all."""
