@@ -20,7 +20,6 @@ from finger_common.errors import DeviceError
 from . import units
 
 DEFAULT_BASE = 0x20
-DEFAULT_BITRATE = 250_000
 
 READ_GAUGES = 0x0
 READ_MATRIX = 0x2
