@@ -303,14 +303,14 @@ def parser() -> argparse.ArgumentParser:
     record.add_argument("--split-size", type=int, default=0, metavar="BYTES")
     record.add_argument("--split-duration", type=float, default=0.0, metavar="S")
 
-    mend = command(
+    recover = command(
         "recover",
         _recover,
-        "Write what can be read of a damaged bag into a whole one.",
+        "Write what can be read of a damaged bag into a complete one.",
         "finger-bag recover session1 -o session1_recovered",
     )
-    mend.add_argument("bag", metavar="BAG")
-    mend.add_argument("-o", "--output", help="bag to write (default: BAG_recovered)")
+    recover.add_argument("bag", metavar="BAG")
+    recover.add_argument("-o", "--output", help="bag to write (default: BAG_recovered)")
 
     hide = command(
         "anonymise",

@@ -1,4 +1,4 @@
-"""How somebody else's bag is read: other topic names, units, fields and axes, from a YAML file.
+"""How a bag of another system is read: other topic names, units, fields and axes, from a YAML file.
 
     topics:
       wrench: {topic: /ft_sensor/wrench, unit: N}
@@ -76,7 +76,7 @@ class TopicMapping:
     trial: Mapping[str, str] = field(default_factory=dict)
 
     def topic(self, name: str) -> MappedTopic:
-        """Entry of a stream, an empty one when the file says nothing of it."""
+        """Entry of a stream, an empty one when the file does not name it."""
         return self.topics.get(name, MappedTopic())
 
     @classmethod

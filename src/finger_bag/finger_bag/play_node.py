@@ -75,12 +75,12 @@ def play(
         node = rclpy.create_node("bag_player")
         publishers = _publishers(node, reader, topics, reliability)
         clock_publisher = node.create_publisher(Clock, "/clock", 10) if clock else None
-        message, told = Clock(), 0.0
+        message, published = Clock(), 0.0
 
         def publish_clock(bag_time_ns: int) -> None:
-            nonlocal told
-            if clock_publisher is not None and time.perf_counter() - told >= 0.9 * CLOCK_TICK:
-                told = time.perf_counter()
+            nonlocal published
+            if clock_publisher is not None and time.perf_counter() - published >= 0.9 * CLOCK_TICK:
+                published = time.perf_counter()
                 fill_time(message.clock, bag_time_ns)
                 clock_publisher.publish(message)
 

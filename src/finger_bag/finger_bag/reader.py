@@ -1,7 +1,7 @@
 """Reading bags: rosbag2 folders (MCAP, sqlite3, compressed or not), bare MCAP and sqlite3 files.
 
 Reading is streaming and honest: messages come in the order of their log time, one chunk (or a few,
-where chunks overlap in time) is in memory at once, and whatever cannot be read is left out and
+where chunks overlap in time) is in memory at once, and what cannot be read is left out and
 listed in `BagReader.problems`.
 """
 
@@ -40,7 +40,7 @@ _UNPACKED_FREE = 1 << 30
 
 @dataclass
 class TopicInfo:
-    """A topic of a bag. `count` is None where it is not known without reading the whole bag."""
+    """A topic of a bag. `count` is None where it is not known without reading the bag."""
 
     name: str
     type: str
@@ -195,7 +195,7 @@ class BagReader:
             raise InputError(f"{self.path}: none of its files can be read ({self.problems[-1]})")
 
     def _unpacked(self, file: Path) -> Path:
-        """The file itself, or a temporary copy when rosbag2 compressed it as a whole."""
+        """The file itself, or a temporary copy when rosbag2 compressed the file."""
         if file.suffix != ".zstd":
             return file
         if self._temporary is None:
@@ -324,7 +324,7 @@ class BagReader:
         """Absolute name in this bag of a topic of the schema, such as "wrench"; None when it is
         absent.
 
-        namespace: where to look, "/" for no namespace; empty: wherever it is. Raises InputError
+        namespace: of the topic, "/" for no namespace; empty: any. Raises InputError
         when the bag holds it under several namespaces.
         """
         if name.startswith("/") or namespace:

@@ -300,8 +300,7 @@ class Recorder:
         except (FingerError, OSError, struct.error, MemoryError) as error:
             detail = getattr(error, "strerror", None) or str(error)
             self._end(
-                f"{writer.path}: recording ended ({detail}); "
-                "'finger-bag recover' makes the bag whole if it is not"
+                f"{writer.path}: recording ended ({detail}); 'finger-bag recover' completes the bag"
             )
             self._cut(writer, good)
 
@@ -311,7 +310,7 @@ class Recorder:
 
     @staticmethod
     def _cut(writer: BagWriter, good: tuple[int, int]) -> None:
-        """Leave only whole records: the file as it was after the last flush."""
+        """Leave only complete records: the file as it was after the last flush."""
         files, length = good
         path = writer.path / writer.files[-1]
         with suppress(OSError):

@@ -158,7 +158,7 @@ class RecorderNode(ManagedNode):
     def _subscribe(self, topic: str, reliable: bool) -> None:
         kind, latched, _ = self._topics[topic]
         if latched:
-            # Deeper than those of other readers: several messages may come between two looks.
+            # Deeper than those of other readers: several messages may come between two polls.
             qos = copy.copy(LATCHED_QOS)
             qos.depth = max(qos.depth, math.ceil(50.0 * self.values["buffer_time"]))
             self._latched.setdefault(topic, deque(maxlen=latched))
@@ -197,8 +197,8 @@ class RecorderNode(ManagedNode):
                 gaps.add(stamp_of_cdr(cdr))
             self._health.sample()
 
-    def _look_for_events(self) -> None:
-        """What the middleware lost on the way, and publishers it does not connect."""
+    def _check_middleware(self) -> None:
+        """Note what the middleware lost, and publishers that it does not connect."""
         for topic, (subscription, _) in self._subs.items():
             lost = subscription.newly_lost()
             if lost and self._recorder.recording:
@@ -213,7 +213,7 @@ class RecorderNode(ManagedNode):
                 )
 
     def _each_second(self) -> None:
-        self._look_for_events()
+        self._check_middleware()
         recorder = self._recorder
         lost = recorder.lost
         notes = self._health.notes
@@ -283,7 +283,7 @@ class RecorderNode(ManagedNode):
         topics = {t: kind for t, (kind, _, _) in self._topics.items()}
         # What came before the start does not belong to the bag.
         self._poll()
-        self._look_for_events()
+        self._check_middleware()
         self._gaps = {t: StampGaps() for t, (_, _, stream) in self._topics.items() if stream}
         self._announced.clear()
         self._health.recovered()
@@ -299,7 +299,7 @@ class RecorderNode(ManagedNode):
 
     def _finish(self) -> Any:
         self._poll()
-        self._look_for_events()
+        self._check_middleware()
         result = self._recorder.stop()
         missing = {t: g.missing for t, g in self._gaps.items() if g.missing}
         self.get_logger().info(

@@ -3,8 +3,8 @@
     for item in replay(reader, ReplaySettings(rate=2.0)):
         print(item.message.topic, item.lateness)
 
-Spacing is that of the log time. Between two messages the iterator sleeps; it never skips one: when
-what takes them is slow, messages come late, and `lateness` says by how much.
+Spacing is that of the log time. Between two messages the iterator sleeps. It never skips one: for a
+slow consumer messages come late, and `lateness` is the delay.
 """
 
 from __future__ import annotations

@@ -2,9 +2,8 @@
 
 A bag is a rosbag2 folder (NAME/metadata.yaml, NAME/NAME_0.mcap, …) whose MCAP files follow the
 "ros2" profile. All trials of a session may be in one bag, or each trial in its own; `trial`
-messages tell them apart in both cases. A metadata record `finger_session` says whose finger, which
-condition and which software; calibration files travel as attachments. docs/bags.md is the page for
-users.
+messages separate them in both cases. A metadata record `finger_session` names subject, condition
+and software; calibration files are attachments. docs/bags.md is the page for users.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ class TopicSpec:
     name: str
     type: str
     rate: float | None
-    """Hz, None where messages come when something happens."""
+    """Hz, None for messages on events."""
     latched: int = 0
     """Messages kept for those who come later."""
     needed: bool = False

@@ -6,8 +6,9 @@ fails.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -89,6 +90,12 @@ class CheckedBag:
     settings: ReadSettings
 
 
+@cache
+def installed_checks() -> dict[str, Callable[[CheckedBag, Validation], None]]:
+    """Checks of installed packages by name; looked for once, as that takes tens of milliseconds."""
+    return {name: CHECKS.load(name) for name in CHECKS.names()}
+
+
 def validate(
     path: str | Path, settings: ReadSettings | None = None, limits: Limits | None = None
 ) -> Validation:
@@ -106,9 +113,9 @@ def validate(
         _check_file(reader, streams.problems, result)
         _check_streams(streams, settings, limits, result)
         _check_calibration(reader, streams, result)
-        for name in CHECKS.names():
-            CHECKS.load(name)(CheckedBag(reader, streams, settings), result)
-        if "trials" not in CHECKS.names():
+        for check in installed_checks().values():
+            check(CheckedBag(reader, streams, settings), result)
+        if "trials" not in installed_checks():
             result.add("trials", NOTE, "not checked; install finger_offline")
     return result
 

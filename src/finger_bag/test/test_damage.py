@@ -17,6 +17,7 @@ import mutations
 import numpy as np
 import pytest
 import yaml
+from recorded_messages import read_all
 from session_bags import START, wrench, write_session
 
 from finger_bag.copying import anonymise, recover
@@ -28,19 +29,6 @@ from finger_common.errors import InputError
 from finger_offline.trials import load_trials
 
 SECONDS_PER_BAG = 10.0
-
-
-def read_all(path: Path) -> tuple[int, list[str]]:
-    """Messages that decode, and problems."""
-    good = 0
-    with open_bag(path) as reader:
-        for item in reader.messages():
-            try:
-                assert item.message is not None
-                good += 1
-            except InputError:
-                pass
-        return good, reader.all_problems()
 
 
 def outcome(path: Path, folder: Path) -> str:
@@ -189,7 +177,7 @@ MEASURED = """
 import resource, sys, time
 from pathlib import Path
 sys.path.insert(0, sys.argv[2])
-from test_damage import read_all
+from recorded_messages import read_all
 from finger_common.errors import InputError
 base = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 began = time.process_time()

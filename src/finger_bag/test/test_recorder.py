@@ -13,23 +13,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from session_bags import START, image, wrench
+from recorded_messages import IMAGE, WRENCH, serialized
+from session_bags import START, image
 
 from finger_bag.copying import recover
 from finger_bag.definitions import encode
 from finger_bag.reader import open_bag
 from finger_bag.recorder import Recorder, RecorderSettings, Serialized, StampGaps
 from finger_common.errors import InputError
-from finger_offline.image_areas import grey_image
-
-WRENCH = "geometry_msgs/msg/WrenchStamped"
-IMAGE = "sensor_msgs/msg/Image"
-
-
-def serialized(number: int, topic: str = "/finger/wrench") -> Serialized:
-    stamp = START + number * 2_000_000
-    cdr = encode(WRENCH, wrench(stamp, 0.001 * number))
-    return Serialized(topic, WRENCH, cdr, stamp + 1000, stamp + 500, number)
 
 
 def test_everything_put_in_is_in_the_bag_as_it_came(tmp_path: Path) -> None:
@@ -70,6 +61,8 @@ def test_what_does_not_fit_the_queue_is_counted_as_lost(tmp_path: Path) -> None:
 
 
 def test_images_are_stored_as_png_without_loss(tmp_path: Path) -> None:
+    from finger_offline.image_areas import grey_image
+
     recorder = Recorder(RecorderSettings(png=True))
     recorder.start(tmp_path / "bag")
     pixels = np.random.default_rng(0).integers(0, 255, (48, 64), dtype=np.uint8)
@@ -120,7 +113,7 @@ signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
 import time
 from finger_bag.recorder import Recorder, RecorderSettings
-from test_recorder import serialized
+from recorded_messages import serialized
 recorder = Recorder(RecorderSettings(flush_interval=0.05, compression="none"))
 recorder.start(sys.argv[1])
 for i in range(20000):
@@ -152,7 +145,7 @@ from finger_bag.recorder import Recorder
 from finger_bag.definitions import encode
 from finger_bag.recorder import Serialized
 from session_bags import image
-from test_recorder import serialized, IMAGE
+from recorded_messages import serialized, IMAGE
 recorder = Recorder()
 recorder.start(sys.argv[1])
 with open(sys.argv[3], "r+b") as file:

@@ -45,7 +45,7 @@ def serialize(block: EstimateBlock, frame_id: str = "") -> list[bytes]:
 
 def columns(block: EstimateBlock, start_ns: int) -> dict[str, np.ndarray]:
     """Values (n,) of COLUMNS for a block."""
-    found: dict[str, np.ndarray] = {"time_s": seconds(block.column("stamp_ns") - start_ns)}
+    found = {"time_s": seconds(block.column("stamp_ns") - start_ns)}
     for name, field in _COLUMN_FIELDS.items():
         values = block.column(field.name)
         if field.type == "float64":
@@ -61,7 +61,8 @@ def open_table(path: str) -> Iterator[Callable[[EstimateBlock], None]]:
     """Function that appends a block of estimates to a CSV file.
 
     The file takes its name only when the `with` ends without an error. Raises InputError for
-    another suffix, or when the file cannot be written."""
+    another suffix, or when the file cannot be written.
+    """
     if Path(path).suffix != ".csv":
         raise InputError(f"{path}: name a .csv file")
     start: list[int] = []

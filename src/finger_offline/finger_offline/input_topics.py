@@ -37,9 +37,9 @@ class InputTopics:
             raise missing(reader, "image_raw")
         recorded = find_topic(reader, "model_events", options)
         follow = find_used(reader, "model_events", options) and not options.is_own()
-        replaced = {beside(wrench, "contact_state")}
+        replaced = {sibling(wrench, "contact_state")}
         if from_images:
-            replaced |= {beside(wrench, "contact_area"), area or ""}
+            replaced |= {sibling(wrench, "contact_area"), area or ""}
         if not follow:
             replaced.add(recorded or "")
         return cls(
@@ -57,6 +57,6 @@ class InputTopics:
         return [topic for topic in topics if topic is not None]
 
 
-def beside(topic: str, name: str) -> str:
+def sibling(topic: str, name: str) -> str:
     """Topic of a name in the namespace of another topic."""
     return topic.rpartition("/")[0] + "/" + name

@@ -20,7 +20,7 @@ from finger_vision.area_sensor import ContactMeasurement
 
 from .contact_states import serialize
 from .image_areas import area_fields
-from .input_topics import InputTopics, beside
+from .input_topics import InputTopics, sibling
 from .process_options import ProcessOptions
 
 IMAGE_TYPES = {TOPICS[name].type for name in ("image_raw", "image_raw/compressed")}
@@ -46,9 +46,9 @@ class OutputBag:
             "areas_from": "contact_area" if topics.image is None else "images",
         }
         self._reader, self._options = reader, options
-        self._state_topic = beside(topics.wrench, "contact_state")
-        self._area_topic = beside(topics.wrench, "contact_area")
-        self._event_topic = beside(topics.wrench, "model_events")
+        self._state_topic = sibling(topics.wrench, "contact_state")
+        self._area_topic = sibling(topics.wrench, "contact_area")
+        self._event_topic = sibling(topics.wrench, "model_events")
         self._skipped = set(topics.replaced)
         self._announced: set[tuple[str, str]] = set()
         self.left_out: dict[tuple[str, str], str] = {}

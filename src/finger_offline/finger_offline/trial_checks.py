@@ -92,7 +92,7 @@ def _check_lateral(found: TrialSet, result: Validation) -> None:
 def _check_sync(found: TrialSet, result: Validation) -> None:
     lags = [lag for t in found if (lag := force_image_lag(t)) is not None]
     if not lags:
-        result.add("sync of force and image", NOTE, "cannot be told: no areas over a rising force")
+        result.add("sync of force and image", NOTE, "unknown: no areas over a rising force")
         return
     lag = float(np.median(lags))
     status = OK if abs(lag) <= MAXIMUM_LAG else FAIL

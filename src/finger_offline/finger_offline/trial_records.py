@@ -55,7 +55,7 @@ class TrialRecord:
 
 @dataclass(frozen=True)
 class Exclusion:
-    """A press or trial that was left out, and the reason in words."""
+    """A press or trial that was left out, and the reason."""
 
     bag: str
     condition: str
