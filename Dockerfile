@@ -1,5 +1,4 @@
-# Finger contact suite on Ubuntu 24.04 with ROS 2 Jazzy from apt. Written for those who have a container engine;
-# it was not built where the suite was developed.
+# Finger contact suite on Ubuntu 24.04 with ROS 2 Jazzy from apt. Building it has not been tested.
 #
 #   docker build -t finger-contact .
 #   docker run --rm -it --network host finger-contact finger-rig up --simulated
@@ -13,11 +12,13 @@ RUN apt-get update && apt-get install -y --no-install-recommends \
 WORKDIR /finger
 COPY requirements.txt ./
 # Ubuntu 24.04 refuses pip outside a virtual environment (PEP 668); this one sees apt's rclpy.
-RUN python3 -m venv --system-site-packages venv && venv/bin/pip install --no-cache-dir -r requirements.txt colcon-common-extensions
+RUN python3 -m venv --system-site-packages venv \
+    && venv/bin/pip install --no-cache-dir -r requirements.txt colcon-common-extensions
 
 COPY . .
 RUN . /opt/ros/jazzy/setup.sh && . venv/bin/activate && python -m colcon build --base-paths src \
-    && printf '#!/bin/sh\n. /opt/ros/jazzy/setup.sh\n. /finger/venv/bin/activate\n. /finger/install/setup.sh\nexec "$@"\n' > /entry.sh \
+    && printf '%s\n' '#!/bin/sh' '. /opt/ros/jazzy/setup.sh' '. /finger/venv/bin/activate' \
+         '. /finger/install/setup.sh' 'exec "$@"' > /entry.sh \
     && chmod +x /entry.sh
 
 ENTRYPOINT ["/entry.sh"]

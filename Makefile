@@ -17,11 +17,13 @@ help:
 	@echo "make setup        only set up the environment in $(ENV)"
 
 setup:
-	@command -v $(PYTHON) >/dev/null || { echo "setup: $(PYTHON) not found: install Python 3.10 to 3.13 or name one with PYTHON=…" >&2; exit 2; }
+	@command -v $(PYTHON) >/dev/null || { echo "setup: $(PYTHON) not found:" \
+	  "install Python 3.10 to 3.13 or name one with PYTHON=…" >&2; exit 2; }
 	@$(PYTHON) scripts/setup_env.py --env $(ENV)
 
 setup-test:
-	@command -v $(PYTHON) >/dev/null || { echo "setup: $(PYTHON) not found: install Python 3.10 to 3.13 or name one with PYTHON=…" >&2; exit 2; }
+	@command -v $(PYTHON) >/dev/null || { echo "setup: $(PYTHON) not found:" \
+	  "install Python 3.10 to 3.13 or name one with PYTHON=…" >&2; exit 2; }
 	@$(PYTHON) scripts/setup_env.py --env $(ENV) --test
 
 demo: setup

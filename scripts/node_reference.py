@@ -296,6 +296,15 @@ def yaml_text(value: Any) -> str:
     return text.removesuffix("\n...\n").strip()
 
 
+def entry(parameter: Parameter) -> str:
+    """One key with its default; a list that does not fit on a line has one item on each."""
+    line = f"    {parameter.name}: {yaml_text(parameter.default)}"
+    if len(line) <= 100 or not isinstance(parameter.default, (list, tuple)):
+        return line
+    items = [f"      - {yaml_text(item)}" for item in parameter.default]
+    return "\n".join([f"    {parameter.name}:", *items])
+
+
 def rig_file() -> str:
     """Text of config/rig.yaml."""
     lines = [
@@ -312,7 +321,7 @@ def rig_file() -> str:
         for parameter in [*own_parameters(node.cls), *NodeSettings.parameters()]:
             if parameter.name == "autostart":
                 continue  # set by the launch files and finger-rig
-            lines += [comment(parameter), f"    {parameter.name}: {yaml_text(parameter.default)}"]
+            lines += [comment(parameter), entry(parameter)]
     return "\n".join(lines) + "\n"
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -41,7 +42,7 @@ def test_every_key_of_the_rig_file_is_a_checked_parameter_with_its_comment(
         cls.parameter_table().check(section["ros__parameters"])
     lines = text.splitlines()
     for number, line in enumerate(lines):
-        if line.startswith("    ") and not line.lstrip().startswith("#"):
+        if re.match(r"    \w", line):
             assert lines[number - 1].lstrip().startswith("#"), f"line {number + 1}: {line}"
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import subprocess
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from pathlib import Path
@@ -205,3 +206,47 @@ def test_setup_files_are_alike_and_take_all_facts_from_package_xml(project_root:
     texts = {file.read_text() for file in project_root.glob("src/*/setup.py")}
     assert len(texts) == 1
     assert 'ElementTree.parse("package.xml")' in texts.pop()
+
+
+WIDTH = 100
+"""Columns of a line of text, in characters."""
+
+NOT_WRAPPED = {".json", ".csv", ".svg", ".py"}
+"""Files of programs and of numbers; ruff checks Python."""
+
+EXCEPTIONS = (
+    "README.md",
+    "docs/architecture.md",
+    "src/finger_bringup/config/plotjuggler_layout.xml",
+    "src/finger_operator/finger_operator/page/static/",
+)
+"""Beginnings of the names of further files that are not checked."""
+
+
+def long_lines(file: Path) -> list[int]:
+    """Numbers of the lines that are too long; tables, links and files of programs may have any."""
+    try:
+        text = file.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        return []
+    return [
+        number
+        for number, line in enumerate(text.splitlines(), 1)
+        if len(line) > WIDTH and not line.lstrip().startswith("|") and "://" not in line
+    ]
+
+
+def test_lines_of_text_files_are_at_most_100_characters(project_root: Path) -> None:
+    listed = subprocess.run(
+        ["git", "-C", str(project_root), "ls-files"], capture_output=True, text=True, check=False
+    )
+    if listed.returncode:
+        pytest.skip("the files are not in a git checkout")
+    found = [
+        f"{name}:{number}"
+        for name in listed.stdout.splitlines()
+        if Path(name).suffix not in NOT_WRAPPED and (project_root / name).is_file()
+        if not name.startswith(EXCEPTIONS)
+        for number in long_lines(project_root / name)
+    ]
+    assert not found, found
