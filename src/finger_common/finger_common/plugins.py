@@ -1,23 +1,39 @@
 """Parts of the suite that other packages can add: installed objects found by entry point.
 
 A group is a name such as "finger_driver.force"; an entry of it in a package's metadata, ``name =
-module:object``, makes the object known under that name. Nothing in the suite is edited to add one.
+module:object``, makes the object known under that name. Nothing in the suite is edited to add one,
+and the suite's own parts are registered in the same way.
 """
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Mapping
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any
+from typing import Any, Generic, TypeVar
 
+from .cli import one_line
 from .errors import InputError
+from .settings import Settings, parameters_of, setting
+
+P = TypeVar("P")
+
+
+def _derives(found: Any, base: type) -> bool:
+    # `issubclass` does not take a Protocol that has attributes.
+    return isinstance(found, type) and base in found.__mro__
 
 
 class Plugins:
-    """The installed objects of one entry-point group. `what` names a member in error sentences."""
+    """The installed objects of one entry-point group.
 
-    def __init__(self, group: str, what: str) -> None:
+    what: a member in error sentences. base: class from which every member derives, if any.
+    """
+
+    def __init__(self, group: str, what: str, base: type | None = None) -> None:
         self.group = group
         self.what = what
+        self.base = base
         self._loaded: dict[str, Any] = {}
 
     def _found(self) -> dict[str, EntryPoint]:
@@ -28,9 +44,7 @@ class Plugins:
         return tuple(sorted(self._found()))
 
     def load(self, name: str) -> Any:
-        """The object of that name; raises InputError for an unknown name or one whose import
-        fails.
-        """
+        """The object of that name; raises InputError where it is unknown or cannot be used."""
         if name not in self._loaded:
             found = self._found()
             if name not in found:
@@ -40,10 +54,94 @@ class Plugins:
                     f"'{self.group}')"
                 )
             try:
-                self._loaded[name] = found[name].load()
+                loaded = found[name].load()
             except Exception as error:
                 raise InputError(
                     f"{self.what} '{name}' ({found[name].value}) cannot be imported: "
                     f"{error}; install what it needs or remove its package"
                 ) from error
+            self._check(name, loaded)
+            self._loaded[name] = loaded
         return self._loaded[name]
+
+    def _check(self, name: str, loaded: Any) -> None:
+        if self.base is not None and not _derives(loaded, self.base):
+            raise InputError(
+                f"{self.what} '{name}': {loaded!r} is not a subclass of {self.base.__name__}; "
+                "correct its entry point or remove its package"
+            )
+
+
+class PluginKind(Plugins, Generic[P]):
+    """Installed classes of which a node or a command uses one, chosen by a setting.
+
+    base: their base class; its attribute SETTINGS is a `Settings` class, from which the SETTINGS of
+    every member derives. choice: name of the setting that chooses. default: name of the member that
+    is used where none is chosen.
+    """
+
+    def __init__(self, group: str, what: str, base: type[P], choice: str, default: str) -> None:
+        super().__init__(group, what, base)
+        self.choice = choice
+        self.default = default
+        self._base_settings: type[Settings] = base.SETTINGS  # type: ignore[attr-defined]
+        self.problems: dict[str, str] = {}
+        """Reason why a member cannot be used, by its name; filled by `settings`."""
+
+    def _check(self, name: str, loaded: Any) -> None:
+        super()._check(name, loaded)
+        if not _derives(loaded.SETTINGS, self._base_settings):
+            raise InputError(
+                f"{self.what} '{name}': {loaded.__name__}.SETTINGS is not a subclass of "
+                f"{self._base_settings.__name__}; correct it or remove its package"
+            )
+
+    def settings(self, *beside: type[Settings]) -> tuple[type[Settings], ...]:
+        """The choice, then the settings of every member, for a node that has `beside` too.
+
+        A member that cannot be imported or whose settings contradict those of another is left out;
+        `problems` holds the reason. The default comes first: no other member displaces it. Raises
+        InputError where no member is installed.
+        """
+        names = self.names()
+        if not names:
+            raise InputError(
+                f"no {self.what} is installed (entry points of '{self.group}'); install "
+                f"{self.group.split('.')[0]} again, with pip or colcon"
+            )
+        self.problems = {}
+        found: dict[str, type[Settings]] = {}
+        for name in sorted(names, key=lambda n: n != self.default):
+            try:
+                candidate = self.load(name).SETTINGS
+                parameters_of(*beside, *found.values(), candidate)
+                found[name] = candidate
+            except InputError as error:
+                self.problems[name] = one_line(error)
+            except Exception as error:
+                # Whatever an outside package declares wrongly must not stop the other members.
+                self.problems[name] = f"{self.what} '{name}': settings: {one_line(error)}"
+        kinds = ", ".join(f"{n} ({title_of(self.load(n))})" for n in sorted(found))
+        choice = setting(self.default, f"Kind of {self.what}: {kinds}.", choices=names)
+        fields = [(self.choice, str, choice)]
+        made = dataclasses.make_dataclass("Choice", fields, bases=(Settings,), frozen=True)
+        return (made, *found.values())
+
+    def open(self, values: Mapping[str, Any], *arguments: Any) -> P:
+        """The chosen member, made with its settings and then `arguments`.
+
+        values: the choice and the settings by name, defaults where absent; those of others are
+        ignored. Raises InputError for a member or a setting that cannot be used.
+        """
+        name = str(values.get(self.choice, self.default))
+        if name in self.problems:
+            raise InputError(self.problems[name])
+        cls = self.load(name)
+        made: P = cls(cls.SETTINGS.select(values), *arguments)
+        return made
+
+
+def title_of(cls: type) -> str:
+    """First sentence of a class's docstring, without its full stop."""
+    text = " ".join((cls.__doc__ or cls.__name__).split())
+    return text.split(". ")[0].rstrip(".")

@@ -55,6 +55,7 @@ def setting(
     return dataclasses.field(default=default, metadata={_KEY: described})
 
 
+@dataclasses.dataclass(frozen=True)
 class Settings:
     """Base of frozen dataclasses of described fields. Construction checks every value
     (InputError).

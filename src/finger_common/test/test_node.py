@@ -48,45 +48,6 @@ sys.exit(run_node(Gauge))
 """
 
 
-PLUGIN_NODE = """
-import sys
-from dataclasses import dataclass
-from finger_common.errors import InputError
-from finger_common.node import ManagedNode, run_node
-from finger_common.settings import Settings, setting
-
-@dataclass(frozen=True)
-class Choice(Settings):
-    part: str = setting("plain", "Which part.")
-
-@dataclass(frozen=True)
-class Plain(Settings):
-    gain: float = setting(1.0, "Gain.", maximum=10.0)
-
-@dataclass(frozen=True)
-class Wide(Settings):
-    gain: float = setting(50.0, "Gain.", maximum=100.0)
-    width: float = setting(3.0, "Width.")
-
-class Parts:
-    def load(self, name):
-        if name not in ("plain", "wide"):
-            raise InputError(f"part '{name}' is not installed")
-        return type("Part", (), {"SETTINGS": Plain if name == "plain" else Wide})
-
-class Holder(ManagedNode):
-    NAME = "holder"
-    SETTINGS = (Choice,)
-    PLUGINS = {"part": Parts()}
-    def configure(self):
-        names = [n for n in ("gain", "width") if n in self.values]
-        text = ", ".join(f"{n} {self.values[n]:g}" for n in names)
-        self.get_logger().info(f"configured: {self.values['part']}, {text}")
-
-sys.exit(run_node(Holder))
-"""
-
-
 def wait_for(condition: Callable[[], Any], spin: Callable[[], None], seconds: float = 90) -> Any:
     end = time.monotonic() + seconds
     while time.monotonic() < end:
@@ -180,37 +141,6 @@ def test_failed_configuration_leaves_the_node_up_to_try_again(
     assert call(node, spin, SetParameters, "/gauge/set_parameters", request).results[0].successful
     change = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_CONFIGURE))
     assert call(node, spin, ChangeState, "/gauge/change_state", change).success
-
-
-def test_a_chosen_plugin_brings_its_own_parameters(
-    observer: Any, process: Any, tmp_path: Path
-) -> None:
-    from lifecycle_msgs.msg import Transition
-    from lifecycle_msgs.srv import ChangeState
-    from rcl_interfaces.msg import Parameter, ParameterValue
-    from rcl_interfaces.srv import SetParameters
-
-    node, spin = observer
-    script = tmp_path / "holder.py"
-    script.write_text(PLUGIN_NODE)
-    child = process(script, "--ros-args", "-p", "part:=absent", "-p", "width:=7.0")
-    wait_for(lambda: "part 'absent' is not installed" in child.output.read_text(), spin)
-
-    def configure_with(part: str) -> None:
-        value = ParameterValue(type=4, string_value=part)
-        request = SetParameters.Request(parameters=[Parameter(name="part", value=value)])
-        results = call(node, spin, SetParameters, "/holder/set_parameters", request).results
-        assert results[0].successful
-        change = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_CONFIGURE))
-        assert call(node, spin, ChangeState, "/holder/change_state", change).success
-
-    configure_with("plain")
-    assert "configured: plain, gain 1\n" in child.output.read_text()
-    back = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_CLEANUP))
-    assert call(node, spin, ChangeState, "/holder/change_state", back).success
-    # A parameter of the same name is the new plugin's; a value given at the start still counts.
-    configure_with("wide")
-    assert "configured: wide, gain 50, width 7\n" in child.output.read_text()
 
 
 def test_parameter_file_that_is_not_yaml_ends_with_one_sentence(

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib.metadata import EntryPoint
 
 import pytest
 
 from finger_common.cli import Parser, add_settings, settings_from
 from finger_common.errors import InputError
-from finger_common.plugins import Plugins
+from finger_common.plugins import PluginKind, Plugins
 from finger_common.retry import Pauses
 from finger_common.settings import Settings, parameters_of, setting
 
@@ -85,6 +86,84 @@ def test_an_unknown_plugin_is_named_with_those_installed() -> None:
         InputError, match=r"console script 'x' is not installed; known are .*pytest"
     ):
         Plugins("console_scripts", "console script").load("x")
+
+
+class Gauge:
+    """A gauge. Further sentences."""
+
+    SETTINGS: type[Settings] = Settings
+
+    def __init__(self, settings: Settings, place: str) -> None:
+        self.settings, self.place = settings, place
+
+
+class PollGauge(Gauge):
+    """Polled gauge."""
+
+    SETTINGS = Poll
+
+
+def gauges(monkeypatch: pytest.MonkeyPatch, **members: object) -> PluginKind[Gauge]:
+    """A kind whose installed members are these; the default is "poll"."""
+    entries = {}
+    for name, member in members.items():
+        entries[name] = EntryPoint(name, f"{__name__}:{name}", "gauges")
+        monkeypatch.setitem(globals(), name, member)
+    kind = PluginKind("gauges", "gauge", Gauge, choice="gauge", default="poll")
+    monkeypatch.setattr(kind, "_found", lambda: entries)
+    return kind
+
+
+def test_a_kind_has_the_settings_of_all_installed_and_opens_the_chosen(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    kind = gauges(monkeypatch, poll=PollGauge, plain=Gauge)
+    table = parameters_of(*kind.settings())
+    assert table["gauge"].choices == ("plain", "poll") and table["gauge"].default == "poll"
+    assert table["gauge"].meaning == "Kind of gauge: plain (A gauge), poll (Polled gauge)."
+    assert [p.name for p in table] == ["gauge", *(p.name for p in Poll.parameters())]
+    opened = kind.open({"rate": 20.0, "other": 1}, "bench")
+    assert opened.settings == Poll(rate=20.0) and opened.place == "bench"
+    assert type(kind.open({"gauge": "plain"}, "")) is Gauge
+    with pytest.raises(InputError, match="7000"):
+        kind.open({"rate": 1e9}, "")
+
+
+def test_a_member_that_contradicts_is_left_out_and_never_displaces_the_default(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    @dataclass(frozen=True)
+    class Other(Settings):
+        rate: float = setting(10.0, "Another rate.")
+
+    @dataclass(frozen=True)
+    class NodesOwn(Settings):
+        station: str = setting("", "Where the node is.")
+
+    @dataclass(frozen=True)
+    class Station(Settings):
+        station: int = setting(1, "Number of the radio station.")
+
+    kind = gauges(
+        monkeypatch,
+        a_contradiction=type("Contradiction", (Gauge,), {"SETTINGS": Other}),
+        b_the_nodes=type("TheNodes", (Gauge,), {"SETTINGS": Station}),
+        c_no_class=print,
+        d_no_settings=type("NoSettings", (Gauge,), {"SETTINGS": None}),
+        poll=PollGauge,
+    )
+    table = parameters_of(NodesOwn, *kind.settings(NodesOwn))
+    assert table["rate"].default == 500.0 and table["station"].default == ""
+    expected = {
+        "a_contradiction": "'rate' is declared twice",
+        "b_the_nodes": "'station' is declared twice",
+        "c_no_class": "is not a subclass of Gauge",
+        "d_no_settings": "SETTINGS is not a subclass of Settings",
+    }
+    assert set(kind.problems) == set(expected)
+    for name, words in expected.items():
+        with pytest.raises(InputError, match=rf"gauge '{name}'.*{words}"):
+            kind.open({"gauge": name}, "")
 
 
 def test_a_whole_number_may_be_hexadecimal_and_a_field_may_have_no_option() -> None:

@@ -60,7 +60,7 @@ class CameraNode(DeviceNode):
 
     NAME = "camera"
     SETTINGS = (CameraNodeSettings,)
-    SOURCES = SOURCES
+    PLUGINS = SOURCES
 
     device: CameraSource
 

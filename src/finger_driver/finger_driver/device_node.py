@@ -7,13 +7,13 @@ from typing import Any
 
 from finger_common.diagnostics import ERROR, WARN
 from finger_common.errors import DeviceError
-from finger_common.node import ManagedNode, NodeSettings
+from finger_common.node import ManagedNode
+from finger_common.plugins import PluginKind
 from finger_common.retry import Pauses
 from finger_common.settings import Settings, setting
 
 from .clock import HostClock, IncreasingStamps, StampStatistics
 from .device import Device, DeviceThread
-from .sources import Sources
 
 
 @dataclass(frozen=True)
@@ -47,18 +47,13 @@ class DeviceNode(ManagedNode):
     """Lifecycle of a node around one device.
 
     configure connects and checks, activate starts the reading thread, deactivate ends it, cleanup
-    releases the device. A node names its SOURCES, has settings that derive from DeviceNodeSettings
-    and gives `create_interfaces`, `destroy_interfaces` and `on_sample`. The settings of every
-    installed source are parameters of the node.
+    releases the device. A node names its PLUGINS (kinds of devices), has settings that derive from
+    DeviceNodeSettings and gives `create_interfaces`, `destroy_interfaces` and `on_sample`.
     """
 
-    SOURCES: Sources[Any]
+    PLUGINS: PluginKind[Any]
 
     device: Device[Any]
-
-    @classmethod
-    def settings_classes(cls) -> tuple[type[Settings], ...]:
-        return (*cls.SOURCES.settings(NodeSettings, *cls.SETTINGS), *cls.SETTINGS)
 
     def create_interfaces(self) -> None:
         """Publishers and services, once the device is connected."""
@@ -77,9 +72,7 @@ class DeviceNode(ManagedNode):
     _configured = False
 
     def configure(self) -> None:
-        for problem in self.SOURCES.problems.values():
-            self.get_logger().warning(problem)
-        self.device = self.SOURCES.open(self.values)
+        self.device = self.PLUGINS.open(self.values)
         self.device.log = self._log
         self.healths = [self.device.health]
         self._stamps = IncreasingStamps()

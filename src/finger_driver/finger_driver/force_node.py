@@ -65,7 +65,7 @@ class ForceNode(DeviceNode):
 
     NAME = "force"
     SETTINGS = (ForceNodeSettings,)
-    SOURCES = SOURCES
+    PLUGINS = SOURCES
 
     device: ForceSource
 

@@ -42,7 +42,7 @@ class MoistureNode(DeviceNode):
 
     NAME = "moisture"
     SETTINGS = (MoistureNodeSettings,)
-    SOURCES = SOURCES
+    PLUGINS = SOURCES
 
     device: MoistureSource
 

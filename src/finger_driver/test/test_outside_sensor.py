@@ -12,11 +12,11 @@ import pytest
 from device_process import Observer, device
 
 from finger_common.errors import InputError
+from finger_common.plugins import PluginKind
 from finger_common.settings import Settings, parameters_of
 from finger_common.stamps import header_stamp
 from finger_driver import camera, force, moisture
 from finger_driver.simulators.cli import installed
-from finger_driver.sources import Sources
 
 
 def install(folder: Path, modules: dict[str, str], entries: dict[str, dict[str, str]]) -> None:
@@ -172,8 +172,8 @@ def test_sensors_that_cannot_be_used_are_named_in_one_sentence_and_stop_no_other
     }
     install(tmp_path, {"unusable": UNUSABLE}, {"finger_driver.force": names})
     monkeypatch.syspath_prepend(tmp_path)
-    sources: Sources[Any] = Sources(
-        "finger_driver.force", "force sensor", force.ForceSource, "netft"
+    sources = PluginKind(
+        "finger_driver.force", "force sensor", force.ForceSource, "device", "netft"
     )
     table = parameters_of(*sources.settings())
     assert table["rate"].default == 500.0 and "netft_host" in table
@@ -220,8 +220,6 @@ def test_a_node_says_which_sensor_cannot_be_used(
 
 
 def test_without_any_installed_source_the_sentence_says_what_to_do() -> None:
-    nothing: Sources[Any] = Sources(
-        "finger_driver.none", "force sensor", force.ForceSource, "netft"
-    )
+    nothing = PluginKind("finger_driver.none", "force sensor", force.ForceSource, "device", "netft")
     with pytest.raises(InputError, match="no force sensor is installed"):
         nothing.settings(Settings)

@@ -14,10 +14,9 @@ from finger_bag.schema import CALIBRATION_ATTACHMENT
 from finger_common.errors import FingerError, InputError
 from finger_common.stamps import header_stamp
 from finger_vision.area_sensor import (
-    DEFAULT_AREA_SENSOR,
+    AREA_SENSORS,
     AreaSensor,
     ContactMeasurement,
-    open_area_sensor,
 )
 from finger_vision.calibration import PlateCalibration
 from finger_vision.messages import contact_area_fields, image_of
@@ -90,11 +89,11 @@ class ImageAreas:
         reader: BagReader,
         calibration: str = "",
         area_per_pixel: float = 0.0,
-        area_sensor: str = DEFAULT_AREA_SENSOR,
+        area_sensor: str = AREA_SENSORS.default,
     ) -> ImageAreas:
         """With the area sensor's default settings and the bag's calibration."""
         found = calibration_of(reader, calibration, area_per_pixel)
-        return cls(open_area_sensor(area_sensor, found))
+        return cls(AREA_SENSORS.open({"area_sensor": area_sensor}, found))
 
     def measure(self, message: Any) -> ContactMeasurement:
         """Measure one image; raises InputError when it is no usable image."""

@@ -8,7 +8,7 @@ from typing import Any
 
 from finger_bag.read_settings import ReadSettings
 from finger_common.settings import setting
-from finger_vision.area_sensor import DEFAULT_AREA_SENSOR
+from finger_vision.area_sensor import AREA_SENSORS
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class ProcessOptions(ReadSettings):
         0.0, "Area of a pixel in place of a calibration; 0: not given.", unit="m²", minimum=0.0
     )
     area_sensor: str = setting(
-        DEFAULT_AREA_SENSOR, "Area sensor that measures the contact in the images."
+        AREA_SENSORS.default, "Area sensor that measures the contact in the images."
     )
     keep_images: bool = setting(False, "Copy images to the new bag.")
     estimator: Mapping[str, Any] = field(default_factory=dict)

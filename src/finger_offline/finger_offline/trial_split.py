@@ -23,7 +23,7 @@ from finger_common.settings import setting
 from finger_common.stamps import nanoseconds, seconds
 from finger_common.trial_phases import TrialPhase
 from finger_model.paper import TARGET_FORCE
-from finger_vision.area_sensor import DEFAULT_AREA_SENSOR
+from finger_vision.area_sensor import AREA_SENSORS
 
 from .trial_records import Exclusion, TrialRecord, TrialSet
 
@@ -59,7 +59,7 @@ class TrialSettings(ReadSettings):
         "", "Plate calibration file for the images; empty: the one attached to the bag."
     )
     area_sensor: str = setting(
-        DEFAULT_AREA_SENSOR, "Area sensor that measures the contact in the images."
+        AREA_SENSORS.default, "Area sensor that measures the contact in the images."
     )
 
     def validate(self) -> None:

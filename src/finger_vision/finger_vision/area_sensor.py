@@ -7,52 +7,17 @@ docs/add_an_area_sensor.md shows how to add one.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 
-from finger_common.errors import InputError
 from finger_common.flags import AreaFlag
-from finger_common.plugins import Plugins
-from finger_common.settings import Settings, setting
+from finger_common.plugins import PluginKind
+from finger_common.settings import Settings
 
 if TYPE_CHECKING:
     from .calibration import PlateCalibration
-
-
-class AreaSensors(Plugins):
-    """The installed area sensors."""
-
-    def load(self, name: str) -> Any:
-        """The class of an area sensor; raises InputError where it is absent or unusable."""
-        sensor = super().load(name)
-        settings = getattr(sensor, "SETTINGS", None)
-        if not (isinstance(settings, type) and issubclass(settings, Settings)):
-            raise InputError(
-                f"area sensor '{name}': {sensor!r} has no SETTINGS, a Settings class; correct its "
-                "entry point or remove its package"
-            )
-        return sensor
-
-
-AREA_SENSORS = AreaSensors("finger_vision.area_sensor", "area sensor")
-
-DEFAULT_AREA_SENSOR = "ftir"
-
-
-@dataclass(frozen=True)
-class AreaSensorSettings(Settings):
-    """Which area sensor measures the contact, and whether its background is learned."""
-
-    area_sensor: str = setting(
-        DEFAULT_AREA_SENSOR,
-        "Area sensor that measures the contact; its own parameters follow from this choice.",
-    )
-    learn_background: bool = setting(
-        True, "Learn the background from images without contact as they pass."
-    )
 
 
 @dataclass(frozen=True)
@@ -85,7 +50,7 @@ class AreaSensor(Protocol):
     InputError.
     """
 
-    SETTINGS: ClassVar[type[Settings]]
+    SETTINGS: ClassVar[type[Settings]] = Settings
     """Settings of this kind of sensor: parameters of the node, options of the command."""
 
     learned: int
@@ -111,14 +76,10 @@ class AreaSensor(Protocol):
         return measurement
 
 
-def open_area_sensor(
-    name: str, calibration: PlateCalibration, values: Mapping[str, Any] | None = None
-) -> AreaSensor:
-    """The area sensor of that name.
-
-    values: settings by name, defaults where absent; names that are not the sensor's are ignored.
-    Raises InputError for an area sensor that is not installed or a bad value.
-    """
-    sensor = AREA_SENSORS.load(name)
-    opened: AreaSensor = sensor(sensor.SETTINGS.select(values or {}), calibration)
-    return opened
+AREA_SENSORS = PluginKind(
+    "finger_vision.area_sensor",
+    "area sensor",
+    AreaSensor,  # type: ignore[type-abstract]
+    "area_sensor",
+    default="ftir",
+)

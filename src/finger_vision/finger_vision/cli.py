@@ -12,12 +12,12 @@ from typing import IO, Any, TypeVar
 
 import numpy as np
 
-from finger_common.cli import Parser, add_settings, run, settings_from
+from finger_common.cli import Parser, add_settings, run
 from finger_common.errors import InputError
 from finger_common.files import atomic_write
 from finger_common.flags import AreaFlag, flag_names
 
-from .area_sensor import AREA_SENSORS, DEFAULT_AREA_SENSOR
+from .area_sensor import AREA_SENSORS
 from .board import DICTIONARY, Board, View, find_board
 from .calibrate import calibrate_plate
 from .calibration import PAPER_AREA_PER_PIXEL, PlateCalibration
@@ -60,7 +60,7 @@ def _parser(area_sensor: str) -> Parser:
     area.add_argument("-o", "--output", type=Path, metavar="CSV", help="default: standard output")
     area.add_argument(
         "--area-sensor",
-        default=DEFAULT_AREA_SENSOR,
+        default=AREA_SENSORS.default,
         metavar="NAME",
         help=f"area sensor that measures: {', '.join(AREA_SENSORS.names())} (default: %(default)s)",
     )
@@ -78,7 +78,7 @@ def _parser(area_sensor: str) -> Parser:
 def _chosen_area_sensor(argv: Sequence[str] | None) -> str:
     """Area sensor named on the command line: its settings are options of the command."""
     first = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    first.add_argument("--area-sensor", default=DEFAULT_AREA_SENSOR)
+    first.add_argument("--area-sensor", default=AREA_SENSORS.default)
     return str(first.parse_known_args(argv)[0].area_sensor)
 
 
@@ -165,8 +165,7 @@ def _area(arguments: Any) -> int:
         calibration = PlateCalibration.load(arguments.calibration)
     else:
         calibration = PlateCalibration.from_area_per_pixel(arguments.area_per_pixel)
-    kind = AREA_SENSORS.load(arguments.area_sensor)
-    sensor = kind(settings_from(arguments, kind.SETTINGS), calibration)
+    sensor = AREA_SENSORS.open(vars(arguments), calibration)
     for path in arguments.background:
         _apply(sensor.learn, path)
     with _output(arguments.output) as file:

@@ -102,7 +102,7 @@ class Steps:
 
 
 class FtirSegmenter(AreaSensor):
-    """Measures frames of one camera, one after the other; see `AreaSensor`."""
+    """Ridges on an FTIR plate. Frames of one camera are measured one after the other."""
 
     SETTINGS = FtirSettings
 

@@ -25,7 +25,7 @@ from finger_common.node import ManagedNode, main_of
 from finger_common.settings import Settings, setting
 from finger_msgs.msg import ContactArea
 
-from .area_sensor import AREA_SENSORS, AreaSensorSettings, open_area_sensor
+from .area_sensor import AREA_SENSORS
 from .calibration import CalibrationSettings
 from .messages import contact_area_fields, image_of
 from .overlay import draw_overlay
@@ -35,6 +35,9 @@ from .overlay import draw_overlay
 class VisionSettings(Settings):
     """Settings of the node itself."""
 
+    learn_background: bool = setting(
+        True, "Learn the background from images without contact as they pass."
+    )
     frame_id: str = setting("plate", "Name of the plate frame in the headers sent.")
     opencv_threads: int = setting(
         1,
@@ -55,15 +58,15 @@ class VisionNode(ManagedNode):
     """See the module's description."""
 
     NAME = "vision"
-    SETTINGS = (AreaSensorSettings, CalibrationSettings, VisionSettings)
-    PLUGINS = {"area_sensor": AREA_SENSORS}
+    SETTINGS = (CalibrationSettings, VisionSettings)
+    PLUGINS = AREA_SENSORS
 
     def configure(self) -> None:
         cv2.setNumThreads(self.values["opencv_threads"])
         self.calibration = self.settings(CalibrationSettings).load()
-        choice = self.settings(AreaSensorSettings)
-        self.sensor = open_area_sensor(choice.area_sensor, self.calibration, self.values)
-        self._process = self.sensor.process if choice.learn_background else self.sensor.measure
+        self.sensor = AREA_SENSORS.open(self.values, self.calibration)
+        learn = self.values["learn_background"]
+        self._process = self.sensor.process if learn else self.sensor.measure
         self.health = Health("vision")
         self.healths = [self.health]
         self._lock = threading.Lock()

@@ -80,9 +80,8 @@ def test_the_node_runs_with_it(outside: dict[str, str], vision_node: Callable) -
     assert (pressed.centroid.x, pressed.centroid.y) == pytest.approx((2e-3, -1e-3), abs=0.2e-3)
     assert pressed.ellipse_major == pytest.approx(10e-3, rel=0.06)
     assert len(pressed.hull) > 10
-    # Its own parameters, with their ranges, are those of the node now; those of FTIR are not.
-    names = peer.parameters("vision")
-    assert {"full_counts", "noise_counts"} <= set(names) and "polarity" not in names
+    # The settings of every installed area sensor are parameters of the node.
+    assert {"full_counts", "noise_counts", "polarity"} <= set(peer.parameters("vision"))
 
 
 def test_the_command_measures_files_with_it(outside: dict[str, str], tmp_path: Path) -> None:

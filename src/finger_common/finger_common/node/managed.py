@@ -9,8 +9,7 @@ core into failed transitions with one sentence in the log. A node overrides `con
 from __future__ import annotations
 
 import traceback
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,7 +26,7 @@ from ..cli import one_line
 from ..diagnostics import WARN, Health
 from ..errors import FingerError, InputError
 from ..parameters import ParameterTable
-from ..plugins import Plugins
+from ..plugins import PluginKind
 from ..settings import S, Settings, parameters_of, setting
 from .polling import PolledSubscription
 
@@ -55,42 +54,23 @@ class ManagedNode(LifecycleNode):
     """Lifecycle node with described parameters, health and autostart.
 
     Class attributes: SETTINGS (Settings classes that hold the node's own parameters), PLUGINS
-    (parameter name -> group of which it chooses a member; the member's attribute SETTINGS, a
-    Settings class, adds its parameters) and NAME (default node name).
+    (installed parts of which the node uses one; the settings of all of them are parameters too) and
+    NAME (default node name).
     `self.values` holds the checked parameters from `configure` on, `self.settings(cls)` the same
     as an instance of one of the classes; `self.healths` lists what `/diagnostics` shows.
     """
 
     SETTINGS: tuple[type[Settings], ...] = ()
-    PLUGINS: Mapping[str, Plugins] = {}
+    PLUGINS: PluginKind[Any] | None = None
     NAME = "node"
 
     @classmethod
-    def parameter_table(cls, **chosen: str) -> ParameterTable:
-        """Parameters of every node, then the node's own, then those of the plugins `chosen`.
-
-        chosen: name of a plugin by parameter, the parameter's default where not given. Raises
-        InputError for a plugin that is not installed.
-        """
-        own = cls._own_table()
-        plugins = [
-            plugins.load(chosen.get(name, own[name].default)).SETTINGS
-            for name, plugins in cls.PLUGINS.items()
-        ]
-        try:
-            return parameters_of(NodeSettings, *cls.settings_classes(), *plugins)
-        except ValueError as error:
-            names = ", ".join(plugin.__name__ for plugin in plugins)
-            raise InputError(f"{names}: {error}; rename this setting of the plugin") from None
-
-    @classmethod
-    def settings_classes(cls) -> tuple[type[Settings], ...]:
-        """SETTINGS; a node that finds further settings when it is made overrides it."""
-        return cls.SETTINGS
-
-    @classmethod
-    def _own_table(cls) -> ParameterTable:
-        return parameters_of(NodeSettings, *cls.settings_classes())
+    def parameter_table(cls) -> ParameterTable:
+        """Parameters of every node, then those of its plugins, then the node's own."""
+        plugins: tuple[type[Settings], ...] = ()
+        if cls.PLUGINS is not None:
+            plugins = cls.PLUGINS.settings(NodeSettings, *cls.SETTINGS)
+        return parameters_of(NodeSettings, *plugins, *cls.SETTINGS)
 
     def __init__(self, **options: Any) -> None:
         super().__init__(self.NAME, **options)
@@ -98,11 +78,18 @@ class ManagedNode(LifecycleNode):
         self.values: dict[str, Any] = {}
         self._live = False
         self._active = False
-        self._all = ParameterTable()
-        self._declare(self._own_table())
-        # An unknown plugin is refused by `configure`, so that it can be corrected.
-        with suppress(FingerError):
-            self._declare_plugins()
+        self._all = self.parameter_table()
+        for parameter in self._all:
+            allowed = parameter.range_text()
+            self.declare_parameter(
+                parameter.name,
+                parameter.default,
+                ParameterDescriptor(
+                    description=f"{parameter.meaning} {allowed}".strip(),
+                    additional_constraints=allowed,
+                    dynamic_typing=True,
+                ),
+            )
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # Steady time: diagnostics go on when simulated time stands still or jumps.
@@ -129,36 +116,8 @@ class ManagedNode(LifecycleNode):
 
     # Parameters ------------------------------------------------------------------------------
 
-    def _declare(self, table: ParameterTable) -> None:
-        """Declare the parameters of a table in place of those declared so far."""
-        known = list(self._all)
-        self._all = ParameterTable()
-        for parameter in known:
-            if parameter.name not in table or table[parameter.name] != parameter:
-                self.undeclare_parameter(parameter.name)
-        for parameter in table:
-            if not self.has_parameter(parameter.name):
-                allowed = parameter.range_text()
-                self.declare_parameter(
-                    parameter.name,
-                    parameter.default,
-                    ParameterDescriptor(
-                        description=f"{parameter.meaning} {allowed}".strip(),
-                        additional_constraints=allowed,
-                        dynamic_typing=True,
-                    ),
-                )
-        self._all = table
-
-    def _declare_plugins(self) -> None:
-        """Declare the parameters of the plugins that the node's parameters name."""
-        if self.PLUGINS:
-            chosen = {name: str(self.get_parameter(name).value) for name in self.PLUGINS}
-            self._declare(self.parameter_table(**chosen))
-
     def read_parameters(self) -> dict[str, Any]:
         """Checked values of all parameters; raises InputError."""
-        self._declare_plugins()
         values = {p.name: self.get_parameter(p.name).value for p in self._all}
         return self._all.check(values)
 
@@ -291,6 +250,8 @@ class ManagedNode(LifecycleNode):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         def read() -> None:
+            for problem in self.PLUGINS.problems.values() if self.PLUGINS else ():
+                self.get_logger().warning(problem)
             self.values = self.read_parameters()
 
         if not self._attempt("configure", read, self.configure):

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from ..sources import Sources
+from finger_common.plugins import PluginKind
+
 from .source import CameraSettings, CameraSource, Frame
 
 __all__ = ["SOURCES", "CameraSettings", "CameraSource", "Frame", "open_source"]
 
-SOURCES = Sources("finger_driver.camera", "camera", CameraSource, default="opencv")
+SOURCES = PluginKind(
+    "finger_driver.camera", "camera", CameraSource, choice="device", default="opencv"
+)
 open_source = SOURCES.open

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from ..sources import Sources
+from finger_common.plugins import PluginKind
+
 from .source import CRITICAL, GOOD, SATURATED, ForceSettings, ForceSource, WrenchSample
 
 __all__ = [
@@ -16,5 +17,7 @@ __all__ = [
     "open_source",
 ]
 
-SOURCES = Sources("finger_driver.force", "force sensor", ForceSource, default="netcanoem")
+SOURCES = PluginKind(
+    "finger_driver.force", "force sensor", ForceSource, "device", default="netcanoem"
+)
 open_source = SOURCES.open

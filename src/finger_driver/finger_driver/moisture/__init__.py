@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from ..sources import Sources
+from finger_common.plugins import PluginKind
+
 from .source import MoistureSettings, MoistureSource, Reading
 
 __all__ = ["SOURCES", "MoistureSettings", "MoistureSource", "Reading", "open_source"]
 
-SOURCES = Sources("finger_driver.moisture", "moisture source", MoistureSource, default="manual")
+SOURCES = PluginKind(
+    "finger_driver.moisture", "moisture source", MoistureSource, "device", default="manual"
+)
 open_source = SOURCES.open

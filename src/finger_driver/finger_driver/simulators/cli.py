@@ -16,9 +16,9 @@ from typing import Any
 
 from finger_common.cli import Parser, add_settings, one_line, run, settings_from
 from finger_common.errors import InputError
+from finger_common.plugins import PluginKind, title_of
 
 from .. import camera, force, moisture
-from ..sources import Sources, title_of
 from .simulator import Simulator
 
 EXAMPLE = """
@@ -30,7 +30,7 @@ off, `faults` lists them.
 """
 
 
-def simulator_of(sources: Sources[Any], name: str) -> type[Simulator] | None:
+def simulator_of(sources: PluginKind[Any], name: str) -> type[Simulator] | None:
     """Simulator that an installed source names, None where it names none.
 
     Raises InputError for a source or a simulator that cannot be used.
