@@ -18,7 +18,7 @@ OK, WARN, ERROR, STALE = 0, 1, 2, 3
 
 @dataclass
 class HealthReport:
-    """State of a `Health` at one time; `level` is OK, WARN, ERROR or STALE."""
+    """State of a `Health` at one time; `level` is OK, WARN or ERROR."""
 
     level: int
     message: str
@@ -59,10 +59,10 @@ class Health:
         self._last_sample: float | None = None
         self._since: tuple[float, int] | None = None
 
-    def sample(self, number: int = 1) -> None:
-        """Count good samples."""
+    def sample(self) -> None:
+        """Count a good sample."""
         with self._lock:
-            self._count += number
+            self._count += 1
             self._last_sample = self._clock()
             if self._since is None:
                 self._since = (self._last_sample, self._count)

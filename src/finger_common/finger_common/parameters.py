@@ -97,9 +97,6 @@ class ParameterTable:
     def __getitem__(self, name: str) -> Parameter:
         return self._parameters[name]
 
-    def __add__(self, other: ParameterTable) -> ParameterTable:
-        return ParameterTable(*self, *other)
-
     def check(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """All values, defaults filled in; raises InputError for an unknown name or a bad value."""
         for name in values:

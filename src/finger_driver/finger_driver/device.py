@@ -37,10 +37,10 @@ class Device(Generic[Sample]):
     SIMULATOR: str = ""
     """Its simulator as "module:class", for `finger-device-sim`; empty where there is none."""
 
-    def __init__(self, settings: Any, health: Health, clock: HostClock | None = None) -> None:
+    def __init__(self, settings: Any, health: Health) -> None:
         self.settings = settings
         self.health = health
-        self.clock = clock or HostClock()
+        self.clock = HostClock()
         self.log: Log = lambda level, message: None
         self._noted: dict[str, float] = {}
 
@@ -76,10 +76,10 @@ class Device(Generic[Sample]):
                 del self._noted[key]
                 self.health.recovered(key)
 
-    def note_if(self, present: bool, key: str, message: str, level: int = WARN) -> None:
+    def note_if(self, present: bool, key: str, message: str) -> None:
         """Note a fault that is present, clear one that is absent."""
         if present:
-            self.note(key, message, level)
+            self.note(key, message)
         else:
             self.cleared(key)
 

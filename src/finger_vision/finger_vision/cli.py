@@ -21,8 +21,7 @@ from .area_sensor import AREA_SENSORS
 from .board import DICTIONARY, Board, View, find_board
 from .calibrate import calibrate_plate
 from .calibration import PAPER_AREA_PER_PIXEL, PlateCalibration
-from .images import read_signal
-from .sources import images_of
+from .images import images_of, read_signal
 
 COLUMNS = ("image", "gross_area_mm2", "real_area_mm2", "flags")
 

@@ -1,15 +1,22 @@
-"""Images of a camera, a file or a message as arrays, or refused with the reason."""
+"""Images of a camera, a file, a bag or a message as arrays, or refused with the reason."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from finger_common.errors import InputError
+from finger_common.plugins import Plugins
 
 MAX_PIXELS = 200_000_000
+
+BAG_ENDINGS = (".mcap", ".db3", ".bag")
+
+IMAGE_SOURCES = Plugins("finger_vision.image_source", "reader of images")
+"""What reads files other than images; finger_offline brings the one named "bag"."""
 
 PLAIN = {
     "mono8": "u1",
@@ -137,3 +144,15 @@ def read_signal(path: str | Path) -> np.ndarray:
 def read_image(path: str | Path) -> np.ndarray:
     """(H, W) uint8 from an image file; raises InputError naming the file."""
     return as_mono8(read_signal(path), str(path))
+
+
+def images_of(path: Path, topic: str, every: float) -> Iterator[tuple[str, np.ndarray]]:
+    """Name and (H, W) uint8 of an image file, or of a bag's images on a topic.
+
+    every: least time between two images of a bag by their stamps, s. Raises InputError naming the
+    file.
+    """
+    if path.suffix.lower() in BAG_ENDINGS or (path / "metadata.yaml").is_file():
+        yield from IMAGE_SOURCES.load("bag")(path, topic, every)
+    else:
+        yield str(path), read_image(path)

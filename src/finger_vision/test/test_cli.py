@@ -11,7 +11,7 @@ import pytest
 
 from finger_sim.ftir import FtirRenderer, Scene
 from finger_vision.cli import main
-from finger_vision.sources import images_of
+from finger_vision.images import images_of
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,6 @@ import numpy as np
 
 from finger_common.errors import DeviceError, InputError
 
-from ..clock import HostClock
 from .source import CameraSettings, CameraSource, Frame
 
 _NAME = re.compile(r"(\d{1,19})_(\d{1,18})\.(?:pgm|png|tif|tiff|bmp)")
@@ -27,9 +26,9 @@ _BACKLOG = 8
 """Frames that may wait; of more, the oldest are skipped and counted."""
 
 
-def file_name(stamp_ns: int, sequence: int, extension: str = "pgm") -> str:
+def file_name(stamp_ns: int, sequence: int) -> str:
     """Name of a frame's file; names sort by time."""
-    return f"{stamp_ns:019d}_{sequence:08d}.{extension}"
+    return f"{stamp_ns:019d}_{sequence:08d}.pgm"
 
 
 def parse_name(name: str) -> tuple[int, int] | None:
@@ -56,8 +55,8 @@ class FolderSource(CameraSource):
     SETTINGS = FolderSettings
     SIMULATOR = "finger_driver.simulators.images:ImageSimulator"
 
-    def __init__(self, settings: FolderSettings, clock: HostClock | None = None) -> None:
-        super().__init__(settings, clock)
+    def __init__(self, settings: FolderSettings) -> None:
+        super().__init__(settings)
         self._folder = Path(settings.path)
         self._connected = False
         self._last: tuple[int, int] | None = None

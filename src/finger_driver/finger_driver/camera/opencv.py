@@ -79,10 +79,9 @@ class OpenCvSource(CameraSource):
     def __init__(
         self,
         settings: OpenCvSettings,
-        clock: HostClock | None = None,
         opener: Callable[[str], tuple[Any, bool]] = capture_of,
     ) -> None:
-        super().__init__(settings, clock)
+        super().__init__(settings)
         self._path = settings.path
         self._period = 1.0 / settings.rate
         self._opener = opener

@@ -9,7 +9,6 @@ import numpy as np
 from finger_common.diagnostics import Health
 from finger_common.settings import Settings, setting
 
-from ..clock import HostClock
 from ..device import Device
 
 
@@ -54,10 +53,10 @@ class CameraSource(Device[Frame]):
 
     SETTINGS: type[CameraSettings] = CameraSettings
 
-    def __init__(self, settings: CameraSettings, clock: HostClock | None = None) -> None:
+    def __init__(self, settings: CameraSettings) -> None:
         rate = settings.rate
         health = Health("camera", expected_rate=rate, stale_after=max(1.0, 5 / rate))
-        super().__init__(settings, health, clock)
+        super().__init__(settings, health)
         self._next_number: int | None = None
 
     def count_lost(self, number: int) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from finger_common.errors import DeviceError, InputError
 from finger_common.settings import setting
 
-from ..clock import ClockMapper, HostClock
+from ..clock import ClockMapper
 from .source import CameraSettings, CameraSource, Frame
 
 _TICKS = 1e7
@@ -66,10 +66,8 @@ class UeyeSource(CameraSource):
 
     settings: UeyeSettings
 
-    def __init__(
-        self, settings: UeyeSettings, clock: HostClock | None = None, sdk: Any = None
-    ) -> None:
-        super().__init__(settings, clock)
+    def __init__(self, settings: UeyeSettings, sdk: Any = None) -> None:
+        super().__init__(settings)
         self._id = settings.camera_id
         self._sdk = sdk
         self._camera: Any = None

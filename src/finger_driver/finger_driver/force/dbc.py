@@ -16,7 +16,6 @@ from finger_common.settings import setting
 from finger_common.stamps import NANOSECONDS
 
 from .. import can_bus
-from ..clock import HostClock
 from ..protocols.dbc import SampleAssembler, SensorMapping
 from .source import CRITICAL, GOOD, SATURATED, ForceSettings, ForceSource, WrenchSample
 
@@ -45,8 +44,8 @@ class DbcSource(ForceSource):
 
     settings: DbcSettings
 
-    def __init__(self, settings: DbcSettings, clock: HostClock | None = None) -> None:
-        super().__init__(settings, clock)
+    def __init__(self, settings: DbcSettings) -> None:
+        super().__init__(settings)
         self._mapping = SensorMapping.load(settings.dbc_mapping or SHIPPED)
         self._names = self._mapping.identifiers()
         self._period = 1.0 / settings.rate

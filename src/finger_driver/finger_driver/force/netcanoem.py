@@ -32,7 +32,6 @@ from finger_common.errors import DeviceError
 from finger_common.settings import setting
 
 from .. import can_bus
-from ..clock import HostClock
 from ..protocols import netcanoem as protocol
 from .source import CRITICAL, GOOD, SATURATED, ForceSettings, ForceSource, WrenchSample
 
@@ -87,8 +86,8 @@ class NetcanoemSource(ForceSource):
 
     settings: NetcanoemSettings
 
-    def __init__(self, settings: NetcanoemSettings, clock: HostClock | None = None) -> None:
-        super().__init__(settings, clock)
+    def __init__(self, settings: NetcanoemSettings) -> None:
+        super().__init__(settings)
         self._period = 1.0 / settings.rate
         self._timeout = settings.response_timeout
         self._bus: can.BusABC | None = None

@@ -31,7 +31,7 @@ from finger_common.diagnostics import ERROR
 from finger_common.errors import DeviceError
 from finger_common.settings import setting
 
-from ..clock import ClockMapper, HostClock, receive_stamped, request_kernel_stamps
+from ..clock import ClockMapper, receive_stamped, request_kernel_stamps
 from ..protocols import netft_xml, rdt
 from .source import CRITICAL, GOOD, SATURATED, ForceSettings, ForceSource, WrenchSample
 
@@ -90,8 +90,8 @@ class NetFtSource(ForceSource):
 
     settings: NetFtSettings
 
-    def __init__(self, settings: NetFtSettings, clock: HostClock | None = None) -> None:
-        super().__init__(settings, clock)
+    def __init__(self, settings: NetFtSettings) -> None:
+        super().__init__(settings)
         self._watcher: _PageWatcher | None = None
         self._socket: socket.socket | None = None
         self._scale = np.ones(6)

@@ -9,7 +9,6 @@ import numpy as np
 from finger_common.diagnostics import Health
 from finger_common.settings import Settings, setting
 
-from ..clock import HostClock
 from ..device import Device
 
 GOOD, SATURATED, CRITICAL = 0, 1, 2
@@ -59,9 +58,9 @@ class ForceSource(Device[WrenchSample]):
 
     SETTINGS: type[ForceSettings] = ForceSettings
 
-    def __init__(self, settings: ForceSettings, clock: HostClock | None = None) -> None:
+    def __init__(self, settings: ForceSettings) -> None:
         health = Health("force", expected_rate=settings.rate, stale_after=0.5)
-        super().__init__(settings, health, clock)
+        super().__init__(settings, health)
 
     def wrench_of(self, channels: np.ndarray) -> np.ndarray:
         """Wrench (6,) in N and N m of channels (6,), from which a bias may have been taken."""

@@ -17,7 +17,6 @@ from finger_common.diagnostics import ERROR
 from finger_common.errors import DeviceError
 from finger_common.settings import setting
 
-from ..clock import HostClock
 from ..protocols.export_table import MAX_BYTES, Row, TableFormat, new_rows, parse_table
 from .source import PHASE_UNKNOWN, PHASES, MoistureSettings, MoistureSource, Reading
 
@@ -50,8 +49,8 @@ class ExportSource(MoistureSource):
 
     settings: ExportSettings
 
-    def __init__(self, settings: ExportSettings, clock: HostClock | None = None) -> None:
-        super().__init__(settings, clock)
+    def __init__(self, settings: ExportSettings) -> None:
+        super().__init__(settings)
         self._path = Path(settings.path)
         self._rows: tuple[Row, ...] | None = None
         self._seen: tuple[int, int, int] | None = None

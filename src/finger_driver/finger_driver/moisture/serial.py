@@ -12,7 +12,6 @@ import serial
 from finger_common.errors import DeviceError
 from finger_common.settings import setting
 
-from ..clock import HostClock
 from ..protocols import lines
 from .source import PHASE_UNKNOWN, PHASES, MoistureSettings, MoistureSource, Reading
 
@@ -50,8 +49,8 @@ class SerialSource(MoistureSource):
 
     settings: SerialSettings
 
-    def __init__(self, settings: SerialSettings, clock: HostClock | None = None) -> None:
-        super().__init__(settings, clock)
+    def __init__(self, settings: SerialSettings) -> None:
+        super().__init__(settings)
         self._pattern = lines.compile_pattern(settings.serial_pattern)
         self._port: serial.Serial | None = None
         self._splitter = lines.LineSplitter()

@@ -9,7 +9,6 @@ from finger_common.errors import InputError
 from finger_common.moisture import is_moisture
 from finger_common.settings import Settings, setting
 
-from ..clock import HostClock
 from ..device import Device
 
 PHASE_UNKNOWN, PHASE_BEFORE, PHASE_AFTER = 0, 1, 2
@@ -57,8 +56,8 @@ class MoistureSource(Device[Reading]):
     NAME = ""
     """Name of the source in its readings."""
 
-    def __init__(self, settings: MoistureSettings, clock: HostClock | None = None) -> None:
-        super().__init__(settings, Health("moisture"), clock)
+    def __init__(self, settings: MoistureSettings) -> None:
+        super().__init__(settings, Health("moisture"))
         self._index = 0
 
     def reading(self, stamp_ns: int, value: float, phase: int = 0, flags: int = 0) -> Reading:

@@ -20,22 +20,16 @@ From the command line, each in a process of its own: `finger-device-sim --help`.
 by lines on its standard input, such as `silent -1`, `silent 0`, `clear`.
 """
 
-from .faults import Faults
 from .images import FrameFolderWriter
 from .netcanoem import NetcanoemSimulator
-from .netft import NetFtSimulator
-from .rft import RftSimulator
 from .serial_moisture import SerialMoistureSimulator
 from .simulator import Simulator
 from .values import LoadOptions
 
 __all__ = [
-    "Faults",
     "FrameFolderWriter",
     "LoadOptions",
-    "NetFtSimulator",
     "NetcanoemSimulator",
-    "RftSimulator",
     "SerialMoistureSimulator",
     "Simulator",
 ]
