@@ -83,7 +83,7 @@ def free_port() -> Callable[[], int]:
 
 @pytest.fixture
 def process(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    """Function that starts a child process (its own group), ended with the test whatever happens.
+    """Function that starts a child process (its own group), ended in any case with the test.
 
     `process("-m", "finger_model.model_node", "--ros-args", …)` runs this Python; output goes to a
     file whose path is `child.output`. A killed pytest takes its children with it.

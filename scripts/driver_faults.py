@@ -31,7 +31,7 @@ The real nodes against simulated devices in other processes, as measured by
 measured from the end of the fault to the next good message; it includes the pause between attempts
 to reconnect (parameters `reconnect_first_pause` 0.1 s and `reconnect_longest_pause` 0.5 s in these
 tests). Nothing here was tried on hardware. `python scripts/driver_faults.py --measure` measures
-anew.
+again.
 
 | device | fault | published meanwhile | diagnostics | recovery |
 |---|---|---|---|---|

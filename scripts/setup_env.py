@@ -31,7 +31,7 @@ def check_machine() -> None:
     if sys.version_info[:2] not in SUPPORTED:
         raise SetupError(
             f"Python {sys.version_info[0]}.{sys.version_info[1]} is not supported: "
-            "run make with PYTHON=python3.12 (3.10 to 3.13 will do)."
+            "run make with PYTHON=python3.12 (3.10 to 3.13 are supported)."
         )
     for names, package in ((("cc", "gcc", "clang"), "gcc"), (("c++", "g++", "clang++"), "g++")):
         if not any(shutil.which(name) for name in names):

@@ -1,4 +1,4 @@
-"""Record the full load of a rig for half an hour and say what was lost.
+"""Record the full load of a rig for half an hour and count what was lost.
 
 `make soak`; `python scripts/soak.py --seconds 60` for a shorter run. The result is printed and
 written to bench/soak.json. Exit code 0 when nothing was lost, 1 otherwise.

@@ -238,7 +238,7 @@ def parser() -> argparse.ArgumentParser:
     """The command's arguments."""
     top = Parser(
         prog="finger-bag",
-        description="Look at, check, process, play, record, repair and anonymise session bags.",
+        description="Inspect, check, play, record, repair and anonymise session bags.",
         example="finger-bag validate bags/natural\nfinger-bag process bags/natural -o out/natural",
     )
     commands = top.add_subparsers(dest="command", required=True, parser_class=Parser)
@@ -250,10 +250,12 @@ def parser() -> argparse.ArgumentParser:
         added.set_defaults(act=act)
         return added
 
-    info = command("info", _info, "Topics, times, metadata of bags.", "finger-bag info bags/dry")
+    info = command(
+        "info", _info, "List topics, times and metadata of bags.", "finger-bag info bags/dry"
+    )
     info.add_argument("bags", nargs="+", metavar="BAG")
     info.add_argument("--count", action="store_true", help="count by reading every message")
-    info.add_argument("--json", action="store_true")
+    info.add_argument("--json", action="store_true", help="print JSON")
 
     check = command(
         "validate",
@@ -263,7 +265,7 @@ def parser() -> argparse.ArgumentParser:
     )
     check.add_argument("bags", nargs="+", metavar="BAG")
     add_read_options(check, ReadSettings)
-    check.add_argument("--json", action="store_true")
+    check.add_argument("--json", action="store_true", help="print JSON")
 
     show = command(
         "play",
@@ -274,16 +276,16 @@ def parser() -> argparse.ArgumentParser:
     show.add_argument("bag", metavar="BAG")
     add_settings(show, ReplaySettings)
     show.add_argument("--clock", action="store_true", help="publish the bag's time on /clock")
-    show.add_argument("--topics", nargs="+", metavar="TOPIC", help="only these")
-    show.add_argument("--exclude", nargs="+", metavar="TOPIC", help="all but these")
+    show.add_argument("--topics", nargs="+", metavar="TOPIC", help="play these topics only")
+    show.add_argument("--exclude", nargs="+", metavar="TOPIC", help="leave out these topics")
     show.add_argument(
-        "--wait", type=float, default=1.0, metavar="S", help="for subscribers to connect [s]"
+        "--wait", type=float, default=1.0, metavar="S", help="pause for subscribers to connect [s]"
     )
     show.add_argument(
         "--reliability",
         choices=("", "reliable", "best_effort"),
         default="",
-        help="of streams (default: as recorded)",
+        help="QoS reliability of streams (default: as recorded)",
     )
 
     record = command(
@@ -294,14 +296,18 @@ def parser() -> argparse.ArgumentParser:
     )
     record.add_argument("-o", "--output", required=True, help="bag to write")
     record.add_argument("--topics", nargs="+", metavar="TOPIC", help="schema names or NAME=TYPE")
-    record.add_argument("--namespace", default="finger", help="of the rig (default finger)")
-    record.add_argument("--session", default="")
+    record.add_argument("--namespace", default="finger", help="namespace of the rig")
+    record.add_argument("--session", default="", help="id of the session")
     record.add_argument("--subject", default="", help="subject code, never a name")
-    record.add_argument("--condition", default="")
+    record.add_argument("--condition", default="", help="moisture condition")
     record.add_argument("--calibration", metavar="FILE", help="plate calibration to attach")
     record.add_argument("--png", action="store_true", help="store images as lossless PNG")
-    record.add_argument("--split-size", type=int, default=0, metavar="BYTES")
-    record.add_argument("--split-duration", type=float, default=0.0, metavar="S")
+    record.add_argument(
+        "--split-size", type=int, default=0, metavar="BYTES", help="begin a new file at this size"
+    )
+    record.add_argument(
+        "--split-duration", type=float, default=0.0, metavar="S", help="the same at this duration"
+    )
 
     recover = command(
         "recover",

@@ -1,6 +1,6 @@
 """Reading MCAP files that may be damaged, cut off or hostile, in bounded memory.
 
-The `mcap` library trusts a file: it allocates what a length field claims and gives up at the first
+The `mcap` library believes a file: it allocates what a length field claims and stops at the first
 bad record. Bags come from killed recorders and from other people, so this module walks the records
 itself (MCAP specification, "Records") and never allocates more than the file can justify; what
 cannot be read is left out and listed in `problems`. The library reads the contents of small
@@ -91,7 +91,7 @@ class AttachmentEntry:
 class McapFile:
     """One MCAP file, walked once when it is opened.
 
-    `problems` lists what is wrong with it; `complete` says whether it was closed by its
+    `problems` lists what is wrong with it; `complete`: whether it was closed by its
     writer. Raises InputError when it is no MCAP file at all or cannot be opened.
     """
 

@@ -1,6 +1,6 @@
 """Reading bags: rosbag2 folders (MCAP, sqlite3, compressed or not), bare MCAP and sqlite3 files.
 
-Reading is streaming and honest: messages come in the order of their log time, one chunk (or a few,
+Reading is streaming: messages come in the order of their log time, one chunk (or a few,
 where chunks overlap in time) is in memory at once, and what cannot be read is left out and
 listed in `BagReader.problems`.
 """

@@ -134,7 +134,7 @@ class RecorderNode(ManagedNode):
             except FingerError:
                 self._unsubscribe()
                 raise
-        # Steady time: recording goes on when simulated time stands still or jumps.
+        # Steady time: recording continues when simulated time stands still or jumps.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._rounds = [
             self.create_timer(POLL, self._poll, clock=steady),

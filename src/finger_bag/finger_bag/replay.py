@@ -88,7 +88,7 @@ def replay(
             )
         if not settings.loop:
             return
-        # The next round goes on a little later, so that time never runs back.
+        # The next round begins a little later, so that time never runs back.
         shift = last + LOOP_GAP_NS - first
 
 

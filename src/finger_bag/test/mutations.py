@@ -146,8 +146,8 @@ def ending() -> bytes:
     return struct.pack("<BQI", 15, 4, 0) + struct.pack("<BQQQI", 2, 20, 0, 0, 0) + MAGIC
 
 
-def honest_bomb() -> bytes:
-    """8 GiB of zeros in a chunk that says so."""
+def truthful_bomb() -> bytes:
+    """8 GiB of zeros in a chunk that states this size."""
     context = zstandard.ZstdCompressor(level=1)
     stream = context.compressobj()
     block = bytes(1 << 24)

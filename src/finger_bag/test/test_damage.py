@@ -193,7 +193,7 @@ print(f"{grown:.0f} {time.process_time() - began:.1f}")
 @pytest.mark.parametrize(
     ("make", "megabytes"),
     [
-        (mutations.honest_bomb, 200),
+        (mutations.truthful_bomb, 200),
         (mutations.lying_bomb, 200),
         (lambda: mutations.many_bombs(8), 300),
     ],

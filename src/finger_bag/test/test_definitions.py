@@ -65,7 +65,7 @@ def test_cdr_equals_that_of_the_middleware() -> None:
     }
     own = encode("finger_msgs/msg/ContactArea", fields)
     theirs = serialization.serialize_message(area)
-    # Padding bytes are the middleware's own business: they hold whatever was in its buffer.
+    # Padding bytes are not defined: they hold what was in the middleware's buffer.
     assert len(own) == len(theirs) or 0 <= len(theirs) - len(own) < 4
     decode = decoder("finger_msgs/msg/ContactArea")
     assert repr(decode(theirs)) == repr(decode(own))

@@ -21,7 +21,7 @@ RELIABLE = ("-p", "qos_reliability:=reliable", "-p", "qos_depth:=20000")
 
 
 class Rig:
-    """Publishes forces, areas and readings at their rates, and hears what the model says."""
+    """Publishes forces, areas and readings at their rates, and receives the states of the model."""
 
     def __init__(self, domain: int) -> None:
         from diagnostic_msgs.msg import DiagnosticArray

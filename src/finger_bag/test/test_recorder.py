@@ -1,4 +1,4 @@
-"""Recording: nothing lost, nothing re-encoded, whole files whatever happens."""
+"""Recording: nothing lost, nothing re-encoded, complete files after every fault."""
 
 from __future__ import annotations
 

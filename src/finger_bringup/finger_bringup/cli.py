@@ -32,8 +32,8 @@ def parser() -> argparse.ArgumentParser:
         "up",
         help="start the suite as separate processes and keep it running",
         description=(
-            "Bring the nodes of the rig up in order, show their output, start those again that end "
-            "by themselves, and end all on Ctrl-C."
+            "Start the nodes of the rig in order and show their output. A node that ends "
+            "unexpectedly is started again. Ctrl-C ends all."
         ),
         example=(
             "finger-rig up --simulated\n"
@@ -44,34 +44,42 @@ def parser() -> argparse.ArgumentParser:
     up.add_argument("--simulated", action="store_true", help="simulated devices and participant")
     up.add_argument("--parameters", type=Path, metavar="FILE", help="ROS parameter file (YAML)")
     up.add_argument(
-        "--namespace", default=nodes.DEFAULT_NAMESPACE, help="of all nodes (default: %(default)s)"
+        "--namespace",
+        default=nodes.DEFAULT_NAMESPACE,
+        help="namespace of all nodes (default: %(default)s)",
     )
     up.add_argument("--nodes", nargs="+", metavar="NODE", help="run only these nodes")
-    up.add_argument("--without", nargs="+", default=[], metavar="NODE", help="leave these out")
+    up.add_argument(
+        "--without", nargs="+", default=[], metavar="NODE", help="leave out these nodes"
+    )
     up.add_argument(
         "--folder",
         type=Path,
         default=Path("out/rig"),
-        help="of sessions and of the simulated devices (default: %(default)s)",
+        help="folder of sessions and simulated devices (default: %(default)s)",
     )
-    up.add_argument("--seed", type=int, default=1, help="of the simulated rig (default: 1)")
+    up.add_argument("--seed", type=int, default=1, help="seed of the simulated rig (default: 1)")
     study = commands.add_parser(
         "study",
         help="simulate the paper's study into bags",
         description="Simulate the 45 trials of the paper (3 conditions × 15) into bags.",
         example="finger-rig study --seed 1 -o out/study\nfinger-rig study --no-images -o out/study",
     )
-    study.add_argument("--seed", type=int, default=1, help="of the whole study (default: 1)")
+    study.add_argument("--seed", type=int, default=1, help="seed of the study (default: 1)")
     study.add_argument(
         "--no-images",
         action="store_true",
         help="write areas with measurement noise in place of images; the bags note it",
     )
-    study.add_argument("--misfit", action="store_true", help="with a finger unlike the model")
     study.add_argument(
-        "--trials", type=int, default=15, help="per condition (default: 15, as in the paper)"
+        "--misfit", action="store_true", help="simulate a finger that differs from the model"
     )
-    study.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
+    study.add_argument(
+        "--trials", type=int, default=15, help="trials per condition (default: 15, as in the paper)"
+    )
+    study.add_argument(
+        "-o", "--output", type=Path, required=True, metavar="DIR", help="folder of the bags"
+    )
     return top
 
 

@@ -29,7 +29,7 @@ class StateFlag(IntFlag):
 
 
 class AreaFlag(IntFlag):
-    """Flags of a measured area: what speaks against it; 0 means nothing."""
+    """Flags of a measured area: reasons to doubt it; 0 means none."""
 
     NO_CONTACT = 1
     SPARSE = 2

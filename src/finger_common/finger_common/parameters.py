@@ -63,7 +63,7 @@ class Parameter:
         return value
 
     def range_text(self) -> str:
-        """Allowed values in words, e.g. "0 … 130 a.u."."""
+        """Allowed values as text, e.g. "0 … 130 a.u."."""
         if self.choices is not None:
             return ", ".join(map(str, self.choices))
         if self.minimum is None and self.maximum is None:

@@ -1,4 +1,4 @@
-"""The node shell over real DDS, in a process of its own."""
+"""The managed node over real DDS, in a process of its own."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def test_shell_publishes_checks_parameters_reports_and_ends_cleanly(
     status = wait_for(lambda: states, spin)[-1].status[0]
     assert status.name == "gauge: gauge" and status.hardware_id == "no. 7"
     assert {v.key: v.value for v in status.values}["state"] == "active"
-    # Ctrl-C: the node says its last word.
+    # Ctrl-C: the node writes its last log line.
     child.send_signal(signal.SIGINT)
     wait_for(lambda: values[-1] == -1.0, spin)
     assert child.wait(60) == 0, child.output.read_text()

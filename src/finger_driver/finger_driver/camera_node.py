@@ -27,7 +27,7 @@ from .messages import calibration_of, fill_camera_info, fill_image
 
 @dataclass(frozen=True)
 class CameraNodeSettings(DeviceNodeSettings):
-    """Parameters of the camera node, whatever the camera."""
+    """Parameters of the camera node for every camera."""
 
     frame_id: str = setting("camera_optical", "Optical frame of the camera.")
     camera_name: str = setting("camera", "Name of the camera in its calibration file.")

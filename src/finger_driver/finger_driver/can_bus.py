@@ -219,5 +219,5 @@ def stamp_of(message: can.Message) -> int | None:
 
 
 def describe(bus: can.BusABC) -> str:
-    """Where the bus leads, in words."""
+    """Description of the bus."""
     return str(getattr(bus, "channel_info", "") or type(bus).__name__)

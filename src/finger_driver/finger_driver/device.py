@@ -87,7 +87,7 @@ class Device(Generic[Sample]):
 class DeviceThread(Generic[Sample]):
     """Reads a device in a thread of its own and connects again when it is lost.
 
-    `on_sample` is called in that thread. The pauses between attempts begin anew after a sample.
+    `on_sample` is called in that thread. A sample resets the pause between attempts.
     """
 
     def __init__(

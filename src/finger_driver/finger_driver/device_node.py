@@ -18,7 +18,7 @@ from .device import Device, DeviceThread
 
 @dataclass(frozen=True)
 class DeviceNodeSettings(Settings):
-    """Parameters of every driver node, whatever its device."""
+    """Parameters of every driver node, for every device."""
 
     connect_timeout: float = setting(
         10.0,
@@ -146,7 +146,7 @@ class DeviceNode(ManagedNode):
             if abs(step) > _CLOCK_STEP:
                 self.device.note(
                     "clock_step",
-                    f"the system clock was stepped by {step:+.3f} s; stamps go on as before, "
+                    f"the system clock was stepped by {step:+.3f} s; stamps continue as before, "
                     "restart all nodes to follow it",
                 )
         super().publish_diagnostics()

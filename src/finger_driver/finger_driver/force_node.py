@@ -23,7 +23,7 @@ from .tare import TareCollector, TareResult
 
 @dataclass(frozen=True)
 class ForceNodeSettings(DeviceNodeSettings):
-    """Parameters of the force node, whatever the sensor."""
+    """Parameters of the force node for every sensor."""
 
     frame_id: str = setting("force_sensor", "Frame of the sensor's own axes.")
     bad_samples: str = setting(

@@ -27,7 +27,7 @@ _RANGE = f"{MOISTURE_RANGE[0]:g} … {MOISTURE_RANGE[1]:g} a.u."
 
 @dataclass(frozen=True)
 class MoistureNodeSettings(DeviceNodeSettings):
-    """Parameters of the moisture node, whatever the source."""
+    """Parameters of the moisture node for every source."""
 
     frame_id: str = setting("finger", "Frame of the reading: the skin it was taken on.")
     out_of_range: str = setting(
@@ -38,7 +38,7 @@ class MoistureNodeSettings(DeviceNodeSettings):
 
 
 class MoistureNode(DeviceNode):
-    """Thin shell around a MoistureSource. Readings may be entered by hand whatever the source."""
+    """Thin shell around a MoistureSource. Readings may be entered by hand with every source."""
 
     NAME = "moisture"
     SETTINGS = (MoistureNodeSettings,)
@@ -53,7 +53,7 @@ class MoistureNode(DeviceNode):
         )
         self._publish_lock = threading.Lock()
         self._index = 0
-        # Readings are few and each counts: reliable whatever the streams use.
+        # Readings are few and each counts: always reliable.
         qos = QoSProfile(depth=10)
         self._publisher = self.create_stream_publisher(Moisture, "moisture", qos)
         self._service = self.create_service(SetMoisture, "~/set_moisture", self._on_set_moisture)

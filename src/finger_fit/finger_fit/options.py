@@ -116,7 +116,7 @@ class FitOptions(Settings):
     moisture_required: bool = setting(True, "Exclude trials without a moisture reading.")
     seed: int = setting(0, "Seed of every random choice.", "", 0, 2**31 - 1)
     vision: bool = setting(
-        False, "Measure areas anew from image_raw, even where contact_area is recorded."
+        False, "Measure areas again from image_raw, even where contact_area is recorded."
     )
     resume: bool = setting(False, "Continue from the checkpoints in the output folder.")
     dask: str = setting(

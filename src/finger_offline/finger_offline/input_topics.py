@@ -1,4 +1,4 @@
-"""Which topics of a bag a run of `finger-bag process` reads, and which ones it writes anew."""
+"""Which topics of a bag a run of `finger-bag process` reads, and which ones it replaces."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ class OutputBag:
         self._writer.__exit__(kind, error, traceback)
 
     def copy(self, item: BagMessage) -> None:
-        """Copy a message of the input, unless its topic is written anew or shows the print."""
+        """Copy a message of the input, unless its topic is replaced or shows the print."""
         key = (item.topic, item.type)
         if item.topic in self._skipped or key in self.left_out:
             return

@@ -45,8 +45,10 @@ def add_command(add: AddCommand) -> None:
     )
     parser.add_argument("--parameters", default="", metavar="FILE", help="parameters.yaml to use")
     parser.add_argument("--model", default="", metavar="FILE", help="reduced model to use")
-    parser.add_argument("--csv", default="", metavar="FILE", help="also write the estimates there")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="bags at once")
+    parser.add_argument(
+        "--csv", default="", metavar="FILE", help="write the estimates to this file"
+    )
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="bags in parallel")
     add_read_options(parser, ProcessOptions)
 
 

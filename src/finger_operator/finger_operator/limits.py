@@ -13,7 +13,7 @@ class Limits(Settings):
     """Limits of the protocol, parameters of its node (N, s)."""
 
     confirm_preparation: bool = setting(
-        True, "Wait for the operator before each trial; false begins by itself."
+        True, "Wait for the operator before each trial; false: trials begin without it."
     )
     need_camera: bool = setting(
         True, "A trial needs contact areas; false for a rig without camera."

@@ -23,7 +23,7 @@ class PressEvent(Enum):
 class Press:
     """Follows the press of an attempt and writes its stamps, forces and counts into it.
 
-    limits: may be replaced while the press goes on.
+    limits: may be replaced during the press.
     """
 
     def __init__(self, attempt: Attempt, target_force: float, limits: Limits) -> None:

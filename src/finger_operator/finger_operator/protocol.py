@@ -258,7 +258,7 @@ class Protocol:
         self.repeat(last.index, now_ns)
 
     def repeat(self, index: int, now_ns: int) -> None:
-        """Do a trial again that was done or skipped; the session then goes on where it was."""
+        """Do a trial again that was done or skipped; the session then continues where it was."""
         self._now = now_ns
         if self.step in UNDER_WAY or self.step is Step.CLOSING:
             raise InputError("a trial is under way; finish, redo or skip it first")

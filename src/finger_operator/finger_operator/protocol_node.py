@@ -139,7 +139,7 @@ class ProtocolNode(ManagedNode):
             self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50),
         ]
         self._resume_pointer()
-        # Steady time, so that the tick goes on when simulated time jumps.
+        # Steady time, so that the tick continues when simulated time jumps.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._tick_timer = self.create_timer(TICK, self._tick, clock=steady)
         self._press_timer = self.create_timer(POLL, self._poll, clock=steady)
@@ -238,7 +238,7 @@ class ProtocolNode(ManagedNode):
 
     def _resume(self) -> str:
         self._open().resume(self._now())
-        return "the session goes on"
+        return "the session continues"
 
     def _redo(self) -> str:
         self._open().redo(self._now())

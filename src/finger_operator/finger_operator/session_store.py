@@ -1,4 +1,4 @@
-"""A session on disk: the state file, from which an interrupted session goes on, and trials.csv."""
+"""A session on disk: the state file, with which a session can be continued, and trials.csv."""
 
 from __future__ import annotations
 

@@ -90,7 +90,7 @@ class StudyPlan(PlanSettings):
         for name in self.conditions:
             if not isinstance(name, str) or not NAME.fullmatch(name):
                 raise InputError(
-                    f"condition '{name}' is no plain name; use letters, digits, - and _"
+                    f"condition '{name}' is not a valid name; use letters, digits, - and _"
                 )
         if len(set(self.conditions)) != len(self.conditions):
             raise InputError("a condition is named twice; give each block once")

@@ -683,7 +683,7 @@ def test_preparation_texts_can_be_edited_and_survive(rig: Rig) -> None:
         ({"session": "a/b"}, "folder"),
         ({"conditions": ()}, "no condition"),
         ({"conditions": ("dry", "dry")}, "twice"),
-        ({"conditions": ("d y",)}, "plain name"),
+        ({"conditions": ("d y",)}, "not a valid name"),
         ({"trials": 0}, "trials"),
         ({"readings": -1}, "readings"),
         ({"target_force": 0.0}, "target_force"),

@@ -59,7 +59,7 @@ class Participant:
 
     clock: of the camera; a press starts on a frame, so that frame k of the plan is the k-th of the
     press. send_reading(value, side): hands a moisture reading to the probe. reading_time: s a
-    reading takes. report(text): progress in words. played(trial, start_ns): called after each
+    reading takes. report(text): progress as text. played(trial, start_ns): called after each
     press. upcoming: trials known to come, planned ahead in this order; without them the next of
     the block is guessed.
     """

@@ -118,7 +118,7 @@ def plan_press(
         )
     cue = float(time[at_cue])
 
-    # The hand goes on at a falling rate between cue and reaction, then holds.
+    # The force rises at a falling rate between cue and reaction, then holds.
     speed = target_force * shape / ramp * max((cue - lead) / ramp, 1e-3) ** (shape - 1.0)
     past = np.clip(time - cue, 0.0, reaction)
     overshoot = speed * (past - 0.5 * past**2 / reaction)

@@ -2,7 +2,7 @@
 
 The only way from this finger to an estimate is through bytes and pixels: a NETCANOEM board polled
 on a CAN bus, image files in a spool folder, lines of a serial moisture probe. The participant
-presses when the phase of the trial says so. The true contacts are written to `truth/` of the rig's
+presses in the phase PRESS of a trial. The true contacts are written to `truth/` of the rig's
 folder, for tests and reports on simulated data alone.
 """
 
@@ -61,7 +61,7 @@ EXPOSURE = 5e-3
 class SimulatedRig:
     """The rig. `start` opens the devices, `announce` tells the participant a trial's phase.
 
-    report(text): progress in words. `start` raises DeviceError when the CAN bus does not open.
+    report(text): progress as text. `start` raises DeviceError when the CAN bus does not open.
     """
 
     def __init__(self, settings: RigSettings, report: Callable[[str], None] = print) -> None:

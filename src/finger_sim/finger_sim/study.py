@@ -5,7 +5,7 @@ materials. A fit reads bytes and pixels only; the truth is in `truth.json` besid
 those who judge a fit.
 
 Areas either come from rendered FTIR frames (`images`), or are the true ones with measurement noise;
-the bag's metadata says which. With `misfit`, trials also differ in ways a fit does not know of.
+the bag's metadata names it. With `misfit`, trials also differ in ways unknown to a fit.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def simulate_study(
     """Simulate the study and write one bag per trial into `output`; returns the bags in order.
 
     images: render FTIR frames (areas must then be measured in them); without, `contact_area`
-    carries true areas with noise, and the metadata says so. A bag that exists already is kept, so
+    carries true areas with noise, as the metadata states. A bag that exists already is kept, so
     that an interrupted study can be continued. Raises InputError for an unknown condition or a
     folder with the bags of another study.
     """

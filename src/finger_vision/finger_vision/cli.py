@@ -93,20 +93,33 @@ def _add_calibrate(commands: Any) -> None:
         "finger-vision calibrate board.mcap --on-plate flat.png --board charuco --columns 10 "
         "--rows 8 --square 0.003 --marker 0.0022 -o plate.yaml",
     )
-    calibrate.add_argument("views", nargs="*", type=Path, metavar="VIEW", help="images or bags")
     calibrate.add_argument(
-        "--on-plate", nargs="+", type=Path, required=True, metavar="VIEW", help="images or bags"
+        "views", nargs="*", type=Path, metavar="VIEW", help="images or bags, any tilt"
+    )
+    calibrate.add_argument(
+        "--on-plate",
+        nargs="+",
+        type=Path,
+        required=True,
+        metavar="VIEW",
+        help="board flat on the plate",
     )
     calibrate.add_argument("--board", choices=("checkerboard", "charuco"), default="checkerboard")
     calibrate.add_argument("--columns", type=int, required=True, help="squares, not inner corners")
     calibrate.add_argument("--rows", type=int, required=True, help="squares, not inner corners")
-    calibrate.add_argument("--square", type=float, required=True, metavar="M", help="side in m")
-    calibrate.add_argument("--marker", type=float, default=0.0, metavar="M", help="side in m")
+    calibrate.add_argument(
+        "--square", type=float, required=True, metavar="M", help="side of a square, m"
+    )
+    calibrate.add_argument(
+        "--marker", type=float, default=0.0, metavar="M", help="side of a marker, m"
+    )
     calibrate.add_argument("--dictionary", default=DICTIONARY, help=f"default {DICTIONARY}")
     calibrate.add_argument(
-        "--no-lens", action="store_true", help="homography alone, without lens distortion"
+        "--no-lens",
+        action="store_true",
+        help="calibrate the homography only, without lens distortion",
     )
-    calibrate.add_argument("--topic", default="image_raw", help="of the images in a bag")
+    calibrate.add_argument("--topic", default="image_raw", help="topic of the images in a bag")
     calibrate.add_argument(
         "--every",
         type=float,

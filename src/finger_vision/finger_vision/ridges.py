@@ -78,7 +78,7 @@ def find_ridges(
     noise: standard deviation of the contrast. learned: whether the background was learned.
     minimum_contrast: fraction of the grey range.
     """
-    # Certain skin, at a quarter of the working resolution, says where to look closer.
+    # Certain skin, at a quarter of the working resolution, selects the part to examine further.
     columns, rows = contrast.shape[1] // 2, contrast.shape[0] // 2
     half = cv2.resize(contrast, (columns, rows), interpolation=cv2.INTER_AREA)
     floor = minimum_contrast * 255 * (1.0 if learned else GUESSED_CAUTION)

@@ -138,7 +138,8 @@ class UeyeSource(CameraSource):
         self.health.notes["camera_rate"] = f"{float(rate.value):g}"
         if abs(float(rate.value) - wanted.rate) > 0.01 * wanted.rate:
             self.note(
-                "setting_rate", f"the camera makes {float(rate.value):g} Hz of {wanted.rate:g} Hz"
+                "setting_rate",
+                f"the camera runs at {float(rate.value):g} Hz, not {wanted.rate:g} Hz",
             )
         if wanted.exposure:
             exposure = u.double(wanted.exposure * 1e3)

@@ -86,7 +86,9 @@ class SensorMapping:
             raise DeviceError(f"frame {name} cannot be decoded ({error})") from None
         for signal, value in self.match.items():
             if signal in signals and int(signals[signal]) != value:
-                raise DeviceError(f"frame {name} has {signal} {signals[signal]}, {value} is due")
+                raise DeviceError(
+                    f"frame {name} has {signal} {signals[signal]}, {value} is expected"
+                )
         return dict(signals)
 
     def wrench(self, signals: dict[str, float]) -> np.ndarray:
@@ -114,7 +116,7 @@ class _Reader:
             for name in names:
                 self._signals |= {s.name for s in database.get_message_by_name(name).signals}
             if not names or len(set(names)) != len(names):
-                raise ValueError("messages must be there, none of them twice")
+                raise ValueError("messages are missing or named twice")
             return tuple(names)
 
         def counter(entry: dict[str, Any]) -> tuple[str, int]:

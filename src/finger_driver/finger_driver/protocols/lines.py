@@ -54,7 +54,7 @@ def parse_line(line: str, pattern: re.Pattern[str]) -> ParsedLine | None:
 
 
 class LineSplitter:
-    """Cuts a stream of bytes into lines; memory stays bounded whatever comes."""
+    """Cuts a stream of bytes into lines; memory stays bounded for any input."""
 
     def __init__(self) -> None:
         self._rest = b""

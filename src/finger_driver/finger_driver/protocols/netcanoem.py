@@ -102,14 +102,14 @@ def identifier(base: int, opcode: int) -> int:
 
 
 def status_text(status: int) -> str:
-    """The set bits of a status word in words."""
+    """Meaning of the set bits of a status word."""
     names = [STATUS_BITS.get(bit, f"bit {bit}") for bit in range(16) if status >> bit & 1]
     return ", ".join(names) or "no fault"
 
 
 def _need(data: bytes, length: int, what: str) -> None:
     if len(data) != length:
-        raise DeviceError(f"{what} reply has {len(data)} bytes, {length} are due")
+        raise DeviceError(f"{what} reply has {len(data)} bytes, {length} are expected")
 
 
 def decode_gauges(first: bytes, second: bytes) -> tuple[int, np.ndarray]:

@@ -74,14 +74,14 @@ class Record:
 
 
 def encode_request(command: int, count: int = 0) -> bytes:
-    """Request; count 0 asks for an endless stream."""
+    """Request; count 0 starts an endless stream."""
     return struct.pack(">HHI", HEADER, command, count)
 
 
 def decode_request(data: bytes) -> tuple[int, int]:
     """Command and count of a request; raises DeviceError when it is none."""
     if len(data) != 8:
-        raise DeviceError(f"request has {len(data)} bytes, 8 are due")
+        raise DeviceError(f"request has {len(data)} bytes, 8 are expected")
     header, command, count = struct.unpack(">HHI", data)
     if header != HEADER or command not in COMMANDS:
         raise DeviceError(f"not an RDT request: header 0x{header:04X}, command 0x{command:04X}")
@@ -112,11 +112,11 @@ def decode_datagram(data: bytes) -> list[Record]:
 
 
 def status_text(status: int) -> str:
-    """The set bits of a status word in words, without the summary bit."""
+    """Meaning of the set bits of a status word, without the summary bit."""
     names = [STATUS_BITS.get(b, f"bit {b}") for b in range(31) if status >> b & 1]
     return ", ".join(names) or "no fault"
 
 
-def real_rate(asked: float) -> float:
-    """Rate the box makes of an asked one: the next integer fraction of 7000 Hz not below it."""
-    return BASE_RATE / max(1, int(BASE_RATE // max(asked, 1e-9)))
+def real_rate(requested: float) -> float:
+    """Rate that the box uses: the smallest integer fraction of 7000 Hz not below the request."""
+    return BASE_RATE / max(1, int(BASE_RATE // max(requested, 1e-9)))

@@ -36,7 +36,7 @@ FAULTS = {
     "gap": "leaves out a record; its number is missing",
     "duplicate": "sends a record twice",
     "reordered": "sends a record after the next one",
-    "restart": "the numbering of the records begins anew",
+    "restart": "the numbering of the records restarts",
     "stalled": "the internal sample number stands still",
     "short": "sends a datagram of 20 bytes",
     "status": "status word of the records",

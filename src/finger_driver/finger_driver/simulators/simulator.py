@@ -87,7 +87,7 @@ class Simulator:
             try:
                 self.run()
             except can.CanError:
-                # The bus went down, or a client was too slow; the device itself goes on.
+                # The bus went down, or a client was too slow; the device itself continues.
                 self._ending.wait(0.05)
 
     def stop(self) -> None:

@@ -14,7 +14,7 @@ from ..search import LocalFit, all_free, refine
 from .areas import BetterModel
 
 FAR = 0.5
-"""Move of a correction coordinate after which the slope is computed anew."""
+"""Move of a correction coordinate after which the slope is computed again."""
 
 SETTLED = 0.03
 """Move of a correction coordinate below which the correction ends; far below the spread of a fit of

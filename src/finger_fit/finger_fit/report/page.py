@@ -92,7 +92,7 @@ def render(result: FitResult, pictures: dict[str, bytes]) -> str:
 
 
 def _meanings(result: FitResult) -> str:
-    """The derived quantities in words."""
+    """The derived quantities as text."""
     return "".join(f" {q.symbol}: {q.meaning}" for q in result.space.derived.values())
 
 
@@ -102,7 +102,7 @@ def _lead(result: FitResult) -> str:
     subjects = sorted({t.subject for p in problems for t in p.trials if t.subject})
     who = f" of {', '.join(subjects)}" if subjects else ""
     bags = result.sources.get("bags", [])
-    names = {"topic": "recorded contact_area", "images": "images, measured anew"}
+    names = {"topic": "recorded contact_area", "images": "images, measured again"}
     areas = [names.get(a, a) for a in sorted({a for bag in bags for a in bag["areas"]})]
     made = sorted({bag["made_by"] for bag in bags if bag["made_by"]})
     text = (

@@ -200,7 +200,7 @@ def search(
                 if not np.array_equal(asked, done_points[index]):
                     raise InputError(
                         f"{checkpoint}: round {index + 1} was made by another version of the "
-                        "optimiser; start anew without resume"
+                        "optimiser; start again without resume"
                     )
                 found = np.array(done_costs[index])
             else:
@@ -248,6 +248,6 @@ def _load(path: Path, identity: dict[str, Any]) -> tuple[list[np.ndarray], list[
     if found != identity:
         raise InputError(
             f"{path}: checkpoint of another search (other data, seed, box or options); "
-            "start anew without resume"
+            "start again without resume"
         )
     return points, costs

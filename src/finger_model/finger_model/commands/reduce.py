@@ -22,7 +22,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         help="build the reduced model of a geometry",
         description=(
             "Build the reduced model of a geometry from full-order runs, measure its error on "
-            "held-out runs and write it. This takes some minutes. An interrupted build goes on "
+            "held-out runs and write it. This takes some minutes. An interrupted build continues "
             "where it stopped when the same command is given again; finished runs lie in "
             "OUTPUT.parts until then."
         ),

@@ -21,7 +21,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
         "simulate",
-        help="force history to contact history",
+        help="compute the contact under a force history",
         description=(
             "Simulate a finger under a force history. The input has the columns time_s,force_n, "
             "the output time_s,force_n,area_mm2,radius_mm,indentation_mm,peak_pressure_kpa with "

@@ -1,4 +1,4 @@
-"""`finger-model verify`: the full-order model against what is known."""
+"""`finger-model verify`: the full-order model against known solutions."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
         "verify",
-        help="measure the model against what is known",
+        help="compare the model with known solutions",
         description=(
             "Run the verification of the full-order model: patch tests, orders of convergence, "
             "Hertz, Lee–Radok, limits, independent reference curves, energy, smoothness, "

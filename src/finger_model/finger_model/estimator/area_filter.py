@@ -30,7 +30,7 @@ MEMORY_BETWEEN_CONTACTS = 0.95
 """Share of the logarithmic weights kept from one contact to the next: fingers dry and tire."""
 
 ACCEPTED_OUTLIERS = 3
-"""Outliers in a row after which the filters start anew, with a wide covariance."""
+"""Outliers in a row after which the filters restart with a wide covariance."""
 
 FILTERS = len(SCALES)
 
@@ -87,7 +87,7 @@ def initialise(bank, noise):
 
 @njit(cache=True)
 def begin_contact(bank, noise, stamp):
-    """Draw the contact's own errors d and e anew."""
+    """Draw the contact's own errors d and e again."""
     for k in range(FILTERS):
         square = SCALES[k] * SCALES[k]
         bank.mean[k, 2:] = 0.0

@@ -167,7 +167,7 @@ class ContactEstimator:
         bisect.insort(self._events, event, key=lambda e: e.stamp_ns)
 
     def expect_late(self, events: Iterable[EstimatorEvent]) -> None:
-        """Leave out the areas and readings that these recorded events say had come too late."""
+        """Leave out the areas and readings that came too late by these recorded events."""
         self._inputs.expect_late(events)
 
     # Changes ---------------------------------------------------------------------------------
@@ -180,11 +180,11 @@ class ContactEstimator:
         return self._record_event(EventType.RESET, reason)
 
     def change_settings(self, settings: EstimatorSettings, reason: str = "") -> EstimatorEvent:
-        """New settings from the next sample on; the state goes on. Returns the event to record."""
+        """New settings from the next sample on; the state is kept. Returns the event to record."""
         return self._record_event(EventType.SETTINGS, reason, settings=settings.to_json())
 
     def change_parameters(self, sets: ParameterSets, reason: str = "") -> EstimatorEvent:
-        """New parameter sets from the next sample on; the state goes on.
+        """New parameter sets from the next sample on; the state is kept.
 
         Returns the event to record. Raises InputError for sets of another geometry or law.
         """

@@ -53,5 +53,5 @@ class EstimatorEvent:
         except ValueError:
             values = None
         if not isinstance(values, dict):
-            raise InputError("estimator settings are not a JSON object; record the bag anew")
+            raise InputError("estimator settings are not a JSON object; record the bag again")
         return EstimatorSettings.select(values)

@@ -80,7 +80,7 @@ class FilterState:
         return {name: int(counters[name][0]) for name in stream.COUNTERS.names or ()}
 
     def reset(self, keep_stream: bool = False) -> None:
-        """A finger at rest, not seen before; `keep_stream`: the stream of samples goes on."""
+        """A finger at rest, not seen before; `keep_stream`: the stream of samples continues."""
         kept = self._stream.copy()
         self.state[:] = np.zeros(1, stream.STATE)
         self._stream["pending_flags"] = kept["pending_flags"]

@@ -40,11 +40,11 @@ class InputQueue:
         return newest is not None and stamp_ns + self.delay <= newest
 
     def knows_late(self, kind: str, stamp_ns: int) -> bool:
-        """Whether a recorded event says that this "area" or "moisture" came too late."""
+        """Whether, by a recorded event, this "area" or "moisture" came too late."""
         return (kind, stamp_ns) in self._known_late
 
     def expect_late(self, events: Iterable[EstimatorEvent]) -> None:
-        """Leave out the inputs that these recorded events say had come too late."""
+        """Leave out the inputs that came too late according to these recorded events."""
         for event in events:
             self._known_late.update(("area", stamp) for stamp in event.late_areas)
             self._known_late.update(("moisture", stamp) for stamp in event.late_moistures)

@@ -39,7 +39,7 @@ the four predicted events have similar errors, and the curve through them is the
 
 MAXIMUM_CHANGE = 0.02
 """Largest change, from step to step, of the last event's predicted force over the distance of two
-events. Beyond it the load path has changed, and the curve starts anew."""
+events. Beyond it the load path has changed, and the curve starts again."""
 
 CORRECTION_RANGE = (0.8, 1.25)
 """Smallest and largest correction of a predicted gap between events."""

@@ -1,7 +1,7 @@
 """Building a reduced model: full-order runs, coordinates, training, measured error, file.
 
-An interrupted build goes on when it is started again with the same settings: finished runs lie in a
-folder beside the output (`OUTPUT.parts`) until the file is written.
+An interrupted build continues when it is started again with the same settings: finished runs are in
+a folder beside the output (`OUTPUT.parts`) until the file is written.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ FORCE_LIMIT_RUNS = 4
 """Histories that must have reached the largest load, over E L², that the model is used for."""
 
 Progress = Callable[[str, float], None]
-"""Called with the stage in words and the share done of it."""
+"""Called with the name of the stage and the share of it that is done."""
 
 
 def build(

@@ -345,7 +345,7 @@ def _outputs(net, par, state, work):
 
 @njit(cache=True)
 def _refresh(net, par, state, work):
-    """Evaluate the drive anew after the parameters were changed under a state."""
+    """Evaluate the drive again after the parameters were changed under a state."""
     x = (state.force / par.force_scale) ** (1.0 / 3.0)
     _drive(net, par, work, x, state.amplitudes, state.drive)
 
@@ -398,7 +398,7 @@ def follow(net, par, state, work, before, time, force, table):
 
 @njit(cache=True)
 def _areas(net, par, state, work, time, force, wanted, out):
-    """Areas of one trial, written where `wanted` says (−1: nowhere); records as arrays of one."""
+    """Areas of one trial, each at its index in `wanted` (−1: left out); records as arrays of one."""
     _rest(net[0], par[0], state[0], work[0])
     for i in range(len(time)):
         dt = time[i] - time[i - 1] if i else 0.0

@@ -26,7 +26,7 @@ class Measure:
         return above and (self.high is None or self.value <= self.high)
 
     def limit(self) -> str:
-        """The limits in words."""
+        """The limits as text."""
         if self.low is None and self.high is None:
             return "reported"
         if self.low is None:

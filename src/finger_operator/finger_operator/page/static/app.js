@@ -154,7 +154,7 @@ function showStatus(s) {
   dirty = true;
 }
 
-// The status comes beside the cue, now before and now after it, and takes long to draw: it lets the cue go first.
+// The status takes long to draw and may arrive before the cue: the cue is drawn first.
 let soon = 0;
 function showStatusSoon(s) {
   clearTimeout(soon);
