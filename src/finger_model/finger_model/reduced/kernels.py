@@ -398,7 +398,7 @@ def follow(net, par, state, work, before, time, force, table):
 
 @njit(cache=True)
 def _areas(net, par, state, work, time, force, wanted, out):
-    """Areas of one trial, each at its index in `wanted` (−1: left out); records as arrays of one."""
+    """Areas of one trial, each at its index in `wanted` (−1: left out); records: arrays of one."""
     _rest(net[0], par[0], state[0], work[0])
     for i in range(len(time)):
         dt = time[i] - time[i - 1] if i else 0.0
