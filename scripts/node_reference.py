@@ -127,6 +127,8 @@ def uses_of(module: Any) -> dict[str, list[tuple[str, str]]]:
         )
         kind = CALLS.get(str(function))
         arguments = call.args[1:] if function in NODE_FIRST else call.args
+        if kind is not None and any(isinstance(a, ast.Starred) for a in call.args):
+            raise SystemExit(f"{module.__name__}: write name and type into each {function}()")
         if kind is None or len(arguments) < 2:
             continue
         name = text_of(arguments[1], module)

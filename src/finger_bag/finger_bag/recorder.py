@@ -73,7 +73,7 @@ class RecorderSettings(Settings):
         512 << 20,
         "What may wait for the disk before messages are dropped and counted.",
         unit="B",
-        minimum=0,
+        minimum=1 << 20,
     )
 
 

@@ -52,7 +52,11 @@ def test_recordings_follow_one_another_and_refuse_to_overlap(tmp_path: Path) -> 
 
 
 def test_what_does_not_fit_the_queue_is_counted_as_lost(tmp_path: Path) -> None:
-    recorder = Recorder(RecorderSettings(queue_limit=0))
+    with pytest.raises(InputError, match="queue_limit"):
+        RecorderSettings(queue_limit=0)
+    settings = RecorderSettings()
+    object.__setattr__(settings, "queue_limit", 0)
+    recorder = Recorder(settings)
     recorder.start(tmp_path / "bag")
     taken = sum(recorder.put(serialized(i)) for i in range(2000))
     result = recorder.stop()

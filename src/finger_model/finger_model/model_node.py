@@ -151,9 +151,9 @@ class ModelNode(ManagedNode):
         area = self.create_stream_subscription(ContactArea, "contact_area", self._on_area, qos)
         moisture = self.create_stream_subscription(Moisture, "moisture", self._on_moisture, qos)
         services = (
-            (Trigger, "~/reset", self._on_reset),
-            (ForceForArea, "~/force_for_area", self._on_force_for_area),
-            (PredictContact, "~/predict", self._on_predict),
+            self.create_service(Trigger, "~/reset", self._on_reset),
+            self.create_service(ForceForArea, "~/force_for_area", self._on_force_for_area),
+            self.create_service(PredictContact, "~/predict", self._on_predict),
         )
         self._entities = [
             (self.destroy_publisher, self._state_publisher),
@@ -161,7 +161,7 @@ class ModelNode(ManagedNode):
             (self.destroy_subscription, self._wrench),
             (self.destroy_subscription, area),
             (self.destroy_subscription, moisture),
-            *((self.destroy_service, self.create_service(*service)) for service in services),
+            *((self.destroy_service, service) for service in services),
         ]
         self._jump_handle = self.get_clock().create_jump_callback(
             JumpThreshold(

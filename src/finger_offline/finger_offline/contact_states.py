@@ -1,10 +1,11 @@
-"""Many contact estimates at once: to serialized ContactState messages and CSV."""
+"""Many contact estimates at once: to serialized ContactState messages, CSV and Parquet."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -58,24 +59,53 @@ def columns(block: EstimateBlock, start_ns: int) -> dict[str, np.ndarray]:
 
 @contextmanager
 def open_table(path: str) -> Iterator[Callable[[EstimateBlock], None]]:
-    """Function that appends a block of estimates to a CSV file.
+    """Function that appends a block of estimates to a table: CSV or Parquet, by the suffix.
 
     The file takes its name only when the `with` ends without an error. Raises InputError for
-    another suffix, or when the file cannot be written.
+    another suffix, when the file cannot be written, or for Parquet without pyarrow.
     """
-    if Path(path).suffix != ".csv":
-        raise InputError(f"{path}: name a .csv file")
+    suffix = Path(path).suffix
+    if suffix not in (".csv", ".parquet"):
+        raise InputError(f"{path}: name a .csv or .parquet file")
     start: list[int] = []
-    with atomic_write(path) as file:
+    with _open_csv(path) if suffix == ".csv" else _open_parquet(path) as write:
 
         def append(block: EstimateBlock) -> None:
             if len(block):
                 start[:] = start or [int(block.column("stamp_ns")[0])]
-                rows = zip(*(column.tolist() for column in columns(block, start[0]).values()))
-                file.writelines(",".join(map(_text, row)) + "\n" for row in rows)
+                write(columns(block, start[0]))
+
+        yield append
+
+
+@contextmanager
+def _open_csv(path: str) -> Iterator[Callable[[dict[str, np.ndarray]], None]]:
+    with atomic_write(path) as file:
+
+        def write(table: dict[str, np.ndarray]) -> None:
+            rows = zip(*(column.tolist() for column in table.values()))
+            file.writelines(",".join(map(_text, row)) + "\n" for row in rows)
 
         file.write(",".join(COLUMNS) + "\n")
-        yield append
+        yield write
+
+
+@contextmanager
+def _open_parquet(path: str) -> Iterator[Callable[[dict[str, np.ndarray]], None]]:
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ImportError:
+        raise InputError("Parquet needs pyarrow; install it, or name a .csv file") from None
+    types = {"float64": pyarrow.float64(), "string": pyarrow.string()}
+    fields = [(n, types.get(f.type, pyarrow.int64())) for n, f in _COLUMN_FIELDS.items()]
+    schema = pyarrow.schema([("time_s", pyarrow.float64()), *fields])
+    with atomic_write(path, "wb") as file, parquet.ParquetWriter(file, schema) as writer:
+
+        def write(table: dict[str, Any]) -> None:
+            writer.write_table(pyarrow.table(table, schema=schema))
+
+        yield write
 
 
 def _text(value: float | int | str) -> str:

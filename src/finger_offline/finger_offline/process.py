@@ -85,8 +85,8 @@ def process(
             output = OutputBag(target, reader, topics, options, estimator.model.hash)
             stack.enter_context(output)
         sinks = [on_block] if on_block is not None else []
-        if options.csv:
-            sinks.append(stack.enter_context(open_table(options.csv)))
+        for table in options.tables:
+            sinks.append(stack.enter_context(open_table(table)))
         run = _Run(reader, options, topics, estimator, images, output, sinks)
         run.read_all(progress)
         result = run.result()

@@ -45,8 +45,9 @@ def add_command(add: AddCommand) -> None:
     )
     parser.add_argument("--parameters", default="", metavar="FILE", help="parameters.yaml to use")
     parser.add_argument("--model", default="", metavar="FILE", help="reduced model to use")
+    parser.add_argument("--csv", metavar="FILE", help="write the estimates to this CSV file")
     parser.add_argument(
-        "--csv", default="", metavar="FILE", help="write the estimates to this file"
+        "--parquet", metavar="FILE", help="write them to this Parquet file (needs pyarrow)"
     )
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="bags in parallel")
     add_read_options(parser, ProcessOptions)
@@ -58,15 +59,16 @@ def run(args: argparse.Namespace) -> int:
 
     bags = find_bags(args.bags)
     several = len(bags) > 1
-    if several and args.csv:
-        raise InputError("--csv takes one bag; process the bags one by one")
+    tables = tuple(table for table in (args.csv, args.parquet) if table)
+    if several and tables:
+        raise InputError("--csv and --parquet take one bag; process the bags one by one")
     options = read_settings_from(
         args,
         ProcessOptions,
         estimator=estimator_settings(args.set),
         parameter_file=args.parameters,
         model_file=args.model,
-        csv=args.csv,
+        tables=tables,
     )
     output = Path(args.output)
     targets = [output / bag.name.split(".")[0] if several else output for bag in bags]

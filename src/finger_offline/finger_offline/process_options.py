@@ -16,8 +16,8 @@ class ProcessOptions(ReadSettings):
     """What to run and to write.
 
     estimator: settings of the estimator by name that replace those recorded. parameter_file,
-    model_file: for the model, empty for those of the suite. csv: file of the estimates,
-    empty for none.
+    model_file: for the model, empty for those of the suite. tables: CSV and Parquet files of
+    the estimates.
     """
 
     images: str = setting(
@@ -36,7 +36,7 @@ class ProcessOptions(ReadSettings):
     estimator: Mapping[str, Any] = field(default_factory=dict)
     parameter_file: str = ""
     model_file: str = ""
-    csv: str = ""
+    tables: tuple[str, ...] = ()
 
     def is_own(self) -> bool:
         """Whether an axis, files or settings are given, so that recorded events do not apply."""

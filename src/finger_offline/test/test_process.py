@@ -232,7 +232,7 @@ def test_areas_from_images_are_those_of_the_segmenter(
 def test_csv_holds_the_estimates(session: Callable[..., Path], tmp_path: Path) -> None:
     path = session(trials=1)
     blocks: list[EstimateBlock] = []
-    process(path, None, ProcessOptions(csv=str(tmp_path / "x.csv")), on_block=blocks.append)
+    process(path, None, ProcessOptions(tables=(str(tmp_path / "x.csv"),)), on_block=blocks.append)
     lines = (tmp_path / "x.csv").read_text().splitlines()
     header = "time_s,force_n,area_mm2,radius_mm,indentation_mm,peak_pressure_kpa,"
     assert lines[0].startswith(header)
@@ -240,6 +240,17 @@ def test_csv_holds_the_estimates(session: Callable[..., Path], tmp_path: Path) -
     assert float(row["time_s"]) == pytest.approx(2.0)
     assert float(row["area_mm2"]) == pytest.approx(column(blocks, "area")[1000] * 1e6, rel=1e-9)
     assert len(lines) == 1751
+
+
+def test_parquet_holds_what_the_csv_holds(session: Callable[..., Path], tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
+    csv, file = str(tmp_path / "x.csv"), str(tmp_path / "x.parquet")
+    blocks: list[EstimateBlock] = []
+    process(session(trials=1), None, ProcessOptions(tables=(csv, file)), on_block=blocks.append)
+    table = parquet.read_table(file)
+    assert table.column_names == Path(csv).read_text().split("\n")[0].split(",")
+    assert np.array_equal(table["area_mm2"].to_numpy(), column(blocks, "area") * 1e6)
+    assert table["stamp_ns"].to_pylist() == column(blocks, "stamp_ns").tolist()
 
 
 def test_memory_does_not_grow_with_the_bag(tmp_path: Path) -> None:
