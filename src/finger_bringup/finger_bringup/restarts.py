@@ -5,7 +5,7 @@ Read by `finger-rig up` and by the launch files alike.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from finger_common.retry import Pauses
 
 FIRST_DELAY = 1.0
 """s before the first restart; doubled for each further one."""
@@ -17,18 +17,14 @@ STABLE_AFTER = 60.0
 """s without an end after which the delay is FIRST_DELAY again."""
 
 
-@dataclass
-class RestartDelay:
+class RestartDelay(Pauses):
     """Delays of one process."""
 
-    first: float = FIRST_DELAY
-    longest: float = LONGEST_DELAY
-    _next: float | None = None
+    def __init__(self, first: float = FIRST_DELAY, longest: float = LONGEST_DELAY) -> None:
+        super().__init__(first, longest)
 
     def after_running(self, duration: float) -> float:
         """Delay in s before the restart of a process that ran for `duration` (s)."""
-        if self._next is None or duration > STABLE_AFTER:
-            self._next = self.first
-        delay = min(self._next, self.longest)
-        self._next = 2.0 * delay
-        return delay
+        if duration > STABLE_AFTER:
+            self.reset()
+        return self.next()

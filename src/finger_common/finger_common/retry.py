@@ -13,8 +13,8 @@ class Pauses:
 
     def next(self) -> float:
         """Pause before the next attempt."""
-        pause = self._next
-        self._next = min(2 * pause, self._longest)
+        pause = min(self._next, self._longest)
+        self._next = 2 * pause
         return pause
 
     def reset(self) -> None:
