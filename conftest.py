@@ -38,6 +38,29 @@ def project_root() -> Path:
 
 
 @pytest.fixture(scope="session")
+def install_package() -> Callable[..., None]:
+    """Function that puts a package into a folder as pip leaves it.
+
+    Its arguments: the folder, the text of each module by name, the entry points by group and name.
+    """
+
+    def install(folder: Path, modules: dict[str, str], entries: dict[str, dict[str, str]]) -> None:
+        for name, text in modules.items():
+            (folder / f"{name}.py").write_text(text)
+        metadata = folder / "outside-1.0.dist-info"
+        metadata.mkdir(exist_ok=True)
+        (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: outside\nVersion: 1.0\n")
+        lines = [
+            line
+            for group, members in entries.items()
+            for line in (f"[{group}]", *(f"{name} = {value}" for name, value in members.items()))
+        ]
+        (metadata / "entry_points.txt").write_text("\n".join(lines) + "\n")
+
+    return install
+
+
+@pytest.fixture(scope="session")
 def fingerprints(project_root: Path) -> Path:
     """Folder of the real fingerprint images; skips where they are absent."""
     folder = project_root.parent / "shared" / "data" / "fingerprints"

@@ -79,16 +79,11 @@ START = 1_767_600_000_000_000_000
 
 
 @pytest.fixture(scope="module")
-def law(tmp_path_factory: pytest.TempPathFactory) -> Any:
+def law(tmp_path_factory: pytest.TempPathFactory, install_package: Any) -> Any:
     """The law of an outside package, found by its name."""
     site = tmp_path_factory.mktemp("site")
-    (site / "two_springs_law.py").write_text(LAW)
-    info = site / "two_springs_law-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: two-springs-law\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(
-        "[finger_model.law]\ntwo_springs = two_springs_law:TwoSprings\n"
-    )
+    entries = {"finger_model.law": {"two_springs": "two_springs_law:TwoSprings"}}
+    install_package(site, {"two_springs_law": LAW}, entries)
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(site))
         yield law_of("two_springs")

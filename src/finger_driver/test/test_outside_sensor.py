@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,23 +20,10 @@ from finger_driver import camera, force, moisture
 from finger_driver.simulators.cli import installed
 
 
-def install(folder: Path, modules: dict[str, str], entries: dict[str, dict[str, str]]) -> None:
-    """A package as pip leaves it: its modules, and the metadata that name its entry points."""
-    for name, text in modules.items():
-        (folder / f"{name}.py").write_text(text)
-    metadata = folder / "outside-1.0.dist-info"
-    metadata.mkdir(exist_ok=True)
-    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: outside\nVersion: 1.0\n")
-    lines = [
-        line
-        for group, members in entries.items()
-        for line in (f"[{group}]", *(f"{name} = {value}" for name, value in members.items()))
-    ]
-    (metadata / "entry_points.txt").write_text("\n".join(lines) + "\n")
-
-
 @pytest.fixture
-def load_cell(tmp_path: Path, project_root: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def load_cell(
+    tmp_path: Path, project_root: Path, monkeypatch: pytest.MonkeyPatch, install_package: Callable
+) -> Path:
     """Folder on PYTHONPATH in which the package of docs/add_a_sensor.md is installed."""
     tomllib = pytest.importorskip("tomllib", reason="reading pyproject.toml needs Python 3.11")
     page = (project_root / "docs" / "add_a_sensor.md").read_text()
@@ -44,7 +32,7 @@ def load_cell(tmp_path: Path, project_root: Path, monkeypatch: pytest.MonkeyPatc
     folder = tmp_path / "outside"
     folder.mkdir()
     modules = {"load_cell": driver, "load_cell_simulator": simulator}
-    install(folder, modules, project["entry-points"])
+    install_package(folder, modules, project["entry-points"])
     path = [str(folder), os.environ.get("PYTHONPATH", "")]
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, path)))
     return folder
@@ -114,13 +102,13 @@ class Probe(MoistureSource):
 
 
 def test_a_camera_and_a_probe_of_another_package(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, install_package: Callable
 ) -> None:
     entries = {
         "finger_driver.camera": {"pattern": "camera_and_probe:Pattern"},
         "finger_driver.moisture": {"probe": "camera_and_probe:Probe"},
     }
-    install(tmp_path, {"camera_and_probe": CAMERA_AND_PROBE}, entries)
+    install_package(tmp_path, {"camera_and_probe": CAMERA_AND_PROBE}, entries)
     monkeypatch.syspath_prepend(tmp_path)
     table = parameters_of(*camera.SOURCES.settings())
     assert table["device"].choices == ("folder", "opencv", "pattern", "ueye")
@@ -161,7 +149,7 @@ def function(): pass
 
 
 def test_sensors_that_cannot_be_used_are_named_in_one_sentence_and_stop_no_other(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, install_package: Callable
 ) -> None:
     names = {
         "absent_module": "no_such_module_:Sensor",
@@ -170,7 +158,7 @@ def test_sensors_that_cannot_be_used_are_named_in_one_sentence_and_stop_no_other
         "without_settings": "unusable:WithoutSettings",
         "bad_simulator": "unusable:BadSimulator",
     }
-    install(tmp_path, {"unusable": UNUSABLE}, {"finger_driver.force": names})
+    install_package(tmp_path, {"unusable": UNUSABLE}, {"finger_driver.force": names})
     monkeypatch.syspath_prepend(tmp_path)
     sources = PluginKind(
         "finger_driver.force", "force sensor", force.ForceSource, "device", "netft"
@@ -196,14 +184,18 @@ def test_sensors_that_cannot_be_used_are_named_in_one_sentence_and_stop_no_other
 
 
 def test_a_node_says_which_sensor_cannot_be_used(
-    ros_domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any
+    ros_domain: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: Any,
+    install_package: Callable,
 ) -> None:
     rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
     from rclpy.parameter import Parameter
 
     from finger_driver.force_node import ForceNode
 
-    install(tmp_path, {}, {"finger_driver.force": {"absent": "no_such_module_:Sensor"}})
+    install_package(tmp_path, {}, {"finger_driver.force": {"absent": "no_such_module_:Sensor"}})
     monkeypatch.syspath_prepend(tmp_path)
     context = rclpy.Context()
     rclpy.init(context=context, domain_id=ros_domain)

@@ -25,15 +25,13 @@ def block(language: str) -> str:
 
 
 @pytest.fixture(scope="module")
-def installed(tmp_path_factory):
+def installed(tmp_path_factory, install_package):
     """The example as an installed package; gives its law class."""
     site = tmp_path_factory.mktemp("site")
-    (site / "stiffening_law.py").write_text(block("python"))
-    info = site / "stiffening_law-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: stiffening-law\nVersion: 1.0\n")
-    entries = block("toml").replace('[project.entry-points."finger_model.law"]', "")
-    (info / "entry_points.txt").write_text(f"[finger_model.law]{entries.replace(chr(34), '')}")
+    group, entry = block("toml").split("\n", 1)
+    assert group == '[project.entry-points."finger_model.law"]'
+    entries = dict(re.findall(r'^(\w+) = "(.*)"$', entry, re.M))
+    install_package(site, {"stiffening_law": block("python")}, {"finger_model.law": entries})
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(site))
         yield law_of("stiffening")

@@ -21,7 +21,9 @@ AREA_PER_PIXEL = ELECTRODE**2
 
 
 @pytest.fixture(scope="module")
-def outside(tmp_path_factory: pytest.TempPathFactory, project_root: Path) -> dict[str, str]:
+def outside(
+    tmp_path_factory: pytest.TempPathFactory, project_root: Path, install_package: Callable
+) -> dict[str, str]:
     """Environment in which the package of the page is installed: its module and its metadata."""
     tomllib = pytest.importorskip("tomllib", reason="reading pyproject.toml needs Python 3.11")
     page = (project_root / "docs" / "add_an_area_sensor.md").read_text()
@@ -29,19 +31,8 @@ def outside(tmp_path_factory: pytest.TempPathFactory, project_root: Path) -> dic
         re.search(rf"^```{kind}\n(.*?)^```$", page, re.M | re.S)[1] for kind in ("python", "toml")
     )
     folder = tmp_path_factory.mktemp("outside")
-    (folder / "capacitive_array.py").write_text(module)
-    described = tomllib.loads(project)["project"]
-    metadata = folder / f"capacitive_array-{described['version']}.dist-info"
-    metadata.mkdir()
-    (metadata / "METADATA").write_text(
-        f"Metadata-Version: 2.1\nName: {described['name']}\nVersion: {described['version']}\n"
-    )
-    entries = [
-        line
-        for group, members in described["entry-points"].items()
-        for line in (f"[{group}]", *(f"{name} = {value}" for name, value in members.items()))
-    ]
-    (metadata / "entry_points.txt").write_text("\n".join(entries) + "\n")
+    entries = tomllib.loads(project)["project"]["entry-points"]
+    install_package(folder, {"capacitive_array": module}, entries)
     path = [str(folder), os.environ.get("PYTHONPATH", "")]
     return {"PYTHONPATH": os.pathsep.join(filter(None, path))}
 
