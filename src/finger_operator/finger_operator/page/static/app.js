@@ -1,14 +1,18 @@
-// The operator's page. State comes over one WebSocket; every command goes back over it with the page's token.
+// The operator's page. State comes over one WebSocket; every command goes back over it, with the
+// page's token.
 import { Link, draw, whenShown } from "./cue.js";
 import { areaPlot, forcePlot } from "./plot.js";
 
 const $ = (id) => document.getElementById(id);
 const token = document.querySelector("meta[name=token]").content;
 const SPAN = 10;
+// Steps of a trial that is under way.
+const RUNNING = ["moisture_before", "clear", "press", "lift", "moisture_after", "closing"];
 
 const state = {
   status: { step: "closed" }, cue: null, force: [], target: 1, health: [], answers: new Map(),
-  now: { measured: [], model: [] }, before: { measured: [], model: [] }, number: 0, imageUrl: null, area: null,
+  now: { measured: [], model: [] }, before: { measured: [], model: [] }, number: 0,
+  imageUrl: null, area: null,
 };
 let dirty = true;
 let drawn = 0;
@@ -103,9 +107,12 @@ function drawCue() {
   if (s.step === "closed") name = "closed";
   else if (s.paused) name = "paused";
   // Press and lift are the cue's own; the finer steps come with the status.
-  else if (name !== "press" && name !== "lift" && ["clear", "closing", "finished"].includes(s.step)) name = s.step;
+  else if (name !== "press" && name !== "lift") {
+    if (["clear", "closing", "finished"].includes(s.step)) name = s.step;
+  }
   draw(name);
-  const count = (list) => `reading ${Math.min((list || []).length + 1, s.readings)} of ${s.readings}`;
+  const number = (list) => Math.min((list || []).length + 1, s.readings);
+  const count = (list) => `reading ${number(list)} of ${s.readings}`;
   const texts = {
     closed: "Start a session with Space.",
     prepare: "Prepare finger and plate, then press Space.",
@@ -125,6 +132,9 @@ function drawCue() {
 
 // Status --------------------------------------------------------------------------------------
 
+const LABELS = {
+  closed: "New session", prepare: "Ready", idle: "Begin", finished: "Close session",
+};
 const MARK = { done: "✓", skipped: "↷", pending: "", failed: "✗" };
 
 function showStatus(s) {
@@ -132,16 +142,15 @@ function showStatus(s) {
   if (s.target_force) state.target = s.target_force;
   const open = s.step !== "closed";
   $("session").textContent = open ? `${s.subject} · ${s.session}` : "no session";
+  const attempt = s.attempt ? ` · attempt ${s.attempt + 1}` : "";
   $("cue-trial").textContent = open && s.step !== "finished"
-    ? `Trial ${s.index + 1} of ${s.trials.length} · ${s.condition}${s.attempt ? ` · attempt ${s.attempt + 1}` : ""}` : "";
+    ? `Trial ${s.index + 1} of ${s.trials.length} · ${s.condition}${attempt}` : "";
   $("preparation-condition").textContent = open ? s.condition : "";
   $("preparation-text").textContent = open ? s.preparation : "";
   $("prompt").textContent = open ? s.prompt : "";
   $("preparation").dataset.now = s.step === "prepare" && !s.paused;
-  const label = !open ? "New session" : s.paused ? "Resume" : s.step === "prepare" ? "Ready" : s.step === "idle" ? "Begin" : s.step === "finished" ? "Close session" : "Next";
-  $("start").querySelector("span").textContent = label;
-  const running = ["moisture_before", "clear", "press", "lift", "moisture_after", "closing"].includes(s.step);
-  $("start").disabled = running && !s.paused;
+  $("start").querySelector("span").textContent = s.paused ? "Resume" : LABELS[s.step] || "Next";
+  $("start").disabled = RUNNING.includes(s.step) && !s.paused;
   $("pause").disabled = !open || s.step === "finished" || s.step === "idle";
   $("pause").firstChild.textContent = s.paused ? "Resume " : "Pause ";
   $("redo").disabled = !open || s.step === "closing";
@@ -165,8 +174,9 @@ function chips(id, values = [], wanted = 3, now = false) {
   const cells = [];
   for (let i = 0; i < Math.max(wanted, values.length); i++) {
     const chip = document.createElement("span");
-    chip.className = i < values.length ? "chip full" : now && i === values.length ? "chip next" : "chip";
-    chip.textContent = i < values.length ? values[i].toFixed(1) : "–";
+    const full = i < values.length;
+    chip.className = full ? "chip full" : now && i === values.length ? "chip next" : "chip";
+    chip.textContent = full ? values[i].toFixed(1) : "–";
     cells.push(chip);
   }
   if (values.length > 1) {
@@ -181,7 +191,7 @@ function chips(id, values = [], wanted = 3, now = false) {
 function showTrials(s) {
   const trials = s.trials || [];
   const body = $("trials").querySelector("tbody");
-  const free = !["moisture_before", "clear", "press", "lift", "moisture_after", "closing"].includes(s.step);
+  const free = !RUNNING.includes(s.step);
   body.replaceChildren(...trials.flatMap((t) => {
     const row = document.createElement("tr");
     const here = t.index === s.index && s.step !== "finished";
@@ -254,7 +264,8 @@ function showHealth(items) {
     details.dataset.name = item.name;
     details.open = open.has(item.name);
     const summary = document.createElement("summary");
-    const rate = item.values.measured_rate_hz ? ` · ${Number(item.values.measured_rate_hz).toFixed(0)} Hz` : "";
+    const hertz = item.values.measured_rate_hz;
+    const rate = hertz ? ` · ${Number(hertz).toFixed(0)} Hz` : "";
     const name = item.name.replace(/^[^:]*\//, "").replace(/^(\w+): \1$/, "$1");
     for (const [kind, text] of [["mark", mark], ["name", name], ["message", item.message + rate]]) {
       const part = document.createElement("span");
@@ -278,7 +289,10 @@ function showHealth(items) {
 function showImage(buffer) {
   const url = URL.createObjectURL(new Blob([buffer.slice(8)], { type: "image/jpeg" }));
   const image = $("image");
-  image.onload = () => { if (state.imageUrl) URL.revokeObjectURL(state.imageUrl); state.imageUrl = url; };
+  image.onload = () => {
+    if (state.imageUrl) URL.revokeObjectURL(state.imageUrl);
+    state.imageUrl = url;
+  };
   image.src = url;
   image.hidden = false;
   $("image-none").hidden = true;
@@ -315,7 +329,8 @@ function receive(data) {
   else if (m.type === "status") showStatusSoon(m);
   else if (m.type === "health") showHealth(m.items);
   else if (m.type === "hello") {
-    $("image-none").textContent = m.images ? "no image yet" : "images stay on the rig's own computer";
+    $("image-none").textContent = m.images
+      ? "no image yet" : "images stay on the rig's own computer";
     link.send({ type: "watch", images: m.images && !document.hidden });
     state.images = m.images;
   } else if (m.type === "answer") {
@@ -349,14 +364,16 @@ function frame(now) {
     dirty = false;
     drawn = now;
     const force = state.force.length ? state.force[state.force.length - 1][1] : null;
-    $("force-value").textContent = force === null ? "–" : (Math.abs(force) < 0.005 ? 0 : force).toFixed(2);
+    const shown = Math.abs(force) < 0.005 ? 0 : force;
+    $("force-value").textContent = force === null ? "–" : shown.toFixed(2);
     $("area-value").textContent = state.area === null ? "–" : state.area.toFixed(1);
     const share = Math.max(0, Math.min(1, (force || 0) / (state.target * 1.25)));
     const bar = $("cue-bar");
     bar.style.setProperty("--share", share);
     bar.setAttribute("aria-valuenow", (force || 0).toFixed(2));
     bar.setAttribute("aria-valuemax", (state.target * 1.25).toFixed(2));
-    // Just before the cue to lift the plots wait, for half a second at most: a plot being drawn would hold the cue up.
+    // Just before the cue to lift the plots wait, for half a second at most: a plot being drawn
+    // would hold the cue up.
     const pressing = state.cue && state.cue.phase === "press";
     if (!(pressing && force > 0.8 * state.target && now - plotted < 500)) {
       plotted = now;
@@ -385,31 +402,44 @@ $("plan-cancel").onclick = () => $("session-dialog").close();
 $("session-form").onsubmit = beginSession;
 $("moisture-form").onsubmit = async (event) => {
   event.preventDefault();
-  const text = $("moisture-input").value;
-  if (text === "") return notify(`Type a reading of ${$("moisture-input").placeholder} a.u. first.`, false);
-  const answer = await command("moisture", { value: Number(text) });
-  if (answer.success) { $("moisture-input").value = ""; $("moisture-input").blur(); }
+  const input = $("moisture-input");
+  if (input.value === "") {
+    return notify(`Type a reading of ${input.placeholder} a.u. first.`, false);
+  }
+  const answer = await command("moisture", { value: Number(input.value) });
+  if (answer.success) { input.value = ""; input.blur(); }
 };
 function editPreparation(show) {
   $("preparation-form").hidden = !show;
   $("preparation-text").hidden = show;
-  if (show) { $("preparation-input").value = state.status.preparation || ""; $("preparation-input").focus(); }
+  if (!show) return;
+  $("preparation-input").value = state.status.preparation || "";
+  $("preparation-input").focus();
 }
 $("preparation-edit").onclick = () => editPreparation(true);
 $("preparation-cancel").onclick = () => editPreparation(false);
 $("preparation-form").onsubmit = async (event) => {
   event.preventDefault();
-  const answer = await command("preparation", { condition: state.status.condition, text: $("preparation-input").value });
+  const answer = await command("preparation", {
+    condition: state.status.condition, text: $("preparation-input").value,
+  });
   if (answer.success) editPreparation(false);
 };
 
 const KEYS = {
-  " ": () => $("start").click(), p: () => $("pause").click(), r: () => $("redo").click(), s: () => $("skip").click(),
-  t: () => $("tare").click(), m: () => $("moisture-input").focus(), e: () => $("preparation-edit").click(),
-  "?": () => $("keys").click(), f: () => document.documentElement.requestFullscreen?.(),
+  " ": () => $("start").click(),
+  p: () => $("pause").click(),
+  r: () => $("redo").click(),
+  s: () => $("skip").click(),
+  t: () => $("tare").click(),
+  m: () => $("moisture-input").focus(),
+  e: () => $("preparation-edit").click(),
+  "?": () => $("keys").click(),
+  f: () => document.documentElement.requestFullscreen?.(),
 };
 document.addEventListener("keydown", (event) => {
-  if (event.ctrlKey || event.altKey || event.metaKey || document.querySelector("dialog[open]")) return;
+  if (event.ctrlKey || event.altKey || event.metaKey) return;
+  if (document.querySelector("dialog[open]")) return;
   if (event.target.closest("input, textarea")) {
     if (event.key === "Escape") event.target.blur();
     return;

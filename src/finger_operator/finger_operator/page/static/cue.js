@@ -14,19 +14,16 @@ const WORDS = {
   closing: "Saving", finished: "Finished", closed: "No session",
 };
 
-export function look(name) {
-  return { name, word: WORDS[name] || name, arrow: ARROWS[name] || "" };
-}
-
 export function draw(name, word) {
   const cue = document.getElementById("cue");
-  const { arrow, word: plain } = look(name);
   if (cue.dataset.look !== name) {
     cue.dataset.look = name;
+    const arrow = ARROWS[name] || "";
     document.getElementById("cue-arrow").setAttribute("d", arrow);
+    document.querySelector("#cue svg").toggleAttribute("hidden", !arrow);
   }
   const element = document.getElementById("cue-word");
-  const text = word || plain;
+  const text = word || WORDS[name] || name;
   if (element.textContent !== text) element.textContent = text;
 }
 

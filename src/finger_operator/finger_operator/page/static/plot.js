@@ -1,7 +1,7 @@
 // Two small plots on canvas: force over time, area over force.
 
-export const COLOUR = {
-  ink: "#1d2733", faint: "#8b97a5", grid: "#e3e8ee", force: "#0072b2", target: "#d55e00",
+const COLOUR = {
+  faint: "#8b97a5", grid: "#e3e8ee", force: "#0072b2", target: "#d55e00",
   measured: "#0072b2", model: "#e69f00", before: "#b9c3ce",
 };
 
@@ -74,10 +74,6 @@ export function forcePlot(canvas, samples, target, span) {
   g.lineWidth = 2;
   g.beginPath(); g.moveTo(box.left, y(target)); g.lineTo(box.right, y(target)); g.stroke();
   g.setLineDash([]);
-  g.fillStyle = COLOUR.target;
-  g.font = "600 12px system-ui, sans-serif";
-  g.textAlign = "left";
-  g.textBaseline = "bottom";
   g.save();
   g.beginPath(); g.rect(box.left, box.top, box.right - box.left, box.bottom - box.top); g.clip();
   g.strokeStyle = COLOUR.force;
@@ -86,6 +82,10 @@ export function forcePlot(canvas, samples, target, span) {
   line(g, samples, x, y);
   g.restore();
   // On top of the curve, with a halo, so that it stays readable.
+  g.fillStyle = COLOUR.target;
+  g.font = "600 12px system-ui, sans-serif";
+  g.textAlign = "left";
+  g.textBaseline = "bottom";
   g.strokeStyle = "#fff";
   g.lineWidth = 4;
   g.strokeText(`target ${target.toFixed(2)} N`, box.left + 6, y(target) - 4);
@@ -96,8 +96,11 @@ export function areaPlot(canvas, now, before, target) {
   const { g, width, height } = prepare(canvas);
   const box = { left: 34, right: width - 8, top: 18, bottom: height - 34 };
   let xHigh = target * 1.15, yHigh = 60;
-  for (const set of [now, before]) for (const points of [set.measured, set.model]) for (const [f, a] of points) {
-    xHigh = Math.max(xHigh, f * 1.03); yHigh = Math.max(yHigh, a * 1.06);
+  for (const points of [now.measured, now.model, before.measured, before.model]) {
+    for (const [f, a] of points) {
+      xHigh = Math.max(xHigh, f * 1.03);
+      yHigh = Math.max(yHigh, a * 1.06);
+    }
   }
   const x = (f) => box.left + (f / xHigh) * (box.right - box.left);
   const y = (a) => box.bottom - (a / yHigh) * (box.bottom - box.top);
