@@ -25,9 +25,10 @@ from mcap.records import Channel, Header, Metadata, Schema, Statistics
 
 from finger_common.errors import InputError
 
-MAGIC = b"\x89MCAP0\r\n"
+from .mcap_writer import MAGIC
+
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 1, 2, 3, 4, 5, 6
-ATTACHMENT, STATISTICS, METADATA, DATA_END = 9, 11, 12, 15
+ATTACHMENT, STATISTICS, METADATA = 9, 11, 12
 
 MAXIMUM_SMALL_RECORD = 4 << 20
 """Bytes of a schema, channel or metadata record above which it is not read."""

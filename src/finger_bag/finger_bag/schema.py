@@ -23,7 +23,6 @@ SESSION_RECORD = "finger_session"
 
 CALIBRATION_ATTACHMENT = "plate_calibration.yaml"
 PARAMETERS_ATTACHMENT = "parameters.yaml"
-RIG_ATTACHMENT = "rig.yaml"
 
 
 @dataclass(frozen=True)

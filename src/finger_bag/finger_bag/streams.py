@@ -74,12 +74,12 @@ class SessionStreams:
     problems: list[str] = field(default_factory=list)
 
 
-def missing(reader: BagReader, name: str, hint: str = "") -> InputError:
+def missing(reader: BagReader, name: str) -> InputError:
     """Error for a bag without a topic that is needed, naming what there is."""
     spec = TOPICS.get(name)
     kind = f" ({spec.type})" if spec else ""
     same = [t for t, i in reader.info.topics.items() if spec and i.type == spec.type]
-    remedy = hint or (
+    remedy = (
         f"name the topic that holds it ({', '.join(sorted(same)[:5])}) in a mapping file"
         if same
         else "record it, or name the topic that holds it in a mapping file"

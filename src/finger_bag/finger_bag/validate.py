@@ -31,21 +31,20 @@ CHECKS = Plugins("finger_bag.checks", "bag check")
 """Further checks of installed packages: functions that take a CheckedBag and a Validation."""
 
 
-@dataclass(frozen=True)
-class Limits:
-    """Where checks fail. Times in s, rates in Hz."""
+MINIMUM_RATE = {"wrench": 100.0, "contact_area": 5.0, "image_raw": 5.0}
+"""Hz."""
 
-    minimum_wrench_rate: float = 100.0
-    minimum_frame_rate: float = 5.0
-    rate_tolerance: float = 0.1
-    """Relative deviation from the schema's rate that is worth a note."""
-    gap: float = 0.05
-    maximum_delay: float = 1.0
-    """Of the log time behind the stamp (median)."""
-    maximum_lead: float = 0.05
-    """Of the stamp before the log time (median): clocks that disagree."""
-    saturated_samples: int = 25
-    """Equal extreme values in a row that count as a saturated sensor."""
+RATE_TOLERANCE = 0.1
+"""Relative deviation from the schema's rate that is worth a note."""
+
+LONGEST_GAP = 0.05
+"""s between two wrenches."""
+
+MAXIMUM_DELAY, MAXIMUM_LEAD = 1.0, 0.05
+"""s of the log time behind the stamp, and before it: clocks that disagree (medians)."""
+
+SATURATED_SAMPLES = 25
+"""Equal extreme values in a row that count as a saturated sensor."""
 
 
 @dataclass(frozen=True)
@@ -96,11 +95,9 @@ def installed_checks() -> dict[str, Callable[[CheckedBag, Validation], None]]:
     return {name: CHECKS.load(name) for name in CHECKS.names()}
 
 
-def validate(
-    path: str | Path, settings: ReadSettings | None = None, limits: Limits | None = None
-) -> Validation:
+def validate(path: str | Path, settings: ReadSettings | None = None) -> Validation:
     """Check one bag. Raises InputError when it cannot be read at all."""
-    settings, limits = settings or ReadSettings(), limits or Limits()
+    settings = settings or ReadSettings()
     with open_bag(path) as reader:
         result = Validation(str(path))
         _check_topics(reader, settings, result)
@@ -111,7 +108,7 @@ def validate(
             result.add("content", FAIL, str(error).removeprefix(f"{reader.path}: "))
             return result
         _check_file(reader, streams.problems, result)
-        _check_streams(streams, settings, limits, result)
+        _check_streams(streams, settings, result)
         _check_calibration(reader, streams, result)
         for check in installed_checks().values():
             check(CheckedBag(reader, streams, settings), result)
@@ -175,25 +172,18 @@ def _rate(stamps: np.ndarray) -> float:
     return 1e9 / float(np.median(steps)) if len(steps) else 0.0
 
 
-def _check_streams(
-    streams: SessionStreams, settings: ReadSettings, limits: Limits, result: Validation
-) -> None:
-    frames = streams.area_stamp_ns if len(streams.area_stamp_ns) else streams.image_stamp_ns
-    rows = [
-        ("wrench", streams.wrench_stamp_ns, streams.wrench_log_ns, limits.minimum_wrench_rate),
-        (
-            "contact_area" if len(streams.area_stamp_ns) else "image_raw",
-            frames,
-            streams.area_log_ns if len(streams.area_stamp_ns) else streams.image_log_ns,
-            limits.minimum_frame_rate,
-        ),
-    ]
-    for name, stamps, logs, minimum in rows:
+def _check_streams(streams: SessionStreams, settings: ReadSettings, result: Validation) -> None:
+    if len(streams.area_stamp_ns):
+        frames = ("contact_area", streams.area_stamp_ns, streams.area_log_ns)
+    else:
+        frames = ("image_raw", streams.image_stamp_ns, streams.image_log_ns)
+    wrenches = ("wrench", streams.wrench_stamp_ns, streams.wrench_log_ns)
+    for name, stamps, logs in (wrenches, frames):
         if not len(stamps):
             continue
         rate, expected = _rate(stamps), TOPICS[name].rate or 0.0
-        status = OK if abs(rate / expected - 1) <= limits.rate_tolerance else NOTE
-        if rate < minimum:
+        status = OK if abs(rate / expected - 1) <= RATE_TOLERANCE else NOTE
+        if rate < MINIMUM_RATE[name]:
             status = FAIL
         result.add(f"rate of {name}", status, f"{rate:.1f} Hz (schema {expected:g} Hz)")
         steps = np.diff(stamps)
@@ -204,26 +194,24 @@ def _check_streams(
         )
         delay = (logs - stamps) * 1e-9
         middle = float(np.median(delay))
-        status = OK if -limits.maximum_lead <= middle <= limits.maximum_delay else FAIL
+        status = OK if -MAXIMUM_LEAD <= middle <= MAXIMUM_DELAY else FAIL
         result.add(
             f"log time of {name}",
             status,
             f"{middle * 1e3:.1f} ms behind the stamp (median; {delay.min() * 1e3:.1f} to "
             f"{delay.max() * 1e3:.1f} ms)" + ("" if status == OK else "; clocks disagree"),
         )
-    _check_gaps(streams, settings, limits, result)
-    _check_saturation(streams, limits, result)
+    _check_gaps(streams, settings, result)
+    _check_saturation(streams, result)
 
 
-def _check_gaps(
-    streams: SessionStreams, settings: ReadSettings, limits: Limits, result: Validation
-) -> None:
+def _check_gaps(streams: SessionStreams, settings: ReadSettings, result: Validation) -> None:
     stamps = np.sort(streams.wrench_stamp_ns)
     if len(stamps) < 2:
         result.add("gaps in wrench", FAIL, f"{len(stamps)} samples in all")
         return
     steps = np.diff(stamps) * 1e-9
-    limit = max(limits.gap, 3.0 / max(_rate(stamps), 1e-9))
+    limit = max(LONGEST_GAP, 3.0 / max(_rate(stamps), 1e-9))
     where = np.flatnonzero(steps > limit)
     if not len(where):
         result.add("gaps in wrench", OK, f"longest step {steps.max() * 1e3:.1f} ms")
@@ -240,7 +228,7 @@ def _check_gaps(
     )
 
 
-def _check_saturation(streams: SessionStreams, limits: Limits, result: Validation) -> None:
+def _check_saturation(streams: SessionStreams, result: Validation) -> None:
     axes = []
     for column, name in enumerate("xyz"):
         values = streams.force[:, column]
@@ -253,7 +241,7 @@ def _check_saturation(streams: SessionStreams, limits: Limits, result: Validatio
             at = np.concatenate([[0], (values == extreme).astype(np.int8), [0]])
             edges = np.flatnonzero(np.diff(at))
             longest = int((edges[1::2] - edges[::2]).max()) if len(edges) else 0
-            if longest >= limits.saturated_samples:
+            if longest >= SATURATED_SAMPLES:
                 axes.append(f"{name} stays at {extreme:.2f} N for {longest} samples")
     invalid = int((~np.isfinite(streams.force).all(axis=1)).sum())
     flags = streams.area_flags

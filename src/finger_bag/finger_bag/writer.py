@@ -308,7 +308,6 @@ class BagWriter:
         topic: str,
         fields: Mapping[str, Any],
         log_time_ns: int | None = None,
-        publish_time_ns: int | None = None,
         message_type: str | None = None,
     ) -> None:
         """Write one message given as plain data: nested mappings, sequences, arrays; left-out
@@ -325,7 +324,7 @@ class BagWriter:
                 stamp = int(stamp.get("sec", 0)) * NANOSECONDS + int(stamp.get("nanosec", 0))
             log_time_ns = time.time_ns() if stamp is None else int(stamp)
         cdr = encode(self._channels[name].type, fields)
-        self.write_raw(name, cdr, log_time_ns, publish_time_ns)
+        self.write_raw(name, cdr, log_time_ns)
 
     def attach(self, name: str, data: bytes, media_type: str = "application/octet-stream") -> None:
         """Attach a file, such as the plate calibration, to every file of the bag."""
@@ -336,16 +335,11 @@ class BagWriter:
         assert self._mcap is not None
         self._mcap.add_attachment(time.time_ns(), name, media_type, data)
 
-    def flush(self, to_disk: bool = False) -> None:
+    def flush(self) -> None:
         """End the chunk in progress and hand everything to the operating system: it survives a
-        kill.
-
-        `to_disk` also waits until the disk has it, so that it survives a power cut.
-        """
-        if self._mcap is not None and self._stream is not None:
+        kill."""
+        if self._mcap is not None:
             self._mcap.flush()
-            if to_disk:
-                os.fdatasync(self._stream.fileno())
 
     @property
     def files(self) -> list[str]:

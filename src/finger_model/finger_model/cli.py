@@ -24,7 +24,7 @@ def parser() -> Parser:
     return top
 
 
-def _main(argv: Sequence[str] | None = None) -> int:
+def _main(argv: Sequence[str] | None) -> int:
     arguments = parser().parse_args(argv)
     return arguments.run(arguments)
 

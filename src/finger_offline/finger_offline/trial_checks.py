@@ -14,6 +14,9 @@ from .trial_split import TrialSettings, split
 MAXIMUM_LAG = 0.15
 """s between force and image."""
 
+LONGEST_LAG = 0.4
+"""s, largest delay between force and area that is looked for."""
+
 READINGS = 3
 """Moisture readings expected before and after each press (paper, section III)."""
 
@@ -104,7 +107,7 @@ def _check_sync(found: TrialSet, result: Validation) -> None:
     )
 
 
-def force_image_lag(trial: TrialRecord, longest: float = 0.4) -> float | None:
+def force_image_lag(trial: TrialRecord) -> float | None:
     """Time (s) by which the area of a press lags the force, positive when the area comes late; None
     when unclear.
 
@@ -118,7 +121,7 @@ def force_image_lag(trial: TrialRecord, longest: float = 0.4) -> float | None:
         return None
     origin = int(trial.stamp_ns[0])
     time, frame = (trial.stamp_ns - origin) * 1e-9, (stamps - origin) * 1e-9
-    lags = np.arange(-longest, longest + 1e-9, 0.01)
+    lags = np.arange(-LONGEST_LAG, LONGEST_LAG + 1e-9, 0.01)
     costs = np.full(len(lags), np.nan)
     for index, lag in enumerate(lags):
         force = np.interp(frame - lag, time, trial.force)

@@ -50,18 +50,11 @@ class Step(str, Enum):
 
 
 PHASE_OF = {
-    Step.IDLE: TrialPhase.IDLE,
-    Step.PREPARE: TrialPhase.PREPARE,
-    Step.MOISTURE_BEFORE: TrialPhase.MOISTURE_BEFORE,
     Step.CLEAR: TrialPhase.MOISTURE_BEFORE,
-    Step.PRESS: TrialPhase.PRESS,
-    Step.LIFT: TrialPhase.LIFT,
-    Step.MOISTURE_AFTER: TrialPhase.MOISTURE_AFTER,
     Step.CLOSING: TrialPhase.DONE,
-    Step.DONE: TrialPhase.DONE,
-    Step.FAILED: TrialPhase.FAILED,
     Step.FINISHED: TrialPhase.IDLE,
 }
+"""Announced phases of the steps that are no phase of their own."""
 
 UNDER_WAY = (Step.MOISTURE_BEFORE, Step.CLEAR, Step.PRESS, Step.LIFT, Step.MOISTURE_AFTER)
 """Steps of an attempt that is being recorded."""
@@ -137,11 +130,6 @@ class Protocol:
             self._press.limits = limits
 
     # State file ------------------------------------------------------------------------------
-
-    @property
-    def state_file(self) -> Path:
-        """Where the state is kept."""
-        return self.folder / STATE_FILE
 
     def save(self) -> None:
         """Write the state file and the table of trials."""
@@ -535,10 +523,10 @@ class Protocol:
         )
 
     def _phase(self, step: Step) -> TrialPhase:
-        # The wait for an empty frame belongs to the phase before it.
-        return (
-            TrialPhase.PREPARE if step is Step.CLEAR and not self.plan.readings else PHASE_OF[step]
-        )
+        if step is Step.CLEAR and not self.plan.readings:
+            # The wait for an empty frame belongs to the phase before it.
+            return TrialPhase.PREPARE
+        return PHASE_OF[step] if step in PHASE_OF else TrialPhase[step.name]
 
     def _announce(self) -> None:
         event = self._announcement(TrialPhase.PAUSED if self.paused else self._phase(self.step))

@@ -22,6 +22,7 @@ from finger_operator.protocol import (
     Step,
     StopRecording,
 )
+from finger_operator.session_store import STATE_FILE
 from finger_operator.status import session_status
 from finger_operator.study_plan import PREPARATIONS, StudyPlan, parse_preparations
 
@@ -627,8 +628,9 @@ def test_state_file_is_whole_at_every_effect(tmp_path: Path) -> None:
 
     def take(effect: Effect) -> None:
         rig.effects.append(effect)
-        if rig.protocol.state_file.exists():
-            seen.append(json.loads(rig.protocol.state_file.read_text())["step"])
+        file = rig.protocol.folder / STATE_FILE
+        if file.exists():
+            seen.append(json.loads(file.read_text())["step"])
 
     rig.protocol._effects = take
     rig.run(0.2)

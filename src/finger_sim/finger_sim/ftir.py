@@ -193,10 +193,9 @@ class FtirRenderer:
         radius: float,
         centre: tuple[float, float] = (0.0, 0.0),
         aspect: float = 1.0,
-        angle: float = math.pi / 2,
     ) -> np.ndarray:
         """Frame (height, width) uint8 of one `Contact`; a radius ≤ 0 is no contact."""
-        return self.render_frame([Contact(radius, centre, aspect, angle)]).image
+        return self.render_frame([Contact(radius, centre, aspect)]).image
 
     def render_frame(self, contacts: Iterable[Contact]) -> RenderedFrame:
         """Frame of several contacts of the same finger, with the true areas of the first one."""

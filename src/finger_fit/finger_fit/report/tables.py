@@ -254,14 +254,14 @@ def identifiability(result: FitResult) -> str:
     return table(header, rows, (1, 2)) + listing(notes)
 
 
-def _correlations(fit: ConditionFit, number: int = 2) -> str:
-    """The strongest correlations of two parameters' estimates."""
+def _correlations(fit: ConditionFit) -> str:
+    """The two strongest correlations between parameters' estimates."""
     assert fit.covariance is not None
     pairs = [
         (fit.covariance.correlation(a, b), a, b)
         for a, b in itertools.combinations(fit.space.names, 2)
     ]
-    strongest = sorted((p for p in pairs if np.isfinite(p[0])), key=lambda p: -abs(p[0]))[:number]
+    strongest = sorted((p for p in pairs if np.isfinite(p[0])), key=lambda p: -abs(p[0]))[:2]
     cells = [f"{fit.space[a].html}, {fit.space[b].html}: {value:.2f}" for value, a, b in strongest]
     return "; ".join(cells).replace("-", "−")
 

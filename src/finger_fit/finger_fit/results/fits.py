@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..uncertainty import BiasCorrected, Covariance, Profile, percentile_interval
+from ..uncertainty import BiasCorrected, Covariance, Profile
 
 if TYPE_CHECKING:
     from finger_model.geometry import Geometry
@@ -88,7 +88,8 @@ class ConditionFit:
         """95 % percentile interval of a quantity, None without bootstrap."""
         if self.samples is None or not len(self.samples):
             return None
-        return percentile_interval(self.space.quantity(name, self.samples))
+        low, high = np.quantile(self.space.quantity(name, self.samples), [0.025, 0.975])
+        return float(low), float(high)
 
     def covariance_log(self) -> np.ndarray:
         """Covariance (N, N) of the coordinates: of the bootstrap if there is one, else of J."""

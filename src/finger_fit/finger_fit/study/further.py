@@ -139,14 +139,12 @@ class ThicknessProblem:
         return Coordinates(np.vstack([single.box, np.log([low, high])]), parameters, of)
 
 
-def thickness_fit(
-    problem: FitProblem, best: np.ndarray, full_order: FullOrder, rounds: int = 2
-) -> dict[str, Any]:
+def thickness_fit(problem: FitProblem, best: np.ndarray, full_order: FullOrder) -> dict[str, Any]:
     """Fit the thickness besides, from the best parameters (N,); each round renews the ratios."""
     geometry = full_order.geometry
     h0 = geometry.epidermis_thickness
     vector = np.append(best, h0)
-    for _ in range(rounds):
+    for _ in range(2):
         areas = []
         for factor in THICKNESS_FACTORS:
             changed = replace(geometry, epidermis_thickness=h0 * factor)

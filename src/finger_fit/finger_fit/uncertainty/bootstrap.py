@@ -21,10 +21,3 @@ def bootstrap_sample(problem: FitProblem, best: np.ndarray, seed: int, index: in
         tolerance=1e-4,
         iterations=12,
     ).parameters
-
-
-def percentile_interval(values: np.ndarray, confidence: float = 0.95) -> tuple[float, float]:
-    """Interval that holds the middle part `confidence` of the values (B,)."""
-    tail = 0.5 * (1.0 - confidence)
-    low, high = np.quantile(values, [tail, 1.0 - tail])
-    return float(low), float(high)

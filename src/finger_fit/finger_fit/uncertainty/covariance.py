@@ -80,15 +80,13 @@ class Covariance:
         return float(np.sqrt(variance)), rise
 
 
-def sensitivities(
-    problem: FitProblem, parameters: np.ndarray, step: float = _CENTRAL
-) -> np.ndarray:
+def sensitivities(problem: FitProblem, parameters: np.ndarray) -> np.ndarray:
     """∂A/∂x (N, n) in m² at parameters (N,), by central differences in one batch."""
     space, number = problem.space, len(problem.space)
     centre = space.to_log(parameters)
-    shifts = np.eye(number) * step
+    shifts = np.eye(number) * _CENTRAL
     areas = problem.areas(space.from_log(np.vstack([centre + shifts, centre - shifts])))
-    return (areas[:number] - areas[number:]) / (2.0 * step)
+    return (areas[:number] - areas[number:]) / (2.0 * _CENTRAL)
 
 
 def active_bounds(space: ParameterSpace, parameters: np.ndarray, box: np.ndarray) -> dict[str, str]:

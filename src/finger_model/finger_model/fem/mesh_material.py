@@ -76,8 +76,9 @@ class MeshMaterial:
         """Material of a step of `duration` (s) that starts from `before`."""
         return StepMaterial(self, self.law.step_energy(duration, before))
 
-    def rate(self, duration: float, before: Tissue, part: float = 1e-3) -> Stiffness:
+    def rate(self, duration: float, before: Tissue) -> Stiffness:
         """Change of H per step at the end of a step of `duration` (s), without volumetric part."""
+        part = 1e-3
         later = self.law.step_energy((1 + part) * duration, before).metric
         now = self.law.step_energy((1 - part) * duration, before).metric
         metric = np.zeros_like(self.elastic_metric)

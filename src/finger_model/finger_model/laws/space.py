@@ -256,8 +256,9 @@ class ParameterSpace:
         values = self.quantity(name, corners)
         return float(values.min()), float(values.max())
 
-    def log_gradient(self, name: str, vector: np.ndarray, step: float = 1e-5) -> np.ndarray:
+    def log_gradient(self, name: str, vector: np.ndarray) -> np.ndarray:
         """∂ln q/∂x (n,) of a quantity q over the coordinates x, by central differences."""
+        step = 1e-5
         shifts = step * np.eye(len(self))
         centre = self.to_log(vector)
         high = np.log(self.quantity(name, self.from_log(centre + shifts)))

@@ -77,10 +77,10 @@ def human_press(
 
 
 def random_history(
-    rng: np.random.Generator, kind: str, peak: float = TARGET_FORCE, share: float = 0.05
+    rng: np.random.Generator, kind: str, peak: float = TARGET_FORCE
 ) -> tuple[np.ndarray, np.ndarray]:
     """Time (s) and force (N) of one history of KINDS, or "random" (corners at random)."""
-    step = share * peak
+    step = 0.05 * peak
     rise = np.exp(rng.uniform(np.log(0.3), np.log(3.0)))
     if kind == "human":
         return human_press(rng, peak)

@@ -24,6 +24,9 @@ FIRST_FORCE = 0.04
 ROWS = 2048
 """Rows of the Jacobian that are held at a time."""
 
+RIDGE = 1e-6
+"""Weight of the squares of a network's values."""
+
 
 @dataclass
 class Samples:
@@ -166,12 +169,11 @@ def fit(
     samples: Samples,
     iterations: int,
     report: Callable[[float], None] | None = None,
-    ridge: float = 1e-6,
 ) -> float:
     """Weighted least squares by Levenberg and Marquardt's method; returns the root mean square
     weighted error.
 
-    The Jacobian is formed in single precision, a block of rows at a time; ridge weighs the squares
+    The Jacobian is formed in single precision, a block of rows at a time; RIDGE weighs the squares
     of the values. Steps are taken on a quarter of the rows for the first half of the iterations.
     """
     x = (samples.inputs - network.input_mean) / network.input_scale
@@ -187,10 +189,10 @@ def fit(
         if iteration == 0 or iteration == iterations // 2:
             rows = few if early else order
             u, goal, weight = x[rows], t[rows], w[rows]
-            loss = _loss(network, network.values, u, goal, weight, ridge)
+            loss = _loss(network, network.values, u, goal, weight)
         hessian, slope = _normal_equations(network, u, goal, weight)
-        hessian[np.diag_indices_from(hessian)] += ridge
-        slope += ridge * network.values
+        hessian[np.diag_indices_from(hessian)] += RIDGE
+        slope += RIDGE * network.values
         mean = float(np.mean(np.diag(hessian)))
         for _ in range(10):
             shifted = hessian.copy()
@@ -200,7 +202,7 @@ def fit(
             except LinAlgError:
                 damping *= 5.0
                 continue
-            found = _loss(network, network.values + step, u, goal, weight, ridge)
+            found = _loss(network, network.values + step, u, goal, weight)
             if found < loss:
                 network.values = network.values + step
                 loss = found
@@ -213,9 +215,9 @@ def fit(
     return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
 
 
-def _loss(network, values, x, t, w, ridge) -> float:
+def _loss(network, values, x, t, w) -> float:
     error = (network.outputs(values, x) - t) * w
-    return 0.5 * float(np.sum(error**2)) / len(x) + 0.5 * ridge * float(values @ values)
+    return 0.5 * float(np.sum(error**2)) / len(x) + 0.5 * RIDGE * float(values @ values)
 
 
 def _normal_equations(network, x, t, w) -> tuple[np.ndarray, np.ndarray]:

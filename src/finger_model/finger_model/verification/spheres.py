@@ -16,7 +16,7 @@ RADIUS = 10e-3
 INCOMPRESSIBLE = 0.4999
 
 
-def hertz(refinement: float = 1.0) -> Check:
+def hertz() -> Check:
     """Radius law and pressure profile of an incompressible elastic sphere at small load."""
     modulus = 30e3
     material = elastic(
@@ -26,7 +26,7 @@ def hertz(refinement: float = 1.0) -> Check:
         poisson_ratio_bulk=INCOMPRESSIBLE,
         poisson_ratio_epidermis=INCOMPRESSIBLE,
     )
-    stepper = sphere(RADIUS, refinement).start(material)
+    stepper = sphere(RADIUS).start(material)
     loads = np.geomspace(3e-3, 3e-2, 12)
     radius = np.array([stepper.step(k + 1.0, load).radius for k, load in enumerate(loads)])
     exact = np.cbrt(9 * loads * RADIUS / (16 * modulus))
