@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 
 from finger_bag.writer import BagWriter
-from finger_offline.process import ProcessOptions, process
+from finger_offline.process import process
+from finger_offline.process_options import ProcessOptions
 
 sys.path.insert(0, str(Path(__file__).parent))
 import rig_load

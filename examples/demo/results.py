@@ -15,7 +15,8 @@ from finger_fit.problem import MM2, MM4
 from finger_fit.results import ConditionFit
 from finger_model.reduced import ReducedModel
 from finger_offline.image_areas import calibration_of
-from finger_offline.trials import TrialRecord, load_trials
+from finger_offline.trial_records import TrialRecord
+from finger_offline.trials import load_trials
 from finger_sim.conditions import STUDY
 from finger_vision.messages import image_of
 

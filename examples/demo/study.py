@@ -83,7 +83,8 @@ def _begin_worker() -> None:
 
 def replay(bag: Path, target: Path) -> tuple[Path, int, int]:
     """Run vision and model over a bag's images; returns target, number of states and of areas."""
-    from finger_offline.process import ProcessOptions, process
+    from finger_offline.process import process
+    from finger_offline.process_options import ProcessOptions
 
     result = process(bag, target, ProcessOptions(images="yes"))
     return target, result.states, result.areas

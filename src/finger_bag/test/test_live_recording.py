@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from finger_bag.reader import open_bag
-from finger_offline.process import ProcessOptions
 from finger_offline.process import process as run_offline
+from finger_offline.process_options import ProcessOptions
 
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 

@@ -159,8 +159,8 @@ def test_model_node_in_the_time_of_the_bag_estimates_as_offline(
     assert player.wait(90) == 0, player.output.read_text()
     assert "late by" in player.output.read_text()
     assert model.poll() is None
-    from finger_offline.process import ProcessOptions
     from finger_offline.process import process as run_offline
+    from finger_offline.process_options import ProcessOptions
 
     options = ProcessOptions(estimator={"fusion_delay": 1.0})
     run_offline(path, tmp_path / "offline", options)

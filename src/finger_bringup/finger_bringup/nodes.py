@@ -19,7 +19,7 @@ import yaml
 
 from finger_common.errors import InputError
 from finger_common.files import atomic_write, load_yaml
-from finger_sim.rig import RigAddresses
+from finger_sim.rig_settings import RigAddresses
 
 from .supervisor import ProcessSpec
 

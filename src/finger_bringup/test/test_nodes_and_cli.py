@@ -11,7 +11,7 @@ from finger_bringup import nodes
 from finger_bringup.cli import entries, main, parser
 from finger_bringup.restarts import RestartDelay
 from finger_common.errors import InputError
-from finger_sim.rig import RigAddresses
+from finger_sim.rig_settings import RigAddresses
 
 
 @pytest.mark.parametrize("entry", nodes.NODES.values(), ids=lambda e: e.name)

@@ -32,8 +32,6 @@ from .input_topics import InputTopics
 from .output_bag import OutputBag
 from .process_options import ProcessOptions
 
-__all__ = ["ProcessOptions", "ProcessResult", "process"]
-
 ROUND_NS = 500_000_000
 """Log time between two rounds of handing inputs to the estimator."""
 

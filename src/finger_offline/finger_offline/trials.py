@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 
 from finger_bag.bag_files import find_bags
@@ -17,36 +17,28 @@ from finger_bag.streams import (
 )
 
 from .image_areas import IMAGES, ImageAreas
-from .trial_records import Exclusion, TrialRecord, TrialSet
+from .trial_records import Exclusion, TrialSet
 from .trial_split import TrialSettings, split
-
-__all__ = ["TrialRecord", "TrialSet", "TrialSettings", "load_trials", "split", "trials_of"]
 
 
 def load_trials(
     paths: str | Path | Iterable[str | Path],
     settings: TrialSettings | None = None,
-    progress: Callable[[int, int, Path], None] | None = None,
 ) -> TrialSet:
     """Trials of bags; see TrialSettings for what can be set.
 
-    progress is called with (number of bags done, number of bags, bag). Raises InputError for a bag
-    that cannot be read, holds no wrench, or holds neither contact_area nor images.
+    Raises InputError for a bag that cannot be read, holds no wrench, or holds neither contact_area
+    nor images.
     """
     settings = settings or TrialSettings()
-    bags = find_bags([paths] if isinstance(paths, (str, Path)) else paths)
     result = TrialSet()
-    for number, bag in enumerate(bags):
-        if progress is not None:
-            progress(number, len(bags), bag)
+    for bag in find_bags([paths] if isinstance(paths, (str, Path)) else paths):
         with open_bag(bag) as reader:
             found = trials_of(reader, settings)
         result.trials += found.trials
         result.exclusions += found.exclusions
         result.problems += found.problems
     _drop_superseded(result)
-    if progress is not None:
-        progress(len(bags), len(bags), bags[-1])
     return result
 
 

@@ -29,7 +29,8 @@ from finger_model.messages import (
 )
 from finger_model.reduced import ReducedModel
 from finger_offline.contact_states import serialize
-from finger_offline.process import ProcessOptions, process
+from finger_offline.process import process
+from finger_offline.process_options import ProcessOptions
 
 STATE = "finger_msgs/msg/ContactState"
 

@@ -28,10 +28,8 @@ from . import ftir
 from .conditions import condition
 from .participant import FrameClock, Participant
 from .planner import Planner
-from .rig_settings import RigAddresses, RigSettings
+from .rig_settings import RigSettings
 from .trial_plan import PlannedTrial, TrialRequest, plan_trial, renderer_for, write_truth
-
-__all__ = ["RIG_READY", "RigAddresses", "RigSettings", "SimulatedRig"]
 
 RIG_READY = "simulated rig is ready"
 """Begins the line of the log after which all devices can be opened."""

@@ -9,7 +9,8 @@ from __future__ import annotations
 from finger_common.node import LATCHED_QOS, ManagedNode, main_of
 from finger_msgs.msg import Trial
 
-from .rig import RIG_READY, RigSettings, SimulatedRig
+from .rig import RIG_READY, SimulatedRig
+from .rig_settings import RigSettings
 
 
 class RigNode(ManagedNode):

@@ -3,13 +3,3 @@
 from .areas import BetterModel, FullOrder
 from .check import FullOrderCheck, check
 from .correction import Correction, correct, correction_around
-
-__all__ = [
-    "BetterModel",
-    "Correction",
-    "FullOrder",
-    "FullOrderCheck",
-    "check",
-    "correct",
-    "correction_around",
-]

@@ -4,19 +4,3 @@ from .cost import AreaCorrection, AreaModel, FitProblem, material_of
 from .power_law import PowerLaw, fit_power_law
 from .trials import Exclusion, FitTrial, TrialRejected, prepare, prepare_all
 from .units import MM2, MM4
-
-__all__ = [
-    "MM2",
-    "MM4",
-    "AreaCorrection",
-    "AreaModel",
-    "Exclusion",
-    "FitProblem",
-    "FitTrial",
-    "PowerLaw",
-    "TrialRejected",
-    "fit_power_law",
-    "material_of",
-    "prepare",
-    "prepare_all",
-]

@@ -2,14 +2,3 @@
 
 from .files import condition_dict, fit_dict, parameter_sets, write
 from .fits import ConditionFit, CrossCheck, DeformedFinger, FitResult
-
-__all__ = [
-    "ConditionFit",
-    "CrossCheck",
-    "DeformedFinger",
-    "FitResult",
-    "condition_dict",
-    "fit_dict",
-    "parameter_sets",
-    "write",
-]

@@ -3,16 +3,3 @@
 from .coordinates import Coordinates, all_free, held
 from .local import LocalFit, refine
 from .population import Search, Stopped, best_points, search, search_grid
-
-__all__ = [
-    "Coordinates",
-    "LocalFit",
-    "Search",
-    "Stopped",
-    "all_free",
-    "best_points",
-    "held",
-    "refine",
-    "search",
-    "search_grid",
-]

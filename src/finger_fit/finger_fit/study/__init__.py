@@ -5,13 +5,3 @@ from .condition import fit_condition, polish
 from .grouping import group_trials
 from .progress import Report
 from .study import fit_bags, fit_records
-
-__all__ = [
-    "Report",
-    "fit_bags",
-    "fit_condition",
-    "fit_records",
-    "group_trials",
-    "load",
-    "polish",
-]

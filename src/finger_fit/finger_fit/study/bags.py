@@ -14,14 +14,9 @@ from finger_bag.mapping import TopicMapping
 from finger_bag.reader import open_bag
 from finger_common.errors import InputError
 from finger_common.files import read_bytes, sha256_of
-from finger_offline.trials import (
-    TrialRecord,
-    TrialSet,
-    TrialSettings,
-    split,
-    streams_with_areas,
-    trials_of,
-)
+from finger_offline.trial_records import TrialRecord, TrialSet
+from finger_offline.trial_split import TrialSettings, split
+from finger_offline.trials import streams_with_areas, trials_of
 
 from ..options import FitOptions
 from ..problem import Exclusion

@@ -4,13 +4,3 @@ from .estimate import ContactEstimate, EstimateBlock
 from .estimator import ContactEstimator, replay
 from .events import EstimatorEvent, EventType
 from .settings import EstimatorSettings
-
-__all__ = [
-    "ContactEstimate",
-    "ContactEstimator",
-    "EstimateBlock",
-    "EstimatorEvent",
-    "EstimatorSettings",
-    "EventType",
-    "replay",
-]

@@ -29,21 +29,3 @@ def load_material(path: str | Path) -> ConstitutiveLaw:
     """Material from material.yaml (SI), of the law named by its key `law`; raises InputError."""
     data = load_yaml(path, "material file")
     return law_of(str(data.pop("law", "") or "")).from_dict(data, str(path))
-
-
-__all__ = [
-    "LAWS",
-    "UNIT",
-    "ConstitutiveLaw",
-    "DerivedQuantity",
-    "ParameterSpace",
-    "ParameterSpec",
-    "Quantity",
-    "StandardLinearSolid",
-    "StepEnergy",
-    "Tissue",
-    "law_of",
-    "load_material",
-    "parameter",
-    "trace",
-]

@@ -1,5 +1,3 @@
 """The reduced model: load, use, build."""
 
-from .model import ReducedModel, ReducedState
-
-__all__ = ["ReducedModel", "ReducedState"]
+from .model import ReducedModel
