@@ -74,7 +74,7 @@ def fingerprints(project_root: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def free_ros_domain() -> Callable[[], int]:
-    """Function that gives a ROS domain of this worker's share that nobody uses.
+    """Function that gives a ROS domain of this worker's share that no process uses.
 
     Parallel workers draw from separate domains, so that none takes what another has just found.
     """

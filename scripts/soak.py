@@ -25,7 +25,7 @@ from finger_common.files import atomic_write  # noqa: E402
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=1800.0)
-    parser.add_argument("--folder", type=Path, help="where the bag goes (some 14 MB/s)")
+    parser.add_argument("--folder", type=Path, help="folder of the bag (about 14 MB/s)")
     parser.add_argument("--reliability", choices=["best_effort", "reliable"], default="best_effort")
     args = parser.parse_args()
     last = [0.0]

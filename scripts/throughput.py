@@ -1,5 +1,6 @@
-"""Measure trial simulations per second and core, and the time for 1,000 subjects. Updates
-docs/scaling.md.
+"""Measure trial simulations per second and core, and the time for 1,000 subjects.
+
+With --write the result goes into docs/scaling.md.
 
     python scripts/throughput.py [--study out/study] [--write]
 
@@ -187,7 +188,7 @@ def replace_between(text: str, name: str, content: str) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--study", type=Path, default=ROOT / "out" / "study", metavar="FOLDER")
-    parser.add_argument("--write", action="store_true", help="put it into docs/scaling.md")
+    parser.add_argument("--write", action="store_true", help="put the result into docs/scaling.md")
     args = parser.parse_args()
     text = page_text(rate(), full_order_seconds(), refits(args.study))
     print(text)

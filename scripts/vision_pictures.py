@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import math
 from pathlib import Path
 
@@ -112,6 +113,7 @@ def failures() -> np.ndarray:
 
 
 def main() -> None:
+    argparse.ArgumentParser(description=__doc__).parse_args()
     FOLDER.mkdir(parents=True, exist_ok=True)
     rows = [steps_of(skin, 30 + index) for index, skin in enumerate(("dry", "natural", "moist"))]
     cv2.imwrite(str(FOLDER / "vision_steps.png"), np.vstack(rows))

@@ -62,7 +62,7 @@ def parser() -> Parser:
         default=["dry", "natural", "moist"],
         help="moisture conditions (default: all three)",
     )
-    arguments.add_argument("--seed", type=int, default=1, help="of the simulated study")
+    arguments.add_argument("--seed", type=int, default=1, help="seed of the simulated study")
     arguments.add_argument("--domain", type=int, help="ROS domain (default: a free one)")
     arguments.add_argument(
         "--quick", action="store_true", help="leave out profiles, bias and the full-order check"

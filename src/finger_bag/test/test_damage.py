@@ -75,7 +75,7 @@ def fuzz(original: bytes, folder: Path, count: int, seed: int) -> Counter[tuple[
         try:
             result = outcome(path, place)
         except Exception:
-            # All are looked at before the test fails, so that one run tells every finding.
+            # Every case runs before the test fails, so that one run shows every finding.
             traceback.print_exc(file=sys.stdout)
             result = "FAILED"
         found[(mutate.__name__, result)] += 1

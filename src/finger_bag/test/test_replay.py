@@ -18,7 +18,7 @@ from finger_common.errors import InputError
 
 
 class Clock:
-    """Time that passes only while somebody sleeps."""
+    """Time that passes only while a caller sleeps."""
 
     def __init__(self) -> None:
         self.time = 100.0

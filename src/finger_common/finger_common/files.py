@@ -1,4 +1,4 @@
-"""Reading and writing small files so that nothing half-written is left and every complaint names
+"""Reading and writing small files so that nothing half-written is left and every error names
 the file.
 """
 

@@ -1,4 +1,4 @@
-"""A ROS domain is free when nobody listens on its discovery port."""
+"""A ROS domain is free when no process listens on its discovery port."""
 
 import socket
 

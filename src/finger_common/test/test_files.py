@@ -1,4 +1,4 @@
-"""Small files: nothing half-written, every complaint names the place and the remedy."""
+"""Small files: nothing half-written, every error names the place and the remedy."""
 
 from __future__ import annotations
 

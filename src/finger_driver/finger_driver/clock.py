@@ -179,7 +179,7 @@ class StampStatistics:
 
     def add(self, stamp_ns: int) -> None:
         """Add a stamp."""
-        # Bounded where nobody reads.
+        # Bounded also without a reader.
         if len(self._stamps) < 20_000:
             self._stamps.append(stamp_ns)
 

@@ -265,7 +265,7 @@ def test_damaged_spreadsheets_are_refused() -> None:
             pass
 
 
-def test_health_counters_are_few_whatever_comes() -> None:
+def test_health_counters_are_few_for_any_input() -> None:
     """Keys of counters are fixed words; a device must not be able to make new ones."""
     source = NetFtSource(NetFtSettings())
     source._quality(0xFFFFFFFF)

@@ -123,7 +123,7 @@ def test_bulk_decoding_equals_one_by_one(frame: str, big_endian: bool) -> None:
     assert np.all(torque[keep, 0] == 0.001)
 
 
-def test_somebody_elses_bag_is_read_through_a_mapping(tmp_path: Path) -> None:
+def test_bag_of_another_system_is_read_through_a_mapping(tmp_path: Path) -> None:
     path = tmp_path / "bag"
     with BagWriter(path, namespace="") as bag:
         for i in range(1750):

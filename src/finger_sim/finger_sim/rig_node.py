@@ -1,4 +1,4 @@
-"""Node `simulated_rig`: announces the trial at hand to the simulated participant.
+"""Node `simulated_rig`: announces the current trial to the simulated participant.
 
 A thin shell over `rig.SimulatedRig`. It publishes nothing: what it measures leaves through the
 simulated devices alone.

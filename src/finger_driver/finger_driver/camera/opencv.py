@@ -1,4 +1,4 @@
-"""Whatever OpenCV's VideoCapture opens: V4L2 camera, file, image sequence, GStreamer pipeline.
+"""Every source of OpenCV's VideoCapture: V4L2 camera, file, image sequence, GStreamer pipeline.
 
 A camera is read by a thread without pause that keeps only the newest frame: V4L2 queues up to four
 frames, and a slower reader would get ever older ones. Files and sequences are played at `rate`

@@ -171,7 +171,7 @@ class NetFtSource(ForceSource):
             try:
                 connection.send(rdt.encode_request(rdt.STOP))
             except OSError:
-                pass  # the box is gone; there is nobody to stop
+                pass  # the box is gone; there is no stream to stop
             connection.close()
 
     def _send(self, command: int) -> None:

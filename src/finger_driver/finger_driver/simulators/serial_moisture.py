@@ -134,7 +134,7 @@ class SerialMoistureSimulator(Simulator):
         try:
             os.write(self._controller, data)
         except BlockingIOError:
-            # Nobody reads; an adapter's buffer overflows, too.
+            # No reader; an adapter's buffer overflows, too.
             pass
 
     def close(self) -> None:
