@@ -218,7 +218,6 @@ EXCEPTIONS = (
     "README.md",
     "docs/architecture.md",
     "src/finger_bringup/config/plotjuggler_layout.xml",
-    "src/finger_operator/finger_operator/page/static/",
 )
 """Beginnings of the names of further files that are not checked."""
 
