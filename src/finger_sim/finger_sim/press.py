@@ -19,6 +19,12 @@ import numpy as np
 from finger_common.errors import InputError
 from finger_model.paper import PRESS_DURATION, TARGET_FORCE
 
+RATE = 500.0
+"""Samples per s."""
+
+LEAD, TAIL = 0.3, 0.5
+"""s of rest before onset and after lift-off."""
+
 
 @dataclass(frozen=True)
 class PressStyle:
@@ -74,24 +80,14 @@ def band_noise(
 
 
 def plan_press(
-    rng: np.random.Generator,
-    target_force: float = TARGET_FORCE,
-    ramp_time: float | None = None,
-    style: PressStyle | None = None,
-    rate: float = 500.0,
-    lead: float = 0.3,
-    tail: float = 0.5,
+    rng: np.random.Generator, ramp_time: float | None = None, style: PressStyle | None = None
 ) -> Press:
-    """One press drawn from `style`.
+    """One press to the target force, drawn from `style`.
 
-    target_force: N; ramp_time: s from onset to the target, drawn from the style when None; rate:
-    samples per s; lead, tail: s of rest before onset and after lift-off. The same state of `rng`
-    gives the same press. Raises InputError for values that are not positive.
+    ramp_time: s from onset to the target, drawn from the style when None. The same state of `rng`
+    gives the same press. Raises InputError for a ramp_time that is not positive.
     """
     style = style or PressStyle()
-    for name, value in (("target_force", target_force), ("rate", rate)):
-        if not value > 0:
-            raise InputError(f"press: {name} is {value:g}, a positive number is needed")
     ramp = float(rng.uniform(*style.ramp))
     if ramp_time is not None:
         ramp = ramp_time
@@ -103,31 +99,31 @@ def plan_press(
     hold = float(rng.uniform(*style.hold))
 
     # Room for a cue that the fluctuation delays, cut off below.
-    length = lead + 1.5 * ramp + reaction + hold + release + tail
-    number = math.ceil(length * rate) + 1
-    time = np.arange(number) / rate
-    since = np.maximum(time - lead, 0.0)
-    base = target_force * (since / ramp) ** shape
-    fluctuation = 1.0 + style.tremor * band_noise(rng, number, rate, 8.0, 12.0)
-    fluctuation += style.drift * band_noise(rng, number, rate, 0.2, 3.0)
+    length = LEAD + 1.5 * ramp + reaction + hold + release + TAIL
+    number = math.ceil(length * RATE) + 1
+    time = np.arange(number) / RATE
+    since = np.maximum(time - LEAD, 0.0)
+    base = TARGET_FORCE * (since / ramp) ** shape
+    fluctuation = 1.0 + style.tremor * band_noise(rng, number, RATE, 8.0, 12.0)
+    fluctuation += style.drift * band_noise(rng, number, RATE, 0.2, 3.0)
     pressing = base * fluctuation
-    at_cue = int(np.argmax(pressing >= target_force))
-    if pressing[at_cue] < target_force:
+    at_cue = int(np.argmax(pressing >= TARGET_FORCE))
+    if pressing[at_cue] < TARGET_FORCE:
         raise InputError(
-            f"press: the target of {target_force:g} N is not reached; lower tremor or drift"
+            f"press: the target of {TARGET_FORCE:g} N is not reached; lower tremor or drift"
         )
     cue = float(time[at_cue])
 
     # The force rises at a falling rate between cue and reaction, then holds.
-    speed = target_force * shape / ramp * max((cue - lead) / ramp, 1e-3) ** (shape - 1.0)
+    speed = TARGET_FORCE * shape / ramp * max((cue - LEAD) / ramp, 1e-3) ** (shape - 1.0)
     past = np.clip(time - cue, 0.0, reaction)
     overshoot = speed * (past - 0.5 * past**2 / reaction)
     level = np.where(time < cue, base, base[at_cue] + overshoot)
     start = cue + reaction + hold
     falling = np.clip((time - start) / release, 0.0, 1.0)
     force = level * fluctuation * 0.5 * (1.0 + np.cos(np.pi * falling))
-    force[(time <= lead) | (falling >= 1.0)] = 0.0
+    force[(time <= LEAD) | (falling >= 1.0)] = 0.0
     force = np.maximum(force, 0.0)
 
-    end = min(number, math.ceil((start + release + tail) * rate) + 1)
-    return Press(time[:end], force[:end], lead, cue, start, start + release)
+    end = min(number, math.ceil((start + release + TAIL) * RATE) + 1)
+    return Press(time[:end], force[:end], LEAD, cue, start, start + release)

@@ -71,7 +71,6 @@ def test_force_has_no_jumps() -> None:
         assert np.abs(np.diff(press.force)).max() < 1.5 * max(fastest, 0.012)
 
 
-@pytest.mark.parametrize("bad", [{"target_force": 0.0}, {"rate": -1.0}, {"ramp_time": 0.0}])
-def test_impossible_presses_are_refused_by_name(bad: dict[str, float]) -> None:
-    with pytest.raises(InputError, match=next(iter(bad))):
-        plan_press(np.random.default_rng(0), **bad)
+def test_a_press_without_duration_is_refused_by_name() -> None:
+    with pytest.raises(InputError, match="ramp_time"):
+        plan_press(np.random.default_rng(0), ramp_time=0.0)
