@@ -35,7 +35,8 @@ lint: setup-test
 	@$(RUN) scripts/type_check.py
 
 test: lint
-	@$(RUN) -m pytest -n $(WORKERS) --dist loadfile
+	@$(RUN) -m pytest -n $(WORKERS) --dist loadfile -m "not slow and not alone"
+	@$(RUN) -m pytest -m "alone and not slow"
 
 test-slow: setup-test
 	@$(RUN) -m pytest -m slow

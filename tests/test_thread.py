@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+pytestmark = pytest.mark.alone
 
 from demo.results import true_trials
 from demo.session import SESSION
