@@ -16,12 +16,12 @@ import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-pytestmark = pytest.mark.alone
-
 from demo.results import true_trials
 from demo.session import SESSION
 from finger_bag.reader import open_bag
 from finger_common.stamps import header_stamp as stamp_of
+
+pytestmark = pytest.mark.alone
 
 
 class Recording:
