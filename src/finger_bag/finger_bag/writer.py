@@ -18,7 +18,7 @@ from finger_common.errors import InputError
 from finger_common.files import atomic_write
 from finger_common.stamps import NANOSECONDS, seconds
 
-from .definitions import definition_text, encode, type_hash
+from .definitions import decoder, definition_text, encode, type_hash
 from .mcap_writer import McapWriter
 from .reader import BagMessage
 from .schema import NAMESPACE, SESSION_RECORD, SessionMetadata, full_name, offered_qos, spec_of
@@ -58,6 +58,15 @@ class WrittenBag:
     files: list[str] = field(default_factory=list)
     message_count: int = 0
     counts: dict[str, int] = field(default_factory=dict)
+
+
+def _same_fields(message_type: str, definition: str, form: str) -> bool:
+    """Whether a definition has the fields of the known type: other comments change no hash."""
+    try:
+        known = bool(definition) and _known(message_type)
+        return known and decoder(message_type, definition, form).standard
+    except InputError:
+        return False
 
 
 def _known(message_type: str) -> bool:
@@ -224,7 +233,8 @@ class BagWriter:
         known = definition_text(message_type) if definition is None or _known(message_type) else ""
         if definition is None:
             definition = known
-        known_hash = type_hash(message_type) if definition == known else ""
+        same = definition == known or _same_fields(message_type, definition, form)
+        known_hash = type_hash(message_type) if same else ""
         self._channels[name] = _Channel(name, message_type, definition, form, known_hash, qos)
         return name
 

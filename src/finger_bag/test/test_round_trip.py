@@ -17,7 +17,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from session_bags import START, wrench
 
-from finger_bag.definitions import definition_text
+from finger_bag.definitions import definition_text, type_hash
 from finger_bag.reader import open_bag
 from finger_bag.writer import BagWriter
 from finger_common.errors import InputError
@@ -232,3 +232,16 @@ def test_what_is_no_topic_name_is_refused(tmp_path: Path, topic: str) -> None:
     with pytest.raises(InputError, match="topic"):
         bag.write(topic, {}, START, message_type="finger_msgs/msg/Moisture")
     bag.abandon()
+
+
+@pytest.mark.parametrize("change", ["# another comment\n", "float64 added\n"])
+def test_a_definition_keeps_its_type_hash_whatever_its_comments(
+    tmp_path: Path, change: str
+) -> None:
+    kind = "finger_msgs/msg/Moisture"
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic("moisture", kind, definition=change + definition_text(kind))
+    metadata = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text())
+    topics = metadata["rosbag2_bagfile_information"]["topics_with_message_count"]
+    found = [topic["topic_metadata"]["type_description_hash"] for topic in topics]
+    assert found == [type_hash(kind) if change.startswith("#") else ""]
