@@ -98,8 +98,8 @@ def imports(tree: ast.Module) -> Iterator[tuple[int, str]]:
             yield from ((node.lineno, f"{node.module}.{a.name}") for a in node.names)
 
 
-def is_shell(file: Path) -> bool:
-    """Whether a module is a ROS shell: a node, the base of nodes or a launch file."""
+def is_ros_module(file: Path) -> bool:
+    """Whether a module may import ROS: a node, the base of nodes or a launch file."""
     return file.stem.endswith("_node") or "node" in file.parts or "launch" in file.parts
 
 
@@ -116,7 +116,7 @@ def test_imports_point_one_way(project_root: Path) -> None:
 def test_cores_import_no_ros(project_root: Path) -> None:
     wrong = []
     for _, file, tree in modules(project_root):
-        if is_shell(file):
+        if is_ros_module(file):
             continue
         for line, name in imports(tree):
             if ROS.match(name.split(".")[0]):

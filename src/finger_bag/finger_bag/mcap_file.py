@@ -49,7 +49,7 @@ PLAIN_CHUNK = 64 << 20
 """Bytes above which a chunk must not claim 200 times its compressed size (a zip bomb does)."""
 
 _RATIO = 200
-_RUN = 4 << 20  # bytes of unchunked messages that are read in one go
+_RUN = 4 << 20  # bytes of unchunked messages that are read at once
 
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")

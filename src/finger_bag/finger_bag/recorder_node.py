@@ -1,6 +1,6 @@
 """Recorder node: writes the rig's topics into a bag, serialized as they come.
 
-Thin shell over `recorder.Recorder`. Subscriptions exist from activation on, so that a recording
+Node around `recorder.Recorder`. Subscriptions exist from activation on, so that a recording
 misses nothing at its start; latched messages that came before are repeated at its head. `~/record`
 starts and stops.
 """

@@ -1,6 +1,6 @@
 """Is a bag fit for use? Checks with a status each, for a table or as data.
 
-Statuses: "ok"; "note", worth knowing and no obstacle; "fail". A bag is fit for use when nothing
+Statuses: "ok"; "note", information only; "fail". A bag is fit for use when nothing
 fails.
 """
 

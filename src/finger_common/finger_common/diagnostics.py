@@ -1,7 +1,7 @@
 """Health of a source of data: rates, counters and faults, without ROS.
 
 A fault is reported for logging once when it begins, then only counted; it ends when the source
-calls `recovered`. The shell turns a `Health` into a DiagnosticStatus once a second.
+calls `recovered`. The node turns a `Health` into a DiagnosticStatus once a second.
 """
 
 from __future__ import annotations

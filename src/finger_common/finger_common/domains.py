@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from .errors import FingerError
 
 DOMAINS = range(1, 101)
-"""Domains whose ports lie below those that Linux gives out by itself."""
+"""Domains whose ports lie below those that Linux assigns by itself."""
 
 
 def is_free(domain: int) -> bool:

@@ -2,7 +2,7 @@
 
 A `Parameter` has name, default, unit, range or choices, meaning and whether it may change while
 the node is active. A `ParameterTable` checks values against it and renders the node reference. No
-ROS here; the shell in `finger_common.node` declares a table on an rclpy node.
+ROS here; `finger_common.node` declares a table on an rclpy node.
 """
 
 from __future__ import annotations

@@ -56,7 +56,7 @@ _IMAGE_DEPTH = 10
 
 
 class CameraNode(DeviceNode):
-    """Thin shell around a CameraSource."""
+    """Node around a CameraSource."""
 
     NAME = "camera"
     SETTINGS = (CameraNodeSettings,)

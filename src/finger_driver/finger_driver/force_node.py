@@ -61,7 +61,7 @@ class ForceNodeSettings(DeviceNodeSettings):
 
 
 class ForceNode(DeviceNode):
-    """Thin shell around a ForceSource. It tares on request only."""
+    """Node around a ForceSource. It tares on request only."""
 
     NAME = "force"
     SETTINGS = (ForceNodeSettings,)

@@ -38,7 +38,7 @@ class MoistureNodeSettings(DeviceNodeSettings):
 
 
 class MoistureNode(DeviceNode):
-    """Thin shell around a MoistureSource. Readings may be entered by hand with every source."""
+    """Node around a MoistureSource. Readings may be entered by hand with every source."""
 
     NAME = "moisture"
     SETTINGS = (MoistureNodeSettings,)

@@ -115,7 +115,7 @@ def test_a_faster_box_is_averaged_not_decimated() -> None:
         finally:
             source.close()
     spread = np.std([s.force for s in samples], axis=0)
-    # Ten records per sample: noise falls by √10; 60 samples tell it to about 10 %.
+    # Ten records per sample: noise falls by √10; 60 samples give it to about 10 %.
     assert np.all((spread > 0.05 / np.sqrt(10) * 0.6) & (spread < 0.05 / np.sqrt(10) * 1.5))
 
 

@@ -105,7 +105,7 @@ class LatencyHistogram:
 
 
 class ModelNode(ManagedNode):
-    """Thin shell around ContactEstimator."""
+    """Node around a ContactEstimator."""
 
     SETTINGS = (EstimatorSettings, ModelSettings)
     NAME = "model"

@@ -262,7 +262,7 @@ class Protocol:
         self._enter(Step.PREPARE)
 
     def skip(self, now_ns: int) -> None:
-        """Leave the trial at hand out."""
+        """Leave the current trial out."""
         self._now = now_ns
         if self.step in (Step.IDLE, Step.FINISHED, Step.DONE, Step.CLOSING):
             raise InputError("there is no open trial to skip")

@@ -98,7 +98,7 @@ SERVICES = {
     "resume": "Go on after a pause or a restart.",
     "redo": "Begin the trial under way again, or else the last one that was done.",
     "repeat": "Do the trial `selected_trial` again.",
-    "skip": "Leave the trial at hand out.",
+    "skip": "Leave the current trial out.",
     "close": "Close the session; the next start begins a new one.",
 }
 """Services of the node (std_srvs/Trigger), for the node reference too."""

@@ -10,7 +10,7 @@ from .study_plan import CLEAN_PLATE
 
 
 def session_status(protocol: Protocol) -> dict[str, Any]:
-    """The session, the trial at hand and a row for each trial."""
+    """The session, the current trial and a row for each trial."""
     plan = protocol.plan
     trial = protocol.trials[protocol.current]
     begun = trial.attempts and protocol.step is not Step.PREPARE

@@ -155,7 +155,7 @@ class Participant:
             self._give_readings(trial.moisture[READINGS_PER_TRIAL // 2 :], AFTER)
 
     def _planned(self, request: TrialRequest) -> PlannedTrial | None:
-        """The trial at hand; the frames of the one before are deleted. None when stopped."""
+        """The current trial; the frames of the one before are deleted. None when stopped."""
         if self._trial is None or self._trial.request != request:
             for path in self._trial.frames if self._trial is not None else ():
                 path.unlink(missing_ok=True)

@@ -57,7 +57,7 @@ EXPOSURE = 5e-3
 
 
 class SimulatedRig:
-    """The rig. `start` opens the devices, `announce` tells the participant a trial's phase.
+    """The rig. `start` opens the devices, `announce` passes a trial's phase to the participant.
 
     report(text): progress as text. `start` raises DeviceError when the CAN bus does not open.
     """

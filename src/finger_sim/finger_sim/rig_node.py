@@ -1,6 +1,6 @@
 """Node `simulated_rig`: announces the current trial to the simulated participant.
 
-A thin shell over `rig.SimulatedRig`. It publishes nothing: what it measures leaves through the
+Node around `rig.SimulatedRig`. It publishes nothing: what it measures leaves through the
 simulated devices alone.
 """
 

@@ -92,7 +92,7 @@ class ManagedNode(LifecycleNode):
             )
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        # Steady time: diagnostics go on when simulated time stands still or jumps.
+        # Steady time: diagnostics continue when simulated time stands still or jumps.
         self._diagnostics_timer = self.create_timer(
             1.0, self.publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )

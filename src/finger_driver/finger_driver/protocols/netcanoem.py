@@ -91,7 +91,7 @@ SLOTS = 16
 MAX_BASE = 0x7F
 ANY_ERROR = 0x8000
 DEFAULT_COUNTS = 1_000_000
-"""Counts per unit of calibrations read by firmware before 3.7, which cannot tell them."""
+"""Counts per unit of calibrations read by firmware before 3.7, which does not report them."""
 
 
 def identifier(base: int, opcode: int) -> int:

@@ -93,7 +93,7 @@ def contact_edge(
     last = int(active[-1])
     if last + 2 >= len(skin):
         return float(skin[last, 0]), math.inf, None
-    # The nodes nearest the edge; all contact nodes but the first may let go.
+    # The nodes nearest the edge; all contact nodes but the first may open.
     near = np.arange(max(last - 1, int(active[0]) + 1), last + 3)
     loads = along = None
     if np.all(contact.status[near[near <= last]] != OPEN):

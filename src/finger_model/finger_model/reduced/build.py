@@ -116,7 +116,7 @@ def train(
     def arrays_with(contact: Network) -> dict[str, np.ndarray]:
         return {**drive.arrays("drive"), **contact.arrays("contact"), **others}
 
-    # States need a drive only: an untrained contact network stands in.
+    # States need a drive only: an untrained contact network takes its place.
     idle, _ = contact_of([np.ones((len(r.time), k + len(settings.betas))) for r in runs])
     model = ReducedModel(arrays_with(idle), _meta(geometry, settings))
     contact, samples = contact_of([model.visited(r.parameters, r.time, r.force) for r in runs])

@@ -325,7 +325,7 @@ class PageServer:
                 browser.add_state(kind, text)
 
     def publish_cue(self, stamp_ns: int, data: Mapping[str, Any]) -> None:
-        """A cue for everybody, at once. stamp_ns: of the sample that caused it."""
+        """A cue for every browser, at once. stamp_ns: of the sample that caused it."""
         self._call(self._publish_cue, stamp_ns, dict(data))
 
     def _publish_cue(self, stamp_ns: int, data: dict[str, Any]) -> None:
