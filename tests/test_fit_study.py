@@ -76,7 +76,7 @@ def test_bags_in_parameters_and_report_out(bags: Path, tmp_path: Path) -> None:
     assert "natural" in done.stdout and "report.html" in done.stdout
 
 
-def test_ctrl_c_leaves_the_best_so_far_and_resume_goes_on(bags: Path, tmp_path: Path) -> None:
+def test_ctrl_c_leaves_the_best_so_far_and_resume_continues(bags: Path, tmp_path: Path) -> None:
     arguments = [str(bags), "-o", str(tmp_path), *QUICK, "--rounds", "4000"]
     child = subprocess.Popen(
         [sys.executable, "-m", "finger_fit.cli", *arguments],
@@ -137,7 +137,7 @@ def test_bad_input_ends_with_one_sentence(
         assert word in error
 
 
-def test_study_writes_bags_with_what_the_metadata_says(tmp_path: Path) -> None:
+def test_study_writes_bags_that_agree_with_their_metadata(tmp_path: Path) -> None:
     from finger_bag.reader import open_bag
     from finger_fit.options import FitOptions
     from finger_fit.study import load

@@ -128,7 +128,7 @@ def test_the_readings_of_the_probe_arrive_in_order_and_phase(recording: Recordin
     assert [m.source for m in readings] == ["serial"] * 6
 
 
-def test_the_suite_ends_cleanly_on_ctrl_c_and_restarts_what_dies(
+def test_the_suite_ends_cleanly_on_ctrl_c_and_restarts_ended_nodes(
     tmp_path: Path, ros_domain: int
 ) -> None:
     """`finger-rig up`: a killed node comes back; Ctrl-C leaves nothing behind."""

@@ -143,7 +143,7 @@ def interface_lines(root: Path) -> Iterator[tuple[Path, int, str, str]]:
                 yield file, number, code.strip(), comment.strip()
 
 
-def test_every_field_says_what_it_means(project_root: Path) -> None:
+def test_every_field_has_a_meaning(project_root: Path) -> None:
     plain = re.compile(r"(^bool success$)|(^string message$)")
     bare = [
         f"{file.name}:{number} {code}"

@@ -172,7 +172,7 @@ while True:
 
 
 @pytest.mark.parametrize("after", [0.3, 0.77, 1.41])
-def test_killed_recorder_loses_at_most_a_second_and_the_bag_is_made_whole(
+def test_killed_recorder_loses_at_most_a_second_and_recover_completes_the_bag(
     tmp_path: Path, after: float
 ) -> None:
     path, last = tmp_path / "bag", tmp_path / "last"

@@ -79,7 +79,7 @@ def test_only_the_topics_asked_for_are_given(session: Callable[..., Path]) -> No
     assert np.allclose(np.diff(times), np.diff(logs) * 1e-9, atol=1e-6)
 
 
-def test_loop_goes_on_without_time_running_back(short: Path) -> None:
+def test_loop_continues_without_time_running_back(short: Path) -> None:
     clock = Clock()
     with open_bag(short) as reader:
         settings = ReplaySettings(loop=True, start=0.2)

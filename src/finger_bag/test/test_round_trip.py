@@ -80,7 +80,7 @@ def test_mcap_library_reads_equal_values_and_all_checksums(session: Callable[...
     assert len(forces) == 1750
 
 
-def test_metadata_yaml_says_what_rosbag2_needs(session: Callable[..., Path]) -> None:
+def test_metadata_yaml_holds_what_rosbag2_needs(session: Callable[..., Path]) -> None:
     data = yaml.safe_load((session() / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
     assert data["storage_identifier"] == "mcap"
     assert data["relative_file_paths"] == ["session_0.mcap"]
@@ -235,9 +235,7 @@ def test_what_is_no_topic_name_is_refused(tmp_path: Path, topic: str) -> None:
 
 
 @pytest.mark.parametrize("change", ["# another comment\n", "float64 added\n"])
-def test_a_definition_keeps_its_type_hash_whatever_its_comments(
-    tmp_path: Path, change: str
-) -> None:
+def test_a_definition_keeps_its_type_hash_for_any_comments(tmp_path: Path, change: str) -> None:
     kind = "finger_msgs/msg/Moisture"
     with BagWriter(tmp_path / "bag") as bag:
         bag.add_topic("moisture", kind, definition=change + definition_text(kind))

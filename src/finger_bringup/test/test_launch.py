@@ -316,7 +316,7 @@ def test_fit_of_sample_bags_writes_parameters_and_ends(
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_a_fit_that_fails_is_told_and_ends_with_an_error(
+def test_a_fit_that_fails_is_reported_and_ends_with_an_error(
     launch: Callable[..., Launch], project_root: Path, tmp_path: Path
 ) -> None:
     running = launch(

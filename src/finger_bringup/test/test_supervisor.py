@@ -54,7 +54,7 @@ def until(condition: Callable[[], bool], seconds: float = 30.0) -> None:
         time.sleep(0.02)
 
 
-def test_a_process_that_dies_is_started_again_and_reported() -> None:
+def test_a_process_that_ends_is_started_again_and_reported() -> None:
     log = Log()
     with Supervisor([ProcessSpec("node", python(FOREVER))], line=log, first_delay=0.05) as all_:
         log.wait_for("alive")

@@ -52,7 +52,7 @@ def test_frames_arrive_as_written_with_their_stamps_and_older_ones_do_not(tmp_pa
     assert len(list((tmp_path / "f").iterdir())) == 3
 
 
-def test_missing_frames_are_counted_and_a_missing_folder_is_told(tmp_path: Path) -> None:
+def test_missing_frames_are_counted_and_a_missing_folder_is_reported(tmp_path: Path) -> None:
     writer = FrameFolderWriter(tmp_path)
     source = FolderSource(FolderSettings(path=str(tmp_path)))
     source.connect()
@@ -113,7 +113,7 @@ class FakeCapture:
         self.released = True
 
 
-def test_a_slow_reader_gets_the_newest_frame_and_unplugging_is_told() -> None:
+def test_a_slow_reader_gets_the_newest_frame_and_unplugging_is_reported() -> None:
     capture = FakeCapture()
     source = OpenCvSource(OpenCvSettings(path="0", rate=50.0), opener=lambda path: (capture, True))
     source.connect()
@@ -142,7 +142,7 @@ def test_a_slow_reader_gets_the_newest_frame_and_unplugging_is_told() -> None:
         ("97", DeviceError, "does not open"),
     ],
 )
-def test_a_camera_that_is_not_there_is_told(path: str, kind: type, message: str) -> None:
+def test_a_missing_camera_is_reported(path: str, kind: type, message: str) -> None:
     with pytest.raises(kind, match=message):
         camera.open_source({"device": "opencv", "path": path}).connect()
 
@@ -229,7 +229,7 @@ def test_ueye_calls_come_in_the_makers_order_and_the_pitch_is_cut_off() -> None:
     assert sdk.calls.count("is_FreeImageMem") == sdk.calls.count("is_AllocImageMem")
 
 
-def test_ueye_open_elsewhere_or_without_its_library_is_told(
+def test_ueye_open_elsewhere_or_without_its_library_is_reported(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     sdk = FakeUeye()
@@ -241,7 +241,7 @@ def test_ueye_open_elsewhere_or_without_its_library_is_told(
         camera.open_source({"device": "ueye"}).connect()
 
 
-def test_frozen_is_told_from_dark() -> None:
+def test_frozen_is_distinguished_from_dark() -> None:
     detector = FreezeDetector(3)
     assert [detector.frozen(picture()) for _ in range(4)] == [False, False, True, True]
     assert not detector.frozen(picture(1))

@@ -196,7 +196,7 @@ def test_moisture_node_publishes_readings_and_what_the_operator_enters(
         ({"rate": -1.0}, "'rate'"),
     ],
 )
-def test_a_node_that_cannot_be_configured_says_why_and_stays(
+def test_a_node_that_cannot_be_configured_names_the_reason_and_stays(
     ros_domain: int, parameters: dict[str, Any], message: str, capfd: Any
 ) -> None:
     from rclpy.parameter import Parameter

@@ -176,7 +176,7 @@ def test_frames_of_two_readings_are_never_joined(channel: str, fault: str) -> No
 
 
 @pytest.mark.parametrize("copies", [1, 2])
-def test_a_bus_that_echoes_own_frames_is_no_trouble(
+def test_a_bus_that_echoes_own_frames_is_harmless(
     channel: str, copies: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from finger_driver import can_bus
@@ -232,7 +232,7 @@ def test_on_an_echoing_bus_the_own_request_is_no_confirmation_of_the_slot(
         ({"unit_codes": (9, 4)}, {}, "unit 9"),
     ],
 )
-def test_start_up_refuses_in_words(
+def test_start_up_refuses_with_a_reason(
     channel: str, options: dict, settings: dict, message: str
 ) -> None:
     bus, simulator = board(channel, **options)
@@ -261,7 +261,7 @@ def test_old_firmware_that_knows_no_counts_still_works(channel: str) -> None:
         bus.shutdown()
 
 
-def test_no_bus_is_told_in_one_sentence() -> None:
+def test_no_bus_is_reported_in_one_sentence() -> None:
     with pytest.raises(Exception, match="does not exist"):
         open_bus("nonsense")
     with pytest.raises(DeviceError, match="does not open"):

@@ -59,7 +59,7 @@ def test_page_gives_scales_in_si_and_counts_that_are_not_a_million() -> None:
         (b'<!DOCTYPE a [<!ENTITY b "c">]><n/>', "declarations"),
     ],
 )  # fmt: skip
-def test_a_page_that_is_none_is_refused_in_words(page: bytes, message: str) -> None:
+def test_a_page_of_another_kind_is_refused_with_a_reason(page: bytes, message: str) -> None:
     with pytest.raises(DeviceError, match=message):
         netft_xml.parse(page)
 

@@ -183,7 +183,7 @@ def test_sensors_that_cannot_be_used_are_named_in_one_sentence_and_stop_no_other
     assert "netcanoem" in simulators and any("unusable:Missing" in p for p in problems)
 
 
-def test_a_node_says_which_sensor_cannot_be_used(
+def test_a_node_names_the_sensor_that_cannot_be_used(
     ros_domain: int,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -211,7 +211,7 @@ def test_a_node_says_which_sensor_cannot_be_used(
     assert "configure failed" in lines[1]
 
 
-def test_without_any_installed_source_the_sentence_says_what_to_do() -> None:
+def test_without_any_installed_source_the_sentence_names_the_remedy() -> None:
     nothing = PluginKind("finger_driver.none", "force sensor", force.ForceSource, "device", "netft")
     with pytest.raises(InputError, match="no force sensor is installed"):
         nothing.settings(Settings)

@@ -157,7 +157,7 @@ def test_resumed_fit_equals_the_uninterrupted_one(double, tmp_path: Path) -> Non
         fit_condition(other, FitOptions(resume=True, **options), folder=tmp_path)
 
 
-def test_files_hold_what_the_design_says(study, tmp_path: Path) -> None:
+def test_files_hold_every_documented_entry(study, tmp_path: Path) -> None:
     results.write(study, tmp_path)
     data = json.loads((tmp_path / "fit.json").read_text())
     for name, fit in study.fits.items():
@@ -227,7 +227,7 @@ def test_report_draws_and_computes_nothing(study, tmp_path: Path, monkeypatch) -
     assert not [n for n in imported if re.search(r"finger_model\.(fem|reduced)|scipy|pymoo", n)]
 
 
-def test_dask_gives_the_local_result_and_survives_a_killed_worker(double) -> None:
+def test_dask_gives_the_local_result_also_after_a_worker_was_killed(double) -> None:
     distributed = pytest.importorskip("distributed")
     problem = double.make_problem(noise=1e-6, trials=4)
     options = FitOptions(full_order=False, profiles=False, bootstrap=24, grid=3, rounds=5)

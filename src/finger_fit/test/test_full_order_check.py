@@ -84,7 +84,7 @@ def test_shifted_sets_move_one_coordinate_each_and_stay_physical(parameters) -> 
     np.testing.assert_allclose(moves - np.diag(np.diag(moves)), 0.0, atol=1e-9)
 
 
-def test_check_measures_the_raw_difference_and_says_what_is_not_final(biased, double) -> None:
+def test_check_measures_the_raw_difference_and_names_what_is_not_final(biased, double) -> None:
     problem = biased
     fit = refine(problem, all_free(problem), double.TRUTH)
     other = fit.parameters * np.array([1.0, 1.1, 1.0, 1.0])

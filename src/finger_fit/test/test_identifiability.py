@@ -96,7 +96,7 @@ def test_bias_spread_and_coverage_over_many_seeds(double, window: str) -> None:
     assert 0.90 <= np.mean([covered[q] for q in names]) <= 0.99
 
 
-def test_in_interval_says_what_the_profile_says(fitted) -> None:
+def test_in_interval_agrees_with_the_profile(fitted) -> None:
     best = fitted.fit.parameters
     p = profile(fitted.problem, "E2", best, fitted.fit.cost, fitted.found, points=3)
     for value, expected in zip(

@@ -27,7 +27,7 @@ def test_frames_count_from_onset_to_the_first_at_or_after_the_target(double) -> 
     assert len(force) == len(expected) + 1
 
 
-def test_window_contact_goes_on_to_lift_off(double) -> None:
+def test_window_contact_continues_to_lift_off(double) -> None:
     record = double.make_record(ramp=1.0, release=0.5)
     loading = prepare(record, FitOptions())
     contact = prepare(record, FitOptions(window="contact"))
@@ -121,7 +121,7 @@ def test_frames_without_contact_in_the_window_are_dropped_and_counted(double) ->
     assert trial.dropped >= 1
 
 
-def test_too_short_a_press_says_so(double) -> None:
+def test_too_short_a_press_is_named(double) -> None:
     with pytest.raises(TrialRejected, match="frames in the contact"):
         prepare(double.make_record(ramp=0.05), FitOptions())
 

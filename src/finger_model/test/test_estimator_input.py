@@ -306,7 +306,7 @@ def test_an_old_reading_and_an_old_area_are_flagged(model: ReducedModel) -> None
     assert seen[510] & StateFlag.MOISTURE_STALE
 
 
-def test_whatever_is_not_known_is_nan_and_flagged(model: ReducedModel) -> None:
+def test_every_unknown_value_is_nan_and_flagged(model: ReducedModel) -> None:
     estimator = ContactEstimator(model)
     sets = ParameterSets([ParameterSet("x", 60.0, 1.0, (9e4, 3e4, 0.2, 1e6))])
     stamps, forces = press(4000)

@@ -30,7 +30,7 @@ def test_half_way_the_geometric_mean_is_given() -> None:
 
 
 @pytest.mark.parametrize(("moisture", "held"), [(5.0, DRY), (37.55, DRY)])
-def test_outside_the_fitted_range_the_end_holds_and_says_so(
+def test_outside_the_fitted_range_the_end_value_holds_with_a_flag(
     moisture: float, held: np.ndarray
 ) -> None:
     found = ParameterSets.default().interpolate(moisture)

@@ -242,7 +242,7 @@ def test_a_file_with_pickled_objects_is_refused(tmp_path: Path) -> None:
         ReducedModel.load(path)
 
 
-def test_the_shipped_file_says_what_it_is(model: ReducedModel) -> None:
+def test_the_shipped_file_describes_itself(model: ReducedModel) -> None:
     assert model.geometry_hash == Geometry().hash()
     assert model.measured_error["pairs"] >= 200
     assert model.range["force"][1] >= 3.0

@@ -127,7 +127,7 @@ def test_the_kernels_evaluate_the_networks_of_the_file() -> None:
 
 
 @pytest.mark.slow
-def test_an_interrupted_build_goes_on_where_it_stopped(tmp_path: Path) -> None:
+def test_an_interrupted_build_continues_where_it_stopped(tmp_path: Path) -> None:
     class Enough(Exception):
         pass
 

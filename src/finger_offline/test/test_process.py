@@ -188,7 +188,7 @@ def test_processing_a_recording_gives_what_the_live_node_published_bit_for_bit(
         assert [m.raw for m in reader.messages(["/finger/contact_state"])] != published
 
 
-def test_processing_again_is_the_same_whatever_the_blocks(
+def test_processing_again_is_the_same_for_any_blocks(
     session: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = session(trials=1)

@@ -327,7 +327,7 @@ def test_beyond_this_machine_images_need_a_setting_and_the_operators_view_the_to
         served.server.stop()
 
 
-def test_port_in_use_is_told_in_one_sentence(served: Served) -> None:
+def test_port_in_use_is_reported_in_one_sentence(served: Served) -> None:
     second = PageServer(PageSettings(port=served.server.port), served.command)
     with pytest.raises(InputError, match="choose another host or port"):
         second.start()

@@ -232,7 +232,7 @@ def test_trial_over_dds_restart_after_sigkill_and_commands(
     assert "Traceback" not in child.output.read_text()
 
 
-def test_late_joiners_hear_the_newest_alone_and_ctrl_c_is_the_last_word(
+def test_late_joiners_receive_the_newest_only_and_ctrl_c_is_reported(
     suite: Suite, process: Any, tmp_path: Path
 ) -> None:
     from finger_common.node import LATCHED_QOS

@@ -17,7 +17,7 @@ def test_truth_has_the_composite_modulus_and_e2_that_the_paper_prints(name: str)
 
 
 @pytest.mark.parametrize("name", PRINTED)
-def test_trial_averages_scatter_as_the_paper_says(name: str) -> None:
+def test_trial_averages_scatter_as_in_the_paper(name: str) -> None:
     rng = np.random.default_rng(3)
     trials = np.array([STUDY[name].draw_moisture(rng) for _ in range(4000)])
     averages = trials.mean(axis=1)
