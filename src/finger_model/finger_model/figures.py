@@ -55,8 +55,8 @@ def half_section(fields: Fields, geometry: Geometry, point: ContactPoint, path: 
     )
     axes.annotate("bone", (0.35 * r[-1] * 1e3, 0.4 * z[0] * 1e3), ha="center")
     skin = fields.surface
-    inner = _interface(fields)
-    axes.add_collection(LineCollection([fields.deformed[inner] * 1e3], colors="w", linewidths=0.6))
+    inner = fields.deformed[fields.interface] * 1e3
+    axes.add_collection(LineCollection([inner], colors="w", linewidths=0.6))
     axes.plot(*(fields.deformed[skin] * 1e3).T, color="k", linewidth=0.8)
     height = fields.plate_height * 1e3
     width = 1.05 * fields.deformed[:, 0].max() * 1e3
@@ -71,15 +71,6 @@ def half_section(fields: Fields, geometry: Geometry, point: ContactPoint, path: 
     axes.set_ylim(height - 0.5, max(0.3, fields.deformed[:, 1].max() * 1e3 + 0.3))
     figure.colorbar(drawing, ax=axes, label="von Mises stress (kPa)")
     save(figure, path)
-
-
-def _interface(fields: Fields) -> np.ndarray:
-    """Nodes between bulk and epidermis, from the axis outwards."""
-    bulk = np.unique(fields.cells[fields.part == 0])
-    skin = np.unique(fields.cells[fields.part == 1])
-    shared = np.intersect1d(bulk, skin)
-    r, z = fields.nodes[shared].T
-    return shared[np.argsort(np.arctan2(r, -z))]
 
 
 def error_distribution(

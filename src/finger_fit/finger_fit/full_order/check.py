@@ -16,17 +16,16 @@ from .areas import BetterModel
 class FullOrderCheck:
     """Top candidates by both models.
 
-    reduced_costs, full_costs (C,): J in m⁴, the reduced one with the problem's correction; areas
-    (C, n): full-order areas (m²) at the frames; rms_difference: of the best candidate's areas by
-    both models, uncorrected, over the largest area; best: index of the candidate that full order
-    prefers; headline: name of the space's headline quantity; change: its relative change by
-    re-ranking. A fit is final with rms_difference ≤ AREA_LIMIT and change ≤ CHANGE_LIMIT.
+    full_costs (C,): J in m⁴; areas (C, n): full-order areas (m²) at the frames; rms_difference: of
+    the best candidate's areas by both models, uncorrected, over the largest area; best: index of
+    the candidate that full order prefers; headline: name of the space's headline quantity; change:
+    its relative change by re-ranking. A fit is final with rms_difference ≤ AREA_LIMIT and change ≤
+    CHANGE_LIMIT.
     """
 
     AREA_LIMIT: ClassVar[float] = 0.01
     CHANGE_LIMIT: ClassVar[float] = 0.02
 
-    reduced_costs: np.ndarray
     full_costs: np.ndarray
     areas: np.ndarray
     rms_difference: float
@@ -68,7 +67,6 @@ def check(
     values = problem.space.quantity(headline, candidates)
     difference = np.sqrt(np.mean((areas[0] - reduced[0]) ** 2)) / areas[0].max()
     return FullOrderCheck(
-        problem.cost(candidates),
         full_costs,
         areas,
         float(difference),

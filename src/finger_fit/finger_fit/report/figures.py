@@ -13,10 +13,11 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 
+from finger_model.fem.mesh import BULK, EPIDERMIS
 from finger_model.laws import Quantity
 
 from ..problem.units import MM2, MM4
@@ -250,30 +251,23 @@ def example_figure(report: FitResult) -> Figure:
 def _deformed(axes: Axes, finger: DeformedFinger, force: float) -> None:
     """The deformed finger, coloured by the shear strain, on the plate."""
     geometry = finger.geometry
-    rest, positions = finger.rest * 1e3, finger.positions * 1e3
-    limit = float(np.quantile(finger.strain[finger.bulk], 0.995))
+    fields, contact = finger.fields, finger.contact
+    rest, positions = fields.nodes * 1e3, fields.deformed * 1e3
+    limit = float(np.quantile(finger.strain[fields.part == BULK], 0.995))
     image = None
     for sign in (-1.0, 1.0):
         mirror = np.array([sign, 1.0])
-        for part in (finger.epidermis, finger.bulk):
-            polygons = positions[finger.cells[part]] * mirror
+        for part in (fields.part == EPIDERMIS, fields.part == BULK):
+            polygons = positions[fields.cells[part]] * mirror
             collection = PolyCollection(
                 polygons, array=finger.strain[part], cmap="YlOrBr", clim=(0.0, limit),
                 edgecolors="face", linewidths=0.1,
             )  # fmt: skip
             axes.add_collection(collection)
             image = collection
-        outline = positions[finger.surface] * mirror
-        axes.plot(outline[:, 0], outline[:, 1], color="0.15", lw=0.8)
-        axes.plot(
-            rest[finger.surface, 0] * sign,
-            rest[finger.surface, 1],
-            color="0.45",
-            lw=0.6,
-            ls=(0, (2, 2)),
-        )
-        edges = list((positions * mirror)[finger.interface])
-        axes.add_collection(LineCollection(edges, colors="0.35", linewidths=0.5))
+        axes.plot(*(positions[fields.surface] * mirror).T, color="0.15", lw=0.8)
+        axes.plot(*(rest[fields.surface] * mirror).T, color="0.45", lw=0.6, ls=(0, (2, 2)))
+        axes.plot(*(positions[fields.interface] * mirror).T, color="0.35", lw=0.5)
     nail = geometry.nail_radius * 1e3
     axes.fill_between([-nail, nail], 0, geometry.nail_thickness * 1e3, color="#d9d2c5", lw=0)
     r, z = geometry.bone_profile(np.linspace(0, 1, 60))
@@ -283,12 +277,12 @@ def _deformed(axes: Axes, finger: DeformedFinger, force: float) -> None:
     axes.text(
         0, -0.45 * geometry.bone_semi_axis_axial * 1e3, "bone", ha="center", va="center", fontsize=7
     )
-    plate = finger.plate_height * 1e3
+    plate = fields.plate_height * 1e3
     width = geometry.pad_semi_axis_radial * 1e3 * 1.12
     axes.fill_between([-width, width], plate - 0.55, plate, color="#c9dbe8", lw=0)
     axes.plot([-width, width], [plate, plate], color="#456", lw=0.8)
     axes.text(-width + 0.1, plate - 0.30, "glass plate", fontsize=7, va="center", color="#345")
-    radius = finger.radius * 1e3
+    radius = contact.radius * 1e3
     axes.annotate(
         "", (radius, plate - 0.85), (-radius, plate - 0.85),
         arrowprops={"arrowstyle": "<->", "lw": 0.7, "shrinkA": 0, "shrinkB": 0},
@@ -296,8 +290,8 @@ def _deformed(axes: Axes, finger: DeformedFinger, force: float) -> None:
     below = min(plate - 0.98, float(rest[:, 1].min()) - 0.15)
     axes.text(
         0, below,
-        f"contact diameter {2 * radius:.1f} mm, area {finger.area * MM2:.1f} mm$^2$, "
-        f"indentation {finger.indentation * 1e3:.2f} mm",
+        f"contact diameter {2 * radius:.1f} mm, area {contact.area * MM2:.1f} mm$^2$, "
+        f"indentation {contact.indentation * 1e3:.2f} mm",
         ha="center", va="top", fontsize=7,
     )  # fmt: skip
     axes.set_aspect("equal")

@@ -11,7 +11,9 @@ import numpy as np
 from ..uncertainty import BiasCorrected, Covariance, Profile
 
 if TYPE_CHECKING:
+    from finger_model.fem.fields import Fields
     from finger_model.geometry import Geometry
+    from finger_model.history import ContactPoint
     from finger_model.laws import ParameterSpace
 
     from ..full_order import Correction, FullOrderCheck
@@ -109,27 +111,13 @@ class ConditionFit:
 class DeformedFinger:
     """The full-order finger of one trial at its last frame (SI), for a figure.
 
-    condition, trial: which trial; rest, positions (M, 2): nodes r, z before and after; cells (E,
-    4); epidermis, bulk (E,): which cells; strain (E,): half the difference of the principal
-    stretches; surface: skin nodes from the axis outwards; interface (K, 2): edges between bulk and
-    epidermis.
+    strain (E,): half the difference of an element's principal in-plane stretches.
     """
 
-    condition: str
-    trial: int
     geometry: Geometry
-    rest: np.ndarray
-    positions: np.ndarray
-    cells: np.ndarray
-    epidermis: np.ndarray
-    bulk: np.ndarray
+    fields: Fields
     strain: np.ndarray
-    surface: np.ndarray
-    interface: np.ndarray
-    plate_height: float
-    radius: float
-    area: float
-    indentation: float
+    contact: ContactPoint
 
 
 @dataclass

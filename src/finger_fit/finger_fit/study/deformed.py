@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from finger_model.fem.full_order import FullOrderModel
-from finger_model.fem.mesh import BULK, EPIDERMIS
 
 from ..full_order import FullOrder
 from ..results import ConditionFit, DeformedFinger
@@ -23,24 +22,9 @@ def deformed_finger(fit: ConditionFit, trial: int, full_order: FullOrder) -> Def
     for instant in np.linspace(drive.time[0], drive.time[-1], number + 1)[1:]:
         force = float(np.interp(instant, drive.time, drive.force))
         point = stepper.step(float(instant), force)
-    mesh, positions = model.mesh, stepper.state.positions
-    return DeformedFinger(
-        fit.condition,
-        trial,
-        full_order.geometry,
-        mesh.nodes,
-        positions,
-        mesh.cells,
-        mesh.part == EPIDERMIS,
-        mesh.part == BULK,
-        shear_strain(mesh.nodes, positions, mesh.cells),
-        mesh.surface,
-        interface(mesh.cells, mesh.part),
-        float(stepper.state.contact.height),
-        point.radius,
-        point.area,
-        point.indentation,
-    )
+    fields = stepper.fields()
+    strain = shear_strain(fields.nodes, fields.deformed, fields.cells)
+    return DeformedFinger(full_order.geometry, fields, strain, point)
 
 
 def shear_strain(rest: np.ndarray, moved: np.ndarray, cells: np.ndarray) -> np.ndarray:
@@ -56,13 +40,3 @@ def shear_strain(rest: np.ndarray, moved: np.ndarray, cells: np.ndarray) -> np.n
 
     stretches = np.linalg.svd(slopes(b) @ np.linalg.inv(slopes(a)), compute_uv=False)
     return 0.5 * (stretches[:, 0] - stretches[:, 1])
-
-
-def interface(cells: np.ndarray, part: np.ndarray) -> np.ndarray:
-    """Edges (K, 2) between epidermis and bulk."""
-    owners: dict[tuple[int, ...], set[int]] = {}
-    for cell, kind in zip(cells, part):
-        for k in range(4):
-            edge = tuple(sorted((int(cell[k]), int(cell[(k + 1) % 4]))))
-            owners.setdefault(edge, set()).add(int(kind))
-    return np.array([e for e, kinds in owners.items() if kinds == {EPIDERMIS, BULK}], dtype=int)

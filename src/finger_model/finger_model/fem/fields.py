@@ -14,6 +14,7 @@ from . import elements
 from .contact_radius import contact_pressure, contact_shear
 from .elements import Stiffness
 from .equilibrium import Contact, Equilibrium
+from .mesh import BULK, EPIDERMIS
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,13 @@ class Fields:
     def deformed(self) -> np.ndarray:
         """Deformed r, z (N, 2) of the nodes."""
         return self.nodes + self.displacement
+
+    @property
+    def interface(self) -> np.ndarray:
+        """Nodes between bulk and epidermis, from the axis outwards."""
+        shared = np.intersect1d(*(self.cells[self.part == part] for part in (BULK, EPIDERMIS)))
+        r, z = self.nodes[shared].T
+        return shared[np.argsort(np.arctan2(r, -z))]
 
     def to_vtu(self, path: str | Path) -> None:
         """Write an unstructured VTK file of the deformed half-section in the x–z plane (SI)."""
