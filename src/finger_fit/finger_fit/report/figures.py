@@ -17,7 +17,6 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 
-from finger_model.fem.mesh import BULK, EPIDERMIS
 from finger_model.laws import Quantity
 
 from ..problem.units import MM2, MM4
@@ -253,11 +252,11 @@ def _deformed(axes: Axes, finger: DeformedFinger, force: float) -> None:
     geometry = finger.geometry
     fields, contact = finger.fields, finger.contact
     rest, positions = fields.nodes * 1e3, fields.deformed * 1e3
-    limit = float(np.quantile(finger.strain[fields.part == BULK], 0.995))
+    limit = float(np.quantile(finger.strain[fields.bulk], 0.995))
     image = None
     for sign in (-1.0, 1.0):
         mirror = np.array([sign, 1.0])
-        for part in (fields.part == EPIDERMIS, fields.part == BULK):
+        for part in (fields.epidermis, fields.bulk):
             polygons = positions[fields.cells[part]] * mirror
             collection = PolyCollection(
                 polygons, array=finger.strain[part], cmap="YlOrBr", clim=(0.0, limit),

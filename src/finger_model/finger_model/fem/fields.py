@@ -47,9 +47,19 @@ class Fields:
         return self.nodes + self.displacement
 
     @property
+    def bulk(self) -> np.ndarray:
+        """Which cells (E,) are bulk tissue."""
+        return self.part == BULK
+
+    @property
+    def epidermis(self) -> np.ndarray:
+        """Which cells (E,) are epidermis."""
+        return self.part == EPIDERMIS
+
+    @property
     def interface(self) -> np.ndarray:
         """Nodes between bulk and epidermis, from the axis outwards."""
-        shared = np.intersect1d(*(self.cells[self.part == part] for part in (BULK, EPIDERMIS)))
+        shared = np.intersect1d(self.cells[self.bulk], self.cells[self.epidermis])
         r, z = self.nodes[shared].T
         return shared[np.argsort(np.arctan2(r, -z))]
 
