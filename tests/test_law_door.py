@@ -1,4 +1,4 @@
-"""The door for material laws: an outside package adds one; simulate, fit and report take it.
+"""An outside package adds a material law; simulate, fit and report use it.
 
 No file of the suite is edited: the law is one module, named by an entry point.
 """

@@ -222,8 +222,8 @@ def test_report_draws_and_computes_nothing(study, tmp_path: Path, monkeypatch) -
         for node in ast.walk(ast.parse(file.read_text())):
             if isinstance(node, ast.ImportFrom):
                 imported.add("." * node.level + (node.module or ""))
-    rooms = {"search", "full_order", "study", "engine"}
-    assert not {name for name in imported if name.lstrip(".").split(".")[0] in rooms}
+    others = {"search", "full_order", "study", "engine"}
+    assert not {name for name in imported if name.lstrip(".").split(".")[0] in others}
     assert not [n for n in imported if re.search(r"finger_model\.(fem|reduced)|scipy|pymoo", n)]
 
 

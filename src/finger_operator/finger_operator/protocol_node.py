@@ -94,7 +94,7 @@ class ProtocolSettings(Settings):
 
 SERVICES = {
     "start": "Begin a session; then: finger and plate are prepared, begin the trial.",
-    "pause": "Hold the session; a press that is under way is void.",
+    "pause": "Hold the session; a press that is under way is not kept.",
     "resume": "Go on after a pause or a restart.",
     "redo": "Begin the trial under way again, or else the last one that was done.",
     "repeat": "Do the trial `selected_trial` again.",
