@@ -105,7 +105,7 @@ class ForceNode(DeviceNode):
                 self._bias = None
                 self.device.note(
                     "tare_void",
-                    "another sensor or calibration is in use; the tare is no longer valid, tare again",
+                    "another sensor or calibration is in use; the tare is not valid, tare again",
                 )
         if not good and self.values["bad_samples"] == "drop":
             return
