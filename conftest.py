@@ -26,7 +26,7 @@ os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-    # A shell starts what runs in its background deaf to Ctrl-C, and children inherit it; tests end
+    # A shell starts background processes with Ctrl-C ignored, and children inherit it; tests end
     # them by it.
     signal.signal(signal.SIGINT, signal.default_int_handler)
 

@@ -94,7 +94,7 @@ TOPICS: dict[str, TopicSpec] = {
             "finger_msgs/msg/Trial",
             None,
             latched=1,
-            meaning="which trial and phase is at hand",
+            meaning="the current trial and its phase",
         ),
         TopicSpec("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", 1.0, meaning="health"),
     )

@@ -219,14 +219,14 @@ def run_force_fault(
     begin: Callable[[], Any],
     end: Callable[[], Any],
     duration: float,
-    deaf: bool,
+    stops: bool,
     level: int,
     says: str,
     momentary: bool = False,
 ) -> None:
     """Show a fault for a while; then good data must come back.
 
-    deaf: nothing may be published meanwhile. level, says: of diagnostics. momentary: the fault
+    stops: nothing may be published meanwhile. level, says: of diagnostics. momentary: the fault
     ends by itself.
     """
     topic = test.topic
@@ -237,11 +237,11 @@ def run_force_fault(
     start = time.monotonic()
     begin()
     # What was on its way when the fault began is published first.
-    if deaf:
+    if stops:
         silence = 0.15 if momentary else 0.3
         wait_until(lambda: not topic.since(time.monotonic() - silence), 60, "silence")
-    quiet_from = time.monotonic() + (0.0 if deaf else 0.1)
-    if not (deaf and momentary):
+    quiet_from = time.monotonic() + (0.0 if stops else 0.1)
+    if not (stops and momentary):
         time.sleep(duration)
     quiet_to = time.monotonic()
     end()
@@ -251,7 +251,7 @@ def run_force_fault(
     )
     wait_until(lambda: len(topic.since(over)) > 10, 60, "a stream again")
     during = topic.since(quiet_from, quiet_to)
-    if deaf:
+    if stops:
         assert not during
     published = topic.since(start)
     stamps = np.array([header_stamp(m) for m in published])
@@ -297,7 +297,7 @@ NETCANOEM_FAULTS = [
 
 
 @pytest.mark.parametrize(
-    ("name", "begin", "end", "duration", "deaf", "level", "says"),
+    ("name", "begin", "end", "duration", "stops", "level", "says"),
     NETCANOEM_FAULTS,
     ids=[f[0] for f in NETCANOEM_FAULTS],
 )
@@ -308,7 +308,7 @@ def test_netcanoem_fault(
     begin: list[str],
     end: list[str],
     duration: float,
-    deaf: bool,
+    stops: bool,
     level: int,
     says: str,
 ) -> None:
@@ -321,7 +321,7 @@ def test_netcanoem_fault(
         lambda: [simulator.say(c) for c in begin],
         lambda: [simulator.say(c) for c in end],
         duration,
-        deaf,
+        stops,
         level,
         says,
         not end,
@@ -448,7 +448,7 @@ NETFT_FAULTS = [
 def test_netft_fault(
     record_property: Record, box: tuple[DeviceProcess, NodeUnderTest], case: Any
 ) -> None:
-    name, begin, end, duration, deaf, level, says, *counter = case
+    name, begin, end, duration, stops, level, says, *counter = case
     simulator, test = box
     before = test.counters
     run_force_fault(
@@ -458,7 +458,7 @@ def test_netft_fault(
         lambda: [simulator.say(c) for c in begin],
         lambda: [simulator.say(c) for c in end],
         duration,
-        deaf,
+        stops,
         level,
         says,
         not end,

@@ -1,4 +1,4 @@
-"""Real optical prints: areas against machine-made masks, where the images are at hand.
+"""Real optical prints: areas against machine-made masks, where the images are available.
 
 The masks' outlines sit outside the ridges by about half a ridge period, hence the negative median.
 """
