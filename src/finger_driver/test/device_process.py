@@ -7,7 +7,6 @@ moisture probe's program writes; an observer of nodes.
 from __future__ import annotations
 
 import contextlib
-import datetime
 import os
 import re
 import signal
@@ -16,7 +15,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 from finger_common.processes import bound_to_parent
@@ -139,57 +137,6 @@ class Observer:
         self._executor.shutdown()
         self.node.destroy_node()
         self._rclpy.shutdown(context=self.context)
-
-
-class ExportFile:
-    """A table that grows with each reading: CSV (`;`, decimal comma) or, by its suffix, XLSX.
-
-    A write can go wrong in the ways that `send` names.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._rows: list[tuple[datetime.datetime, float, str]] = []
-        self._write_all()
-
-    def send(self, value: float, phase: str = "before", fault: str = "") -> None:
-        """Add a reading; fault: rewrite, half_row, wrong_header, garbage or none."""
-        now = datetime.datetime.now().replace(microsecond=0)
-        self._rows.append((now, value, phase))
-        if self.path.suffix == ".xlsx" or fault == "rewrite":
-            self._write_all(pause=0.1)
-        elif fault == "wrong_header":
-            self._write_all("time;wert;phase\n")
-        elif fault == "garbage":
-            self.path.write_bytes(bytes(range(128, 256)) * 10 + b"\n")
-        else:
-            line = self._line(self._rows[-1])
-            half = len(line) // 2 if fault == "half_row" else 0
-            with self.path.open("a") as file:
-                file.write(line[:half])
-                file.flush()
-                time.sleep(0.1 if half else 0.0)
-                file.write(line[half:])
-
-    def _line(self, row: tuple[datetime.datetime, float, str]) -> str:
-        return f"{row[0]:%Y-%m-%d %H:%M:%S};{row[1]:.1f};{row[2]}\n".replace(".", ",")
-
-    def _write_all(self, header: str = "time;value;phase\n", pause: float = 0.0) -> None:
-        if self.path.suffix == ".xlsx":
-            import openpyxl
-
-            book = openpyxl.Workbook()
-            for row in [header.strip().split(";"), *self._rows]:
-                book.active.append(row)
-            book.save(self.path)
-            return
-        lines = [header, *map(self._line, self._rows)]
-        half = len(lines) // 2
-        with self.path.open("w") as file:
-            file.writelines(lines[:half])
-            file.flush()
-            time.sleep(pause)
-            file.writelines(lines[half:])
 
 
 def wait_until(condition: Callable[[], Any], seconds: float = 15, what: str = "") -> Any:

@@ -12,7 +12,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from device_process import ExportFile
 
 from finger_common.errors import DeviceError, InputError
 from finger_driver import camera, moisture
@@ -24,6 +23,7 @@ from finger_driver.camera.ueye import UeyeSettings, UeyeSource
 from finger_driver.protocols import lines
 from finger_driver.protocols.export_table import TableFormat, new_rows, parse_table
 from finger_driver.simulators import FrameFolderWriter, SerialMoistureSimulator
+from finger_driver.simulators.export import ExportFileSimulator, ExportOptions
 
 
 def picture(seed: int = 0, shape: tuple[int, int] = (24, 32)) -> np.ndarray:
@@ -352,7 +352,7 @@ def test_rows_of_a_rewritten_table_are_new_only_when_they_were_not_there() -> No
 
 @pytest.mark.parametrize("name", ["e.csv", "e.xlsx"])
 def test_export_readings_carry_their_own_time(tmp_path: Path, name: str) -> None:
-    table = ExportFile(tmp_path / name)
+    table = ExportFileSimulator(ExportOptions(path=str(tmp_path / name)))
     table.send(50.0)
     source = moisture.open_source(
         {

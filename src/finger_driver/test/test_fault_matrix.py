@@ -22,7 +22,7 @@ from typing import Any
 import can
 import numpy as np
 import pytest
-from device_process import DeviceProcess, ExportFile, device, wait_until
+from device_process import DeviceProcess, device, wait_until
 
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
@@ -30,6 +30,7 @@ import finger_driver.device  # noqa: E402
 from finger_common.stamps import header_stamp  # noqa: E402
 from finger_driver import can_bus  # noqa: E402
 from finger_driver.protocols.netcanoem import CRITICAL_BITS  # noqa: E402
+from finger_driver.simulators.export import ExportFileSimulator, ExportOptions  # noqa: E402
 
 pytestmark = pytest.mark.alone
 
@@ -598,16 +599,14 @@ class ExportCommands:
     """The commands of the export's rows: "send VALUE", or a fault for the next reading."""
 
     def __init__(self, path: Path) -> None:
-        self._file = ExportFile(path)
-        self._fault = ""
+        self._file = ExportFileSimulator(ExportOptions(path=str(path)))
 
     def say(self, command: str) -> None:
         word, _, value = command.partition(" ")
         if word == "send":
-            self._file.send(float(value), fault=self._fault)
-            self._fault = ""
+            self._file.send(float(value))
         else:
-            self._fault = word
+            self._file.faults.set(word, 1)
 
 
 @pytest.fixture(scope="module")

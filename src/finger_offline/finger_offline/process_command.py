@@ -100,7 +100,7 @@ def estimator_settings(pairs: Sequence[str]) -> dict[str, Any]:
     for pair in pairs:
         name, sign, text = pair.partition("=")
         if not sign:
-            raise InputError(f"--set {pair}: give NAME=VALUE")
+            raise InputError(f"--set {pair}: give NAME=VALUE, such as fusion_delay=0.05")
         try:
             found[name] = json.loads(text)
         except ValueError:

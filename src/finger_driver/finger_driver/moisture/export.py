@@ -46,6 +46,7 @@ class ExportSource(MoistureSource):
 
     NAME = "export"
     SETTINGS = ExportSettings
+    SIMULATOR = "finger_driver.simulators.export:ExportFileSimulator"
 
     settings: ExportSettings
 
