@@ -19,6 +19,7 @@ from finger_common.plugins import Plugins
 
 from .bag_files import find_bags
 from .read_settings import ReadSettings, add_read_options, read_settings_from
+from .recorder import RecorderSettings
 from .replay import ReplaySettings, lateness_text
 
 EXIT_CHECK_FAILS = 1
@@ -175,15 +176,14 @@ def _record(args: argparse.Namespace) -> int:
     from .writer import BagWriter
 
     # Refused here, before ROS starts, with the reason.
+    settings = settings_from(args, RecorderSettings)
     BagWriter(args.output, in_place=False).abandon()
     path = Path(args.output).absolute()
     parameters = {
         "folder": str(path.parent),
         "record_at_start": True,
         "bag_name": path.name,
-        "png": args.png,
-        "maximum_size": args.split_size,
-        "maximum_duration": float(args.split_duration),
+        **settings.to_dict(),
     }
     for key in ("session", "subject", "condition"):
         if getattr(args, key):
@@ -301,13 +301,7 @@ def parser() -> argparse.ArgumentParser:
     record.add_argument("--subject", default="", help="subject code, never a name")
     record.add_argument("--condition", default="", help="moisture condition")
     record.add_argument("--calibration", metavar="FILE", help="plate calibration to attach")
-    record.add_argument("--png", action="store_true", help="store images as lossless PNG")
-    record.add_argument(
-        "--split-size", type=int, default=0, metavar="BYTES", help="begin a new file at this size"
-    )
-    record.add_argument(
-        "--split-duration", type=float, default=0.0, metavar="S", help="the same at this duration"
-    )
+    add_settings(record, RecorderSettings)
 
     recover = command(
         "recover",

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from session_bags import START, image, press_force, wrench
 from finger_bag.cli import command, parser
 from finger_bag.read_settings import ReadSettings
 from finger_bag.reader import open_bag
+from finger_bag.recorder import RecorderSettings
 from finger_bag.validate import validate
 from finger_bag.writer import BagWriter
 from finger_common.cli import run
@@ -55,20 +58,58 @@ def bad_calls(folder: Path) -> list[list[str]]:
         ["recover", str(folder / "text.mcap")],
         ["anonymise", good, "-o", good],
         ["record", "-o", good],
+        ["record", "-o", str(folder / "new"), "--flush-interval", "9"],
     ]
 
 
-@pytest.mark.parametrize("number", range(17))
+@pytest.mark.parametrize("number", range(18))
 def test_bad_input_is_one_sentence_and_exit_code_2(
     number: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     calls = bad_calls(tmp_path)
-    assert len(calls) == 17
+    assert len(calls) == 18
     before = {p.name for p in tmp_path.iterdir()}
     assert run(command, calls[number]) == 2
     err = capsys.readouterr().err
     assert err.count("\n") == 1 and "Traceback" not in err and len(err) < 500
     assert {p.name for p in tmp_path.iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ([], RecorderSettings()),
+        (
+            [
+                "--png",
+                "--compression",
+                "lz4",
+                "--maximum-size",
+                "1000000",
+                "--queue-limit=0x100000",
+            ],
+            RecorderSettings(
+                png=True, compression="lz4", maximum_size=1_000_000, queue_limit=1 << 20
+            ),
+        ),
+        (["--no-png", "--maximum-duration", "60"], RecorderSettings(maximum_duration=60.0)),
+    ],
+)
+def test_record_gives_the_node_its_settings(
+    options: list[str],
+    expected: RecorderSettings,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    calls: list[list[str]] = []
+    node = SimpleNamespace(main=calls.append)
+    monkeypatch.setitem(sys.modules, "finger_bag.recorder_node", node)
+    assert run(command, ["record", "-o", str(tmp_path / "new"), *options]) == 0
+    (arguments,) = calls
+    given = dict(item.split(":=") for item in arguments if ":=" in item and "__ns" not in item)
+    parameters = {name: json.loads(text) for name, text in given.items()}
+    assert parameters["bag_name"] == "new" and parameters["record_at_start"] is True
+    assert {n: parameters[n] for n in RecorderSettings.parameters()} == expected.to_dict()
 
 
 def checks(path: Path, **settings: object) -> dict[str, tuple[str, str]]:
