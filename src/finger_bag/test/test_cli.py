@@ -109,7 +109,7 @@ def test_record_gives_the_node_its_settings(
     given = dict(item.split(":=") for item in arguments if ":=" in item and "__ns" not in item)
     parameters = {name: json.loads(text) for name, text in given.items()}
     assert parameters["bag_name"] == "new" and parameters["record_at_start"] is True
-    assert {n: parameters[n] for n in RecorderSettings.parameters()} == expected.to_dict()
+    assert {name: parameters[name] for name in expected.to_dict()} == expected.to_dict()
 
 
 def checks(path: Path, **settings: object) -> dict[str, tuple[str, str]]:
