@@ -21,6 +21,7 @@ from typing import Any
 from finger_common.axes import NORMAL_AXES
 from finger_common.errors import InputError
 from finger_common.files import load_yaml
+from finger_common.units import AREA_UNITS, FORCE_UNITS
 
 MAPPED_TOPICS = (
     "wrench",
@@ -32,23 +33,10 @@ MAPPED_TOPICS = (
     "model_events",
     "contact_state",
 )
-UNITS = {
-    "N": 1.0,
-    "mN": 1e-3,
-    "kN": 1e3,
-    "gf": 9.80665e-3,
-    "lbf": 4.4482216152605,
-    "m2": 1.0,
-    "cm2": 1e-4,
-    "mm2": 1e-6,
-    "a.u.": 1.0,
-}
-"""Unit names of a mapping file and what one of them is in SI."""
-
-_ALLOWED_UNITS = {
-    "wrench": ("N", "mN", "kN", "gf", "lbf"),
-    "contact_area": ("m2", "cm2", "mm2"),
-    "moisture": ("a.u.",),
+_UNITS: dict[str, dict[str, float]] = {
+    "wrench": FORCE_UNITS,
+    "contact_area": AREA_UNITS,
+    "moisture": {"a.u.": 1.0},
 }
 _KEYS = {"topic", "unit", "field", "stamp"}
 
@@ -120,7 +108,7 @@ def _entry(name: str, value: Any, where: str) -> MappedTopic:
             f"use {', '.join(sorted(_KEYS))}"
         )
     unit = value.get("unit")
-    allowed = _ALLOWED_UNITS.get(name, ())
+    allowed = _UNITS.get(name, {})
     if unit is not None and unit not in allowed:
         raise InputError(
             f"{where}: topics.{name}.unit is {unit!r}, choose one of {', '.join(allowed) or 'none'}"
@@ -130,7 +118,7 @@ def _entry(name: str, value: Any, where: str) -> MappedTopic:
         raise InputError(f"{where}: topics.{name}.stamp is {stamp!r}, choose header or log_time")
     return MappedTopic(
         value.get("topic", ""),
-        UNITS[unit] if unit else 1.0,
+        allowed[unit] if unit else 1.0,
         str(value.get("field", "")),
         stamp == "log_time",
     )

@@ -70,6 +70,7 @@ def test_every_unit_code_has_a_factor_and_others_are_refused() -> None:
         assert units.force_factor(code) > 0 and units.torque_factor(code) > 0
     assert units.force_factor(3) == pytest.approx(1000 * units.force_factor(1))
     assert units.torque_factor(2) == pytest.approx(12 * units.torque_factor(1))
+    assert units.force_factor("mN") == pytest.approx(units.force_factor("N") / 1000)
     for code in (0, 7, 255):
         with pytest.raises(DeviceError, match="not known"):
             units.force_factor(code)

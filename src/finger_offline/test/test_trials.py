@@ -16,6 +16,7 @@ from finger_bag.mapping import TopicMapping
 from finger_bag.writer import BagWriter
 from finger_common.axes import lateral_force, normal_force
 from finger_common.errors import InputError
+from finger_common.units import FORCE_UNITS
 from finger_offline.trial_split import TrialSettings, presses
 from finger_offline.trials import load_trials
 
@@ -156,6 +157,12 @@ def test_bag_of_another_system_is_read_through_a_mapping(tmp_path: Path) -> None
     assert trial.peak_force == pytest.approx(1.5)
     assert trial.area.max() == pytest.approx(60e-6)
     assert (trial.condition, trial.target_force, trial.moisture) == ("natural", 1.2, 55.0)
+
+
+def test_a_mapping_knows_every_force_unit_of_the_sensors() -> None:
+    for unit, factor in FORCE_UNITS.items():
+        data = {"topics": {"wrench": {"topic": "/x", "unit": unit}}}
+        assert TopicMapping.from_mapping(data).topic("wrench").scale == factor
 
 
 @pytest.mark.parametrize(

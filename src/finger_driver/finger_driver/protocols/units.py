@@ -1,32 +1,13 @@
-"""Units of force and torque as sensors name them, and their factors to N and N m.
+"""Units of force and torque by the codes and names that sensors send.
 
 Codes: ATI manual 9610-05-1030-04, table of opcode 0x8; the same codes are used in READCALINFO of
-the Net F/T (9620-05-net ft, section 11). Names: the Net F/T's XML pages. Factors: NIST SP 811.
+the Net F/T (9620-05-net ft, section 11). Names: the Net F/T's XML pages.
 """
 
 from __future__ import annotations
 
 from finger_common.errors import DeviceError
-
-FORCE_UNITS = {
-    "lbf": 4.4482216152605,
-    "N": 1.0,
-    "klbf": 4448.2216152605,
-    "kN": 1000.0,
-    "kgf": 9.80665,
-    "gf": 0.00980665,
-}
-"""Newtons per unit of force."""
-
-TORQUE_UNITS = {
-    "lbf-in": 0.1129848290276167,
-    "lbf-ft": 1.3558179483314004,
-    "N-m": 1.0,
-    "N-mm": 0.001,
-    "kgf-cm": 0.0980665,
-    "kN-m": 1000.0,
-}
-"""Newton metres per unit of torque."""
+from finger_common.units import FORCE_UNITS, TORQUE_UNITS
 
 FORCE_CODES = {1: "lbf", 2: "N", 3: "klbf", 4: "kN", 5: "kgf", 6: "gf"}
 TORQUE_CODES = {1: "lbf-in", 2: "lbf-ft", 3: "N-m", 4: "N-mm", 5: "kgf-cm", 6: "kN-m"}

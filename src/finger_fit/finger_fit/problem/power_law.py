@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.optimize import least_squares, minimize_scalar
 
-from .units import MM2, MM4
+from .report_units import MM2, MM4
 
 if TYPE_CHECKING:
     from .cost import FitProblem

@@ -19,7 +19,7 @@ from matplotlib.ticker import FixedLocator, NullLocator
 
 from finger_model.laws import Quantity
 
-from ..problem.units import MM2, MM4
+from ..problem.report_units import MM2, MM4
 from ..results import DeformedFinger, FitResult
 
 PALETTE = ("#b5651d", "#2a7f62", "#1f5a99", "#7a3b8f", "#8a8a2a", "#b03a48")

@@ -12,7 +12,7 @@ import numpy as np
 
 from finger_model.laws import ParameterSpace
 
-from ..problem.units import MM2, MM4
+from ..problem.report_units import MM2, MM4
 from ..results import ConditionFit, FitResult
 from ..uncertainty import shifted_interval
 

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from ..options import FitOptions
-from ..problem.units import MM2
+from ..problem.report_units import MM2
 from .coordinates import Coordinates
 
 DIFFERENCE = 2e-3
