@@ -214,11 +214,7 @@ WIDTH = 100
 NOT_WRAPPED = {".json", ".csv", ".svg", ".py"}
 """Files of programs and of numbers; ruff checks Python."""
 
-EXCEPTIONS = (
-    "README.md",
-    "docs/architecture.md",
-    "src/finger_bringup/config/plotjuggler_layout.xml",
-)
+EXCEPTIONS = ("src/finger_bringup/config/plotjuggler_layout.xml",)
 """Beginnings of the names of further files that are not checked."""
 
 
