@@ -24,11 +24,11 @@ from finger_common.errors import FingerError
 from finger_common.flags import StateFlag
 from finger_common.node import LATCHED_QOS, ManagedNode, main_of
 from finger_common.settings import Settings, setting
-from finger_common.stamps import fill_time
+from finger_common.stamps import fill_time, seconds
 from finger_msgs.msg import ContactArea, ContactState, ModelEvent, Moisture
 from finger_msgs.srv import ForceForArea, PredictContact
 
-from .estimator import ContactEstimator, EstimatorEvent, EstimatorSettings
+from .estimator import ContactEstimate, ContactEstimator, EstimatorEvent, EstimatorSettings
 from .estimator.parameter_selection import check_sets
 from .geometry import Geometry
 from .messages import area_of, event_fields, fill_contact_state, moisture_of, wrench_of
@@ -80,6 +80,8 @@ _WARNINGS = {
     StateFlag.FORCE_OUT_OF_RANGE: "the force is beyond what the reduced model was built for",
 }
 
+_NO_AREA = "in contact for longer than area_stale_after, and no area was fused in this contact"
+
 
 class LatencyHistogram:
     """Counts of delays in steps of 10 µs up to 100 ms."""
@@ -123,7 +125,8 @@ class ModelNode(ManagedNode):
         self._started = False
         self._jumped = False
         self._sequence = 0
-        self._last_flags = 0
+        self._last: ContactEstimate | None = None
+        self._area_received = False
         self._latency = LatencyHistogram()
         self._entities: list[tuple[Any, Any]] = []
         self._jump_handle: Any = None
@@ -183,6 +186,8 @@ class ModelNode(ManagedNode):
         self.estimator = ContactEstimator(self._model, self._sets, self.settings(EstimatorSettings))
         self._started = False
         self._jumped = False
+        self._last = None
+        self._area_received = False
         self._latency = LatencyHistogram()
         # What exists now lives as long as the node; the garbage collector leaves it alone.
         gc.collect()
@@ -265,11 +270,12 @@ class ModelNode(ManagedNode):
             out.header.frame_id = message.header.frame_id
             self._state_publisher.publish(out)
             self._latency.add(time.time_ns() - info["received_timestamp"])
-            self._last_flags = estimate.flags
+            self._last = estimate
             self.health.sample()
 
     def _on_area(self, message: ContactArea) -> None:
         if self._active and self.estimator is not None:
+            self._area_received = True
             area = area_of(message)
             if not self.estimator.add_area(*area):
                 self._publish_event(self.estimator.note_late(areas=[area[0]]))
@@ -341,12 +347,11 @@ class ModelNode(ManagedNode):
     def publish_diagnostics(self) -> None:
         """Warnings of the last estimate's flags; counters and latency as notes."""
         if self.estimator is not None and self._active:
+            flags = 0 if self._last is None else self._last.flags
             for flag, sentence in _WARNINGS.items():
                 key = flag.name.lower()  # type: ignore[union-attr]
-                if self._last_flags & flag:
-                    self.log_fault(self.inputs, key, sentence, WARN)
-                else:
-                    self.inputs.recovered(key)
+                self._warn_while(bool(flags & flag), key, sentence)
+            self._warn_while(self._area_is_overdue(), "area_missing", _NO_AREA)
             for name, number in self.estimator.statistics().items():
                 self.health.notes[name] = str(number)
             self.health.notes["parameters"] = json.dumps(
@@ -357,6 +362,28 @@ class ModelNode(ManagedNode):
                     f"{self._latency.percentile(percent):.3f}"
                 )
         super().publish_diagnostics()
+
+    def _warn_while(self, condition: bool, key: str, sentence: str) -> None:
+        """Report a fault of the inputs as long as the condition holds."""
+        if condition:
+            self.log_fault(self.inputs, key, sentence, WARN)
+        else:
+            self.inputs.recovered(key)
+
+    def _area_is_overdue(self) -> bool:
+        """Whether the contact has lasted longer than `area_stale_after` without a fused area.
+
+        Never in a rig without a camera: areas must be asked for (`fuse_area`), and one must have
+        come or `contact_area` must have a publisher.
+        """
+        last = self._last
+        if last is None or not last.flags & StateFlag.AREA_MISSING:
+            return False
+        settings = self.settings(EstimatorSettings)
+        duration = seconds(last.stamp_ns - last.onset_ns)
+        if not settings.fuse_area or duration <= settings.area_stale_after:
+            return False
+        return self._area_received or self.count_publishers("contact_area") > 0
 
 
 def _compile(estimator: ContactEstimator) -> None:

@@ -263,6 +263,65 @@ def test_services_and_parameters_answer_and_refuse_with_a_reason(
     assert "moisture" in found["inputs"]["message"]
 
 
+def test_a_contact_without_any_area_is_reported_where_areas_are_expected(
+    bench: Bench, process: Callable[..., Any]
+) -> None:
+    def warns() -> bool:
+        return "no area was fused in this contact" in bench.diagnostics["inputs"]["message"]
+
+    def fresh() -> None:
+        """Wait for diagnostics of what was sent before."""
+        for _ in range(2):
+            bench.diagnostics.clear()
+            bench.until(lambda: "inputs" in bench.diagnostics)
+
+    start(process, "area_stale_after:=0.3")
+    bench.connected()
+    # With a reading in use, nothing else is reported of the inputs.
+    bench.until(lambda: bench.moisture.get_subscription_count() > 0)
+    reading = Moisture(value=50.0)
+    reading.header.stamp = to_time(T0 - 500 * MS)
+    bench.moisture.publish(reading)
+    bench.node.destroy_publisher(bench.area)
+    bench.until(lambda: bench.node.count_publishers("/finger/contact_area") == 0)
+    for n in range(200):
+        bench.press(T0 + 2 * n * MS, 0.5)
+    bench.answered(200)
+    assert bench.states[-1].flags & StateFlag.AREA_MISSING
+    fresh()
+    assert not warns()  # a rig without a camera
+
+    bench.area = bench.node.create_publisher(ContactArea, "/finger/contact_area", RELIABLE)
+    bench.until(warns)  # a vision node that is silent from the onset on
+    assert bench.set("fuse_area", False).successful
+    fresh()
+    assert not warns()
+    assert bench.set("fuse_area", True).successful
+    bench.until(warns)
+
+    bench.until(lambda: bench.area.get_subscription_count() > 0)
+    area = ContactArea(gross_area=25e-6, area_stddev=1e-6)
+    area.header.stamp = to_time(T0 + 398 * MS)
+    bench.area.publish(area)
+    bench.settle()
+    bench.press(T0 + 500 * MS, 0.5)
+    bench.answered(201)
+    assert not bench.states[-1].flags & StateFlag.AREA_MISSING
+    fresh()
+    assert not warns()
+
+    # The next contact: areas came before, and now there is no publisher any more.
+    bench.node.destroy_publisher(bench.area)
+    for n in range(200):
+        bench.press(T0 + (600 + 2 * n) * MS, 0.0 if n < 10 else 0.5)
+    bench.answered(401)
+    bench.until(warns)
+    bench.press(T0 + 1100 * MS, 0.0)
+    bench.answered(402)
+    fresh()
+    assert not warns()
+
+
 def test_it_is_silent_until_activated(bench: Bench, process: Callable[..., Any]) -> None:
     start(process, "autostart:=false")
     configure, activate, deactivate, cleanup = 1, 3, 4, 2
