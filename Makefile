@@ -5,7 +5,7 @@ RUN := $(ENV)/bin/python
 export OMP_NUM_THREADS ?= 1
 WORKERS ?= auto
 
-.PHONY: help setup setup-test demo test test-slow test-compat lint bench soak bags clean
+.PHONY: help setup setup-test demo test test-slow test-compat lint bench soak bags reference clean
 
 help:
 	@echo "make demo         set up, run the simulated rig, record, fit, write out/demo/report.html"
@@ -14,6 +14,7 @@ help:
 	@echo "make bench        measure the key figures into bench/results.json"
 	@echo "make soak         record the full rig load for 30 minutes"
 	@echo "make bags         make the sample bags again"
+	@echo "make reference    write docs/nodes.md and rig.yaml from the nodes' own descriptions"
 	@echo "make setup        only set up the environment in $(ENV)"
 
 setup:
@@ -52,6 +53,9 @@ soak: setup
 
 bags: setup
 	@$(RUN) examples/sample_bags.py
+
+reference: setup
+	@$(RUN) scripts/node_reference.py
 
 clean:
 	rm -rf out build install log .pytest_cache .ruff_cache .mypy_cache

@@ -1,8 +1,10 @@
 """Publishing a bag over the middleware, for `finger-bag play`. Imports rclpy.
 
 rosbag2's own player is not on PyPI, and this one also plays where only the suite is installed. With
-`clock`, /clock carries the bag's time, so that nodes with `use_sim_time` run in it: they estimate
-what they did live, however fast the bag is played.
+`clock`, /clock carries the bag's time, so that nodes with `use_sim_time` run in it. A model node
+that listens does not read the recorded events: it runs with its own settings and decides by arrival
+which areas and readings are late, so its states can differ from the recorded ones. `finger-bag
+process` repeats the recorded states, bit for bit.
 """
 
 from __future__ import annotations

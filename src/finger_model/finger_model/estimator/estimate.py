@@ -1,7 +1,20 @@
 """One contact estimate: the only declaration of its fields.
 
-The compiled core's rows, messages, CDR bytes and CSV columns derive from it. To add a field, add it
-here and to ContactState.msg, and fill it in `stream.py`; CSV_FIELDS has the order of CSV columns.
+The compiled core's rows, messages, CDR bytes and CSV columns derive from it.
+
+To add a field:
+
+1. add it here, to ContactEstimate, in the order of the message;
+2. add it to src/finger_msgs/msg/ContactState.msg and to the copy in
+   src/finger_bag/finger_bag/data/finger_msgs;
+3. fill it in `stream.process` (only `parameter_set` is filled outside the compiled core);
+4. for a CSV and Parquet column, give its Field a `column` and add its name to CSV_FIELDS, which has
+   the order of the columns;
+5. write the node reference again: `make reference`.
+
+A column that derives from other fields and is in no message belongs to
+finger_offline/contact_states.py, as `time_s` does: its name to COLUMNS, its values to `columns`,
+its type to the schema of `_open_parquet`.
 """
 
 from __future__ import annotations
