@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from enum import IntEnum
 
+TARGET_FORCE = 1.35
+"""N, default normal force at which the cue to lift is given (Nam and Kuchenbecker 2021)."""
+
 
 class TrialPhase(IntEnum):
     """What the participant and the operator do now."""

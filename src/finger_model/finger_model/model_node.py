@@ -22,6 +22,7 @@ from finger_common.cli import one_line
 from finger_common.diagnostics import WARN, Health
 from finger_common.errors import FingerError
 from finger_common.flags import StateFlag
+from finger_common.moisture import MOISTURE_TEXT
 from finger_common.node import LATCHED_QOS, ManagedNode, main_of
 from finger_common.settings import Settings, setting
 from finger_common.stamps import fill_time, seconds
@@ -291,7 +292,7 @@ class ModelNode(ManagedNode):
                     self.log_fault(
                         self.inputs,
                         "bad_moisture",
-                        f"moisture reading {reading[1]} is outside 0 … 130 a.u. and was left out",
+                        f"moisture reading {reading[1]} is outside {MOISTURE_TEXT} and was left out",
                         WARN,
                     )
 

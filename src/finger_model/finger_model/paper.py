@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-TARGET_FORCE = 1.35
-"""N, normal force at which the participant gets the cue to lift."""
+from finger_common.trial_phases import TARGET_FORCE as TARGET_FORCE
 
 FRICTION = 0.25
 """Friction coefficient between skin and plate."""

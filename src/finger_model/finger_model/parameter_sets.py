@@ -34,7 +34,7 @@ import yaml
 
 from finger_common.errors import InputError
 from finger_common.files import atomic_write, number, parse_yaml, read_text, sha256_of
-from finger_common.moisture import MOISTURE_RANGE, is_moisture
+from finger_common.moisture import MOISTURE_TEXT, is_moisture
 
 from .laws import ConstitutiveLaw, ParameterSpace, StandardLinearSolid, law_of
 
@@ -184,7 +184,7 @@ class ParameterSets:
     def interpolate(self, moisture: float) -> InterpolatedParameters:
         """Parameters at a reading (a.u.); raises InputError when it is not a finite number."""
         if not math.isfinite(moisture):
-            raise InputError(f"moisture is {moisture}, a number from 0 to 130 a.u. is needed")
+            raise InputError(f"moisture is {moisture}, a number in {MOISTURE_TEXT} is needed")
         parameters, covariance, out_of_range = self.space.interpolate(
             self._moisture, self._log, self._covariance, moisture
         )
@@ -198,10 +198,7 @@ def _parse_set(entry: Any, space: ParameterSpace, where: str) -> ParameterSet:
     parameters = space.checked([number(entry, name, where) for name in space.names], where)
     moisture = number(entry, "moisture", where)
     if not is_moisture(moisture):
-        low, high = MOISTURE_RANGE
-        raise InputError(
-            f"{where}: 'moisture' is {moisture}, outside {low:g} … {high:g} a.u.; correct it"
-        )
+        raise InputError(f"{where}: 'moisture' is {moisture}, outside {MOISTURE_TEXT}; correct it")
     return ParameterSet(
         str(entry.get("condition") or ""),
         moisture,

@@ -14,6 +14,7 @@ from typing import Any
 
 from finger_common.errors import InputError
 from finger_common.settings import Settings, setting
+from finger_common.trial_phases import TARGET_FORCE
 
 PREPARATIONS: dict[str, str] = {
     "dry": "Dip the fingerpad in isopropyl alcohol and wait until all of it has evaporated.",
@@ -59,7 +60,7 @@ class PlanSettings(Settings):
         runtime=True,
     )
     target_force: float = setting(
-        1.35,
+        TARGET_FORCE,
         "Normal force at which the cue to lift is given (the paper: 1.35 N).",
         "N",
         0.06,
