@@ -292,7 +292,7 @@ class ModelNode(ManagedNode):
                     self.log_fault(
                         self.inputs,
                         "bad_moisture",
-                        f"moisture reading {reading[1]} is outside {MOISTURE_TEXT} and was left out",
+                        f"moisture reading {reading[1]} is outside {MOISTURE_TEXT}; left out",
                         WARN,
                     )
 
