@@ -303,7 +303,7 @@ def parser() -> argparse.ArgumentParser:
     record.add_argument("--calibration", metavar="FILE", help="plate calibration to attach")
     add_settings(record, RecorderSettings)
     # The names that these two had before; scripts of users go on.
-    earlier = {"default": argparse.SUPPRESS, "help": argparse.SUPPRESS}
+    earlier: Any = {"default": argparse.SUPPRESS, "help": argparse.SUPPRESS}
     record.add_argument("--split-size", dest="maximum_size", type=int, **earlier)
     record.add_argument("--split-duration", dest="maximum_duration", type=float, **earlier)
 
