@@ -55,10 +55,18 @@ from finger_model.fem.area_model import FullOrderAreas
 from finger_model.laws import StandardLinearSolid
 from finger_model.paper import TRIALS_PER_CONDITION
 from finger_model.reduced import ReducedModel
-from finger_sim import study
+from finger_sim import study_trial
 from finger_sim.conditions import STUDY
 from finger_sim.study_bag import START_NS
-from finger_sim.study_trial import AREA_NOISE, AREA_SCATTER, Misfit, StudyTrial
+from finger_sim.study_trial import (
+    AREA_NOISE,
+    AREA_SCATTER,
+    Misfit,
+    StudyTrial,
+    measured_area,
+    measured_force,
+    plan_study_trial,
+)
 
 SPACE = StandardLinearSolid.PARAMETERS
 POOL_SEED = 1
@@ -117,8 +125,8 @@ def kept(path: Path, make: Callable[[], Any]) -> Any:
 def _plan(job: tuple[str, int, float]) -> StudyTrial:
     name, index, factor = job
     # A quarter of the epidermis changes the area a thousand times more than the finer mesh.
-    mesh = study.REFINEMENT if factor == 1.0 else 1.0
-    return study.plan_study_trial(POOL_SEED, name, index, Misfit(epidermis_factor=factor), mesh)
+    mesh = study_trial.REFINEMENT if factor == 1.0 else 1.0
+    return plan_study_trial(POOL_SEED, name, index, Misfit(epidermis_factor=factor), mesh)
 
 
 def pool(folder: Path, finger: str = "true") -> Presses:
@@ -142,8 +150,8 @@ def record(
     trial = replace(trial, area=trial.area * factor)
     times, normal, area = trial.press.time, trial.press.force, trial.area
     if noise:
-        times, force = study.measured_force(trial, seed)
-        area, normal = study.measured_area(trial, seed), -force[:, 2]
+        times, force = measured_force(trial, seed)
+        area, normal = measured_area(trial, seed), -force[:, 2]
         if antithetic:
             area = np.maximum(2.0 * trial.area - area, 0.0)
     return SimpleNamespace(
