@@ -8,10 +8,20 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from finger_common.errors import InputError
 from finger_common.files import load_yaml
 from finger_common.plugins import Plugins
 
+from .generalized_maxwell import (
+    GeneralizedMaxwell,
+    GeneralizedMaxwell1,
+    GeneralizedMaxwell2,
+    GeneralizedMaxwell3,
+    GeneralizedMaxwell4,
+    from_branches,
+)
 from .law import UNIT, ConstitutiveLaw, StepEnergy, Tissue, parameter, trace
+from .maxwell import Branch, MaxwellLaw
 from .space import DerivedQuantity, ParameterSpace, ParameterSpec, Quantity
 from .standard_linear_solid import StandardLinearSolid
 
@@ -26,6 +36,15 @@ def law_of(name: str) -> type[ConstitutiveLaw]:
 
 
 def load_material(path: str | Path) -> ConstitutiveLaw:
-    """Material from material.yaml (SI), of the law named by its key `law`; raises InputError."""
+    """Material from material.yaml (SI), of the law named by its key `law`; raises InputError.
+
+    A file with the key `branches` is one of generalised Maxwell tissue.
+    """
     data = load_yaml(path, "material file")
+    if "branches" in data:
+        law = data.pop("law", None)
+        material = from_branches(data, str(path))
+        if law not in (None, "", "generalized_maxwell", material.name):
+            raise InputError(f"{path}: 'law' is {law!r}, which has no 'branches'; remove one")
+        return material
     return law_of(str(data.pop("law", "") or "")).from_dict(data, str(path))

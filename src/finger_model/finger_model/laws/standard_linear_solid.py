@@ -8,7 +8,8 @@ from types import MappingProxyType
 import numpy as np
 
 from .. import paper
-from .law import UNIT, ConstitutiveLaw, StepEnergy, Tissue, parameter, trace
+from .law import parameter
+from .maxwell import Branch, MaxwellLaw
 from .space import DerivedQuantity
 
 MODULUS_RANGE = (1e3, 3e7)
@@ -53,7 +54,7 @@ def _paper(name: str, meaning: str, **description):
 
 
 @dataclass(frozen=True, kw_only=True)
-class StandardLinearSolid(ConstitutiveLaw):
+class StandardLinearSolid(MaxwellLaw):
     """Spring E0 in series with a Kelvin element: spring E1 beside a damper, τ1 = η1/G1.
 
     Nam and Kuchenbecker 2021, eq. 2. The equal parallel form is used, a spring G∞ beside one
@@ -62,8 +63,8 @@ class StandardLinearSolid(ConstitutiveLaw):
         W = ½ G∞ (tr C̄ − 3) + ½ (G0 − G∞) (A : C̄ − ln det A − 3) + ½ K (J − 1)²
         dA/dt = (C̄⁻¹ − A)/τ,   G∞ = G0 G1/(G0 + G1),   τ = τ1 G1/(G0 + G1),   K = E0/(3(1−2ν))
 
-    Why this form: docs/theory.md, section 3. An elastic tissue is written with E1 very large
-    against E0.
+    The spring G∞ may stiffen, see `MaxwellLaw`. Why this form: docs/theory.md, section 3. An
+    elastic tissue is written with E1 very large against E0.
     """
 
     name = "standard_linear_solid"
@@ -143,59 +144,19 @@ class StandardLinearSolid(ConstitutiveLaw):
         return 1.0 / (1.0 / self.instantaneous_shear_modulus + 1.0 / self.kelvin_shear_modulus)
 
     @property
-    def maxwell_shear_modulus(self) -> float:
-        """G0 − G∞ in Pa."""
-        return self.instantaneous_shear_modulus - self.long_term_shear_modulus
-
-    @property
-    def bulk_modulus(self) -> float:
-        """K = E0/(3(1−2ν)) in Pa, constant in time."""
-        return self.E0 / (3.0 * (1.0 - 2.0 * self.poisson_ratio_bulk))
-
-    @property
     def relaxation_time(self) -> float:
         """τ = τ1 G1/(G0 + G1) in s, in which stress relaxes at constant strain."""
         return self.tau1 * self.E1 / (self.E0 + self.E1)
 
     @property
+    def branches(self) -> tuple[Branch, ...]:
+        """The branch (G0 − G∞)/G0 = E0/(E0 + E1) with τ."""
+        return (Branch(self.E0 / (self.E0 + self.E1), self.relaxation_time),)
+
+    @property
     def creep_time(self) -> float:
         """τ1 in s, in which strain creeps at constant stress."""
         return self.tau1
-
-    def step_energy(self, duration: float, before: Tissue) -> StepEnergy:
-        """H = G∞ 1 + (G0 − G∞) (e A + α C̄⁻¹)."""
-        from . import maxwell
-
-        weights = maxwell.step_weights(duration, self.relaxation_time)
-        relaxed = weights.decay * before.internal[0] + weights.old * before.c_bar_inverse
-        return StepEnergy(
-            self.long_term_shear_modulus * UNIT + self.maxwell_shear_modulus * relaxed
-        )
-
-    def update(
-        self, duration: float, before: Tissue, c_bar: np.ndarray, c_bar_inverse: np.ndarray
-    ) -> np.ndarray:
-        """A₊ = e A + α C̄⁻¹ + β C̄₊⁻¹."""
-        from . import maxwell
-
-        weights = maxwell.step_weights(duration, self.relaxation_time)
-        found = weights.decay * before.internal + weights.old * before.c_bar_inverse
-        return found + weights.new * c_bar_inverse
-
-    def energies(self, weight: np.ndarray, before: Tissue, after: Tissue) -> tuple[float, float]:
-        """Energy of the spring G∞ and of the Maxwell branch; the branch dissipates."""
-        from . import maxwell
-
-        strain = float(np.sum(weight * (trace(after.c_bar) - 3.0)))
-        stored, dissipated = maxwell.branch_energies(
-            weight,
-            self.maxwell_shear_modulus,
-            before.c_bar,
-            after.c_bar,
-            before.internal[0],
-            after.internal[0],
-        )
-        return 0.5 * self.long_term_shear_modulus * strain + stored, dissipated
 
 
 PARAMETERS = StandardLinearSolid.PARAMETERS

@@ -1,0 +1,188 @@
+"""Bulk tissue with one to four Maxwell branches: relaxation from milliseconds to seconds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from finger_common.errors import InputError
+from finger_common.files import number
+
+from .. import paper
+from .law import parameter
+from .maxwell import Branch, MaxwellLaw
+from .space import DerivedQuantity
+from .standard_linear_solid import MODULUS_RANGE
+
+TIMES = {1: (0.5,), 2: (0.05, 1.0), 3: (0.004, 0.07, 1.4), 4: (0.004, 0.07, 1.4, 8.0)}
+"""s, default relaxation times; three branches: Pawluk and Howe 1999."""
+TIME_RANGE = (1e-3, 10.0)
+"""s, relaxation times that the models are made for."""
+LOWEST_LONG_TERM_FRACTION = 1e-3
+_SUBSCRIPTS = "₁₂₃₄"
+
+
+def long_term_modulus(vectors: np.ndarray) -> np.ndarray:
+    """E∞ = E0 (1 − Σ fractions) in Pa of vectors (…, n): E0, fractions and times in turn, …"""
+    count = (vectors.shape[-1] - 3) // 2
+    return vectors[..., 0] * (1.0 - vectors[..., 1 : 1 + 2 * count : 2].sum(axis=-1))
+
+
+LONG_TERM_MODULUS = DerivedQuantity(
+    "long_term_E",
+    unit="Pa",
+    meaning="Long-term modulus of the bulk tissue at small strain, E0 (1 − Σ fractions).",
+    symbol="E∞",
+    display_unit="kPa",
+    display_factor=1e-3,
+    decimals=2,
+    value=long_term_modulus,
+    of=("E0",),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GeneralizedMaxwell(MaxwellLaw):
+    """One to four Maxwell branches beside a spring that may stiffen.
+
+    Its subclasses have the parameters E0, then fraction_k and tau_k of each branch, E2 and
+    stiffening. fraction_k is over G0, tau_k the relaxation time. Raises InputError for fractions
+    whose sum leaves less than 0.1 % to the spring.
+    """
+
+    DERIVED = (LONG_TERM_MODULUS,)
+    STIFFNESS_ADVICE = "lower the fractions of the branches or 'poisson_ratio_bulk'"
+    INTERNAL_TENSORS: ClassVar[int] = 0
+
+    E0: float = parameter(
+        80e3,
+        "Modulus of the bulk tissue under a sudden small strain.",
+        bounds=(20e3, 400e3),
+        unit="Pa",
+        symbol="E₀",
+        display_unit="kPa",
+        display_factor=1e-3,
+        decimals=1,
+        range=(20e3, 400e3),
+        allowed=MODULUS_RANGE,
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.long_term_fraction < LOWEST_LONG_TERM_FRACTION:
+            raise InputError(
+                f"material: the fractions of the branches add up to "
+                f"{1 - self.long_term_fraction:g}; together they must stay below "
+                f"{1 - LOWEST_LONG_TERM_FRACTION:g} of E0"
+            )
+
+    @property
+    def branches(self) -> tuple[Branch, ...]:
+        """fraction_k and tau_k of each branch."""
+        return tuple(
+            Branch(getattr(self, f"fraction_{k}"), getattr(self, f"tau_{k}"))
+            for k in range(1, 1 + self.INTERNAL_TENSORS)
+        )
+
+    @property
+    def epidermis_modulus(self) -> float:
+        """E2 in Pa."""
+        return self.E2  # type: ignore[attr-defined]
+
+    @property
+    def instantaneous_shear_modulus(self) -> float:
+        """G0 = E0/(2(1+ν)) in Pa."""
+        return self.E0 / (2.0 * (1.0 + self.poisson_ratio_bulk))
+
+
+def _subclass(count: int) -> type[GeneralizedMaxwell]:
+    """The law of so many branches."""
+    made: dict[str, Any] = {}
+    for k, default in enumerate(TIMES[count], start=1):
+        made[f"fraction_{k}"] = parameter(
+            0.6 / count,
+            f"Modulus of branch {k} over E0.",
+            bounds=(0.05, 0.9 / count),
+            unit="",
+            symbol=f"g{_SUBSCRIPTS[k - 1]}",
+            display_unit="",
+            display_factor=1.0,
+            range=(1e-4, 0.98),
+            allowed=(0.0, 1.0),
+        )
+        made[f"tau_{k}"] = parameter(
+            default,
+            f"Relaxation time of branch {k}.",
+            bounds=(max(default / 5, TIME_RANGE[0]), min(default * 5, TIME_RANGE[1])),
+            unit="s",
+            symbol=f"τ{_SUBSCRIPTS[k - 1]}",
+            display_unit="s",
+            display_factor=1.0,
+            range=TIME_RANGE,
+        )
+    made["E2"] = parameter(
+        paper.NATURAL.parameters["E2"],
+        "Modulus of the elastic epidermis.",
+        bounds=(100e3, 5000e3),
+        unit="Pa",
+        symbol="E₂",
+        display_unit="kPa",
+        display_factor=1e-3,
+        decimals=0,
+        range=(100e3, 5000e3),
+        allowed=MODULUS_RANGE,
+    )
+    made["stiffening"] = parameter(
+        0.0,
+        "Strain stiffening b of the long-term spring; 0 is none.",
+        bounds=(0.0, 10.0),
+        unit="",
+        symbol="b",
+        display_unit="",
+        display_factor=1.0,
+        decimals=2,
+        range=(0.0, 10.0),
+        log_offset=0.1,
+    )
+    names = {
+        "name": f"generalized_maxwell_{count}",
+        "INTERNAL_TENSORS": count,
+        "__annotations__": {name: float for name in made},
+        "__module__": __name__,
+        "__doc__": f"Generalised Maxwell tissue of {count} branch{'es' if count > 1 else ''}.",
+        **made,
+    }
+    cls = type(f"GeneralizedMaxwell{count}", (GeneralizedMaxwell,), names)
+    return dataclass(frozen=True, kw_only=True)(cls)
+
+
+GeneralizedMaxwell1, GeneralizedMaxwell2, GeneralizedMaxwell3, GeneralizedMaxwell4 = map(
+    _subclass, TIMES
+)
+
+
+def from_branches(data: Mapping[str, Any], where: str) -> GeneralizedMaxwell:
+    """Material from a mapping whose key `branches` lists {fraction, tau}; raises InputError."""
+    found = dict(data)
+    branches = found.pop("branches")
+    if not isinstance(branches, list) or not 1 <= len(branches) <= len(TIMES):
+        raise InputError(
+            f"{where}: 'branches' needs a list of 1 to {len(TIMES)} entries {{fraction: …, tau: …}}"
+        )
+    for key in ("E1", "tau1"):
+        if key in found:
+            raise InputError(
+                f"{where}: '{key}' does not go with 'branches', which replace the Kelvin element; "
+                f"remove '{key}'"
+            )
+    for k, branch in enumerate(branches, start=1):
+        place = f"{where}: branch {k}"
+        if not isinstance(branch, dict) or set(branch) != {"fraction", "tau"}:
+            raise InputError(f"{place}: the keys 'fraction' and 'tau' are needed, and no others")
+        for key in branch:
+            found[f"{key}_{k}"] = number(branch, key, place)
+    law = (GeneralizedMaxwell1, GeneralizedMaxwell2, GeneralizedMaxwell3, GeneralizedMaxwell4)
+    return law[len(branches) - 1].from_dict(found, where)
