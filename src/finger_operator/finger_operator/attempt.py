@@ -11,8 +11,8 @@ from finger_common.stamps import seconds
 class Attempt:
     """One attempt at a trial and its result.
 
-    verdict: running, done, failed or superseded. Stamps are in ns, forces in N, gaps in s; None
-    for an event that did not occur.
+    verdict: running, done, failed or superseded. Stamps are in ns, forces in N, gaps in s, the
+    size of the bag in bytes; None for an event that did not occur.
     """
 
     attempt: int
@@ -20,12 +20,14 @@ class Attempt:
     verdict: str = "running"
     reason: str = ""
     began_ns: int | None = None
+    ended_ns: int | None = None
     onset_ns: int | None = None
     cue_ns: int | None = None
     lifted_ns: int | None = None
     peak_force: float = 0.0
     samples: int = 0
     frames: int = 0
+    size: int = 0
     longest_gap: float = 0.0
     longest_frame_gap: float = 0.0
     moisture_before: list[float] = field(default_factory=list)

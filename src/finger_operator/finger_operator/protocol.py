@@ -16,6 +16,7 @@ from enum import Enum
 from pathlib import Path
 
 from finger_bag.streams import TrialEvent
+from finger_common.cli import one_line
 from finger_common.diagnostics import ERROR
 from finger_common.errors import InputError
 from finger_common.flags import AreaFlag
@@ -24,9 +25,17 @@ from finger_common.stamps import seconds
 from finger_common.trial_phases import TrialPhase
 
 from .attempt import Attempt, TrialState
+from .event_log import Event, EventLog, note_text, utc_time
 from .limits import Limits
 from .press import Press, PressEvent
-from .session_store import STATE_FILE, SavedSession, load_state, save_state, save_table
+from .session_store import (
+    STATE_FILE,
+    SavedSession,
+    folder_size,
+    load_state,
+    save_state,
+    save_table,
+)
 from .study_plan import StudyPlan
 
 ERROR_MEMORY = 3.0
@@ -101,11 +110,11 @@ class Protocol:
         self.current = 0
         self.message = ""
         self.trials = [
-            TrialState(index, condition)
-            for index, condition in enumerate(
-                c for c in plan.conditions for _ in range(plan.trials)
-            )
+            TrialState(index, condition) for index, condition in enumerate(plan.trial_conditions())
         ]
+        self.ended = ""
+        self.save_problem = ""
+        self.log = EventLog(self.folder)
         self._effects = effects
         self._now = 0
         self._step_began = 0
@@ -132,11 +141,30 @@ class Protocol:
     # State file ------------------------------------------------------------------------------
 
     def save(self) -> None:
-        """Write the state file and the table of trials."""
-        saved = SavedSession(self.plan, self.step.value, self.paused, self.current, self.trials)
-        save_state(self.folder, saved)
-        if self.step in (Step.DONE, Step.FAILED, Step.FINISHED, Step.PREPARE):
-            save_table(self.folder, self.trials)
+        """Write the state file, the table of trials and the event log.
+
+        What cannot be written is named in `save_problem` and is written with the next change.
+        """
+        saved = SavedSession(
+            self.plan, self.step.value, self.paused, self.current, self.trials, self.ended
+        )
+        try:
+            save_state(self.folder, saved)
+            self.log.save()
+            if self.step in (Step.DONE, Step.FAILED, Step.FINISHED, Step.PREPARE):
+                save_table(self.folder, self.trials, self.log)
+            self.save_problem = ""
+        except (OSError, InputError) as error:
+            reason = getattr(error, "strerror", None) or one_line(error)
+            self.save_problem = f"The session cannot be saved in {self.folder}: {reason}"
+
+    def _log(self, kind: str, text: str, of_trial: bool = True) -> None:
+        """Add to the event log, for the current trial or for the session as a whole."""
+        index = attempt = -1
+        if of_trial and self.step not in (Step.IDLE, Step.FINISHED):
+            event = self._announcement(TrialPhase.IDLE)
+            index, attempt = event.index, event.attempt
+        self.log.add(Event(self._now, kind, " ".join(text.split()), index, attempt))
 
     @classmethod
     def resume_from(
@@ -162,21 +190,28 @@ class Protocol:
         protocol = cls(saved.plan, folder, effects, limits)
         protocol.trials = saved.trials
         protocol.current = saved.current
+        protocol.ended = saved.ended
         protocol._now = now_ns
+        protocol.log = EventLog.load(protocol.folder)
+        protocol._log("session", "the protocol was started again", of_trial=False)
         # A bag that is still being written belongs to the interrupted attempt.
         effects(StopRecording())
         if step in UNDER_WAY:
             attempt = protocol.trials[protocol.current].attempts[-1]
             attempt.verdict, attempt.reason = "failed", "interrupted: the protocol ended during it"
-            protocol.message = "Resumed: the trial that was interrupted begins again."
+            protocol.message = (
+                f"Restarted. Trial {protocol.current + 1} will begin again: press Space."
+            )
         elif step is Step.CLOSING:
             protocol._conclude_done()
         if step is Step.IDLE:
             protocol._announce()
         elif protocol._advance():
             protocol.paused = True
+            protocol.message = protocol.message or "Restarted. Press Space to go on."
             protocol._enter(Step.PREPARE)
         else:
+            protocol.message = ""
             protocol._enter(Step.FINISHED)
         return protocol
 
@@ -188,13 +223,16 @@ class Protocol:
         if self.paused:
             raise InputError("the session is paused; resume it first")
         if self.step is Step.IDLE:
+            plan = self.plan
+            begun = f"session {plan.session} begun: subject {plan.subject}, order {plan.order}"
+            self._log("session", begun)
             self._enter(Step.PREPARE if self._advance() else Step.FINISHED)
         elif self.step is Step.PREPARE:
             self._begin_attempt()
         elif self.step in (Step.DONE, Step.FAILED):
             self._next()
         elif self.step is Step.FINISHED:
-            raise InputError("the session is finished; start a new one or repeat a trial")
+            raise InputError("the session is finished; close it, or repeat a trial")
         else:
             raise InputError("the trial is under way; redo, skip or pause it")
 
@@ -208,15 +246,22 @@ class Protocol:
         if self.step in UNDER_WAY and self.step is not Step.MOISTURE_AFTER:
             self._fail("paused during the trial")
         self.paused = True
+        self._log("command", "paused")
         self._announce()
         self.save()
 
     def resume(self, now_ns: int) -> None:
-        """Go on after a pause."""
+        """Go on after a pause, or with the open trials of a session that was ended early."""
         self._now = now_ns
+        if self.step is Step.FINISHED and self.ended:
+            self.ended = ""
+            self._log("command", "resumed after its end", of_trial=False)
+            self._enter(Step.PREPARE if self._advance() else Step.FINISHED)
+            return
         if not self.paused:
             raise InputError("the session is not paused")
         self.paused = False
+        self._log("command", "resumed")
         self.message = ""
         if self.step is Step.FAILED:
             self._enter(Step.PREPARE)
@@ -259,7 +304,10 @@ class Protocol:
         trial.verdict = "pending"
         self.current = index
         self.paused = False
+        self.message = ""
         self._enter(Step.PREPARE)
+        self._log("command", "repeated by the operator")
+        self.save()
 
     def skip(self, now_ns: int) -> None:
         """Leave the current trial out."""
@@ -269,8 +317,56 @@ class Protocol:
         if self.step in UNDER_WAY:
             self._fail("skipped by the operator")
         self.trials[self.current].verdict = "skipped"
+        self._log("command", "skipped")
         self.paused = False
+        self.message = ""
         self._next()
+
+    def end(self, now_ns: int) -> None:
+        """End the session early; a trial under way is completed first. All data are kept."""
+        self._finish_early(now_ns, "ended early by the operator")
+
+    def abort(self, now_ns: int) -> None:
+        """End the session at once; a trial under way is void, its bag is kept."""
+        self._finish_early(now_ns, "aborted by the operator")
+        if self.step in UNDER_WAY:
+            self._fail(self.ended)
+            self._enter(Step.FINISHED)
+
+    def _finish_early(self, now_ns: int, how: str) -> None:
+        self._now = now_ns
+        if self.step is Step.FINISHED:
+            raise InputError("the session is finished already; close it")
+        self.ended = how
+        self._log("command", how, of_trial=False)
+        self.paused = False
+        self.message = ""
+        if self.step in UNDER_WAY or self.step is Step.CLOSING:
+            self._announce()
+            self.save()
+        else:
+            self._enter(Step.FINISHED)
+
+    def note(self, now_ns: int, text: str, index: int = -1) -> None:
+        """Add a note to a trial (the newest attempt at it), or with −1 to the session."""
+        self._now = now_ns
+        line = note_text(text)
+        if not -1 <= index < len(self.trials):
+            raise InputError(
+                f"there is no trial {index}; give 0 to {len(self.trials) - 1}, or -1 for the "
+                "session"
+            )
+        attempt = max(len(self.trials[index].attempts) - 1, 0) if index >= 0 else -1
+        self.log.add(Event(now_ns, "note", line, index, attempt))
+        self.save()
+
+    def mark(self, now_ns: int) -> str:
+        """Mark this moment in the trial under way, else in the session; returns its name."""
+        self._now = now_ns
+        name = f"marker {sum(e.kind == 'marker' for e in self.log.events) + 1}"
+        self._log("marker", name)
+        self.save()
+        return name
 
     def set_preparation(self, condition: str, text: str) -> None:
         """Replace the preparation text of a condition."""
@@ -337,9 +433,13 @@ class Protocol:
 
     def health(self, name: str, level: int, message: str, now_ns: int) -> None:
         """State of a device or node whose failure makes a trial invalid, from /diagnostics."""
+        self._now = max(self._now, now_ns)
         if level < ERROR:
-            self._errors.pop(name, None)
+            if self._errors.pop(name, None):
+                self._log("fault", f"{name}: over")
             return
+        if name not in self._errors:
+            self._log("fault", f"{name}: {message}")
         self._errors[name] = (now_ns, message)
         if self.step in PRESSING and self._press is not None:
             if self._press.attempt.onset_ns is not None:
@@ -466,11 +566,16 @@ class Protocol:
             self._enter(Step.DONE)
 
     def _conclude_done(self) -> None:
-        self._attempt.verdict = "done"
+        attempt = self._attempt
+        attempt.verdict, attempt.ended_ns = "done", self._now
+        attempt.size = folder_size(Path(attempt.bag))
         self.trials[self.current].verdict = "done"
+        self._log("kept", f"trial {self.current + 1} kept")
 
     def _fail(self, reason: str) -> None:
-        self._attempt.verdict, self._attempt.reason = "failed", reason
+        attempt = self._attempt
+        attempt.verdict, attempt.reason, attempt.ended_ns = "failed", reason, self._now
+        self._log("failed", reason)
         closing = self.step is Step.CLOSING
         self._enter(Step.FAILED)
         if self.limits.need_recorder and not closing:
@@ -484,7 +589,11 @@ class Protocol:
         self.save()
 
     def _advance(self) -> bool:
-        """Choose the current trial if it is open, else the first open one; false for none."""
+        """Choose the current trial if it is open, else the first open one; false for none, and
+        for a session that was ended.
+        """
+        if self.ended:
+            return False
         if self.trials[self.current].verdict == "pending":
             return True
         for trial in self.trials:
@@ -509,7 +618,16 @@ class Protocol:
         trial = self.trials[self.current]
         number = len(trial.attempts)
         open_attempt = trial.attempts and self.step not in (Step.IDLE, Step.PREPARE)
-        reason = trial.attempts[-1].reason if phase is TrialPhase.FAILED and trial.attempts else ""
+        note = ""
+        if phase is TrialPhase.FAILED and trial.attempts:
+            note = trial.attempts[-1].reason
+        elif phase is TrialPhase.DONE:
+            # With the last message of its bag, the operator's notes come into the bag.
+            last = len(trial.attempts) - 1
+            events = self.log.of("note", trial.index, last) + self.log.of(
+                "marker", trial.index, last
+            )
+            note = "; ".join(f"{e.text} ({utc_time(e.stamp_ns)})" for e in events)
         return TrialEvent(
             self._step_began if self.step in PRESSING else self._now,
             self.plan.session,
@@ -519,7 +637,7 @@ class Protocol:
             number - 1 if open_attempt else number,
             phase,
             self.plan.target_force,
-            reason or self.message,
+            note or self.message,
         )
 
     def _phase(self, step: Step) -> TrialPhase:
@@ -540,4 +658,5 @@ class Protocol:
         self.step = step
         self._step_began = self._now if stamp_ns is None else stamp_ns
         self._announce()
+        self._log("step", step.value.replace("_", " "))
         self.save()

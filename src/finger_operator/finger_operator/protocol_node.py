@@ -7,6 +7,7 @@ operator's page on `~/status` (JSON, latched). Its services are the commands of 
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -39,8 +40,8 @@ from .limits import Limits
 from .normal_force import NormalForce
 from .protocol import Effect, Protocol, StartRecording, Step
 from .recorder_requests import RecorderRequests
-from .session_store import STATE_FILE
-from .status import session_status
+from .session_store import STATE_FILE, free_space, sessions_by_subject
+from .status import closed_status, session_status
 from .study_plan import PREPARATIONS, PlanSettings, StudyPlan, parse_preparations
 
 POINTER = "current_session"
@@ -51,6 +52,10 @@ TICK = 0.05
 
 POLL = 0.004
 """s between readings of the force during a press: the longest delay that polling adds to a cue."""
+
+
+FREE_SPACE_PERIOD = 5.0
+"""s between readings of the free disk space."""
 
 
 @dataclass(frozen=True)
@@ -69,9 +74,18 @@ class ProtocolSettings(Settings):
         maximum=100000,
         runtime=True,
     )
+    note: str = setting("", "Text that ~/note adds to the event log.", runtime=True)
+    note_trial: int = setting(
+        -1,
+        "Number of the trial that ~/note belongs to; -1: the session.",
+        minimum=-1,
+        maximum=100000,
+        runtime=True,
+    )
     output: str = setting(
         "out/sessions",
-        "Folder of the sessions; each gets a folder with its bags, session.json and trials.csv.",
+        "Folder of the sessions; each gets a folder with its bags, session.json, trials.csv and "
+        "events.csv.",
         advice="Use a disk that takes 20 MB/s; a session of 45 trials with images needs about "
         "10 GB.",
     )
@@ -99,6 +113,10 @@ SERVICES = {
     "redo": "Begin the trial under way again, or else the last one that was done.",
     "repeat": "Do the trial `selected_trial` again.",
     "skip": "Leave the current trial out.",
+    "end": "End the session early; a trial under way is completed first. Data are kept.",
+    "abort": "End the session at once; a trial under way is void, its bag is kept.",
+    "note": "Add the parameter `note` to the trial `note_trial`, or to the session.",
+    "marker": "Mark this moment in the event log.",
     "close": "Close the session; the next start begins a new one.",
 }
 """Services of the node (std_srvs/Trigger), for the node reference too."""
@@ -120,6 +138,9 @@ class ProtocolNode(ManagedNode):
         self._normal_force = NormalForce(settings.normal_axis)
         parse_preparations(settings.preparations)
         self._output = Path(settings.output).expanduser().resolve()
+        self._used_subjects = sessions_by_subject(self._output)
+        self._free: int | None = None
+        self._free_read = -math.inf
         self._trial_publisher = self.create_publisher(Trial, "trial", STATE_QOS)
         self._status_publisher = self.create_publisher(String, "~/status", STATE_QOS)
         recorder = self.create_client(Record, self.values["recorder_service"])
@@ -252,12 +273,30 @@ class ProtocolNode(ManagedNode):
         self._open().skip(self._now())
         return "skipped"
 
+    def _end(self) -> str:
+        self._open().end(self._now())
+        finished = self._open().step is Step.FINISHED
+        return "the session is ended" if finished else "the session ends after this trial"
+
+    def _abort(self) -> str:
+        self._open().abort(self._now())
+        return "the session is ended"
+
+    def _note(self) -> str:
+        index = self.values["note_trial"]
+        self._open().note(self._now(), self.values["note"], index)
+        return "note added to the session" if index < 0 else f"note added to trial {index + 1}"
+
+    def _marker(self) -> str:
+        return f"{self._open().mark(self._now())} set"
+
     def _close(self) -> str:
         protocol = self._open()
         if protocol.step not in (Step.IDLE, Step.FINISHED, Step.PREPARE, Step.FAILED, Step.DONE):
             raise InputError("a trial is under way; finish, skip or pause it first")
         (self._output / POINTER).unlink(missing_ok=True)
         self._protocol = None
+        self._used_subjects = sessions_by_subject(self._output)
         return f"session {protocol.plan.session} closed; it is in {protocol.folder}"
 
     def _command(self, action: Callable[[], str]) -> Callable[[Any, Any], Any]:
@@ -304,6 +343,9 @@ class ProtocolNode(ManagedNode):
         if self._protocol is not None:
             self._protocol.tick(self._now())
         self._recorder.step(self._limits.record_timeout)
+        if time.monotonic() - self._free_read > FREE_SPACE_PERIOD:
+            self._free_read = time.monotonic()
+            self._free = free_space(self._output)
         self._publish_status()
         pressing = self._protocol is not None and self._protocol.step is Step.PRESS
         if pressing and self._press_timer.is_canceled():
@@ -361,13 +403,16 @@ class ProtocolNode(ManagedNode):
 
     def _publish_status(self) -> None:
         if self._protocol is not None:
-            status = session_status(self._protocol)
+            plan = self._protocol.plan
+            earlier = [s for s in self._used_subjects.get(plan.subject, []) if s != plan.session]
+            status = session_status(self._protocol, self._free, earlier)
         else:
-            status = {
-                "step": "closed",
-                "plan": self.settings(PlanSettings).to_dict(),
-                "preparations": parse_preparations(self.values["preparations"]),
-            }
+            status = closed_status(
+                self.settings(PlanSettings),
+                parse_preparations(self.values["preparations"]),
+                self._used_subjects,
+                self._free,
+            )
         text = json.dumps(status)
         if text != self._status:
             self._status = text

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from finger_common.errors import InputError
 from finger_common.files import atomic_write, read_text
 
 from .attempt import Attempt, TrialState
+from .event_log import EventLog
 from .study_plan import StudyPlan
 
 STATE_VERSION = 1
@@ -20,7 +22,7 @@ STATE_FILE = "session.json"
 TABLE_FILE = "trials.csv"
 COLUMNS = (
     "index,condition,attempt,verdict,time_to_target_s,peak_force_n,frames,moisture_before_au,"
-    "moisture_after_au,bag,reason"
+    "moisture_after_au,bag,reason,notes,markers"
 ).split(",")
 
 
@@ -33,6 +35,7 @@ class SavedSession:
     paused: bool
     current: int
     trials: list[TrialState]
+    ended: str = ""
 
 
 def save_state(folder: Path, session: SavedSession) -> None:
@@ -43,6 +46,7 @@ def save_state(folder: Path, session: SavedSession) -> None:
         "step": session.step,
         "paused": session.paused,
         "current": session.current,
+        "ended": session.ended,
         "trials": [asdict(trial) for trial in session.trials],
     }
     with atomic_write(folder / STATE_FILE) as file:
@@ -71,7 +75,8 @@ def load_state(folder: Path) -> SavedSession:
         current = int(state["current"])
         trials[current]
         plan = StudyPlan.from_dict(state["plan"])
-        return SavedSession(plan, str(state["step"]), bool(state["paused"]), current, trials)
+        step, paused, ended = str(state["step"]), bool(state["paused"]), state.get("ended", "")
+        return SavedSession(plan, step, paused, current, trials, str(ended))
     except InputError:
         raise
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
@@ -80,8 +85,8 @@ def load_state(folder: Path) -> SavedSession:
         ) from None
 
 
-def save_table(folder: Path, trials: Sequence[TrialState]) -> None:
-    """Write one row per attempt."""
+def save_table(folder: Path, trials: Sequence[TrialState], log: EventLog) -> None:
+    """Write one row per attempt, with the notes and the number of markers of the log."""
     with atomic_write(folder / TABLE_FILE) as file:
         rows = csv.writer(file, lineterminator="\n")
         rows.writerow(COLUMNS)
@@ -100,5 +105,36 @@ def save_table(folder: Path, trials: Sequence[TrialState]) -> None:
                         *(f"{fmean(m):.2f}" if m else "" for m in moisture),
                         Path(a.bag).name,
                         a.reason,
+                        "; ".join(e.text for e in log.of("note", trial.index, a.attempt)),
+                        len(log.of("marker", trial.index, a.attempt)),
                     )
                 )
+
+
+def folder_size(folder: Path) -> int:
+    """Bytes of the files in a folder, as a bag; 0 where there is none."""
+    try:
+        return sum(f.stat().st_size for f in folder.iterdir() if f.is_file())
+    except OSError:
+        return 0
+
+
+def sessions_by_subject(output: Path) -> dict[str, list[str]]:
+    """Folders of the sessions in `output`, by subject code; what cannot be read is left out."""
+    found: dict[str, list[str]] = {}
+    for path in sorted(output.glob(f"*/{STATE_FILE}")):
+        try:
+            subject = load_state(path.parent).plan.subject
+        except InputError:
+            continue
+        found.setdefault(subject, []).append(path.parent.name)
+    return found
+
+
+def free_space(folder: Path) -> int | None:
+    """Bytes free on the disk that holds the folder, which need not exist yet; None if unknown."""
+    existing = next(p for p in (folder, *folder.parents) if p.exists())
+    try:
+        return shutil.disk_usage(existing).free
+    except OSError:
+        return None

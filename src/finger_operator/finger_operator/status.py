@@ -1,27 +1,71 @@
-"""Everything that the operator's page shows of a session, as plain data."""
+"""Everything that the operator's page shows of a session, as plain data (JSON on `~/status`).
+
+Without an open session, `step` is "closed" and only `plan`, `preparations`, `instruction`,
+`used_subjects` and `disk` are there.
+"""
 
 from __future__ import annotations
 
+import math
+from collections import Counter
+from itertools import pairwise
+from statistics import median
 from typing import Any
 
+from finger_common.stamps import seconds
+
 from .attempt import TrialState
+from .event_log import Event
 from .protocol import Protocol, Step
-from .study_plan import CLEAN_PLATE
+from .study_plan import CLEAN_PLATE, PlanSettings
+
+EVENTS_SHOWN = 60
+
+GIGABYTE = 1e9
 
 
-def session_status(protocol: Protocol) -> dict[str, Any]:
-    """The session, the current trial and a row for each trial."""
+def closed_status(
+    plan: PlanSettings,
+    preparations: dict[str, str],
+    used_subjects: dict[str, list[str]],
+    free: int | None,
+) -> dict[str, Any]:
+    """While no session is open. plan: of the next one. used_subjects: sessions by subject code.
+
+    free: bytes left on the disk of the sessions, None when unknown.
+    """
+    return {
+        "step": "closed",
+        "instruction": "Press Space to start a session.",
+        "plan": plan.to_dict(),
+        "preparations": preparations,
+        "used_subjects": used_subjects,
+        "disk": {"free_gb": _gigabytes(free)},
+    }
+
+
+def session_status(
+    protocol: Protocol, free: int | None = None, earlier_sessions: list[str] | None = None
+) -> dict[str, Any]:
+    """The session, the current trial and a row for each trial.
+
+    free: bytes left on the disk of the sessions, None when unknown. earlier_sessions: of this
+    subject.
+    """
     plan = protocol.plan
     trial = protocol.trials[protocol.current]
     begun = trial.attempts and protocol.step is not Step.PREPARE
     attempt = trial.attempts[-1] if begun else None
     waiting = protocol.step is Step.CLEAR and not protocol.paused
+    disk = disk_status(protocol, free)
     return {
         "subject": plan.subject,
         "session": plan.session,
         "step": protocol.step.value,
         "paused": protocol.paused,
+        "ended": protocol.ended,
         "message": protocol.message,
+        "instruction": instruction(protocol),
         "waiting_for": protocol.waiting_for() if waiting else "",
         "index": trial.index,
         "attempt": attempt.attempt if attempt else len(trial.attempts),
@@ -35,12 +79,134 @@ def session_status(protocol: Protocol) -> dict[str, Any]:
         "moisture_after": attempt.moisture_after if attempt else [],
         "recording": protocol.recording,
         "conditions": list(plan.conditions),
+        "plan": plan.to_dict(),
         "folder": str(protocol.folder),
-        "trials": [_row(trial) for trial in protocol.trials],
+        "trials": [_row(protocol, trial) for trial in protocol.trials],
+        "notes": [_remark(e) for e in protocol.log.of("note")],
+        "markers": [_remark(e) for e in protocol.log.of("marker")],
+        "events": [_event(e) for e in protocol.log.events[-EVENTS_SHOWN:]],
+        "summary": summary(protocol),
+        "time_left": time_left(protocol),
+        "disk": disk,
+        "warnings": _warnings(protocol, disk, earlier_sessions or []),
     }
 
 
-def _row(trial: TrialState) -> dict[str, Any]:
+def instruction(protocol: Protocol) -> str:
+    """What the operator does now, in one sentence or two."""
+    step = protocol.step
+    trial = protocol.trials[protocol.current]
+    if protocol.paused:
+        return protocol.message or "Press Space to go on."
+    if step is Step.FINISHED:
+        return summary(protocol)["text"]
+    if protocol.message:
+        return protocol.message
+    if step in (Step.MOISTURE_BEFORE, Step.MOISTURE_AFTER):
+        attempt = trial.attempts[-1]
+        before = step is Step.MOISTURE_BEFORE
+        taken = len(attempt.moisture_before if before else attempt.moisture_after)
+        wanted = protocol.plan.readings
+        return f"Hold the probe to the fingertip ({min(taken + 1, wanted)} of {wanted})."
+    if step is Step.FAILED:
+        reason = trial.attempts[-1].reason
+        again = "" if protocol.ended or trial.verdict == "skipped" else " The trial is repeated."
+        return f"{reason[:1].upper()}{reason[1:]}.{again}"
+    return {
+        Step.IDLE: "Press Space to begin.",
+        Step.PREPARE: "Prepare finger and plate, then press Space.",
+        Step.CLEAR: protocol.waiting_for() or "Hands off: the plate must be empty.",
+        Step.PRESS: "Press until the cue changes.",
+        Step.LIFT: "Lift the finger.",
+        Step.CLOSING: "Saving the trial.",
+        Step.DONE: f"Trial {trial.index + 1} kept.",
+    }[step]
+
+
+def summary(protocol: Protocol) -> dict[str, Any]:
+    """Counts of the trials of the session, and at its end what they say and what to do."""
+    count = Counter(trial.verdict for trial in protocol.trials)
+    failed = sum(a.verdict == "failed" for t in protocol.trials for a in t.attempts)
+    planned, kept, skipped = len(protocol.trials), count["done"], count["skipped"]
+    open_trials = count["pending"]
+    text = ""
+    if protocol.step is Step.FINISHED:
+        parts = [f"{kept} of {planned} trials kept"]
+        parts += [f"{skipped} skipped"] if skipped else []
+        parts += [f"{open_trials} not done"] if open_trials else []
+        begin = f"Session {protocol.ended}" if protocol.ended else "Finished"
+        advice = []
+        if protocol.ended and open_trials:
+            advice.append("resume to go on")
+        if skipped:
+            advice.append("repeat the skipped trials from the list")
+        advice.append("press Space to close the session")
+        sentence = ", or ".join([", ".join(advice[:-1]), advice[-1]] if advice[:-1] else advice)
+        text = f"{begin}: {', '.join(parts)}. {sentence[0].upper()}{sentence[1:]}."
+    return {
+        "planned": planned,
+        "kept": kept,
+        "skipped": skipped,
+        "open": open_trials,
+        "failed_attempts": failed,
+        "text": text,
+    }
+
+
+def time_left(protocol: Protocol) -> float | None:
+    """s until the open trials are done at the pace of those that were kept; None before two."""
+    ends = sorted(
+        a.ended_ns for t in protocol.trials for a in t.attempts if a.verdict == "done" if a.ended_ns
+    )
+    if len(ends) < 2:
+        return None
+    pace = median(b - a for a, b in pairwise(ends))
+    return round(seconds(pace) * sum(t.verdict == "pending" for t in protocol.trials), 1)
+
+
+def disk_status(protocol: Protocol, free: int | None) -> dict[str, Any]:
+    """Space on the disk of the sessions against what the open trials need, by those kept so far.
+
+    `enough` is None until a trial was kept.
+    """
+    sizes = [a.size for t in protocol.trials for a in t.attempts if a.size]
+    if free is None or not sizes:
+        return {"free_gb": _gigabytes(free), "needed_gb": None, "trials_left": None, "enough": None}
+    each = sum(sizes) / len(sizes)
+    open_trials = sum(t.verdict == "pending" for t in protocol.trials)
+    return {
+        "free_gb": _gigabytes(free),
+        "needed_gb": _gigabytes(math.ceil(each * open_trials)),
+        "trials_left": int(free / each),
+        "enough": each * open_trials < free,
+    }
+
+
+def _warnings(protocol: Protocol, disk: dict[str, Any], earlier_sessions: list[str]) -> list[str]:
+    """Sentences that the operator should see, without effect on the trials."""
+    found = []
+    if protocol.save_problem:
+        found.append(f"{protocol.save_problem}. Make room or give access; it is tried again.")
+    if disk["enough"] is False:
+        found.append(
+            f"The disk has room for {disk['trials_left']} more trials only; make room, or end the "
+            "session before."
+        )
+    if earlier_sessions:
+        found.append(used_subject(protocol.plan.subject, earlier_sessions))
+    return found
+
+
+def used_subject(subject: str, sessions: list[str]) -> str:
+    """Warning for a subject code that has sessions already."""
+    named = ", ".join(sessions[-3:])
+    return (
+        f"Subject code {subject} was used before ({named}). If this is another person, close the "
+        "session and choose another code."
+    )
+
+
+def _row(protocol: Protocol, trial: TrialState) -> dict[str, Any]:
     last = trial.attempts[-1] if trial.attempts else None
     return {
         "index": trial.index,
@@ -50,4 +216,18 @@ def _row(trial: TrialState) -> dict[str, Any]:
         "reason": last.reason if last else "",
         "time_to_target": last.time_to_target if last else None,
         "peak_force": last.peak_force if last else None,
+        "notes": [_remark(e) for e in protocol.log.of("note", trial.index)],
+        "markers": [_remark(e) for e in protocol.log.of("marker", trial.index)],
     }
+
+
+def _remark(event: Event) -> dict[str, Any]:
+    return {"time": round(seconds(event.stamp_ns), 3), "text": event.text, "attempt": event.attempt}
+
+
+def _event(event: Event) -> dict[str, Any]:
+    return {**_remark(event), "kind": event.kind, "index": event.index}
+
+
+def _gigabytes(size: int | None) -> float | None:
+    return None if size is None else round(size / GIGABYTE, 1)

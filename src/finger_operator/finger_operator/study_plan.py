@@ -16,6 +16,8 @@ from finger_common.errors import InputError
 from finger_common.settings import Settings, setting
 from finger_common.trial_phases import TARGET_FORCE
 
+from .trial_order import ORDERS, trial_conditions
+
 PREPARATIONS: dict[str, str] = {
     "dry": "Dip the fingerpad in isopropyl alcohol and wait until all of it has evaporated.",
     "natural": "Nothing is done to the finger. No washing, no cream.",
@@ -31,6 +33,12 @@ CLEAN_PLATE = (
 
 SUBJECT = re.compile(r"(?=.*\d)[A-Za-z0-9_-]{1,16}")
 NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
+
+HANDS = ("left", "right")
+FINGERS = ("thumb", "index", "middle", "ring", "little")
+
+REQUIRED = ("subject", "session", "conditions", "trials", "readings", "target_force")
+"""What the plan in a state file must name; older files lack the rest."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +75,36 @@ class PlanSettings(Settings):
         50.0,
         runtime=True,
     )
+    age: int = setting(0, "Age of the subject; 0: not noted.", "years", 0, 120, runtime=True)
+    hand: str = setting("", "Hand that is tested.", choices=("", *HANDS), runtime=True)
+    finger: str = setting("", "Finger that is tested.", choices=("", *FINGERS), runtime=True)
+    finger_width: float = setting(
+        0.0, "Width of the fingertip, by calipers; 0: not measured.", "m", 0.0, 0.04, runtime=True
+    )
+    finger_depth: float = setting(
+        0.0,
+        "Depth of the fingertip from nail to pad, by calipers; 0: not measured.",
+        "m",
+        0.0,
+        0.04,
+        runtime=True,
+    )
+    order: str = setting(
+        "as_given",
+        "Order of the trials: blocks as given, blocks shuffled, blocks counterbalanced over the "
+        "subjects (by the number in the subject code), or all trials shuffled.",
+        choices=ORDERS,
+        runtime=True,
+    )
+    order_seed: int = setting(
+        0, "Seed of the order, with the subject code.", minimum=0, maximum=999999, runtime=True
+    )
+
+    def trial_conditions(self) -> list[str]:
+        """Condition of each trial, in order."""
+        return trial_conditions(
+            self.conditions, self.trials, self.order, self.order_seed, self.subject
+        )
 
 
 @dataclass(frozen=True)
@@ -108,7 +146,8 @@ class StudyPlan(PlanSettings):
     def from_dict(cls, data: Mapping[str, Any]) -> StudyPlan:
         """Plan from plain data; raises InputError naming what is missing."""
         try:
-            values = {p.name: data[p.name] for p in cls.parameters()}
+            given = [p.name for p in cls.parameters() if p.name in data or p.name in REQUIRED]
+            values = {name: data[name] for name in given}
             return cls(**values, preparations=dict(data["preparations"]))
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"the plan in the state file is incomplete ({error})") from None

@@ -6,6 +6,9 @@ import csv
 import json
 import math
 import re
+from collections import Counter
+from datetime import datetime
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +17,7 @@ import pytest
 from finger_bag.streams import TrialEvent
 from finger_common.errors import InputError
 from finger_common.trial_phases import TrialPhase
+from finger_operator.event_log import Event, EventLog
 from finger_operator.limits import Limits
 from finger_operator.protocol import (
     Effect,
@@ -22,9 +26,10 @@ from finger_operator.protocol import (
     Step,
     StopRecording,
 )
-from finger_operator.session_store import STATE_FILE
+from finger_operator.session_store import STATE_FILE, sessions_by_subject
 from finger_operator.status import session_status
 from finger_operator.study_plan import PREPARATIONS, StudyPlan, parse_preparations
+from finger_operator.trial_order import ORDERS, trial_conditions
 
 SECOND = 1_000_000_000
 START = 1_700_000_000 * SECOND
@@ -694,3 +699,245 @@ def test_preparation_texts_can_be_edited_and_survive(rig: Rig) -> None:
 def test_plans_that_cannot_be_run_are_refused(change: dict[str, Any], words: str) -> None:
     with pytest.raises(InputError, match=words):
         StudyPlan(**{"subject": "S01", "session": "a", **change})
+
+
+# Orders, ends, notes, markers and the event log --------------------------------------------------
+
+
+def test_counterbalanced_orders_put_every_condition_equally_often_at_each_place() -> None:
+    for number in (2, 3, 4):
+        conditions = [f"c{i}" for i in range(number)]
+        rows = number if number % 2 == 0 else 2 * number
+        orders = [
+            trial_conditions(conditions, 1, "counterbalanced", 0, f"S{i + 1:02d}")
+            for i in range(rows)
+        ]
+        places = Counter((place, c) for order in orders for place, c in enumerate(order))
+        pairs = Counter(pair for order in orders for pair in pairwise(order))
+        assert len(places) == number**2 and len(set(places.values())) == 1
+        assert len(pairs) == number * (number - 1) and len(set(pairs.values())) == 1
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_orders_hold_every_trial_and_follow_from_seed_and_subject(order: str) -> None:
+    conditions = ["dry", "natural", "moist"]
+
+    def of(seed: int, subject: str) -> list[str]:
+        return trial_conditions(conditions, 5, order, seed, subject)
+
+    assert Counter(of(1, "S01")) == {c: 5 for c in conditions}
+    assert of(1, "S01") == of(1, "S01")
+    different = {tuple(of(seed, f"S{n:02d}")) for seed in range(5) for n in range(1, 6)}
+    assert len(different) == 1 if order == "as_given" else len(different) >= 3
+    if order != "shuffled_trials":
+        assert all(len(set(of(2, "S03")[i : i + 5])) == 1 for i in (0, 5, 10)), "blocks"
+
+
+def test_end_completes_the_trial_under_way_and_keeps_what_was_done(rig: Rig) -> None:
+    rig.trial()
+    rig.run(2.0)
+    rig.to_press()
+    rig.protocol.end(rig.now)
+    assert rig.protocol.step is Step.PRESS
+    rig.press()
+    rig.readings(36.0, 37.0, 38.0)
+    rig.run(2.0)
+    assert rig.protocol.step is Step.FINISHED
+    assert [t.verdict for t in rig.protocol.trials] == ["done", "done", "pending", "pending"]
+    told = session_status(rig.protocol)
+    assert told["summary"]["text"].startswith(
+        "Session ended early by the operator: 2 of 4 trials kept, 2 not done."
+    )
+    assert told["instruction"] == told["summary"]["text"]
+    # After a restart the session is still at its end; it can be taken up again.
+    again = Protocol.resume_from(rig.folder, rig.take, rig.now, rig.limits)
+    assert again.step is Step.FINISHED and not again.paused
+    rig.protocol = again
+    rig.answered = len([e for e in rig.effects if not isinstance(e, TrialEvent)])
+    again.resume(rig.now)
+    assert again.step is Step.PREPARE and again.current == 2
+    rig.trial()
+
+
+@pytest.mark.parametrize(
+    "when", ["idle", "prepare", "press", "moisture_after", "closing", "paused"]
+)
+def test_abort_ends_at_once_and_keeps_every_bag(tmp_path: Path, when: str) -> None:
+    rig = Rig(tmp_path / "session")
+    rig.run(0.2)
+    if when != "idle":
+        rig.protocol.start(rig.now)
+    if when in ("press", "moisture_after", "closing"):
+        rig.to_press()
+    if when in ("moisture_after", "closing"):
+        rig.press()
+    if when == "closing":
+        rig.recorder_answers = False
+        rig.readings(36.0, 37.0, 38.0)
+    if when == "paused":
+        rig.protocol.pause(rig.now)
+    else:
+        assert rig.protocol.step.value == when
+    rig.protocol.abort(rig.now)
+    rig.recorder_answers = True
+    rig.run(2.5)
+    assert rig.protocol.step is Step.FINISHED and rig.last.phase is TrialPhase.IDLE
+    attempts = rig.protocol.trials[0].attempts
+    expected = {"press": ["failed"], "moisture_after": ["failed"], "closing": ["done"]}
+    assert [a.verdict for a in attempts] == expected.get(when, [])
+    if attempts:
+        assert attempts[0].bag and StopRecording() in rig.effects
+    with pytest.raises(InputError, match="finished already"):
+        rig.protocol.abort(rig.now)
+    assert "aborted" in session_status(rig.protocol)["summary"]["text"]
+
+
+def test_summary_after_a_session_in_which_everything_was_skipped(rig: Rig) -> None:
+    for _ in range(4):
+        rig.protocol.skip(rig.now)
+    told = session_status(rig.protocol)["summary"]
+    assert (told["kept"], told["skipped"], told["planned"]) == (0, 4, 4)
+    assert told["text"] == (
+        "Finished: 0 of 4 trials kept, 4 skipped. Repeat the skipped trials from the list, or "
+        "press Space to close the session."
+    )
+
+
+def test_notes_and_markers_are_kept_with_their_time_trial_and_bag(rig: Rig) -> None:
+    rig.protocol.note(rig.now, "room at 23 °C,\nquiet")
+    rig.to_press()
+    rig.run(0.5, 0.7, ramp=True)
+    marked = rig.now
+    assert rig.protocol.mark(marked) == "marker 1"
+    rig.protocol.note(rig.now, 'slipped, "a bit"', 0)
+    rig.press()
+    rig.readings(36.0, 37.0, 38.0)
+    rig.run(0.2)
+    done = next(e for e in rig.effects if isinstance(e, TrialEvent) and e.phase is TrialPhase.DONE)
+    assert 'slipped, "a bit" (2023-' in done.note and "marker 1 (2023-" in done.note
+    again = Protocol.resume_from(rig.folder, rig.take, rig.now, rig.limits)
+    told = session_status(again)
+    assert [n["text"] for n in told["notes"]] == ["room at 23 °C, quiet"]
+    assert told["trials"][0]["markers"][0]["time"] == pytest.approx(marked / SECOND, abs=1e-3)
+    with (rig.folder / "trials.csv").open() as file:
+        row = next(csv.DictReader(file))
+    assert row["notes"] == 'slipped, "a bit"' and row["markers"] == "1"
+    with (rig.folder / "events.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    marker = next(r for r in rows if r["kind"] == "marker")
+    assert int(marker["stamp_ns"]) == marked
+    assert datetime.fromisoformat(marker["time_utc"]).timestamp() == pytest.approx(
+        marked / SECOND, abs=2e-3
+    )
+    kinds = [r["kind"] for r in rows]
+    assert {"session", "step", "note", "marker", "kept"} <= set(kinds)
+    for text, index in (("", 0), ("x" * 501, 0), ("\ud800", 0), ("fine", 4)):
+        with pytest.raises(InputError):
+            rig.protocol.note(rig.now, text, index)
+
+
+def test_event_log_goes_on_after_a_line_was_cut(tmp_path: Path) -> None:
+    log = EventLog(tmp_path)
+    for number in range(3):
+        log.add(Event(START + number, "note", f"n{number}", number, 0))
+    log.save()
+    path = tmp_path / "events.csv"
+    path.write_bytes(path.read_bytes()[:-6])
+    log = EventLog.load(tmp_path)
+    assert [e.text for e in log.events] == ["n0", "n1"]
+    log.add(Event(START + 9, "marker", "marker 1"))
+    log.save()
+    assert [e.text for e in EventLog.load(tmp_path).events] == ["n0", "n1", "marker 1"]
+
+
+def test_session_goes_on_and_warns_while_its_folder_cannot_be_written(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import finger_operator.protocol as module
+
+    def full(*_: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(module, "save_state", full)
+    rig.trial()
+    assert "No space left" in session_status(rig.protocol)["warnings"][0]
+    monkeypatch.undo()
+    rig.run(2.0)
+    assert session_status(rig.protocol)["warnings"] == []
+    assert json.loads((rig.folder / STATE_FILE).read_text())["trials"][0]["verdict"] == "done"
+
+
+def test_time_left_and_disk_space_follow_from_the_trials_that_were_kept(rig: Rig) -> None:
+    assert session_status(rig.protocol, 10**9)["disk"]["enough"] is None
+    for _ in range(2):
+        rig.trial()
+        bag = Path(rig.attempt.bag)
+        rig.run(2.0)
+        bag.mkdir(parents=True)
+    for trial in rig.protocol.trials[:2]:
+        trial.attempts[-1].size = 200_000_000
+    told = session_status(rig.protocol, 10**9)
+    assert told["disk"] == {"free_gb": 1.0, "needed_gb": 0.4, "trials_left": 5, "enough": True}
+    ends = [t.attempts[-1].ended_ns for t in rig.protocol.trials[:2]]
+    assert told["time_left"] == pytest.approx(2 * (ends[1] - ends[0]) / SECOND, abs=0.1)
+    told = session_status(rig.protocol, 300_000_000)
+    assert told["disk"]["enough"] is False and "room for 1 more trials" in told["warnings"][0]
+
+
+def test_size_of_a_bag_is_measured_when_the_trial_is_kept(rig: Rig) -> None:
+    rig.to_press()
+    bag = Path(rig.attempt.bag)
+    bag.mkdir(parents=True)
+    (bag / "a.mcap").write_bytes(bytes(1234))
+    rig.press()
+    rig.readings(36.0, 37.0, 38.0)
+    rig.run(0.2)
+    assert rig.attempt.size == 1234
+
+
+def test_device_faults_are_logged_once_with_their_end(rig: Rig) -> None:
+    for _ in range(3):
+        rig.protocol.health("camera", 2, "no frame for 2 s", rig.now)
+    rig.protocol.health("camera", 0, "", rig.now)
+    faults = [e.text for e in rig.protocol.log.events if e.kind == "fault"]
+    assert faults == ["camera: no frame for 2 s", "camera: over"]
+
+
+def test_subject_codes_that_were_used_are_found_and_warned_of(rig: Rig, tmp_path: Path) -> None:
+    rig.protocol.save()
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / STATE_FILE).write_text("{")
+    assert sessions_by_subject(tmp_path) == {"S01": ["session"]}
+    told = session_status(rig.protocol, None, ["S01_old"])
+    assert "S01 was used before (S01_old)" in told["warnings"][0]
+
+
+def test_instructions_say_what_to_do(rig: Rig) -> None:
+    def told() -> str:
+        return str(session_status(rig.protocol)["instruction"])
+
+    assert told() == "Prepare finger and plate, then press Space."
+    rig.run(0.2)
+    rig.protocol.start(rig.now)
+    rig.readings(36.0)
+    assert told() == "Hold the probe to the fingertip (2 of 3)."
+    again = Protocol.resume_from(rig.folder, rig.take, rig.now, rig.limits)
+    assert session_status(again)["instruction"] == (
+        "Restarted. Trial 1 will begin again: press Space."
+    )
+
+
+def test_state_of_an_older_version_without_the_newer_fields_is_read(rig: Rig) -> None:
+    rig.trial()
+    path = rig.folder / STATE_FILE
+    state = json.loads(path.read_text())
+    del state["ended"]
+    for name in ("age", "hand", "finger", "finger_width", "finger_depth", "order", "order_seed"):
+        del state["plan"][name]
+    for trial in state["trials"]:
+        for attempt in trial["attempts"]:
+            del attempt["ended_ns"], attempt["size"]
+    path.write_text(json.dumps(state))
+    (rig.folder / "events.csv").unlink()
+    again = Protocol.resume_from(rig.folder, rig.take, rig.now, rig.limits)
+    assert again.trials[0].verdict == "done" and again.plan.order == "as_given"

@@ -220,8 +220,24 @@ def test_trial_over_dds_restart_after_sigkill_and_commands(
     assert suite.command("skip").success
     suite.until(lambda: suite.status["index"] == 1)
     assert suite.command("redo").success is False
+
+    # Notes, a marker, and an early end that can be taken back.
+    assert suite.set_parameter("note", type=4, string_value="window opened").successful
+    assert suite.command("note").success
+    assert suite.set_parameter("note_trial", type=2, integer_value=1).successful
+    assert suite.command("note").success
+    assert suite.command("marker").message == "marker 1 set"
+    suite.until(lambda: suite.status["trials"][1]["markers"])
+    assert suite.status["notes"][0]["text"] == "window opened"
+    assert suite.status["disk"]["free_gb"] > 0
+    assert suite.command("end").success
+    suite.step("finished")
+    assert "2 trials" in suite.status["summary"]["text"]
+    assert suite.command("resume").success
+    suite.step("prepare")
     assert suite.command("close").success
     suite.until(lambda: suite.status.get("step") == "closed")
+    assert suite.status["used_subjects"] == {"S01": ["run"]}
     # Until the recorder has answered its last request, the node asks for a moment.
     end = time.monotonic() + 60
     while "busy" in (again := suite.command("start")).message and time.monotonic() < end:

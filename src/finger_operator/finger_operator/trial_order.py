@@ -1,0 +1,43 @@
+"""The order of the trials: blocks as given, shuffled or counterbalanced, or all trials shuffled.
+
+Counterbalanced blocks follow Williams, Aust. J. Sci. Res. A 2(2):149–168, 1949: over the subjects
+each condition stands equally often at each place and after each other condition.
+"""
+
+from __future__ import annotations
+
+import random
+import re
+from collections.abc import Sequence
+
+ORDERS = ("as_given", "shuffled_blocks", "counterbalanced", "shuffled_trials")
+
+
+def williams_rows(number: int) -> list[list[int]]:
+    """Orders of the treatments 0 … number − 1: `number` rows, twice as many when it is odd."""
+    zigzag = [(i + 1) // 2 if i % 2 else -i // 2 for i in range(number)]
+    rows = [[(z + shift) % number for z in zigzag] for shift in range(number)]
+    return rows if number % 2 == 0 else rows + [row[::-1] for row in rows]
+
+
+def trial_conditions(
+    conditions: Sequence[str], trials: int, order: str, seed: int, subject: str
+) -> list[str]:
+    """Condition of each trial of a session, `trials` of each.
+
+    order: one of ORDERS. seed, subject: the same pair gives the same order; for counterbalanced
+    blocks the first number in the subject code plus the seed chooses the row.
+    """
+    blocks = list(conditions)
+    shuffled = random.Random(f"{seed} {subject}")
+    if order == "shuffled_blocks":
+        shuffled.shuffle(blocks)
+    elif order == "counterbalanced":
+        rows = williams_rows(len(blocks))
+        digits = re.search(r"\d+", subject)
+        number = int(digits[0]) - 1 if digits else 0
+        blocks = [blocks[i] for i in rows[(number + seed) % len(rows)]]
+    result = [condition for condition in blocks for _ in range(trials)]
+    if order == "shuffled_trials":
+        shuffled.shuffle(result)
+    return result
