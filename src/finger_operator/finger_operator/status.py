@@ -161,7 +161,7 @@ def time_left(protocol: Protocol) -> float | None:
     if len(ends) < 2:
         return None
     pace = median(b - a for a, b in pairwise(ends))
-    return round(seconds(pace) * sum(t.verdict == "pending" for t in protocol.trials), 1)
+    return round(seconds(int(pace)) * sum(t.verdict == "pending" for t in protocol.trials), 1)
 
 
 def disk_status(protocol: Protocol, free: int | None) -> dict[str, Any]:
