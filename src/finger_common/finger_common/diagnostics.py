@@ -18,7 +18,7 @@ OK, WARN, ERROR, STALE = 0, 1, 2, 3
 
 @dataclass
 class HealthReport:
-    """State of a `Health` at one time; `level` is OK, WARN or ERROR."""
+    """State of a `Health` at one time: the worst level, and all faults, the worst one first."""
 
     level: int
     message: str
@@ -107,13 +107,17 @@ class Health:
             age = None if self._last_sample is None else now - self._last_sample
             level, message = OK, self.state
             if self._faults:
-                level, message = max(self._faults.values(), key=lambda fault: fault[0])
-            elif self.state == "active":
+                faults = sorted(self._faults.values(), key=lambda fault: -fault[0])
+                level, message = faults[0][0], "; ".join(text for _, text in faults)
+            if self.state == "active" and level < ERROR:
                 if self.stale_after is not None and (age is None or age > self.stale_after):
                     silent = "no sample yet" if age is None else f"no sample for {age:.1f} s"
-                    level, message = ERROR, silent
+                    # What is wrong may explain the silence, but a warning would hide it.
+                    message = f"{silent}: {message}" if level else silent
+                    level = ERROR
                 elif (
-                    self.expected_rate
+                    level == OK
+                    and self.expected_rate
                     and rate is not None
                     and abs(rate / self.expected_rate - 1) > self.rate_tolerance
                 ):

@@ -110,8 +110,16 @@ def test_a_fault_is_new_once_then_counted_until_it_ends() -> None:
     assert health.fault("saturated", "again"), "after recovery the fault is new again"
 
 
-def test_the_worst_fault_is_shown() -> None:
+def test_all_faults_are_shown_the_worst_first() -> None:
     health = source(Clock())
     health.fault("a", "a warning", WARN)
     health.fault("b", "an error", ERROR)
-    assert health.report().message == "an error"
+    assert health.report().message == "an error; a warning"
+
+
+def test_a_warning_does_not_hide_that_nothing_comes() -> None:
+    health = source(Clock(), stale_after=0.5)
+    health.fault("malformed", "frames of a wrong length", WARN)
+    report = health.report()
+    assert report.level == ERROR
+    assert report.message == "no sample yet: frames of a wrong length"

@@ -28,8 +28,8 @@ class ForceNodeSettings(DeviceNodeSettings):
     frame_id: str = setting("force_sensor", "Frame of the sensor's own axes.")
     bad_samples: str = setting(
         "drop",
-        "What becomes of a sample with a saturated gauge or a sensor fault: left out, or published "
-        "as NaN.",
+        "What becomes of a sample with a saturated gauge, a sensor fault or an impossible value: "
+        "left out, or published as NaN.",
         choices=("drop", "nan"),
     )
     normal_axis: str = setting(
@@ -91,6 +91,7 @@ class ForceNode(DeviceNode):
         self.destroy_publisher(self._tared)
 
     def on_sample(self, sample: WrenchSample) -> None:
+        sample = self.device.checked(sample)
         if not self.accept_stamp(sample.stamp_ns):
             return
         good = sample.quality == GOOD

@@ -138,7 +138,8 @@ def rdt_datagrams(random_: random.Random) -> Iterator[None]:
         data = mutated(random_, [rdt.encode_record(record)], 1500)
         try:
             for decoded in rdt.decode_datagram(data):
-                source._sample_of(decoded, source.clock.now())
+                for in_order in source._in_order(decoded, source.clock.now()):
+                    source._sample_of(*in_order)
         except DeviceError:
             source._begin()
         try:

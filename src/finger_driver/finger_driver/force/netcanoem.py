@@ -154,6 +154,9 @@ class NetcanoemSource(ForceSource):
             counts = protocol.decode_counts(self._ask(protocol.READ_COUNTS)[0])
             codes = protocol.decode_units(self._ask(protocol.READ_UNITS)[0])
         calibration = protocol.Calibration(rows, *counts, *codes, serial)
+        steps = np.abs(calibration.scaled)
+        end = steps.sum(axis=1) * protocol.SATURATED[1]
+        self.check_scale(self._where(), steps.max(axis=1), end)
         status, _ = protocol.decode_gauges(*self._ask(protocol.READ_GAUGES))
         if status & protocol.BAD_CALIBRATION:
             raise DeviceError(
@@ -307,11 +310,21 @@ class NetcanoemSource(ForceSource):
                 self._lost(first is not None or second is not None)
                 return None
             opcode = frame.arbitration_id & 0xF
+            data = bytes(frame.data)
             if opcode == 0 and frame.dlc == 8 and first is None:
-                first = bytes(frame.data)
+                first = data
                 arrived = self.clock.of_stamp(can_bus.stamp_of(frame), earliest=sent)
             elif opcode == 1 and frame.dlc == 6 and second is None:
-                second = bytes(frame.data)
+                second = data
+            elif (opcode, frame.dlc) in ((0, 8), (1, 6)) and data not in (first, second):
+                # Which of the two replies is the board's cannot be known.
+                self.note(
+                    "conflict",
+                    "two different replies to one request; does another device use the base "
+                    "identifier?",
+                )
+                self._fence()
+                return None
             elif opcode in (2, 3, 4) and frame.dlc == 8:
                 # Of a fence that was given up.
                 self.health.count("late_replies")
@@ -320,7 +333,7 @@ class NetcanoemSource(ForceSource):
         self._last_reply = time.monotonic()
         if arrived - sent > self._period * 1e9:
             self.health.count("late")
-        self.cleared("lost", "bus_errors", "malformed")
+        self.cleared("lost", "bus_errors", "malformed", "conflict")
         status, gauges = protocol.decode_gauges(first, second)
         assert self.calibration is not None
         wrench = self.calibration.wrench(gauges)

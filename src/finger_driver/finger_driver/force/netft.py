@@ -9,6 +9,9 @@
 - What waited in the socket longer than `_OLD` s is skipped, so that a slow reader never lags.
 - A box that sends faster than `rate` is averaged over whole blocks, stamped in the block's middle.
   Its own decimation has no filter.
+- UDP has no protection against a forger who sends from the box's address. What can be checked is:
+  the sender's address and port (by the kernel), whole records, the numbering (`_in_order`), the
+  scale and the sensor's range.
 - The box forgets the stream at a reboot and serves one client only; silence or a restarted
   numbering leads to a new connection. Its software bias is never changed.
 """
@@ -70,6 +73,17 @@ class _PageWatcher(threading.Thread):
                 return
 
 
+def _step(earlier: rdt.Record, later: rdt.Record) -> int:
+    """Difference of two record numbers, which are of 32 bits."""
+    return (later.rdt_sequence - earlier.rdt_sequence + (1 << 31)) % (1 << 32) - (1 << 31)
+
+
+def _follows(earlier: rdt.Record, later: rdt.Record) -> bool:
+    """Whether both numbers of `later` are soon after those of `earlier`."""
+    internal = (later.ft_sequence - earlier.ft_sequence) & 0xFFFFFFFF
+    return 1 <= _step(earlier, later) <= _REORDERED and internal < 1 << 31
+
+
 @dataclass(frozen=True)
 class NetFtSettings(ForceSettings):
     """Settings of a Net F/T box."""
@@ -112,9 +126,11 @@ class NetFtSource(ForceSource):
             raise DeviceError(
                 f"{self._where()}: RDT is disabled; enable it on the box's Communications page"
             )
+        scale = np.array([configuration.force_scale] * 3 + [configuration.torque_scale] * 3)
+        with np.errstate(over="ignore"):
+            self.check_scale(self._where(), scale, scale * rdt.MAX_COUNT)
         self.configuration = configuration
-        scale = [configuration.force_scale] * 3 + [configuration.torque_scale] * 3
-        self._scale = np.array(scale)
+        self._scale = scale
         sent_rate = rdt.real_rate(configuration.rdt_rate or rate)
         self._block = max(1, round(sent_rate / rate))
         self._mapper = ClockMapper(sent_rate)
@@ -149,10 +165,13 @@ class NetFtSource(ForceSource):
 
     def _begin(self) -> None:
         self._records: deque[tuple[rdt.Record, int]] = deque()
+        """Records in order, with the host time of their receipt."""
         self._pending: list[tuple[int, np.ndarray]] = []
         self._pending_quality = GOOD
         self._pending_status = 0
         self._last: rdt.Record | None = None
+        self._held: tuple[rdt.Record, int] | None = None
+        self._internal: int | None = None
         self._mapper.restart()
         self._last_record = time.monotonic()
 
@@ -235,32 +254,73 @@ class NetFtSource(ForceSource):
             self.note("malformed", f"{self._where()}: {error}")
             return True
         self._last_record = time.monotonic()
-        self._records.extend((record, received) for record in records)
+        for record in records:
+            self._records.extend(self._in_order(record, received))
         return True
 
-    def _sample_of(self, record: rdt.Record, received: int) -> WrenchSample | None:
-        last = self._last
-        if last is not None:
-            step = (record.rdt_sequence - last.rdt_sequence) & 0xFFFFFFFF
-            back = (last.rdt_sequence - record.rdt_sequence) & 0xFFFFFFFF
-            if step == 0 or (back <= _REORDERED and record.ft_sequence < last.ft_sequence):
+    def _in_order(self, record: rdt.Record, received: int) -> list[tuple[rdt.Record, int]]:
+        """Records that can be used now that this one has come, with their times of receipt.
+
+        A record that follows the last one can be used at once. Any other one, after a gap or of a
+        numbering begun anew, is held until the next has come, and used when that follows it. So a
+        single forged or damaged record neither passes nor ends the stream.
+        """
+        last, held, self._held = self._last, self._held, None
+        step = 1 if last is None else _step(last, record)
+        if last is None or (step == 1 and _follows(last, record)):
+            self._last = record
+            self.cleared("jump", "conflict", "malformed")
+            if held is None:
+                return [(record, received)]
+            if _step(record, held[0]) == 1 and _follows(record, held[0]):
                 self.health.count("out_of_order")
-                return None
-            if step > 1 << 31:
+                self._last = held[0]
+                return [(record, received), held]
+            self._left_out()
+            return [(record, received)]
+        late = -_REORDERED <= step < 0 and record.ft_sequence < last.ft_sequence
+        if step == 0 or late:
+            self.health.count("out_of_order")
+            self._held = held
+            if step == 0 and record.counts != last.counts:
+                self.note(
+                    "conflict",
+                    "two different records of one number; is another sender in the network?",
+                )
+            return []
+        if held is not None and _follows(record, held[0]):
+            self.health.count("out_of_order")
+            held, (record, received) = (record, received), held
+        if held is not None and _follows(held[0], record):
+            gap = _step(last, held[0])
+            if gap < 1:
                 raise DeviceError(
                     f"{self._where()}: the numbering restarted; the box rebooted or another client "
                     "started it"
                 )
-            if step > 1:
-                self.health.count("lost", step - 1)
-                self._pending.clear()
-            if record.ft_sequence == last.ft_sequence:
-                self._last = record
-                self.note("stalled", "the box repeats an internal sample; reboot it", ERROR)
-                return None
-            self.cleared("stalled")
-        self._last = record
-        self.cleared("malformed")
+            if (lost := gap - 1 + _step(held[0], record) - 1) > 0:
+                self.health.count("lost", lost)
+            self._pending.clear()
+            self._last = record
+            return [held, (record, received)]
+        if held is not None:
+            self._left_out()
+        self._held = (record, received)
+        return []
+
+    def _left_out(self) -> None:
+        self.note(
+            "jump",
+            "a record was left out: its number jumped and the next record did not follow it; was "
+            "it damaged, or is another sender in the network?",
+        )
+
+    def _sample_of(self, record: rdt.Record, received: int) -> WrenchSample | None:
+        repeated, self._internal = record.ft_sequence == self._internal, record.ft_sequence
+        if repeated:
+            self.note("stalled", "the box repeats an internal sample; reboot it", ERROR)
+            return None
+        self.cleared("stalled")
         stamp = self._mapper.update(record.rdt_sequence, received)
         other_rate = abs(self._mapper.drift) > _DRIFT_LIMIT
         self.note_if(

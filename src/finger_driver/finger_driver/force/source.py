@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from finger_common.diagnostics import Health
+from finger_common.diagnostics import ERROR, Health
+from finger_common.errors import DeviceError
 from finger_common.settings import Settings, setting
 
 from ..device import Device
 
 GOOD, SATURATED, CRITICAL = 0, 1, 2
-"""Quality of a sample: usable; a gauge or channel at its end; the sensor reports a fault."""
+"""Quality of a sample: usable; a gauge or channel at its end; a fault or an impossible value."""
+
+_STEPS = 1000
+"""Steps that a range must have at least, and times that it may be wider than the end of scale."""
 
 
 @dataclass(frozen=True)
@@ -26,6 +30,22 @@ class ForceSettings(Settings):
         minimum=1.0,
         maximum=7000.0,
         advice="A CAN bus of 250 kbit/s carries at most about 800 NETCANOEM readings per second.",
+    )
+    force_range: float = setting(
+        100.0,
+        "Largest force of any axis that the sensor can measure; a reading beyond it is a fault.",
+        unit="N",
+        minimum=0.01,
+        maximum=1e5,
+        advice="The calibration sheet gives it.",
+    )
+    torque_range: float = setting(
+        10.0,
+        "Largest torque of any axis that the sensor can measure; a reading beyond it is a fault.",
+        unit="N m",
+        minimum=1e-4,
+        maximum=1e5,
+        advice="The calibration sheet gives it.",
     )
 
 
@@ -58,9 +78,53 @@ class ForceSource(Device[WrenchSample]):
 
     SETTINGS: type[ForceSettings] = ForceSettings
 
+    settings: ForceSettings
+
     def __init__(self, settings: ForceSettings) -> None:
         health = Health("force", expected_rate=settings.rate, stale_after=0.5)
         super().__init__(settings, health)
+
+    def check_scale(self, where: str, step: np.ndarray, end: np.ndarray) -> None:
+        """Raise DeviceError for a scale that cannot be that of a sensor of the range set.
+
+        step, end: (6,) change of the wrench by one count and its largest value, in N and N m. A
+        wrong scale gives values that are wrong by a factor and look right.
+        """
+        settings = self.settings
+        for axes, setting_name, unit in (
+            (slice(0, 3), "force_range", "N"),
+            (slice(3, 6), "torque_range", "N m"),
+        ):
+            limit = getattr(settings, setting_name)
+            coarse, least = float(np.max(step[axes])), float(np.min(end[axes]))
+            if not (coarse <= limit / _STEPS and least >= limit / _STEPS):
+                raise DeviceError(
+                    f"{where}: one count is {coarse:.3g} {unit} and the end of scale "
+                    f"{least:.3g} {unit}, which cannot be right for {setting_name} {limit:g} "
+                    f"{unit}; check counts per unit and units in the sensor"
+                )
+
+    def checked(self, sample: WrenchSample) -> WrenchSample:
+        """The sample; of quality CRITICAL where it lies beyond the sensor's range."""
+        if sample.quality != GOOD:
+            return sample
+        settings = self.settings
+        # Written so that NaN fails, too.
+        if (np.abs(sample.force) <= settings.force_range).all() and (
+            np.abs(sample.torque) <= settings.torque_range
+        ).all():
+            self.cleared("implausible")
+            return sample
+        force = ", ".join(f"{v:.3g}" for v in sample.force)
+        torque = ", ".join(f"{v:.3g}" for v in sample.torque)
+        self.note(
+            "implausible",
+            f"force ({force}) N, torque ({torque}) N m: beyond force_range "
+            f"{settings.force_range:g} N or torque_range {settings.torque_range:g} N m; check "
+            "sensor, units and these settings",
+            ERROR,
+        )
+        return replace(sample, quality=CRITICAL)
 
     def wrench_of(self, channels: np.ndarray) -> np.ndarray:
         """Wrench (6,) in N and N m of channels (6,), from which a bias may have been taken."""

@@ -23,6 +23,7 @@ COMMANDS = (STOP, START_REALTIME, START_BUFFERED, RESET_LATCH, SET_BIAS)
 
 RECORD_SIZE = 36
 MAX_RECORDS = 40
+MAX_COUNT = 2**31 - 1
 BASE_RATE = 7000.0
 """Samples per second inside the box; records come at an integer fraction of it."""
 

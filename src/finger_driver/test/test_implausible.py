@@ -1,0 +1,296 @@
+"""Wrong scales, impossible values, forged and foreign messages: none becomes a good sample."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+
+import can
+import numpy as np
+import pytest
+from device_process import device
+
+from finger_common.errors import DeviceError
+from finger_driver.can_bus import frame, open_bus
+from finger_driver.force import (
+    CRITICAL,
+    GOOD,
+    ForceSettings,
+    ForceSource,
+    WrenchSample,
+    open_source,
+)
+from finger_driver.force.netcanoem import NetcanoemSource
+from finger_driver.force.netft import NetFtSettings, NetFtSource
+from finger_driver.protocols import netcanoem, rdt
+from finger_driver.simulators.netcanoem import NetcanoemSimulator, default_calibration
+from finger_driver.simulators.netft import DEFAULT_CONFIGURATION, NetFtOptions, NetFtSimulator
+
+
+@pytest.fixture
+def box() -> Iterator[NetFtSimulator]:
+    simulator = NetFtSimulator(NetFtOptions(port=0, http_port=0)).start()
+    yield simulator
+    simulator.stop()
+
+
+@pytest.mark.parametrize("counts", [1e-300, 1e-2, 5.0, 1e12, 1e300])
+@pytest.mark.parametrize("kind", ["counts_per_force", "counts_per_torque"])
+def test_implausible_counts_per_unit_are_refused(
+    box: NetFtSimulator, counts: float, kind: str
+) -> None:
+    box.configuration = replace(DEFAULT_CONFIGURATION, torque_unit="N-m", **{kind: counts})
+    source = open_source(
+        {
+            "device": "netft",
+            "netft_host": "127.0.0.1",
+            "netft_port": box.port,
+            "netft_http_port": box.http_port,
+        }
+    )
+    limit = "force_range 100 N" if kind == "counts_per_force" else "torque_range 10 N m"
+    with pytest.raises(DeviceError, match=f"{limit}.*check counts per unit"):
+        source.connect()
+    source.close()
+
+
+@pytest.mark.parametrize("counts", [1, 2**32 - 1])
+def test_a_board_of_implausible_counts_is_refused(counts: int) -> None:
+    calibration = replace(default_calibration(), counts_per_force=counts)
+    channel = f"implausible {counts}"
+    with open_bus("virtual", channel) as bus:
+        board = NetcanoemSimulator(bus, slots={0: calibration}).start()
+        source = open_source({"can_interface": "virtual", "can_channel": channel})
+        try:
+            with pytest.raises(DeviceError, match="force_range 100 N"):
+                source.connect()
+        finally:
+            source.close()
+            board.stop()
+
+
+@pytest.mark.parametrize(
+    "value", [-1e306, 101.0, np.nan, np.inf], ids=["huge", "above", "nan", "infinite"]
+)
+@pytest.mark.parametrize("axis", range(6))
+def test_a_value_beyond_the_sensors_range_is_not_good(value: float, axis: int) -> None:
+    source = ForceSource(ForceSettings())
+    wrench = np.zeros(6)
+    assert source.checked(WrenchSample.of_wrench(0, wrench)).quality == GOOD
+    wrench[axis] = value
+    assert source.checked(WrenchSample.of_wrench(0, wrench)).quality == CRITICAL
+    assert "beyond force_range 100 N" in source.health.faults["implausible"]
+
+
+# Numbering of RDT --------------------------------------------------------------------------------
+
+
+class Stream:
+    """Records into a driver without a socket; numbers of those that it uses."""
+
+    def __init__(self) -> None:
+        self.source = NetFtSource(NetFtSettings())
+        self.source._mapper = None  # type: ignore[assignment]
+        self.source._records, self.source._pending = [], []  # type: ignore[assignment]
+        self.source._last = self.source._held = None
+
+    def feed(self, *numbers: int | rdt.Record) -> list[int]:
+        used = []
+        for number in numbers:
+            record = number if isinstance(number, rdt.Record) else of_number(number)
+            used += [r.rdt_sequence for r, _ in self.source._in_order(record, 0)]
+        return used
+
+    def counted(self, what: str) -> int:
+        return self.source.health.counters[what]
+
+
+def of_number(number: int, force: int = 0) -> rdt.Record:
+    return rdt.Record(number % 2**32, 14 * number % 2**32, 0, (force, 0, 0, 0, 0, 0))
+
+
+def test_a_forged_jump_is_left_out_and_the_stream_goes_on() -> None:
+    stream = Stream()
+    assert stream.feed(10, 11, 5011, 12, 13, 20, 14, 15) == [10, 11, 12, 13, 14, 15]
+    assert stream.counted("jump") == 2 and stream.counted("lost") == 0
+
+
+def test_a_forged_old_number_does_not_end_the_stream() -> None:
+    stream = Stream()
+    assert stream.feed(5000, 5001, 1, 5002, 5003) == [5000, 5001, 5002, 5003]
+    assert stream.counted("jump") == 1
+
+
+def test_records_lost_in_the_network_are_counted_and_the_next_ones_used() -> None:
+    stream = Stream()
+    assert stream.feed(1, 2, 5, 6, 7) == [1, 2, 5, 6, 7]
+    assert stream.counted("lost") == 2 and stream.counted("jump") == 0
+    # Every second one lost: still a stream.
+    assert stream.feed(9, 11, 13, 15) == [9, 11, 13, 15]
+    assert stream.counted("lost") == 6
+
+
+def test_records_that_swapped_places_are_both_used() -> None:
+    stream = Stream()
+    assert stream.feed(1, 3, 2, 4, 2, 5) == [1, 2, 3, 4, 5]
+    assert stream.counted("out_of_order") == 2 and stream.counted("lost") == 0
+    assert stream.feed(10, 9, 11) == [9, 10, 11] and stream.counted("lost") == 3
+
+
+def test_numbers_pass_their_end() -> None:
+    top = 2**32
+    assert Stream().feed(top - 2, top - 1, top, top + 1) == [top - 2, top - 1, 0, 1]
+
+
+def test_a_numbering_begun_anew_ends_the_connection() -> None:
+    stream = Stream()
+    stream.feed(5000, 5001, 1)
+    with pytest.raises(DeviceError, match="numbering restarted"):
+        stream.feed(2)
+
+
+def test_two_contents_of_one_number_are_reported() -> None:
+    stream = Stream()
+    assert stream.feed(1, of_number(2, force=99), of_number(2), 3) == [1, 2, 3]
+    assert "another sender" in stream.source.health.faults["conflict"]
+    assert stream.feed(3, 3) == [] and stream.counted("conflict") == 1
+
+
+def test_an_internal_number_that_goes_back_is_not_used_alone() -> None:
+    stream = Stream()
+    wild = replace(of_number(3), ft_sequence=1)
+    assert stream.feed(1, 2, wild, of_number(3), 4) == [1, 2, 3, 4]
+
+
+def test_datagrams_of_another_sender_are_not_read(box: NetFtSimulator) -> None:
+    """The kernel gives those of the box's address and port only."""
+    import socket
+
+    source = open_source(
+        {
+            "device": "netft",
+            "netft_host": "127.0.0.1",
+            "netft_port": box.port,
+            "netft_http_port": box.http_port,
+        }
+    )
+    source.connect()
+    assert isinstance(source, NetFtSource) and source._socket is not None
+    stranger = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    forged = rdt.encode_record(rdt.Record(2**31, 2**31, 0, (90_000_000,) * 6))
+    samples = []
+    try:
+        for _ in range(100):
+            stranger.sendto(forged, source._socket.getsockname())
+            if (sample := source.read(0.5)) is not None:
+                samples.append(sample)
+    finally:
+        source.close()
+        stranger.close()
+    assert len(samples) > 50 and max(np.abs(s.force).max() for s in samples) < 1
+    assert not source.health.faults and not source.health.counters["malformed"]
+
+
+# CAN ---------------------------------------------------------------------------------------------
+
+
+class SecondBoard(can.BusABC):
+    """A bus on which another device answers each reading, too, before or after the board."""
+
+    def __init__(self, before: bool) -> None:
+        super().__init__("two boards")
+        self._queue: list[can.Message] = []
+        self._before = before
+        self.answers = False
+        self._board = NetcanoemSimulator(self, noise=0.0)
+        self._serving = False
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        if self._serving:
+            self._queue.append(msg)
+            return
+        self._serving = True
+        forged = frame(0x200, netcanoem.encode_gauges(0, np.full(6, 999))[0])
+        reading = self.answers and msg.arbitration_id == 0x200
+        if reading and self._before:
+            self._queue.append(forged)
+        self._board._handle(msg)
+        if reading and not self._before:
+            self._queue.insert(1, forged)
+        self._serving = False
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        return (self._queue.pop(0) if self._queue else None), False
+
+
+@pytest.mark.parametrize("before", [True, False])
+def test_two_different_replies_are_both_left_out(
+    monkeypatch: pytest.MonkeyPatch, before: bool
+) -> None:
+    bus = SecondBoard(before)
+    source = open_source({"device": "netcanoem", "response_timeout": 0.05})
+    monkeypatch.setattr("finger_driver.can_bus.open_bus", lambda *a: bus)
+    source.connect()
+    bus.answers = True
+    assert [source.read(0.1) for _ in range(10)] == [None] * 10
+    assert "another device" in source.health.faults["conflict"]
+    bus.answers = False
+    sample = source.read(0.1)
+    assert sample is not None and np.all(sample.force == 0)
+
+
+def flood(port: int, ending: threading.Event, sent: list[int]) -> None:
+    """About 8000 frames per second, as a bus of 1 Mbit/s carries: foreign, long, short, remote."""
+    with open_bus("udp_multicast", options={"port": port}) as bus:
+        kinds = [
+            frame(0x701, bytes(8)),
+            frame(0x000, bytes(8)),
+            frame(0x2F0, bytes(8)),
+            frame(0x200, bytes(5)),
+            frame(0x20F, bytes(3)),
+            frame(0x00000200, bytes(8), extended=True),
+            can.Message(arbitration_id=0x200, is_extended_id=False, is_remote_frame=True),
+        ]
+        start = time.monotonic()
+        while not ending.wait(0.001):
+            while sent[0] < 8000 * (time.monotonic() - start):
+                bus.send(kinds[sent[0] % len(kinds)])
+                sent[0] += 1
+
+
+def test_a_board_is_read_on_a_bus_full_of_others_frames(free_port: object) -> None:
+    port = free_port()  # type: ignore[operator]
+    ending, sent = threading.Event(), [0]
+    wrench = "--wrench=0.5,-0.25,-3,0.001,0.002,0"
+    with device("netcanoem", "--options", f"port={port}", wrench):
+        source = open_source(
+            {
+                "can_interface": "udp_multicast",
+                "can_options": f"port={port}",
+                "rate": 100.0,
+                # A busy machine unpacks this many frames slowly.
+                "response_timeout": 1.0,
+            }
+        )
+        assert isinstance(source, NetcanoemSource)
+        flooding = threading.Thread(target=flood, args=(port, ending, sent), daemon=True)
+        flooding.start()
+        samples = []
+        try:
+            source.connect()
+            end = time.monotonic() + 60
+            while len(samples) < 100 and time.monotonic() < end:
+                if (sample := source.read(0.5)) is not None:
+                    samples.append(source.checked(sample))
+        finally:
+            source.close()
+            ending.set()
+            flooding.join()
+    assert len(samples) == 100 and sent[0] > 1000
+    assert all(s.quality == GOOD for s in samples)
+    errors = np.abs([s.force - (0.5, -0.25, -3) for s in samples])
+    assert errors.max() < 0.05, "a frame of another device became part of a reading"
+    assert source.health.counters["foreign"] > 100
+    assert "does not belong" in source.health.faults["malformed"]
