@@ -3,7 +3,7 @@
 Messages are put in as they came from the middleware, serialized; the thread writes them and hands
 the file to the operating system at least every `flush_interval`, so that a recorder killed at any
 moment loses no more than what arrived since. When the disk is nearly full, the recording is closed
-cleanly and the reason kept in `error`.
+cleanly; it can be resumed when there is room again.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class RecorderSettings(Settings):
 
 @dataclass
 class RecordingResult:
-    """The bag, messages recorded and lost by topic, and why it ended early ("" if not)."""
+    """The first bag, messages recorded and lost by topic, why it was interrupted ("" if not)."""
 
     path: Path
     counts: dict[str, int] = field(default_factory=dict)
@@ -95,41 +95,25 @@ class RecordingResult:
         return sum(self.lost.values())
 
 
-class StampGaps:
-    """Counts messages that are missing between the stamps of a stream of constant rate.
+@dataclass
+class _Safe:
+    """What is safe in a bag since its last flush: files, length, messages by topic.
 
-    The period is the median of the first 50 intervals; from then on an interval of n periods counts
-    n − 1 missing.
+    counts: by stored topic. taken: by topic as it came.
     """
 
-    def __init__(self) -> None:
-        self._first: list[int] = []
-        self._last: int | None = None
-        self._period = 0
-        self.missing = 0
-
-    def add(self, stamp_ns: int) -> None:
-        """Take the next stamp; repeated and older ones are ignored."""
-        last, self._last = self._last, max(stamp_ns, self._last or stamp_ns)
-        if last is None or stamp_ns <= last:
-            return
-        step = stamp_ns - last
-        if not self._period:
-            self._first.append(step)
-            if len(self._first) == 50:
-                self._period = sorted(self._first)[25]
-                self.missing += sum(self._steps(s) for s in self._first)
-            return
-        self.missing += self._steps(step)
-
-    def _steps(self, step: int) -> int:
-        return max(0, round(step / self._period) - 1)
+    files: int = 0
+    length: int = 0
+    counts: dict[str, int] = field(default_factory=dict)
+    taken: Counter[str] = field(default_factory=Counter)
 
 
 class Recorder:
     """Records one bag after the other; thread-safe.
 
-    on_error is called, in the writing thread, with one sentence when a recording ends by itself.
+    A recording that ends by itself, as the disk is full or its folder is gone, is *interrupted*:
+    messages are counted as lost until `resume` continues it in a further bag, `NAME_part2`, or
+    `stop` ends it. on_error is called, in the writing thread, with one sentence when that happens.
     """
 
     def __init__(
@@ -145,14 +129,29 @@ class Recorder:
         self._writer: BagWriter | None = None
         self._thread: threading.Thread | None = None
         self._lost: Counter[str] = Counter()
-        self._topics: dict[str, str] = {}
-        self._error = ""
+        self._before: Counter[str] = Counter()
+        self._safe_counts: dict[str, int] | None = None
+        self._content: tuple[Any, Any, Any] = (None, None, None)
+        self._errors: list[str] = []
+        self._interrupted = ""
+        self.parts: list[Path] = []
+        """Bags of the recording that runs, or ran last."""
         self.last_flush = 0.0
+
+    @property
+    def started(self) -> bool:
+        """Whether a recording was started and not stopped, also an interrupted one."""
+        return self._thread is not None
 
     @property
     def recording(self) -> bool:
         """Whether messages are being taken."""
-        return self._thread is not None and not self._error
+        return self.started and not self._interrupted
+
+    @property
+    def interrupted(self) -> str:
+        """Why the recording ended by itself; "" when it did not, or was resumed."""
+        return self._interrupted if self.started else ""
 
     @property
     def path(self) -> Path | None:
@@ -177,15 +176,46 @@ class Recorder:
         """
         if self._thread is not None:
             raise InputError(f"recording into {self.path} runs already; stop it first")
-        path = Path(path)
+        self._content = (metadata, topics, attachments)
+        writer = self._open(Path(path), self.settings.minimum_free)
+        self._lost, self._before, self._errors, self.parts = Counter(), Counter(), [], []
+        self._begin(writer)
+        return writer.path
+
+    def resume(self) -> Path:
+        """Continue an interrupted recording in a further bag beside the first.
+
+        Raises InputError when that is not possible yet, or nothing was interrupted.
+        """
+        if not self.interrupted:
+            raise InputError("no recording was interrupted")
+        first = self.parts[0]
+        number = len(self.parts) + 1
+        while (path := first.with_name(f"{first.name}_part{number}")).exists():
+            number += 1
+        # A little more room than that at which it ends again.
+        writer = self._open(path, self.settings.minimum_free * 5 // 4)
+        assert self._thread is not None
+        self._thread.join()
+        self._before.update(self._part_counts())
+        self._begin(writer)
+        return path
+
+    def _open(self, path: Path, needed: int) -> BagWriter:
         settings = self.settings
-        parent = next(p for p in (path.absolute(), *path.absolute().parents) if p.exists())
-        free = shutil.disk_usage(parent).free
-        if free < settings.minimum_free:
+        metadata, topics, attachments = self._content
+        try:
+            parent = next(p for p in (path.absolute(), *path.absolute().parents) if p.exists())
+            free = shutil.disk_usage(parent).free
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise InputError(f"{path}: cannot be used ({reason}); choose another name") from None
+        if free < needed:
             raise InputError(
-                f"{path}: {free >> 20} MiB are free, recording needs "
-                f"{settings.minimum_free >> 20}; make room or choose another disk"
+                f"{path}: {free >> 20} MiB are free, recording needs {needed >> 20}; make room or "
+                "choose another disk"
             )
+        existed = path.exists()
         writer = BagWriter(
             path,
             metadata,
@@ -201,28 +231,39 @@ class Recorder:
                 name, stored = self._stored(topic, message_type)
                 writer.add_topic(name, stored)
             writer.flush()
-        except FingerError:
-            writer.abandon()
-            shutil.rmtree(path, ignore_errors=True)
-            raise
-        self._lost, self._error = Counter(), ""
+        except (FingerError, OSError) as error:
+            with suppress(OSError):
+                writer.abandon()
+            if not existed:
+                shutil.rmtree(path, ignore_errors=True)
+            if isinstance(error, FingerError):
+                raise
+            raise InputError(f"{path}: cannot be written ({error.strerror}); make room") from None
+        return writer
+
+    def _begin(self, writer: BagWriter) -> None:
         self._writer = writer
-        self._queue = queue.SimpleQueue()
-        self._waiting = 0
-        self._thread = threading.Thread(target=self._run, name="bag writer", daemon=True)
+        self._safe_counts = None
+        self.parts.append(writer.path)
+        with self._lock:
+            self._interrupted = ""
+            self._queue = queue.SimpleQueue()
+            self._waiting = 0
+        self._thread = threading.Thread(
+            target=self._run, args=(writer,), name="bag writer", daemon=True
+        )
         self._thread.start()
-        return path
 
     def put(self, message: Serialized) -> bool:
         """Hand over a message; false when it is not recorded or lost, as the queue is full."""
         if self._thread is None:
             return False
-        if self._error or self._waiting > self.settings.queue_limit:
-            self.note_lost(message.topic, 1)
-            return False
         with self._lock:
+            if self._interrupted or self._waiting > self.settings.queue_limit:
+                self._lost[message.topic] += 1
+                return False
             self._waiting += len(message.cdr)
-        self._queue.put(message)
+            self._queue.put(message)
         return True
 
     def note_lost(self, topic: str, number: int) -> None:
@@ -239,6 +280,13 @@ class Recorder:
     @property
     def counts(self) -> dict[str, int]:
         """Messages written so far by topic."""
+        counts = Counter(self._before)
+        counts.update(self._part_counts())
+        return dict(counts)
+
+    def _part_counts(self) -> dict[str, int]:
+        if self._safe_counts is not None:
+            return self._safe_counts
         return self._writer.counts if self._writer is not None else {}
 
     def stop(self) -> RecordingResult:
@@ -249,7 +297,10 @@ class Recorder:
         self._queue.put(None)
         thread.join()
         self._thread = None
-        return RecordingResult(writer.path, writer.counts, self.lost, self._error)
+        error = "; ".join(self._errors)
+        if error and len(self.parts) > 1:
+            error += f"; it continues in {', '.join(p.name for p in self.parts[1:])}"
+        return RecordingResult(self.parts[0], self.counts, self.lost, error)
 
     # The writing thread ----------------------------------------------------------------------
 
@@ -259,29 +310,32 @@ class Recorder:
             return topic + "/compressed", COMPRESSED_TYPE
         return topic, message_type
 
-    def _run(self) -> None:
-        writer = self._writer
-        assert writer is not None
-        good = (0, 0)  # file and length up to which everything is whole
+    def _run(self, writer: BagWriter) -> None:
+        safe, taken = _Safe(), Counter[str]()
         self.last_flush = checked = time.monotonic()
         try:
             while True:
                 timeout = self.settings.flush_interval - (time.monotonic() - self.last_flush)
-                message = None
                 try:
                     message = self._queue.get(timeout=max(timeout, 0.001))
                     if message is None:
                         break
                     with self._lock:
                         self._waiting -= len(message.cdr)
+                    taken[message.topic] += 1
                     self._write(writer, message)
                 except queue.Empty:
                     pass
                 now = time.monotonic()
                 if now - self.last_flush >= self.settings.flush_interval:
                     writer.flush()
+                    if not writer.present:
+                        safe = _Safe()
+                        raise _Removed(
+                            f"{writer.path}: the bag was removed or renamed while it was recorded"
+                        )
                     self.last_flush = now
-                    good = (len(writer.files), writer.size)
+                    safe = _Safe(len(writer.files), writer.size, writer.counts, taken.copy())
                     if now - checked >= 1.0:
                         checked = now
                         free = shutil.disk_usage(writer.path).free
@@ -296,28 +350,41 @@ class Recorder:
             try:
                 writer.close()
             except (FingerError, OSError):
-                self._cut(writer, good)
+                self._cut(writer, safe, taken)
+        except _Removed as removed:
+            self._end(str(removed))
+            self._cut(writer, safe, taken)
         except (FingerError, OSError, struct.error, MemoryError) as error:
             detail = getattr(error, "strerror", None) or str(error)
             self._end(
                 f"{writer.path}: recording ended ({detail}); 'finger-bag recover' completes the bag"
             )
-            self._cut(writer, good)
+            self._cut(writer, safe, taken)
 
     def _end(self, text: str) -> None:
-        self._error = text
+        """Interrupt the recording; what waits is lost."""
+        with self._lock:
+            self._interrupted = text
+            self._errors.append(text)
+            self._waiting = 0
+            with suppress(queue.Empty):
+                while True:
+                    message = self._queue.get_nowait()
+                    if message is not None:
+                        self._lost[message.topic] += 1
         self._on_error(text)
 
-    @staticmethod
-    def _cut(writer: BagWriter, good: tuple[int, int]) -> None:
+    def _cut(self, writer: BagWriter, safe: _Safe, taken: Counter[str]) -> None:
         """Leave only complete records: the file as it was after the last flush."""
-        files, length = good
         path = writer.path / writer.files[-1]
         with suppress(OSError):
             writer.abandon()
         with suppress(OSError):
-            if files == len(writer.files) and path.stat().st_size > length:
-                os.truncate(path, length)
+            if safe.files == len(writer.files) and path.stat().st_size > safe.length:
+                os.truncate(path, safe.length)
+        self._safe_counts = safe.counts
+        with self._lock:
+            self._lost.update(taken - safe.taken)
 
     def _write(self, writer: BagWriter, message: Serialized) -> None:
         topic, message_type, cdr, *times = message
@@ -336,6 +403,10 @@ class Recorder:
             if isinstance(error.__cause__ or error.__context__, OSError):
                 raise
             self.note_lost(topic, 1)
+
+
+class _Removed(Exception):
+    pass
 
 
 class _DiskFull(Exception):

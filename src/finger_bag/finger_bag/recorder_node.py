@@ -10,6 +10,7 @@ from __future__ import annotations
 import copy
 import importlib
 import math
+import re
 import time
 from collections import deque
 from dataclasses import dataclass
@@ -23,13 +24,17 @@ from rclpy.qos import ReliabilityPolicy
 from finger_common.diagnostics import ERROR, WARN, Health
 from finger_common.errors import FingerError, InputError
 from finger_common.files import read_bytes
+from finger_common.host_clock import HostClock
 from finger_common.node import LATCHED_QOS, ManagedNode, PolledSubscription, main_of
+from finger_common.retry import Pauses
 from finger_common.settings import Settings, setting
+from finger_common.stamps import NANOSECONDS, seconds
 from finger_msgs.srv import Record
 
 from .cdr_layout import stamp_of_cdr
-from .recorder import Recorder, RecorderSettings, Serialized, StampGaps
+from .recorder import Recorder, RecorderSettings, Serialized
 from .schema import CALIBRATION_ATTACHMENT, TOPICS, SessionMetadata
+from .stamp_gaps import StampGaps
 
 
 @dataclass(frozen=True)
@@ -77,6 +82,11 @@ class SessionSettings(Settings):
     )
 
 
+_REMINDER = 10.0
+"""s between error messages while an interrupted recording is not resumed."""
+_LONGEST_DELAY = 60.0
+"""s that a message waits at most between its arrival and being taken."""
+
 POLL = 0.02
 """s between two polls; the middleware keeps messages and their time of arrival meanwhile."""
 
@@ -123,6 +133,9 @@ class RecorderNode(ManagedNode):
         self._latched: dict[str, deque[Serialized]] = {}
         self._gaps: dict[str, StampGaps] = {}
         self._announced: dict[str, int] = {}
+        self._host_clock = HostClock()
+        self._pauses = Pauses(1.0, 30.0)
+        self._next_attempt = self._last_attempt = self._next_reminder = 0.0
         self._service = self.create_service(Record, "~/record", self._on_record)
 
     def activate(self) -> None:
@@ -144,7 +157,7 @@ class RecorderNode(ManagedNode):
     def deactivate(self) -> None:
         for timer in self._rounds:
             self.destroy_timer(timer)
-        if self._recorder.recording:
+        if self._recorder.started:
             self._finish()
         self._unsubscribe()
 
@@ -187,14 +200,18 @@ class RecorderNode(ManagedNode):
                 self._take(topic, kind, latched, cdr, info)
 
     def _take(self, topic: str, kind: str, latched: int, cdr: bytes, info: dict[str, Any]) -> None:
-        received = info.get("received_timestamp") or time.time_ns()
-        message = Serialized(topic, kind, cdr, received, info.get("source_timestamp") or received)
+        # On a clock that steps of the system clock do not reach: a bag is read in this order.
+        now = self._host_clock.now()
+        earliest = now - round(_LONGEST_DELAY * NANOSECONDS)
+        received = self._host_clock.of_stamp(info.get("received_timestamp") or None, earliest)
+        sent = self._host_clock.of_stamp(info.get("source_timestamp") or None, 0)
+        message = Serialized(topic, kind, cdr, received, min(sent, received))
         if latched:
             self._latched[topic].append(message)
         if self._recorder.put(message):
             gaps = self._gaps.get(topic)
             if gaps is not None:
-                gaps.add(stamp_of_cdr(cdr))
+                gaps.add(stamp_of_cdr(cdr), seconds(received))
             self._health.sample()
 
     def _check_middleware(self) -> None:
@@ -218,6 +235,16 @@ class RecorderNode(ManagedNode):
         lost = recorder.lost
         notes = self._health.notes
         notes["recording"] = str(recorder.path) if recorder.recording else "no"
+        self._watch_interruption()
+        step = self._host_clock.step()
+        if abs(step) > 0.05:
+            self.log_fault(
+                self._health,
+                "clock_step",
+                f"the system clock was stepped by {step:+.3f} s; log times continue as before, "
+                "restart all nodes to follow it",
+                WARN,
+            )
         notes["messages"] = str(sum(recorder.counts.values()))
         notes["waiting_bytes"] = str(recorder.waiting)
         notes["lost"] = ", ".join(f"{t} {n}" for t, n in lost.items()) or "0"
@@ -234,6 +261,36 @@ class RecorderNode(ManagedNode):
             if not reliable and offers:
                 if all(o.qos_profile.reliability == ReliabilityPolicy.RELIABLE for o in offers):
                     self._subscribe(topic, True)
+
+    def _watch_interruption(self) -> None:
+        """Say again and again that nothing is recorded; resume as soon as that is possible."""
+        recorder, now = self._recorder, time.monotonic()
+        if not recorder.interrupted:
+            return
+        lost = sum(recorder.lost.values())
+        text = f"NOT RECORDING, {lost} messages lost so far: {recorder.interrupted}"
+        self._health.fault("recording", text, ERROR)
+        if now >= self._next_reminder:
+            self._next_reminder = now + _REMINDER
+            self.get_logger().error(text)
+        if now < self._next_attempt:
+            return
+        if now - self._last_attempt > 60.0:
+            self._pauses.reset()
+        self._last_attempt, self._next_attempt = now, now + self._pauses.next()
+        try:
+            path = recorder.resume()
+        except InputError:
+            return
+        self._put_latched()
+        self._health.recovered("recording")
+        lost = sum(recorder.lost.values())
+        self.log_fault(
+            self._health,
+            "interrupted",
+            f"the recording was interrupted, {lost} messages are lost; it continues in {path}",
+            WARN,
+        )
 
     # Recording -------------------------------------------------------------------------------
 
@@ -269,10 +326,9 @@ class RecorderNode(ManagedNode):
             session.update({k: text for k, text in named.items() if text})
             if trial.target_force > 0:
                 session["target_force"] = f"{trial.target_force:g}"
-        date = datetime.now().strftime("%Y%m%d_%H%M%S")
-        default = "_".join(part for part in (date, session["condition"]) if part)
-        name = Path(path or settings.bag_name or default)
-        target = Path(settings.folder).expanduser() / name.expanduser()
+        folder = Path(settings.folder).expanduser()
+        given = path or settings.bag_name
+        target = folder / Path(given).expanduser() if given else self._free_name(folder, session)
         files = {Path(file).name: file for file in settings.attachments}
         files[CALIBRATION_ATTACHMENT] = settings.calibration_file
         attachments = {
@@ -290,18 +346,38 @@ class RecorderNode(ManagedNode):
         started = self._recorder.start(
             target, SessionMetadata.from_mapping(session), topics, attachments
         )
-        now = time.time_ns()
+        self._put_latched()
+        self.get_logger().info(f"recording into {started}")
+        return started
+
+    @staticmethod
+    def _free_name(folder: Path, session: dict[str, Any]) -> Path:
+        """Date and condition, and a number where that name is taken."""
+        date = datetime.now().strftime("%Y%m%d_%H%M%S")
+        condition = re.sub(r"[^\w-]+", "-", session["condition"])[:100]
+        name = "_".join(part for part in (date, condition) if part)
+        target, number = folder / name, 2
+        while target.exists():
+            target, number = folder / f"{name}_{number}", number + 1
+        return target
+
+    def _put_latched(self) -> None:
+        """Repeat the latched messages at the head of a bag."""
+        now = self._host_clock.now()
         for messages in self._latched.values():
             for message in messages:
                 self._recorder.put(message._replace(log_time_ns=now))
-        self.get_logger().info(f"recording into {started}")
-        return started
 
     def _finish(self) -> Any:
         self._poll()
         self._check_middleware()
         result = self._recorder.stop()
         missing = {t: g.missing for t, g in self._gaps.items() if g.missing}
+        if result.error:
+            self.exit_code = 1
+            self.get_logger().error(
+                f"the recording is not complete: {result.error}; {result.lost_count} messages lost"
+            )
         self.get_logger().info(
             f"recorded {result.message_count} messages into {result.path}, "
             f"{result.lost_count} lost" + (f", stamps missing: {missing}" if missing else "")
@@ -309,7 +385,9 @@ class RecorderNode(ManagedNode):
         return result
 
     def _on_error(self, text: str) -> None:
-        self.log_fault(self._health, "recording", text, ERROR)
+        self._next_attempt = 0.0
+        self._next_reminder = time.monotonic() + _REMINDER
+        self.log_fault(self._health, "recording", f"NOT RECORDING: {text}", ERROR)
 
 
 main = main_of(RecorderNode)

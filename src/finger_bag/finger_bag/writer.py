@@ -116,7 +116,7 @@ class BagWriter:
         self._mcap: McapWriter | None = None
         self.closed = False
         name = self.path.name
-        if not name or name in (".", ".."):
+        if not name or name in (".", "..") or "\0" in str(path):
             raise InputError(f"{path}: not a name for a bag; give the folder to write")
         self._refuse_existing()
         self._folder = self.path if in_place else self.path.with_name(f".{name}.partial")
@@ -350,6 +350,18 @@ class BagWriter:
         kill."""
         if self._mcap is not None:
             self._mcap.flush()
+
+    @property
+    def present(self) -> bool:
+        """Whether the file being written is where it was begun: not removed, not renamed."""
+        if self._stream is None:
+            return True
+        try:
+            there = os.stat(self._folder / self._files[-1].name)
+        except OSError:
+            return False
+        here = os.fstat(self._stream.fileno())
+        return (there.st_dev, there.st_ino) == (here.st_dev, here.st_ino)
 
     @property
     def files(self) -> list[str]:

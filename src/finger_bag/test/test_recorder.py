@@ -19,7 +19,7 @@ from session_bags import START, image
 from finger_bag.copying import recover
 from finger_bag.definitions import encode
 from finger_bag.reader import open_bag
-from finger_bag.recorder import Recorder, RecorderSettings, Serialized, StampGaps
+from finger_bag.recorder import Recorder, RecorderSettings, Serialized
 from finger_common.errors import InputError
 
 
@@ -207,16 +207,6 @@ def test_killed_recorder_loses_at_most_a_second_and_recover_completes_the_bag(
 
     with AnyReader([tmp_path / "whole"]) as theirs:
         assert theirs.message_count == made.message_count == len(list(theirs.messages()))
-
-
-def test_gaps_between_stamps_are_counted() -> None:
-    gaps = StampGaps()
-    rng = np.random.default_rng(3)
-    present = [i for i in range(5000) if i not in (10, 700, 701, 702, 3000)]
-    for i in present:
-        gaps.add(i * 2_000_000 + int(rng.normal(0, 100_000)))
-    gaps.add(present[-1] * 2_000_000)
-    assert gaps.missing == 5
 
 
 def spin_until(condition: Callable[[], Any], node: Any, seconds: float = 90.0) -> Any:

@@ -1,13 +1,11 @@
-"""Time stamps: host time that never goes back, and device clocks mapped to it."""
+"""Time stamps: kernel stamps, increasing stamps, device clocks mapped to host time."""
 
 from __future__ import annotations
 
 import socket
 import struct
 import sys
-import time
 from collections import deque
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -34,41 +32,6 @@ def receive_stamped(connection: socket.socket, size: int) -> tuple[bytes, int | 
             whole, rest = struct.unpack("@ll", value)
             return data, whole * NANOSECONDS + rest, sender
     return data, None, sender
-
-
-class HostClock:
-    """Nanoseconds since the epoch that only ever increase.
-
-    The offset between the steady clock and the wall clock is taken once. Slewing (NTP) moves both
-    alike; a *step* of the wall clock does not reach the stamps and is reported by `step`.
-    """
-
-    def __init__(
-        self, wall: Callable[[], int] = time.time_ns, steady: Callable[[], int] = time.monotonic_ns
-    ) -> None:
-        self._wall = wall
-        self._steady = steady
-        self._offset = wall() - steady()
-
-    def now(self) -> int:
-        """Time now, ns since the epoch."""
-        return self._steady() + self._offset
-
-    def of_stamp(self, wall_ns: int | None, earliest: int) -> int:
-        """This clock's time of an event that an interface stamped with wall time a moment ago.
-
-        The time now, where there is no stamp or it lies before `earliest` or in the future: some
-        adapters count from their own start.
-        """
-        now = self.now()
-        if wall_ns is None:
-            return now
-        stamp = now - (self._wall() - wall_ns)
-        return stamp if earliest <= stamp <= now else now
-
-    def step(self) -> float:
-        """Seconds by which the wall clock has been stepped since this clock was made."""
-        return seconds(self._wall() - self.now())
 
 
 class IncreasingStamps:

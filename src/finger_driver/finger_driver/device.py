@@ -10,10 +10,9 @@ from typing import Any, Generic, TypeVar
 from finger_common.cli import one_line
 from finger_common.diagnostics import ERROR, WARN, Health
 from finger_common.errors import DeviceError, FingerError
+from finger_common.host_clock import HostClock
 from finger_common.retry import Pauses
 from finger_common.settings import Settings
-
-from .clock import HostClock
 
 Sample = TypeVar("Sample")
 Log = Callable[[int, str], None]

@@ -7,12 +7,13 @@ from typing import Any
 
 from finger_common.diagnostics import ERROR, WARN
 from finger_common.errors import DeviceError
+from finger_common.host_clock import HostClock
 from finger_common.node import ManagedNode
 from finger_common.plugins import PluginKind
 from finger_common.retry import Pauses
 from finger_common.settings import Settings, setting
 
-from .clock import HostClock, IncreasingStamps, StampStatistics
+from .clock import IncreasingStamps, StampStatistics
 from .device import Device, DeviceThread
 
 

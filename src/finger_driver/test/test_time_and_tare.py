@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from finger_driver.clock import ClockMapper, HostClock, IncreasingStamps
+from finger_common.host_clock import HostClock
+from finger_driver.clock import ClockMapper, IncreasingStamps
 from finger_driver.force.source import GOOD, SATURATED, ForceSource, WrenchSample
 from finger_driver.tare import TareCollector
 

@@ -76,6 +76,8 @@ class ManagedNode(LifecycleNode):
         super().__init__(self.NAME, **options)
         self.healths: list[Health] = []
         self.values: dict[str, Any] = {}
+        self.exit_code = 0
+        """Of the node's process when a signal ends it."""
         self._live = False
         self._active = False
         self._all = self.parameter_table()

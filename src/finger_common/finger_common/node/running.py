@@ -118,7 +118,7 @@ def run_node(node_class: type[ManagedNode], argv: Sequence[str] | None = None) -
         rclpy.try_shutdown()
         sys.stdout.flush()
         sys.stderr.flush()
-    return 0
+    return node.exit_code if node is not None else 0
 
 
 def main_of(node_class: type[ManagedNode]) -> Any:

@@ -19,10 +19,10 @@ import cv2
 import numpy as np
 
 from finger_common.errors import DeviceError, InputError
+from finger_common.host_clock import HostClock
 from finger_common.settings import setting
 from finger_common.stamps import nanoseconds
 
-from ..clock import HostClock
 from .source import CameraSettings, CameraSource, Frame
 
 

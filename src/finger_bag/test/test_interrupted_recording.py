@@ -1,0 +1,301 @@
+"""A recording that ends by itself: said aloud, every message accounted for, resumed when it can."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from recorded_messages import serialized
+
+from finger_bag.copying import recover
+from finger_bag.reader import open_bag
+from finger_bag.recorder import Recorder, RecorderSettings
+from finger_common.errors import InputError
+
+QUICK = RecorderSettings(flush_interval=0.05, minimum_free=0, compression="none")
+
+
+def wait_for(condition: Callable[[], Any], what: str, step: Callable[[], Any] = lambda: 0) -> Any:
+    end = time.monotonic() + 60
+    while time.monotonic() < end:
+        if found := condition():
+            return found
+        step()
+        time.sleep(0.005)
+    raise AssertionError(f"did not come: {what}")
+
+
+class Feed:
+    """Puts numbered messages into a recorder and counts them."""
+
+    def __init__(self, recorder: Recorder) -> None:
+        self.recorder, self.number = recorder, 0
+
+    def __call__(self, number: int = 1) -> None:
+        for _ in range(number):
+            self.recorder.put(serialized(self.number))
+            self.number += 1
+
+
+def read(path: Path) -> list[int]:
+    with open_bag(path) as reader:
+        return [m.sequence for m in reader.messages(["/finger/wrench"])]
+
+
+def test_a_removed_folder_is_noticed_and_the_recording_goes_on_beside_it(tmp_path: Path) -> None:
+    errors: list[str] = []
+    recorder = Recorder(QUICK, errors.append)
+    feed = Feed(recorder)
+    recorder.start(tmp_path / "a" / "bag", {"subject": "S01"})
+    feed(100)
+    wait_for(lambda: recorder.counts, "messages in the file")
+    shutil.rmtree(tmp_path / "a")
+    wait_for(lambda: errors, "the error", feed)
+    assert "removed or renamed" in errors[0] and not recorder.recording
+    feed(20)
+    assert recorder.resume() == tmp_path / "a" / "bag_part2" and recorder.recording
+    resumed_at = feed.number
+    feed(300)
+    result = recorder.stop()
+    assert "removed or renamed" in result.error and "continues in bag_part2" in result.error
+    assert result.message_count + result.lost_count == feed.number
+    assert read(tmp_path / "a" / "bag_part2") == list(range(resumed_at, feed.number))
+    with open_bag(tmp_path / "a" / "bag_part2") as reader:
+        assert reader.info.complete and reader.info.metadata.subject == "S01"
+
+
+def test_a_renamed_folder_keeps_its_messages(tmp_path: Path) -> None:
+    errors: list[str] = []
+    recorder = Recorder(QUICK, errors.append)
+    feed = Feed(recorder)
+    recorder.start(tmp_path / "bag")
+    feed(100)
+    wait_for(lambda: recorder.counts, "messages in the file")
+    (tmp_path / "bag").rename(tmp_path / "moved")
+    wait_for(lambda: errors, "the error", feed)
+    result = recorder.stop()
+    assert result.message_count + result.lost_count == feed.number
+    recover(tmp_path / "moved", tmp_path / "whole")
+    assert len(read(tmp_path / "whole")) >= 100
+
+
+def test_it_resumes_only_when_there_is_room_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    free = [1 << 40]
+    monkeypatch.setattr(
+        "finger_bag.recorder.shutil.disk_usage", lambda path: type("Usage", (), {"free": free[0]})
+    )
+    errors: list[str] = []
+    recorder = Recorder(RecorderSettings(flush_interval=0.05, minimum_free=1 << 20), errors.append)
+    feed = Feed(recorder)
+    recorder.start(tmp_path / "bag")
+    with pytest.raises(InputError, match="no recording was interrupted"):
+        recorder.resume()
+    free[0] = 1000
+    wait_for(lambda: errors, "the error", feed)
+    feed(10)
+    for room in (1000, 1 << 20):
+        free[0] = room
+        with pytest.raises(InputError, match="make room"):
+            recorder.resume()
+    assert "nearly full" in recorder.interrupted
+    free[0] = 1 << 30
+    recorder.resume()
+    feed(50)
+    result = recorder.stop()
+    parts = [tmp_path / "bag", tmp_path / "bag_part2"]
+    assert recorder.parts == parts and "nearly full" in result.error
+    assert sum(len(read(p)) for p in parts) == result.message_count
+    assert result.message_count + result.lost_count == feed.number and result.lost_count >= 10
+    for path in parts:
+        with open_bag(path) as reader:
+            assert reader.info.complete
+    recorder.start(tmp_path / "next")
+    assert recorder.stop().error == ""
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(disk)]
+    if os.geteuid() or subprocess.run(command, capture_output=True).returncode:
+        pytest.skip("a tmpfs can be mounted by root only")
+    yield disk
+    subprocess.run(["umount", "-l", str(disk)], check=True)
+
+
+def test_a_full_tmpfs_interrupts_and_room_resumes(small_disk: Path) -> None:
+    errors: list[str] = []
+    recorder = Recorder(QUICK, errors.append)
+    feed = Feed(recorder)
+    ballast = small_disk / "ballast"
+    ballast.write_bytes(bytes(700_000))
+    recorder.start(small_disk / "bag")
+    wait_for(lambda: errors, "the error", lambda: feed(50))
+    assert "No space left" in errors[0]
+    ballast.unlink()
+    feed(10)
+    recorder.resume()
+    feed(100)
+    result = recorder.stop()
+    assert result.message_count + result.lost_count == feed.number and result.lost_count >= 10
+    whole = small_disk.parent / "whole"
+    recover(small_disk / "bag", whole)
+    found = len(read(whole)) + len(read(small_disk / "bag_part2"))
+    assert found == result.message_count
+
+
+LIMITED = """
+import resource, signal, sys, time
+sys.path.insert(0, sys.argv[2])
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
+from finger_bag.recorder import Recorder, RecorderSettings
+from recorded_messages import serialized
+recorder = Recorder(RecorderSettings(flush_interval=0.05, compression="none", minimum_free=0))
+recorder.start(sys.argv[1])
+for i in range(4000):
+    recorder.put(serialized(i))
+    if i % 100 == 0:
+        time.sleep(0.01)
+        if recorder.interrupted:
+            recorder.resume()
+result = recorder.stop()
+print(len(recorder.parts), result.message_count, result.lost_count)
+"""
+
+
+def test_after_the_limit_of_a_file_it_goes_on_in_the_next(tmp_path: Path) -> None:
+    out = subprocess.run(
+        [sys.executable, "-c", LIMITED, str(tmp_path / "bag"), str(Path(__file__).parent)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    parts, recorded, lost = map(int, out.stdout.split())
+    assert parts > 1 and recorded + lost == 4000, out.stderr
+    found = 0
+    for number, path in enumerate(sorted(tmp_path.glob("bag*"))):
+        recover(path, tmp_path / f"whole{number}")
+        found += len(read(tmp_path / f"whole{number}"))
+    assert found == recorded > 1000
+
+
+@pytest.mark.parametrize("name", ["/proc/bag", "/sys/a/bag", "x" * 300, "a\0b"])
+def test_a_place_that_cannot_be_written_is_refused_in_one_sentence(
+    tmp_path: Path, name: str
+) -> None:
+    with pytest.raises(InputError) as refused:
+        Recorder(QUICK).start(tmp_path / name)
+    assert "\n" not in str(refused.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_holds_something_is_refused_and_left_as_it_was(tmp_path: Path) -> None:
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / "note.txt").write_text("mine")
+    with pytest.raises(InputError, match="exists already"):
+        Recorder(QUICK).start(tmp_path / "bag")
+    assert (tmp_path / "bag" / "note.txt").read_text() == "mine"
+
+
+# The node ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def node(ros_domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    rclpy = pytest.importorskip("rclpy")
+    from rclpy.parameter import Parameter
+
+    from finger_bag.recorder_node import RecorderNode
+
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=ros_domain)
+    values = {
+        "folder": str(tmp_path), "record_at_start": True, "minimum_free": 1, "flush_interval": 0.05,
+    }  # fmt: skip
+    node = RecorderNode(
+        context=context, parameter_overrides=[Parameter(k, value=v) for k, v in values.items()]
+    )
+    assert node.bring_up()
+    yield node
+    node.release()
+    node.destroy_node()
+    rclpy.shutdown(context=context)
+
+
+def test_the_node_says_so_until_it_records_again(
+    node: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any
+) -> None:
+    import rclpy
+    from rclpy.executors import SingleThreadedExecutor
+
+    executor = SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    assert rclpy.ok(context=node.context)
+    health, recorder = node.healths[0], node._recorder
+
+    def spin() -> None:
+        executor.spin_once(timeout_sec=0.05)
+
+    monkeypatch.setattr("finger_bag.recorder_node._REMINDER", 0.5)
+    with monkeypatch.context() as full:
+        full.setattr(
+            "finger_bag.recorder.shutil.disk_usage", lambda path: type("Usage", (), {"free": 0})
+        )
+        shutil.rmtree(recorder.path)
+        wait_for(lambda: recorder.interrupted, "the interruption", spin)
+        report = health.report()
+        assert report.level == 2 and report.message.startswith("NOT RECORDING")
+        wait_for(lambda: capfd.readouterr().err.count("NOT RECORDING") >= 1, "a reminder", spin)
+        wait_for(lambda: capfd.readouterr().err.count("NOT RECORDING") >= 1, "another", spin)
+    wait_for(lambda: recorder.recording, "the continuation", spin)
+    report = health.report()
+    assert report.level == 1 and "it continues in" in report.message
+    result = node._finish()
+    assert result.error and node.exit_code == 1
+    assert recorder.parts[1].is_dir() and recorder.parts[1].name.endswith("_part2")
+    executor.shutdown()
+
+
+def test_bags_without_a_name_never_meet_and_stay_in_the_folder(node: Any, tmp_path: Path) -> None:
+    session = {"condition": "../../evil/" + "x" * 300}
+    names = set()
+    for _ in range(3):
+        name = node._free_name(tmp_path, session)
+        assert name.parent == tmp_path
+        name.mkdir()
+        names.add(name)
+    assert len(names) == 3
+
+
+def test_log_times_do_not_follow_a_step_of_the_system_clock(node: Any) -> None:
+    from finger_common.host_clock import HostClock
+
+    wall, steady = [10**18], [0]
+    node._host_clock = HostClock(lambda: wall[0], lambda: steady[0])
+    taken: list[Any] = []
+    node._recorder = type("Taking", (), {"put": lambda self, m: taken.append(m) or False})()
+    topic, (kind, latched, _) = next(t for t in node._topics.items() if not t[1][1])
+    for number in range(10):
+        steady[0] += 2_000_000
+        wall[0] += 2_000_000
+        if number == 5:
+            wall[0] -= 3600 * 10**9
+        node._take(
+            topic, kind, latched, bytes(20),
+            {"received_timestamp": wall[0] - 1000, "source_timestamp": wall[0] - 2000},
+        )  # fmt: skip
+    times = [m.log_time_ns - 10**18 for m in taken]
+    assert times == [2_000_000 * n - 1000 for n in range(1, 11)]
+    node._recorder = Recorder()
