@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from finger_common.errors import InputError
+from finger_common.files import exists
 
 
 def find_bags(paths: Iterable[str | Path]) -> list[Path]:
@@ -16,7 +17,7 @@ def find_bags(paths: Iterable[str | Path]) -> list[Path]:
     """
     found: list[Path] = []
     for path in map(Path, paths):
-        if not path.exists():
+        if not exists(path):
             raise InputError(f"{path}: no such bag; check the path")
         if path.is_file() or is_bag_folder(path):
             found.append(path)

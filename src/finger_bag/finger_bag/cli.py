@@ -12,8 +12,9 @@ from typing import Any
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
-from finger_common.cli import Parser, add_settings, run, settings_from
+from finger_common.cli import Parser, add_settings, one_line, plain, run, settings_from
 from finger_common.errors import InputError
 from finger_common.plugins import Plugins
 
@@ -23,6 +24,8 @@ from .recorder import RecorderSettings
 from .replay import ReplaySettings, lateness_text
 
 EXIT_CHECK_FAILS = 1
+EXIT_LOST = 1
+"""Done, but something that the bag holds could not be read."""
 
 COMMANDS = Plugins("finger_bag.commands", "subcommand")
 """Further subcommands of installed packages: functions that add theirs with an `AddCommand`."""
@@ -42,6 +45,7 @@ def _info(args: argparse.Namespace) -> int:
     from .reader import open_bag
 
     found = []
+    lost = False
     for bag in find_bags(args.bags):
         with open_bag(bag) as reader:
             info = reader.info
@@ -68,32 +72,35 @@ def _info(args: argparse.Namespace) -> int:
                 },
                 "problems": reader.all_problems(),
             }
+            lost = lost or reader.lost
         found.append(data)
     if args.json:
         print(json.dumps(found, indent=1))
-        return 0
-    for data in found:
-        _print_info(data)
-    return 0
+    else:
+        for data in found:
+            _print_info(data)
+    return EXIT_LOST if lost else 0
 
 
 def _print_info(data: dict[str, Any]) -> None:
     console = _console()
-    console.print(f"[bold]{data['bag']}[/]  ({data['storage']}, {data['size'] / 1e6:.1f} MB)")
+    size = f"  ({data['storage']}, {data['size'] / 1e6:.1f} MB)"
+    console.print(Text.assemble((plain(data["bag"]), "bold"), size))
     if data["start_ns"] is not None:
         began = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(data["start_ns"] * 1e-9))
         console.print(f"  from {began} UTC, {data['duration']:.2f} s, {data['messages']} messages")
     for key, value in data["metadata"].items():
-        console.print(f"  {key}: {value}", markup=False)
+        console.print(Text(f"  {plain(key)}: {plain(value)}"))
     if data["attachments"]:
-        console.print(f"  attached: {', '.join(data['attachments'])}", markup=False)
+        console.print(Text(f"  attached: {', '.join(map(plain, data['attachments']))}"))
     table = Table("topic", "type", "messages", "Hz", box=None, pad_edge=False)
     for name, topic in sorted(data["topics"].items()):
         rate = topic["count"] / data["duration"] if data["duration"] else 0.0
-        table.add_row(name, topic["type"], str(topic["count"]), f"{rate:.1f}")
+        type_name, count = Text(plain(topic["type"])), str(topic["count"])
+        table.add_row(Text(plain(name)), type_name, count, f"{rate:.1f}")
     console.print(table)
     for problem in data["problems"]:
-        console.print(f"  [yellow]problem:[/] {problem}")
+        console.print(Text.assemble(("  problem: ", "yellow"), plain(problem)))
 
 
 # validate ------------------------------------------------------------------------------------
@@ -113,17 +120,19 @@ def _validate(args: argparse.Namespace) -> int:
             if len(args.bags) == 1 and not results:
                 raise
             unreadable += 1
-            print(f"finger-bag: {error}", file=sys.stderr)
+            print(f"finger-bag: {one_line(error)}", file=sys.stderr)
     if args.json:
         print(json.dumps([r.to_data() for r in results], indent=1))
     else:
         console = _console()
         colours = {"ok": "green", "note": "yellow", "fail": "red"}
         for result in results:
-            table = Table("check", "", "found", title=result.bag, box=None, pad_edge=False)
+            title = Text(plain(result.bag))
+            table = Table("check", "", "found", title=title, box=None, pad_edge=False)
             for check in result.checks:
                 colour = colours[check.status]
-                table.add_row(check.name, f"[{colour}]{check.status}[/]", check.detail)
+                status = Text(check.status, colour)
+                table.add_row(Text(plain(check.name)), status, Text(plain(check.detail)))
             console.print(table)
             console.print("fit for use" if result.fit else "[red]not fit for use as it is[/]")
     if unreadable:
@@ -151,8 +160,9 @@ def _play(args: argparse.Namespace) -> int:
             topics = [t for t in named if t not in without]
         settings = settings_from(args, ReplaySettings)
         lateness = play(reader, settings, topics, args.clock, args.wait, args.reliability)
+        problems, lost = reader.all_problems(), reader.lost
     print(lateness_text(lateness))
-    return 0
+    return _report(problems, lost)
 
 
 def _topic(reader: Any, name: str) -> str:
@@ -205,26 +215,31 @@ def _recover(args: argparse.Namespace) -> int:
 
     target = Path(args.output) if args.output else _beside(Path(args.bag), "_recovered")
     result = recover(args.bag, target)
-    print(f"{result.path}: {result.message_count} messages recovered")
+    print(f"{plain(result.path)}: {result.message_count} messages recovered")
     for topic, count in sorted(result.counts.items()):
-        print(f"  {topic}: {count}")
-    for problem in result.problems:
-        print(f"  problem: {problem}")
-    return 0
+        print(f"  {plain(topic)}: {count}")
+    return _report(result.problems, result.lost)
 
 
 def _anonymise(args: argparse.Namespace) -> int:
     from .copying import anonymise
 
     result = anonymise(args.bag, args.output)
-    print(f"{result.path}: {result.message_count} messages kept")
+    print(f"{plain(result.path)}: {result.message_count} messages kept")
     for topic, count in sorted(result.dropped.items()):
-        print(f"  dropped {topic}: {count}")
+        print(f"  dropped {plain(topic)}: {count}")
     for name in result.dropped_attachments:
-        print(f"  dropped attachment {name}")
-    for problem in result.problems:
-        print(f"  problem: {problem}")
-    return 0
+        print(f"  dropped attachment {plain(name)}")
+    return _report(result.problems, result.lost)
+
+
+def _report(problems: Sequence[str], lost: bool) -> int:
+    """Print what was wrong with a bag that was read; gives the exit code."""
+    for problem in problems:
+        print(f"  problem: {plain(problem)}")
+    if lost:
+        print("finger-bag: not all of the bag could be read", file=sys.stderr)
+    return EXIT_LOST if lost else 0
 
 
 def _beside(path: Path, suffix: str) -> Path:

@@ -25,6 +25,8 @@ class BagCopy:
     dropped: Counter[str] = field(default_factory=Counter)
     dropped_attachments: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
+    lost: bool = False
+    """Whether something that the bag holds could not be read, and is not in the copy."""
 
     @property
     def message_count(self) -> int:
@@ -88,8 +90,9 @@ def recover(source: str | Path, target: str | Path) -> BagCopy:
         if not writer.message_count:
             reason = f" ({problems[0]})" if problems else ""
             raise InputError(f"{source}: no message can be recovered{reason}")
+        lost = reader.lost or bool(refused or malformed)
         written = writer.close()
-    return BagCopy(written.path, written.counts, problems=problems)
+    return BagCopy(written.path, written.counts, problems=problems, lost=lost)
 
 
 def shows_no_print(topic: str, message_type: str) -> bool:
@@ -126,5 +129,5 @@ def anonymise(source: str | Path, target: str | Path) -> BagCopy:
             if not writer.message_count:
                 raise InputError(f"{source}: holds no topic that can be kept; nothing was written")
             copy.counts = writer.close().counts
-        copy.problems = reader.all_problems()
+        copy.problems, copy.lost = reader.all_problems(), reader.lost
     return copy

@@ -7,7 +7,6 @@ listed in `BagReader.problems`.
 
 from __future__ import annotations
 
-import bisect
 import heapq
 import shutil
 import tempfile
@@ -16,24 +15,29 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePath, PureWindowsPath
 from typing import Any
 
+import numpy as np
 import yaml
 import zstandard
 
 from finger_common.errors import InputError
-from finger_common.files import load_yaml
+from finger_common.files import exists, load_yaml
 from finger_common.stamps import seconds
 
 from .bag_files import file_order, storage_of
 from .definitions import FORMS, Decoder, decoder
-from .mcap_file import MAXIMUM_CHUNK, AttachmentEntry, McapFile, RawMessage
+from .mcap_file import MAXIMUM_CHUNK, RECORD_HEAD, WHOLE_MESSAGE, AttachmentEntry, McapFile
 from .schema import SESSION_RECORD, SessionMetadata
 
-MAXIMUM_PENDING = 512 << 20
+MAXIMUM_PENDING = 128 << 20
 """Bytes of messages held back to give them in the order of log time."""
+
+MAXIMUM_PROBLEMS = 100
+"""Problems that are listed; more tell a reader nothing."""
 
 LAST_TIME = 1 << 63
 """Log times (ns) from here on, the year 2262, are damage: they fit no signed integer."""
 
+_AT_ONCE = 1 << 16  # messages whose places become Python numbers at once
 _UNPACKED_RATIO = 100
 _UNPACKED_FREE = 1 << 30
 
@@ -108,6 +112,7 @@ class BagReader:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.problems: list[str] = []
+        self._lost = False
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
         self._mcaps: list[McapFile] = []
         self._sqlites: list[Any] = []
@@ -128,11 +133,24 @@ class BagReader:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    @property
+    def lost(self) -> bool:
+        """Whether something that the bag holds could not be read so far.
+
+        A bag that was not closed by its recorder is complete up to its end, and not lost.
+        """
+        return self._lost or any(mcap.lost for mcap in self._mcaps)
+
+    def _problem(self, text: str, lost: bool = True) -> None:
+        self._lost = self._lost or lost
+        if len(self.problems) < MAXIMUM_PROBLEMS and text not in self.problems:
+            self.problems.append(text)
+
     # Opening ---------------------------------------------------------------------------------
 
     def _find_files(self) -> tuple[list[Path], str, dict[str, str]]:
         """Files of the bag, how they are stored, custom data of metadata.yaml."""
-        if not self.path.exists():
+        if not exists(self.path):
             raise InputError(f"{self.path}: no such bag; check the path")
         if self.path.is_file():
             return [self.path], storage_of(self.path) or "mcap", {}
@@ -143,9 +161,9 @@ class BagReader:
             try:
                 files, custom = self._read_metadata(description)
             except InputError as error:
-                self.problems.append(f"{error}; the files in the folder are read instead")
+                self._problem(f"{error}; the files in the folder are read instead", lost=False)
         else:
-            self.problems.append("metadata.yaml is missing; 'finger-bag recover' writes it")
+            self._problem("metadata.yaml is missing; 'finger-bag recover' writes it", lost=False)
         if not files:
             files = sorted(
                 (p for p in self.path.iterdir() if storage_of(p) and p.is_file()), key=file_order
@@ -158,8 +176,6 @@ class BagReader:
         return files, kinds.pop(), custom
 
     def _read_metadata(self, description: Path) -> tuple[list[Path], dict[str, str]]:
-        if description.stat().st_size > 16 << 20:
-            raise InputError(f"{description}: too large to be a bag's metadata")
         data = load_yaml(description, "bag metadata").get("rosbag2_bagfile_information")
         if not isinstance(data, dict) or not isinstance(data.get("relative_file_paths"), list):
             raise InputError(f"{description}: key 'relative_file_paths' is missing")
@@ -169,7 +185,11 @@ class BagReader:
             name = PurePath(PureWindowsPath(str(entry)).name).name
             file = self.path / name
             if not name or not file.is_file():
-                self.problems.append(f"file '{entry}' of metadata.yaml is missing")
+                self._problem(f"file '{entry}' of metadata.yaml is missing")
+                continue
+            if file in files:
+                text = f"file '{entry}' is listed twice in metadata.yaml; it is read once"
+                self._problem(text, lost=False)
                 continue
             if storage_of(file) is None:
                 raise InputError(f"{description}: '{entry}' is neither .mcap nor .db3")
@@ -190,7 +210,7 @@ class BagReader:
             except InputError as error:
                 if len(files) == 1:
                     raise
-                self.problems.append(str(error))
+                self._problem(str(error))
         if not self._mcaps and not self._sqlites:
             raise InputError(f"{self.path}: none of its files can be read ({self.problems[-1]})")
 
@@ -220,7 +240,7 @@ class BagReader:
                         )
                     out.write(block)
         except (zstandard.ZstdError, OSError) as error:
-            self.problems.append(f"{file.name}: cannot be uncompressed to its end ({error})")
+            self._problem(f"{file.name}: cannot be uncompressed to its end ({error})")
         return target
 
     def _open_mcap(self, opened: Path, file: Path) -> None:
@@ -276,8 +296,8 @@ class BagReader:
             for name, values in mcap.metadata:
                 if name == SESSION_RECORD:
                     session.update(values)
-            starts += [r.start_ns for r in mcap.regions if r.start_ns < LAST_TIME]
-            ends += [r.end_ns for r in mcap.regions if r.end_ns < LAST_TIME]
+            starts += [t for t in (mcap.start_ns,) if t is not None and t < LAST_TIME]
+            ends += [t for t in (mcap.end_ns,) if t is not None and t < LAST_TIME]
             counts.append(self._count(mcap))
             attachments += [a.name for a in mcap.attachments if a.name not in attachments]
         for reader in self._sqlites:
@@ -402,41 +422,38 @@ class BagReader:
         ]
         regions.sort()
         known: dict[tuple[int, int], tuple[str, str] | None] = {}
-        # What was read and may still be overtaken by the next region: (time, file, message), by
-        # time.
-        pending: list[tuple[int, int, RawMessage]] = []
+        # What was uncompressed and may still be overtaken by the next region.
+        pending: list[_Part] = []
         for place, (_, number, index) in enumerate(regions):
             mcap = self._mcaps[number]
-            found = mcap.messages(mcap.regions[index])
-            if any(raw[0] >= LAST_TIME for raw in found):
+            block = mcap.block(mcap.regions[index])
+            if len(block.times) and int(block.times.max()) >= LAST_TIME:
                 mcap._problem("messages with a time beyond the year 2262 are left out")
-            for channel_id in {raw[1] for raw in found}:
+            used = []
+            for channel_id in np.unique(block.channels).tolist():
                 if (number, channel_id) not in known:
                     known[(number, channel_id)] = self._channel(mcap, channel_id, wanted)
-            pending += [
-                (raw[0], number, raw)
-                for raw in found
-                if low <= raw[0] < high and known[(number, raw[1])] is not None
-            ]
-            # Stable: messages of equal time stay in the order written.
-            pending.sort(key=_time)
-            if place + 1 < len(regions):
-                ready = bisect.bisect_left(pending, regions[place + 1][0], key=_time)
-            else:
-                ready = len(pending)
-            if ready < len(pending) and sum(len(p[2][4]) for p in pending) > MAXIMUM_PENDING:
-                mcap._problem("messages lie too far out of order to be sorted by log time")
-                ready = len(pending)
-            for time_ns, file, raw in pending[:ready]:
-                _, channel_id, sequence, publish_time_ns, data = raw
+                if known[(number, channel_id)] is not None:
+                    used.append(channel_id)
+            keep = (block.times >= low) & (block.times < high) & np.isin(block.channels, used)
+            if keep.any():
+                pending.append(_Part(number, block.data, block.times[keep], block.offsets[keep]))
+            bound = regions[place + 1][0] if place + 1 < len(regions) else LAST_TIME
+            if bound < LAST_TIME and sum(part.size for part in pending) > MAXIMUM_PENDING:
+                if any(int(part.times.max()) >= bound for part in pending):
+                    text = "messages lie too far out of order to be sorted by log time"
+                    mcap._problem(text, lost=False)
+                bound = LAST_TIME
+            for part, offset in _before(pending, bound):
+                _, length, channel_id, sequence, time_ns, publish_time_ns = part.head(offset)
+                data = part.content(offset, length)
                 if self._message_compression:
                     unpacked = self._unpack_message(data)
                     if unpacked is None:
                         continue
                     data = unpacked
-                name, kind = known[(file, channel_id)]  # type: ignore[misc]
+                name, kind = known[(part.number, channel_id)]  # type: ignore[misc]
                 yield BagMessage(name, kind, time_ns, publish_time_ns, sequence, data, self)
-            del pending[:ready]
 
     def _channel(
         self, mcap: McapFile, channel_id: int, wanted: set[str] | None
@@ -459,9 +476,7 @@ class BagReader:
                 raise zstandard.ZstdError("too large")
             return zstandard.ZstdDecompressor().decompress(data, max_output_size=64 << 20)
         except zstandard.ZstdError as error:
-            text = f"a compressed message cannot be read ({error})"
-            if text not in self.problems:
-                self.problems.append(text)
+            self._problem(f"a compressed message cannot be read ({error})")
             return None
 
     def _sqlite_messages(
@@ -479,7 +494,7 @@ class BagReader:
                     yield time_ns, connection, bytes(raw)
             except (ReaderError, apsw.Error, *_SQLITE_BROKEN) as error:
                 text = str(error).splitlines()[0] if str(error) else type(error).__name__
-                self.problems.append(f"database cannot be read to its end ({text})")
+                self._problem(f"database cannot be read to its end ({text})")
 
         merged = heapq.merge(*(of(reader) for reader in self._sqlites), key=lambda item: item[0])
         for time_ns, connection, raw in merged:
@@ -500,10 +515,12 @@ class BagReader:
             for entry in mcap.attachments:
                 if entry.name not in seen:
                     seen.add(entry.name)
-                    yield entry, mcap.attachment(entry)
+                    data = mcap.attachment(entry)
+                    if data is not None:
+                        yield entry, data
 
     def attachment(self, name: str) -> bytes | None:
-        """Content of the attachment of a name, None when there is none."""
+        """Content of the attachment of a name, None when there is none that can be read."""
         for mcap in self._mcaps:
             for entry in mcap.attachments:
                 if entry.name == name:
@@ -568,5 +585,54 @@ def _normal_type(name: str) -> str:
     return f"{parts[0]}/msg/{parts[1]}" if len(parts) == 2 else name
 
 
-def _time(entry: tuple[Any, ...]) -> int:
-    return int(entry[0])
+class _Part:
+    """Messages of one block that were not given yet, in the order of log time.
+
+    times (n,): ns; messages of equal time stay in the order written.
+    """
+
+    def __init__(self, number: int, data: bytes, times: np.ndarray, offsets: np.ndarray) -> None:
+        self.number = number
+        self._data = data
+        if (np.diff(times.astype(np.int64)) < 0).any():
+            order = np.argsort(times, kind="stable")
+            times, offsets = times[order], offsets[order]
+        self.times, self._offsets = times, offsets
+        self.size = len(data) + times.nbytes + offsets.nbytes
+
+    def take(self, bound: int) -> tuple[np.ndarray, np.ndarray]:
+        """Times and offsets of messages before a time, which are then no longer in the part."""
+        ready = int(np.searchsorted(self.times, np.uint64(bound)))
+        taken = self.times[:ready], self._offsets[:ready]
+        self.times, self._offsets = self.times[ready:], self._offsets[ready:]
+        return taken
+
+    def head(self, offset: int) -> tuple[int, ...]:
+        return WHOLE_MESSAGE.unpack_from(self._data, offset)
+
+    def content(self, offset: int, length: int) -> bytes:
+        begin = offset + WHOLE_MESSAGE.size
+        return self._data[begin : offset + RECORD_HEAD + length]
+
+
+def _before(parts: list[_Part], bound: int) -> Iterator[tuple[_Part, int]]:
+    """Messages of parts before a time (ns), in its order; finished parts leave the list."""
+    taken = [(part, *part.take(bound)) for part in parts]
+    parts[:] = [part for part in parts if len(part.times)]
+    taken = [item for item in taken if len(item[1])]
+    if not taken:
+        return
+    offsets = np.concatenate([item[2] for item in taken])
+    if len(taken) == 1:
+        part = taken[0][0]
+        for begin in range(0, len(offsets), _AT_ONCE):
+            for offset in offsets[begin : begin + _AT_ONCE].tolist():
+                yield part, offset
+        return
+    # Stable: of equal times, the one of the earlier part is first.
+    order = np.argsort(np.concatenate([item[1] for item in taken]), kind="stable")
+    owner = np.repeat(np.arange(len(taken)), [len(item[1]) for item in taken])
+    for begin in range(0, len(order), _AT_ONCE):
+        now = order[begin : begin + _AT_ONCE]
+        for place, offset in zip(owner[now].tolist(), offsets[now].tolist()):
+            yield taken[place][0], offset

@@ -18,6 +18,9 @@ from .read_settings import ReadSettings
 from .reader import BagMessage, BagReader
 from .schema import TOPICS
 
+MAXIMUM_TEXT = 10_000
+"""Characters of a text of a `trial` message above which the message is malformed."""
+
 MOISTURE_BEFORE, MOISTURE_AFTER = 1, 2
 """Phases of a reading, as in finger_msgs/Moisture."""
 
@@ -147,6 +150,38 @@ class Malformed:
         ]
 
 
+class _Wrenches:
+    """Wrench messages, turned into numbers block by block: hours of them fit into memory."""
+
+    BLOCK, BLOCK_BYTES = 20_000, 16 << 20
+
+    def __init__(self, reader: BagReader, topic: str) -> None:
+        self._reader, self._topic = reader, topic
+        self._log: list[int] = []
+        self._raw: list[bytes] = []
+        self._bytes = 0
+        self._done: list[tuple[np.ndarray, ...]] = []
+
+    def add(self, item: BagMessage) -> None:
+        self._log.append(item.log_time_ns)
+        self._raw.append(item.raw)
+        self._bytes += len(item.raw)
+        if len(self._raw) >= self.BLOCK or self._bytes >= self.BLOCK_BYTES:
+            self._convert()
+
+    def _convert(self) -> None:
+        decode = self._reader.decoder(self._topic, WRENCH_TYPE) if self._raw else None
+        fixed = decode is None or decode.standard
+        numbers = stamps_and_wrenches(self._raw, decode, fixed)
+        self._done.append((np.array(self._log, np.int64), *numbers))
+        self._log, self._raw, self._bytes = [], [], 0
+
+    def arrays(self) -> list[np.ndarray]:
+        """Log time, stamp, force and torque of all, as `stamps_and_wrenches` gives them."""
+        self._convert()
+        return [np.concatenate(parts) for parts in zip(*self._done)]
+
+
 def wrong_type(item: BagMessage, needed: str) -> InputError:
     """Error for a message of another type than the schema's."""
     return InputError(f"type is '{item.type}', '{needed}' is needed")
@@ -170,7 +205,7 @@ def read_streams(
         topic = find_topic(reader, name, settings)
         if topic is not None and (with_images or not name.startswith("image")):
             names.setdefault(topic, name)
-    wrenches: list[tuple[int, bytes]] = []
+    wrenches = _Wrenches(reader, wrench)
     areas: list[tuple[int, int, float, float, float, int]] = []
     images: list[tuple[int, int]] = []
     moistures: list[MoistureReading] = []
@@ -183,7 +218,7 @@ def read_streams(
             if item.type != TOPICS[name].type and (not mapped.field or name == "wrench"):
                 raise wrong_type(item, TOPICS[name].type)
             if name == "wrench":
-                wrenches.append((item.log_time_ns, item.raw))
+                wrenches.add(item)
             elif name == "contact_area":
                 areas.append(_area(item, mapped))
             elif name == "moisture":
@@ -196,10 +231,7 @@ def read_streams(
                     on_image(item)
         except (InputError, AttributeError, TypeError, ValueError) as error:
             malformed.add(item.topic, error)
-    log = np.array([w[0] for w in wrenches], np.int64)
-    decode = reader.decoder(wrench, WRENCH_TYPE) if wrenches else None
-    fixed = decode is None or decode.standard
-    stamps, force, torque = stamps_and_wrenches([w[1] for w in wrenches], decode, fixed)
+    log, stamps, force, torque = wrenches.arrays()
     good = stamps >= 0
     if not good.all():
         malformed.add(wrench, f"bytes are not a {WRENCH_TYPE}", int((~good).sum()))
@@ -259,9 +291,12 @@ def _moisture(item: BagMessage, mapped: MappedTopic) -> MoistureReading:
 
 def _trial(message: Any) -> TrialEvent:
     texts = [str(getattr(message, name)) for name in ("session", "subject", "condition")]
+    note = str(message.note)
+    if max(map(len, (*texts, note))) > MAXIMUM_TEXT:
+        raise InputError(f"a text has more than {MAXIMUM_TEXT} characters")
     numbers = [int(getattr(message, name)) for name in ("index", "attempt", "phase")]
     stamp = header_stamp(message)
-    last = (float(message.target_force), str(message.note))
+    last = (float(message.target_force), note)
     values: Any = (stamp, *texts, *numbers, *last)
     return TrialEvent(*values)
 

@@ -15,7 +15,7 @@ from typing import IO, Any
 import yaml
 
 from finger_common.errors import InputError
-from finger_common.files import atomic_write
+from finger_common.files import atomic_write, check_text
 from finger_common.stamps import NANOSECONDS, seconds
 
 from .definitions import decoder, definition_text, encode, type_hash
@@ -118,6 +118,8 @@ class BagWriter:
         name = self.path.name
         if not name or name in (".", "..") or "\0" in str(path):
             raise InputError(f"{path}: not a name for a bag; give the folder to write")
+        for text in (name, *self.metadata, *self.metadata.values()):
+            check_text(text, f"{str(path)!r}")
         self._refuse_existing()
         self._folder = self.path if in_place else self.path.with_name(f".{name}.partial")
         try:

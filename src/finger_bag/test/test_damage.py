@@ -132,7 +132,7 @@ def test_cut_off_bag_gives_everything_before_the_cut(original: bytes, tmp_path: 
     last = tmp_path / "last.mcap"
     last.write_bytes(original)
     with McapFile(last) as file:
-        expected = sum(len(file.messages(r)) for r in file.regions[:-1])
+        expected = sum(len(file.block(r).times) for r in file.regions[:-1])
     assert rest == expected > 300
     assert any("not closed" in p for p in problems)
 
@@ -343,7 +343,7 @@ def test_png_that_claims_gigapixels_is_not_decoded() -> None:
     data = b"\x89PNG\r\n\x1a\n" + b"\x00\x00\x00\rIHDR" + size * 2 + b"\x08\x00\x00\x00\x00" * 9
     with pytest.raises(InputError, match="1048576 x 1048576"):
         grey_image(SimpleNamespace(format="mono8; png compressed ", data=data))
-    with pytest.raises(InputError, match="cannot be decoded"):
+    with pytest.raises(InputError, match="can be decoded"):
         grey_image(SimpleNamespace(format="jpeg", data=b"nothing"))
 
 

@@ -6,6 +6,8 @@ Exit codes: 0 done; 1 done, but a check it made fails; 2 bad input; 130 ended by
 from __future__ import annotations
 
 import argparse
+import errno
+import io
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -16,6 +18,19 @@ from .settings import S, Settings
 
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
+
+_OUTSIDE = {
+    errno.ENAMETOOLONG,
+    errno.EACCES,
+    errno.EPERM,
+    errno.EROFS,
+    errno.ENOSPC,
+    errno.EDQUOT,
+    errno.EFBIG,
+    errno.ELOOP,
+    errno.EIO,
+}
+"""Errors of the operating system that no check before can exclude: bad input, no defect."""
 
 
 class Parser(argparse.ArgumentParser):
@@ -81,9 +96,17 @@ def settings_from(arguments: argparse.Namespace, cls: type[S]) -> S:
     return cls(**{p.name: getattr(arguments, p.name) for p in cls.parameters()})
 
 
+def plain(text: object, longest: int = 1000) -> str:
+    """Text from outside for a terminal: what cannot be printed is escaped, a long one cut."""
+    shown = str(text)
+    if len(shown) > longest:
+        shown = f"{shown[: longest - 40]} … ({len(shown)} characters)"
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in shown)
+
+
 def one_line(error: BaseException) -> str:
-    """The error's message folded into one line."""
-    return " ".join(str(error).split()) or type(error).__name__
+    """The error's message folded into one line that any terminal can show."""
+    return plain(" ".join(str(error).split())) or type(error).__name__
 
 
 def run(
@@ -91,21 +114,30 @@ def run(
 ) -> int:
     """Run a command's main function and return its exit code.
 
-    A FingerError becomes one line on standard error and exit code 2; Ctrl-C gives 130; a closed
+    A FingerError becomes one line on standard error and exit code 2, as does a file that the
+    operating system refuses (name too long, no right, disk full); Ctrl-C gives 130; a closed
     pipe (as in `… | head`) ends quietly. Other exceptions are defects and keep their traceback.
 
     Example: ``sys.exit(run(main))``.
     """
     name = os.path.basename(sys.argv[0]) or "finger"
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # file names need not be text
     try:
         return main(argv) or 0
     except FingerError as error:
         print(f"{name}: {one_line(error)}", file=sys.stderr)
         return EXIT_BAD_INPUT
+    except OSError as error:
+        if isinstance(error, BrokenPipeError):
+            # The reader went away; keep the interpreter from complaining when it flushes at exit.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 0
+        if error.errno not in _OUTSIDE:
+            raise
+        where = f"{plain(error.filename, 200)}: " if error.filename else ""
+        print(f"{name}: {where}{error.strerror}; check name, rights and disk", file=sys.stderr)
+        return EXIT_BAD_INPUT
     except KeyboardInterrupt:
         print(f"{name}: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
-    except BrokenPipeError:
-        # The reader went away; keep the interpreter from complaining when it flushes at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0

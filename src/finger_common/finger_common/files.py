@@ -1,20 +1,27 @@
 """Reading and writing small files so that nothing half-written is left and every error names
 the file.
+
+Files come from other people too: what a file can claim is bounded before memory is taken for it
+(aliases of YAML that multiply, arrays of terabytes, nesting without end, numbers of a thousand
+digits).
 """
 
 from __future__ import annotations
 
 import csv
 import hashlib
+import io
 import json
 import math
 import os
+import re
 import tempfile
+import zipfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, TypeVar
+from typing import IO, TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import numpy as np
 import yaml
@@ -25,6 +32,27 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 Record = TypeVar("Record", bound="DataclassInstance")
+
+MAXIMUM_FILE = 1 << 30
+"""Bytes above which a file is not read into memory."""
+
+MAXIMUM_TEXT = 16 << 20
+"""Bytes of a YAML or JSON file above which it is not parsed."""
+
+MAXIMUM_VALUES = 100_000
+"""Values of a YAML file, aliases counted as what they stand for."""
+
+MAXIMUM_DEPTH = 64
+"""Levels of nesting of YAML or JSON."""
+
+MAXIMUM_DIGITS = 100
+"""Characters of a number in YAML."""
+
+FREE_ARRAYS, ARRAYS_PER_BYTE = 64 << 20, 20
+"""Bytes that the arrays of any NPZ file may have, and further ones for each of its bytes."""
+
+_LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the same, ten times as fast
+_NUMBER = re.compile(r"[-+.]?[0-9][-+0-9a-zA-Z_.:]*")
 
 
 @contextmanager
@@ -60,35 +88,59 @@ def atomic_write(path: str | Path, mode: str = "w", **options: Any) -> Iterator[
         raise
 
 
-def read_bytes(path: str | Path, what: str = "file") -> bytes:
-    """Content of a file; raises InputError naming it when it cannot be read."""
+def exists(path: str | Path) -> bool:
+    """Whether there is such a file or folder; False also for what cannot be a name of one."""
     try:
-        return Path(path).read_bytes()
+        return Path(path).exists()
+    except (OSError, ValueError):
+        return False
+
+
+def read_bytes(path: str | Path, what: str = "file", maximum: int = MAXIMUM_FILE) -> bytes:
+    """Content of a file of `maximum` bytes at most; raises InputError naming it when it cannot be
+    read.
+    """
+    try:
+        with open(path, "rb") as file:
+            data = file.read(min(maximum, os.fstat(file.fileno()).st_size) + 1)
+            while len(data) <= maximum and (more := file.read(maximum + 1 - len(data))):
+                data += more  # what is no plain file, such as a pipe, has no size
     except FileNotFoundError:
         raise InputError(f"{path}: no such {what}; check the path") from None
     except OSError as error:
         raise InputError(f"{path}: {what} cannot be read ({error.strerror})") from None
+    except ValueError:
+        raise InputError(f"{str(path)!r}: not a file name; check the path") from None
+    if len(data) > maximum:
+        raise InputError(f"{path}: {what} has more than {maximum} bytes; not read")
+    return data
 
 
-def read_text(path: str | Path, what: str = "file") -> str:
+def read_text(path: str | Path, what: str = "file", maximum: int = MAXIMUM_FILE) -> str:
     """Text (UTF-8) of a file; raises InputError naming it when it cannot be read."""
     try:
-        return read_bytes(path, what).decode("utf-8-sig")
+        return read_bytes(path, what, maximum).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise InputError(f"{path}: {what} is not UTF-8 text; save it as UTF-8") from None
 
 
 def parse_yaml(text: str, where: str) -> dict[str, Any]:
     """Mapping from YAML text; raises InputError naming `where` and the line."""
+    if len(text) > MAXIMUM_TEXT:
+        raise InputError(f"{where}: more than {MAXIMUM_TEXT} characters; not read")
     try:
-        data = yaml.safe_load(text)
+        _check_events(text, where)
+        data = yaml.load(text, Loader=_LOADER)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = f", line {mark.line + 1}" if mark else ""
         problem = getattr(error, "problem", None) or "syntax error"
         raise InputError(f"{where}{line}: not valid YAML ({problem}); correct the syntax") from None
-    except RecursionError:
-        raise InputError(f"{where}: YAML nested too deeply; flatten it") from None
+    except InputError:
+        raise
+    except (ValueError, LookupError, AttributeError, TypeError, ArithmeticError) as error:
+        # A tag that does not fit its value, such as `!!int x`.
+        raise InputError(f"{where}: a value cannot be read ({error}); correct it") from None
     if data is None:
         data = {}
     if not isinstance(data, dict):
@@ -96,12 +148,133 @@ def parse_yaml(text: str, where: str) -> dict[str, Any]:
             f"{where}: expected 'key: value' lines, found {type(data).__name__}; "
             "see the documentation"
         )
+    _check_values(data, where)
     return data
+
+
+def _check_events(text: str, where: str) -> None:
+    """Refuse YAML that is too deep or too large once its aliases are followed."""
+    sizes: dict[str, int] = {}  # values below an anchor; absent while it is open
+    opened: list[tuple[str | None, int]] = []  # anchor, values before it
+    values = 0
+
+    def refuse(event: Any, reason: str) -> NoReturn:
+        raise InputError(f"{where}, line {event.start_mark.line + 1}: {reason}")
+
+    for event in yaml.parse(text, Loader=_LOADER):
+        if isinstance(event, yaml.CollectionEndEvent):
+            anchor, before = opened.pop()
+            if anchor:
+                sizes[anchor] = values - before
+            continue
+        if not isinstance(event, yaml.NodeEvent):
+            continue
+        before, values = values, values + 1
+        if isinstance(event, yaml.AliasEvent):
+            if event.anchor is None or event.anchor not in sizes:
+                refuse(event, f"alias '{event.anchor}' refers to itself or to nothing; remove it")
+            values += sizes[event.anchor]
+        elif isinstance(event, yaml.CollectionStartEvent):
+            opened.append((event.anchor, before))
+            if len(opened) > MAXIMUM_DEPTH:
+                refuse(event, "YAML nested too deeply; flatten it")
+        elif isinstance(event, yaml.ScalarEvent):
+            if event.anchor:
+                sizes[event.anchor] = 1
+            long = len(event.value) > MAXIMUM_DIGITS
+            if long and event.implicit[0] and _NUMBER.fullmatch(event.value):
+                refuse(event, f"number of {len(event.value)} characters; shorten it")
+        if values > MAXIMUM_VALUES:
+            refuse(event, f"more than {MAXIMUM_VALUES} values, aliases followed; not read")
+
+
+def parse_json(text: str, where: str) -> Any:
+    """Value from JSON text; raises InputError naming `where`."""
+    if len(text) > MAXIMUM_TEXT:
+        raise InputError(f"{where}: more than {MAXIMUM_TEXT} characters; not read")
+    try:
+        data = json.loads(text)
+    except RecursionError:
+        raise InputError(f"{where}: JSON nested too deeply; flatten it") from None
+    except ValueError as error:
+        raise InputError(f"{where}: not valid JSON ({error}); correct it") from None
+    _check_values(data, where)
+    return data
+
+
+def _check_values(data: Any, where: str) -> None:
+    """Refuse integers of more than 64 bits, lone surrogates and nesting beyond the limit."""
+    level, depth = [data], 0
+    while level:
+        below: list[Any] = []
+        for value in level:
+            if isinstance(value, dict):
+                below += value
+                below += value.values()
+            elif isinstance(value, (list, tuple, set)):
+                below += value
+            elif isinstance(value, int) and value.bit_length() > 64:
+                raise InputError(f"{where}: an integer has more than 64 bits; shorten it")
+            elif isinstance(value, str):
+                check_text(value, where)
+        level, depth = below, depth + 1
+        if depth > MAXIMUM_DEPTH + 1:
+            raise InputError(f"{where}: nested too deeply; flatten it")
+
+
+def check_text(text: str, where: str) -> None:
+    """Raise InputError, naming `where`, for text that no file can hold (a lone surrogate)."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        raise InputError(f"{where}: {text[:40]!r} is not valid text; correct it") from None
 
 
 def load_yaml(path: str | Path, what: str = "YAML file") -> dict[str, Any]:
     """Mapping from a YAML file; raises InputError naming file and line."""
-    return parse_yaml(read_text(path, what), str(path))
+    return parse_yaml(read_text(path, what, MAXIMUM_TEXT), str(path))
+
+
+def load_json(path: str | Path, what: str = "JSON file") -> Any:
+    """Value of a JSON file; raises InputError naming the file."""
+    return parse_json(read_text(path, what, MAXIMUM_TEXT), str(path))
+
+
+def parse_npz(data: bytes, where: str) -> dict[str, np.ndarray]:
+    """Arrays by name of an NPZ file; raises InputError naming `where`.
+
+    Before an array is read, the size that its header claims is compared with its bytes.
+    """
+    allowed = FREE_ARRAYS + ARRAYS_PER_BYTE * len(data)
+    arrays: dict[str, np.ndarray] = {}
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            members = archive.infolist()
+            if sum(member.file_size for member in members) > allowed:
+                raise InputError(f"{where}: claims more than {allowed} bytes of arrays; not read")
+            for member in members:
+                content = archive.read(member)
+                arrays[member.filename.removesuffix(".npy")] = _parse_npy(content)
+    except InputError:
+        raise
+    except Exception as error:
+        # A damaged archive makes zipfile and NumPy raise almost anything.
+        reason = f"{type(error).__name__}: {error}"
+        raise InputError(f"{where}: not an NPZ file that can be read ({reason})") from None
+    return arrays
+
+
+def _parse_npy(content: bytes) -> np.ndarray:
+    stream = io.BytesIO(content)
+    version = np.lib.format.read_magic(stream)
+    read = np.lib.format.read_array_header_1_0
+    if version != (1, 0):
+        read = np.lib.format.read_array_header_2_0
+    shape, fortran, dtype = read(stream)
+    if dtype.hasobject or math.prod(shape) * dtype.itemsize != len(content) - stream.tell():
+        raise ValueError("an array's header does not fit its bytes")
+    values = np.frombuffer(content, dtype, offset=stream.tell())
+    return values.reshape(shape, order="F" if fortran else "C").copy()
 
 
 def number(data: dict[str, Any], key: str, where: str) -> float:
@@ -147,14 +320,13 @@ def read_csv(path: str | Path, columns: Sequence[str]) -> dict[str, np.ndarray]:
     without rows.
     """
     text = read_text(path, "CSV file")
-    rows = csv.reader(text.splitlines())
+    rows = _csv_rows(csv.reader(text.splitlines()), str(path))
     header: list[str] | None = None
     where: list[int] = []
     values: list[list[float]] = []
-    for row in rows:
+    for line, row in rows:
         if not row or not any(cell.strip() for cell in row) or row[0].lstrip().startswith("#"):
             continue
-        line = rows.line_num
         if header is None:
             header = [cell.strip() for cell in row]
             missing = [c for c in columns if c not in header]
@@ -174,8 +346,8 @@ def read_csv(path: str | Path, columns: Sequence[str]) -> dict[str, np.ndarray]:
                 value = math.nan
             if not math.isfinite(value):
                 raise InputError(
-                    f"{path}, line {line}: '{cell}' in column '{column}' is not a finite number; "
-                    "correct or remove the row"
+                    f"{path}, line {line}: '{cell[:40]}' in column '{column}' is not a finite "
+                    "number; correct or remove the row"
                 )
             numbers.append(value)
         values.append(numbers)
@@ -185,6 +357,27 @@ def read_csv(path: str | Path, columns: Sequence[str]) -> dict[str, np.ndarray]:
         raise InputError(f"{path}: no rows below the header; add data")
     table = np.array(values, dtype=float)
     return {column: table[:, i].copy() for i, column in enumerate(columns)}
+
+
+def _csv_rows(reader: Any, where: str) -> Iterator[tuple[int, list[str]]]:
+    """Lines with their numbers; raises InputError for a cell that is no table's."""
+    try:
+        for row in reader:
+            yield reader.line_num, row
+    except csv.Error as error:
+        raise InputError(f"{where}, line {reader.line_num}: {error}; correct the file") from None
+
+
+def sha256_of_file(path: str | Path, what: str = "file") -> str:
+    """Hash (hexadecimal) of a file, read in blocks; raises InputError when it cannot be read."""
+    sha = hashlib.sha256()
+    try:
+        with open(path, "rb") as file:
+            while block := file.read(1 << 20):
+                sha.update(block)
+    except OSError as error:
+        raise InputError(f"{path}: {what} cannot be read ({error.strerror})") from None
+    return sha.hexdigest()
 
 
 def sha256_of(value: Any) -> str:

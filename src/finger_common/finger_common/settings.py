@@ -20,6 +20,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any, TypeVar
 
 from .errors import InputError
+from .files import parse_json
 from .parameters import Parameter, ParameterTable
 
 _KEY = "setting"
@@ -106,10 +107,7 @@ class Settings:
         """From the text of a JSON object, empty for the defaults; raises InputError naming
         `where`.
         """
-        try:
-            values = json.loads(text) if text.strip() else {}
-        except (ValueError, RecursionError) as error:
-            raise InputError(f"{where}: not valid JSON ({error}); correct it") from None
+        values = parse_json(text, where) if text.strip() else {}
         if not isinstance(values, dict):
             raise InputError(f"{where}: a JSON object is needed, found {str(values)[:40]!r}")
         return cls.from_mapping(values, where)

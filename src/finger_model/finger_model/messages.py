@@ -9,6 +9,8 @@ import json
 from operator import attrgetter
 from typing import Any
 
+from finger_common.errors import InputError
+from finger_common.files import parse_json
 from finger_common.stamps import fill_time, header_stamp, time_fields
 
 from .estimator import ContactEstimate, EstimatorEvent, EventType
@@ -39,8 +41,8 @@ def event_of(message: Any) -> EstimatorEvent:
     """Argument of `apply_event` from a finger_msgs/ModelEvent."""
     late = {}
     try:
-        late = json.loads(message.settings).get("late", {})
-    except (ValueError, AttributeError):
+        late = dict(parse_json(message.settings, "settings").get("late", {}))
+    except (InputError, ValueError, TypeError, AttributeError):
         pass
     return EstimatorEvent(
         header_stamp(message),

@@ -12,6 +12,7 @@ import numpy as np
 from finger_bag.reader import BagMessage, BagReader
 from finger_bag.schema import CALIBRATION_ATTACHMENT
 from finger_common.errors import FingerError, InputError
+from finger_common.image_size import check_image
 from finger_common.stamps import header_stamp
 from finger_vision.area_sensor import (
     AREA_SENSORS,
@@ -27,8 +28,6 @@ IMAGES = ("image_raw", "image_raw/compressed")
 IMAGES_AHEAD = 6
 """Images that may wait to be measured."""
 
-MAXIMUM_PIXELS = 64 << 20
-
 
 def grey_image(message: Any) -> np.ndarray:
     """Image (H, W) of a sensor_msgs Image or CompressedImage, uint8, uint16 or float32.
@@ -40,19 +39,14 @@ def grey_image(message: Any) -> np.ndarray:
     import cv2
 
     data = np.frombuffer(bytes(message.data), np.uint8)
-    _refuse_large_png(data)
-    image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH) if len(data) else None
+    check_image(data.data, f"compressed image ('{message.format[:40]}')")
+    try:
+        image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
+    except cv2.error:
+        image = None
     if image is None:
-        raise InputError(f"compressed image ('{message.format}') cannot be decoded")
+        raise InputError(f"compressed image ('{message.format[:40]}') cannot be decoded")
     return image
-
-
-def _refuse_large_png(data: np.ndarray) -> None:
-    """Refuse a small PNG that claims gigabytes of pixels, before they are allocated."""
-    if bytes(data[:8]) == b"\x89PNG\r\n\x1a\n" and len(data) >= 24:
-        width, height = (int.from_bytes(bytes(data[i : i + 4]), "big") for i in (16, 20))
-        if width * height > MAXIMUM_PIXELS:
-            raise InputError(f"compressed image claims {width} x {height} pixels; not decoded")
 
 
 def calibration_of(

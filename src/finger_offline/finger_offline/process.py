@@ -52,6 +52,8 @@ class ProcessResult:
     replayed: bool = False
     counters: dict[str, int] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
+    lost: bool = False
+    """Whether something that the bag holds could not be read."""
 
 
 def process(
@@ -161,7 +163,16 @@ class _Run:
                 "were not used"
             )
         duration = self.reader.info.duration
-        return ProcessResult(None, self.states, self.areas, duration, replayed, counters, problems)
+        return ProcessResult(
+            None,
+            self.states,
+            self.areas,
+            duration,
+            replayed,
+            counters,
+            problems,
+            self.reader.lost,
+        )
 
     # Into the queue --------------------------------------------------------------------------
 

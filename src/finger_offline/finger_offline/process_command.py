@@ -13,12 +13,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import Progress
 
 from finger_bag.bag_files import find_bags
-from finger_bag.cli import AddCommand
+from finger_bag.cli import EXIT_LOST, AddCommand
 from finger_bag.read_settings import add_read_options, read_settings_from
-from finger_common.cli import EXIT_BAD_INPUT
+from finger_common.cli import EXIT_BAD_INPUT, one_line, plain
 from finger_common.errors import FingerError, InputError
 
 from .process_options import ProcessOptions
@@ -79,7 +80,9 @@ def run(args: argparse.Namespace) -> int:
     hidden = not sys.stderr.isatty()
     results: list[ProcessResult | FingerError] = []
     with Progress(console=Console(stderr=True), transient=True, disable=hidden) as bar:
-        task = bar.add_task(f"{len(bags)} bags" if several else bags[0].name, total=len(bags))
+        task = bar.add_task(
+            f"{len(bags)} bags" if several else escape(bags[0].name), total=len(bags)
+        )
         if several:
             jobs = [(bag, target, options) for bag, target in zip(bags, targets)]
             with ProcessPoolExecutor(min(args.jobs, len(bags))) as pool:
@@ -125,12 +128,14 @@ def _report(results: Sequence[ProcessResult | FingerError], took: float) -> int:
     good = [r for r in results if not isinstance(r, FingerError)]
     for result in good:
         for problem in result.problems:
-            print(f"finger-bag: {result.path}: {problem}", file=sys.stderr)
+            print(f"finger-bag: {plain(result.path)}: {plain(problem)}", file=sys.stderr)
     total = sum(r.duration for r in good)
     print(
         f"{sum(r.states for r in good)} contact states, {sum(r.areas for r in good)} areas from "
         f"{len(good)} bag(s) of {total:.1f} s in {took:.1f} s: {total / took:.0f} × real time"
     )
     for error in failed:
-        print(f"finger-bag: {error}", file=sys.stderr)
-    return EXIT_BAD_INPUT if failed else 0
+        print(f"finger-bag: {one_line(error)}", file=sys.stderr)
+    if failed:
+        return EXIT_BAD_INPUT
+    return EXIT_LOST if any(r.lost for r in good) else 0

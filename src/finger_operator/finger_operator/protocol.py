@@ -187,6 +187,11 @@ class Protocol:
                 f"{Path(folder) / STATE_FILE}: step '{saved.step}' does not exist; move the file "
                 "away to start a new session"
             ) from None
+        if step in (*UNDER_WAY, Step.CLOSING) and not saved.trials[saved.current].attempts:
+            raise InputError(
+                f"{Path(folder) / STATE_FILE}: step '{saved.step}' needs an attempt; move the file "
+                "away to start a new session"
+            )
         protocol = cls(saved.plan, folder, effects, limits)
         protocol.trials = saved.trials
         protocol.current = saved.current

@@ -28,7 +28,7 @@ from finger_common.axes import DEFAULT_NORMAL_AXIS, NORMAL_AXES
 from finger_common.cli import one_line
 from finger_common.diagnostics import WARN, Health
 from finger_common.errors import FingerError, InputError
-from finger_common.files import atomic_write
+from finger_common.files import atomic_write, read_text
 from finger_common.node import POLLED_DEPTH, STATE_QOS, ManagedNode, PolledSubscription, main_of
 from finger_common.settings import Settings, setting
 from finger_common.stamps import fill_time, header_stamp
@@ -42,7 +42,7 @@ from .protocol import Effect, Protocol, StartRecording, Step
 from .recorder_requests import RecorderRequests
 from .session_store import STATE_FILE, free_space, sessions_by_subject
 from .status import closed_status, session_status
-from .study_plan import PREPARATIONS, PlanSettings, StudyPlan, parse_preparations
+from .study_plan import NAME, PREPARATIONS, PlanSettings, StudyPlan, parse_preparations
 
 POINTER = "current_session"
 """File in `output` that names the session under way, so that a restarted node finds it again."""
@@ -209,10 +209,10 @@ class ProtocolNode(ManagedNode):
     def _resume_pointer(self) -> None:
         pointer = self._output / POINTER
         try:
-            name = pointer.read_text().strip()
-        except OSError:
+            name = read_text(pointer).strip()
+        except InputError:
             return
-        if not (self._output / name / STATE_FILE).exists():
+        if not NAME.fullmatch(name) or not (self._output / name / STATE_FILE).exists():
             return
         try:
             self._protocol = Protocol.resume_from(

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import shutil
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import fmean
+from typing import Any
 
 from finger_common.errors import InputError
-from finger_common.files import atomic_write, read_text
+from finger_common.files import atomic_write, load_json
 
 from .attempt import Attempt, TrialState
 from .event_log import EventLog
@@ -24,6 +26,10 @@ COLUMNS = (
     "index,condition,attempt,verdict,time_to_target_s,peak_force_n,frames,moisture_before_au,"
     "moisture_after_au,bag,reason,notes,markers"
 ).split(",")
+
+
+VERDICTS = ("pending", "done", "skipped")
+DEFAULTS = asdict(Attempt(1))
 
 
 @dataclass(frozen=True)
@@ -57,32 +63,55 @@ def load_state(folder: Path) -> SavedSession:
     """Read the state file; raises InputError naming it when it cannot be used."""
     path = folder / STATE_FILE
     try:
-        state = json.loads(read_text(path, "session state"))
+        state = load_json(path, "session state")
         if state.get("version") != STATE_VERSION:
-            raise InputError(
-                f"{path}: version {state.get('version')} is not {STATE_VERSION}; "
-                "start a new session"
-            )
-        trials = [
-            TrialState(
-                trial["index"],
-                trial["condition"],
-                trial["verdict"],
-                [Attempt(**attempt) for attempt in trial["attempts"]],
-            )
-            for trial in state["trials"]
-        ]
-        current = int(state["current"])
-        trials[current]
+            raise InputError(f"version {state.get('version')} is not {STATE_VERSION}")
         plan = StudyPlan.from_dict(state["plan"])
+        trials = [_trial(trial, plan) for trial in state["trials"]]
+        current = state["current"]
+        _check(type(current) is int and 0 <= current < len(trials), "current", current)
         step, paused, ended = str(state["step"]), bool(state["paused"]), state.get("ended", "")
         return SavedSession(plan, step, paused, current, trials, str(ended))
-    except InputError:
-        raise
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+    except (InputError, KeyError, TypeError, ValueError, AttributeError) as error:
+        reason = str(error).removeprefix(f"{path}: ")
+        if not isinstance(error, (InputError, ValueError)):
+            reason = f"{type(error).__name__}: {reason}"
         raise InputError(
-            f"{path}: not a session state ({error!r}); move it away to start a new session"
+            f"{path}: not a session state ({reason[:200]}); move it away to start a new session"
         ) from None
+
+
+def _check(right: bool, name: str, value: object) -> None:
+    if not right:
+        raise ValueError(f"{name} is {str(value)[:60]!r}")
+
+
+def _trial(data: dict[str, Any], plan: StudyPlan) -> TrialState:
+    """A trial of the state file; raises ValueError where its values are no trial's.
+
+    The condition is a part of the bags' names, and the plan has checked its conditions.
+    """
+    index, condition, verdict = data["index"], data["condition"], data["verdict"]
+    _check(type(index) is int and index >= 0, "index", index)
+    _check(condition in plan.conditions, "condition", condition)
+    _check(verdict in VERDICTS, "verdict", verdict)
+    attempts = [Attempt(**attempt) for attempt in data["attempts"]]
+    for attempt in attempts:
+        for name, value in asdict(attempt).items():
+            _check(_fits(value, DEFAULTS[name]), name, value)
+        _check(attempt.attempt >= 0, "attempt", attempt.attempt)
+    return TrialState(index, condition, verdict, attempts)
+
+
+def _fits(value: object, default: object) -> bool:
+    """Whether a value of an attempt has the type of its default; None stands for a stamp."""
+    if default is None:
+        return value is None or type(value) is int
+    if isinstance(default, list):
+        return isinstance(value, list) and all(_fits(v, 0.0) for v in value)
+    if isinstance(default, float):
+        return isinstance(value, (int, float)) and math.isfinite(value)
+    return type(value) is type(default)
 
 
 def save_table(folder: Path, trials: Sequence[TrialState], log: EventLog) -> None:

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 
 from finger_common.errors import InputError
+from finger_common.files import exists
+from finger_common.image_size import MAX_PIXELS, check_image
 from finger_common.plugins import Plugins
-
-MAX_PIXELS = 200_000_000
 
 BAG_ENDINGS = (".mcap", ".db3", ".bag")
 
@@ -122,7 +122,7 @@ def read_signal(path: str | Path) -> np.ndarray:
     Raises InputError naming the file.
     """
     path = Path(path)
-    if not path.exists():
+    if not exists(path):
         raise InputError(f"{path}: no such image; check the path")
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name the images in it")
@@ -130,8 +130,7 @@ def read_signal(path: str | Path) -> np.ndarray:
         content = np.fromfile(path, np.uint8)
     except OSError as error:
         raise InputError(f"{path}: image cannot be read ({error.strerror})") from None
-    if content.size == 0:
-        raise InputError(f"{path}: file is empty; give an image")
+    check_image(content.data, str(path))
     try:
         image = cv2.imdecode(content, cv2.IMREAD_UNCHANGED)
     except cv2.error:

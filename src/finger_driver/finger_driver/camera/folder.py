@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 
 from finger_common.errors import DeviceError, InputError
+from finger_common.image_size import check_image
 
 from .source import CameraSettings, CameraSource, Frame
 
@@ -122,7 +123,11 @@ class FolderSource(CameraSource):
         except OSError:
             self.health.count("skipped")
             return None
-        image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size else None
+        try:
+            check_image(data.data, name)
+            image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
+        except (InputError, cv2.error):
+            image = None
         if image is None:
             self.note("malformed", f"{name}: not an image that can be read")
             return None

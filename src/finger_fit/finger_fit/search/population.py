@@ -26,7 +26,7 @@ from pymoo.core.termination import NoTermination
 from pymoo.problems.static import StaticProblem
 
 from finger_common.errors import InputError
-from finger_common.files import atomic_write, read_text
+from finger_common.files import atomic_write, load_json
 
 from .coordinates import Coordinates
 
@@ -239,7 +239,7 @@ def _load(path: Path, identity: dict[str, Any]) -> tuple[list[np.ndarray], list[
     if not path.exists():
         return [], []
     try:
-        data = json.loads(read_text(path, "checkpoint"))
+        data = load_json(path, "checkpoint")
         points = [np.array(p, dtype=float) for p in data["candidates"]]
         costs = [np.array(c, dtype=float) for c in data["costs"]]
         found = {key: data[key] for key in identity}

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from finger_bag.bag_files import find_bags
+from finger_bag.bag_files import find_bags, storage_of
 from finger_bag.mapping import TopicMapping
 from finger_bag.reader import open_bag
 from finger_common.errors import InputError
-from finger_common.files import read_bytes, sha256_of
+from finger_common.files import sha256_of, sha256_of_file
 from finger_offline.trial_records import TrialRecord, TrialSet
 from finger_offline.trial_split import TrialSettings, split
 from finger_offline.trials import streams_with_areas, trials_of
@@ -129,5 +129,8 @@ def recorded_tare(extra: dict[str, str], force: np.ndarray, stamp_ns: np.ndarray
 
 def bag_hash(bag: Path) -> str:
     """Hash of a bag: of the hashes of its data files, in order of name."""
-    files = [bag] if bag.is_file() else sorted(p for p in bag.iterdir() if p.is_file())
-    return sha256_of([[p.name, sha256_of(read_bytes(p, "bag file"))] for p in files])
+    files = [bag]
+    if not bag.is_file():
+        inside = (p for p in bag.iterdir() if storage_of(p) or p.name == "metadata.yaml")
+        files = sorted(p for p in inside if p.is_file())
+    return sha256_of([[p.name, sha256_of_file(p, "bag file")] for p in files])

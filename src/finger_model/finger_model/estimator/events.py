@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from enum import IntEnum
 
 from finger_common.errors import InputError
+from finger_common.files import parse_json
 
 from .settings import EstimatorSettings
 
@@ -49,8 +49,8 @@ class EstimatorEvent:
     def estimator_settings(self) -> EstimatorSettings:
         """Settings in force after the event; raises InputError for text that is no JSON object."""
         try:
-            values = json.loads(self.settings)
-        except ValueError:
+            values = parse_json(self.settings, "settings")
+        except InputError:
             values = None
         if not isinstance(values, dict):
             raise InputError("estimator settings are not a JSON object; record the bag again")

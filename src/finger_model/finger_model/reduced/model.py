@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import functools
-import io
 import json
 import math
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
@@ -16,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from finger_common.errors import InputError
-from finger_common.files import atomic_write, read_bytes, sha256_of
+from finger_common.files import atomic_write, parse_json, parse_npz, read_bytes, sha256_of
 
 from ..geometry import Geometry
 from ..history import ContactHistory, ContactPoint, check_force_history
@@ -183,10 +181,9 @@ class ReducedModel:
     @classmethod
     def _parse(cls, data: bytes, where: str) -> ReducedModel:
         try:
-            with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-                arrays = {key: archive[key] for key in archive.files}
-            meta = json.loads(str(arrays.pop("meta")))
-        except (ValueError, KeyError, OSError, EOFError, zipfile.BadZipFile):
+            arrays = parse_npz(data, where)
+            meta = parse_json(str(arrays.pop("meta")), where)
+        except (InputError, KeyError):
             raise InputError(
                 f"{where}: not a reduced model file; make one with 'finger-model reduce'"
             ) from None

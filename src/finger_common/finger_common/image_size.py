@@ -1,0 +1,89 @@
+"""Size of an image from the header of its file, so that none is decoded that is a bomb.
+
+A JPEG of 380 bytes can claim 900 million pixels, and a decoder allocates what it claims.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+
+from .errors import InputError
+
+FREE_PIXELS, PIXELS_PER_BYTE = 16 << 20, 10
+"""Pixels that any file may claim, and further ones for each of its bytes.
+
+A dark photograph has about 2 pixels a byte as JPEG and 1 as PNG.
+"""
+
+MAX_PIXELS = 200_000_000
+"""Pixels above which no image is decoded."""
+
+_KINDS = "PNG, TIFF, JPEG, BMP or PGM"
+
+
+def check_image(data: bytes | memoryview, where: str) -> None:
+    """Raise InputError, naming `where`, for what is no image file or claims too many pixels."""
+    data = memoryview(data).cast("B")
+    if not len(data):
+        raise InputError(f"{where}: file is empty; give an image")
+    size = image_size(data)
+    if size is None or min(size) <= 0:
+        raise InputError(f"{where}: not an image that can be decoded; give {_KINDS}")
+    width, height = size
+    if width * height > min(FREE_PIXELS + PIXELS_PER_BYTE * len(data), MAX_PIXELS):
+        raise InputError(
+            f"{where}: {len(data)} bytes claim {width} x {height} pixels; not decoded, "
+            "give a smaller image"
+        )
+
+
+def image_size(data: memoryview) -> tuple[int, int] | None:
+    """Width and height (px) that a PNG, JPEG, TIFF, BMP or PNM file claims; None for others."""
+    begin = bytes(data[:1024])
+    try:
+        if begin.startswith(b"\x89PNG\r\n\x1a\n"):
+            return struct.unpack_from(">II", begin, 16)
+        if begin.startswith(b"\xff\xd8"):
+            return _jpeg(data)
+        if begin.startswith(b"BM"):
+            short = struct.unpack_from("<I", begin, 14)[0] == 12
+            width, height = struct.unpack_from("<HH" if short else "<ii", begin, 18)
+            return abs(width), abs(height)
+        if begin.startswith((b"II*\x00", b"MM\x00*")):
+            return _tiff(data, "<" if begin.startswith(b"I") else ">")
+    except (struct.error, IndexError):
+        return None
+    space = rb"(?:\s|#[^\n]*\n)+"
+    found = re.match(rb"P[1-6]" + space + rb"(\d{1,9})" + space + rb"(\d{1,9})\s", begin)
+    return (int(found[1]), int(found[2])) if found else None
+
+
+def _jpeg(data: memoryview) -> tuple[int, int] | None:
+    """From the first frame header (ITU-T T.81, B.2.2), segment by segment."""
+    position = 2
+    while True:
+        while data[position] != 0xFF:
+            position += 1
+        while data[position] == 0xFF:
+            position += 1
+        marker = data[position]
+        position += 1
+        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
+            height, width = struct.unpack_from(">HH", data, position + 3)
+            return width, height
+        if marker != 0x01 and not 0xD0 <= marker <= 0xD8:
+            position += struct.unpack_from(">H", data, position)[0]
+
+
+def _tiff(data: memoryview, order: str) -> tuple[int, int] | None:
+    """From the first directory (TIFF 6.0, section 2): tags 256 and 257, short or long."""
+    (place,) = struct.unpack_from(order + "I", data, 4)
+    (count,) = struct.unpack_from(order + "H", data, place)
+    found: dict[int, int] = {}
+    for entry in range(place + 2, place + 2 + 12 * count, 12):
+        tag, kind = struct.unpack_from(order + "HH", data, entry)
+        if tag in (256, 257) and kind in (3, 4):
+            value = struct.unpack_from(order + ("H" if kind == 3 else "I"), data, entry + 8)[0]
+            found[tag] = max(found.get(tag, 0), value)
+    return (found[256], found[257]) if len(found) == 2 else None
