@@ -398,7 +398,7 @@ class McapFile:
             self._problem(f"chunk at byte {body} claims {size} bytes from {stored}; not read")
             return
         if self._claimed + size > FREE_BYTES + BYTES_PER_STORED * self._length:
-            self._problem(f"chunk at byte {body} and later ones claim too much; not all are read")
+            self._problem("chunks claim more than a file of its size can hold; not all are read")
             return
         self._claimed += size
         regions.append(Region(offset, stored, size, compression, crc, start, end))

@@ -19,6 +19,10 @@ BLOCK = 4000
 """Wrenches that are handed over at once."""
 
 
+MAXIMUM_WAITING = 50_000
+"""Wrenches that wait at most."""
+
+
 class InputOrder:
     """Holds wrenches, areas and readings until no later message of the bag can precede them."""
 
@@ -27,6 +31,11 @@ class InputOrder:
         # Log time, number of the input, whether it is a reading, arguments for the estimator.
         self._inputs: list[tuple[int, int, bool, tuple[Any, ...]]] = []
         self._count = 0
+
+    @property
+    def full(self) -> bool:
+        """Whether more wrenches wait than any sensor sends within the wait."""
+        return len(self._wrenches) > MAXIMUM_WAITING
 
     def add_wrench(self, item: BagMessage) -> None:
         """Add a wrench; they come in order of log time."""
@@ -53,8 +62,9 @@ class InputOrder:
 
     def wrenches_until(self, log_ns: int) -> Iterator[list[BagMessage]]:
         """Take wrenches logged until then, in blocks."""
-        while self._wrenches and self._wrenches[0].log_time_ns <= log_ns:
+        while self._wrenches and (self.full or self._wrenches[0].log_time_ns <= log_ns):
             block: list[BagMessage] = []
-            while self._wrenches and len(block) < BLOCK and self._wrenches[0].log_time_ns <= log_ns:
+            late = self._wrenches[0].log_time_ns if self.full else log_ns
+            while self._wrenches and len(block) < BLOCK and self._wrenches[0].log_time_ns <= late:
                 block.append(self._wrenches.popleft())
             yield block

@@ -35,6 +35,9 @@ from .process_options import ProcessOptions
 ROUND_NS = 500_000_000
 """Log time between two rounds of handing inputs to the estimator."""
 
+MAXIMUM_WRENCH = 1024
+"""Bytes of a wrench above which it is malformed; only its frame_id can be long."""
+
 RELATIVE_AREA_SD = 0.1
 """Standard deviation over value of an area that a mapping takes from a bare number."""
 
@@ -128,7 +131,7 @@ class _Run:
         span = max((self.reader.info.end_ns or 0) - begin, 1)
         last = 0
         for item in self.reader.messages(None if self.output else self.topics.used()):
-            if item.log_time_ns - last > ROUND_NS:
+            if item.log_time_ns - last > ROUND_NS or self.queue.full:
                 last = item.log_time_ns
                 self._hand_over(last)
                 if progress is not None:
@@ -181,6 +184,8 @@ class _Run:
         if item.topic == topics.wrench:
             if item.type != WRENCH_TYPE:
                 raise wrong_type(item, WRENCH_TYPE)
+            if len(item.raw) > MAXIMUM_WRENCH:
+                raise InputError(f"a wrench has more than {MAXIMUM_WRENCH} bytes")
             self.queue.add_wrench(item)
         elif item.topic == topics.image and self.images is not None:
             self.images.add(item)
