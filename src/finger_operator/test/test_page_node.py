@@ -45,7 +45,8 @@ def test_commands_reach_the_protocol_and_its_cues_come_back(
             assert 'id="plan-trials" type="number" min="1" max="1000"' in text
             token = re.search(r'name="token" content="([^"]+)"', text)
             assert token is not None
-            url, origin = f"http://127.0.0.1:{port}/ws", f"http://127.0.0.1:{port}"
+            origin = f"http://127.0.0.1:{port}"
+            url = f"{origin}/ws?token={token[1]}"
             async with session.ws_connect(url, headers={"Origin": origin}) as socket:
                 numbers = itertools.count()
                 received: list[dict[str, Any]] = []

@@ -6,11 +6,12 @@ import asyncio
 import json
 import random
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import aiohttp
 import pytest
+from served_page import Served, next_of, run, served_all
 
 from finger_common.errors import InputError
 from finger_operator.page.access import is_loopback
@@ -20,58 +21,11 @@ from finger_operator.page.server import PageServer
 from finger_operator.page.settings import PageSettings
 
 
-class Served:
-    """A running server and the commands that reached it."""
-
-    def __init__(self, **settings: Any) -> None:
-        self.commands: list[tuple[str, dict[str, Any]]] = []
-        self.server = PageServer(PageSettings(port=0, **settings), self.command)
-        self.server.start()
-        self.host = f"127.0.0.1:{self.server.port}"
-
-    async def command(self, name: str, arguments: dict[str, Any]) -> tuple[bool, str]:
-        self.commands.append((name, arguments))
-        return name != "skip", f"did {name}"
-
-    def url(self, path: str = "/") -> str:
-        return f"http://{self.host}{path}"
-
-    def connect(
-        self, session: aiohttp.ClientSession, view: str = "operator", token: str = ""
-    ) -> Any:
-        path = f"/ws?view={view}&token={token}"
-        return session.ws_connect(self.url(path), origin=f"http://{self.host}")
-
-
 @pytest.fixture
 def served() -> Iterator[Served]:
     served = Served()
     yield served
     served.server.stop()
-
-
-def run(coroutine: Callable[[aiohttp.ClientSession], Any]) -> Any:
-    async def body() -> Any:
-        async with aiohttp.ClientSession() as session:
-            return await asyncio.wait_for(coroutine(session), 30)
-
-    return asyncio.run(body())
-
-
-async def served_all(socket: aiohttp.ClientWebSocketResponse) -> None:
-    """Wait until the server has answered everything sent so far."""
-    await socket.send_json({"type": "nonsense"})
-    await next_of(socket, "answer")
-
-
-async def next_of(socket: Any, kind: str) -> dict[str, Any]:
-    while True:
-        message = await asyncio.wait_for(socket.receive(), 10)
-        assert message.type is not aiohttp.WSMsgType.CLOSED, "the server closed the connection"
-        if message.type is aiohttp.WSMsgType.TEXT:
-            data = json.loads(message.data)
-            if data["type"] == kind:
-                return data
 
 
 def test_operator_page_carries_the_token_and_loads_nothing_from_elsewhere(served: Served) -> None:
@@ -300,7 +254,8 @@ def test_images_go_to_watchers_only(served: Served) -> None:
 def test_beyond_this_machine_images_need_a_setting_and_the_operators_view_the_token(
     monkeypatch: pytest.MonkeyPatch, share: bool
 ) -> None:
-    monkeypatch.setattr("finger_operator.page.server.is_loopback", lambda address: False)
+    for module in ("server", "access"):
+        monkeypatch.setattr(f"finger_operator.page.{module}.is_loopback", lambda address: False)
     served = Served(share_images=share)
 
     async def body(session: aiohttp.ClientSession) -> None:

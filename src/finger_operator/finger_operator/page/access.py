@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import hmac
 import ipaddress
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import Any
 from urllib.parse import urlsplit
+
+FORWARDING = ("Forwarded", "Via", "X-Forwarded-For", "X-Forwarded-Host", "X-Real-IP")
+"""Headers that proxies add."""
 
 
 def is_loopback(address: str | None) -> bool:
@@ -41,6 +44,23 @@ def host_allowed(header: str | None, host: str, port: int, further: Collection[s
     return True
 
 
+def from_this_machine(address: str | None, headers: Mapping[str, str]) -> bool:
+    """Whether a request was made on this machine, for this machine.
+
+    A reverse proxy or a forwarded port makes requests from here for people elsewhere: it names
+    another host, or says that it forwards.
+    """
+    try:
+        name = urlsplit(f"//{headers.get('Host') or ''}").hostname or ""
+    except ValueError:
+        return False
+    forwarded = any(key in headers for key in FORWARDING)
+    return is_loopback(address) and not forwarded and (name == "localhost" or is_loopback(name))
+
+
 def same_secret(given: Any, token: str) -> bool:
     """Whether a browser's token is the right one, compared in constant time."""
-    return isinstance(given, str) and hmac.compare_digest(given.encode(), token.encode())
+    if not isinstance(given, str):
+        return False
+    # JSON may hold lone surrogates, which UTF-8 does not have.
+    return hmac.compare_digest(given.encode(errors="surrogatepass"), token.encode())

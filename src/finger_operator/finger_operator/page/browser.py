@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import time
 from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
@@ -33,6 +34,9 @@ class Browser:
     points: dict[str, list[list[float]]] = field(default_factory=dict)
     image: bytes | None = None
     wake: asyncio.Event = field(default_factory=asyncio.Event)
+    transport: asyncio.BaseTransport | None = None
+    sending_since: float | None = None
+    """Monotonic time at which a round of sending began that has not ended."""
 
     def add_cue(self, text: str) -> None:
         """A cue or an answer, to be sent before everything else."""
@@ -68,12 +72,19 @@ class Browser:
         self.bad_messages += 1
         self.answer(number, False, sentence)
 
+    def drop(self) -> None:
+        """End the connection without waiting for what is not read."""
+        if isinstance(self.transport, asyncio.WriteTransport):
+            self.transport.abort()
+
     async def send(self) -> None:
         """Send what waits until the browser goes away; the only writer to its socket."""
         try:
             while not self.socket.closed:
+                self.sending_since = None
                 await self.wake.wait()
                 self.wake.clear()
+                self.sending_since = time.monotonic()
                 await self._send_cues()
                 newest, self.newest = self.newest, {}
                 for text in newest.values():

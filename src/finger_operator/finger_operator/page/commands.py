@@ -48,6 +48,10 @@ def check_command(message: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
             raise InputError(f"command '{name}': '{key}' is not a finite number")
         if isinstance(value, int) and not 0 <= value < 1_000_000:
             raise InputError(f"command '{name}': '{key}' is out of range")
+        for text in value if isinstance(value, list) else [value]:
+            # ROS strings hold neither.
+            if isinstance(text, str) and any(c == "\0" or "\ud800" <= c <= "\udfff" for c in text):
+                raise InputError(f"command '{name}': '{key}' holds characters that are not text")
         if isinstance(value, list) and not (
             0 < len(value) < 100 and all(isinstance(v, str) for v in value)
         ):

@@ -4,8 +4,11 @@ What protects the rig:
 
 - requests whose Host is not this server are refused (a foreign name that resolves here), and so
   are WebSockets whose Origin is another page;
-- the operator's page and its WebSocket are for this machine, and for others that name the token;
-- commands carry the token, which only the operator's page contains;
+- the operator's page is for this machine, and for others that name the token; a proxy or forwarded
+  port counts as another machine;
+- the operator's WebSocket and each command carry the token, which only that page contains;
+- a connection without a complete request, and a browser that does not read, are closed after a
+  while; there is a limit of connections;
 - images go to this machine only, unless `share_images`;
 - messages are small JSON objects of known form; any other is answered with a sentence and has no
   effect.
@@ -15,6 +18,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import logging
 import secrets
 import struct
 import threading
@@ -25,13 +29,14 @@ from pathlib import Path
 from typing import Any
 
 from aiohttp import WSMsgType, web
+from aiohttp.http_exceptions import HttpProcessingError
 
 from finger_common.errors import FingerError, InputError
 from finger_common.moisture import MOISTURE_RANGE
 from finger_common.stamps import seconds
 
 from ..study_plan import PlanSettings
-from .access import host_allowed, is_loopback, same_secret
+from .access import from_this_machine, host_allowed, is_loopback, same_secret
 from .browser import Browser
 from .commands import check_command
 from .settings import PageSettings
@@ -41,9 +46,17 @@ MESSAGE_LIMIT = 16384
 """Bytes of the longest message a browser may send."""
 BAD_MESSAGES = 20
 """Bad messages after which a connection is closed."""
+PATIENCE = 10.0
+"""s for a request to be complete and for what is sent to be read."""
+CONNECTIONS = 100
+"""Connections at a time; further ones are closed at once."""
 BATCH = 0.04
 """s between batches of force samples."""
 MEDIA_TYPES = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
+
+_LOGGER = logging.getLogger(__name__)
+# What is no HTTP is answered with 400; it is no defect of the server that a traceback would help.
+_LOGGER.addFilter(lambda r: not (r.exc_info and isinstance(r.exc_info[1], HttpProcessingError)))
 
 HEADERS = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' blob:; frame-ancestors 'none'; "
@@ -88,6 +101,7 @@ class PageServer:
         self._allowed = {name for name in settings.allowed_hosts if name}
         self._browsers: set[Browser] = set()
         self._tasks: set[asyncio.Task[None]] = set()
+        self._streaming: set[Any] = set()
         self._newest: dict[str, str] = {}
         self._cue_stamps: dict[int, int] = {}
         self._next_cue = 0
@@ -156,16 +170,20 @@ class PageServer:
         for file in sorted(STATIC.iterdir()):
             if file.suffix in MEDIA_TYPES:
                 app.router.add_get(f"/static/{file.name}", self._static(file))
-        runner = web.AppRunner(app, access_log=None, shutdown_timeout=1.0)
+        runner = web.AppRunner(app, access_log=None, shutdown_timeout=1.0, logger=_LOGGER)
         await runner.setup()
         site = web.TCPSite(runner, self.settings.host or None, self.settings.port)
         try:
             await site.start()
             self.port = runner.addresses[0][1]
             self._started.set()
-            flush = asyncio.create_task(self._flush_force())
+            tasks = [
+                asyncio.create_task(self._flush_force()),
+                asyncio.create_task(self._close_idle(runner)),
+            ]
             await self._stop.wait()
-            flush.cancel()
+            for task in tasks:
+                task.cancel()
             for browser in list(self._browsers):
                 await browser.socket.close(code=1001)
         finally:
@@ -191,13 +209,29 @@ class PageServer:
             response.headers.update(HEADERS)
         return response
 
-    def _may_operate(self, request: web.Request) -> bool:
-        return is_loopback(request.remote) or same_secret(request.query.get("token"), self.token)
+    def _has_token(self, request: web.Request) -> bool:
+        return same_secret(request.query.get("token"), self.token)
+
+    async def _close_idle(self, runner: web.AppRunner) -> None:
+        """Close connections that make no progress: half a request, an answer that is not read."""
+        since: dict[Any, float] = {}
+        while True:
+            await asyncio.sleep(min(PATIENCE / 4, 1.0))
+            now, patience = time.monotonic(), PATIENCE
+            transports = [c.transport for c in runner.server.connections if c.transport is not None]  # type: ignore[union-attr]
+            since = {t: since.get(t, now) for t in transports if t not in self._streaming}
+            surplus = sorted(since, key=lambda t: since[t])[: max(0, len(transports) - CONNECTIONS)]
+            for transport, begun in since.items():
+                if now - begun > patience or transport in surplus:
+                    transport.abort()
+            for browser in list(self._browsers):
+                if browser.sending_since is not None and now - browser.sending_since > patience:
+                    browser.drop()
 
     # Pages -----------------------------------------------------------------------------------
 
     async def _operator_page(self, request: web.Request) -> web.Response:
-        if not self._may_operate(request):
+        if not (from_this_machine(request.remote, request.headers) or self._has_token(request)):
             return web.Response(
                 status=403,
                 text="Open the operator's page with ?token=… as the page node's log shows it; "
@@ -224,7 +258,7 @@ class PageServer:
         if scheme not in ("http", "https") or origin != request.headers.get("Host"):
             return web.Response(status=403, text="Only the page itself may connect.\n")
         operator = request.query.get("view") != "participant"
-        if operator and not self._may_operate(request):
+        if operator and not self._has_token(request):
             return web.Response(status=403, text="The operator's view needs the token.\n")
         socket = web.WebSocketResponse(heartbeat=20.0, max_msg_size=MESSAGE_LIMIT, compress=False)
         await socket.prepare(request)
@@ -235,7 +269,10 @@ class PageServer:
             browser.newest.update(self._newest)
         if self._last_cue:
             browser.add_cue(self._last_cue)
+        transport = request.transport
+        browser.transport = transport
         self._browsers.add(browser)
+        self._streaming.add(transport)
         sender = asyncio.create_task(browser.send())
         try:
             async for message in socket:
@@ -247,6 +284,7 @@ class PageServer:
                     await socket.close(code=1008, message=b"too many bad messages")
         finally:
             self._browsers.discard(browser)
+            self._streaming.discard(transport)
             sender.cancel()
         return socket
 

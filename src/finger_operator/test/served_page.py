@@ -1,0 +1,60 @@
+"""A running page server and clients of it, for the tests."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Callable
+from typing import Any
+
+import aiohttp
+
+from finger_operator.page.server import PageServer
+from finger_operator.page.settings import PageSettings
+
+
+class Served:
+    """A running server and the commands that reached it."""
+
+    def __init__(self, **settings: Any) -> None:
+        self.commands: list[tuple[str, dict[str, Any]]] = []
+        self.server = PageServer(PageSettings(port=0, **settings), self.command)
+        self.server.start()
+        self.host = f"127.0.0.1:{self.server.port}"
+
+    async def command(self, name: str, arguments: dict[str, Any]) -> tuple[bool, str]:
+        self.commands.append((name, arguments))
+        return name != "skip", f"did {name}"
+
+    def url(self, path: str = "/") -> str:
+        return f"http://{self.host}{path}"
+
+    def connect(
+        self, session: aiohttp.ClientSession, view: str = "operator", token: str | None = None
+    ) -> Any:
+        path = f"/ws?view={view}&token={self.server.token if token is None else token}"
+        return session.ws_connect(self.url(path), origin=f"http://{self.host}")
+
+
+def run(coroutine: Callable[[aiohttp.ClientSession], Any]) -> Any:
+    async def body() -> Any:
+        async with aiohttp.ClientSession() as session:
+            return await asyncio.wait_for(coroutine(session), 30)
+
+    return asyncio.run(body())
+
+
+async def served_all(socket: aiohttp.ClientWebSocketResponse) -> None:
+    """Wait until the server has answered everything sent so far."""
+    await socket.send_json({"type": "nonsense"})
+    await next_of(socket, "answer")
+
+
+async def next_of(socket: Any, kind: str) -> dict[str, Any]:
+    while True:
+        message = await asyncio.wait_for(socket.receive(), 10)
+        assert message.type is not aiohttp.WSMsgType.CLOSED, "the server closed the connection"
+        if message.type is aiohttp.WSMsgType.TEXT:
+            data = json.loads(message.data)
+            if data["type"] == kind:
+                return data
