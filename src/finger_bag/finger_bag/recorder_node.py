@@ -127,7 +127,7 @@ class RecorderNode(ManagedNode):
             stream = "stamped" if spec is not None and (spec.rate or 0) >= 5 else ""
             self._names[absolute] = name
             self._topics[absolute] = (kind, spec.latched if spec is not None else 0, stream)
-        self._health = Health("recording")
+        self._health = Health("recorder")
         self.healths = [self._health]
         self._subs: dict[str, tuple[PolledSubscription, bool]] = {}
         self._latched: dict[str, deque[Serialized]] = {}
@@ -235,6 +235,8 @@ class RecorderNode(ManagedNode):
         lost = recorder.lost
         notes = self._health.notes
         notes["recording"] = str(recorder.path) if recorder.recording else "no"
+        path = recorder.path if recorder.recording else None
+        self._health.activity = f"recording {path.name}" if path is not None else "idle"
         self._watch_interruption()
         step = self._host_clock.step()
         if abs(step) > 0.05:

@@ -32,6 +32,8 @@ class Health:
     expected_rate: samples per second, None where there is no fixed rate.
     rate_tolerance: relative deviation of the measured rate that is still OK.
     stale_after: seconds without a sample until the source counts as silent, None for never.
+
+    `activity` is the message of an active source without a fault, in place of "active".
     """
 
     def __init__(
@@ -49,6 +51,7 @@ class Health:
         self.rate_tolerance = rate_tolerance
         self.stale_after = stale_after
         self.state = "unconfigured"
+        self.activity = ""
         self.counters: Counter[str] = Counter()
         self.notes: dict[str, str] = {}
         self.last_error = ""
@@ -106,6 +109,8 @@ class Health:
                 self._since = (now, self._count)
             age = None if self._last_sample is None else now - self._last_sample
             level, message = OK, self.state
+            if self.state == "active" and self.activity:
+                message = self.activity
             if self._faults:
                 faults = sorted(self._faults.values(), key=lambda fault: -fault[0])
                 level, message = faults[0][0], "; ".join(text for _, text in faults)

@@ -123,3 +123,18 @@ def test_a_warning_does_not_hide_that_nothing_comes() -> None:
     report = health.report()
     assert report.level == ERROR
     assert report.message == "no sample yet: frames of a wrong length"
+
+
+    assert health.report().message == "an error"
+
+
+def test_an_active_source_without_fault_says_what_it_does() -> None:
+    health = source(Clock())
+    assert health.report().message == "active"
+    health.activity = "idle"
+    assert health.report().message == "idle"
+    health.fault("disk", "disk is full")
+    assert health.report().message == "disk is full"
+    health.recovered()
+    health.state = "inactive"
+    assert health.report().message == "inactive"

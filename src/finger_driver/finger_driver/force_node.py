@@ -71,6 +71,7 @@ class ForceNode(DeviceNode):
 
     def create_interfaces(self) -> None:
         self._bias: np.ndarray | None = None
+        self._offset = np.zeros(6)
         self._normal = float("nan")
         self._scale_id = self.device.scale_id
         self._collector: TareCollector | None = None
@@ -128,10 +129,14 @@ class ForceNode(DeviceNode):
         response.success = result.bias is not None
         response.message = result.message
         if result.bias is not None:
-            self._bias = result.bias
+            removed = np.zeros(6) if self._bias is None else self._offset
+            change = result.offset[:3] - removed[:3]
+            was = float(normal_force(change, self.values["normal_axis"]))
+            self._bias, self._offset = result.bias, result.offset
+            response.message = f"Zero set (was {was:.2f} N)"
             self.device.health.recovered("tare_void")
             self.device.health.notes["tare_offset"] = ", ".join(f"{v:.5g}" for v in result.offset)
-            self.get_logger().info(result.message)
+            self.get_logger().info(response.message)
         return response
 
     def _tare(self) -> TareResult:

@@ -72,8 +72,4 @@ class TareCollector:
                 "try again",
             )
         bias = channels.mean(axis=0)
-        offset = source.wrench_of(bias)
-        axes = ", ".join(f"{v:.4g}" for v in offset)
-        return TareResult(
-            bias, offset, f"tared over {len(channels)} samples: offset [{axes}] N, N m"
-        )
+        return TareResult(bias, source.wrench_of(bias), "zero set")

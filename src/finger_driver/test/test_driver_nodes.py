@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from pathlib import Path
 from typing import Any
@@ -49,7 +50,9 @@ def test_force_node_streams_tares_when_asked_and_follows_its_lifecycle(
             assert answer.success or "samples came" in answer.message, answer.message
             return str(answer.message) if answer.success else None
 
-        assert "-1.5" in observer.until(tare, what="tare")
+        # The normal axis is -z: what was shown before is 1.50 N.
+        told = re.fullmatch(r"Zero set \(was (.*) N\)", observer.until(tare, what="tare"))
+        assert told and float(told[1]) == pytest.approx(1.5, abs=0.03)
         count = len(tared)
         observer.until(lambda: len(tared) > count + 300, what="tared wrench")
         assert np.mean([m.wrench.force.z for m in tared[-100:]]) == pytest.approx(0, abs=0.005)

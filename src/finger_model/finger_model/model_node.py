@@ -73,7 +73,7 @@ SAMPLES_PER_CALLBACK = 64
 _WARNINGS = {
     StateFlag.MOISTURE_MISSING: "no moisture reading yet, default parameters are in use",
     StateFlag.MOISTURE_STALE: "the moisture reading is older than moisture_stale_after",
-    StateFlag.MOISTURE_OUT_OF_RANGE: "the moisture reading lies outside the fitted sets",
+    StateFlag.MOISTURE_OUT_OF_RANGE: "moisture is outside the model's range: estimate less certain",
     StateFlag.PARAMETERS_OUT_OF_RANGE: "the material parameters lie outside the range of the "
     "reduced model",
     StateFlag.AREA_STALE: "no area was fused for longer than area_stale_after while in contact",
