@@ -51,6 +51,7 @@ ROSDEP = {
     "python3-opencv",
     "python3-openpyxl",
     "python3-pytest",
+    "python3-argcomplete",
     "python3-rich",
     "python3-rosbags-pip",
     "python3-scipy",

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from finger_common.cli import Parser, run
+from finger_common.folder_lock import lock_folder
 
 from . import nodes
+from .bring_up import ALL_ACTIVE
 from .supervisor import Supervisor
 
 EXAMPLE = """\
@@ -107,13 +110,47 @@ def entries(arguments: argparse.Namespace) -> list[nodes.NodeEntry]:
     )
 
 
+class ReadyLine:
+    """Finds in the nodes' output that all are ready, and where the page is.
+
+    page: whether the operator's page is among the nodes.
+    """
+
+    def __init__(self, page: bool) -> None:
+        self._page = page
+        self._address = ""
+        self._active = False
+
+    def take(self, text: str) -> str:
+        """One line of output; returns what to print when it makes the rig ready, else ""."""
+        address = re.search(r"operator's page: (\S+)", text)
+        if address:
+            self._address = address[1]
+        elif ALL_ACTIVE in text:
+            self._active = True
+        else:
+            return ""
+        if not self._active or (self._page and not self._address):
+            return ""
+        self._active = False
+        return "all ready" + (f": page at {self._address}" if self._page else "")
+
+
 def _up(arguments: argparse.Namespace) -> int:
     folder = arguments.folder.absolute()
-    specs = nodes.process_specs(
-        entries(arguments), folder, arguments.namespace, arguments.parameters
-    )
+    chosen = entries(arguments)
+    lock = lock_folder(folder, "a rig")
+    specs = nodes.process_specs(chosen, folder, arguments.namespace, arguments.parameters)
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    supervisor = Supervisor(specs)
+    ready = ReadyLine("page" in {entry.name for entry in chosen})
+
+    def line(name: str, text: str) -> None:
+        supervisor.show(name, text)
+        news = ready.take(text)
+        if news:
+            print(f"finger-rig: {news}", flush=True)
+
+    supervisor = Supervisor(specs, line)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         supervisor.start()
@@ -125,6 +162,7 @@ def _up(arguments: argparse.Namespace) -> int:
         # A second Ctrl-C must not leave processes behind.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         supervisor.stop()
+        lock.close()
     return supervisor.exit_code
 
 

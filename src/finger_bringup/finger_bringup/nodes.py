@@ -17,7 +17,7 @@ from typing import Any
 
 import yaml
 
-from finger_common.errors import InputError
+from finger_common.errors import InputError, known_names
 from finger_common.files import atomic_write, load_yaml
 from finger_sim.rig_settings import RigAddresses
 
@@ -137,7 +137,7 @@ def merged(*parameters: Parameters) -> dict[str, dict[str, Any]]:
 def entry_of(name: str) -> NodeEntry:
     """The entry of that name; raises InputError when there is none."""
     if name not in NODES:
-        raise InputError(f"node '{name}' does not exist; known are {', '.join(NODES)}")
+        raise InputError(f"node '{name}' does not exist; {known_names(name, NODES)}")
     return NODES[name]
 
 
@@ -185,7 +185,7 @@ def rig(
     """
     names = list(only) or [*(["simulated_rig"] if simulated else []), *RIG]
     for name in without:
-        if name not in names:
+        if entry_of(name).name not in names:
             raise InputError(f"node '{name}' would not run anyway; do not name it to be left out")
         names.remove(name)
     own: dict[str, dict[str, Any]] = {"protocol": {"output": str(folder / "sessions")}}

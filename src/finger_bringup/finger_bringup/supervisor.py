@@ -71,7 +71,7 @@ class Supervisor:
             for i, spec in enumerate(specs)
         }
         self._width = max((len(spec.name) for spec in specs), default=0)
-        self._line = line or self._print
+        self._line = line or self.show
         self._lock = threading.Lock()
         self._stopping = threading.Event()
         self._monitor: threading.Thread | None = None
@@ -235,7 +235,8 @@ class Supervisor:
     def _report(self, name: str, text: str) -> None:
         self._line(name, f"[supervisor] {name} {text}")
 
-    def _print(self, name: str, text: str) -> None:
+    def show(self, name: str, text: str) -> None:
+        """Print a line of a process with its coloured prefix."""
         prefix = f"{name:>{self._width}} |"
         if sys.stdout.isatty():
             prefix = f"\x1b[{self._running[name].colour}m{prefix}\x1b[0m"

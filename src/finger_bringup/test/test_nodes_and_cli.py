@@ -1,6 +1,7 @@
 """The table of nodes agrees with the packages; `finger-rig` refuses wrong options."""
 
 import importlib.util
+import os
 import re
 from pathlib import Path
 
@@ -8,9 +9,11 @@ import pytest
 import yaml
 
 from finger_bringup import nodes
-from finger_bringup.cli import entries, main, parser
+from finger_bringup.bring_up import ALL_ACTIVE
+from finger_bringup.cli import ReadyLine, entries, main, parser
 from finger_bringup.restarts import RestartDelay
 from finger_common.errors import InputError
+from finger_common.folder_lock import lock_folder
 from finger_sim.rig_settings import RigAddresses
 
 
@@ -77,7 +80,11 @@ def test_a_file_that_is_no_parameter_file_is_named(tmp_path: Path, text: str, sa
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["up", "--nodes", "forse"], "node 'forse' does not exist; known are simulated_rig, force"),
+        (
+            ["up", "--nodes", "forse"],
+            "node 'forse' does not exist; did you mean 'force'? Known",
+        ),
+        (["up", "--without", "cam"], "node 'cam' does not exist; did you mean 'camera'? Known are"),
         (["up", "--without", "simulated_rig"], "'simulated_rig' would not run anyway"),
         (["up", "--parameters", "missing.yaml"], "missing.yaml: no such parameter file"),
     ],
@@ -89,6 +96,28 @@ def test_bad_arguments_end_with_code_2_and_one_sentence(
     assert main([*arguments, *folder]) == 2
     error = capsys.readouterr().err
     assert says in error and error.count("\n") == 1 and "Traceback" not in error
+
+
+def test_a_second_rig_on_a_folder_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with lock_folder(tmp_path, "a rig"):
+        assert main(["up", "--nodes", "page", "--folder", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert f"{tmp_path}: in use by a rig (process {os.getpid()}); end it, or choose" in error
+
+
+def test_the_ready_line_comes_once_all_are_active_and_the_page_is_served() -> None:
+    active = f"[bring_up] {ALL_ACTIVE}: force, camera"
+    page = "[page] operator's page: http://127.0.0.1:8080/"
+    news = "all ready: page at http://127.0.0.1:8080/"
+    for lines, says in (
+        ([page, "x", active, page, active], ["", "", news, "", news]),
+        ([active, page], ["", news]),
+    ):
+        ready = ReadyLine(page=True)
+        assert [ready.take(line) for line in lines] == says
+    assert ReadyLine(page=False).take(active) == "all ready"
 
 
 def names(*arguments: str) -> list[str]:

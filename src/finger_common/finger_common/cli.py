@@ -9,11 +9,12 @@ import argparse
 import errno
 import io
 import os
+import re
 import sys
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NoReturn
 
-from .errors import FingerError
+from .errors import FingerError, nearest
 from .settings import S, Settings
 
 EXIT_BAD_INPUT = 2
@@ -33,17 +34,68 @@ _OUTSIDE = {
 """Errors of the operating system that no check before can exclude: bad input, no defect."""
 
 
+class Formatter(argparse.RawDescriptionHelpFormatter):
+    """Wraps descriptions and keeps the lines of an example."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        if "\n" in text:
+            return super()._fill_text(text, width, indent)
+        return argparse.HelpFormatter._fill_text(self, text, width, indent)
+
+
 class Parser(argparse.ArgumentParser):
-    """ArgumentParser that keeps the layout of an example given as epilog and never abbreviates
-    options.
+    """ArgumentParser that keeps the layout of an example given as epilog, never abbreviates
+    options, names the option or command that was probably meant, and completes in a shell.
     """
 
     def __init__(self, *args: object, example: str | None = None, **kwargs: object) -> None:
-        kwargs.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
+        kwargs.setdefault("formatter_class", Formatter)
         kwargs.setdefault("allow_abbrev", False)
         if example is not None:
             kwargs["epilog"] = "example:\n  " + example.strip().replace("\n", "\n  ")
         super().__init__(*args, **kwargs)  # type: ignore[arg-type]
+
+    def parse_args(self, *args: Any, **kwargs: Any) -> Any:
+        """As in the base class; answers the shell first when it asks for completions."""
+        if "_ARGCOMPLETE" in os.environ:
+            import argcomplete
+
+            argcomplete.autocomplete(self)
+        return super().parse_args(*args, **kwargs)
+
+    def format_usage(self) -> str:
+        """What must be given; the options are listed below in the help."""
+        needed = [a for a in self._actions if a.required or not a.option_strings]
+        formatter = self._get_formatter()
+        formatter.add_usage(self.usage, needed, [])
+        optional = " [options]" if len(self._actions) > len(needed) + self.add_help else ""
+        return formatter.format_help().replace(self.prog, self.prog + optional, 1)
+
+    def format_help(self) -> str:
+        """As in the base class, with the short usage."""
+        _, _, rest = super().format_help().partition("\n\n")
+        return f"{self.format_usage()}\n{rest}"
+
+    def error(self, message: str) -> NoReturn:
+        """End with exit code 2; a misspelt option or name gets the one that was meant."""
+        unknown = re.match(r"unrecognized arguments: (-\S+)", message)
+        choice = re.search(r"invalid choice: '?([^' ]*)'? \(choose from (.*)\)", message)
+        near = None
+        if unknown:
+            options = {option.lstrip("-"): option for option in self._all_options()}
+            found = nearest(unknown[1].split("=")[0].lstrip("-"), options)
+            near = None if found is None else options[found]
+        elif choice:
+            near = nearest(choice[1], re.findall(r"[^', ]+", choice[2]))
+        super().error(message if near is None else f"{message}; did you mean '{near}'?")
+
+    def _all_options(self) -> list[str]:
+        found = list(self._option_string_actions)
+        for action in self._actions:
+            if isinstance(action, argparse._SubParsersAction):
+                for parser in action.choices.values():
+                    found += parser._option_string_actions
+        return found
 
 
 def integer(text: str) -> int:
@@ -53,13 +105,17 @@ def integer(text: str) -> int:
 
 def add_settings(parser: Any, cls: type[Settings], without: str = "") -> None:
     """Give a parser, or a group of one, an option ``--the-name`` for every field of a settings
-    class.
+    class, under the heading of the field's group.
 
     without: name of a field that gets no option.
     """
+    whole, groups = parser, {"": parser}
     for item in cls.parameters():
         if item.name == without:
             continue
+        if item.group not in groups:
+            groups[item.group] = whole.add_argument_group(item.group)
+        parser = groups[item.group]
         flag = "--" + item.name.replace("_", "-")
         allowed = "" if item.choices is not None else item.range_text()
         # A range names the unit already.

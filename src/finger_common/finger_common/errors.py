@@ -10,6 +10,9 @@ Every message is one sentence that names what is wrong, where, and what to chang
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
+
 
 class FingerError(Exception):
     """Base class of all errors raised on purpose by the suite."""
@@ -37,3 +40,18 @@ class ModelError(FingerError):
     Raised for: no convergence of a load step, a load the finger cannot carry; names time, force and
     cause.
     """
+
+
+def nearest(name: str, known: Iterable[str]) -> str | None:
+    """The known name that was probably meant: one that begins so, or is spelt alike."""
+    names = list(known)
+    begun = [n for n in names if len(name) > 1 and n.startswith(name)]
+    return next(iter([*begun, *difflib.get_close_matches(name, names, 1, 0.6)]), None)
+
+
+def known_names(name: str, known: Iterable[str]) -> str:
+    """End of a sentence about an unknown name: which one was probably meant, and which exist."""
+    names = [str(n) for n in known]
+    near = nearest(name, names)
+    listed = f"nown are {', '.join(names) or 'none'}"
+    return f"k{listed}" if near is None else f"did you mean '{near}'? K{listed}"

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from .errors import InputError
+from .errors import InputError, known_names
 
 _TYPES = {bool: "boolean", int: "integer", float: "number", str: "text", list: "list"}
 
@@ -34,6 +34,8 @@ class Parameter:
     """May be changed while the node is active."""
     advice: str = ""
     """What to try with it when in trouble."""
+    group: str = ""
+    """Heading under which the help of a command lists it."""
 
     def check(self, value: Any) -> Any:
         """The value in the parameter's type; raises InputError with key, value and what is
@@ -101,8 +103,8 @@ class ParameterTable:
         """All values, defaults filled in; raises InputError for an unknown name or a bad value."""
         for name in values:
             if name not in self._parameters:
-                known = ", ".join(self._parameters)
-                raise InputError(f"parameter '{name}' does not exist; known are {known}")
+                known = known_names(name, self._parameters)
+                raise InputError(f"parameter '{name}' does not exist; {known}")
         return {p.name: p.check(values.get(p.name, p.default)) for p in self}
 
     def markdown(self) -> str:

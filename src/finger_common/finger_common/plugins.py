@@ -13,7 +13,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Generic, TypeVar
 
 from .cli import one_line
-from .errors import InputError
+from .errors import InputError, known_names
 from .settings import Settings, parameters_of, setting
 
 P = TypeVar("P")
@@ -48,9 +48,9 @@ class Plugins:
         if name not in self._loaded:
             found = self._found()
             if name not in found:
-                known = ", ".join(sorted(found)) or "none"
+                known = known_names(name, sorted(found))
                 raise InputError(
-                    f"{self.what} '{name}' is not installed; known are {known} (entry points of "
+                    f"{self.what} '{name}' is not installed; {known} (entry points of "
                     f"'{self.group}')"
                 )
             try:

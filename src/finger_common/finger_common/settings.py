@@ -19,7 +19,7 @@ import json
 from collections.abc import Iterable, Mapping
 from typing import Any, TypeVar
 
-from .errors import InputError
+from .errors import InputError, known_names
 from .files import parse_json
 from .parameters import Parameter, ParameterTable
 
@@ -37,6 +37,7 @@ def setting(
     choices: Iterable[Any] | None = None,
     runtime: bool = False,
     advice: str = "",
+    group: str = "",
 ) -> Any:
     """A field of a `Settings` dataclass; the arguments are those of `parameters.Parameter`."""
     described = {
@@ -48,6 +49,7 @@ def setting(
         "choices": None if choices is None else tuple(choices),
         "runtime": runtime,
         "advice": advice,
+        "group": group,
     }
     if isinstance(default, list):
         return dataclasses.field(
@@ -82,8 +84,8 @@ class Settings:
         table = cls.parameters()
         for name in values:
             if name not in table:
-                known = ", ".join(p.name for p in table)
-                raise InputError(f"{where}: '{name}' does not exist; known are {known}")
+                known = known_names(name, (p.name for p in table))
+                raise InputError(f"{where}: '{name}' does not exist; {known}")
         return cls(**values)
 
     @classmethod

@@ -125,9 +125,6 @@ def test_a_warning_does_not_hide_that_nothing_comes() -> None:
     assert report.message == "no sample yet: frames of a wrong length"
 
 
-    assert health.report().message == "an error"
-
-
 def test_an_active_source_without_fault_says_what_it_does() -> None:
     health = source(Clock())
     assert health.report().message == "active"

@@ -56,7 +56,7 @@ def test_mappings_and_json_round_trip_and_name_what_is_wrong() -> None:
     for text, words in (("{", "goal: not valid JSON"), ("[1]", "goal: a JSON object")):
         with pytest.raises(InputError, match=words):
             Poll.from_json(text, "goal")
-    with pytest.raises(InputError, match=r"rig.yaml: 'rat' does not exist; known are rate"):
+    with pytest.raises(InputError, match=r"rig.yaml: 'rat' does not exist; did you mean 'rate'\?"):
         Poll.from_mapping({"rat": 1.0}, "rig.yaml")
 
 

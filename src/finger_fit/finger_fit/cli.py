@@ -6,22 +6,21 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from finger_common.axes import NORMAL_AXES
 from finger_common.cli import EXIT_INTERRUPTED, Parser, add_settings, run, settings_from
 from finger_common.errors import InputError
+from finger_common.progress import Stages
 from finger_model.fem.area_model import FullOrderAreas
 from finger_model.laws import law_of
 from finger_model.reduced import ReducedModel
 
 from .options import FitOptions
-from .problem import MM4
+from .problem import MM4, three_digits
 from .results import FitResult
 from .study import fit_bags
 
@@ -52,53 +51,35 @@ def parser() -> argparse.ArgumentParser:
         metavar="C",
         help="fit this condition only; repeatable",
     )
-    p.add_argument("--normal-axis", choices=NORMAL_AXES, help="sensor axis of the normal force")
-    p.add_argument("--calibration", metavar="YAML", help="plate calibration for areas from images")
-    p.add_argument("--mapping", metavar="FILE", help="YAML file with other topic names, units")
-    p.add_argument("--model", metavar="NPZ", help="reduced model file (default: the shipped one)")
-    p.add_argument(
+    p.add_argument("--quiet", action="store_true", help="no progress")
+    bags = p.add_argument_group("bags")
+    bags.add_argument("--normal-axis", choices=NORMAL_AXES, help="sensor axis of the normal force")
+    bags.add_argument(
+        "--calibration", metavar="YAML", help="plate calibration for areas from images"
+    )
+    bags.add_argument("--mapping", metavar="FILE", help="YAML file with other topic names, units")
+    models = p.add_argument_group("model")
+    models.add_argument(
+        "--model", metavar="NPZ", help="reduced model file (default: the shipped one)"
+    )
+    models.add_argument(
         "--law",
         metavar="NAME",
         default="",
         help="another installed material law; it is fitted with the full-order model (slow)",
     )
-    p.add_argument("--quiet", action="store_true", help="no progress")
     add_settings(p, FitOptions)
     return p
 
 
-class Screen:
-    """Progress on the terminal: one line per stage of each condition."""
-
-    def __init__(self, quiet: bool) -> None:
-        self.console = Console(stderr=True)
-        self._progress = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TextColumn("{task.completed}/{task.total}"),
-            TextColumn("{task.fields[note]}"),
-            TimeElapsedColumn(),
-            console=self.console,
-            disable=quiet,
-        )
-        self._tasks: dict[tuple[str, str], Any] = {}
-
-    def __enter__(self) -> Screen:
-        self._progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._progress.stop()
+class Screen(Stages):
+    """Progress of a fit: each stage of each condition."""
 
     def __call__(
         self, condition: str, stage: str, number: int, rounds: int, cost: float, best: np.ndarray
     ) -> None:
-        key = (condition, stage)
-        note = f"J = {cost * MM4:.1f} mm⁴" if np.isfinite(cost) else ""
-        if key not in self._tasks:
-            name = f"{condition} {stage}".strip()
-            self._tasks[key] = self._progress.add_task(f"{name:<20}", total=rounds, note=note)
-        self._progress.update(self._tasks[key], completed=number, note=note)
+        note = f"J = {three_digits(cost * MM4)} mm⁴" if np.isfinite(cost) else ""
+        self.update(f"{condition} {stage}".strip(), number, rounds, note)
 
 
 def summary(result: FitResult) -> Table:
@@ -112,8 +93,8 @@ def summary(result: FitResult) -> Table:
             name,
             str(len(fit.problem)),
             *(q.text(fit.quantity(q.name)) for q in columns),
-            f"{fit.cost * MM4:.1f}",
-            f"{fit.power_law.cost * MM4:.1f}",
+            three_digits(fit.cost * MM4),
+            three_digits(fit.power_law.cost * MM4),
             fit.status,
         )
     return table

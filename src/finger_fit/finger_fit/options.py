@@ -13,6 +13,13 @@ from finger_common.settings import Settings, setting
 from finger_model.laws import ParameterSpace
 from finger_model.paper import TARGET_FORCE
 
+FRAMES = "frames and forces"
+SEARCH = "cost and search"
+CHECK = "check with the full-order model"
+UNCERTAINTY = "uncertainty"
+RUN = "run"
+"""Headings of the options in the help of the command."""
+
 
 @dataclass(frozen=True)
 class FitOptions(Settings):
@@ -20,22 +27,24 @@ class FitOptions(Settings):
     value."""
 
     target_force: float = setting(
-        TARGET_FORCE, "Normal force that ends the loading.", "N", 0.1, 50.0
+        TARGET_FORCE, "Normal force that ends the loading.", "N", 0.1, 50.0, group=FRAMES
     )
     onset_force: float = setting(
-        ONSET_FORCE, "Normal force from which frames count.", "N", 0.001, 5.0
+        ONSET_FORCE, "Normal force from which frames count.", "N", 0.001, 5.0, group=FRAMES
     )
     window: str = setting(
         "loading",
         "Frames that count: from onset to the first frame at or after the target force "
         "(loading), or to the end of the contact (contact).",
         choices=("loading", "contact"),
+        group=FRAMES,
     )
     force: str = setting(
         "full",
         "Force that drives the model: at its full rate (full), or low-passed and sampled at the "
         "frames as in the paper (paper).",
         choices=("full", "paper"),
+        group=FRAMES,
     )
     force_cutoff: float = setting(
         25.0,
@@ -44,12 +53,13 @@ class FitOptions(Settings):
         "Hz",
         1.0,
         1000.0,
+        group=FRAMES,
     )
     step: float = setting(
-        0.02, "Largest time step of the model in force mode full.", "s", 1e-4, 0.1
+        0.02, "Largest time step of the model in force mode full.", "s", 1e-4, 0.1, group=FRAMES
     )
     low_force: float = setting(
-        0.2, "Force below which frames get low_force_weight.", "N", 0.0, 10.0
+        0.2, "Force below which frames get low_force_weight.", "N", 0.0, 10.0, group=FRAMES
     )
     low_force_weight: float = setting(
         1.0,
@@ -57,13 +67,18 @@ class FitOptions(Settings):
         "",
         0.0,
         1.0,
+        group=FRAMES,
     )
-    loss: str = setting("squares", "Loss of a frame's residual.", choices=("squares", "huber"))
+    loss: str = setting(
+        "squares", "Loss of a frame's residual.", choices=("squares", "huber"), group=SEARCH
+    )
     huber_scale: float = setting(
-        3e-6, "Residual beyond which the Huber loss is linear.", "m^2", 1e-9, 1e-3
+        3e-6, "Residual beyond which the Huber loss is linear.", "m^2", 1e-9, 1e-3, group=SEARCH
     )
     bounds: list[str] = setting(
-        [], "Search box where it differs from the law's own, as NAME=LOW:HIGH in SI units."
+        [],
+        "Search box where it differs from the law's own, as NAME=LOW:HIGH in SI units.",
+        group=SEARCH,
     )
     grid: int = setting(
         5,
@@ -71,28 +86,40 @@ class FitOptions(Settings):
         "",
         2,
         20,
+        group=SEARCH,
     )
-    particles: int = setting(5, "Candidates of one PSO round.", "", 2, 1000)
-    rounds: int = setting(60, "PSO rounds.", "", 1, 100000)
+    particles: int = setting(5, "Candidates of one PSO round.", "", 2, 1000, group=SEARCH)
+    rounds: int = setting(60, "PSO rounds.", "", 1, 100000, group=SEARCH)
     optimizer: list[str] = setting(
         ["pso"],
         "Searches to run from the grid. PSO gives the fit; the others cross-check it.",
         choices=("pso", "cmaes", "de"),
+        group=SEARCH,
     )
     polish: bool = setting(
-        True, "Bounded local least squares from the best candidates after the search."
+        True, "Bounded local least squares from the best candidates after the search.", group=SEARCH
     )
     top: int = setting(
-        5, "Candidates reported and simulated again with the full-order model.", "", 1, 50
+        5,
+        "Candidates reported and simulated again with the full-order model.",
+        "",
+        1,
+        50,
+        group=CHECK,
     )
-    full_order: bool = setting(True, "Simulate the top candidates again with the full-order model.")
+    full_order: bool = setting(
+        True, "Simulate the top candidates again with the full-order model.", group=CHECK
+    )
     correct: bool = setting(
         True,
         "With full_order: correct the reduced model's areas to full order at the best candidate "
         "and polish again.",
+        group=CHECK,
     )
     profiles: bool = setting(
-        True, "Profile likelihood of each parameter and of the quantities derived from them."
+        True,
+        "Profile likelihood of each parameter and of the quantities derived from them.",
+        group=UNCERTAINTY,
     )
     bias_pairs: int = setting(
         20,
@@ -100,29 +127,38 @@ class FitOptions(Settings):
         "",
         0,
         10000,
+        group=UNCERTAINTY,
     )
-    bootstrap: int = setting(200, "Bootstrap samples over trials; 0 for none.", "", 0, 100000)
+    bootstrap: int = setting(
+        200, "Bootstrap samples over trials; 0 for none.", "", 0, 100000, group=UNCERTAINTY
+    )
     shared: list[str] = setting(
-        [], "Parameters held equal across conditions in an additional, joint fit."
+        [], "Parameters held equal across conditions in an additional, joint fit.", group=SEARCH
     )
     extra: str = setting(
         "none",
         "An additional fitted parameter: the epidermis thickness (slow: full-order runs).",
         choices=("none", "epidermis_thickness"),
+        group=SEARCH,
     )
     clusters: int = setting(
-        3, "Moisture clusters to form when trials carry no condition.", "", 1, 9
+        3, "Moisture clusters to form when trials carry no condition.", "", 1, 9, group=FRAMES
     )
-    moisture_required: bool = setting(True, "Exclude trials without a moisture reading.")
-    seed: int = setting(0, "Seed of every random choice.", "", 0, 2**31 - 1)
+    moisture_required: bool = setting(
+        True, "Exclude trials without a moisture reading.", group=FRAMES
+    )
+    seed: int = setting(0, "Seed of every random choice.", "", 0, 2**31 - 1, group=SEARCH)
     vision: bool = setting(
-        False, "Measure areas again from image_raw, even where contact_area is recorded."
+        False,
+        "Measure areas again from image_raw, even where contact_area is recorded.",
+        group=FRAMES,
     )
-    resume: bool = setting(False, "Continue from the checkpoints in the output folder.")
+    resume: bool = setting(False, "Continue from the checkpoints in the output folder.", group=RUN)
     dask: str = setting(
         "",
         "Address of a Dask scheduler that runs profiles, bias, bootstrap and full order; empty: "
         "this process.",
+        group=RUN,
     )
 
     def validate(self) -> None:

@@ -9,18 +9,16 @@ import sys
 import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-from rich.console import Console
-from rich.markup import escape
-from rich.progress import Progress
 
 from finger_bag.bag_files import find_bags
 from finger_bag.cli import EXIT_LOST, AddCommand
 from finger_bag.read_settings import add_read_options, read_settings_from
 from finger_common.cli import EXIT_BAD_INPUT, one_line, plain
 from finger_common.errors import FingerError, InputError
+from finger_common.progress import Stages
 
 from .process_options import ProcessOptions
 
@@ -77,20 +75,15 @@ def run(args: argparse.Namespace) -> int:
         if target.exists():
             raise InputError(f"{target}: exists already; choose another name or remove it")
     began = time.perf_counter()
-    hidden = not sys.stderr.isatty()
     results: list[ProcessResult | FingerError] = []
-    with Progress(console=Console(stderr=True), transient=True, disable=hidden) as bar:
-        task = bar.add_task(
-            f"{len(bags)} bags" if several else escape(bags[0].name), total=len(bags)
-        )
+    with Stages() as stages:
         if several:
             jobs = [(bag, target, options) for bag, target in zip(bags, targets)]
             with ProcessPoolExecutor(min(args.jobs, len(bags))) as pool:
-                for result in pool.map(_process_one, jobs):
-                    results.append(result)
-                    bar.advance(task)
+                done = pool.map(_process_one, jobs)
+                results += stages.track(done, f"{len(bags)} bags", len(bags))
         else:
-            show = lambda done: bar.update(task, completed=done)  # noqa: E731
+            show = partial(stages.update, bags[0].name)
             results.append(process(bags[0], targets[0], options, show))
     return _report(results, time.perf_counter() - began)
 

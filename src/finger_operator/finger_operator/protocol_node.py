@@ -29,6 +29,7 @@ from finger_common.cli import one_line
 from finger_common.diagnostics import WARN, Health
 from finger_common.errors import FingerError, InputError
 from finger_common.files import atomic_write, read_text
+from finger_common.folder_lock import lock_folder
 from finger_common.node import POLLED_DEPTH, STATE_QOS, ManagedNode, PolledSubscription, main_of
 from finger_common.settings import Settings, setting
 from finger_common.stamps import fill_time, header_stamp
@@ -138,6 +139,7 @@ class ProtocolNode(ManagedNode):
         self._normal_force = NormalForce(settings.normal_axis)
         parse_preparations(settings.preparations)
         self._output = Path(settings.output).expanduser().resolve()
+        self._lock = lock_folder(self._output, "a protocol node")
         self._used_subjects = sessions_by_subject(self._output)
         self._free: int | None = None
         self._free_read = -math.inf
@@ -185,6 +187,8 @@ class ProtocolNode(ManagedNode):
             if hasattr(self, publisher):
                 self.destroy_publisher(getattr(self, publisher))
         self._command_services = []
+        if hasattr(self, "_lock"):
+            self._lock.close()
 
     def parameters_changed(self, changes: dict[str, Any]) -> None:
         values = {**self.values, **changes}

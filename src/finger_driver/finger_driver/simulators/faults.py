@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Mapping
 
-from finger_common.errors import InputError
+from finger_common.errors import InputError, known_names
 
 
 class Faults:
@@ -24,8 +24,9 @@ class Faults:
         """Switch a fault; raises InputError for one the device does not have."""
         with self._lock:
             if name not in self._values:
-                known = ", ".join(self._values)
-                raise InputError(f"fault '{name}' does not exist; known are {known}")
+                raise InputError(
+                    f"fault '{name}' does not exist; {known_names(name, self._values)}"
+                )
             self._values[name] = value
 
     def clear(self) -> None:

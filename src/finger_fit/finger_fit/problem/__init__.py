@@ -2,5 +2,5 @@
 
 from .cost import AreaCorrection, AreaModel, FitProblem, material_of
 from .power_law import PowerLaw, fit_power_law
-from .report_units import MM2, MM4
+from .report_units import MM2, MM4, three_digits
 from .trials import Exclusion, FitTrial, TrialRejected, prepare, prepare_all

@@ -1,7 +1,19 @@
-"""Factors from SI to the units of reports."""
+"""Factors from SI to the units of reports, and how many digits they show."""
+
+from __future__ import annotations
+
+import numpy as np
 
 MM2 = 1e6
 """mm² in a m²."""
 
 MM4 = 1e12
 """mm⁴ in a m⁴."""
+
+
+def three_digits(value: float) -> str:
+    """A value with three significant digits and no exponent: 1230, 41.0, 0.00123."""
+    if not np.isfinite(value):
+        return "–"
+    text = np.format_float_positional(value, precision=3, fractional=False, unique=False, trim="k")
+    return text.rstrip(".")

@@ -5,11 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
-
 from finger_common.cli import add_settings, settings_from
 from finger_common.errors import InputError
+from finger_common.progress import Stages
 
 from ..geometry import Geometry
 from ..reduced.build_settings import BuildSettings
@@ -45,21 +43,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError(f"--workers is {arguments.workers}, 1 or more are needed")
     if Path(arguments.output).suffix != ".npz":
         raise InputError(f"{arguments.output}: the file is an npz archive; end its name in .npz")
-    columns = (
-        TextColumn("{task.description:24s}"),
-        BarColumn(),
-        TextColumn("{task.percentage:3.0f} %"),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True)) as progress:
-        tasks: dict[str, TaskID] = {}
-
-        def report(stage: str, share: float) -> None:
-            if stage not in tasks:
-                tasks[stage] = progress.add_task(stage, total=1.0)
-            progress.update(tasks[stage], completed=share)
-
-        model, table = build(geometry, arguments.output, settings, arguments.workers, report)
+    with Stages() as stages:
+        model, table = build(geometry, arguments.output, settings, arguments.workers, stages.update)
     print(table.text())
     print(
         f"{arguments.output}: reduced model {model.hash[:8]} of geometry {model.geometry_hash[:8]}"

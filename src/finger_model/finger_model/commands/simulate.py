@@ -7,10 +7,9 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.progress import Progress
 
 from finger_common.errors import InputError
+from finger_common.progress import Stages
 
 from ..geometry import Geometry
 from ..history import ContactHistory, read_force_csv
@@ -136,9 +135,8 @@ def _full(
             raise InputError(f"{path}: is a folder; give the name of a file")
     stepper = FullOrderModel(geometry, arguments.refinement).start(material, float(time[0]))
     points = []
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        for index in progress.track(range(len(time)), description="full-order model"):
+    with Stages() as stages:
+        for index in stages.track(range(len(time)), "full-order model", len(time)):
             points.append(stepper.step(float(time[index]), float(force[index])))
             if index != row:
                 continue

@@ -5,10 +5,9 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
-from rich.console import Console
-from rich.progress import Progress
 
 from finger_common.errors import InputError
+from finger_common.progress import Stages
 
 SEED = 64075
 """Not that of any build: pairs that no training saw and no choice was made on."""
@@ -48,13 +47,11 @@ def run(arguments: argparse.Namespace) -> int:
     cases = [make(SEED, i) for i in range(arguments.pairs)]
     refinement = float(model.settings.get("refinement", 1.0))
     runs = []
-    console = Console(stderr=True)
     with (
         pool(arguments.workers, model.geometry, refinement, model.friction, None) as executor,
-        Progress(console=console, transient=True, disable=not console.is_terminal) as progress,
+        Stages() as stages,
     ):
-        results = run_all(executor, cases)
-        for found, _ in progress.track(results, total=len(cases), description="full-order runs"):
+        for found, _ in stages.track(run_all(executor, cases), "full-order runs", len(cases)):
             runs.append(found)
     table = error_table(model, runs)
     print(table.text())

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from finger_common.errors import InputError
+from finger_common.errors import InputError, known_names
 
 CORRECTION_STEP = 0.2
 """Step of a correction coordinate, where a law does not state one."""
@@ -146,9 +146,7 @@ class ParameterSpace:
     def index(self, name: str) -> int:
         """Place of a parameter in a vector; raises InputError for an unknown name."""
         if name not in self.names:
-            raise InputError(
-                f"parameter '{name}' does not exist; known are {', '.join(self.names)}"
-            )
+            raise InputError(f"parameter '{name}' does not exist; {known_names(name, self.names)}")
         return self.names.index(name)
 
     @property

@@ -1,0 +1,114 @@
+"""Progress of a command on standard error, with the time that is left.
+
+On a terminal a bar per stage; otherwise (a file, a pipe, a batch system) a plain line per stage
+every few seconds, and one at its end.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, TypeVar
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+T = TypeVar("T")
+
+LINE_PERIOD = 5.0
+"""s between plain lines."""
+
+
+def duration_text(duration: float) -> str:
+    """Seconds as a person reads them: 9 s, 4:07 min, 2:05 h."""
+    whole = round(duration)
+    if whole < 60:
+        return f"{whole} s"
+    minutes, rest = divmod(whole, 60)
+    if minutes < 60:
+        return f"{minutes}:{rest:02d} min"
+    return f"{minutes // 60}:{minutes % 60:02d} h"
+
+
+class Stages:
+    """Shows the progress of named stages; a context manager.
+
+    quiet: shows nothing. terminal: whether bars may be drawn, None to find out. line: receives the
+    plain lines; None writes them to standard error.
+    """
+
+    def __init__(
+        self,
+        quiet: bool = False,
+        terminal: bool | None = None,
+        line: Callable[[str], None] | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        terminal = sys.stderr.isatty() if terminal is None else terminal
+        self._quiet = quiet
+        self._line = line or self._write
+        self._clock = clock
+        self._began: dict[str, tuple[float, float]] = {}
+        self._shown: dict[str, float] = {}
+        self._finished: set[str] = set()
+        self._tasks: dict[str, TaskID] = {}
+        self._bars: Progress | None = None
+        if terminal and not quiet:
+            self._bars = Progress(
+                TextColumn("{task.description:<22}"),
+                BarColumn(),
+                TextColumn("{task.percentage:3.0f} %"),
+                TimeRemainingColumn(elapsed_when_finished=True),
+                TextColumn("{task.fields[note]}"),
+                console=Console(stderr=True),
+            )
+
+    def __enter__(self) -> Stages:
+        if self._bars is not None:
+            self._bars.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bars is not None:
+            self._bars.stop()
+
+    def update(self, stage: str, done: float, total: float = 1.0, note: str = "") -> None:
+        """How much of a stage is done, in any unit; the first call names it."""
+        if self._quiet:
+            return
+        if self._bars is not None:
+            if stage not in self._tasks:
+                name = escape(stage)
+                self._tasks[stage] = self._bars.add_task(name, total=total, note="")
+            values: dict[str, Any] = {"completed": done, "total": total, "note": escape(note)}
+            self._bars.update(self._tasks[stage], **values)
+            return
+        now = self._clock()
+        first, at_first = self._began.setdefault(stage, (now, done))
+        finished = done >= total
+        due = finished or now - self._shown.get(stage, first) >= LINE_PERIOD
+        if stage in self._finished or not due:
+            return
+        self._shown[stage] = now
+        if finished:
+            self._finished.add(stage)
+            time_text = f"done in {duration_text(now - first)}"
+        else:
+            progress = done - at_first
+            left = (now - first) * (total - done) / progress if progress > 0 else None
+            time_text = f"{100 * done / total:.0f} %"
+            time_text += "" if left is None else f", {duration_text(left)} left"
+        self._line(": ".join([stage, ", ".join(filter(None, [time_text, note]))]))
+
+    def track(self, items: Iterable[T], stage: str, total: int) -> Iterator[T]:
+        """The items one by one, `total` in all, as a stage."""
+        self.update(stage, 0, total)
+        for number, item in enumerate(items, 1):
+            yield item
+            self.update(stage, number, total)
+
+    @staticmethod
+    def _write(text: str) -> None:
+        print(text, file=sys.stderr, flush=True)

@@ -1,0 +1,120 @@
+"""Conventions of commands: names that were meant, help, completion, progress, folder locks."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from finger_common.cli import Parser
+from finger_common.errors import InputError, known_names
+from finger_common.folder_lock import lock_folder
+from finger_common.progress import Stages, duration_text
+
+COMMAND = """\
+from finger_common.cli import Parser
+top = Parser(prog="tool")
+commands = top.add_subparsers(dest="command", parser_class=Parser)
+up = commands.add_parser("up")
+up.add_argument("--simulated", action="store_true")
+up.add_argument("--window", choices=("loading", "contact"))
+top.parse_args()
+"""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["up", "--simulate"], "did you mean '--simulated'?"),
+        (["up", "--window", "loadin"], "did you mean 'loading'?"),
+        (["upp"], "did you mean 'up'?"),
+    ],
+)
+def test_misspelt_options_and_names_get_the_one_that_was_meant(
+    arguments: list[str], says: str
+) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", COMMAND, *arguments], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 2 and done.stderr.strip().endswith(says), done.stderr
+
+
+def test_an_option_like_no_other_gets_no_guess(capsys: pytest.CaptureFixture[str]) -> None:
+    parser = Parser(prog="tool")
+    parser.add_argument("--simulated", action="store_true")
+    with pytest.raises(SystemExit):
+        parser.parse_args(["--qqq"])
+    assert "did you mean" not in capsys.readouterr().err
+
+
+def test_known_names_in_a_sentence() -> None:
+    assert known_names("cam", ["camera", "x"]) == "did you mean 'camera'? Known are camera, x"
+    assert known_names("zz", ["camera"]) == "known are camera"
+    assert known_names("x", []) == "known are none"
+
+
+def test_usage_names_what_must_be_given_and_leaves_the_options_to_the_list() -> None:
+    parser = Parser(prog="tool", description="word " * 40, example="tool a.bag")
+    parser.add_argument("bag", nargs="+")
+    parser.add_argument("-o", "--output", required=True)
+    for number in range(12):
+        parser.add_argument(f"--option-{number}")
+    text = parser.format_help()
+    assert text.splitlines()[0] == "usage: tool [options] -o OUTPUT bag [bag ...]"
+    assert "--option-11" in text and text.endswith("example:\n  tool a.bag\n")
+    assert max(map(len, text.splitlines())) <= int(os.environ.get("COLUMNS", "80"))
+
+
+def test_the_shell_completes_options(tmp_path: Path) -> None:
+    pytest.importorskip("argcomplete", reason="argcomplete is not installed")
+    answer = tmp_path / "answer"
+    line = "tool up --si"
+    environment = {
+        **os.environ,
+        "_ARGCOMPLETE": "1",
+        "_ARGCOMPLETE_STDOUT_FILENAME": str(answer),
+        "COMP_LINE": line,
+        "COMP_POINT": str(len(line)),
+    }
+    subprocess.run([sys.executable, "-c", COMMAND], env=environment, timeout=60, check=False)
+    assert answer.read_text().strip() == "--simulated"
+
+
+def test_plain_lines_tell_the_time_left_every_few_seconds_when_redirected() -> None:
+    now = [0.0]
+    lines: list[str] = []
+    with Stages(terminal=False, line=lines.append, clock=lambda: now[0]) as stages:
+        for done in range(101):
+            now[0] = float(done)
+            stages.update("dry search", done, 100, "J = 41.2 mm⁴")
+        stages.update("dry search", 100, 100)
+    assert lines[0] == "dry search: 5 %, 1:35 min left, J = 41.2 mm⁴"
+    assert lines[-1] == "dry search: done in 1:40 min, J = 41.2 mm⁴"
+    assert len(lines) == 20
+    assert duration_text(59.4) == "59 s" and duration_text(7500) == "2:05 h"
+
+
+def test_quiet_progress_writes_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    with Stages(quiet=True) as stages:
+        assert list(stages.track("ab", "letters", 2)) == ["a", "b"]
+    assert capsys.readouterr().err == ""
+
+
+def test_a_folder_is_locked_until_its_holder_ends_however_it_ends(tmp_path: Path) -> None:
+    code = (
+        "import sys, time; from finger_common.folder_lock import lock_folder; "
+        f"lock = lock_folder({str(tmp_path)!r}, 'a rig'); print('held', flush=True); time.sleep(60)"
+    )
+    holder = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert holder.stdout is not None and holder.stdout.readline() == "held\n"
+    with pytest.raises(InputError, match=rf"in use by a rig \(process {holder.pid}\)"):
+        lock_folder(tmp_path, "a second rig")
+    holder.kill()
+    holder.wait()
+    lock_folder(tmp_path, "a second rig").close()
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be written to"):
+        lock_folder(tmp_path / "file", "a rig")
