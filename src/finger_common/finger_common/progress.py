@@ -15,7 +15,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
+from .cli import plain
+
 T = TypeVar("T")
+S = TypeVar("S", bound="Stages")
 
 LINE_PERIOD = 5.0
 """s between plain lines."""
@@ -65,7 +68,7 @@ class Stages:
                 console=Console(stderr=True),
             )
 
-    def __enter__(self) -> Stages:
+    def __enter__(self: S) -> S:
         if self._bars is not None:
             self._bars.start()
         return self
@@ -111,4 +114,4 @@ class Stages:
 
     @staticmethod
     def _write(text: str) -> None:
-        print(text, file=sys.stderr, flush=True)
+        print(plain(text), file=sys.stderr, flush=True)
