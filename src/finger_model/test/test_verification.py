@@ -2,7 +2,7 @@
 
 import pytest
 
-from finger_model.verification import fingers, frictions, numerics, page, spheres
+from finger_model.verification import fingers, frictions, homogeneous, numerics, page, spheres
 from finger_model.verification.check import Measure
 
 
@@ -39,6 +39,36 @@ def test_lee_radok_within_2_percent():
     holds(spheres.lee_radok())
 
 
+def test_lee_radok_of_three_branches_within_2_percent():
+    holds(spheres.lee_radok_branches())
+
+
+@pytest.mark.parametrize(
+    ("mode", "law"),
+    [
+        ("uniaxial", "3 branches, stiffening 2"),
+        ("simple shear", "4 branches, stiffening 5"),
+        ("equibiaxial", "2 branches"),
+    ],
+)
+def test_creep_and_relaxation_at_a_point_within_01_percent(mode, law):
+    holds(homogeneous.points(400, (mode,), (law,)))
+
+
+@pytest.mark.slow
+def test_creep_and_relaxation_at_a_point_within_01_percent_in_every_mode():
+    holds(homogeneous.points())
+
+
+def test_creep_of_a_cylinder_within_01_percent():
+    holds(homogeneous.cylinder(60, ("3 branches, stiffening 2",)))
+
+
+@pytest.mark.slow
+def test_creep_of_a_cylinder_within_01_percent_of_every_law():
+    holds(homogeneous.cylinder())
+
+
 def test_time_limits_within_01_percent_natural():
     check = holds(fingers.time_limits(("natural",)))
     # Both limits are neo-Hookean: no difference at the highest load either.
@@ -59,6 +89,10 @@ def test_calculix_area_within_2_and_indentation_within_1_percent():
 
 def test_energy_is_dissipated_and_balances_and_the_finger_returns_to_rest():
     holds(fingers.energy(steps=150))
+
+
+def test_energy_of_three_branches_with_stiffening():
+    holds(fingers.energy(steps=100, branches=True))
 
 
 @pytest.mark.slow

@@ -45,6 +45,12 @@ def load_material(path: str | Path) -> ConstitutiveLaw:
         law = data.pop("law", None)
         material = from_branches(data, str(path))
         if law not in (None, "", "generalized_maxwell", material.name):
-            raise InputError(f"{path}: 'law' is {law!r}, which has no 'branches'; remove one")
+            raise InputError(
+                f"{path}: 'law' is {law!r}, but the {material.INTERNAL_TENSORS} entries of "
+                f"'branches' make it {material.name!r}; remove 'law' or 'branches'"
+            )
         return material
-    return law_of(str(data.pop("law", "") or "")).from_dict(data, str(path))
+    name = str(data.pop("law", "") or "")
+    if name == "generalized_maxwell":
+        raise InputError(f"{path}: 'law' is {name!r}, which needs the key 'branches'; add it")
+    return law_of(name).from_dict(data, str(path))

@@ -70,14 +70,14 @@ class GeneralizedMaxwell(MaxwellLaw):
         allowed=MODULUS_RANGE,
     )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check_moduli(self) -> None:
         if self.long_term_fraction < LOWEST_LONG_TERM_FRACTION:
             raise InputError(
                 f"material: the fractions of the branches add up to "
                 f"{1 - self.long_term_fraction:g}; together they must stay below "
-                f"{1 - LOWEST_LONG_TERM_FRACTION:g} of E0"
+                f"{1 - LOWEST_LONG_TERM_FRACTION:g} of E0; lower them"
             )
+        super()._check_moduli()
 
     @property
     def branches(self) -> tuple[Branch, ...]:
@@ -182,7 +182,12 @@ def from_branches(data: Mapping[str, Any], where: str) -> GeneralizedMaxwell:
         place = f"{where}: branch {k}"
         if not isinstance(branch, dict) or set(branch) != {"fraction", "tau"}:
             raise InputError(f"{place}: the keys 'fraction' and 'tau' are needed, and no others")
-        for key in branch:
-            found[f"{key}_{k}"] = number(branch, key, place)
+        for key, remedy in (
+            ("fraction", "give its modulus over E0"),
+            ("tau", f"give its relaxation time, {TIME_RANGE[0]:g} … {TIME_RANGE[1]:g} s"),
+        ):
+            value = found[f"{key}_{k}"] = number(branch, key, place)
+            if value <= 0:
+                raise InputError(f"{place}: '{key}' is {value:g}; {remedy}, or remove the branch")
     law = (GeneralizedMaxwell1, GeneralizedMaxwell2, GeneralizedMaxwell3, GeneralizedMaxwell4)
     return law[len(branches) - 1].from_dict(found, where)

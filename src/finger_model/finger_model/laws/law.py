@@ -143,6 +143,10 @@ class ConstitutiveLaw(ABC):
                 )
         if not 0 <= self.friction <= 1:
             raise InputError(f"material: 'friction' is {self.friction:g}, outside 0 … 1; use 0.25")
+        self._check_moduli()
+
+    def _check_moduli(self) -> None:
+        """Raises InputError for tissue that is all but incompressible."""
         ratio = self.bulk_modulus / self.long_term_shear_modulus
         if ratio > LARGEST_BULK_OVER_SHEAR:
             raise InputError(

@@ -76,7 +76,7 @@ class ParameterSpec(Quantity):
         if not math.isfinite(value):
             raise InputError(f"{where}: '{self.name}' is {value}, a finite number is needed")
         if value + self.log_offset <= 0:
-            lowest = f"more than {-self.log_offset:g}" if self.log_offset else "a positive value"
+            lowest = "zero or more" if self.log_offset else "a positive value"
             shown = f"{value:g} {self.unit}".rstrip()
             raise InputError(f"{where}: '{self.name}' is {shown}, {lowest} is needed")
         low, high = self.allowed

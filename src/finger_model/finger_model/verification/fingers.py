@@ -13,6 +13,7 @@ from ..material import Material
 from ..paper import FRICTION
 from .cases import ELASTIC, LOAD, STUDY, elastic, long_term, ramp, reference, smooth_area
 from .check import Check, Curve, Measure, Panel, largest, percent
+from .homogeneous import tissue
 
 
 def time_limits(names: tuple[str, ...] = ("dry", "natural", "moist")) -> Check:
@@ -139,11 +140,16 @@ def _other_finger(table: dict[str, np.ndarray], row: int) -> list[Measure]:
     ]
 
 
-def energy(steps: int = 400) -> Check:
-    """Dissipation and energy balance over load, hold, release and rest."""
+def energy(steps: int = 400, branches: bool = False) -> Check:
+    """Dissipation and energy balance over load, hold, release and rest.
+
+    branches: of tissue of three branches that stiffens, instead of the default law.
+    """
     time = np.linspace(0.0, 3.0, steps + 1)
     force = np.interp(time, [0, 1, 1.5, 2.5, 3], [0, LOAD, LOAD, 0, 0])
-    stepper = FullOrderModel().start(Material())
+    law = tissue((0.3, 0.2, 0.3), (0.004, 0.07, 0.4), 3.0) if branches else Material()
+    rests = 40.0 if branches else 10.0
+    stepper = FullOrderModel().start(law)
     states = [stepper.state]
     for instant, load in zip(time[1:], force[1:]):
         stepper.step(float(instant), float(load))
@@ -155,13 +161,14 @@ def energy(steps: int = 400) -> Check:
     spent = dissipated[-1] + friction[-1]
     balance = abs(work[-1] - stored[-1] - spent) / spent
     for k in range(1, 41):
-        stepper.step(3.0 + 0.25 * k, 0.0)
+        stepper.step(3.0 + rests * k / 40, 0.0)
     rest = largest(stepper.fields().displacement)
     return Check(
-        "energy",
-        "Energy",
-        "Natural set, friction 0.25: 1.35 N in 1 s, held 0.5 s, released in 1 s, left alone for "
-        "10 s.",
+        "energy_branches" if branches else "energy",
+        "Energy of three branches with stiffening" if branches else "Energy",
+        ("E0 80 kPa, branches of 4, 70 and 400 ms, stiffening 3" if branches else "Natural set")
+        + ", friction 0.25: 1.35 N in 1 s, held 0.5 s, released in 1 s, left alone for "
+        f"{rests:g} s.",
         [
             Measure(
                 "smallest dissipation of a step", min(np.diff(dissipated)) * 1e6, "µJ", low=0.0
@@ -171,7 +178,9 @@ def energy(steps: int = 400) -> Check:
             ),
             Measure("energy dissipated in the cycle", spent * 1e6, "µJ", low=1.0),
             Measure("error of the energy balance", 100 * balance, "%", high=0.5),
-            Measure("largest displacement after 10 s of rest", rest * 1e9, "nm", high=100.0),
+            Measure(
+                f"largest displacement after {rests:g} s of rest", rest * 1e9, "nm", high=100.0
+            ),
         ],
         [
             Panel(

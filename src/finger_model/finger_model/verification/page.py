@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from finger_common.files import atomic_write
 
 from ..figures import save
-from . import fingers, frictions, numerics, spheres
+from . import fingers, frictions, homogeneous, numerics, spheres
 from .check import Check
 
 CHECKS: dict[str, Callable[[], Check]] = {
@@ -21,9 +21,13 @@ CHECKS: dict[str, Callable[[], Check]] = {
     "time": numerics.time_steps,
     "hertz": spheres.hertz,
     "lee_radok": spheres.lee_radok,
+    "lee_radok_branches": spheres.lee_radok_branches,
+    "homogeneous": homogeneous.points,
+    "cylinder": homogeneous.cylinder,
     "limits": fingers.time_limits,
     "calculix": fingers.calculix,
     "energy": fingers.energy,
+    "energy_branches": lambda: fingers.energy(branches=True),
     "smoothness": fingers.smoothness,
     "smoothness_friction": lambda: fingers.smoothness(0.25),
     "monotonicity": fingers.monotonicity,

@@ -11,6 +11,7 @@ from ..fem.full_order import FullOrderModel
 from ..material import Material
 from .cases import elastic, reference, sphere
 from .check import Check, Curve, Measure, Panel, largest, percent
+from .homogeneous import creep_response, tissue
 
 RADIUS = 10e-3
 INCOMPRESSIBLE = 0.4999
@@ -126,6 +127,49 @@ def lee_radok() -> Check:
         "is of small strain; a/R reaches 0.31. Where the skin itself creeps, unlike the finger's "
         "elastic epidermis, the edge is found to 0.15 of an element only: 2 % of the radius on the "
         "default mesh, held for 0.4 s.",
+        measures,
+        [Panel("time (s)", "contact radius (mm)", curves, legend="lines: Lee–Radok")],
+    )
+
+
+def lee_radok_branches() -> Check:
+    """Radius of a sphere of three branches under a ramp to 0.1 N and a hold."""
+    law = tissue(
+        (0.35, 0.25, 0.2),
+        (0.01, 0.1, 1.0),
+        0.0,
+        E2=80e3,
+        friction=0.0,
+        poisson_ratio_bulk=INCOMPRESSIBLE,
+        poisson_ratio_epidermis=INCOMPRESSIBLE,
+    )
+    model = sphere(RADIUS, 1.5)
+    mesh = replace(model.mesh, part=np.zeros_like(model.mesh.part))
+    model = FullOrderModel(model.geometry, 1.5, mesh)
+    measures, curves = [], []
+    for index, duration in enumerate((0.2, 1.0)):
+        steps = 20
+        time = np.concatenate(
+            [np.linspace(0, duration, steps + 1), duration + np.linspace(0, 0.5, 6)[1:]]
+        )
+        load = 0.05 * np.minimum(time / duration, 1.0)
+        exact = np.cbrt(9 * RADIUS / (16 * law.E0) * creep_response(law, time, load))
+        radius = model.simulate(law, time, load).radius
+        rows = load > 0.005
+        error = largest(percent(radius[rows], exact[rows]))
+        measures.append(
+            Measure(f"largest radius error, ramp of {duration:g} s and hold", error, "%", high=2.0)
+        )
+        curves += [
+            Curve(time, exact * 1e3, f"C{index}-"),
+            Curve(time, radius * 1e3, f"C{index}.", f"model, ramp of {duration:g} s"),
+        ]
+    return Check(
+        "lee_radok_branches",
+        "Lee–Radok sphere of three branches",
+        "Incompressible sphere, R = 10 mm, E0 = 80 kPa, branches (0.35, 10 ms), (0.25, 0.1 s) and "
+        "(0.2, 1 s), ramps to 0.05 N and hold of 0.5 s, mesh of refinement 1.5. The creep "
+        "compliance follows exactly from the relaxation modulus, s Ĵ · s Ĝ = 1.",
         measures,
         [Panel("time (s)", "contact radius (mm)", curves, legend="lines: Lee–Radok")],
     )
