@@ -17,7 +17,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, root
 
 from ..laws import MaxwellLaw, StepEnergy, Tissue
-from ..laws.generalized_maxwell import from_branches
+from ..laws.generalized_maxwell import GeneralizedMaxwell, from_branches
 from .cases import block
 from .check import Check, Curve, Measure, Panel, largest
 
@@ -35,7 +35,7 @@ LAWS = {
 
 def tissue(
     fractions: Sequence[float], times: Sequence[float], stiffening: float, **others: float
-) -> MaxwellLaw:
+) -> GeneralizedMaxwell:
     """Generalised Maxwell tissue, E0 = 80 kPa."""
     branches = [{"fraction": g, "tau": tau} for g, tau in zip(fractions, times)]
     data = {"E0": 80e3, "stiffening": stiffening, "branches": branches, **others}
@@ -82,7 +82,7 @@ PATH = (0.0, 1.0, 1.0, -0.5, -0.5, 0.6, 0.0, 0.0)
 
 def history(time: np.ndarray | float) -> np.ndarray:
     """Part of the amplitude at times (s)."""
-    return np.interp(time, KNOTS, PATH)
+    return np.asarray(np.interp(time, KNOTS, PATH))
 
 
 def _root_of(stress: Callable[[float], float], wanted: float) -> float:
@@ -241,14 +241,14 @@ def _closed_forms(steps: int) -> list[Measure]:
         unit = _stored(np.eye(3))
         state = Tissue(unit, unit, np.tile(unit, (len(law.branches), 1, 1, 1)))
         state = Tissue(*strain, law.update(0.0, state, *strain))
-        found = []
+        stresses = []
         for duration in np.diff(elapsed, prepend=0.0):
             tensor = _tensor(law.step_energy(float(duration), state), float(np.trace(metric)))
-            found.append(mode.stress(gradient @ tensor @ gradient.T))
+            stresses.append(mode.stress(gradient @ tensor @ gradient.T))
             state = Tissue(*strain, law.update(float(duration), state, *strain))
         spring = law.long_term_fraction * np.exp(law.stiffening * (np.trace(metric) - 3.0))
         exact = shear * (spring + decay) * mode.stress(gradient @ gradient.T)
-        error = 100.0 * largest(np.array(found) / exact - 1.0)
+        error = 100.0 * largest(np.array(stresses) / exact - 1.0)
         measures.append(Measure(f"{name}, sudden strain: stress, 0 to 20 s", error, "%", high=0.1))
     law = tissue(*LAWS["4 branches, stiffening 5"][:2], 0.0)
     time = np.linspace(0.0, KNOTS[-1], steps + 1)
@@ -367,7 +367,8 @@ def cylinder(steps: int = 100, laws: Sequence[str] = tuple(LAWS)) -> Check:
     """Creep of a cylinder between smooth plates, and equibiaxial stretch of its outline."""
     size = 1e-2
     time = np.linspace(0.0, 2.0, steps + 1)
-    measures, curves = [], []
+    measures: list[Measure] = []
+    curves: list[Curve] = []
     for index, name in enumerate(laws):
         law = tissue(*LAWS[name], friction=0.0)
         pressure = 0.35 * 80e3 * law.long_term_fraction
