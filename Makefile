@@ -5,7 +5,8 @@ RUN := $(ENV)/bin/python
 export OMP_NUM_THREADS ?= 1
 WORKERS ?= auto
 
-.PHONY: help setup setup-test demo test test-slow test-compat lint bench soak bags reference clean
+.PHONY: help setup setup-test demo test test-slow test-compat lint bench soak faults bags reference \
+  clean
 
 help:
 	@echo "make demo         set up, run the simulated rig, record, fit, write out/demo/report.html"
@@ -13,6 +14,7 @@ help:
 	@echo "make test-compat  the core tests with NumPy 1.26 and OpenCV 4, as on apt Jazzy"
 	@echo "make bench        measure the key figures into bench/results.json"
 	@echo "make soak         record the full rig load for 30 minutes"
+	@echo "make faults       provoke all faults, 30 minutes of them at random; write docs/faults_*.md"
 	@echo "make bags         make the sample bags again"
 	@echo "make reference    write docs/nodes.md and rig.yaml from the nodes' own descriptions"
 	@echo "make setup        only set up the environment in $(ENV)"
@@ -47,6 +49,10 @@ test-compat:
 
 bench: setup
 	@$(RUN) bench/run.py
+
+faults: setup-test
+	@$(RUN) scripts/driver_faults.py --measure
+	@$(RUN) scripts/random_faults.py --minutes 30 --record
 
 soak: setup
 	@$(RUN) scripts/soak.py

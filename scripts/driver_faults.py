@@ -1,6 +1,7 @@
 """Write docs/faults_drivers.md from the recorded results of the fault tests.
 
-`python scripts/driver_faults.py --measure` runs the tests and records their rows beside them;
+`python scripts/driver_faults.py --measure` runs the tests and records their rows beside them, with
+`--only EXPRESSION` those that pytest's -k selects, which replace the rows of the same names;
 without it the page is written from the rows recorded last. `--check` only reports whether the page
 is current (exit code 1 if not).
 """
@@ -38,16 +39,31 @@ again.
 """
 
 
-def measure() -> list[list[str]]:
+def measure(only: str = "") -> list[list[str]]:
     """Rows of the table from a run of the tests, all of which must pass."""
+    selected = f"not recorded and ({only})" if only else "not recorded"
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "results.xml"
         command = [sys.executable, "-m", "pytest", "-q", str(TESTS), f"--junitxml={report}"]
         subprocess.run(
-            [*command, "-o", "junit_family=xunit1", "-k", "not recorded"], cwd=ROOT, check=True
+            [*command, "-o", "junit_family=xunit1", "-k", selected], cwd=ROOT, check=True
         )
-        properties = ElementTree.parse(report).iter("property")
-        return [json.loads(p.attrib["value"]) for p in properties if p.get("name") == "fault"]
+        properties = list(ElementTree.parse(report).iter("property"))
+    rows = [json.loads(p.attrib["value"]) for p in properties if p.get("name") == "fault"]
+    return merged(json.loads(RECORDED.read_text(encoding="utf-8")), rows) if only else rows
+
+
+def merged(old: list[list[str]], new: list[list[str]]) -> list[list[str]]:
+    """Old rows with new ones in their places, or after those of their device."""
+    rows = list(old)
+    for row in new:
+        places = [i for i, other in enumerate(rows) if other[:2] == row[:2]]
+        if places:
+            rows[places[0]] = row
+        else:
+            last = max((i for i, other in enumerate(rows) if other[0] == row[0]), default=len(rows))
+            rows.insert(last + 1, row)
+    return rows
 
 
 def page(rows: list[list[str]]) -> str:
@@ -58,11 +74,13 @@ def page(rows: list[list[str]]) -> str:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--measure", action="store_true", help="run the tests first")
+    parser.add_argument("--only", default="", help="measure the tests that this selects (-k)")
     parser.add_argument("--check", action="store_true", help="only report whether it is current")
     arguments = parser.parse_args()
     if arguments.measure:
+        rows = measure(arguments.only)
         with atomic_write(RECORDED) as file:
-            json.dump(measure(), file, ensure_ascii=False, indent=1)
+            json.dump(rows, file, ensure_ascii=False, indent=1)
             file.write("\n")
     text = page(json.loads(RECORDED.read_text(encoding="utf-8")))
     if PAGE.exists() and PAGE.read_text(encoding="utf-8") == text:

@@ -14,7 +14,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.clock import Clock, ClockType
 
-from finger_common.diagnostics import WARN, Health
+from finger_common.diagnostics import ERROR, WARN, Health
 from finger_common.node import ManagedNode, main_of
 from finger_common.settings import Settings, setting
 
@@ -22,6 +22,8 @@ from .bring_up import ALL_ACTIVE, BringUp
 
 STATE_TIMEOUT = 5.0
 """s without an answer after which a node's state is unknown: it was killed, or is not there."""
+SILENT_AFTER = 1.25
+"""s without an answer after which a node is reported as silent."""
 
 
 @dataclass(frozen=True)
@@ -93,6 +95,7 @@ class BringUpNode(ManagedNode):
                 future.cancel()
                 del self._changing[node]
         self._report()
+        self._report_silent(now)
 
     def _request_state(self, node: str, client: Any, now: float) -> None:
         if now - self._last_answer.get(node, now) > STATE_TIMEOUT:
@@ -140,7 +143,7 @@ class BringUpNode(ManagedNode):
     def _report(self) -> None:
         missing = self._bring_up.missing(self._states)
         if not missing:
-            self._health.recovered()
+            self._health.recovered("not_active")
             if not self._complete:
                 self._complete = True
                 self.get_logger().info(f"{ALL_ACTIVE}: {', '.join(self._bring_up.nodes)}")
@@ -153,6 +156,20 @@ class BringUpNode(ManagedNode):
             if lost:
                 self._complete = False
                 self.log_fault(self._health, "not_active", f"not active: {', '.join(lost)}", WARN)
+
+    def _report_silent(self, now: float) -> None:
+        """Name nodes that do not answer, at once: they cannot report it themselves."""
+        silent = [
+            node
+            for node, at in self._last_answer.items()
+            if now - at > SILENT_AFTER and node not in self._changing
+        ]
+        text = f"no answer from: {', '.join(silent)}"
+        new = silent and self._health.faults.get("silent") != text
+        if silent:
+            self.log_fault(self._health, "silent", text, ERROR)
+        if new or (not silent and self._health.recovered("silent")):
+            self.publish_diagnostics()
 
 
 main = main_of(BringUpNode)

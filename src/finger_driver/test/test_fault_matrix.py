@@ -40,6 +40,7 @@ Record = Callable[[str, object], None]
 
 BUSY = re.compile("rate |no sample|no complete reply|no reply for|no record for")
 """Faults that a machine which stops for a while adds to any other."""
+BUSY_BESIDE = re.compile("no sample for [0-9.]+ s: ")
 
 
 @dataclass
@@ -91,14 +92,23 @@ class NodeUnderTest:
     def counters(self) -> dict[str, int]:
         return dict(self.node.device.health.counters)
 
-    def worst(self, start: float, says: str) -> tuple[int, str]:
+    def worst(self, start: float, says: str, publishes: bool = False) -> tuple[int, str]:
         """Highest level since `start` and its last message, of those that contain `says`.
 
-        With an empty `says` of all messages but those of a busy machine.
+        With an empty `says` of all messages but those of a busy machine. publishes: the fault
+        leaves samples, so that an error "no sample" beside a warning is the machine's, too.
         """
+        reports = list(self.reports)
+        if publishes:
+            reports = [
+                (t, 1, text.partition(": ")[2], values)
+                if BUSY_BESIDE.match(text)
+                else (t, level, text, values)
+                for t, level, text, values in reports
+            ]
         seen = [
             (level, message)
-            for t, level, message, _ in list(self.reports)
+            for t, level, message, _ in reports
             if t >= start and (says in message if says else not BUSY.match(message))
         ]
         level = max((level for level, _ in seen), default=0)
@@ -244,6 +254,8 @@ def run_force_fault(
     quiet_from = time.monotonic() + (0.0 if stops else 0.1)
     if not (stops and momentary):
         time.sleep(duration)
+    if says and not momentary:
+        wait_until(lambda: test.worst(start, says, not stops)[0] == level, 60, "the report")
     quiet_to = time.monotonic()
     end()
     over = time.monotonic()
@@ -262,7 +274,7 @@ def run_force_fault(
     assert max(a - shift for a in ages[-len(published) :]) < 1.5, "something old was published"
     errors = np.abs([force_of(m) - TRUE_FORCE for m in published])
     assert errors.max() < 0.05, "a wrong force was published"
-    worst, message = test.worst(start, says)
+    worst, message = test.worst(start, says, not stops)
     assert worst == level and says in message, (worst, message)
     rate = len(during) / max(quiet_to - quiet_from, 1e-9)
     what = f"good samples, {rate:.0f} per s" if during else "nothing"
@@ -293,6 +305,16 @@ NETCANOEM_FAULTS = [
     ("error frames", ["error_frame -1"], ["error_frame 0"], 0.3, False, 1, "error frames"),
     ("saturated gauge", ["saturated -1"], ["saturated 0"], 0.3, True, 2, "gauge 3 is saturated"),
     ("reset to slot 0 in mid-stream", ["reset 1"], [], 0.3, False, 2, "calibration slot 3"),
+    (
+        "another device answers, too",
+        ["rival -1"],
+        ["rival 0"],
+        0.4,
+        True,
+        2,
+        "two different replies",
+    ),
+    ("bus full of other frames", ["flood -1"], ["flood 0"], 0.3, False, 1, "with 5 bytes"),
     ("unknown unit code", ["units 9 9", "power"], ["units 2 4"], 0.5, True, 2, "unit 9 is not"),
 ]
 
@@ -437,6 +459,11 @@ NETFT_FAULTS = [
     ("transducer saturated", ["status 0x80020000"], ["status 0"], 0.3, True, 2, "saturation"),
     ("digital board fault", ["status 0xA0000000"], ["status 0"], 0.3, True, 2, "digital board"),
     ("monitor latched", ["status 0x80010000"], ["status 0"], 0.3, False, 1, "latched"),
+    ("a forged record 1000 ahead", ["jump 5"], [], 0.3, False, 1, "left out", "jump"),
+    (
+        "counts per newton 1e-2", ["reboot 1", "units N N-mm 0.01 1000000"],
+        ["units N N-mm 1000000 1000000"], 0.8, True, 2, "check counts per unit",
+    ),
     ("page cut off after a reboot", ["bad_page 2", "reboot 1"], [], 0.5, True, 2, ""),
     (
         "other units after a reboot", ["reboot 1", "units lbf lbf-in 1000 1000"], [],

@@ -28,7 +28,7 @@ from . import ftir
 from .conditions import condition
 from .participant import FrameClock, Participant
 from .planner import Planner
-from .rig_settings import RigSettings
+from .rig_settings import UNPLUGGED, RigSettings
 from .trial_plan import PlannedTrial, TrialRequest, plan_trial, renderer_for, write_truth
 
 RIG_READY = "simulated rig is ready"
@@ -88,7 +88,7 @@ class SimulatedRig:
         period_ns = nanoseconds(1 / settings.frame_rate)
         self._open.callback(planner.close)
         self._clock = FrameClock(time.time_ns() + period_ns, period_ns)
-        probe = SerialMoistureSimulator(addresses.probe)
+        self._probe = probe = SerialMoistureSimulator(addresses.probe)
         self._open.callback(probe.close)
         self.participant = Participant(
             planner,
@@ -103,6 +103,7 @@ class SimulatedRig:
         self._start_camera()
         self.participant.start()
         self._open.callback(self.participant.stop)
+        self.show_faults(settings)
 
     def stop(self) -> None:
         """Close all devices. Safe to call twice."""
@@ -118,6 +119,26 @@ class SimulatedRig:
         else:
             self.participant.announce(request, phase)
 
+    def show_faults(self, settings: RigSettings) -> None:
+        """Let the devices show the faults of `settings` and no others."""
+        devices = {
+            "force": self._sensor.faults,
+            "camera": self._frames.faults,
+            "moisture": self._probe.faults,
+        }
+        for faults in devices.values():
+            faults.clear()
+        unplugged = False
+        for device, fault, number in settings.present_faults():
+            if fault == UNPLUGGED:
+                unplugged = True
+            else:
+                devices[device].set(fault, number)
+        if unplugged and self._probe.plugged:
+            self._probe.unplug()
+        elif not unplugged and not self._probe.plugged:
+            self._probe.plug_in()
+
     # Force -------------------------------------------------------------------------------------
 
     def _start_force(self) -> None:
@@ -126,8 +147,8 @@ class SimulatedRig:
             "udp_multicast", addresses.can_channel, options={"port": addresses.can_port}
         )
         self._open.callback(bus.shutdown)
-        sensor = NetcanoemSimulator(bus, self.wrench, seed=self.settings.seed).start()
-        self._open.callback(sensor.stop)
+        self._sensor = NetcanoemSimulator(bus, self.wrench, seed=self.settings.seed)
+        self._open.callback(self._sensor.start().stop)
 
     def wrench(self, stamp_ns: int) -> np.ndarray:
         """Wrench (6,) in N and N m on the sensor below the plate, whose z axis points up."""

@@ -6,6 +6,8 @@ simulated devices alone.
 
 from __future__ import annotations
 
+from typing import Any
+
 from finger_common.node import LATCHED_QOS, ManagedNode, main_of
 from finger_msgs.msg import Trial
 
@@ -26,6 +28,10 @@ class RigNode(ManagedNode):
     def activate(self) -> None:
         self._subscription = self.create_subscription(Trial, "trial", self._on_trial, LATCHED_QOS)
         self.get_logger().info(f"{RIG_READY} in {self.values['folder']}")
+
+    def parameters_changed(self, changes: dict[str, Any]) -> None:
+        if "faults" in changes:
+            self._rig.show_faults(RigSettings.select({**self.values, **changes}))
 
     def deactivate(self) -> None:
         self.destroy_subscription(self._subscription)

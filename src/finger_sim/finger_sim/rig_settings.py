@@ -11,6 +11,7 @@ from typing import Any
 from finger_common.errors import InputError
 from finger_common.settings import Settings, setting
 from finger_driver import can_bus
+from finger_driver.simulators import images, netcanoem, serial_moisture
 
 from .conditions import condition
 from .ftir import IMAGE_HEIGHT, IMAGE_WIDTH, Scene
@@ -18,6 +19,15 @@ from .trial_plan import CameraView, TrialRequest
 
 CAN_CHANNEL = "239.74.163.2"
 """Multicast group of the simulated CAN bus."""
+
+
+UNPLUGGED = "unplugged"
+DEVICE_FAULTS = {
+    "force": tuple(netcanoem.FAULTS),
+    "camera": tuple(images.FAULTS),
+    "moisture": (*serial_moisture.FAULTS, UNPLUGGED),
+}
+"""Faults of the simulated devices by device."""
 
 
 @dataclass(frozen=True)
@@ -108,10 +118,20 @@ class RigSettings(Settings):
         "Blocks of trials to plan ahead, CONDITION:TRIALS; without any, the next trial is guessed.",
     )
 
+    faults: list[str] = setting(
+        [""],
+        "Faults that the simulated devices show, 'DEVICE FAULT' or 'DEVICE FAULT NUMBER'; DEVICE "
+        "is force, camera or moisture, FAULT one that `finger-device-sim` lists, or 'moisture "
+        "unplugged'.",
+        runtime=True,
+        advice="For practice and tests: set it empty again to end them.",
+    )
+
     def validate(self) -> None:
         if not self.folder:
             raise InputError("parameter 'folder' is empty; name a folder for the simulated rig")
         self.upcoming_trials()
+        self.present_faults()
 
     @property
     def addresses(self) -> RigAddresses:
@@ -122,6 +142,24 @@ class RigSettings(Settings):
     def view(self) -> CameraView:
         """What the camera sees."""
         return CameraView(self.frame_rate, self.width, self.height, noise=self.noise)
+
+    def present_faults(self) -> list[tuple[str, str, int]]:
+        """Device, fault and its number (-1: until it is taken away) of each fault.
+
+        Raises InputError for one that does not exist.
+        """
+        found = []
+        for text in filter(None, self.faults):
+            device, _, rest = text.partition(" ")
+            fault, _, number = rest.partition(" ")
+            if fault not in DEVICE_FAULTS.get(device, ()):
+                known = "; ".join(f"{d}: {', '.join(f)}" for d, f in DEVICE_FAULTS.items())
+                raise InputError(f"fault '{text}' does not exist; known are {known}")
+            try:
+                found.append((device, fault, int(number or "-1", 0)))
+            except ValueError:
+                raise InputError(f"fault '{text}': '{number}' is not a whole number") from None
+        return found
 
     def upcoming_trials(self) -> list[TrialRequest]:
         """Requests of all trials of the blocks; indices run through the session.

@@ -37,3 +37,18 @@ def test_private_addresses_differ_and_are_parameters_of_the_rig(tmp_path: Path) 
     one, other = (RigAddresses.private(tmp_path / name) for name in ("one", "other"))
     assert (one.can_channel, one.can_port) != (other.can_channel, other.can_port)
     assert RigSettings(**one.parameters()).addresses == one
+
+
+def test_faults_are_read_with_their_number() -> None:
+    faults = ["force status 0x0802", "camera silent", "moisture unplugged"]
+    assert RigSettings("rig", faults=faults).present_faults() == [
+        ("force", "status", 0x802),
+        ("camera", "silent", -1),
+        ("moisture", "unplugged", -1),
+    ]
+
+
+@pytest.mark.parametrize("fault", ["force", "force unplugged", "plate silent", "camera silent x"])
+def test_a_fault_that_does_not_exist_is_refused(fault: str) -> None:
+    with pytest.raises(InputError, match=f"fault '{fault}'"):
+        RigSettings("rig", faults=[fault])

@@ -42,6 +42,8 @@ FAULTS = {
     "status": "status word, bits as in the manual's table 4.3",
     "reset": "the board resets itself: slot 0, silent for 10 ms",
     "duplicate": "sends each frame of a reading twice",
+    "rival": "another device sends a first frame of its own before that of a reading",
+    "flood": "40 frames of other devices and of wrong lengths before a reading",
 }
 
 
@@ -264,6 +266,12 @@ class NetcanoemSimulator(CanSimulator):
             frames.reverse()
         if self.faults.take("duplicate"):
             frames = [copy for frame in frames for copy in (frame, frame)]
+        if self.faults.take("rival"):
+            frames.insert(0, self._frame(0, protocol.encode_gauges(0, np.full(6, 999))[0]))
+        if self.faults.take("flood"):
+            for number in range(20):
+                self.bus.send(can_frame(0x701, bytes(8)))
+                self.bus.send(self._frame(number % 2, bytes(5)))
         if self.faults.take("late"):
             self._held += frames
             return

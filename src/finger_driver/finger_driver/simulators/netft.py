@@ -42,6 +42,7 @@ FAULTS = {
     "status": "status word of the records",
     "reboot": "restarts: silent for half a second, then waits for a new start",
     "bad_page": "the page is cut off in the middle",
+    "jump": "sends a wild record numbered 1000 ahead before a record",
 }
 
 DEFAULT_CONFIGURATION = netft_xml.Configuration(
@@ -214,6 +215,9 @@ class NetFtSimulator(Simulator):
         if self.faults.take("short"):
             data = data[:20]
         datagrams = [data]
+        if self.faults.take("jump"):
+            ahead = rdt.Record(self._rdt + 1000, self._ft + 14_000, 0, (50_000_000,) * 6)
+            datagrams.insert(0, rdt.encode_record(ahead))
         if self.faults.take("reordered"):
             self._held = data
             return

@@ -90,6 +90,11 @@ class SerialMoistureSimulator(Simulator):
         """Name of the port to open: the link, or the pty's own."""
         return str(self._link) if self._link is not None else self._name
 
+    @property
+    def plugged(self) -> bool:
+        """Whether the port is there."""
+        return self._controller >= 0
+
     def plug_in(self) -> None:
         """Make the port appear."""
         self.unplug()
@@ -133,8 +138,8 @@ class SerialMoistureSimulator(Simulator):
     def _write(self, data: bytes) -> None:
         try:
             os.write(self._controller, data)
-        except BlockingIOError:
-            # No reader; an adapter's buffer overflows, too.
+        except OSError:
+            # Unplugged, or no reader; an adapter's buffer overflows, too.
             pass
 
     def close(self) -> None:
