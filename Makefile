@@ -5,8 +5,8 @@ RUN := $(ENV)/bin/python
 export OMP_NUM_THREADS ?= 1
 WORKERS ?= auto
 
-.PHONY: help setup setup-test demo test test-slow test-compat lint bench soak faults bags reference \
-  clean
+.PHONY: help setup setup-test demo test test-slow test-compat lint bench soak faults bags \
+  reference clean
 
 help:
 	@echo "make demo         set up, run the simulated rig, record, fit, write out/demo/report.html"
