@@ -19,6 +19,18 @@ ELASTIC = 1e9
 STUDY = {name: Material(**condition.parameters) for name, condition in CONDITIONS.items()}
 """Materials of the study's conditions: dry, natural, moist."""
 
+CALCULIX_FINGER = Geometry(
+    pad_semi_axis_radial=8.5e-3,
+    pad_semi_axis_axial=6.5e-3,
+    epidermis_thickness=0.6e-3,
+    bone_semi_axis_radial=3.5e-3,
+    bone_semi_axis_axial=2.5e-3,
+    bone_center_height=0.0,
+    nail_radius=7.0e-3,
+    nail_thickness=0.5e-3,
+)
+"""The finger of the CalculiX curves `dry_*.csv`; it need not be the default one."""
+
 LOAD = TARGET_FORCE
 """N, at which presses of the verification end."""
 

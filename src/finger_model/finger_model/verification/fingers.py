@@ -11,7 +11,17 @@ from ..geometry import Geometry
 from ..laws.standard_linear_solid import PARAMETERS
 from ..material import Material
 from ..paper import FRICTION
-from .cases import ELASTIC, LOAD, STUDY, elastic, long_term, ramp, reference, smooth_area
+from .cases import (
+    CALCULIX_FINGER,
+    ELASTIC,
+    LOAD,
+    STUDY,
+    elastic,
+    long_term,
+    ramp,
+    reference,
+    smooth_area,
+)
 from .check import Check, Curve, Measure, Panel, largest, percent
 from .homogeneous import tissue
 
@@ -70,7 +80,7 @@ def time_limits(names: tuple[str, ...] = ("dry", "natural", "moist")) -> Check:
 
 def calculix() -> Check:
     """Area and indentation against the CalculiX curves."""
-    model = FullOrderModel()
+    model = FullOrderModel(CALCULIX_FINGER)
     measures, areas, depths = [], [], []
     for index, (name, friction) in enumerate(
         (("dry_friction", FRICTION), ("dry_frictionless", 0.0), ("dry_friction_finest", FRICTION))
@@ -104,7 +114,8 @@ def calculix() -> Check:
     return Check(
         "calculix",
         "CalculiX",
-        "Elastic dry set (30 kPa, 1652 kPa) on the default geometry, F ≥ 0.1 N. The area is "
+        "Elastic dry set (30 kPa, 1652 kPa) on the finger of the curves (`CALCULIX_FINGER`: pad "
+        "8.5 × 6.5 mm, epidermis 0.6 mm, bone 3.5 × 2.5 mm), F ≥ 0.1 N. The area is "
         "compared with a cubic in log force and log area through the rows of a file, for the file "
         "of four rows with the rows themselves. Then fingers of other shapes and elastic "
         "materials, at one load each, named by the pad's semi-axes, epidermis, height of the "

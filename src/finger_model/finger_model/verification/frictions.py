@@ -9,13 +9,13 @@ from ..fem.equilibrium import SLIP, STICK
 from ..fem.full_order import FullOrderModel
 from ..material import Material
 from ..paper import FRICTION
-from .cases import LOAD, block, elastic, ramp, smooth_area
+from .cases import CALCULIX_FINGER, LOAD, block, elastic, ramp, smooth_area
 from .check import Check, Curve, Measure, Panel, percent
 
 
 def effect_on_area() -> Check:
     """A(0)/A(0.25) − 1 against CalculiX."""
-    model = FullOrderModel()
+    model = FullOrderModel(CALCULIX_FINGER)
     loads = np.array([0.2, 0.5, LOAD])
     time, force = ramp(LOAD, 27.0, 27)
     areas = {}
