@@ -1,4 +1,4 @@
-"""The command `finger-model`: simulate, reduce, verify."""
+"""The command `finger-model`: simulate, geometry, reduce, verify."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from finger_common.cli import Parser, run
 
-COMMANDS = ("simulate", "reduce", "verify")
+COMMANDS = ("simulate", "geometry", "reduce", "verify")
 
 
 def parser() -> Parser:

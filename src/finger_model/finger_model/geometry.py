@@ -12,6 +12,18 @@ import numpy as np
 from finger_common.errors import InputError
 from finger_common.files import from_numbers, load_yaml, sha256_of
 
+LENGTHS = {
+    "pad_semi_axis_radial": "half the width of the pad",
+    "pad_semi_axis_axial": "height of the pad, from its flat top down to its tip",
+    "epidermis_thickness": "thickness of the stiff outer skin",
+    "bone_semi_axis_radial": "half the width of the bone",
+    "bone_semi_axis_axial": "height of the bone's lower half",
+    "bone_center_height": "height of the bone's centre above the flat top; default 0",
+    "nail_radius": "half the width of the nail",
+    "nail_thickness": "thickness of the nail",
+}
+"""Keys of `geometry.yaml`, all in m, and what they mean (drawing: docs/your_finger.md)."""
+
 
 @dataclass(frozen=True)
 class Geometry:

@@ -1,0 +1,241 @@
+"""From a person's fingertip, measured with calipers, to the lengths of the model.
+
+The rules are simple proportions. Each length has a standard deviation: of the calipers, and of
+what the calipers cannot see. Sources are named where a number is printed somewhere; the rest are
+assumptions and say so. docs/your_finger.md has the drawing and the reasons.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+from finger_common.errors import InputError
+
+from .geometry import LENGTHS, Geometry
+
+UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+
+CALIPER_DEVIATION = 0.3e-3
+"""m, standard deviation of one caliper reading on soft tissue; an assumption."""
+
+RANGES = {
+    "width": (8e-3, 30e-3),
+    "depth": (5e-3, 25e-3),
+    "length": (8e-3, 45e-3),
+    "nail_width": (4e-3, 25e-3),
+}
+"""m, accepted readings; beyond them a wrong unit is likelier than a finger."""
+
+
+@dataclass(frozen=True)
+class TypicalFinger:
+    """Width and depth of an adult's fingertip in m, with the width's deviation between people."""
+
+    width: float
+    depth: float
+    width_deviation: float
+
+
+FINGERS = {
+    "thumb": TypicalFinger(20.5e-3, 12.3e-3, 2.0e-3),
+    "index": TypicalFinger(17.0e-3, 11.0e-3, 1.5e-3),
+    "middle": TypicalFinger(17.4e-3, 11.3e-3, 1.5e-3),
+    "ring": TypicalFinger(16.3e-3, 10.6e-3, 1.5e-3),
+    "little": TypicalFinger(14.4e-3, 9.4e-3, 1.4e-3),
+}
+"""Fingertips of adults. Index: the default geometry, within the 16–20 mm of Dandekar, Raju and
+Srinivasan 2003. The others over the index: assumptions in the order of hand anthropometry."""
+
+LENGTH_OVER_WIDTH = 1.5
+"""Of a typical distal finger segment, crease to tip over width; an assumption."""
+UNKNOWN_LENGTH = 0.05
+"""Relative deviation of the radial semi-axis of a finger whose length was not measured."""
+KNOWN_LENGTH = 0.03
+"""The same when it was: an ellipse is still not a circle."""
+PAD_SHAPE = 0.08
+"""Relative deviation of the pad's height: where the section is widest, no caliper says."""
+UNKNOWN_DEPTH = 0.12
+"""Relative deviation of the depth of a finger whose depth was not measured."""
+EPIDERMIS = 0.30e-3
+"""m, stratum corneum of a finger pad (Adams et al. 2013, J. R. Soc. Interface 10, 20120467,
+fig. 1)."""
+EPIDERMIS_DEVIATION = 0.08e-3
+"""m, between people; the epidermis of palms has 0.05 mm, the rest is an assumption."""
+BONE_WIDTH = 4.0 / 8.5
+BONE_WIDTH_DEVIATION = 0.12
+"""Bone over pad, radial. A tuft of 7 mm (Mintalucci et al. 2014, J. Hand Surg. 39, 1068) in a
+finger of 15–16 mm gives 0.45; the default geometry has 0.47."""
+BONE_HEIGHT = 2.5 / 5.5
+BONE_HEIGHT_DEVIATION = 0.20
+"""Bone over pad, axial; an assumption, from the default geometry."""
+BONE_CENTER_DEVIATION = 0.3e-3
+NAIL_WIDTH = 7.0 / 8.5
+NAIL_WIDTH_DEVIATION = 0.10
+"""Nail over pad; an assumption."""
+NAIL_THICKNESS = 0.5e-3
+NAIL_THICKNESS_DEVIATION = 0.1e-3
+"""m; 0.5 mm of women, 0.6 mm of men (Elements of Morphology, without a study behind it)."""
+
+
+@dataclass(frozen=True)
+class GeometryEstimate:
+    """A geometry and what is known of it.
+
+    deviations, rules: standard deviation (m) and rule of every length of `geometry`, by its key.
+    """
+
+    geometry: Geometry
+    deviations: dict[str, float]
+    rules: dict[str, str]
+    measured: str
+
+    def yaml_text(self) -> str:
+        """The file `geometry.yaml`, each length with its deviation in a comment."""
+        lines = [
+            "# Lengths of one finger in m, for finger-model; ± is one standard deviation.",
+            f"# From {self.measured}. Rules and drawing: docs/your_finger.md",
+        ]
+        for key, value in self.geometry.to_dict().items():
+            deviation = self.deviations[key]
+            lines.append(f"{key}: {value:.6g}  # ± {deviation:.2g}; {self.rules[key]}")
+        return "\n".join(lines) + "\n"
+
+
+def parse_length(text: str, what: str) -> float:
+    """A length in m from text such as 14mm, 1.4 cm, 0.014 m or 0.014 (metres).
+
+    Raises InputError for other text, and for a plain number that cannot be metres.
+    """
+    match = re.fullmatch(r"\s*(\d+(?:[.,]\d*)?|[.,]\d+)\s*([A-Za-zµ]*)\s*", text)
+    if match is None:
+        raise InputError(f"{what} is {text!r}; give a length such as 14mm")
+    value, unit = float(match[1].replace(",", ".")), match[2].lower()
+    if unit and unit not in UNITS:
+        raise InputError(f"{what} is {text!r}, with the unit {match[2]!r}; use mm, cm or m")
+    if not unit and value >= 0.1:
+        raise InputError(f"{what} is {text!r} without a unit: is it {value:g}mm? Write the unit")
+    return value * UNITS[unit or "m"]
+
+
+def _checked(name: str, value: float) -> float:
+    low, high = RANGES[name]
+    if not (math.isfinite(value) and low <= value <= high):
+        raise InputError(
+            f"{name.replace('_', ' ')} {value * 1e3:g} mm is outside {low * 1e3:g} … "
+            f"{high * 1e3:g} mm, the range of fingertips; check the number and its unit"
+        )
+    return value
+
+
+def epidermis_of_age(age: float) -> float:
+    """Typical thickness (m) at an age in years.
+
+    Skin thins with age (Gambichler et al. 2006, J. Dermatol. Sci. 44, 145; Czekalla et al. 2019),
+    and grows until 16. How much at the fingertip is not printed: 0.3 % a year after 40, 15 % less
+    at birth, are assumptions. Raises InputError for an age outside 1 … 120.
+    """
+    if not 1 <= age <= 120:
+        raise InputError(f"age {age:g} is outside 1 … 120 years")
+    if age < 16:
+        return EPIDERMIS * (0.85 + 0.15 * age / 16.0)
+    return EPIDERMIS * max(1.0 - 0.003 * max(age - 40.0, 0.0), 0.84)
+
+
+def estimate_geometry(
+    width: float | None = None,
+    depth: float | None = None,
+    length: float | None = None,
+    nail_width: float | None = None,
+    finger: str | None = None,
+    age: float | None = None,
+) -> GeometryEstimate:
+    """The model's lengths of a fingertip, from readings in m.
+
+    width, depth: across the pad and from pad to nail, at the middle of the nail; length: from the
+    last crease to the tip; nail_width; finger: a name of FINGERS, whose typical width and depth
+    stand in for readings left out (default: index); age in years. Raises InputError for readings
+    that no fingertip has, for an unknown finger, and without width and finger.
+    """
+    if finger is not None and finger not in FINGERS:
+        raise InputError(f"no finger '{finger}'; the fingers are {', '.join(FINGERS)}")
+    if width is None and finger is None:
+        raise InputError(
+            "give the width of the fingertip (--width 14mm), or --finger for a typical one"
+        )
+    typical = FINGERS[finger or "index"]
+    known = []
+    width_deviation = CALIPER_DEVIATION
+    if width is None:
+        width, width_deviation = typical.width, typical.width_deviation
+        known.append(f"a typical adult {finger} finger")
+    else:
+        known.append(f"width {_checked('width', width) * 1e3:g} mm")
+    radial, ratio = 0.5 * width, KNOWN_LENGTH
+    radial_rule = "half the width"
+    if length is None:
+        ratio = UNKNOWN_LENGTH
+    else:
+        known.append(f"length {_checked('length', length) * 1e3:g} mm")
+        radial *= math.sqrt(length / (LENGTH_OVER_WIDTH * width))
+        radial_rule = f"half the width, times the root of length over {LENGTH_OVER_WIDTH:g} widths"
+    radial_deviation = math.hypot(0.5 * width_deviation, ratio * radial)
+
+    axial_rule, depth_deviation = "half the depth", CALIPER_DEVIATION
+    if depth is None:
+        depth = width * typical.depth / typical.width
+        depth_deviation = depth * math.hypot(UNKNOWN_DEPTH, width_deviation / width)
+        axial_rule += f", of a typical {finger or 'index'} finger of this width"
+    else:
+        known.append(f"depth {_checked('depth', depth) * 1e3:g} mm")
+    axial = 0.5 * depth
+    axial_deviation = math.hypot(0.5 * depth_deviation, PAD_SHAPE * axial)
+
+    epidermis, skin_rule = EPIDERMIS, "stratum corneum of a finger pad (Adams 2013)"
+    if age is not None:
+        epidermis = epidermis_of_age(age)
+        skin_rule += f", at the age of {age:g}"
+        known.append(f"age {age:g}")
+
+    if nail_width is None:
+        nail, nail_deviation = NAIL_WIDTH * radial, NAIL_WIDTH_DEVIATION * NAIL_WIDTH * radial
+        nail_rule = f"{NAIL_WIDTH:.2f} of the pad, an assumption"
+    else:
+        if _checked("nail_width", nail_width) > width:
+            raise InputError(
+                f"nail width {nail_width * 1e3:g} mm is larger than the width of the finger, "
+                f"{width * 1e3:g} mm; check both"
+            )
+        known.append(f"nail width {nail_width * 1e3:g} mm")
+        # The nail keeps its share of the finger's width when length changes the radial semi-axis.
+        nail = radial * nail_width / width
+        nail_deviation = math.hypot(0.5 * CALIPER_DEVIATION, 0.03 * nail)
+        nail_rule = "half the nail's width, as a share of the finger's"
+
+    values = {
+        "pad_semi_axis_radial": (radial, radial_deviation, radial_rule),
+        "pad_semi_axis_axial": (axial, axial_deviation, axial_rule),
+        "epidermis_thickness": (epidermis, EPIDERMIS_DEVIATION, skin_rule),
+        "bone_semi_axis_radial": (
+            BONE_WIDTH * radial,
+            BONE_WIDTH * math.hypot(BONE_WIDTH_DEVIATION * radial, radial_deviation),
+            f"{BONE_WIDTH:.2f} of the pad (tuft: Mintalucci 2014)",
+        ),
+        "bone_semi_axis_axial": (
+            BONE_HEIGHT * axial,
+            BONE_HEIGHT * math.hypot(BONE_HEIGHT_DEVIATION * axial, axial_deviation),
+            f"{BONE_HEIGHT:.2f} of the pad, an assumption",
+        ),
+        "bone_center_height": (0.0, BONE_CENTER_DEVIATION, "an assumption"),
+        "nail_radius": (nail, nail_deviation, nail_rule),
+        "nail_thickness": (NAIL_THICKNESS, NAIL_THICKNESS_DEVIATION, "an assumption"),
+    }
+    assert set(values) == set(LENGTHS)
+    geometry = Geometry(**{key: round(value[0], 8) for key, value in values.items()})
+    return GeometryEstimate(
+        geometry,
+        {key: value[1] for key, value in values.items()},
+        {key: value[2] for key, value in values.items()},
+        ", ".join(known),
+    )
