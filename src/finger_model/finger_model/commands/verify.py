@@ -10,7 +10,7 @@ from rich.console import Console
 
 from finger_common.errors import InputError
 
-from . import verify_reduced
+from . import verify_published, verify_reduced
 
 EXIT_CHECK_FAILS = 1
 
@@ -28,13 +28,20 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         ),
         example=(
             "finger-model verify -o docs\nfinger-model verify hertz calculix\n"
-            "finger-model verify --reduced --error-plot errors.png"
+            "finger-model verify --reduced --error-plot errors.png\n"
+            "finger-model verify --published -o table.json"
         ),
     )
     parser.add_argument("checks", nargs="*", metavar="CHECK", help="names of checks (default: all)")
     parser.add_argument("--list", action="store_true", help="list the names and stop")
-    parser.add_argument("-o", "--output", metavar="DIR", help="folder for page and figures")
+    parser.add_argument(
+        "-o",
+        "--output",
+        metavar="DIR",
+        help="folder for page and figures; with --published: the table, JSON",
+    )
     verify_reduced.add_arguments(parser)
+    verify_published.add_arguments(parser)
     parser.set_defaults(run=run)
 
 
@@ -42,6 +49,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Carry out the subcommand."""
     if arguments.reduced:
         return verify_reduced.run(arguments)
+    if arguments.published:
+        return verify_published.run(arguments)
     from ..verification.page import CHECKS, write_page
 
     console = Console(highlight=False)
