@@ -5,6 +5,7 @@ as the reduced.
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,9 @@ from finger_fit.full_order.correction import shifted
 from finger_fit.options import FitOptions
 from finger_fit.problem import MM4, AreaCorrection, FitProblem
 from finger_fit.search import all_free, refine
-from finger_model.fem.area_model import thinned_rows
+from finger_fit.study.deformed import deformed_finger
+from finger_model.fem.area_model import FullOrderAreas, thinned_rows
+from finger_model.geometry import Geometry
 from finger_model.laws import StandardLinearSolid
 from finger_model.reduced import ReducedModel
 
@@ -136,3 +139,44 @@ def test_full_order_takes_the_constants_that_the_model_was_built_for() -> None:
     found = FullOrder.like(other)
     assert found.material.friction == 0.6 and found.geometry == other.geometry
     assert FullOrder.like(shipped).material.friction == shipped.friction
+
+
+def test_every_fixed_property_and_length_reaches_the_full_order_areas(double) -> None:
+    """Friction, nail, Poisson's ratios and geometry of the model are those of its correction."""
+    problem = double.make_problem(trials=1)
+    geometry = Geometry(pad_semi_axis_radial=7e-3, pad_semi_axis_axial=5e-3, nail_radius=5.5e-3)
+    material = StandardLinearSolid(
+        friction=0.6, nail_modulus=1e6, poisson_ratio_bulk=0.45, poisson_ratio_epidermis=0.46
+    )
+    model = SimpleNamespace(material=material, geometry=geometry)
+    full = replace(FullOrder.like(model), refinement=0.4, engine=InProcess())
+    assert (full.material, full.geometry) == (material, geometry)
+    candidate = np.array([[140e3, 22e3, 0.5, 1795e3]])
+    found = full.areas(problem, candidate)[0]
+    trial = problem.trials[0]
+
+    def direct(material, geometry):
+        areas = FullOrderAreas(material, geometry, 0.4)
+        return areas.areas(candidate[0], trial.time, trial.force, trial.frames)
+
+    assert np.array_equal(found, direct(material, geometry))
+    # Each of them is seen in the areas, so that one that got lost would be noticed.
+    default = StandardLinearSolid()
+    for name in ("friction", "nail_modulus", "poisson_ratio_bulk", "poisson_ratio_epidermis"):
+        lost = replace(material, **{name: getattr(default, name)})
+        assert abs(direct(lost, geometry)[-1] / found[-1] - 1) > 1e-4, name
+    assert abs(direct(material, Geometry())[-1] / found[-1] - 1) > 0.01
+
+
+def test_deformed_finger_is_that_of_the_model(double) -> None:
+    problem = double.make_problem(trials=1)
+    geometry = Geometry(pad_semi_axis_radial=7e-3, pad_semi_axis_axial=5e-3, nail_radius=5.5e-3)
+    parameters = np.array([140e3, 22e3, 0.5, 1795e3])
+    fit = SimpleNamespace(problem=problem, parameters=parameters)
+    areas = []
+    for friction in (0.0, 0.6):
+        model = SimpleNamespace(material=StandardLinearSolid(friction=friction), geometry=geometry)
+        finger = deformed_finger(fit, 0, FullOrder.like(model))
+        assert finger.geometry == geometry
+        areas.append(finger.contact.area)
+    assert areas[1] < areas[0]
