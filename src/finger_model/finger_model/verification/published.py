@@ -15,7 +15,7 @@ from scipy.optimize import curve_fit, minimize_scalar
 
 from ..fem.full_order import FullOrderModel
 from ..geometry import Geometry
-from ..laws import ConstitutiveLaw, GeneralizedMaxwell3
+from ..laws import ConstitutiveLaw, from_branches
 from ..paper import CONDITIONS, TARGET_FORCE
 from .cases import STUDY
 
@@ -28,16 +28,18 @@ GENERIC_FINGER = Geometry(
     nail_radius=7.0e-3,
     nail_thickness=0.5e-3,
 )
-GENERIC_MATERIAL = GeneralizedMaxwell3(
-    E0=110e3,
-    fraction_1=0.35,
-    tau_1=0.004,
-    fraction_2=0.45,
-    tau_2=0.07,
-    fraction_3=0.08,
-    tau_3=1.4,
-    E2=800e3,
-    stiffening=10.0,
+GENERIC_MATERIAL = from_branches(
+    {
+        "E0": 110e3,
+        "branches": [
+            {"fraction": 0.35, "tau": 0.004},
+            {"fraction": 0.45, "tau": 0.07},
+            {"fraction": 0.08, "tau": 1.4},
+        ],
+        "E2": 800e3,
+        "stiffening": 10.0,
+    },
+    "generic finger",
 )
 """Found by a scan of the full-order model over E∞, stiffening, E2 and the fractions; the times are
 those of Pawluk and Howe 1999."""
