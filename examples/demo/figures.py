@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
+from finger_fit.problem import three_digits
 from finger_model.paper import TARGET_FORCE
 
 from .results import PARAMETERS, ConditionResult, LivePress
@@ -48,12 +52,24 @@ def colour(name: str) -> str:
     return COLOURS.get(name, "#555555")
 
 
+def legend_below(figure: Figure, *axes: Axes) -> None:
+    """One legend for the axes, below them: it covers no curve; in grey, as the colours differ."""
+    entries: dict[str, Any] = {}
+    for axis in axes:
+        for handle, label in zip(*axis.get_legend_handles_labels()):
+            entries.setdefault(label, handle)
+    number = min(4, len(entries))
+    figure.legend(entries.values(), entries, loc="upper center", ncol=number,
+                  bbox_to_anchor=(0.5, 0.0))  # fmt: skip
+
+
 def area_figure(results: Sequence[ConditionResult], path: Path) -> None:
     """Area over force and over time: measured frames, fitted model, truth, power law."""
     style()
     figure, axes = plt.subplots(
-        len(results), 2, figsize=(9.2, 2.75 * len(results)), squeeze=False, sharex="col"
-    )
+        len(results), 2, figsize=(9.2, 2.4 * len(results)), squeeze=False, sharex="col",
+        sharey=True,
+    )  # fmt: skip
     for (left, right), result in zip(axes, results):
         tint = colour(result.name)
         for number, curve in enumerate(result.curves):
@@ -91,20 +107,18 @@ def area_figure(results: Sequence[ConditionResult], path: Path) -> None:
                        label="truth" if first else None)  # fmt: skip
         force = np.linspace(0.02, max(c.force.max() for c in result.curves), 100)
         left.plot(force, result.k * 1e6 * force**result.m, color=TRUTH, lw=1.0, ls="--",
-                  label=f"power law, m = {result.m:.2f}")  # fmt: skip
-        left.set_title(result.name, loc="left", color=tint)
+                  label="power law $kF^m$")  # fmt: skip
+        left.set_title(f"{result.name}: $m$ = {result.m:.2f}", loc="left", color=tint)
         left.set_ylabel("contact area (mm²)")
-        for axis in (left, right):
-            axis.set_ylim(bottom=0)
-        left.legend(loc="lower right")
-        right.set_ylim(top=1.25 * right.get_ylim()[1])
-        right.legend(loc="upper left", ncol=2)
+    # After all rows, which share the axis.
+    axes[0][0].set_ylim(bottom=0)
     curves = [curve for result in results for curve in result.curves]
     axes[0][0].set_xlim(0, 1.03 * max(c.force.max() for c in curves))
     axes[0][1].set_xlim(0, 1.03 * max(c.time[-1] for c in curves))
     axes[-1][0].set_xlabel("normal force (N)")
     axes[-1][1].set_xlabel("time since onset (s)")
     figure.tight_layout()
+    legend_below(figure, axes[0][0], axes[0][1])
     figure.savefig(path)
     plt.close(figure)
 
@@ -180,7 +194,7 @@ def cost_figure(results: Sequence[ConditionResult], path: Path) -> None:
             x = column + (number - 1) * 0.27
             axis.bar(x, cost, 0.24, color=colour(result.name), alpha=alpha)
             axis.annotate(
-                f"{cost:.3g}", (x, cost), ha="center", va="bottom", fontsize=8, xytext=(0, 1),
+                three_digits(cost), (x, cost), ha="center", va="bottom", fontsize=8, xytext=(0, 1),
                 textcoords="offset points",
             )  # fmt: skip
     axis.set_yscale("log")
@@ -223,6 +237,6 @@ def live_figure(press: LivePress, path: Path) -> None:
     area.set_xlabel("time (s)")
     area.set_ylabel("area (mm²)")
     area.set_ylim(bottom=0)
-    area.legend(loc="upper left")
+    area.legend(loc="upper center", ncol=4, bbox_to_anchor=(0.5, -0.25))
     figure.savefig(path)
     plt.close(figure)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import html
 import json
-import math
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from finger_common.files import atomic_write
+from finger_fit.problem import three_digits
 
 from . import figures
 from .results import PARAMETERS, ConditionResult, DemoResult, gather, live_press, true_trials
@@ -73,7 +73,16 @@ table{border-collapse:collapse;margin:.6em 0;font-variant-numeric:tabular-nums}
 th,td{padding:.28em .8em;text-align:right;border-bottom:1px solid #e2e2e2}
 th:first-child,td:first-child{text-align:left}
 thead th{border-bottom:2px solid #999;font-weight:600}
-td.c{font-weight:600} .note{color:#555;font-size:.92em} figure{margin:.8em 0}
+td.c{font-weight:600;padding-left:.5em} .note{color:#555;font-size:.92em} figure{margin:.8em 0}
+figure.narrow img{max-width:68%} td{white-space:nowrap}
+td small{display:block;color:#555;white-space:nowrap}
+@page{size:A4;margin:16mm 14mm 18mm}
+@media print{
+ body{margin:0;padding:0;max-width:none;font-size:9.5pt;line-height:1.4}
+ h1{font-size:15pt} h2{font-size:12pt;margin:5mm 0 2mm} h1,h2{break-after:avoid}
+ figure,table,tr{break-inside:avoid} img{max-height:112mm;display:block}
+ table{font-size:8pt;width:100%} th,td{padding:.8mm 1.2mm} p{orphans:3;widows:3}
+}
 """
 
 
@@ -82,22 +91,25 @@ def page_of(results: list[ConditionResult], result: DemoResult, folder: Path) ->
 
     def picture(name: str, text: str) -> str:
         data = base64.b64encode((folder / f"{name}.png").read_bytes()).decode()
-        return (
-            f'<figure><img alt="{html.escape(text)}" src="data:image/png;base64,{data}"></figure>'
-        )
+        kind = ' class="narrow"' if name in ("cost", "moisture") else ""
+        source = f"data:image/png;base64,{data}"
+        return f'<figure{kind}><img alt="{html.escape(text)}" src="{source}"></figure>'
 
     trials = sum(len(r.curves) for r in results)
+    day = result.fit.sources.get("date")
+    date = f" Fitted on {html.escape(day)}." if day else ""
     seconds = result.seconds
     excluded = "".join(
         f"<li>{html.escape(e.label)}: {html.escape(e.reason)}</li>" for e in result.fit.exclusions
     )
     return f"""<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>A finger on glass: demo report</title>
-<style>{CSS}</style></head><body>
+<meta name="viewport" content="width=device-width,initial-scale=1">
+<style>{CSS}</style></head><body><main>
 <h1>A finger on glass</h1>
 <p class="lead">{trials} presses of a simulated finger in {len(results)} moisture conditions,
 recorded over DDS by the whole suite, replayed from their bags and fitted. The estimates receive the
-finger only through CAN frames, camera images and lines of a moisture probe.</p>
+finger only through CAN frames, camera images and lines of a moisture probe.{date}</p>
 {picture("live", "One press as it was published live")}
 <p class="note">One press as it was published live: the frame at the largest contact with its
 measured outline (print pixelated), the force with the cue at 1.35 N, and the contact area: measured
@@ -130,7 +142,7 @@ presses repeated during the session: {result.repeated}</li>
 <p class="note">The geometry is the default one, an assumption; the true parameters are those of the
 simulated study, not of measured fingers. <a href="suite.log">suite.log</a> lists what the simulated
 rig does not model.</p>
-</body></html>
+</main></body></html>
 """
 
 
@@ -151,18 +163,26 @@ def parameter_table(results: list[ConditionResult]) -> str:
     rows = ""
     for r in results:
         cells = "".join(
-            f"<td>{r.fitted[key] * scale:.4g} / {r.true[key] * scale:.4g}</td>"
+            f"<td>{three_digits(r.fitted[key] * scale)} / {three_digits(r.true[key] * scale)}"
+            f"{interval_text(r, key, scale)}</td>"
             for key, _, scale, _ in PARAMETERS
         )
         tint = figures.colour(r.name)
-        rows += f'<tr><td class="c" style="color:{tint}">{html.escape(r.name)}</td>{cells}</tr>'
-    return f"<table><thead><tr><th></th>{head}</tr></thead><tbody>{rows}</tbody></table>"
+        costs = (r.cost, r.power_law_cost, r.power_law_cost - r.cost)
+        cells += "".join(f"<td>{three_digits(cost)}</td>" for cost in costs)
+        name = f'<td class="c" style="border-left:5px solid {tint}">{html.escape(r.name)}</td>'
+        rows += f"<tr>{name}{cells}</tr>"
+    head += "<th>J model<br>(mm⁴)</th><th>J power law<br>(mm⁴)</th><th>ΔJ<br>(mm⁴)</th>"
+    return f"<table><thead><tr><th>condition</th>{head}</tr></thead><tbody>{rows}</tbody></table>"
 
 
-def three_digits(value: float) -> str:
-    """At least three significant digits, never an exponent."""
-    digits = max(0, 2 - math.floor(math.log10(abs(value)))) if value else 0
-    return f"{value:.{digits}f}"
+def interval_text(result: ConditionResult, key: str, scale: float) -> str:
+    """95 % interval of a fitted parameter, on a line of its own; nothing without one."""
+    found = result.intervals.get(key)
+    if found is None:
+        return ""
+    low, high = (three_digits(end * scale) for end in found)
+    return f"<small>{low} – {high}</small>"
 
 
 def print_summary(result: DemoResult, console: Console) -> None:

@@ -7,6 +7,7 @@ every few seconds, and one at its end.
 from __future__ import annotations
 
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, TypeVar
@@ -22,6 +23,9 @@ S = TypeVar("S", bound="Stages")
 
 LINE_PERIOD = 5.0
 """s between plain lines."""
+
+SILENCE = 15.0
+"""s without a line after which one says that work goes on."""
 
 
 def duration_text(duration: float) -> str:
@@ -51,8 +55,12 @@ class Stages:
     ) -> None:
         terminal = sys.stderr.isatty() if terminal is None else terminal
         self._quiet = quiet
+        self._own_lines = line is None
         self._line = line or self._write
         self._clock = clock
+        self._ended = threading.Event()
+        self._last_line = self._last_update = clock()
+        self._last_stage = ""
         self._began: dict[str, tuple[float, float]] = {}
         self._shown: dict[str, float] = {}
         self._finished: set[str] = set()
@@ -71,11 +79,29 @@ class Stages:
     def __enter__(self: S) -> S:
         if self._bars is not None:
             self._bars.start()
+        elif self._own_lines and not self._quiet:
+            threading.Thread(target=self._beats, daemon=True, name="progress").start()
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._ended.set()
         if self._bars is not None:
             self._bars.stop()
+
+    def _beats(self) -> None:
+        while not self._ended.wait(LINE_PERIOD):
+            self.beat()
+
+    def beat(self) -> None:
+        """A line where none came for a while: a stage that tells nothing is still working."""
+        now = self._clock()
+        if now - self._last_line >= SILENCE:
+            since = duration_text(now - self._last_update)
+            self._say(f"still working, {since} after: {self._last_stage or 'start'}")
+
+    def _say(self, text: str) -> None:
+        self._last_line = self._clock()
+        self._line(text)
 
     def update(self, stage: str, done: float, total: float = 1.0, note: str = "") -> None:
         """How much of a stage is done, in any unit; the first call names it."""
@@ -89,6 +115,7 @@ class Stages:
             self._bars.update(self._tasks[stage], **values)
             return
         now = self._clock()
+        self._last_update, self._last_stage = now, stage
         first, at_first = self._began.setdefault(stage, (now, done))
         finished = done >= total
         due = finished or now - self._shown.get(stage, first) >= LINE_PERIOD
@@ -103,7 +130,7 @@ class Stages:
             left = (now - first) * (total - done) / progress if progress > 0 else None
             time_text = f"{100 * done / total:.0f} %"
             time_text += "" if left is None else f", {duration_text(left)} left"
-        self._line(": ".join([stage, ", ".join(filter(None, [time_text, note]))]))
+        self._say(": ".join([stage, ", ".join(filter(None, [time_text, note]))]))
 
     def track(self, items: Iterable[T], stage: str, total: int) -> Iterator[T]:
         """The items one by one, `total` in all, as a stage."""

@@ -97,6 +97,19 @@ def test_plain_lines_tell_the_time_left_every_few_seconds_when_redirected() -> N
     assert duration_text(59.4) == "59 s" and duration_text(7500) == "2:05 h"
 
 
+def test_a_stage_that_tells_nothing_is_said_to_be_working() -> None:
+    now = [0.0]
+    lines: list[str] = []
+    stages = Stages(terminal=False, line=lines.append, clock=lambda: now[0])
+    stages.update("dry polish", 1, 1)
+    for now[0] in (5.0, 10.0, 15.0, 20.0, 30.0):
+        stages.beat()
+    assert lines[1:] == [
+        "still working, 15 s after: dry polish",
+        "still working, 30 s after: dry polish",
+    ]
+
+
 def test_quiet_progress_writes_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     with Stages(quiet=True) as stages:
         assert list(stages.track("ab", "letters", 2)) == ["a", "b"]

@@ -6,8 +6,11 @@ import ast
 import json
 import os
 import re
+import shutil
 import signal
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +19,7 @@ from finger_common.errors import InputError
 from finger_fit import report, results
 from finger_fit.engine import DaskEngine
 from finger_fit.options import FitOptions
-from finger_fit.problem import MM4
+from finger_fit.problem import MM4, three_digits
 from finger_fit.report import write_report
 from finger_fit.results import FitResult
 from finger_fit.search import Stopped, all_free, refine
@@ -202,9 +205,61 @@ def test_report_is_one_self_contained_page_with_its_figures_beside_it(
         "Provenance",
         "not checked",
         "bias-corrected",
+        "Δ<i>J</i>",
+        "<i>R</i>² model",
     ):
         assert words in page
     assert not re.search(r"\bnan\b", re.sub(r"base64,[^\"]*", "", page))
+
+
+@pytest.fixture
+def browser() -> Any:
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    found = shutil.which("chromium") or shutil.which("google-chrome")
+    if not found:
+        pytest.skip("no Chromium is installed")
+    with playwright.sync_playwright() as driver:
+        chromium = driver.chromium.launch(executable_path=found, args=["--no-sandbox"])
+        yield chromium
+        chromium.close()
+
+
+def test_report_fits_the_width_of_a_window_and_of_a_page_of_paper(
+    study, tmp_path: Path, browser: Any
+) -> None:
+    page = browser.new_page()
+    page.goto(write_report(study, tmp_path).as_uri())
+    beyond = """() => [...document.querySelectorAll("th, td, .status, img, h2")]
+        .filter((e) => e.getBoundingClientRect().right > document.documentElement.clientWidth)
+        .map((e) => e.textContent || e.alt)"""
+    cut = """() => [...document.querySelectorAll(".scroll")]
+        .filter((e) => e.scrollWidth > e.clientWidth + 1).length"""
+    # A4 less its margins is 182 mm wide, at 96 dots an inch.
+    for media, width in (("screen", 1280), ("print", round(182 / 25.4 * 96))):
+        page.emulate_media(media=media)
+        page.set_viewport_size({"width": width, "height": 900})
+        assert page.evaluate(beyond) == [] and page.evaluate(cut) == 0, media
+    numbers = [int(n) for n in re.findall(r"Fig\. (\d+)", page.inner_text("body"))]
+    assert numbers == sorted(numbers) and len(set(numbers)) == len(numbers) >= 8
+
+
+def test_goodness_has_intervals_over_the_trials(study) -> None:
+    for fit in study.fits.values():
+        found = fit.goodness
+        assert found.k.value == fit.power_law.k and found.m.value == fit.power_law.m
+        assert 0.5 < found.power_law.value < found.model.value < 1.0
+        for interval in (found.k, found.m, found.model, found.power_law):
+            assert interval.low < interval.value < interval.high
+        total = fit.problem.measured - fit.problem.measured.mean()
+        plain = 1 - ((fit.areas - fit.problem.measured) ** 2).sum() / (total**2).sum()
+        assert found.model.value == pytest.approx(plain, abs=0.02), "weights change it little"
+        told = results.condition_dict(fit)["goodness"]
+        assert told["model"] == asdict(found.model)
+
+
+def test_values_are_shown_with_three_digits() -> None:
+    shown = [three_digits(v) for v in (1234.5, 41.0, 0.0012345, 0.0, float("nan"))]
+    assert shown == ["1230", "41.0", "0.00123", "0.00", "–"]
 
 
 def test_report_draws_and_computes_nothing(study, tmp_path: Path, monkeypatch) -> None:

@@ -34,9 +34,17 @@ class PowerLaw:
 
 def fit_power_law(problem: FitProblem) -> PowerLaw:
     """The power law that minimises J (nonlinear least squares in area, all trials together)."""
-    force, measured, weight = problem.force, problem.measured, problem.weight
+    force, measured = problem.force, problem.measured
     usable = (measured > 0) & (force > 0)
     log_m = float(np.polyfit(np.log(force[usable]), np.log(measured[usable]), 1)[0])
+    k, m = power_law_of(problem, problem.weight)
+    cost = float((problem.weight * problem.losses(k * force**m)).sum())
+    return PowerLaw(k, m, cost, log_m)
+
+
+def power_law_of(problem: FitProblem, weight: np.ndarray) -> tuple[float, float]:
+    """k (m²/N^m) and m that minimise J under weights (n,) of the frames."""
+    force, measured = problem.force, problem.measured
 
     def best_k(m: float) -> float:
         shape = force**m
@@ -54,14 +62,12 @@ def fit_power_law(problem: FitProblem) -> PowerLaw:
     )
     m = float(found.x)
     k = best_k(m)
-    if problem.options.loss == "huber":
-        k, m = _reweighted(problem, k, m)
-    return PowerLaw(k, m, cost(m, k), log_m)
+    return _reweighted(problem, weight, k, m) if problem.options.loss == "huber" else (k, m)
 
 
-def _reweighted(problem: FitProblem, k: float, m: float) -> tuple[float, float]:
+def _reweighted(problem: FitProblem, weight: np.ndarray, k: float, m: float) -> tuple[float, float]:
     """k and m under the Huber loss, by iteratively reweighted least squares."""
-    force, measured, weight = problem.force, problem.measured * MM2, problem.weight
+    force, measured = problem.force, problem.measured * MM2
     scale = problem.options.huber_scale * MM2
     found = np.array([k * MM2, m])
     for _ in range(50):

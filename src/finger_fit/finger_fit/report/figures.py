@@ -19,7 +19,7 @@ from matplotlib.ticker import FixedLocator, NullLocator
 
 from finger_model.laws import Quantity
 
-from ..problem.report_units import MM2, MM4
+from ..problem.report_units import MM2, MM4, three_digits
 from ..results import DeformedFinger, FitResult
 
 PALETTE = ("#b5651d", "#2a7f62", "#1f5a99", "#7a3b8f", "#8a8a2a", "#b03a48")
@@ -73,6 +73,19 @@ def colour_of(report: FitResult, condition: str) -> str:
 def marker_of(report: FitResult, condition: str) -> str:
     """The condition's marker."""
     return MARKERS[list(report.fits).index(condition) % len(MARKERS)]
+
+
+def legend_below(figure: Figure, *panels: Axes, columns: int = 6) -> None:
+    """One legend for the panels, below them: it covers no curve."""
+    entries: dict[str, Any] = {}
+    for panel in panels:
+        for handle, label in zip(*panel.get_legend_handles_labels()):
+            entries.setdefault(label, handle)
+    if entries:
+        figure.legend(
+            list(entries.values()), list(entries), loc="outside lower center",
+            ncols=min(columns, len(entries)), handlelength=1.8, columnspacing=1.4,
+        )  # fmt: skip
 
 
 def all_figures(report: FitResult) -> dict[str, Figure]:
@@ -137,7 +150,7 @@ def area_over_force_figure(report: FitResult) -> Figure:
     """Measured areas over force, one panel per condition, with model trials and power law."""
     number = len(report.fits)
     figure, panels = plt.subplots(
-        1, number, figsize=(COLUMN if number > 1 else 0.5 * COLUMN, 2.6), sharey=True, squeeze=False
+        1, number, figsize=(COLUMN if number > 1 else 0.5 * COLUMN, 2.8), sharey=True, squeeze=False
     )
     for panel, (name, fit) in zip(panels[0], report.fits.items()):
         colour = colour_of(report, name)
@@ -158,21 +171,21 @@ def area_over_force_figure(report: FitResult) -> Figure:
         law = fit.power_law
         panel.plot(
             force, law.area(force) * MM2, color="0.1", ls=(0, (4, 2)), lw=1.0,
-            label=f"${law.k * MM2:.1f}\\,F^{{{law.m:.2f}}}$", zorder=4,
+            label="power law $kF^m$", zorder=4,
         )  # fmt: skip
         panel.set_title(name)
         panel.set_xlabel("normal force (N)")
         panel.set_xlim(0, None)
-        panel.legend(loc="upper left", handlelength=1.8)
         panel.text(
-            0.98, 0.04,
-            f"$J$ = {fit.cost * MM4:.1f} mm$^4$\npower law {law.cost * MM4:.1f} mm$^4$",
-            transform=panel.transAxes, ha="right", va="bottom", fontsize=7.5,
+            0.98, 0.03,
+            f"model $J$ = {three_digits(fit.cost * MM4)} mm$^4$\n"
+            f"power law $J$ = {three_digits(law.cost * MM4)} mm$^4$\n"
+            f"$k$ = {law.k * MM2:.1f}, $m$ = {law.m:.2f}",
+            transform=panel.transAxes, ha="right", va="bottom", fontsize=7,
         )  # fmt: skip
-    # Room above for the legends; after all panels, because they share the axis.
-    largest = max(float(fit.problem.measured.max()) for fit in report.fits.values()) * MM2
-    panels[0, 0].set_ylim(0, 1.32 * largest)
+    panels[0, 0].set_ylim(0, None)
     panels[0, 0].set_ylabel("gross contact area (mm$^2$)")
+    legend_below(figure, *panels[0])
     return figure
 
 
@@ -218,7 +231,6 @@ def example_figure(report: FitResult) -> Figure:
     top.plot(trial.time, trial.force, color="0.1", lw=0.9, label="drives the model")
     top.set_ylabel("force (N)")
     top.tick_params(labelbottom=False)
-    top.legend(loc="upper left")
     top.set_title(f"(a) {trial.label}", loc="left")
     bottom.plot(trial.time, fit.curves[index] * MM2, color=colour, label="model")
     bottom.errorbar(
@@ -239,7 +251,7 @@ def example_figure(report: FitResult) -> Figure:
     bottom.set_ylim(0, None)
     bottom.set_xlabel("time from touch (s)")
     bottom.set_ylabel("gross contact area (mm$^2$)")
-    bottom.legend(loc="upper left")
+    legend_below(figure, top, bottom)
     if report.deformed is None:
         side.set_axis_off()
     else:
@@ -382,8 +394,7 @@ def matched_figure(report: FitResult) -> Figure | None:
         panel.set_xlabel("time from touch (s)")
         panel.set_ylim(0, None)
         panel.set_xlim(0, None)
-    left.legend(loc="upper left")
-    right.legend(loc="upper left")
+    legend_below(figure, left, right)
     return figure
 
 
@@ -393,7 +404,7 @@ def profiles_figure(report: FitResult) -> Figure | None:
         return None
     space = report.space
     names = (*space.derived, *space.names)
-    figure, panels = plt.subplots(1, len(names), figsize=(COLUMN, 2.1), sharey=True, squeeze=False)
+    figure, panels = plt.subplots(1, len(names), figsize=(COLUMN, 2.35), sharey=True, squeeze=False)
     for panel, name in zip(panels[0], names):
         quantity = space.describe(name)
         factor = quantity.display_factor
@@ -418,7 +429,7 @@ def profiles_figure(report: FitResult) -> Figure | None:
             _plain_log_ticks(panel, min(ticks), max(ticks))
         panel.set_title(title_of(quantity))
     panels[0, 0].set_ylabel(r"$(J - J_\mathrm{min})\,/\,(J_{95} - J_\mathrm{min})$")
-    panels[0, min(1, len(names) - 1)].legend(loc="upper center", handlelength=1.2)
+    legend_below(figure, *panels[0])
     return figure
 
 
@@ -435,7 +446,7 @@ def _plain_log_ticks(panel: Axes, low: float, high: float) -> None:
 def residuals_figure(report: FitResult) -> Figure:
     """Residuals over force and their distribution, model beside power law."""
     figure, panels = plt.subplots(
-        1, 3, figsize=(COLUMN, 2.2), gridspec_kw={"width_ratios": (1, 1, 0.7)}
+        1, 3, figsize=(COLUMN, 2.45), gridspec_kw={"width_ratios": (1, 1, 0.7)}
     )
     limit = 0.0
     for name, fit in report.fits.items():
@@ -454,10 +465,10 @@ def residuals_figure(report: FitResult) -> Figure:
         (panels[1], "power law − measured (mm$^2$)"),
     ):
         panel.axhline(0, color="0.3", lw=0.6)
-        panel.set_ylim(-1.1 * limit, 1.35 * limit)
+        panel.set_ylim(-1.1 * limit, 1.1 * limit)
         panel.set_xlabel("normal force (N)")
         panel.set_title(title)
-    panels[0].legend(loc="upper left", ncols=3, handletextpad=0.1, columnspacing=0.8)
+    legend_below(figure, panels[0])
     panels[2].set_title("model: distribution")
     panels[2].set_xlabel("residual (mm$^2$)")
     panels[2].set_yticks([])
@@ -466,7 +477,7 @@ def residuals_figure(report: FitResult) -> Figure:
 
 def convergence_figure(report: FitResult) -> Figure:
     """Best J over the rounds of the search, relative to J after the polish."""
-    figure, axes = plt.subplots(figsize=(0.6 * COLUMN, 2.0))
+    figure, axes = plt.subplots(figsize=(0.6 * COLUMN, 2.3))
     for name, fit in report.fits.items():
         colour = colour_of(report, name)
         reference = fit.polish.cost if fit.polish is not None else fit.pso.best[1]
@@ -475,13 +486,13 @@ def convergence_figure(report: FitResult) -> Figure:
         axes.plot(rounds, curve, color=colour, drawstyle="steps-post")
         axes.plot(
             len(curve), curve[-1], marker=marker_of(report, name), color=colour, ms=4, ls="none",
-            label=f"{name}: {curve[-1]:.3f}", clip_on=False,
+            label=f"{name} {curve[-1]:.3f}", clip_on=False,
         )  # fmt: skip
     axes.axhline(1.0, color="0.3", lw=0.7, ls=(0, (4, 2)))
     axes.set_xlabel("PSO round")
     axes.set_ylabel("best $J$ over polished $J$")
     axes.set_xlim(0, None)
-    axes.legend(title="at the end")
+    legend_below(figure, axes)
     return figure
 
 
@@ -505,6 +516,6 @@ CAPTIONS = {
     "residuals": "Residuals of the fitted model and of the power law over force, on one scale, "
     "and the distribution of the model's residuals.",
     "convergence": "Best J over the rounds of the particle swarm, relative to the J after the "
-    "bounded local polish (dashed); both by the reduced model.",
+    "bounded local polish (dashed); both by the reduced model. The legend gives the last value.",
 }
 """Caption of each figure."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import itertools
 from html import escape
 from importlib import resources
 from pathlib import Path
@@ -41,7 +42,7 @@ def write_report(result: FitResult, folder: Path) -> Path:
 def render(result: FitResult, pictures: dict[str, bytes]) -> str:
     """The page's HTML."""
     captions = CAPTIONS | {"candidates": CAPTIONS["candidates"] + _meanings(result)}
-    numbers = {name: k for k, name in enumerate(pictures, 1)}
+    numbers = itertools.count(1)
 
     def figure(name: str) -> str:
         if name not in pictures:
@@ -51,7 +52,7 @@ def render(result: FitResult, pictures: dict[str, bytes]) -> str:
         text = escape(captions[name])
         return (
             f'<figure{kind}><img alt="{text}" src="data:image/png;base64,{data}">'
-            f"<figcaption><b>Fig. {numbers[name]}.</b> {text}</figcaption></figure>"
+            f"<figcaption><b>Fig. {next(numbers)}.</b> {text}</figcaption></figure>"
         )
 
     style = (resources.files(__package__) / "static" / "report.css").read_text(encoding="utf-8")
@@ -59,7 +60,7 @@ def render(result: FitResult, pictures: dict[str, bytes]) -> str:
         "<!doctype html><html lang=en><meta charset=utf-8>",
         '<meta name=viewport content="width=device-width,initial-scale=1">',
         f"<title>Finger model fit</title><style>{style}</style>",
-        "<h1>Viscoelastic finger model, fitted to contact area</h1>",
+        "<main><h1>Viscoelastic finger model, fitted to contact area</h1>",
         f"<p class=lead>{_lead(result)}</p>",
         tables.parameters(result),
         tables.verdict(result),
@@ -75,6 +76,7 @@ def render(result: FitResult, pictures: dict[str, bytes]) -> str:
         figure("example_trial"),
         figure("matched_trials"),
         figure("residuals"),
+        tables.trials(result),
         "<h2>Identifiability</h2>",
         figure("candidates"),
         figure("profiles"),
@@ -88,7 +90,7 @@ def render(result: FitResult, pictures: dict[str, bytes]) -> str:
         "<h2>Provenance</h2>",
         tables.provenance(result),
     ]
-    return "\n".join(part for part in parts if part) + "\n</html>\n"
+    return "\n".join(part for part in parts if part) + "\n</main></html>\n"
 
 
 def _meanings(result: FitResult) -> str:
@@ -113,4 +115,6 @@ def _lead(result: FitResult) -> str:
         text += f"Areas from {', '.join(areas)}."
     if made:
         text += f" Recorded by: {'; '.join(made)}."
+    if "date" in result.sources:
+        text += f" Fitted on {result.sources['date']}."
     return escape(text)

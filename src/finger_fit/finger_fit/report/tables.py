@@ -12,12 +12,15 @@ import numpy as np
 
 from finger_model.laws import ParameterSpace
 
-from ..problem.report_units import MM2, MM4
+from ..problem.report_units import MM2, MM4, three_digits
 from ..results import ConditionFit, FitResult
 from ..uncertainty import shifted_interval
 
 PAPER_TIME = "2 min a trial, 27,000 min (19 days) in COMSOL"
 """Time of the paper's search (Nam and Kuchenbecker 2021)."""
+
+LONG_TABLE = 12
+"""Rows beyond which a table may go on on the next page of a print."""
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], text: Sequence[int] = ()) -> str:
@@ -30,7 +33,12 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], text: Sequence[i
         )
 
     body = "".join(f"<tr>{cells('td', row)}</tr>" for row in rows)
-    return f"<div class=scroll><table><tr>{cells('th', header)}</tr>{body}</table></div>"
+    kind = " class=long" if len(rows) > LONG_TABLE else ""
+    # Focusable, so that a keyboard can scroll it where the window is narrow.
+    return (
+        f"<div class=scroll tabindex=0><table{kind}><thead><tr>{cells('th', header)}</tr></thead>"
+        f"<tbody>{body}</tbody></table></div>"
+    )
 
 
 def listing(items: Sequence[str]) -> str:
@@ -52,7 +60,15 @@ def show(space: ParameterSpace, name: str, value: float) -> str:
 
 def area_cost(cost: float) -> str:
     """J (m⁴) in mm⁴."""
-    return f"{cost * MM4:,.1f}"
+    return three_digits(cost * MM4).replace("-", "−")
+
+
+def with_interval(value: float, low: float, high: float, decimals: int) -> str:
+    """A value, and its 95 % interval below it where there is one."""
+    text = f"{value:.{decimals}f}"
+    if not np.isfinite(low):
+        return text
+    return f"{text}<small>{low:.{decimals}f} – {high:.{decimals}f}</small>"
 
 
 def parameters(result: FitResult) -> str:
@@ -60,7 +76,7 @@ def parameters(result: FitResult) -> str:
     space = result.space
     names = space.quantity_names
     header = ["condition", "moisture (a.u.)", *headings(space, names)]
-    header += ["<i>J</i> (mm⁴)", "<i>J</i> power law", ""]
+    header += ["<i>J</i> model (mm⁴)", "<i>J</i> power law (mm⁴)", "Δ<i>J</i> (mm⁴)"]
     rows = []
     for condition, fit in result.fits.items():
         mean, deviation = fit.moisture
@@ -68,8 +84,8 @@ def parameters(result: FitResult) -> str:
         kind = "final" if fit.status == "final" else "bad"
         rows.append(
             [
-                escape(condition),
-                f"{mean:.2f} ± {deviation:.2f}" if np.isfinite(mean) else "–",
+                f"{escape(condition)}<br><span class='status {kind}'>{escape(fit.status)}</span>",
+                f"{mean:.1f} ± {deviation:.1f}" if np.isfinite(mean) else "–",
                 *(
                     show(space, name, fit.quantity(name))
                     + ("<sup>†</sup>" if name in active else "")
@@ -78,15 +94,16 @@ def parameters(result: FitResult) -> str:
                 ),
                 area_cost(fit.cost),
                 area_cost(fit.power_law.cost),
-                f'<span class="status {kind}">{escape(fit.status)}</span>',
+                area_cost(fit.power_law.cost - fit.cost),
             ]
         )
         if fit.bias_corrected:
             cells = [_corrected(fit, name) for name in names]
             rows.append(["<i class=corrected>bias-corrected</i>", "", *cells, "", "", ""])
     note = (
-        "Notes: 95 % intervals by profile likelihood. <sup>†</sup> on a bound of the search box. "
-        "≤: the interval extends to the bound."
+        "Estimates with 95 % intervals by profile likelihood. <sup>†</sup> The estimate lies on a "
+        "bound of the search box. ≤: the interval extends to the bound. <i>J</i>: cost of the fit; "
+        "Δ<i>J</i>: cost of the power law less that of the model; above 0, the model fits better."
     )
     if any(fit.bias_corrected for fit in result.fits.values()):
         note += (
@@ -161,10 +178,21 @@ def exclusions(result: FitResult) -> str:
 
 
 def costs(result: FitResult) -> str:
-    """J of model and power law, and the power law."""
+    """J and R² of model and power law, and the power law's constants."""
     rows = []
     for name, fit in result.fits.items():
-        law, problem, full = fit.power_law, fit.problem, fit.full_order
+        law, problem, full, found = fit.power_law, fit.problem, fit.full_order, fit.goodness
+        rms = np.sqrt(np.mean((fit.areas - problem.measured) ** 2)) * MM2
+        fits = ["–"] * 4
+        if found is not None:
+            k = found.k
+            fits = [
+                with_interval(k.value * MM2, k.low * MM2, k.high * MM2, 1),
+                *(
+                    with_interval(v.value, v.low, v.high, 3)
+                    for v in (found.m, found.model, found.power_law)
+                ),
+            ]
         rows.append(
             [
                 escape(name),
@@ -173,23 +201,52 @@ def costs(result: FitResult) -> str:
                 area_cost(fit.cost),
                 area_cost(full.full_costs[0]) if full else "–",
                 area_cost(law.cost),
-                area_cost(law.cost - fit.cost),
-                f"{law.k * MM2:.2f}",
-                f"{law.m:.3f}",
-                f"{law.log_m:.3f}",
-                f"{np.sqrt(np.mean((fit.areas - problem.measured) ** 2)) * MM2:.2f}",
+                *fits,
+                three_digits(rms),
             ]
         )
     header = [
-        "condition", "trials", "frames", "<i>J</i> (mm⁴)", "<i>J</i> full order",
-        "<i>J</i> power law", "gain", "<i>k</i> (mm²/N<sup>m</sup>)", "<i>m</i>",
-        "log–log <i>m</i>", "RMS (mm²)",
+        "condition", "trials", "frames", "<i>J</i> model (mm⁴)", "<i>J</i> full order (mm⁴)",
+        "<i>J</i> power law (mm⁴)", "<i>k</i> (mm²/N<sup><i>m</i></sup>)", "<i>m</i>",
+        "<i>R</i>² model", "<i>R</i>² power law", "RMS error (mm²)",
     ]  # fmt: skip
     ends = {"loading": "the first frame at or after the target force", "contact": "lift-off"}
     return table(header, rows) + (
         "<p class=lead><i>J</i>: sum over trials of the mean squared area difference over the "
-        f"frames from onset to {ends[result.options.window]}. The power law minimises the same "
-        "<i>J</i>; log–log <i>m</i> is the slope of a regression of logarithms.</p>"
+        f"frames from onset to {ends[result.options.window]}. The power law "
+        "<i>A</i> = <i>kF</i><sup><i>m</i></sup> minimises the same <i>J</i>. Intervals: 95 %, "
+        "percentile bootstrap over trials; <i>R</i>² of the model with its parameters held.</p>"
+    )
+
+
+def trials(result: FitResult) -> str:
+    """One row per trial."""
+    rows = []
+    for name, fit in result.fits.items():
+        problem = fit.problem
+        costs = problem.trial_costs(fit.areas)
+        by_law = problem.trial_costs(fit.power_law.area(problem.force))
+        for index, trial in enumerate(problem.trials):
+            rows.append(
+                [
+                    escape(trial.label),
+                    escape(name),
+                    f"{trial.moisture:.1f}" if np.isfinite(trial.moisture) else "–",
+                    f"{trial.frame_time[-1]:.2f}",
+                    f"{trial.record_force.max():.2f}",
+                    str(len(trial.area)),
+                    f"{trial.area.max() * MM2:.1f}",
+                    area_cost(costs[index]),
+                    area_cost(by_law[index]),
+                ]
+            )
+    header = [
+        "trial", "condition", "moisture (a.u.)", "loading (s)", "peak force (N)", "frames",
+        "largest area (mm²)", "<i>J</i> model (mm⁴)", "<i>J</i> power law (mm⁴)",
+    ]  # fmt: skip
+    return table(header, rows, (1,)) + (
+        "<p class=lead>Loading: time from first touch to the last frame that counts. <i>J</i>: the "
+        "trial's part of the cost.</p>"
     )
 
 
@@ -205,7 +262,7 @@ def force_modes(result: FitResult) -> str:
     rows = [
         [
             escape(name),
-            *(f"{values[mode]['J']:,.1f}" for mode in modes),
+            *(three_digits(values[mode]["J"]) for mode in modes),
             *(show(space, space.headline, values[mode][space.headline]) for mode in modes),
         ]
         for name, values in result.force_modes.items()
@@ -372,13 +429,14 @@ def additional_fits(result: FitResult) -> str:
     if result.shared:
         shared = result.shared
         rows = [
-            [escape(name), *(show(space, n, v[n]) for n in space.names), f"{v['J']:,.1f}"]
+            [escape(name), *(show(space, n, v[n]) for n in space.names), three_digits(v["J"])]
             for name, v in shared["conditions"].items()
         ]
         common = ", ".join(space[n].html for n in shared["parameters"])
         text += (
-            f"<p>Joint fit with {common} shared by all conditions: <i>J</i> = {shared['J']:,.1f} "
-            f"mm⁴; separate fits {shared['J_separate']:,.1f} mm⁴.</p>"
+            f"<p>Joint fit with {common} shared by all conditions: <i>J</i> = "
+            f"{three_digits(shared['J'])} mm⁴; separate fits "
+            f"{three_digits(shared['J_separate'])} mm⁴.</p>"
         ) + table(["condition", *names, "<i>J</i> (mm⁴)"], rows)
     if result.thickness:
         rows = [
@@ -387,7 +445,7 @@ def additional_fits(result: FitResult) -> str:
                 f"{v['epidermis_thickness'] * 1e3:.3f}",
                 f"{v['sd_log'] * 100:.0f}",
                 *(show(space, n, v[n]) for n in space.names),
-                f"{v['J']:,.1f}",
+                three_digits(v["J"]),
             ]
             for name, v in result.thickness.items()
         ]
@@ -410,6 +468,7 @@ def provenance(result: FitResult) -> str:
     rows = [
         ["software", escape(str(sources.get("software_version", "–")))],
         ["Python, NumPy, SciPy, pymoo", escape(", ".join(packages))],
+        ["date", escape(str(sources.get("date", "–")))],
         ["seed", str(options.seed)],
         ["material law", escape(str(sources.get("law", "–")))],
         ["geometry", _code(sources.get("geometry_hash", "–"))],
@@ -425,13 +484,12 @@ def provenance(result: FitResult) -> str:
     text = table(["item", "value"], rows, (1,))
     bags = [
         [escape(b["bag"]), str(b["trials"]), escape(", ".join(b["areas"])), escape(b["force"]),
-         _code(b["sha256"])]
+         _code(b["sha256"][:16])]
         for b in sources.get("bags", [])
     ]  # fmt: skip
     if bags:
-        header = ["bag", "trials", "areas", "force", "SHA-256"]
-        found = table(header, bags, (2, 3, 4))
-        text += f"<details><summary>Bags</summary>{found}</details>"
+        header = ["bag", "trials", "areas", "force", "SHA-256, first 16 digits"]
+        text += table(header, bags, (2, 3, 4))
     return text
 
 

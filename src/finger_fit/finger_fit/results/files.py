@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +37,7 @@ def condition_dict(fit: ConditionFit) -> dict[str, Any]:
         "J_full_order": None,
         "J_power_law": law.cost * MM4,
         "power_law": {"k": law.k, "m": law.m, "log_log_m": law.log_m},
+        "goodness": None if fit.goodness is None else asdict(fit.goodness),
         "moisture_mean": mean,
         "moisture_sd": deviation,
         "trials": len(fit.problem),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..uncertainty import BiasCorrected, Covariance, Profile
+from ..uncertainty import BiasCorrected, Covariance, Goodness, Profile
 
 if TYPE_CHECKING:
     from finger_model.fem.fields import Fields
@@ -41,8 +41,8 @@ class ConditionFit:
     parameters (N,): the result; cost: its J; pso: the search alone; polish: the local least
     squares, None without. top (C, N), top_costs (C,): best distinct candidates. bias_corrected:
     empty without bias pairs; samples (B, N): bootstrap. areas (n,): the model's areas (m²) at the
-    frames; curves: at every step of each trial's drive. status: "final", "not checked", "not final"
-    or "interrupted", with reasons.
+    frames; goodness: R² there; curves: at every step of each trial's drive. status: "final", "not
+    checked", "not final" or "interrupted", with reasons.
     """
 
     condition: str
@@ -63,6 +63,7 @@ class ConditionFit:
     bias_corrected: dict[str, BiasCorrected] = field(default_factory=dict)
     samples: np.ndarray | None = None
     areas: np.ndarray = field(default_factory=lambda: np.empty(0))
+    goodness: Goodness | None = None
     curves: list[np.ndarray] = field(default_factory=list)
     status: str = "not checked"
     reasons: list[str] = field(default_factory=list)

@@ -22,6 +22,7 @@ from ..uncertainty import (
     bias_pair,
     bootstrap_sample,
     covariance,
+    goodness,
     profile,
 )
 from .progress import Progress, Report
@@ -60,6 +61,7 @@ def fit_condition(
     if not len(fit.top):
         fit.top, fit.top_costs = top_candidates(fit, options.top)
     fit.areas, fit.curves = problem.areas(fit.parameters)[0], drive_areas(problem, fit.parameters)
+    fit.goodness = goodness(problem, fit.areas, fit.power_law, options.seed)
     return fit
 
 

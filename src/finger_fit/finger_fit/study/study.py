@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -132,6 +133,7 @@ def fit_bags(
         "reduced_model_hash": getattr(model, "hash", ""),
         "reduced_model_error": getattr(model, "measured_error", {}),
         "software_version": software_version(),
+        "date": date.today().isoformat(),
     }
     result.seconds.update(progress.seconds)
     for fit in result.fits.values():

@@ -3,4 +3,5 @@
 from .bias import BiasCorrected, bias_corrected, bias_pair, shifted_interval
 from .bootstrap import bootstrap_sample
 from .covariance import Covariance, covariance, cramer_rao
+from .goodness import Goodness, Interval, goodness
 from .profiles import Profile, in_interval, profile
