@@ -87,6 +87,10 @@ def test_calculix_area_within_2_and_indentation_within_1_percent():
     assert all(abs(m.value) < 3 for m in unlimited)
 
 
+def test_small_strain_is_that_of_calculix():
+    holds(fingers.small_strain())
+
+
 def test_energy_is_dissipated_and_balances_and_the_finger_returns_to_rest():
     holds(fingers.energy(steps=150))
 

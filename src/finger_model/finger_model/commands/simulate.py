@@ -7,10 +7,12 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from rich.console import Console
+from rich.progress import Progress
 
 from finger_common.errors import InputError
-from finger_common.progress import Stages
 
+from ..fem.elasticity import ELASTICITIES, NEO_HOOKE
 from ..geometry import Geometry
 from ..history import ContactHistory, read_force_csv
 from ..laws import ConstitutiveLaw, StandardLinearSolid, load_material
@@ -51,6 +53,13 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         help="divides the node spacing of the full-order mesh (default: 1)",
     )
     parser.add_argument(
+        "--elasticity",
+        choices=ELASTICITIES,
+        default=NEO_HOOKE,
+        help="strain measure of the full-order model (default: neo-hooke; the others are for "
+        "comparison, see docs/paper_choices.md)",
+    )
+    parser.add_argument(
         "--plot", metavar="PNG", help="draw the deformed half-section with its von Mises stress"
     )
     parser.add_argument("--vtu", metavar="FILE", help="save the fields for ParaView")
@@ -75,11 +84,14 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.at is not None and not wants_fields:
         raise InputError("--at chooses what --plot and --vtu show: give one of them")
     history = None
-    if arguments.solver != "full" and not wants_fields and arguments.refinement == 1.0:
+    default_mesh = arguments.refinement == 1.0 and arguments.elasticity == NEO_HOOKE
+    if arguments.solver != "full" and not wants_fields and default_mesh:
         history = _reduced(arguments, geometry, material, time, force)
     if history is None:
         if arguments.solver == "reduced":
-            raise InputError("--refinement is of the full-order mesh: use --solver full")
+            raise InputError(
+                "--refinement and --elasticity are of the full-order model: use --solver full"
+            )
         history = _full(arguments, geometry, material, time, force)
     if arguments.output:
         history.to_csv(arguments.output)
@@ -133,10 +145,12 @@ def _full(
             raise InputError(f"{path}: the folder does not exist; create it first")
         if path and Path(path).is_dir():
             raise InputError(f"{path}: is a folder; give the name of a file")
-    stepper = FullOrderModel(geometry, arguments.refinement).start(material, float(time[0]))
+    model = FullOrderModel(geometry, arguments.refinement, elasticity=arguments.elasticity)
+    stepper = model.start(material, float(time[0]))
     points = []
-    with Stages() as stages:
-        for index in stages.track(range(len(time)), "full-order model", len(time)):
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+        for index in progress.track(range(len(time)), description="full-order model"):
             points.append(stepper.step(float(time[index]), float(force[index])))
             if index != row:
                 continue

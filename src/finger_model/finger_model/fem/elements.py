@@ -36,8 +36,8 @@ class Elements(NamedTuple):
     radius: np.ndarray
     weight: np.ndarray
 
-    def only(self, index: np.ndarray) -> Elements:
-        """The elements of an index (n,)."""
+    def only(self, index: slice | np.ndarray) -> Elements:
+        """The elements of an index."""
         return Elements(*(np.ascontiguousarray(array[index]) for array in self))
 
 
@@ -52,6 +52,11 @@ class Stiffness(NamedTuple):
     metric: np.ndarray
     slope: np.ndarray
     bulk: np.ndarray
+
+    def only(self, index: slice | np.ndarray) -> Stiffness:
+        """That of the elements of an index."""
+        slope = self.slope[index] if self.slope.size else self.slope
+        return Stiffness(self.metric[index], slope, self.bulk[index])
 
 
 NO_SLOPE = np.zeros((0, 0))
@@ -104,14 +109,11 @@ def deformation(xr, xz, gradient, radius, e, p):
 
 @njit(cache=True, fastmath=True)
 def assemble(x, elements, material, stiffness, force, band):
-    """Internal force and, where `stiffness` is set, the lower band of the tangent.
+    """Add the internal force and, where `stiffness` is set, the lower band of the tangent.
 
     Returns the smallest J. x (N, 2) are positions; elements and material as `Elements` and
-    `Stiffness`; force (2N,) and band (2N, b+1) (band[j, i−j] = K[i, j]) are overwritten.
+    `Stiffness`; force (2N,) and band (2N, b+1) (band[j, i−j] = K[i, j]) are added to.
     """
-    force[:] = 0.0
-    if stiffness:
-        band[:, :] = 0.0
     cells, gradient, radius, weight = elements
     metric, slope, bulk = material
     stiffening = slope.shape[0] > 0

@@ -19,6 +19,7 @@ from scipy.linalg.blas import dtbsv
 from scipy.linalg.lapack import dpbtrf
 
 from . import elements
+from .elasticity import NEO_HOOKE, groups_of
 from .elements import Stiffness
 from .mesh import Mesh
 from .mesh_material import StepMaterial
@@ -164,12 +165,15 @@ class Equilibrium:
     """Solver for one mesh; all that does not change between solves is kept here."""
 
     mesh: Mesh
+    elasticity: str = NEO_HOOKE
+    """One of ELASTICITIES."""
     residuals: list[float] = field(default_factory=list)
     """Relative residual of every iteration of the last solve."""
 
     def __post_init__(self) -> None:
         mesh = self.mesh
         self.elements = elements.reference_elements(mesh.nodes, mesh.cells)
+        self.groups = groups_of(mesh, self.elements, self.elasticity)
         self.unknowns = 2 * len(mesh.nodes)
         self.force = np.zeros(self.unknowns)
         self.band = np.zeros((self.unknowns, mesh.half_bandwidth + 1))
@@ -193,7 +197,13 @@ class Equilibrium:
 
     def assemble(self, x: np.ndarray, material: Stiffness, stiffness: bool = True) -> float:
         """Fill `force` (and `band`) at positions x (N, 2); returns the smallest J."""
-        return elements.assemble(x, self.elements, material, stiffness, self.force, self.band)
+        self.force[:] = 0.0
+        if stiffness:
+            self.band[:] = 0.0
+        found = [
+            group.assemble(x, material, stiffness, self.force, self.band) for group in self.groups
+        ]
+        return min(found)
 
     def solve(
         self,

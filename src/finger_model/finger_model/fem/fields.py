@@ -10,7 +10,6 @@ import numpy as np
 
 from finger_common.files import atomic_write
 
-from . import elements
 from .contact_radius import contact_pressure, contact_shear
 from .elements import Stiffness
 from .equilibrium import Contact, Equilibrium
@@ -97,27 +96,10 @@ def fields_of(
     material: Stiffness,
 ) -> Fields:
     """Fields at positions x (N, 2) of a material there."""
-    mesh, metric, weight = equilibrium.mesh, material.metric, equilibrium.elements.weight
-    corners = x[mesh.cells]
-    gradient = np.einsum("eni,epnj->epij", corners, equilibrium.elements.gradient)
-    hoop = np.einsum("en,pn->ep", corners[:, :, 0], elements.SHAPE) / equilibrium.elements.radius
-    plane = gradient[..., 0, 0] * gradient[..., 1, 1] - gradient[..., 0, 1] * gradient[..., 1, 0]
-    jacobian = plane * hoop
-    h = np.empty((*metric.shape[:2], 2, 2))
-    h[..., 0, 0], h[..., 1, 1] = metric[..., 0], metric[..., 1]
-    h[..., 0, 1] = h[..., 1, 0] = metric[..., 3]
-    b = np.einsum("epij,epjk,eplk->epil", gradient, h, gradient)
-    q = jacobian ** (-2.0 / 3.0)
-    kirchhoff = np.stack(
-        [q * b[..., 0, 0], q * b[..., 1, 1], q * hoop**2 * metric[..., 2], q * b[..., 0, 1]],
-        axis=-1,
-    )
-    kirchhoff[..., :3] -= kirchhoff[..., :3].mean(axis=-1, keepdims=True)
-    current = weight * jacobian
-    dilatation = current.sum(axis=1) / weight.sum(axis=1)
-    # Volume average over the deformed element: ∫ τ dV / v.
-    stress = np.einsum("ep,epk->ek", weight, kirchhoff) / current.sum(axis=1)[:, None]
-    stress[:, :3] += (material.bulk * (dilatation - 1.0))[:, None]
+    mesh = equilibrium.mesh
+    stress = np.empty((len(mesh.cells), 4))
+    for group in equilibrium.groups:
+        stress[group.index] = group.cauchy(x, material)
     rr, zz, tt, rz = stress.T
     von_mises = np.sqrt(0.5 * ((rr - zz) ** 2 + (zz - tt) ** 2 + (tt - rr) ** 2) + 3.0 * rz**2)
     skin = x[mesh.surface]

@@ -25,6 +25,7 @@ from ..history import (
 )
 from ..laws import ConstitutiveLaw, Tissue
 from .contact_radius import Edge, contact_edge, peak_pressure
+from .elasticity import NEO_HOOKE
 from .equilibrium import OPEN, SLIP, Contact, Equilibrium, NotConverged
 from .fields import Fields, fields_of
 from .mesh import Mesh, finger_mesh
@@ -47,7 +48,8 @@ class State:
     time (s), force (N); positions (N, 2); contact; tissue: strain and internal variables of the
     bulk tissue. radius of the contact (m); edge: history of the contact's edge; reserve: rise of
     the force (N) until two more nodes touch. stored: elastic energy; work of the plate, dissipation
-    in the tissue and friction_work since the start (J).
+    in the tissue and friction_work since the start (J); stored and dissipation are NaN where the
+    bulk tissue is linear (see `elasticity`).
     """
 
     time: float
@@ -72,8 +74,9 @@ class FullOrderModel:
     """Axisymmetric finite elements of one geometry; `refinement` divides the node spacing (1 is the
     default).
 
-    A mesh may be given instead of being made from the geometry. Raises InputError for an impossible
-    geometry.
+    A mesh may be given instead of being made from the geometry. elasticity: one of ELASTICITIES;
+    others than the default are for comparison. Raises InputError for an impossible geometry or an
+    unknown elasticity.
     """
 
     def __init__(
@@ -81,11 +84,12 @@ class FullOrderModel:
         geometry: Geometry | None = None,
         refinement: float = 1.0,
         mesh: Mesh | None = None,
+        elasticity: str = NEO_HOOKE,
     ) -> None:
         self.geometry = geometry if geometry is not None else Geometry()
         self.refinement = refinement
         self.mesh = mesh if mesh is not None else finger_mesh(self.geometry, refinement)
-        self.equilibrium = Equilibrium(self.mesh)
+        self.equilibrium = Equilibrium(self.mesh, elasticity)
         self.tip_height = float(self.mesh.nodes[self.mesh.surface, 1].min())
 
     def start(self, material: ConstitutiveLaw, time: float = 0.0) -> Stepper:
@@ -131,7 +135,9 @@ class Stepper:
     def __init__(self, model: FullOrderModel, material: ConstitutiveLaw, time: float = 0.0) -> None:
         self.model = model
         self.material = material
-        self.mesh_material = MeshMaterial(material, model.mesh, model.equilibrium.elements)
+        self.mesh_material = MeshMaterial(
+            material, model.mesh, model.equilibrium.elements, model.equilibrium.groups
+        )
         self.state = State(
             time,
             0.0,

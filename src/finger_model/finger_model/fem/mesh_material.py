@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..laws import UNIT, ConstitutiveLaw, StepEnergy, Tissue, trace
 from . import elements
+from .elasticity import FiniteStrain, LinearStrain
 from .elements import Elements, Stiffness
 from .mesh import BULK, EPIDERMIS, NAIL, Mesh
 
@@ -35,7 +39,7 @@ class StepMaterial:
         if self._stiffening is None:
             return Stiffness(self.metric, elements.NO_SLOPE, self.bulk)
         index = self._material.tissue_index
-        invariant = elements.first_invariant(x, self._material.tissue_elements)
+        invariant = self._material.tissue_invariant(x)
         h, slope_of_tissue = self._stiffening(invariant)
         metric = self.metric.copy()
         metric[index] += h[:, :, None] * UNIT
@@ -47,16 +51,28 @@ class StepMaterial:
 class MeshMaterial:
     """A law on a mesh.
 
-    law; tissue_index (n,): elements of the bulk tissue; shear (E,): shear modulus in Pa of
+    law; groups: all elements by their strain measure; linear_tissue: whether the bulk tissue is
+    linear; tissue_index (n,): elements of the bulk tissue; shear (E,): shear modulus in Pa of
     epidermis and nail, zero in the bulk tissue; bulk (E,): bulk modulus in Pa; elastic_metric (E,
     4, 4): H in Pa of epidermis and nail.
     """
 
-    def __init__(self, law: ConstitutiveLaw, mesh: Mesh, reference: Elements) -> None:
+    def __init__(
+        self,
+        law: ConstitutiveLaw,
+        mesh: Mesh,
+        reference: Elements,
+        groups: Sequence[FiniteStrain | LinearStrain],
+    ) -> None:
         self.law = law
-        self.reference = reference
+        self.weight = reference.weight
+        self.groups = groups
         self.tissue_index = np.flatnonzero(mesh.part == BULK)
         self.tissue_elements = reference.only(self.tissue_index)
+        self.linear_tissue = any(
+            isinstance(group, LinearStrain) and np.isin(self.tissue_index, group.index).any()
+            for group in groups
+        )
         self.shear = np.zeros(len(mesh.cells))
         self.bulk = np.full(len(mesh.cells), law.bulk_modulus)
         for part, modulus, ratio in (
@@ -71,6 +87,12 @@ class MeshMaterial:
         """The undeformed tissue."""
         unit = np.tile(UNIT, (len(self.tissue_index), 4, 1))
         return Tissue(unit, unit, np.tile(unit, (self.law.INTERNAL_TENSORS, 1, 1, 1)))
+
+    def tissue_invariant(self, x: np.ndarray) -> np.ndarray:
+        """Ī₁ (n, 4) of the bulk tissue at node positions x (N, 2); 3 where it is linear."""
+        if self.linear_tissue:
+            return np.full(self.tissue_elements.weight.shape, 3.0)
+        return elements.first_invariant(x, self.tissue_elements)
 
     def step(self, duration: float, before: Tissue) -> StepMaterial:
         """Material of a step of `duration` (s) that starts from `before`."""
@@ -89,20 +111,25 @@ class MeshMaterial:
         """Tissue after a step to node positions x (N, 2), energy stored in the finger, and
         dissipated in the step.
 
-        Energies in J/rad. Raises Crushed.
+        Energies in J/rad, NaN where the bulk tissue is linear. Raises Crushed.
         """
         c_bar = np.empty_like(self.elastic_metric)
         inverse = np.empty_like(self.elastic_metric)
-        jacobian = np.empty(self.reference.weight.shape)
-        elements.strain_measures(x, self.reference, c_bar, inverse, jacobian)
-        if jacobian.min() < SMALLEST_VOLUME:
-            raise Crushed(f"tissue is squeezed below {SMALLEST_VOLUME:g} of its volume")
-        index, weight = self.tissue_index, self.reference.weight
+        dilatation = np.empty(self.weight.shape)
+        for group in self.groups:
+            found = group.measures(x)
+            if found.smallest < SMALLEST_VOLUME:
+                raise Crushed(f"tissue is squeezed below {SMALLEST_VOLUME:g} of its volume")
+            c_bar[group.index], inverse[group.index] = found.c_bar, found.c_bar_inverse
+            dilatation[group.index] = found.dilatation
+        index, weight = self.tissue_index, self.weight
         strain = c_bar[index], inverse[index]
         after = Tissue(*strain, self.law.update(duration, before, *strain))
+        if self.linear_tissue:
+            return after, math.nan, math.nan
         stored, dissipated = self.law.energies(self.tissue_elements.weight, before, after)
         volume = weight.sum(axis=1)
-        dilatation = (weight * jacobian).sum(axis=1) / volume - 1.0
+        mean = (weight * dilatation).sum(axis=1) / volume
         spring = (weight * (trace(c_bar) - 3.0)).sum(axis=1)
-        elastic = 0.5 * self.shear @ spring + 0.5 * (self.bulk * volume) @ dilatation**2
+        elastic = 0.5 * self.shear @ spring + 0.5 * (self.bulk * volume) @ mean**2
         return after, stored + float(elastic), dissipated

@@ -121,7 +121,9 @@ def calculix() -> Check:
         "materials, at one load each, named by the pad's semi-axes, epidermis, height of the "
         "bone's centre, E and E2; CalculiX's mesh is refined around the edge there. Soft tissue "
         "under a thin, very stiff skin: with friction the area is given without a limit, because "
-        "CalculiX's three increments hardly resolve friction there; without friction it has one.",
+        "CalculiX's three increments hardly resolve friction there; without friction it has one. "
+        "CalculiX has no exponential energy: a stiffening spring is taken to the third order of "
+        "Ī₁ − 3 in both codes (its YEOH).",
         measures,
         [
             Panel("force (N)", "area (mm²)", areas, legend="points CalculiX, lines model"),
@@ -130,16 +132,33 @@ def calculix() -> Check:
     )
 
 
+class CubicStiffening(Material):
+    """The default law with its stiffening spring to the third order of Ī₁ − 3, as YEOH has it.
+
+    2 ∂W∞/∂Ī₁ = G∞ (1 + b x + ½ b² x²) with x = Ī₁ − 3.
+    """
+
+    def _spring(self, invariant: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        x = self.stiffening * (invariant - 3.0)
+        shear = self.long_term_shear_modulus
+        return shear * (1.0 + x + 0.5 * x * x), shear * self.stiffening * (1.0 + x)
+
+
 def _other_finger(table: dict[str, np.ndarray], row: int) -> list[Measure]:
     """Area and indentation of the default mesh against one row of the table of other fingers."""
     case = {name: float(column[row]) for name, column in table.items()}
     geometry = Geometry(**{field: case[f"{field}_mm"] * 1e-3 for field in Geometry().to_dict()})
-    material = elastic(case["E_kPa"] * 1e3, E2=case["E2_kPa"] * 1e3, friction=case["friction"])
+    others = {"friction": case["friction"], "stiffening": case["stiffening"]}
+    material = elastic(case["E_kPa"] * 1e3, E2=case["E2_kPa"] * 1e3, **others)
+    if case["stiffening"]:
+        material = CubicStiffening(**material.to_dict())
     history = FullOrderModel(geometry).simulate(material, *ramp(case["force_N"], 1.0, 4))
     name = (
         f"{case['pad_semi_axis_radial_mm']:g} × {case['pad_semi_axis_axial_mm']:g} mm, "
         f"{case['epidermis_thickness_mm']:g} mm, {case['bone_center_height_mm']:g} mm, "
-        f"{case['E_kPa']:g} kPa, {case['E2_kPa']:g} kPa, friction {case['friction']:g}, "
+        f"{case['E_kPa']:g} kPa, {case['E2_kPa']:g} kPa, "
+        + (f"stiffening {case['stiffening']:g}, " if case["stiffening"] else "")
+        + f"friction {case['friction']:g}, "
         f"{case['force_N']:.2f} N"
     )
     limit = 2.0 if case["area_limited"] else None
@@ -149,6 +168,28 @@ def _other_finger(table: dict[str, np.ndarray], row: int) -> list[Measure]:
         Measure(f"{name}: area difference", area, "%", limit and -limit, limit),
         Measure(f"{name}: indentation difference", depth, "%", -1.0, 1.0),
     ]
+
+
+def small_strain() -> Check:
+    """Small-strain linear elasticity against CalculiX."""
+    table = reference("dry_friction_small_strain")
+    load = table["force_N"]
+    model = FullOrderModel(Geometry(), elasticity="small-strain")
+    history = model.simulate(elastic(30e3, E2=1652e3), np.arange(1.0, len(load) + 1), load)
+    rows = load >= 0.1
+    area = percent(history.area * 1e6, table["area_mm2"])[rows]
+    depth = percent(history.indentation * 1e3, table["indentation_mm"])[rows]
+    return Check(
+        "small_strain",
+        "Small strain",
+        "The option small-strain of the full-order model (linear elasticity on the undeformed "
+        "shape) with the elastic dry set (30 kPa, 1652 kPa) on the default geometry, friction "
+        "0.25, F ≥ 0.1 N, against CalculiX without NLGEOM.",
+        [
+            Measure("largest area difference", largest(area), "%", high=2.0),
+            Measure("largest indentation difference", largest(depth), "%", high=1.0),
+        ],
+    )
 
 
 def energy(steps: int = 400, branches: bool = False) -> Check:

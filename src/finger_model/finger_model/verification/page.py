@@ -26,6 +26,7 @@ CHECKS: dict[str, Callable[[], Check]] = {
     "cylinder": homogeneous.cylinder,
     "limits": fingers.time_limits,
     "calculix": fingers.calculix,
+    "small_strain": fingers.small_strain,
     "energy": fingers.energy,
     "energy_branches": lambda: fingers.energy(branches=True),
     "smoothness": fingers.smoothness,
