@@ -31,10 +31,10 @@ def installed(tmp_path_factory, install_package):
     group, entry = block("toml").split("\n", 1)
     assert group == '[project.entry-points."finger_model.law"]'
     entries = dict(re.findall(r'^(\w+) = "(.*)"$', entry, re.M))
-    install_package(site, {"stiffening_law": block("python")}, {"finger_model.law": entries})
+    install_package(site, {"yeoh_law": block("python")}, {"finger_model.law": entries})
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(site))
-        yield law_of("stiffening")
+        yield law_of("yeoh")
 
 
 @pytest.fixture(scope="module")
@@ -43,20 +43,20 @@ def model():
 
 
 def test_the_law_is_found_by_its_name_and_declares_its_parameters(installed, tmp_path):
-    assert "stiffening" in LAWS.names() and "standard_linear_solid" in LAWS.names()
-    assert installed.PARAMETERS.names == ("G", "b", "Es")
+    assert "yeoh" in LAWS.names() and "standard_linear_solid" in LAWS.names()
+    assert installed.PARAMETERS.names == ("G", "c", "Es")
     path = tmp_path / "material.yaml"
     path.write_text(block("yaml"))
     material = load_material(path)
     assert isinstance(material, installed)
-    assert (material.G, material.b, material.friction) == (8e3, 0.5, 0.25)
-    path.write_text("law: stiffening\nE0: 1e5\n")
+    assert (material.G, material.c, material.friction) == (8e3, 0.25, 0.25)
+    path.write_text("law: yeoh\nE0: 1e5\n")
     with pytest.raises(
-        InputError, match=r"material\.yaml: unknown key 'E0'; the keys are G, b, Es"
+        InputError, match=r"material\.yaml: unknown key 'E0'; the keys are G, c, Es"
     ):
         load_material(path)
     path.write_text("law: unheard_of\n")
-    with pytest.raises(InputError, match=r"law 'unheard_of' is not installed; known are .*stiff"):
+    with pytest.raises(InputError, match=r"law 'unheard_of' is not installed; known are .*yeoh"):
         load_material(path)
 
 
@@ -71,23 +71,23 @@ def test_simulate_runs_with_the_law_of_the_material_file(installed, tmp_path, ca
     found = np.genfromtxt(tmp_path / "o.csv", delimiter=",", names=True)
     assert np.all(np.diff(found["area_mm2"]) > 0) and 30 < found["area_mm2"][-1] < 80
     assert run(_main, [*arguments[:-2], "--solver", "reduced"]) == 2
-    assert "law 'stiffening' has no reduced model; use --solver full" in capsys.readouterr().err
+    assert "law 'yeoh' has no reduced model; use --solver full" in capsys.readouterr().err
 
 
 def test_without_stiffening_it_is_the_neo_hookean_finger(installed, model):
     time, force = ramp(1.0, 1.0, 6)
     ratio = 0.48
     G = 30e3 / (2 * (1 + ratio))
-    soft = model.simulate(installed(G=G, b=1e-6, Es=1652e3), time, force)
+    soft = model.simulate(installed(G=G, c=1e-6, Es=1652e3), time, force)
     plain = model.simulate(elastic(30e3, E2=1652e3), time, force)
     assert soft.area == pytest.approx(plain.area, rel=1e-4)
-    stiff = model.simulate(installed(G=G, b=1.0, Es=1652e3), time, force)
+    stiff = model.simulate(installed(G=G, c=1.0, Es=1652e3), time, force)
     assert np.all(stiff.area[2:] < soft.area[2:])
     assert stiff.area[1] / soft.area[1] > stiff.area[-1] / soft.area[-1]
 
 
 def test_energy_balances_and_newton_converges_quadratically(installed, model):
-    stepper = model.start(installed(G=8e3, b=1.5, friction=0.0))
+    stepper = model.start(installed(G=8e3, c=0.75, friction=0.0))
     for k in range(1, 81):
         stepper.step(0.01 * k, 1.2 * k / 80)
     state = stepper.state
@@ -105,7 +105,7 @@ def test_areas_for_a_fit_come_from_the_full_order_model(installed, model):
     rows = np.array([10, 30, 50])
     vectors = np.array([[6e3, 0.5, 1.5e6], [12e3, 0.5, 1.5e6]])
     (found,) = areas.batch(vectors, [(time, force, rows)])
-    exact = model.simulate(installed(G=6e3, b=0.5, Es=1.5e6), time, force).area[rows]
+    exact = model.simulate(installed(G=6e3, c=0.5, Es=1.5e6), time, force).area[rows]
     assert found.shape == (2, 3)
     assert found[0] == pytest.approx(exact, rel=5e-3)
     assert np.all(found[1] < found[0])
