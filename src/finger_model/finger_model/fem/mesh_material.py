@@ -69,10 +69,10 @@ class MeshMaterial:
         self.groups = groups
         self.tissue_index = np.flatnonzero(mesh.part == BULK)
         self.tissue_elements = reference.only(self.tissue_index)
-        self.linear_tissue = any(
-            isinstance(group, LinearStrain) and np.isin(self.tissue_index, group.index).any()
-            for group in groups
-        )
+        linear = np.zeros(len(mesh.cells), dtype=bool)
+        for group in groups:
+            linear[group.index] = isinstance(group, LinearStrain)
+        self.linear_tissue = bool(linear[self.tissue_index].any())
         self.shear = np.zeros(len(mesh.cells))
         self.bulk = np.full(len(mesh.cells), law.bulk_modulus)
         for part, modulus, ratio in (
