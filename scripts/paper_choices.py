@@ -51,7 +51,7 @@ def fitted(model: FullOrderModel, material: Material, data: np.ndarray) -> float
 
     start = np.log(material.E0)
     result = minimize_scalar(
-        misfit, bounds=(start - 0.6, start + 0.6), method="bounded", options={"xatol": 5e-3}
+        misfit, bounds=(start - 1.6, start + 0.8), method="bounded", options={"xatol": 5e-3}
     )
     return float(np.exp(result.x))
 
