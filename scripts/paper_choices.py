@@ -72,7 +72,7 @@ def main() -> None:
                 data = found
             cells = [f"{value:.1f}" if np.isfinite(value) else "–" for value in found]
             if reached < LOADS[-1]:
-                fit = [f"ends after {reached:g} N", "–"]
+                fit = [f"ends before {LOADS[LOADS > reached][0]:g} N", "–"]
             elif choice == next(iter(CHOICES)):
                 fit = [f"{modulus * 1e-3:.2f}", "0 %"]
             else:
