@@ -11,6 +11,7 @@ from geometry_msgs.msg import WrenchStamped
 from std_srvs.srv import Trigger
 
 from finger_common.axes import DEFAULT_NORMAL_AXIS, NORMAL_AXES, normal_force
+from finger_common.diagnostics import WARN
 from finger_common.errors import DeviceError
 from finger_common.node import main_of
 from finger_common.settings import setting
@@ -19,6 +20,8 @@ from .device_node import DeviceNode, DeviceNodeSettings
 from .force import GOOD, SOURCES, ForceSource, WrenchSample
 from .messages import fill_wrench
 from .tare import TareCollector, TareResult
+
+TARE_NEEDED = "tare needed: take the finger off the plate, then call ~/tare"
 
 
 @dataclass(frozen=True)
@@ -72,6 +75,7 @@ class ForceNode(DeviceNode):
     def create_interfaces(self) -> None:
         self._bias: np.ndarray | None = None
         self._offset = np.zeros(6)
+        self._note_tare()
         self._normal = float("nan")
         self._scale_id = self.device.scale_id
         self._collector: TareCollector | None = None
@@ -105,6 +109,7 @@ class ForceNode(DeviceNode):
             self._scale_id = self.device.scale_id
             if self._bias is not None:
                 self._bias = None
+                self._note_tare()
                 self.device.note(
                     "tare_void",
                     "another sensor or calibration is in use; the tare is not valid, tare again",
@@ -133,10 +138,12 @@ class ForceNode(DeviceNode):
             change = result.offset[:3] - removed[:3]
             was = float(normal_force(change, self.values["normal_axis"]))
             self._bias, self._offset = result.bias, result.offset
+            self._note_tare()
             response.message = f"Zero set (was {was:.2f} N)"
             self.device.health.recovered("tare_void")
             self.device.health.notes["tare_offset"] = ", ".join(f"{v:.5g}" for v in result.offset)
             self.get_logger().info(response.message)
+            self.publish_diagnostics()
         return response
 
     def _tare(self) -> TareResult:
@@ -160,11 +167,22 @@ class ForceNode(DeviceNode):
 
     def _on_reset_tare(self, request: Any, response: Any) -> Any:
         self._bias = None
+        self._note_tare()
         self.device.health.notes.pop("tare_offset", None)
         self.device.health.recovered("tare_void")
+        self.publish_diagnostics()
         response.success = True
         response.message = "tare removed; wrench is the sensor's own reading"
         return response
+
+    def _note_tare(self) -> None:
+        """Untared is a state that everyone sees: a start, also after a crash, has no zero."""
+        health = self.device.health
+        health.notes["tared"] = "no" if self._bias is None else "yes"
+        if self._bias is None:
+            health.fault("tare_needed", TARE_NEEDED, WARN)
+        else:
+            health.recovered("tare_needed")
 
     def publish_diagnostics(self) -> None:
         if self.reading and np.isfinite(self._normal):

@@ -44,12 +44,24 @@ from finger_msgs.srv import SetMoisture
 from .normal_force import NormalForce
 from .page.access import is_loopback
 from .page.commands import COMMANDS
-from .page.feed import ForceMemory, HealthBoard, measured_point, model_point
+from .page.feed import (
+    ESTIMATE,
+    CurveMemory,
+    ForceMemory,
+    HealthBoard,
+    estimate_point,
+    measured_point,
+    node_of,
+)
+from .page.readiness import Readiness, refusal
 from .page.server import PageServer
 from .page.settings import PageSettings
 
 POLL = 0.04
 """s between readings of force samples and estimates."""
+
+ALIVE = 0.2
+"""s between messages that say which values are fresh and what is wrong."""
 
 Answer = Future[tuple[bool, str]]
 """Success and a sentence, for the browser that gave a command."""
@@ -87,13 +99,15 @@ class PageNode(ManagedNode):
         self._triggers: dict[str, Any] = {}
         self._parameters_client = self.create_client(SetParameters, "protocol/set_parameters")
         self._moisture_client = self.create_client(SetMoisture, "moisture/set_moisture")
-        for name in COMMANDS.keys() - {"tare", "moisture", "preparation", "configure"}:
+        for name in COMMANDS.keys() - {"tare", "moisture", "preparation", "configure", "curves"}:
             self._triggers[name] = self.create_client(Trigger, f"protocol/{name}")
         self._triggers["tare"] = self.create_client(Trigger, "force/tare")
 
     def activate(self) -> None:
         self._memory = ForceMemory()
+        self._curves = CurveMemory()
         self._board = HealthBoard()
+        self._readiness = Readiness()
         self._status: dict[str, Any] = {"step": "closed"}
         self._last_force = self._last_state = 0
         self._image_subscription: Any = None
@@ -117,13 +131,15 @@ class PageNode(ManagedNode):
             self.create_subscription(Trial, "trial", self._on_trial, LATCHED_QOS),
             self.create_subscription(String, "protocol/status", self._on_status, LATCHED_QOS),
             self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50),
+            self.create_subscription(String, "heartbeat", self._on_heartbeat, 50),
         ]
         steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._alive_timer = self.create_timer(ALIVE, self._alive, clock=steady)
         self._poll_timer = self.create_timer(POLL, self._poll, clock=steady)
         self._slow_timer = self.create_timer(0.5, self._slow, clock=steady)
 
     def deactivate(self) -> None:
-        for timer in (self._poll_timer, self._slow_timer):
+        for timer in (self._poll_timer, self._slow_timer, self._alive_timer):
             self.destroy_timer(timer)
         for subscription in self._inputs:
             self.destroy_subscription(subscription)
@@ -164,35 +180,68 @@ class PageNode(ManagedNode):
         force = self._normal_force(message)
         self._memory.add(stamp, force)
         if math.isfinite(force):
-            self._server.publish_force(seconds(stamp), force)
+            self._readiness.sample("force", time.monotonic())
+            self._draw("force", [round(seconds(stamp), 3), round(force, 4)])
         self._health.sample()
 
     def _show_state(self, message: ContactState) -> None:
-        point = (
-            model_point(message.normal_force, message.model_area) if message.in_contact else None
-        )
-        if point:
-            self._server.publish_point("model", point)
+        self._readiness.sample("model", time.monotonic())
+        if message.in_contact:
+            values = [getattr(message, name) for name in ESTIMATE]
+            self._draw("model", estimate_point(header_stamp(message), message.normal_force, values))
+
+    def _draw(self, kind: str, point: list[Any] | None) -> None:
+        if point is not None:
+            self._curves.add(kind, point)
+            self._server.publish_point(kind, point)
 
     def _on_area(self, message: ContactArea) -> None:
         self._poll()
-        point = measured_point(
-            self._memory, header_stamp(message), message.gross_area, message.flags
-        )
-        if point:
-            self._server.publish_point("measured", point)
-        self._server.publish("contact", {"area": round(message.gross_area * 1e6, 2)})
+        self._readiness.sample("area", time.monotonic())
+        stamp = header_stamp(message)
+        point = measured_point(self._memory, stamp, message.gross_area, message.flags)
+        self._draw("measured", point)
+        contact = {"area": round(message.gross_area * 1e6, 2), "flags": message.flags}
+        self._server.publish("contact", contact)
 
     def _on_moisture(self, message: Moisture) -> None:
         self._server.publish("moisture", {"value": message.value, "flags": message.flags})
 
     def _on_trial(self, message: Trial) -> None:
-        self._server.publish_cue(
-            header_stamp(message),
+        phase = TrialPhase(message.phase)
+        began = seconds(header_stamp(message))
+        cue = {
+            "phase": phase.name.lower(),
+            "index": message.index,
+            "time": began,
+        }
+        if phase is TrialPhase.PREPARE:
+            cue["preparation"] = self._preparation(message.condition)
+        self._server.publish_cue(header_stamp(message), cue)
+        if phase is TrialPhase.PRESS:
+            self._curves.press_begins(message.index, began)
+        elif phase is not TrialPhase.LIFT:
+            self._curves.press_ends(began)
+
+    def _preparation(self, condition: str) -> str:
+        """Of the finger, for the participant too."""
+        return str(self._status.get("preparations", {}).get(condition, ""))
+
+    def _on_heartbeat(self, message: String) -> None:
+        self._readiness.beat(message.data, time.monotonic())
+
+    def _alive(self) -> None:
+        """Which values are fresh, and what is wrong: a browser that misses this has lost us."""
+        now = time.monotonic()
+        ages = {kind: self._readiness.age(kind, now) for kind in ("force", "area", "model")}
+        problems = [vars(problem) for problem in self._readiness.problems(now)]
+        self._server.publish(
+            "alive",
             {
-                "phase": TrialPhase(message.phase).name.lower(),
-                "index": message.index,
-                "note": message.note,
+                "time": round(self.get_clock().now().nanoseconds * 1e-9, 3),
+                "ages": ages,
+                "tared": self._readiness.tared,
+                "problems": problems,
             },
         )
 
@@ -204,12 +253,17 @@ class PageNode(ManagedNode):
         now = time.monotonic()
         for status in message.status:
             values = {v.key: v.value for v in status.values}
-            self._board.add(now, status.name, status.level[0], status.message, values)
+            level = status.level[0]
+            self._board.add(now, status.name, level, status.message, values)
+            node = node_of(status.name)
+            self._readiness.report(node, status.name, level, status.message, values, now)
 
     def _slow(self) -> None:
         for polled in (self._wrench, self._state):
             self.check_mismatch(polled)
-        self._server.publish("health", {"items": self._board.snapshot(time.monotonic())})
+        now = time.monotonic()
+        items = self._board.snapshot(now, self._readiness.dead(now))
+        self._server.publish("health", {"items": items})
         self._watch_images(self._server.watchers > 0)
         latencies = self._server.latencies
         if latencies:
@@ -257,8 +311,16 @@ class PageNode(ManagedNode):
             self._begin(name, arguments, future)
 
     def _begin(self, name: str, arguments: dict[str, Any], future: Answer) -> None:
-        if name == "moisture":
-            step = self._status.get("step")
+        step = self._status.get("step")
+        if name == "start" and step == "prepare" and not self._status.get("paused"):
+            reason = refusal(self._readiness.problems(time.monotonic()))
+            if reason:
+                future.set_result((False, reason))
+                return
+        if name == "curves":
+            self._server.publish("curves", self._curves.snapshot())
+            future.set_result((True, ""))
+        elif name == "moisture":
             phase = {
                 "moisture_before": Moisture.PHASE_BEFORE,
                 "moisture_after": Moisture.PHASE_AFTER,
@@ -275,20 +337,26 @@ class PageNode(ManagedNode):
             lines = [f"{condition}: {' '.join(text.split())}" for condition, text in texts.items()]
             self._set_parameters({"preparations": lines}, future)
         elif name == "repeat":
-            selected: Answer = Future()
-
-            def then(done: Answer) -> None:
-                good, reason = done.result()
-                self._trigger("repeat", future) if good else future.set_result((False, reason))
-
-            selected.add_done_callback(then)
-            self._set_parameters({"selected_trial": arguments["index"]}, selected)
+            self._set_then_trigger("repeat", {"selected_trial": arguments["index"]}, future)
+        elif name == "note":
+            note = {"note": arguments["text"], "note_trial": arguments["trial"] - 1}
+            self._set_then_trigger("note", note, future)
         else:
             self._trigger(name, future)
 
     def _trigger(self, name: str, future: Answer) -> None:
         who = "force driver" if name == "tare" else "protocol node"
         self._call(self._triggers[name], Trigger.Request(), future, f"the {who} is not running")
+
+    def _set_then_trigger(self, name: str, values: dict[str, Any], future: Answer) -> None:
+        selected: Answer = Future()
+
+        def then(done: Answer) -> None:
+            good, reason = done.result()
+            self._trigger(name, future) if good else future.set_result((False, reason))
+
+        selected.add_done_callback(then)
+        self._set_parameters(values, selected)
 
     def _set_parameters(self, values: dict[str, Any], future: Answer) -> None:
         request = SetParameters.Request(

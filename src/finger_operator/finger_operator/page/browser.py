@@ -30,8 +30,7 @@ class Browser:
     bad_messages: int = 0
     cues: deque[str] = field(default_factory=deque)
     newest: dict[str, str] = field(default_factory=dict)
-    force: list[list[float]] = field(default_factory=list)
-    points: dict[str, list[list[float]]] = field(default_factory=dict)
+    points: dict[str, list[list[Any]]] = field(default_factory=dict)
     image: bytes | None = None
     wake: asyncio.Event = field(default_factory=asyncio.Event)
     transport: asyncio.BaseTransport | None = None
@@ -48,10 +47,10 @@ class Browser:
         self.newest[kind] = text
         self.wake.set()
 
-    def add_points(self, batch: list[tuple[str, list[float]]]) -> None:
-        """Force samples and points of the curves."""
+    def add_points(self, batch: list[tuple[str, list[Any]]]) -> None:
+        """Points of the curves."""
         for kind, value in batch:
-            values = self.force if kind == "force" else self.points.setdefault(kind, [])
+            values = self.points.setdefault(kind, [])
             if len(values) < POINTS_LIMIT:
                 values.append(value)
         self.wake.set()
@@ -90,9 +89,6 @@ class Browser:
                 for text in newest.values():
                     await self.socket.send_str(text)
                     await self._send_cues()
-                if self.force:
-                    force, self.force = self.force, []
-                    await self.socket.send_str(json.dumps({"type": "force", "samples": force}))
                 if self.points:
                     points, self.points = self.points, {}
                     await self.socket.send_str(json.dumps({"type": "points", **points}))

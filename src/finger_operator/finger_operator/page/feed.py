@@ -8,11 +8,12 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections import deque
+from collections.abc import Collection, Sequence
 from typing import Any
 
 from finger_common.diagnostics import STALE
 from finger_common.flags import AreaFlag
-from finger_common.stamps import NANOSECONDS
+from finger_common.stamps import NANOSECONDS, seconds
 
 MEMORY = 4 * NANOSECONDS
 """ns of force kept to give an image its force; more than any camera and vision take."""
@@ -54,18 +55,89 @@ class ForceMemory:
 def measured_point(
     memory: ForceMemory, stamp_ns: int, area: float, flags: int
 ) -> list[float] | None:
-    """[force N, area mm²] of one measured area (m²); None without contact or force."""
+    """[time s, force N, area mm²] of one measured area (m²); None without contact or force."""
     force = memory.at(stamp_ns)
     if force is None or flags & AreaFlag.NO_CONTACT or not math.isfinite(area) or force <= 0:
         return None
-    return [round(force, 4), round(area * 1e6, 3)]
+    return [round(seconds(stamp_ns), 3), round(force, 4), round(area * 1e6, 3)]
 
 
-def model_point(force: float, area: float) -> list[float] | None:
-    """[force N, area mm²] of one modelled area (m²), or None without contact."""
-    if not (math.isfinite(force) and math.isfinite(area)) or force <= 0 or area <= 0:
+ESTIMATE = ("area", "area_stddev", "indentation", "mean_pressure", "peak_pressure")
+"""Fields of an estimate that the page draws."""
+
+ESTIMATE_SCALES = (1e6, 1e6, 1e3, 1e-3, 1e-3)
+"""To mm², mm², mm, kPa and kPa."""
+
+
+def estimate_point(
+    stamp_ns: int, force: float, values: Sequence[float]
+) -> list[float | None] | None:
+    """[time s, force N, then `ESTIMATE` in the page's units]; None without contact.
+
+    values: as `ESTIMATE`, SI. A value that is not known is None.
+    """
+    if not math.isfinite(force) or force <= 0 or not values[0] > 0:
         return None
-    return [round(force, 4), round(area * 1e6, 3)]
+    scaled = (value * scale for value, scale in zip(values, ESTIMATE_SCALES))
+    shown = [round(value, 3) if math.isfinite(value) else None for value in scaled]
+    return [round(seconds(stamp_ns), 3), round(force, 4), *shown]
+
+
+Curves = dict[str, list[Sequence[float | None]]]
+"""Points of the curves "force", "measured" and "model", each beginning with its time in s."""
+
+
+class CurveMemory:
+    """What a browser that is opened again still shows: the last seconds, and the last press."""
+
+    SPAN = 30.0
+    """s of the live curves."""
+    PRESS_LIMIT = 60.0
+    """s of a press that are kept at most."""
+
+    def __init__(self) -> None:
+        self._live: dict[str, deque[Sequence[float | None]]] = {
+            kind: deque() for kind in ("force", "measured", "model")
+        }
+        self._press: tuple[int, float] | None = None
+        self._last: dict[str, Any] | None = None
+
+    def add(self, kind: str, point: Sequence[float | None]) -> None:
+        """A point of a curve; a time that went back begins the curve again."""
+        points = self._live[kind]
+        time = point[0] or 0.0
+        if points and time < (points[-1][0] or 0.0) - 1.0:
+            points.clear()
+        points.append(point)
+        keep = self.PRESS_LIMIT if self._press else self.SPAN
+        while points and (points[0][0] or 0.0) < time - keep:
+            points.popleft()
+
+    def press_begins(self, index: int, time: float) -> None:
+        """The cue to press was given."""
+        self._press = (index, time)
+
+    def press_ends(self, time: float) -> None:
+        """The press is over, with a trial kept or not."""
+        if self._press is not None:
+            (index, began), self._press = self._press, None
+            self._last = {"index": index, "began": began, "ended": time, **self._since(began)}
+
+    def snapshot(self) -> dict[str, Any]:
+        """{"live": curves, "press": begin of the press under way or None, "last": of the last}."""
+        began = None if self._press is None else self._press[1]
+        return {"live": self._since(0.0), "press": began, "last": self._last}
+
+    def _since(self, began: float) -> Curves:
+        return {
+            kind: [point for point in points if (point[0] or 0.0) >= began]
+            for kind, points in self._live.items()
+        }
+
+
+def node_of(name: str) -> str:
+    """Name of the node in the name of a status, "namespace/node: part"."""
+    return name.split(":")[0].rsplit("/", 1)[-1]
 
 
 class HealthBoard:
@@ -89,12 +161,12 @@ class HealthBoard:
         }
         self._entries[name] = (now, entry)
 
-    def snapshot(self, now: float) -> list[dict[str, Any]]:
-        """All entries by name."""
+    def snapshot(self, now: float, dead: Collection[str] = ()) -> list[dict[str, Any]]:
+        """All entries by name; those of `dead` nodes are stale at once."""
         result = []
         for name in sorted(self._entries):
             last, entry = self._entries[name]
-            if now - last > self.STALE_AFTER:
+            if now - last > self.STALE_AFTER or node_of(name) in dead:
                 age = f"silent for {now - last:.0f} s"
                 entry = {**entry, "level": STALE, "message": age}
             result.append(entry)

@@ -377,12 +377,8 @@ class PageServer:
         # A browser that connects later shows the cue; its delay is not measured.
         self._last_cue = json.dumps({"type": "cue", "id": -1, **data})
 
-    def publish_force(self, time_s: float, force: float) -> None:
-        """A force sample (s, N) for the live curve."""
-        self._curve.append(("force", [round(time_s, 4), round(force, 4)]))
-
-    def publish_point(self, kind: str, point: list[float]) -> None:
-        """A pair [force N, area mm²], `kind` "measured" or "model"."""
+    def publish_point(self, kind: str, point: list[Any]) -> None:
+        """A point of the curve `kind` ("force", "measured" or "model"), beginning with its time."""
         self._curve.append((kind, point))
 
     def publish_image(self, jpeg: bytes, stamp_ns: int) -> None:

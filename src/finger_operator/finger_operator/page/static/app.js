@@ -1,26 +1,35 @@
 // The operator's page. State comes over one WebSocket; every command goes back over it, with the
 // page's token.
+import { Charts } from "./charts.js";
 import { Link, draw, whenShown } from "./cue.js";
-import { areaPlot, forcePlot } from "./plot.js";
+import { ask, newSession, write } from "./dialogs.js";
+import { RUNNING, showHealth, showLog, showTrials, tabs } from "./lists.js";
+import { liftTone, muteButton, tone } from "./sound.js";
 
 const $ = (id) => document.getElementById(id);
 const token = document.querySelector("meta[name=token]").content;
-const SPAN = 10;
-// Steps of a trial that is under way.
-const RUNNING = ["moisture_before", "clear", "press", "lift", "moisture_after", "closing"];
+// ms without a sign of the server until the page counts as not connected, and of an image.
+const LOST = 1000;
+// s from which a value is too old to stand on the page.
+const OLD = 0.7;
+const FRAMES = 400;
 
 const state = {
-  status: { step: "closed" }, cue: null, force: [], target: 1, health: [], answers: new Map(),
-  now: { measured: [], model: [] }, before: { measured: [], model: [] }, number: 0,
-  imageUrl: null, area: null,
+  status: { step: "closed" }, cue: null, area: null, clipped: false, answers: new Map(), number: 0,
+  link: "lost", aliveAt: -Infinity, alive: { ages: {}, problems: [], tared: null }, away: true,
+  images: null, imageAt: -Infinity, frames: [], pressFrames: [],
 };
-let dirty = true;
+const charts = new Charts((time) => { showFrame(time); showNumbers(); });
 let drawn = 0;
 let plotted = 0;
 
+function set(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}
+
 // Commands ------------------------------------------------------------------------------------
 
-function command(name, args = {}) {
+function command(name, args = {}, quiet = false) {
   const id = ++state.number;
   return new Promise((resolve) => {
     state.answers.set(id, resolve);
@@ -29,7 +38,7 @@ function command(name, args = {}) {
       resolve({ success: false, message: "not connected" });
     }
   }).then((answer) => {
-    notify(answer.success ? answer.message || `${name}: done` : answer.message, answer.success);
+    if (!quiet || !answer.success) notify(answer.message || `${name}: done`, answer.success);
     return answer;
   });
 }
@@ -40,7 +49,7 @@ function notify(text, good) {
   place.textContent = text;
   place.className = good ? "good" : "bad";
   clearTimeout(forget);
-  if (good) forget = setTimeout(() => { place.textContent = ""; place.className = ""; }, 6000);
+  forget = setTimeout(() => { place.textContent = ""; place.className = ""; }, good ? 6e3 : 15e3);
 }
 
 function primary() {
@@ -51,34 +60,72 @@ function primary() {
   return command("start");
 }
 
-function pauseOrResume() {
-  return command(state.status.paused ? "resume" : "pause");
+// What Space does when the button may not be pressed: it says why.
+function whyNot() {
+  const [first] = state.alive.problems;
+  if (state.away) return notify("Not connected to the rig.", false);
+  if (first && blocked()) notify(`Not ready: ${first.text} ${first.remedy}`, false);
 }
+
+const resumable = () => state.status.paused
+  || (state.status.step === "finished" && Boolean(state.status.ended));
 
 function openSession() {
-  const plan = state.status.plan;
-  if (!plan) return notify("The protocol node is not running.", false);
-  $("plan-subject").value = plan.subject;
-  $("plan-conditions").value = plan.conditions.join(", ");
-  $("plan-trials").value = plan.trials;
-  $("plan-readings").value = plan.readings;
-  $("plan-target").value = plan.target_force;
-  $("plan-error").textContent = "";
-  $("session-dialog").showModal();
+  if (!state.status.plan) return notify("The protocol node is not running.", false);
+  newSession(state.status, async (plan) => {
+    const answer = await command("configure", plan, true);
+    return answer.success ? command("start") : answer;
+  });
 }
 
-async function beginSession(event) {
-  event.preventDefault();
-  const answer = await command("configure", {
-    subject: $("plan-subject").value.trim(),
-    conditions: $("plan-conditions").value.split(",").map((c) => c.trim()).filter(Boolean),
-    trials: Number($("plan-trials").value),
-    readings: Number($("plan-readings").value),
-    target_force: Number($("plan-target").value),
-  });
-  const started = answer.success ? await command("start") : answer;
-  if (started.success) $("session-dialog").close();
-  else $("plan-error").textContent = started.message;
+async function skip() {
+  const { index, condition } = state.status;
+  const chosen = await ask(`Skip trial ${index + 1} (${condition})?`,
+    "It is left out. Until the session is closed it can be repeated from the list.",
+    [["skip", "Skip the trial"]]);
+  if (chosen) command("skip");
+}
+
+async function redo() {
+  const { step, index } = state.status;
+  if (!RUNNING.includes(step) && step !== "failed" && step !== "prepare") {
+    const chosen = await ask("Redo the last kept trial?",
+      `Its attempt no longer counts; the bag stays. Now: trial ${index + 1}.`,
+      [["redo", "Redo the trial"]]);
+    if (!chosen) return;
+  }
+  command("redo");
+}
+
+async function end() {
+  const open = (state.status.trials || []).filter((t) => t.verdict === "pending").length;
+  const running = RUNNING.includes(state.status.step);
+  const chosen = await ask("End the session?",
+    `${open} ${open === 1 ? "trial is" : "trials are"} not done. All data are kept.`,
+    running ? [["end", "End after this trial"], ["abort", "Abort this trial and end"]]
+      : [["end", "End the session"]]);
+  if (chosen) command(chosen);
+}
+
+function note() {
+  const { trials = [], index, step } = state.status;
+  const begun = trials.filter((t) => t.attempts);
+  const choices = [[0, "the session"], ...begun.map((t) => [t.index + 1, `trial ${t.index + 1}`])];
+  const newest = RUNNING.includes(step) || step === "done" || step === "failed";
+  const chosen = newest && begun.some((t) => t.index === index) ? index + 1
+    : begun.length ? begun[begun.length - 1].index + 1 : 0;
+  write("Note", "", choices, chosen, (text, trial) => command("note", { text, trial }));
+}
+
+function editPreparation() {
+  const { condition, preparation } = state.status;
+  write(`Preparation: ${condition}`, preparation || "", [], 0,
+    (text) => command("preparation", { condition, text }));
+}
+
+async function tare() {
+  const answer = await command("tare");
+  if (answer.success && state.status.step !== "press") charts.forget();
 }
 
 // Cue -----------------------------------------------------------------------------------------
@@ -92,42 +139,56 @@ function showCue(message) {
   if (!document.hidden) waiting ??= [];
   whenShown(() => {
     if (message.id >= 0) link.send({ type: "shown", id: message.id });
+    if (message.phase === "lift" && message.id >= 0) liftTone();
     goOn();
   });
   if (began) {
-    state.before = state.now;
-    state.now = { measured: [], model: [] };
+    charts.pressBegins(message.index, message.time);
+    state.frames = [];
+  } else if (message.phase !== "press" && message.phase !== "lift" && charts.press) {
+    charts.pressEnds(message.time);
+    state.pressFrames = state.frames.slice();
   }
-  dirty = true;
+}
+
+const NO_STATUS = "The protocol is not running, so there is no cue.";
+
+function cueName() {
+  const s = state.status;
+  if (state.away || missing("protocol")) return "offline";
+  if (s.step === "closed") return "closed";
+  if (s.paused) return "paused";
+  const name = state.cue ? state.cue.phase : "idle";
+  // Press and lift are the cue's own; the finer steps come with the status.
+  if (name === "press" || name === "lift") return name;
+  if (["clear", "closing", "finished"].includes(s.step)) return s.step;
+  // A trial is good when it is saved, not before.
+  return name === "done" && s.step !== "done" ? "closing" : name;
+}
+
+function cueText(name) {
+  const s = state.status;
+  if (state.link === "refused") {
+    return "This address is no longer valid. Open the page's new address from the rig's terminal.";
+  }
+  if (name === "offline") {
+    return state.away ? "The page shows nothing until the rig answers again." : NO_STATUS;
+  }
+  if (name === "press") return "Press until the cue changes.";
+  if (name === "lift") return "Lift the finger.";
+  if (name === "prepare" && s.step === name) return s.message ? s.instruction : s.preparation;
+  return name === s.step || s.paused ? s.instruction || "" : "";
 }
 
 function drawCue() {
-  const s = state.status;
-  let name = state.cue ? state.cue.phase : "idle";
-  if (s.step === "closed") name = "closed";
-  else if (s.paused) name = "paused";
-  // Press and lift are the cue's own; the finer steps come with the status.
-  else if (name !== "press" && name !== "lift") {
-    if (["clear", "closing", "finished"].includes(s.step)) name = s.step;
-  }
-  draw(name);
-  const number = (list) => Math.min((list || []).length + 1, s.readings);
-  const count = (list) => `reading ${number(list)} of ${s.readings}`;
-  const texts = {
-    closed: "Start a session with Space.",
-    prepare: "Prepare finger and plate, then press Space.",
-    moisture_before: `Before the press: ${count(s.moisture_before)}`,
-    moisture_after: `After the press: ${count(s.moisture_after)}`,
-    clear: s.waiting_for || "Hands off: the frame must be empty.",
-    press: "Press until the cue changes.",
-    lift: "Lift the finger.",
-    paused: s.message || "Resume with P or Space.",
-    failed: (state.cue && state.cue.note) || "",
-    done: "Trial kept.",
-    closing: "The bag is being closed.",
-    finished: "All trials are done. Space closes the session.",
-  };
-  $("cue-text").textContent = texts[name] || "";
+  const name = cueName();
+  const word = name === "offline" && !state.away ? "No protocol" : undefined;
+  draw(name, word);
+  const text = cueText(name);
+  set($("cue-text"), text);
+  set($("prompt"), name === "prepare" ? state.status.prompt || "" : "");
+  // One sentence for a screen reader, when it changes: no numbers that jitter.
+  set($("say"), `${$("cue-word").textContent}. ${text}`);
 }
 
 // Status --------------------------------------------------------------------------------------
@@ -135,32 +196,64 @@ function drawCue() {
 const LABELS = {
   closed: "New session", prepare: "Ready", idle: "Begin", finished: "Close session",
 };
-const MARK = { done: "✓", skipped: "↷", pending: "", failed: "✗" };
+
+const missing = (source) => state.alive.problems.some((p) => p.source === source);
+
+// Whether what is wrong keeps the next trial from beginning.
+const blocked = () => state.status.step === "prepare" && !state.status.paused
+  && state.alive.problems.length > 0;
 
 function showStatus(s) {
   state.status = s;
-  if (s.target_force) state.target = s.target_force;
+  if (s.target_force) charts.target = s.target_force;
   const open = s.step !== "closed";
-  $("session").textContent = open ? `${s.subject} · ${s.session}` : "no session";
+  set($("session"), open ? `${s.subject} · ${s.session}` : "no session");
   const attempt = s.attempt ? ` · attempt ${s.attempt + 1}` : "";
-  $("cue-trial").textContent = open && s.step !== "finished"
-    ? `Trial ${s.index + 1} of ${s.trials.length} · ${s.condition}${attempt}` : "";
-  $("preparation-condition").textContent = open ? s.condition : "";
-  $("preparation-text").textContent = open ? s.preparation : "";
-  $("prompt").textContent = open ? s.prompt : "";
-  $("preparation").dataset.now = s.step === "prepare" && !s.paused;
-  $("start").querySelector("span").textContent = s.paused ? "Resume" : LABELS[s.step] || "Next";
-  $("start").disabled = RUNNING.includes(s.step) && !s.paused;
-  $("pause").disabled = !open || s.step === "finished" || s.step === "idle";
-  $("pause").firstChild.textContent = s.paused ? "Resume " : "Pause ";
-  $("redo").disabled = !open || s.step === "closing";
-  $("skip").disabled = !open || ["finished", "done", "closing", "idle"].includes(s.step);
-  $("preparation-edit").disabled = !open;
+  set($("cue-trial"), open && s.step !== "finished"
+    ? `Trial ${s.index + 1} of ${s.trials.length} · ${s.condition}${attempt}` : "");
+  set($("left"), left(s));
+  const warnings = s.warnings || [];
+  $("warnings").hidden = !warnings.length;
+  set($("warnings"), warnings.join(" "));
   chips("moisture-before", s.moisture_before, s.readings, s.step === "moisture_before");
   chips("moisture-after", s.moisture_after, s.readings, s.step === "moisture_after");
-  showTrials(s);
+  showTrials(s, (index) => command("repeat", { index }));
+  showLog(s.events);
+  showButtons();
   drawCue();
-  dirty = true;
+}
+
+function showButtons() {
+  const s = state.status;
+  const gone = state.away || missing("protocol");
+  const open = s.step !== "closed" && !gone;
+  const running = RUNNING.includes(s.step);
+  set($("start").querySelector("span"), s.paused ? "Resume" : LABELS[s.step] || "Next");
+  set($("pause").querySelector("span"), resumable() ? "Resume" : "Pause");
+  const off = {
+    start: gone || blocked() || (running && !s.paused),
+    pause: !open || s.step === "idle" || (s.step === "finished" && !s.ended),
+    redo: !open || s.step === "closing",
+    skip: !open || ["finished", "done", "closing", "idle"].includes(s.step),
+    tare: state.away, note: !open, marker: !open, "preparation-edit": !open,
+    end: !open || s.step === "finished",
+  };
+  for (const [id, value] of Object.entries(off)) $(id).disabled = value;
+  for (const button of document.querySelectorAll("#trials .repeat")) {
+    button.disabled = gone || running;
+  }
+  $("moisture-form").querySelector("button").disabled = state.away;
+}
+
+function left(s) {
+  const parts = [];
+  if (s.time_left) parts.push(`≈ ${Math.max(Math.round(s.time_left / 60), 1)} min left`);
+  const disk = s.disk || {};
+  if (disk.free_gb != null) {
+    parts.push(`${disk.free_gb} GB free`
+      + (disk.trials_left != null ? ` (${disk.trials_left} trials)` : ""));
+  }
+  return parts.join(" · ");
 }
 
 // The status takes long to draw and may arrive before the cue: the cue is drawn first.
@@ -171,131 +264,146 @@ function showStatusSoon(s) {
 }
 
 function chips(id, values = [], wanted = 3, now = false) {
-  const cells = [];
-  for (let i = 0; i < Math.max(wanted, values.length); i++) {
-    const chip = document.createElement("span");
-    const full = i < values.length;
-    chip.className = full ? "chip full" : now && i === values.length ? "chip next" : "chip";
-    chip.textContent = full ? values[i].toFixed(1) : "–";
-    cells.push(chip);
-  }
-  if (values.length > 1) {
-    const mean = document.createElement("span");
-    mean.className = "mean";
-    mean.textContent = `mean ${(values.reduce((a, b) => a + b) / values.length).toFixed(1)}`;
-    cells.push(mean);
-  }
-  $(id).replaceChildren(...cells);
-}
-
-function showTrials(s) {
-  const trials = s.trials || [];
-  const body = $("trials").querySelector("tbody");
-  const free = !RUNNING.includes(s.step);
-  body.replaceChildren(...trials.flatMap((t) => {
-    const row = document.createElement("tr");
-    const here = t.index === s.index && s.step !== "finished";
-    const failed = t.verdict === "pending" && t.reason;
-    const verdict = t.verdict === "pending" ? (failed ? "failed" : "pending") : t.verdict;
-    row.dataset.verdict = verdict;
-    row.dataset.index = t.index;
-    if (here) row.className = "here";
-    const word = verdict === "pending" ? (here ? "now" : "") : verdict;
-    const cells = [t.index + 1, t.condition,
-      `${MARK[verdict] || ""} ${word}${t.attempts > 1 ? ` ×${t.attempts}` : ""}`,
-      t.time_to_target == null ? "" : `${t.time_to_target.toFixed(2)} s`,
-      t.peak_force ? `${t.peak_force.toFixed(2)} N` : ""];
-    for (const text of cells) {
-      const cell = document.createElement("td");
-      cell.textContent = text;
-      row.append(cell);
+  const place = $(id);
+  const count = Math.max(wanted, values.length) + 1;
+  while (place.children.length > count) place.lastChild.remove();
+  while (place.children.length < count) place.append(document.createElement("span"));
+  [...place.children].forEach((chip, i) => {
+    if (i === count - 1) {
+      chip.className = "mean";
+      const mean = values.reduce((a, b) => a + b, 0) / values.length;
+      set(chip, values.length > 1 ? `mean ${mean.toFixed(1)}` : "");
+    } else {
+      const full = i < values.length;
+      chip.className = full ? "chip full" : now && i === values.length ? "chip next" : "chip";
+      set(chip, full ? values[i].toFixed(1) : "–");
     }
-    const last = document.createElement("td");
-    if (t.verdict === "done" || t.verdict === "skipped") {
-      const again = document.createElement("button");
-      again.className = "small repeat";
-      again.textContent = "Repeat";
-      again.disabled = !free;
-      again.onclick = () => command("repeat", { index: t.index });
-      last.append(again);
-    }
-    row.append(last);
-    if (!failed) return [row];
-    const why = document.createElement("tr");
-    why.className = here ? "reason here" : "reason";
-    why.dataset.index = t.index;
-    const text = document.createElement("td");
-    text.colSpan = 5;
-    text.textContent = t.reason;
-    why.append(document.createElement("td"), text);
-    return [row, why];
-  }));
-  const here = body.querySelector(".here");
-  if (here && s.index !== showTrials.index) {
-    showTrials.index = s.index;
-    const box = body.closest(".scroll");
-    box.scrollTop = here.offsetTop - box.clientHeight / 2;
-  }
-  const blocks = (s.conditions || []).map((name) => {
-    const of = trials.filter((t) => t.condition === name);
-    const item = document.createElement("li");
-    const closed = of.filter((t) => t.verdict !== "pending").length;
-    item.textContent = `${name} ${closed}/${of.length}`;
-    if (closed === of.length && of.length) item.className = "full";
-    if (name === s.condition && s.step !== "finished") item.className = "now";
-    item.style.setProperty("--share", of.length ? closed / of.length : 0);
-    return item;
   });
-  $("progress").replaceChildren(...blocks);
 }
 
-const LEVELS = [["ok", "✓"], ["warn", "▲"], ["error", "✖"], ["stale", "◌"]];
+// What is fresh -------------------------------------------------------------------------------
 
-function showHealth(items) {
-  const list = $("health").querySelector("ul");
-  const open = new Set([...list.querySelectorAll("details[open]")].map((d) => d.dataset.name));
-  // What needs a look comes first; the server sends them by name.
-  items.sort((a, b) => b.level - a.level);
-  list.replaceChildren(...items.map((item) => {
-    const [level, mark] = LEVELS[item.level] || LEVELS[3];
-    const row = document.createElement("li");
-    row.dataset.level = level;
-    const details = document.createElement("details");
-    details.dataset.name = item.name;
-    details.open = open.has(item.name);
-    const summary = document.createElement("summary");
-    const hertz = item.values.measured_rate_hz;
-    const rate = hertz ? ` · ${Number(hertz).toFixed(0)} Hz` : "";
-    const name = item.name.replace(/^[^:]*\//, "").replace(/^(\w+): \1$/, "$1");
-    for (const [kind, text] of [["mark", mark], ["name", name], ["message", item.message + rate]]) {
-      const part = document.createElement("span");
-      part.className = kind;
-      part.textContent = text;
-      summary.append(part);
-    }
-    details.append(summary);
-    const values = document.createElement("dl");
-    for (const [key, value] of Object.entries(item.values)) {
-      const dt = document.createElement("dt"), dd = document.createElement("dd");
-      dt.textContent = key; dd.textContent = value;
-      values.append(dt, dd);
-    }
-    details.append(values);
-    row.append(details);
-    return row;
-  }));
+const seconds = (age) => (age < 10 ? age.toFixed(1) : age.toFixed(0));
+
+function check() {
+  const now = performance.now();
+  const away = state.link !== "open" || now - state.aliveAt > LOST;
+  const changed = away !== state.away;
+  state.away = away;
+  set($("link-word"), away ? "not connected" : "connected");
+  $("link").className = away ? "bad" : "good";
+  document.body.classList.toggle("offline", away);
+  showProblems(away ? 0 : (now - state.aliveAt) / 1e3);
+  if (changed) showButtons();
+  drawCue();
+  showNumbers();
+  if (charts.mode === "live" && now - state.imageAt > LOST) hideImage(now);
 }
+setInterval(check, 200);
+
+function showProblems(since) {
+  const problems = state.away ? [] : state.alive.problems;
+  const [first] = problems;
+  $("banner").hidden = !first;
+  let alarm = state.away ? "Not connected to the rig." : "";
+  if (first) {
+    const age = first.age === null ? "" : ` Silent for ${seconds(first.age + since)} s.`;
+    set($("banner-text"), `${first.text}${age}`);
+    set($("banner-remedy"), first.remedy);
+    set($("banner-more"), problems.slice(1).map((p) => p.text).join(" "));
+    alarm = problems.map((p) => p.text).join(" ") + ` ${first.remedy}`;
+  }
+  set($("alarm"), alarm);
+}
+
+function showAlive(message) {
+  state.aliveAt = performance.now();
+  state.alive = message;
+  charts.setClock(message.time);
+  check();
+  showButtons();
+}
+
+const age = (kind) => {
+  const last = state.alive.ages[kind];
+  return last == null ? null : last + (performance.now() - state.aliveAt) / 1e3;
+};
+const fresh = (kind) => !state.away && age(kind) !== null && age(kind) < OLD;
+
+function showNumber(id, unit, kind, text) {
+  const place = $(id);
+  const good = charts.mode !== "live" || charts.hover !== null || fresh(kind);
+  set(place, good ? text : "–");
+  place.classList.toggle("old", !good);
+  const old = state.away ? "not connected" : age(kind) === null ? "none yet"
+    : `none for ${seconds(age(kind))} s`;
+  set(place.nextElementSibling, good ? unit : old);
+}
+
+function showNumbers() {
+  const { force, measured, model } = charts.at();
+  const live = charts.mode === "live" && charts.hover === null;
+  const shown = force && Math.abs(force[1]) < 0.005 ? 0 : force?.[1];
+  const untared = live && state.alive.tared === false;
+  showNumber("force-value", untared ? "N, not tared" : "N", "force",
+    force ? shown.toFixed(2).replace("-", "−") : "–");
+  $("force-value").classList.toggle("untared", untared);
+  const area = live ? state.area : measured?.[2];
+  showNumber("area-value", "mm²", "area", area == null ? "–" : area.toFixed(1));
+  $("clipped").hidden = !(live && fresh("area") && state.clipped);
+  // Without contact there is no estimate to draw: its area is zero.
+  const contact = model && (!live || (force && force[0] - model[0] < 0.3));
+  const zero = untared ? "–" : "0.0";
+  showNumber("estimate-value", "mm²", "model", contact ? Charts.estimate(model) : zero);
+  const third = contact ? Charts.third(charts.third, model) : "";
+  const unit = { loop: "", indentation: "mm", pressure: "kPa" }[charts.third];
+  if (charts.third === "loop") { set($("third-value"), ""); set($("third-unit"), ""); } else {
+    showNumber("third-value", unit, "model", third || "–");
+  }
+  const share = fresh("force") && shown !== undefined && !untared
+    ? Math.max(0, Math.min(1, shown / (charts.target * 1.25))) : 0;
+  $("cue-bar").style.setProperty("--share", share);
+}
+
+// Image ---------------------------------------------------------------------------------------
 
 function showImage(buffer) {
-  const url = URL.createObjectURL(new Blob([buffer.slice(8)], { type: "image/jpeg" }));
-  const image = $("image");
-  image.onload = () => {
-    if (state.imageUrl) URL.revokeObjectURL(state.imageUrl);
-    state.imageUrl = url;
-  };
+  const time = Number(new DataView(buffer).getBigInt64(0, true)) / 1e9;
+  const blob = new Blob([buffer.slice(8)], { type: "image/jpeg" });
+  state.frames.push({ time, blob });
+  if (state.frames.length > FRAMES) state.frames.splice(0, FRAMES / 4);
+  state.imageAt = performance.now();
+  if (charts.mode === "live") putImage(blob);
+}
+
+let shownUrl = null;
+function putImage(blob) {
+  const url = URL.createObjectURL(blob);
+  const image = $("image"), old = shownUrl;
+  image.onload = image.onerror = () => { if (old) URL.revokeObjectURL(old); };
+  shownUrl = url;
   image.src = url;
   image.hidden = false;
   $("image-none").hidden = true;
+}
+
+function hideImage(now) {
+  $("image").hidden = true;
+  $("image-none").hidden = false;
+  const old = Number.isFinite(state.imageAt)
+    ? `no image for ${seconds((now - state.imageAt) / 1e3)} s` : "no image yet";
+  set($("image-none"), state.images === false ? "images stay on the rig's own computer" : old);
+}
+
+// The image at the cursor, when the curves stand still.
+function showFrame(time) {
+  if (charts.mode === "live" || time === null) return;
+  const frames = charts.mode === "last" ? state.pressFrames : state.frames;
+  let best = null;
+  for (const frame of frames) {
+    if (!best || Math.abs(frame.time - time) < Math.abs(best.time - time)) best = frame;
+  }
+  if (best && Math.abs(best.time - time) < 0.3) putImage(best.blob);
 }
 
 // The link ------------------------------------------------------------------------------------
@@ -314,25 +422,19 @@ function receive(data) {
   const m = JSON.parse(data);
   if (m.type === "cue") showCue(m);
   else if (waiting && m.type !== "answer") waiting.push(data);
-  else if (m.type === "force") {
-    state.force.push(...m.samples);
-    const newest = state.force[state.force.length - 1][0];
-    // A clock that went back (a replay begun again) begins the curve again.
-    state.force = state.force.filter(([t]) => t <= newest && t > newest - SPAN - 0.5);
-    dirty = true;
-  } else if (m.type === "points") {
-    for (const kind of ["measured", "model"]) if (m[kind]) state.now[kind].push(...m[kind]);
-    if (m.measured) state.area = m.measured[m.measured.length - 1][1];
-    for (const kind of ["measured", "model"]) state.now[kind] = state.now[kind].slice(-3000);
-    dirty = true;
-  } else if (m.type === "contact") { state.area = m.area; dirty = true; }
-  else if (m.type === "status") showStatusSoon(m);
+  else if (m.type === "points") {
+    for (const kind of ["force", "measured", "model"]) if (m[kind]) charts.add(kind, m[kind]);
+  } else if (m.type === "alive") showAlive(m);
+  else if (m.type === "contact") {
+    state.area = m.area;
+    state.clipped = Boolean(m.flags & 4);
+  } else if (m.type === "status") showStatusSoon(m);
   else if (m.type === "health") showHealth(m.items);
+  else if (m.type === "curves") charts.restore(m);
   else if (m.type === "hello") {
-    $("image-none").textContent = m.images
-      ? "no image yet" : "images stay on the rig's own computer";
-    link.send({ type: "watch", images: m.images && !document.hidden });
     state.images = m.images;
+    link.send({ type: "watch", images: m.images && !document.hidden });
+    command("curves", {}, true);
   } else if (m.type === "answer") {
     const resolve = state.answers.get(m.id);
     state.answers.delete(m.id);
@@ -340,14 +442,13 @@ function receive(data) {
   }
 }
 
-const link = new Link({ view: "operator", token }, receive, (connected) => {
-  $("link").textContent = connected ? "connected" : "not connected";
-  $("link").className = connected ? "good" : "bad";
-  document.body.classList.toggle("offline", !connected);
-  if (!connected) for (const [id, resolve] of state.answers) {
+const link = new Link({ view: "operator", token }, receive, (now) => {
+  state.link = now;
+  if (now !== "open") for (const [id, resolve] of state.answers) {
     state.answers.delete(id);
     resolve({ success: false, message: "the connection was lost" });
   }
+  check();
 });
 
 document.addEventListener("visibilitychange", () => {
@@ -360,46 +461,48 @@ document.addEventListener("visibilitychange", () => {
 
 function frame(now) {
   // Ten pictures a second are enough for the eye; the cue does not wait for them.
-  if (dirty && now - drawn > 90) {
-    dirty = false;
+  if (charts.mode === "live" && now - drawn > 95) {
     drawn = now;
-    const force = state.force.length ? state.force[state.force.length - 1][1] : null;
-    const shown = Math.abs(force) < 0.005 ? 0 : force;
-    $("force-value").textContent = force === null ? "–" : shown.toFixed(2);
-    $("area-value").textContent = state.area === null ? "–" : state.area.toFixed(1);
-    const share = Math.max(0, Math.min(1, (force || 0) / (state.target * 1.25)));
-    const bar = $("cue-bar");
-    bar.style.setProperty("--share", share);
-    bar.setAttribute("aria-valuenow", (force || 0).toFixed(2));
-    bar.setAttribute("aria-valuemax", (state.target * 1.25).toFixed(2));
+    showNumbers();
     // Just before the cue to lift the plots wait, for half a second at most: a plot being drawn
     // would hold the cue up.
+    const force = charts.live.force.at(-1)?.[1] ?? 0;
     const pressing = state.cue && state.cue.phase === "press";
-    if (!(pressing && force > 0.8 * state.target && now - plotted < 500)) {
+    if (!(pressing && force > 0.8 * charts.target && now - plotted < 500)) {
       plotted = now;
-      forcePlot($("force-plot"), state.force, state.target, SPAN);
-      areaPlot($("area-plot"), state.now, state.before, state.target);
+      charts.draw();
     }
   }
   requestAnimationFrame(frame);
 }
 requestAnimationFrame(frame);
-window.addEventListener("resize", () => { dirty = true; });
 
 // Buttons and keys ----------------------------------------------------------------------------
 
 $("start").onclick = primary;
-$("pause").onclick = pauseOrResume;
-$("redo").onclick = () => command("redo");
-$("skip").onclick = () => command("skip");
-$("tare").onclick = async () => {
-  const answer = await command("tare");
-  // Points taken with the old zero mean nothing.
-  if (answer.success && state.status.step !== "press") state.now = { measured: [], model: [] };
-};
+$("pause").onclick = () => command(resumable() ? "resume" : "pause");
+$("redo").onclick = redo;
+$("skip").onclick = skip;
+$("tare").onclick = tare;
+$("note").onclick = note;
+$("marker").onclick = () => command("marker");
+$("end").onclick = end;
+$("preparation-edit").onclick = editPreparation;
 $("keys").onclick = () => $("keys-dialog").showModal();
-$("plan-cancel").onclick = () => $("session-dialog").close();
-$("session-form").onsubmit = beginSession;
+$("tone-test").onclick = () => { if (!tone()) notify("This browser gives no sound.", false); };
+muteButton($("sound"));
+tabs(document.querySelector("[role=tablist]"));
+$("live").onclick = () => charts.show("live");
+$("freeze").onclick = () => charts.show("frozen");
+$("last").onclick = () => charts.show("last");
+$("zoom-out").onclick = () => charts.zoomOut();
+$("scrub").oninput = () => charts.scrub(Number($("scrub").value));
+$("third").onchange = () => {
+  charts.third = $("third").value;
+  charts.buildThird();
+  charts.draw();
+  showNumbers();
+};
 $("moisture-form").onsubmit = async (event) => {
   event.preventDefault();
   const input = $("moisture-input");
@@ -409,45 +512,38 @@ $("moisture-form").onsubmit = async (event) => {
   const answer = await command("moisture", { value: Number(input.value) });
   if (answer.success) { input.value = ""; input.blur(); }
 };
-function editPreparation(show) {
-  $("preparation-form").hidden = !show;
-  $("preparation-text").hidden = show;
-  if (!show) return;
-  $("preparation-input").value = state.status.preparation || "";
-  $("preparation-input").focus();
-}
-$("preparation-edit").onclick = () => editPreparation(true);
-$("preparation-cancel").onclick = () => editPreparation(false);
-$("preparation-form").onsubmit = async (event) => {
-  event.preventDefault();
-  const answer = await command("preparation", {
-    condition: state.status.condition, text: $("preparation-input").value,
-  });
-  if (answer.success) editPreparation(false);
-};
 
 const KEYS = {
-  " ": () => $("start").click(),
+  " ": () => ($("start").disabled ? whyNot() : $("start").click()),
   p: () => $("pause").click(),
   r: () => $("redo").click(),
   s: () => $("skip").click(),
   t: () => $("tare").click(),
+  n: () => $("note").click(),
+  k: () => $("marker").click(),
+  x: () => $("end").click(),
   m: () => $("moisture-input").focus(),
   e: () => $("preparation-edit").click(),
+  a: () => $("sound").click(),
   "?": () => $("keys").click(),
   f: () => document.documentElement.requestFullscreen?.(),
 };
 document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.altKey || event.metaKey) return;
   if (document.querySelector("dialog[open]")) return;
-  if (event.target.closest("input, textarea")) {
+  if (event.target.closest("input, textarea, select")) {
     if (event.key === "Escape") event.target.blur();
     return;
   }
+  // A focused button, link or row takes Space itself.
+  if (event.key === " " && event.target.closest("button, a, summary")) return;
   const action = KEYS[event.key.length === 1 ? event.key.toLowerCase() : event.key];
   if (!action || event.repeat) return;
   event.preventDefault();
-  // A focused button must not take the key as a click of its own.
-  if (document.activeElement instanceof HTMLButtonElement) document.activeElement.blur();
   action();
+});
+// After a click with a pointer the focus goes back to the page, and Space to the main button.
+document.addEventListener("click", (event) => {
+  const button = event.target.closest("button, a");
+  if (event.detail > 0 && button && !button.closest("dialog")) button.blur();
 });

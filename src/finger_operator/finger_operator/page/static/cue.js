@@ -11,7 +11,7 @@ const ARROWS = {
 const WORDS = {
   idle: "Ready", prepare: "Prepare", moisture_before: "Moisture", press: "Press", lift: "Lift",
   moisture_after: "Moisture", done: "Good", failed: "Again", paused: "Paused", clear: "Wait",
-  closing: "Saving", finished: "Finished", closed: "No session",
+  closing: "Saving", finished: "Finished", closed: "No session", offline: "Not connected",
 };
 
 export function draw(name, word) {
@@ -36,7 +36,21 @@ export function whenShown(callback) {
   });
 }
 
-// A socket that connects again by itself.
+// The token of the page as it is served now, null when this address is refused; undefined when
+// nobody answers. A rig that was started again has another one.
+async function servedToken() {
+  try {
+    const answer = await fetch(location.href, { cache: "no-store" });
+    if (!answer.ok) return null;
+    const page = new DOMParser().parseFromString(await answer.text(), "text/html");
+    return page.querySelector("meta[name=token]")?.content ?? "";
+  } catch {
+    return undefined;
+  }
+}
+
+// A socket that connects again by itself, and reloads the page of a rig that was started again.
+// state: called with "open", "lost" or "refused".
 export class Link {
   constructor(view, receive, state) {
     this.view = new URLSearchParams(view);
@@ -50,14 +64,24 @@ export class Link {
     const scheme = location.protocol === "https:" ? "wss" : "ws";
     const socket = new WebSocket(`${scheme}://${location.host}/ws?${this.view}`);
     socket.binaryType = "arraybuffer";
-    socket.onopen = () => { this.delay = 250; this.state(true); };
+    socket.onopen = () => { this.delay = 250; this.state("open"); };
     socket.onmessage = (event) => this.receive(event.data);
     socket.onclose = () => {
-      this.state(false);
-      setTimeout(() => this.open(), this.delay);
-      this.delay = Math.min(this.delay * 2, 4000);
+      this.state("lost");
+      setTimeout(() => this.again(), this.delay);
+      this.delay = Math.min(this.delay * 2, 2000);
     };
     this.socket = socket;
+  }
+
+  async again() {
+    const token = await servedToken();
+    const mine = this.view.get("token") ?? "";
+    if (typeof token === "string" && token === mine) return this.open();
+    if (typeof token === "string") return location.reload();
+    if (token === null) this.state("refused");
+    setTimeout(() => this.again(), this.delay);
+    this.delay = Math.min(this.delay * 2, 2000);
   }
 
   send(message) {

@@ -1,0 +1,183 @@
+"""What keeps the next trial from being recorded well, and what the operator does about it.
+
+A device counts as gone as soon as its stream or its node's heartbeat falls silent, so that no old
+value stands on the page for longer than a second. No ROS; times are s on a steady clock.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from finger_common.diagnostics import ERROR
+
+STREAM_SILENT = 0.6
+"""s without a sample of a stream until it counts as silent."""
+
+NODE_SILENT = 0.9
+"""s without a heartbeat until a node counts as not running; it beats every 0.25 s."""
+
+
+@dataclass(frozen=True)
+class Device:
+    """A part of the rig that a trial needs.
+
+    nodes: all must run. stream: whose samples must come; empty for none. name: as the operator
+    calls it. silence: what is said when its stream is silent, and the remedy.
+    """
+
+    key: str
+    name: str
+    nodes: tuple[str, ...]
+    stream: str = ""
+    silence: str = ""
+    remedy: str = ""
+
+
+CABLE = "Check its power and its cable; the driver connects again by itself."
+NODE_REMEDY = "It is started again by itself. If it stays away, read the rig's terminal."
+
+DEVICES = (
+    Device("protocol", "protocol", ("protocol",)),
+    Device("force", "force sensor", ("force",), "force", "No force", CABLE),
+    Device("camera", "camera", ("camera", "vision"), "area", "No contact area", CABLE),
+    Device("recorder", "recorder", ("recorder",)),
+    Device("moisture", "moisture probe", ("moisture",)),
+    Device("model", "model", ("model",), "model", "No estimate", NODE_REMEDY),
+)
+
+ALWAYS = ("protocol", "force")
+"""Devices that no session goes without; the others are those that were seen."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One thing that is wrong. age: s since the last sign of life, None when there was none."""
+
+    source: str
+    text: str
+    remedy: str
+    age: float | None = None
+
+
+@dataclass(frozen=True)
+class _Report:
+    """Last /diagnostics of a node."""
+
+    level: int
+    message: str
+
+
+class Readiness:
+    """Follows streams, heartbeats and diagnostics."""
+
+    def __init__(self) -> None:
+        self._samples: dict[str, float] = {}
+        self._beats: dict[str, float] = {}
+        self._reports: dict[str, dict[str, _Report]] = {}
+        self._tared: tuple[float, bool] | None = None
+
+    def sample(self, stream: str, now: float) -> None:
+        """A sample of a stream came."""
+        if stream == "force" and self._silent(stream, now):
+            # The driver may have started again, which loses its zero; its diagnostics tell.
+            self._tared = None
+        self._samples[stream] = now
+
+    def beat(self, node: str, now: float) -> None:
+        """A node's heartbeat came."""
+        self._beats[node] = now
+
+    def report(
+        self, node: str, part: str, level: int, message: str, values: Mapping[str, str], now: float
+    ) -> None:
+        """A status of /diagnostics came. part: which health of the node."""
+        self._reports.setdefault(node, {})[part] = _Report(level, message)
+        if node == "force" and "tared" in values:
+            self._tared = (now, values["tared"] == "yes")
+
+    def age(self, stream: str, now: float) -> float | None:
+        """s since the last sample of a stream; None before the first."""
+        last = self._samples.get(stream)
+        return None if last is None else now - last
+
+    def running(self, node: str, now: float) -> bool:
+        """Whether a node's heart beats."""
+        last = self._beats.get(node)
+        return last is not None and now - last <= NODE_SILENT
+
+    def dead(self, now: float) -> set[str]:
+        """Nodes that were seen and are silent."""
+        return {node for node in self._beats if not self.running(node, now)}
+
+    @property
+    def tared(self) -> bool | None:
+        """Whether the force has a zero; None while unknown."""
+        return None if self._tared is None else self._tared[1]
+
+    def problems(self, now: float) -> list[Problem]:
+        """Everything that is wrong now, the most important first."""
+        found = []
+        for device in DEVICES:
+            problem = self._problem(device, now)
+            if problem is not None:
+                found.append(problem)
+        return found
+
+    def _silent(self, stream: str, now: float) -> bool:
+        age = self.age(stream, now)
+        return age is None or age > STREAM_SILENT
+
+    def _problem(self, device: Device, now: float) -> Problem | None:
+        if device.key not in ALWAYS and not self._beats.keys() & set(device.nodes):
+            return None
+        # A driver of another make than the suite's has no heartbeat: its stream is enough.
+        flowing = bool(device.stream) and not self._silent(device.stream, now)
+        for node in device.nodes:
+            if not self.running(node, now) and (node in self._beats or not flowing):
+                last = self._beats.get(node)
+                age = None if last is None else now - last
+                what = device.name if node == device.key else node
+                return Problem(device.key, f"The {what} is not running.", NODE_REMEDY, age)
+        fault = next(
+            (
+                report.message
+                for node in device.nodes
+                for report in self._reports.get(node, {}).values()
+                if report.level == ERROR
+            ),
+            "",
+        )
+        if device.stream and not flowing:
+            if device.key == "model" and self._silent("force", now):
+                return None  # the missing force says it already
+            age = self.age(device.stream, now)
+            text = f"{device.silence}: {fault}." if fault else f"{device.silence}."
+            return Problem(device.key, text, device.remedy, age)
+        if device.key == "force":
+            return self._tare_problem()
+        if fault:
+            return Problem(device.key, f"{_capital(device.name)}: {fault}.", device.remedy or CABLE)
+        return None
+
+    def _tare_problem(self) -> Problem | None:
+        if self.tared is False:
+            return Problem(
+                "tare", "Tare needed.", "Take the finger off the plate, then press Tare (T)."
+            )
+        if self.tared is None and "force" in self._beats:
+            return Problem("tare", "Looking for the force sensor's zero.", "Wait a moment.")
+        return None
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def refusal(problems: list[Problem]) -> str:
+    """Why a trial may not begin; empty when it may."""
+    if not problems:
+        return ""
+    first = problems[0]
+    more = f" ({len(problems) - 1} more)" if problems[1:] else ""
+    return f"Not ready: {first.text} {first.remedy}{more}"

@@ -1,0 +1,102 @@
+// Dialogs: a question before a step that cannot be undone, notes and texts, a new session.
+
+const $ = (id) => document.getElementById(id);
+
+// Ask; answers: [value, words] each. Resolves to a value, or null for Cancel, which has the focus.
+export function ask(title, text, answers) {
+  const dialog = $("ask-dialog");
+  $("ask-title").textContent = title;
+  $("ask-text").textContent = text;
+  return new Promise((resolve) => {
+    let chosen = null;
+    const button = (value, words) => {
+      const element = document.createElement("button");
+      element.textContent = words;
+      element.onclick = () => { chosen = value; dialog.close(); };
+      return element;
+    };
+    const cancel = button(null, "Cancel");
+    $("ask-buttons").replaceChildren(...answers.map(([v, words]) => button(v, words)), cancel);
+    dialog.onclose = () => resolve(chosen);
+    dialog.showModal();
+    cancel.focus();
+  });
+}
+
+// Write a text. trials: choices [value, words] of what it belongs to, or none. save: called with
+// (text, choice), resolves to an answer of the server; its sentence is shown when it refuses.
+export function write(title, text, trials, chosen, save) {
+  const dialog = $("text-dialog");
+  $("text-title").textContent = title;
+  $("text-input").value = text;
+  $("text-error").textContent = "";
+  $("text-where").hidden = !trials.length;
+  $("text-trial").replaceChildren(...trials.map(([value, words]) => new Option(words, value)));
+  if (trials.length) $("text-trial").value = String(chosen);
+  $("text-form").onsubmit = async (event) => {
+    event.preventDefault();
+    const answer = await save($("text-input").value, Number($("text-trial").value));
+    if (answer.success) dialog.close();
+    else $("text-error").textContent = answer.message;
+  };
+  $("text-cancel").onclick = () => dialog.close();
+  dialog.showModal();
+  $("text-input").focus();
+}
+
+const ORDERS = [
+  ["as_given", "blocks as given"], ["shuffled_blocks", "blocks shuffled"],
+  ["counterbalanced", "blocks counterbalanced over subjects"],
+  ["shuffled_trials", "all trials shuffled"],
+];
+
+// Ask for a session. status: without a session. begin: called with the plan.
+export function newSession(status, begin) {
+  const { plan } = status;
+  const used = status.used_subjects || {};
+  const subject = $("plan-subject");
+  const warn = () => {
+    const sessions = used[subject.value.trim()];
+    $("subject-used").textContent = sessions
+      ? `${subject.value.trim()} was used before (${sessions.slice(-2).join(", ")}). `
+        + "Go on only if this is the same person." : "";
+  };
+  const number = (value) => (value ? String(value) : "");
+  subject.value = plan.subject;
+  subject.oninput = warn;
+  warn();
+  $("plan-age").value = number(plan.age);
+  $("plan-hand").value = plan.hand || "";
+  $("plan-finger").value = plan.finger || "";
+  $("plan-width").value = number(plan.finger_width && +(plan.finger_width * 1e3).toFixed(2));
+  $("plan-depth").value = number(plan.finger_depth && +(plan.finger_depth * 1e3).toFixed(2));
+  $("plan-conditions").value = plan.conditions.join(", ");
+  $("plan-order").replaceChildren(...ORDERS.map(([value, words]) => new Option(words, value)));
+  $("plan-order").value = plan.order || "as_given";
+  $("plan-seed").value = plan.order_seed || 0;
+  $("plan-trials").value = plan.trials;
+  $("plan-readings").value = plan.readings;
+  $("plan-target").value = plan.target_force;
+  $("plan-error").textContent = "";
+  $("session-form").onsubmit = async (event) => {
+    event.preventDefault();
+    const answer = await begin({
+      subject: subject.value.trim(),
+      age: Number($("plan-age").value),
+      hand: $("plan-hand").value,
+      finger: $("plan-finger").value,
+      finger_width: Number($("plan-width").value) / 1e3,
+      finger_depth: Number($("plan-depth").value) / 1e3,
+      conditions: $("plan-conditions").value.split(",").map((c) => c.trim()).filter(Boolean),
+      trials: Number($("plan-trials").value),
+      readings: Number($("plan-readings").value),
+      target_force: Number($("plan-target").value),
+      order: $("plan-order").value,
+      order_seed: Number($("plan-seed").value),
+    });
+    if (answer.success) $("session-dialog").close();
+    else $("plan-error").textContent = answer.message;
+  };
+  $("plan-cancel").onclick = () => $("session-dialog").close();
+  $("session-dialog").showModal();
+}
