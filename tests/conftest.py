@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -22,15 +23,22 @@ def chromium() -> str | None:
     return os.environ.get("CHROMIUM") or next(filter(None, map(shutil.which, names)), None)
 
 
-@pytest.fixture
-def browser(tmp_path: Path) -> Iterator[Any]:
-    """A headless browser with a profile of its own; skips where there is none."""
+@contextmanager
+def driver() -> Iterator[tuple[Any, str]]:
+    """The browser's driver, and the path of an installed browser; skips where there is none."""
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     path = chromium()
     if path is None:
         pytest.skip("no Chromium on this machine (Debian, Ubuntu: apt install chromium)")
-    with playwright.sync_playwright() as driver:
-        context = driver.chromium.launch_persistent_context(
+    with playwright.sync_playwright() as running:
+        yield running.chromium, path
+
+
+@pytest.fixture
+def browser(tmp_path: Path) -> Iterator[Any]:
+    """A headless browser with a profile of its own."""
+    with driver() as (engine, path):
+        context = engine.launch_persistent_context(
             str(tmp_path / "profile"),
             executable_path=path,
             headless=True,
@@ -39,3 +47,12 @@ def browser(tmp_path: Path) -> Iterator[Any]:
         )
         yield context
         context.close()
+
+
+@pytest.fixture(scope="module")
+def chrome() -> Iterator[Any]:
+    """A headless browser for all tests of a module; each makes a context of its own."""
+    with driver() as (engine, path):
+        running = engine.launch(executable_path=path, headless=True, args=OPTIONS)
+        yield running
+        running.close()

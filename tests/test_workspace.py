@@ -215,7 +215,10 @@ WIDTH = 100
 NOT_WRAPPED = {".json", ".csv", ".svg", ".py"}
 """Files of programs and of numbers; ruff checks Python."""
 
-EXCEPTIONS = ("src/finger_bringup/config/plotjuggler_layout.xml",)
+EXCEPTIONS = (
+    "src/finger_bringup/config/plotjuggler_layout.xml",
+    "src/finger_operator/finger_operator/page/static/uplot.",
+)
 """Beginnings of the names of further files that are not checked."""
 
 

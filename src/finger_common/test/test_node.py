@@ -85,11 +85,13 @@ def test_shell_publishes_checks_parameters_reports_and_ends_cleanly(
     from diagnostic_msgs.msg import DiagnosticArray
     from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
     from rcl_interfaces.srv import SetParameters
-    from std_msgs.msg import Float64
+    from std_msgs.msg import Float64, String
 
     node, spin = observer
     values: list[float] = []
     states: list[Any] = []
+    beats: list[str] = []
+    node.create_subscription(String, "heartbeat", lambda m: beats.append(m.data), 10)
     node.create_subscription(Float64, "value", lambda m: values.append(m.data), 10)
     node.create_subscription(DiagnosticArray, "/diagnostics", states.append, 10)
     script = tmp_path / "gauge.py"
@@ -115,6 +117,8 @@ def test_shell_publishes_checks_parameters_reports_and_ends_cleanly(
     status = wait_for(lambda: states, spin)[-1].status[0]
     assert status.name == "gauge: gauge" and status.hardware_id == "no. 7"
     assert {v.key: v.value for v in status.values}["state"] == "active"
+    wait_for(lambda: len(beats) > 2, spin)
+    assert set(beats) == {"gauge"}
     # Ctrl-C: the node writes its last log line.
     child.send_signal(signal.SIGINT)
     wait_for(lambda: values[-1] == -1.0, spin)

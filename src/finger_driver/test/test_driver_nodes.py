@@ -44,6 +44,14 @@ def test_force_node_streams_tares_when_asked_and_follows_its_lifecycle(
         assert tared[-1].wrench.force.z == pytest.approx(-1.5, abs=0.03), "tared unasked"
         assert raw[-1].header.frame_id == "force_sensor"
 
+        def health(wanted: str) -> bool:
+            """Whether the diagnostics say that the force has a zero, or that it needs one."""
+            newest = [s for a in diagnostics for s in a.status if "force: force" in s.name][-1:]
+            values = {v.key: v.value for s in newest for v in s.values}
+            return values.get("tared") == wanted
+
+        observer.until(lambda: health("no"), what="tare needed")
+
         def tare() -> str | None:
             answer = observer.call(Trigger, "/force/tare", Trigger.Request())
             # A busy machine may deliver too few samples for one.
@@ -53,6 +61,7 @@ def test_force_node_streams_tares_when_asked_and_follows_its_lifecycle(
         # The normal axis is -z: what was shown before is 1.50 N.
         told = re.fullmatch(r"Zero set \(was (.*) N\)", observer.until(tare, what="tare"))
         assert told and float(told[1]) == pytest.approx(1.5, abs=0.03)
+        observer.until(lambda: health("yes"), what="the end of the need")
         count = len(tared)
         observer.until(lambda: len(tared) > count + 300, what="tared wrench")
         assert np.mean([m.wrench.force.z for m in tared[-100:]]) == pytest.approx(0, abs=0.005)
@@ -60,6 +69,7 @@ def test_force_node_streams_tares_when_asked_and_follows_its_lifecycle(
 
         answer = observer.call(Trigger, "/force/reset_tare", Trigger.Request())
         assert answer.success
+        observer.until(lambda: health("no"), what="tare needed again")
         count = len(tared)
         observer.until(lambda: len(tared) > count + 300, what="wrench without tare")
         assert tared[-1].wrench.force.z == pytest.approx(-1.5, abs=0.03)

@@ -16,7 +16,13 @@ from served_page import Served, next_of, run, served_all
 from finger_common.errors import InputError
 from finger_operator.page.access import is_loopback
 from finger_operator.page.commands import COMMANDS, check_command
-from finger_operator.page.feed import ForceMemory, HealthBoard, measured_point, model_point
+from finger_operator.page.feed import (
+    CurveMemory,
+    ForceMemory,
+    HealthBoard,
+    estimate_point,
+    measured_point,
+)
 from finger_operator.page.server import PageServer
 from finger_operator.page.settings import PageSettings
 
@@ -35,10 +41,14 @@ def test_operator_page_carries_the_token_and_loads_nothing_from_elsewhere(served
             assert page.status == 200 and served.server.token in text
             assert "frame-ancestors 'none'" in page.headers["Content-Security-Policy"]
             assert "default-src 'self'" in page.headers["Content-Security-Policy"]
-        for name in ("app.js", "cue.js", "plot.js", "participant.js", "style.css", "icon.svg"):
+        for name in ("app.js", "cue.js", "charts.js", "uplot.min.js", "style.css", "icon.svg"):
             async with session.get(served.url(f"/static/{name}")) as file:
                 assert file.status == 200
-                text += (await file.text()).replace("http://www.w3.org/2000/svg", "")
+                source = await file.text()
+                # Names, not addresses that are loaded.
+                for name in ("http://www.w3.org/2000/svg", "https://github.com/leeoniya/uPlot"):
+                    source = source.replace(name, "")
+                text += source
         assert "http://" not in text and "https://" not in text
         async with session.get(served.url("/participant")) as page:
             assert served.server.token not in await page.text()
@@ -186,7 +196,8 @@ def test_commands_of_a_wrong_form_are_refused(message: dict[str, Any]) -> None:
 
 
 def test_every_command_of_the_page_is_one_the_server_knows(project_root: Any) -> None:
-    script = (project_root / "src/finger_operator/finger_operator/page/static/app.js").read_text()
+    folder = project_root / "src/finger_operator/finger_operator/page/static"
+    script = (folder / "app.js").read_text()
     for name in COMMANDS:
         assert f'"{name}"' in script, name
 
@@ -218,7 +229,7 @@ def test_late_browser_learns_state_and_cue_participant_only_the_cue(served: Serv
         async with served.connect(session, "participant") as socket:
             await next_of(socket, "cue")
             served.server.publish("status", {"step": "press"})
-            served.server.publish_force(0.0, 1.0)
+            served.server.publish_point("force", [0.0, 1.0])
             served.server.publish_cue(time.time_ns(), {"phase": "lift"})
             kinds = []
             while "cue" not in kinds:
@@ -313,9 +324,8 @@ def test_force_memory_interpolates_and_forgets() -> None:
         memory.add(k * 2_000_000, k * 0.001)
     assert memory.at(5_000_000_000 + 1_000_000) == pytest.approx(2.5005)
     assert memory.at(100) is None and memory.at(7_000_000_000) is None
-    assert measured_point(memory, 5_000_000_000, 42e-6, 0) == [2.5, 42.0]
+    assert measured_point(memory, 5_000_000_000, 42e-6, 0) == [5.0, 2.5, 42.0]
     assert measured_point(memory, 5_000_000_000, 42e-6, 1) is None
-    assert model_point(1.0, float("nan")) is None and model_point(1.0, 5e-5) == [1.0, 50.0]
     memory.add(0, 9.0)  # time began again
     assert memory.at(0) == 9.0
 
@@ -329,3 +339,31 @@ def test_health_of_a_silent_node_is_stale() -> None:
     for k in range(1000):
         board.add(1.0, f"n{k}", 0, "", {})
     assert len(board.snapshot(1.0)) <= HealthBoard.LIMIT
+
+
+def test_estimates_are_drawn_in_the_pages_units_and_only_in_contact() -> None:
+    nan = float("nan")
+    values = [5e-5, 1e-6, 8e-4, 2e4, nan]
+    assert estimate_point(2_000_000_000, 1.0, values) == [2.0, 1.0, 50.0, 1.0, 0.8, 20.0, None]
+    assert estimate_point(0, 1.0, [nan] * 5) is None
+    assert estimate_point(0, nan, values) is None and estimate_point(0, 0.0, values) is None
+
+
+def test_curve_memory_keeps_the_last_seconds_and_the_last_press() -> None:
+    memory = CurveMemory()
+    for k in range(1000):
+        time = 100.0 + 0.1 * k
+        if k == 500:
+            memory.press_begins(4, time)
+        if k == 530:
+            assert memory.snapshot()["press"] == pytest.approx(150.0)
+            memory.press_ends(time)
+        memory.add("force", [time, 1.0])
+    found = memory.snapshot()
+    assert found["press"] is None
+    assert found["live"]["force"][0][0] == pytest.approx(199.9 - CurveMemory.SPAN, abs=0.2)
+    last = found["last"]
+    assert (last["index"], last["began"]) == (4, pytest.approx(150.0))
+    assert [p[0] for p in last["force"]] == pytest.approx([150.0 + 0.1 * k for k in range(30)])
+    memory.add("force", [0.0, 2.0])  # time began again
+    assert memory.snapshot()["live"]["force"] == [[0.0, 2.0]]

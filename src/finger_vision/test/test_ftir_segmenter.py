@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import tracemalloc
 
@@ -15,7 +16,7 @@ from finger_sim.ftir import AREA_PER_PIXEL, SKINS, Contact, FtirRenderer, Scene
 from finger_vision.calibration import PlateCalibration
 from finger_vision.ftir import FtirSegmenter, FtirSettings
 from finger_vision.messages import contact_area_fields
-from finger_vision.overlay import draw_overlay
+from finger_vision.overlay import draw_overlay, scale_bar
 
 
 def random_scene(rng: np.random.Generator) -> Scene:
@@ -318,3 +319,18 @@ def test_overlay_marks_the_outline() -> None:
     distance = np.hypot(green[:, 0] - 511.5, green[:, 1] - 639.5)
     assert len(green) > 300
     assert np.median(distance) == pytest.approx(radius, rel=0.05)
+
+
+def test_overlay_has_a_scale_bar_and_marks_a_clipped_contact() -> None:
+    segmenter = FtirSegmenter()
+    length, ends = scale_bar(segmenter.calibration, 1280, 1024)
+    pitch = math.sqrt(AREA_PER_PIXEL) * 1e3
+    assert np.hypot(*(ends[1] - ends[0])) * pitch == pytest.approx(length, rel=1e-3)
+    assert length in (1, 2, 5, 10, 20) and ends[1, 0] - ends[0, 0] <= 320
+    image = FtirRenderer("natural", 14).render(4e-3)
+    measurement = segmenter.process(image)
+    plain = draw_overlay(image, measurement, segmenter.calibration)
+    clipped = dataclasses.replace(measurement, flags=measurement.flags | int(AreaFlag.CLIPPED))
+    framed = draw_overlay(image, clipped, segmenter.calibration)
+    assert not np.array_equal(plain[500, :10], framed[500, :10])
+    assert (framed[500, 2] == (0, 159, 230)).all()

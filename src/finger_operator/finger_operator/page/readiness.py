@@ -46,6 +46,16 @@ DEVICES = (
     Device("model", "model", ("model",), "model", "No estimate", NODE_REMEDY),
 )
 
+NODE_NAMES = {
+    "protocol": "protocol",
+    "force": "force driver",
+    "camera": "camera driver",
+    "vision": "measurement of the area",
+    "recorder": "recorder",
+    "moisture": "moisture driver",
+    "model": "model",
+}
+
 ALWAYS = ("protocol", "force")
 """Devices that no session goes without; the others are those that were seen."""
 
@@ -137,8 +147,9 @@ class Readiness:
             if not self.running(node, now) and (node in self._beats or not flowing):
                 last = self._beats.get(node)
                 age = None if last is None else now - last
-                what = device.name if node == device.key else node
-                return Problem(device.key, f"The {what} is not running.", NODE_REMEDY, age)
+                return Problem(
+                    device.key, f"The {NODE_NAMES[node]} is not running.", NODE_REMEDY, age
+                )
         fault = next(
             (
                 report.message

@@ -57,6 +57,8 @@ export class Charts {
     this.time = null;
     this.clock = null;
     this.third = "loop";
+    this.measured = [];
+    this.highest = 0;
     this.build();
     const light = matchMedia("(prefers-color-scheme: dark)");
     light.addEventListener("change", () => this.build());
@@ -207,9 +209,8 @@ export class Charts {
       { label: "estimated", stroke: c("model"), width: 2.5, points: { show: false } },
       { label: "high", stroke: null, points: { show: false } },
       { label: "low", stroke: null, points: { show: false } },
-      { label: "measured", stroke: null, paths: () => null,
-        points: { show: true, size: 7, fill: c("measured"), stroke: c("measured") } },
-    ], (high) => [0, Math.max(high * 1.06, 60)], null, [{ series: [2, 3], fill: c("band") }]);
+    ], (high) => [0, Math.max(high * 1.06, this.highest * 1.06, 60)], (u) => this.drawMeasured(u),
+    [{ series: [2, 3], fill: c("band") }]);
     this.buildThird();
     this.draw();
   }
@@ -219,7 +220,7 @@ export class Charts {
     const c = this.colour;
     const legend = $("third-legend");
     const names = {
-      loop: [["measured", "measured"], ["model", "estimated"], ["before", "press before"]],
+      loop: [["measured", "measured"], ["model", "estimated"], ["before", "before"]],
       indentation: [], pressure: [["model", "mean"], ["measured", "peak"]],
     }[this.third];
     legend.replaceChildren(...names.map(([kind, text]) => {
@@ -246,13 +247,14 @@ export class Charts {
     }
   }
 
-  axis(label, side = 3) {
+  // The unit stands at the last number of an axis.
+  axis(unit, side) {
     const c = this.colour;
+    const text = (v) => String(Number(v.toPrecision(6))).replace("-", "−");
     return {
-      side, label: side === 3 ? undefined : label, stroke: c("axis"), font: "12px system-ui",
-      labelFont: "12px system-ui", labelSize: 16, labelGap: -2, size: side === 3 ? 44 : 26,
-      gap: 4, grid: { stroke: c("grid"), width: 1 }, ticks: { show: false },
-      values: side === 3 ? (u, all) => all.map((v) => String(Number(v.toPrecision(6)))) : undefined,
+      side, stroke: c("axis"), font: "12px system-ui", size: side === 3 ? 54 : 22, gap: 4,
+      grid: { stroke: c("grid"), width: 1 }, ticks: { show: false },
+      values: (u, all) => all.map((v, i) => text(v) + (i === all.length - 1 ? ` ${unit}` : "")),
     };
   }
 
@@ -267,22 +269,22 @@ export class Charts {
       }
       return found;
     };
-    x.values = (u, all) => all.map((v) => {
-      const text = String(Number((v - this.zero).toFixed(2)));
-      return text === "-0" ? "0" : text.replace("-", "−");
+    x.values = (u, all) => all.map((v, i) => {
+      const text = String(Number((v - this.zero).toFixed(2))).replace("-", "−");
+      return (text === "−0" ? "0" : text) + (i === all.length - 1 ? " s" : "");
     });
     const chart = new uPlot({
       ...this.sizeOf(id), legend: { show: false }, bands,
-      padding: [10, 10, 0, 0],
+      padding: [10, 14, 0, 0],
       scales: { x: { time: false }, y: { range: (u, low, high) => range(high ?? 0, low ?? 0) } },
-      axes: [x, this.axis(unit)],
+      axes: [x, this.axis(unit, 3)],
       series: [{}, ...series],
       cursor: { y: false, sync: { key: "time" }, drag: { x: true, y: false, setScale: false },
         points: { size: 8 }, bind: { dblclick: () => () => { this.zoomOut(); return null; } } },
       hooks: {
         setCursor: [(u) => this.hovered(u)],
         setSelect: [(u) => this.selected(u)],
-        draw: [(u) => this.unitText(u, unit), ...(over ? [over] : []), (u) => this.drawTime(u)],
+        draw: [...(over ? [over] : []), (u) => this.drawTime(u)],
       },
     }, [[], ...series.map(() => [])], $(id));
     return chart;
@@ -290,15 +292,15 @@ export class Charts {
 
   loopChart() {
     const chart = new uPlot({
-      ...this.sizeOf("third-plot"), legend: { show: false }, padding: [10, 10, 0, 0],
+      ...this.sizeOf("third-plot"), legend: { show: false }, padding: [10, 14, 0, 0],
       scales: {
         x: { time: false, range: (u, low, high) => [0, high] },
         y: { range: (u, low, high) => [0, high] },
       },
-      axes: [{ ...this.axis("N", 2), values: undefined }, this.axis("mm²")],
+      axes: [this.axis("N", 2), this.axis("mm²", 3)],
       series: [{}, { stroke: null, points: { show: false } }],
       cursor: { drag: { x: false, y: false }, points: { show: false } },
-      hooks: { draw: [(u) => this.unitText(u, "mm²"), (u) => this.drawLoop(u)] },
+      hooks: { draw: [(u) => this.drawLoop(u)] },
     }, [[0, 1], [0, 60]], $("third-plot"));
     return chart;
   }
@@ -356,10 +358,9 @@ export class Charts {
     const spread = (sign) => (p) => (p[DEVIATION] === null || p[ESTIMATE] === null ? null
       : Math.max(p[ESTIMATE] + sign * 1.96 * p[DEVIATION], 0));
     const estimated = columns(model, [0, ESTIMATE, spread(1), spread(-1)]);
-    const measured = visible("measured");
-    set(this.area, uPlot.join([
-      estimated, [measured.map((p) => p[0]), measured.map((p) => p[AREA])],
-    ]));
+    this.measured = visible("measured");
+    this.highest = Math.max(0, ...this.measured.map((p) => p[AREA]));
+    set(this.area, estimated);
     if (this.third === "indentation") set(this.thirdChart, columns(model, [0, INDENTATION]));
     else if (this.third === "pressure") set(this.thirdChart, columns(model, [0, MEAN, PEAK]));
     else this.setLoop();
@@ -376,17 +377,6 @@ export class Charts {
   }
 
   // In the canvas ---------------------------------------------------------------------------------
-
-  unitText(u, unit) {
-    const { ctx, bbox } = u, ratio = devicePixelRatio;
-    ctx.save();
-    ctx.fillStyle = this.colour("axis");
-    ctx.font = `${12 * ratio}px system-ui, sans-serif`;
-    ctx.textAlign = "left";
-    ctx.textBaseline = "top";
-    ctx.fillText(unit, bbox.left + 5 * ratio, bbox.top + 2 * ratio);
-    ctx.restore();
-  }
 
   halo(u, text, x, y) {
     const { ctx } = u, ratio = devicePixelRatio;
@@ -417,6 +407,20 @@ export class Charts {
     this.dashed(u, [[bbox.left, y], [bbox.left + bbox.width, y]]);
     ctx.textAlign = "left";
     this.halo(u, `target ${this.target.toFixed(2)} N`, bbox.left + 8 * ratio, y - 3 * ratio);
+    ctx.restore();
+  }
+
+  drawMeasured(u) {
+    const { ctx, bbox } = u;
+    ctx.save();
+    ctx.beginPath(); ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height); ctx.clip();
+    ctx.fillStyle = this.colour("measured");
+    for (const p of this.measured) {
+      ctx.beginPath();
+      ctx.arc(u.valToPos(p[0], "x", true), u.valToPos(p[AREA], "y", true),
+        3.5 * devicePixelRatio, 0, 7);
+      ctx.fill();
+    }
     ctx.restore();
   }
 

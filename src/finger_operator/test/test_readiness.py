@@ -1,0 +1,116 @@
+"""What the page says is wrong: within a second, with the remedy, and only what a trial needs."""
+
+from __future__ import annotations
+
+from finger_common.diagnostics import ERROR, OK, WARN
+from finger_operator.page.readiness import Readiness, refusal
+
+NODES = ("force", "camera", "vision", "moisture", "model", "recorder", "protocol")
+
+
+class Rig:
+    """A rig on a clock that the test moves."""
+
+    def __init__(self) -> None:
+        self.board = Readiness()
+        self.now = 0.0
+        self.silent: set[str] = set()
+
+    def run(self, seconds: float) -> None:
+        """Let everything that is not silent send."""
+        for _ in range(round(seconds / 0.05)):
+            self.now += 0.05
+            for stream in {"force", "area", "model"} - self.silent:
+                self.board.sample(stream, self.now)
+            for node in NODES:
+                if node not in self.silent:
+                    self.board.beat(node, self.now)
+
+    def tare(self, tared: str = "yes") -> None:
+        values = {"tared": tared}
+        self.board.report("force", "finger/force: sensor", OK, "active", values, self.now)
+
+    @property
+    def texts(self) -> list[str]:
+        return [problem.text for problem in self.board.problems(self.now)]
+
+
+def ready() -> Rig:
+    rig = Rig()
+    rig.run(1.0)
+    rig.tare()
+    rig.run(0.1)
+    assert rig.texts == []
+    return rig
+
+
+def test_nothing_is_ready_before_it_was_seen() -> None:
+    assert Rig().texts == ["The protocol is not running.", "The force driver is not running."]
+
+
+def test_silent_streams_and_dead_nodes_show_within_a_second() -> None:
+    for silent, text in (
+        ({"force"}, "The force driver is not running."),
+        ({"camera", "area"}, "The camera driver is not running."),
+        ({"vision", "area"}, "The measurement of the area is not running."),
+        ({"moisture"}, "The moisture driver is not running."),
+        ({"recorder"}, "The recorder is not running."),
+        ({"model"}, "The model is not running."),
+        ({"protocol"}, "The protocol is not running."),
+    ):
+        rig = ready()
+        rig.silent = silent
+        rig.run(1.0)
+        assert rig.texts == [text], silent
+        assert text in refusal(rig.board.problems(rig.now))
+        rig.silent = set()
+        rig.run(0.2)
+        if silent == {"force"}:
+            rig.tare()
+        assert rig.texts == [], silent
+
+
+def test_an_unplugged_sensor_is_named_with_what_its_driver_says() -> None:
+    rig = ready()
+    rig.board.sample("force", rig.now)
+    for _ in range(20):
+        rig.now += 0.05
+        for node in NODES:
+            rig.board.beat(node, rig.now)
+        rig.board.sample("area", rig.now)
+    assert rig.texts[0] == "No force."
+    rig.board.report("force", "force: sensor", ERROR, "no reply from the board", {}, rig.now)
+    problem = rig.board.problems(rig.now)[0]
+    assert problem.text == "No force: no reply from the board."
+    assert problem.age is not None and 0.9 < problem.age < 1.2
+    assert "cable" in problem.remedy
+    assert len(rig.texts) == 1, "the model's silence follows from it"
+
+
+def test_a_driver_that_started_again_has_no_zero() -> None:
+    rig = ready()
+    rig.tare("no")
+    assert rig.texts == ["Tare needed."]
+    rig.tare()
+    rig.silent = {"force"}
+    rig.run(2.0)
+    rig.silent = set()
+    rig.run(0.1)
+    assert rig.texts == ["Looking for the force sensor's zero."], "it may have started again"
+    rig.tare("no")
+    assert rig.texts == ["Tare needed."]
+    assert "press Tare" in refusal(rig.board.problems(rig.now))
+
+
+def test_warnings_do_not_stop_a_trial_and_devices_that_were_never_there_are_not_missed() -> None:
+    rig = ready()
+    rig.board.report("model", "model: inputs", WARN, "moisture outside", {}, rig.now)
+    assert rig.texts == []
+    rig.board.report("recorder", "recorder: recording", ERROR, "disk full", {}, rig.now)
+    assert rig.texts == ["Recorder: disk full."]
+    small = Rig()
+    for _ in range(3):
+        small.now += 0.1
+        small.board.beat("protocol", small.now)
+        small.board.sample("force", small.now)
+    assert small.texts == [], "a driver of another make has no heartbeat and no tare"
