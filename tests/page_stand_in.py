@@ -103,6 +103,7 @@ class StandIn:
             for n in ("camera", "force", "model", "moisture", "protocol", "recorder", "vision")
         ]  # fmt: skip
         self.curves = CurveMemory()
+        self._lock = threading.Lock()
         self.server = PageServer(PageSettings(port=port, token=token), self._command)
         self._end = threading.Event()
         self._last: dict[str, float] = {}
@@ -121,7 +122,9 @@ class StandIn:
 
     async def _command(self, name: str, arguments: dict[str, Any]) -> tuple[bool, str]:
         if name == "curves":
-            self.server.publish("curves", self.curves.snapshot())
+            with self._lock:
+                curves = self.curves.snapshot()
+            self.server.publish("curves", curves)
             return True, ""
         self.commands.append((name, arguments))
         return self.answers.get(name, (True, f"did {name}"))
@@ -134,13 +137,15 @@ class StandIn:
         """Show a cue."""
         now = time.time_ns()
         self.server.publish_cue(now, {"phase": phase, "index": 2, "time": now * 1e-9, **fields})
-        if phase == "press":
-            self.curves.press_begins(2, now * 1e-9)
-        elif phase != "lift":
-            self.curves.press_ends(now * 1e-9)
+        with self._lock:
+            if phase == "press":
+                self.curves.press_begins(2, now * 1e-9)
+            elif phase != "lift":
+                self.curves.press_ends(now * 1e-9)
 
     def _draw(self, kind: str, point: list[Any]) -> None:
-        self.curves.add(kind, point)
+        with self._lock:
+            self.curves.add(kind, point)
         self.server.publish_point(kind, point)
 
     def _feed(self) -> None:

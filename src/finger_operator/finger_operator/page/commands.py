@@ -39,6 +39,9 @@ COMMANDS: dict[str, dict[str, type]] = {
     },
 }
 
+OPTIONAL = {"age", "hand", "finger", "finger_width", "finger_depth", "order", "order_seed"}
+"""Arguments that may be left out; the protocol's parameters stay as they are."""
+
 
 def check_command(message: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
     """Name and checked arguments of a command; raises InputError naming what is wrong with it."""
@@ -47,11 +50,11 @@ def check_command(message: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
         raise InputError("no such command")
     given = message.get("arguments", {})
     wanted = COMMANDS[name]
-    if not isinstance(given, dict) or set(given) != set(wanted):
+    if not isinstance(given, dict) or not wanted.keys() - OPTIONAL <= given.keys() <= wanted.keys():
         raise InputError(f"command '{name}' takes the arguments {', '.join(wanted) or 'none'}")
     arguments = {}
-    for key, kind in wanted.items():
-        value: Any = given[key]
+    for key, value in given.items():
+        kind = wanted[key]
         if kind is float and type(value) is int:
             value = float(value)
         if not isinstance(value, kind) or isinstance(value, bool):
