@@ -232,7 +232,7 @@ export class Charts {
     }));
     $("third-unit").textContent = { loop: "", indentation: "mm", pressure: "kPa" }[this.third];
     const name = { loop: "contact area over normal force, measured and estimated",
-      indentation: "estimated indentation over time", pressure: "estimated mean and peak pressure" };
+      indentation: "estimated indentation over time", pressure: "estimated pressures" };
     $("third-plot").setAttribute("aria-label", name[this.third]);
     if (this.third === "loop") this.thirdChart = this.loopChart();
     else if (this.third === "indentation") {

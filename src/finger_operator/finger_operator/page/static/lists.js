@@ -47,7 +47,7 @@ export function showTrials(s, repeat) {
     const here = t.index === s.index && s.step !== "finished";
     const failed = t.verdict === "pending" && t.reason;
     const verdict = failed ? "failed" : t.verdict;
-    const word = verdict === "pending" ? (here ? "now" : "") : verdict === "done" ? "kept" : verdict;
+    const word = { pending: here ? "now" : "", done: "kept" }[verdict] ?? verdict;
     row.dataset.verdict = verdict;
     row.className = here ? "here" : "";
     [t.index + 1, t.condition,
