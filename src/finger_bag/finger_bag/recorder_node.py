@@ -134,7 +134,7 @@ class RecorderNode(ManagedNode):
         self._gaps: dict[str, StampGaps] = {}
         self._announced: dict[str, int] = {}
         self._host_clock = HostClock()
-        self._pauses = Pauses(1.0, 30.0)
+        self._pauses = Pauses(1.0, 3.0)
         self._next_attempt = self._last_attempt = self._next_reminder = 0.0
         self._service = self.create_service(Record, "~/record", self._on_record)
 
@@ -272,6 +272,8 @@ class RecorderNode(ManagedNode):
         lost = sum(recorder.lost.values())
         text = f"NOT RECORDING, {lost} messages lost so far: {recorder.interrupted}"
         self._health.fault("recording", text, ERROR)
+        # Before it is resumed: also a short interruption is reported.
+        self.publish_diagnostics()
         if now >= self._next_reminder:
             self._next_reminder = now + _REMINDER
             self.get_logger().error(text)

@@ -268,6 +268,30 @@ def test_the_node_says_so_until_it_records_again(
     executor.shutdown()
 
 
+def test_an_interruption_that_can_be_resumed_at_once_is_reported_first(
+    node: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from rclpy.executors import SingleThreadedExecutor
+
+    executor = SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    published: list[tuple[int, str]] = []
+
+    def publish() -> None:
+        report = node.healths[0].report()
+        published.append((report.level, report.message))
+
+    monkeypatch.setattr(node, "publish_diagnostics", publish)
+    shutil.rmtree(node._recorder.path)
+    wait_for(
+        lambda: len(node._recorder.parts) == 2,
+        "the continuation",
+        lambda: executor.spin_once(timeout_sec=0.05),
+    )
+    assert any(level == 2 and text.startswith("NOT RECORDING") for level, text in published)
+    executor.shutdown()
+
+
 def test_bags_without_a_name_never_meet_and_stay_in_the_folder(node: Any, tmp_path: Path) -> None:
     session = {"condition": "../../evil/" + "x" * 300}
     names = set()
