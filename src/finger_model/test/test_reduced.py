@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -11,16 +12,16 @@ import pytest
 from finger_common.errors import InputError
 from finger_model.fem.full_order import FullOrderModel
 from finger_model.geometry import Geometry
-from finger_model.laws import LAWS
+from finger_model.laws import LAWS, GeneralizedMaxwell, from_branches
 from finger_model.laws.standard_linear_solid import PARAMETERS
 from finger_model.material import Material
 from finger_model.reduced import ReducedModel
-from finger_model.reduced.error import GOAL_RMS, GOAL_WORST, error_table
+from finger_model.reduced.error import GOAL_RMS, GOAL_WORST, error_table, pair_error
 from finger_model.reduced.force_histories import (
     random_history,
     random_parameters,
 )
-from finger_model.reduced.training_runs import Run, held_out_case, run_case
+from finger_model.reduced.training_runs import Run, branch_case, held_out_case, run_case
 
 NATURAL = np.array([140e3, 22.35e3, 0.5, 1795e3])
 SEED = 909
@@ -197,8 +198,57 @@ def test_a_file_of_another_law_is_refused(
         name = "other"
 
     monkeypatch.setattr(LAWS, "_loaded", {"other": OtherLaw})
-    with pytest.raises(InputError, match=r"built for the law 'other'.*'standard_linear_solid'"):
+    with pytest.raises(InputError, match=r"trained on the law 'other'.*'standard_linear_solid'"):
         ReducedModel(model.arrays, {**model.meta, "law": "other"})
+
+
+def branched(*branches: tuple[float, float]) -> GeneralizedMaxwell:
+    """The natural finger's tissue with other branches (fraction, relaxation time)."""
+    listed = [{"fraction": fraction, "tau": tau} for fraction, tau in branches]
+    values = {"E0": NATURAL[0], "E2": NATURAL[3], "branches": listed}
+    return from_branches(values, "material")
+
+
+def test_one_branch_is_the_standard_linear_solid(model: ReducedModel) -> None:
+    solid = Material()
+    (branch,) = solid.branches
+    material = branched(branch)
+    time, force = random_history(np.random.default_rng(3), "reload")
+    expected = model.simulate(solid, time, force)
+    found = model.for_law(type(material)).simulate(material, time, force)
+    assert found.area == pytest.approx(expected.area, rel=1e-9)
+    assert found.indentation == pytest.approx(expected.indentation, rel=1e-9)
+
+
+def test_branches_of_one_time_act_as_their_sum(model: ReducedModel) -> None:
+    time, force = random_history(np.random.default_rng(4), "hold")
+    one, three = branched((0.7, 0.1)), branched((0.3, 0.1), (0.3, 0.1), (0.1, 0.1))
+    expected = model.for_law(type(one)).simulate(one, time, force).area
+    found = model.for_law(type(three)).simulate(three, time, force).area
+    assert found == pytest.approx(expected, rel=1e-9)
+
+
+def test_branches_that_no_training_saw_follow_the_full_order(model: ReducedModel) -> None:
+    """2, 3 and 4 branches of 1 ms … 10 s; `verify --reduced --branches` prints many more."""
+    full = FullOrderModel()
+    for index in (4, 8, 15):
+        run, _ = run_case(full, branch_case(SEED, index), None, model.friction)
+        error = pair_error(model, run)
+        assert error is not None
+        assert error.rms < 0.01
+        assert error.worst < 0.03
+        assert error.indentation < 0.05
+
+
+def test_a_stiffening_tissue_and_a_long_term_modulus_out_of_range_are_refused(
+    model: ReducedModel,
+) -> None:
+    stiff = dataclasses.replace(branched((0.3, 0.01), (0.4, 1.0)), stiffening=1.0)
+    with pytest.raises(InputError, match=r"'stiffening' is 1.*--solver full"):
+        model.for_law(type(stiff)).simulate(stiff, *ramp())
+    soft = branched((0.5, 0.01), (0.49, 1.0))
+    with pytest.raises(InputError, match=r"long-term modulus.*--solver full"):
+        model.for_law(type(soft)).simulate(soft, *ramp())
 
 
 def test_a_wrong_number_of_parameters_is_refused(model: ReducedModel) -> None:

@@ -111,10 +111,8 @@ def _reduced(
     from ..reduced.model import ReducedModel
 
     try:
-        if not isinstance(material, StandardLinearSolid):
-            raise InputError(f"law '{material.name}' has no reduced model; use --solver full")
         model = ReducedModel.load(arguments.reduced_model, geometry=geometry)
-        return model.simulate(material, time, force)
+        return model.for_law(type(material)).simulate(material, time, force)
     except InputError as error:
         if arguments.solver == "reduced" or arguments.reduced_model:
             raise

@@ -25,6 +25,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--wide", action="store_true", help="over the whole range of parameters and 0–3 N instead"
     )
+    parser.add_argument(
+        "--branches",
+        action="store_true",
+        help="for generalised Maxwell laws of 2 to 4 branches of 1 ms to 10 s instead",
+    )
     parser.add_argument("--workers", type=int, default=2, help="processes (default: 2)")
     parser.add_argument(
         "--error-plot", metavar="PNG", help="draw the distribution and the worst pair"
@@ -36,14 +41,26 @@ def run(arguments: argparse.Namespace) -> int:
     from .. import figures
     from ..reduced.error import error_table
     from ..reduced.model import ReducedModel
-    from ..reduced.training_runs import held_out_case, pool, run_all, wide_held_out_case
+    from ..reduced.training_runs import (
+        branch_case,
+        held_out_case,
+        pool,
+        run_all,
+        wide_held_out_case,
+    )
 
     if arguments.checks or arguments.output:
         raise InputError("--reduced runs no other check and writes no page: leave out CHECK and -o")
     if arguments.pairs < 6:
         raise InputError(f"--pairs is {arguments.pairs}, 6 or more are needed")
     model = ReducedModel.load(arguments.reduced_model)
-    make = wide_held_out_case if arguments.wide else held_out_case
+    if arguments.wide and arguments.branches:
+        raise InputError("--wide and --branches are different sets of pairs: give one of them")
+    make = held_out_case
+    if arguments.wide:
+        make = wide_held_out_case
+    elif arguments.branches:
+        make = branch_case
     cases = [make(SEED, i) for i in range(arguments.pairs)]
     refinement = float(model.settings.get("refinement", 1.0))
     runs = []
@@ -61,6 +78,6 @@ def run(arguments: argparse.Namespace) -> int:
         limit = model.range["force"][1]
         found = model.simulate(case.parameters, case.time, np.minimum(case.force, limit))
         figures.error_distribution(table, case, found, arguments.error_plot)
-    if arguments.wide:
+    if arguments.wide or arguments.branches:
         return 0
     return 0 if table.share_within() >= 0.99 and table.none_beyond() else 1

@@ -159,9 +159,11 @@ def _subclass(count: int) -> type[GeneralizedMaxwell]:
     return dataclass(frozen=True, kw_only=True)(cls)
 
 
-GeneralizedMaxwell1, GeneralizedMaxwell2, GeneralizedMaxwell3, GeneralizedMaxwell4 = map(
-    _subclass, TIMES
-)
+LAWS_BY_BRANCHES = {count: _subclass(count) for count in TIMES}
+GeneralizedMaxwell1 = LAWS_BY_BRANCHES[1]
+GeneralizedMaxwell2 = LAWS_BY_BRANCHES[2]
+GeneralizedMaxwell3 = LAWS_BY_BRANCHES[3]
+GeneralizedMaxwell4 = LAWS_BY_BRANCHES[4]
 
 
 def from_branches(data: Mapping[str, Any], where: str) -> GeneralizedMaxwell:
@@ -189,5 +191,4 @@ def from_branches(data: Mapping[str, Any], where: str) -> GeneralizedMaxwell:
             value = found[f"{key}_{k}"] = number(branch, key, place)
             if value <= 0:
                 raise InputError(f"{place}: '{key}' is {value:g}; {remedy}, or remove the branch")
-    law = (GeneralizedMaxwell1, GeneralizedMaxwell2, GeneralizedMaxwell3, GeneralizedMaxwell4)
-    return law[len(branches) - 1].from_dict(found, where)
+    return LAWS_BY_BRANCHES[len(branches)].from_dict(found, where)

@@ -124,6 +124,11 @@ class MaxwellLaw(ConstitutiveLaw):
         """The Maxwell branches, as many as INTERNAL_TENSORS."""
 
     @property
+    def instantaneous_modulus(self) -> float:
+        """E0 = 2 (1 + ν) G0 in Pa: Young's modulus under a sudden small strain."""
+        return 2.0 * (1.0 + self.poisson_ratio_bulk) * self.instantaneous_shear_modulus
+
+    @property
     def long_term_fraction(self) -> float:
         """G∞/G0 = 1 − Σ G_k/G0."""
         return 1.0 - sum(branch.fraction for branch in self.branches)

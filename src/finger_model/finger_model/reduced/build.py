@@ -227,4 +227,11 @@ def _runs(
     for file in files:
         with np.load(file, allow_pickle=False) as archive:
             values = {key: archive[key] for key in archive.files}
-        yield Run(**{**values, "kind": str(values["kind"]), "failed": float(values["failed"])})
+        yield Run(
+            **{
+                **values,
+                "kind": str(values["kind"]),
+                "failed": float(values["failed"]),
+                "law": str(values["law"]),
+            }
+        )

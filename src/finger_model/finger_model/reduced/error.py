@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..laws.standard_linear_solid import PARAMETERS
+from ..laws import law_of
 from .model import ReducedModel
 from .training_runs import Run
 
@@ -26,6 +26,7 @@ class PairError:
     """Errors of one pair, as shares of the history's largest value; area: RMS and worst instant."""
 
     kind: str
+    law: str
     parameters: np.ndarray
     rms: float
     worst: float
@@ -96,7 +97,7 @@ class ErrorTable:
             row = np.percentile(100 * part._column("rms"), [50, 90, 99, 100])
             lines.append(f"  {kind + ', area RMS':22s}" + "".join(f"{v:8.2f}" for v in row))
         worst = self.worst()
-        values = zip(PARAMETERS, worst.parameters)
+        values = zip(law_of(worst.law).PARAMETERS, worst.parameters)
         named = ", ".join(f"{p.symbol} {p.text(value)} {p.display_unit}" for p, value in values)
         lines.append(
             f"worst pair: {worst.kind}, {named}: RMS {100 * worst.rms:.2f} %, "
@@ -111,6 +112,7 @@ class ErrorTable:
 
 def pair_error(model: ReducedModel, run: Run) -> PairError | None:
     """Error along one run; None when fewer than three of its rows count."""
+    model = model.for_law(law_of(run.law))
     limit = model.force_limit(run.parameters)
     counted = (run.force >= COUNTED_FORCE) & (np.maximum.accumulate(run.force) <= limit)
     if np.sum(counted) < 3:
@@ -122,6 +124,7 @@ def pair_error(model: ReducedModel, run: Run) -> PairError | None:
     at = int(np.argmax(np.abs(error)))
     return PairError(
         run.kind,
+        run.law,
         run.parameters,
         float(np.sqrt(np.mean(error**2))),
         float(np.abs(error).max()),

@@ -7,10 +7,10 @@ form,
     drive    (δ/L, c)                            = N₁(x, a; ln E2/E0)
     contact  (ln(A / (L² x²)), ln(p_max/p_mean)) = N₂(x, a, q; ln E2/E0)
 
-give indentation δ and drive c of the internal strain, area A and peak over mean pressure. The state
-follows
+give indentation δ and drive c = d − a of the internal strain, area A and peak over mean pressure.
+All Maxwell branches (g_b, τ_b) share the total strain d, and the state follows
 
-    τ1 da_i/dt = (E0/E1) c_i − a_i                         (the paper's eq. 2 in the coordinates a)
+    τ_b da_b/dt = g_b d − a_b,   a = Σ a_b                 (exact, see `training_runs`)
     dq_j = (sgn(dδ) − q_j) |d ln δ| / β_j,  q = 1 in the air   (stick after a reversal of the load)
 
 with the exponential integrator for a drive that is linear within a step, implicit in a. A step of
@@ -18,9 +18,9 @@ the caller is divided where the force changes much. No `fastmath`: the order of 
 that of the source, so that a value does not depend on whether it came from a stream or a batch.
 
 The kernels work on four records, whose dtypes `record_types` gives for the sizes of a model: `net`
-(both networks), `par` (one parameter set), `state` (one finger) and `work` (scratch; holds nothing
-between calls). Functions without a leading underscore take each record as an array of one element.
-Widths of layers are multiples of four: four rows of a layer are added at a time.
+(both networks), `par` (one parameter set), `state` (one finger) and `work` (scratch;
+holds nothing between calls). Functions without a leading underscore take each record as an array of
+one element. Widths of layers are multiples of four: four rows of a layer are added at a time.
 """
 
 from __future__ import annotations
@@ -34,12 +34,17 @@ from numba import njit, prange
 CONTACT_OUTPUTS = 2
 """Outputs of the contact network; the drive network has 1 + k."""
 
+MOST_BRANCHES = 4
+
 SHIFT_LOG, SHIFT_RATIO = 0.03, 0.1
 """The networks' inputs are x, ln(x + SHIFT_LOG), a and a/(x + SHIFT_RATIO): a flattens at small
 loads."""
 
 _SUBSTEP = 0.15
 _MOST_SUBSTEPS = 4
+_MOST_ITERATIONS = 6
+_CONVERGED = 1e-7
+"""Of the amplitudes in Newton's method; they are of the order of 0.1."""
 _DELTA_FLOOR = 0.01
 """Smallest δ/L that counts for the friction state."""
 
@@ -80,8 +85,9 @@ def record_types(latents: int, frictions: int, drive_width: int, contact_width: 
             [
                 ("length", "f8"),  # L in m
                 ("force_scale", "f8"),  # E0 L² in N
-                ("tau", "f8"),  # τ1 in s
-                ("modulus_ratio", "f8"),  # E0/E1
+                ("branches", "i8"),  # how many
+                ("fraction", "f8", (MOST_BRANCHES,)),  # g
+                ("tau", "f8", (MOST_BRANCHES,)),  # in s
                 ("force_limit", "f8"),  # N
                 ("drive_bias", "f8", (drive_width,)),  # first layer, with ln E2/E0 in it
                 ("drive_at_rest", "f8", (1 + k,)),
@@ -95,7 +101,8 @@ def record_types(latents: int, frictions: int, drive_width: int, contact_width: 
                 ("area_force_slope", "f8"),  # dA/dF in m²/N
                 ("indentation", "f8"),  # m
                 ("peak_pressure", "f8"),  # Pa
-                ("amplitudes", "f8", (k,)),  # a
+                ("branches", "f8", (MOST_BRANCHES, k)),  # a_b
+                ("amplitudes", "f8", (k,)),  # a, their sum
                 ("friction", "f8", (m,)),  # q
                 ("drive", "f8", (1 + k,)),  # δ/L and c at this state
             ]
@@ -103,6 +110,8 @@ def record_types(latents: int, frictions: int, drive_width: int, contact_width: 
         work=np.dtype(
             [
                 ("trial", "f8", (k,)),
+                ("base", "f8", (k,)),
+                ("weights", "f8", (3, MOST_BRANCHES)),
                 ("residual", "f8", (k,)),
                 ("drive", "f8", (1 + k,)),
                 ("jacobian", "f8", (k, k)),
@@ -251,51 +260,91 @@ def _solve(matrix, right):
 
 
 @njit(cache=True)
+def _branch_weights(par, work, dt):
+    """Weights e, g α and g β of each branch for a step of dt (s), into work.weights.
+
+    a_b after the step is e a_b + g α d before + g β d after.
+    """
+    for b in range(par.branches):
+        h = dt / par.tau[b]
+        decay = math.exp(-h)
+        if h > 1e-4:
+            new = 1.0 + math.expm1(-h) / h
+            old = -math.expm1(-h) - new
+        else:
+            new = h / 2 - h * h / 6
+            old = h / 2 - h * h / 3
+        work.weights[0, b] = decay
+        work.weights[1, b] = par.fraction[b] * old
+        work.weights[2, b] = par.fraction[b] * new
+
+
+@njit(cache=True)
+def _strain(net, par, state, work, x):
+    """Internal strain at the end of a step to x, by Newton's method from the weights in `work`.
+
+    Solves a = Σ e_b a_b + Σ g α d + Σ g β (c(a) + a); stable for any ratio of step and τ.
+    """
+    a, trial, residual, base = state.amplitudes, work.trial, work.residual, work.base
+    k = len(a)
+    weights = work.weights
+    old = 0.0
+    new = 0.0
+    for b in range(par.branches):
+        old += weights[1, b]
+        new += weights[2, b]
+    # state.drive is still that of the start of the step.
+    for i in range(k):
+        base[i] = old * (state.drive[1 + i] + a[i])
+        for b in range(par.branches):
+            base[i] += weights[0, b] * state.branches[b, i]
+        trial[i] = a[i]
+    for _ in range(_MOST_ITERATIONS):
+        _drive(net, par, work, x, trial, work.drive)
+        _drive_jacobian(net, work, x)
+        for i in range(k):
+            residual[i] = base[i] + new * (work.drive[1 + i] + trial[i]) - trial[i]
+            for j in range(k):
+                work.jacobian[i, j] *= -new
+            work.jacobian[i, i] += 1.0 - new
+        _solve(work.jacobian, residual)
+        largest = 0.0
+        for i in range(k):
+            trial[i] += residual[i]
+            largest = max(largest, abs(residual[i]))
+        if largest < _CONVERGED:
+            break
+    for i in range(k):
+        before = state.drive[1 + i] + a[i]
+        after = (trial[i] - base[i]) / new if new > 0.0 else 0.0
+        a[i] = 0.0
+        for b in range(par.branches):
+            state.branches[b, i] = (
+                weights[0, b] * state.branches[b, i]
+                + weights[1, b] * before
+                + weights[2, b] * after
+            )
+            a[i] += state.branches[b, i]
+    # At the very amplitudes of the state, so that `_refresh` finds the same bits.
+    _drive(net, par, work, x, a, state.drive)
+
+
+@njit(cache=True)
 def _advance(net, par, state, work, dt, force):
     """Advance by dt (s) to `force` (N), reached linearly from the force before.
 
-    The force is clipped to 0 … force_limit. The end of a step solves
-    a₁ = e^(−h) a₀ + (E0/E1)(w₀ c₀ + w₁ c(a₁)) by Newton's method, which is stable for any ratio h
-    of step and τ1.
+    The force is clipped to 0 … force_limit.
     """
-    a, q, trial, residual = state.amplitudes, state.friction, work.trial, work.residual
-    k = len(a)
+    q = state.friction
     end = min(max(force, 0.0), par.force_limit)
     start = state.force
-    scale = 1.0 / par.force_scale
-    jump = abs((end * scale) ** (1.0 / 3.0) - (start * scale) ** (1.0 / 3.0))
+    jump = abs((end / par.force_scale) ** (1.0 / 3.0) - (start / par.force_scale) ** (1.0 / 3.0))
     steps = min(1 + int(jump / _SUBSTEP), _MOST_SUBSTEPS)
-    h = dt / steps / par.tau
-    decay = math.exp(-h)
-    if h > 1e-4:
-        new = 1.0 + math.expm1(-h) / h
-    else:
-        new = h / 2 - h * h / 6
-    old = par.modulus_ratio * (-math.expm1(-h) - new)
-    new *= par.modulus_ratio
+    _branch_weights(par, work, dt / steps)
     for step in range(1, steps + 1):
-        f = start + (end - start) * step / steps
-        x = (f * scale) ** (1.0 / 3.0)
-        # state.drive is still that of the start of this step.
-        for i in range(k):
-            trial[i] = a[i]
+        f = start + (end - start) * step / steps if step < steps else end
         delta = state.drive[0]
-        for _ in range(1 if new < 0.2 else 2):
-            _drive(net, par, work, x, trial, work.drive)
-            _drive_jacobian(net, work, x)
-            for i in range(k):
-                residual[i] = (
-                    a[i] * decay + old * state.drive[1 + i] + new * work.drive[1 + i] - trial[i]
-                )
-                for j in range(k):
-                    work.jacobian[i, j] *= -new
-                work.jacobian[i, i] += 1.0
-            _solve(work.jacobian, residual)
-            for i in range(k):
-                trial[i] += residual[i]
-        for i in range(k):
-            a[i] = trial[i]
-        _drive(net, par, work, x, a, state.drive)
+        _strain(net, par, state, work, (f / par.force_scale) ** (1.0 / 3.0))
         if f > 0.0:
             change = math.log(max(state.drive[0], _DELTA_FLOOR) / max(delta, _DELTA_FLOOR))
             sign = 1.0 if change > 0.0 else -1.0
@@ -354,8 +403,8 @@ def _refresh(net, par, state, work):
 def _rest(net, par, state, work):
     """Put the state at rest: no load, no internal strain."""
     state.force = 0.0
-    for i in range(len(state.amplitudes)):
-        state.amplitudes[i] = 0.0
+    state.amplitudes[:] = 0.0
+    state.branches[:, :] = 0.0
     for j in range(len(state.friction)):
         state.friction[j] = 1.0
     _refresh(net, par, state, work)

@@ -18,7 +18,7 @@ from finger_common.files import atomic_write, parse_json, parse_npz, read_bytes,
 
 from ..geometry import Geometry
 from ..history import ContactHistory, ContactPoint, check_force_history
-from ..laws import ConstitutiveLaw, ParameterSpace, StandardLinearSolid, law_of
+from ..laws import ConstitutiveLaw, MaxwellLaw, ParameterSpace, StandardLinearSolid, law_of
 from . import kernels as rk
 
 FORMAT = 2
@@ -27,7 +27,7 @@ FORMAT = 2
 SHIPPED = "reduced_default.npz"
 
 LAW = StandardLinearSolid
-"""The law whose equations the kernels solve."""
+"""The law that models are trained on; their maps hold for any branches (see `training_runs`)."""
 
 
 class _Folded(NamedTuple):
@@ -49,34 +49,41 @@ class ReducedState:
 
 
 class ReducedModel:
-    """Reduced model of one geometry and one material law.
+    """Reduced model of one geometry, for one material law.
 
-    geometry, law: what it was built for; geometry_hash: of the geometry; hash: of the file's
+    law: StandardLinearSolid, on which it was trained, or another law of Maxwell branches (see
+    `for_law`). geometry: what it was built for; geometry_hash: of the geometry; hash: of the file's
     numbers; range: dict of the parameters' (low, high) and of "force"; measured_error: what
     `finger-model verify --reduced` found when it was built; settings: of the build. Raises
     InputError for arrays that do not belong together.
     """
 
-    def __init__(self, arrays: dict[str, np.ndarray], meta: dict[str, Any]) -> None:
+    def __init__(
+        self,
+        arrays: dict[str, np.ndarray],
+        meta: dict[str, Any],
+        law: type[MaxwellLaw] | None = None,
+    ) -> None:
         try:
             self.arrays = {k: np.ascontiguousarray(v, dtype=float) for k, v in arrays.items()}
             self.meta = meta
             self.geometry = Geometry.from_dict(meta["geometry"], "reduced model")
             self.geometry_hash = str(meta["geometry_hash"])
-            self.range = {k: (float(v[0]), float(v[1])) for k, v in meta["range"].items()}
+            self._box = {k: (float(v[0]), float(v[1])) for k, v in meta["range"].items()}
             self.measured_error = dict(meta["measured_error"])
             self.settings = dict(meta["settings"])
             self.friction = float(meta["friction"])
-            self.law = law_of(str(meta.get("law", "")))
+            trained_on = law_of(str(meta.get("law", "")))
+            self.law = law or LAW
             self._prepare()
         except (KeyError, TypeError, ValueError, IndexError) as error:
             raise InputError(
                 f"reduced model: the file is not complete ({error}); build it again with "
                 "'finger-model reduce'"
             ) from None
-        if self.law is not LAW:
+        if trained_on is not LAW:
             raise InputError(
-                f"reduced model: built for the law '{self.law.name}'; only reduced models of "
+                f"reduced model: trained on the law '{trained_on.name}'; only reduced models of "
                 f"'{LAW.name}' can be run, use --solver full"
             )
         if self.geometry.hash() != self.geometry_hash:
@@ -95,7 +102,26 @@ class ReducedModel:
         """Fixed properties of the material that it was built for, as in material.yaml."""
         properties = {**self.law().to_dict(), **self.meta.get("fixed", {})}
         properties["friction"] = self.friction
-        return {name: value for name, value in properties.items() if name not in self.space}
+        return {name: properties[name] for name in self.law.keys() if name not in self.space}
+
+    @property
+    def range(self) -> dict[str, tuple[float, float]]:
+        """(low, high) of each parameter of the law, and of "force" in N."""
+        found = {}
+        for spec in self.space:
+            found[spec.name] = self._box.get(spec.name, spec.range)
+        if "stiffening" in self.space:
+            found["stiffening"] = (0.0, 0.0)
+        return {**found, "force": self._box["force"]}
+
+    def for_law(self, law: type[ConstitutiveLaw]) -> ReducedModel:
+        """The same model for another law of Maxwell branches; raises InputError for other laws."""
+        if not issubclass(law, MaxwellLaw):
+            raise InputError(
+                f"material: the law is '{law.name}', the reduced model is made for laws of Maxwell "
+                "branches; use --solver full"
+            )
+        return self if law is self.law else ReducedModel(self.arrays, self.meta, law)
 
     @property
     def material(self) -> ConstitutiveLaw:
@@ -204,16 +230,18 @@ class ReducedModel:
 
     def constants(self, parameters: np.ndarray | ConstitutiveLaw) -> np.ndarray:
         """The kernels' record (1,) of one parameter set; raises InputError for bad parameters."""
-        vector = self._vector(parameters)
-        E0, E1, tau1, E2 = vector
+        material = self._material(parameters)
         length = self.geometry.pad_semi_axis_radial
         record = np.zeros(1, self._types.parameters)
         record["length"] = length
-        record["force_scale"] = E0 * length**2
-        record["tau"] = tau1
-        record["modulus_ratio"] = E0 / E1
-        record["force_limit"] = self.force_limit(vector)
-        stiffness = math.log(E2 / E0)
+        record["force_scale"] = material.instantaneous_modulus * length**2
+        branches = material.branches
+        record["branches"] = len(branches)
+        for index, branch in enumerate(branches):
+            record["fraction"][0, index] = branch.fraction
+            record["tau"][0, index] = branch.relaxation_time
+        record["force_limit"] = self._limit_of(material)
+        stiffness = math.log(material.epidermis_modulus / material.instantaneous_modulus)
         for name in ("drive", "contact"):
             record[f"{name}_bias"] = self._first_bias[name] + stiffness * self._stiffness_row[name]
         # Indentation and drive at rest, which the kernels subtract.
@@ -234,12 +262,22 @@ class ReducedModel:
             parameters = parameters.vector()
         return self.space.checked(parameters)
 
+    def _material(self, parameters: np.ndarray | ConstitutiveLaw) -> MaxwellLaw:
+        found = self.material.with_vector(self._vector(parameters))
+        assert isinstance(found, MaxwellLaw)
+        if found.stiffening > 0:
+            raise InputError(
+                f"material: 'stiffening' is {found.stiffening:g}, the reduced model is made for 0; "
+                "use --solver full"
+            )
+        return found
+
     def _check_material(self, material: ConstitutiveLaw) -> None:
         """Refuse another law and other fixed properties than the model was built for."""
         if material.name != self.law.name:
             raise InputError(
-                f"material: the law is '{material.name}', the reduced model was built for "
-                f"'{self.law.name}'; use --solver full"
+                f"material: the law is '{material.name}', this reduced model is of "
+                f"'{self.law.name}'; use `for_law` or --solver full"
             )
         for name, built in self.fixed.items():
             value = getattr(material, name)
@@ -252,23 +290,30 @@ class ReducedModel:
     def out_of_range(self, parameters: np.ndarray | ConstitutiveLaw) -> list[str]:
         """Names of the parameters outside the range that the model was built for."""
         names = []
-        for name, value in zip(self.space.names, self._vector(parameters)):
+        vector = self._vector(parameters)
+        for name, value in zip(self.space.names, vector):
             low, high = self.range[name]
             if not low * (1 - 1e-9) <= value <= high * (1 + 1e-9):
                 names.append(name)
+        if not names and "E1" not in self.space:
+            # The long-term modulus that a standard linear solid of the range may have.
+            material = self._material(vector)
+            E1 = material.instantaneous_modulus / (1.0 / material.long_term_fraction - 1.0)
+            low, high = self._box["E1"]
+            if not low * (1 - 1e-9) <= E1 <= high * (1 + 1e-9):
+                names.append(self.space.names[1])
         return names
 
     def force_limit(self, parameters: np.ndarray | ConstitutiveLaw) -> float:
         """Largest force (N) that the model was built for with these parameters."""
-        E0, E1, _, E2 = self._vector(parameters)
-        length = self.geometry.pad_semi_axis_radial
+        return self._limit_of(self._material(parameters))
+
+    def _limit_of(self, material: MaxwellLaw) -> float:
+        E0, length = material.instantaneous_modulus, self.geometry.pad_semi_axis_radial
         c = self._limit
-        carried = (
-            E0
-            * length**2
-            * math.exp(c[0] + c[1] * math.log(E1 / (E0 + E1)) + c[2] * math.log(E2 / E0))
-        )
-        return min(self.range["force"][1], carried)
+        share, skin = material.long_term_fraction, material.epidermis_modulus / E0
+        carried = E0 * length**2 * math.exp(c[0] + c[1] * math.log(share) + c[2] * math.log(skin))
+        return min(self._box["force"][1], carried)
 
     # Use -------------------------------------------------------------------------------------
 
@@ -327,6 +372,12 @@ class ReducedModel:
         if outside:
             name = outside[0]
             low, high = self.range[name]
+            if low <= vector[self.space.index(name)] <= high:
+                low, high = self._box["E1"]
+                raise InputError(
+                    "material: the long-term modulus of the branches is that of an E1 outside the "
+                    f"reduced model's {low:g} … {high:g} Pa; use --solver full"
+                )
             raise InputError(
                 f"material: '{name}' is {vector[self.space.index(name)]:g}, outside the reduced "
                 f"model's {low:g} … {high:g}; use --solver full"

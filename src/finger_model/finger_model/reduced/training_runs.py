@@ -6,9 +6,11 @@ depends on E1 only through the field B. B is projected on fields φ_i (principal
 visited fields, volume-weighted):
 
     a_i = ⟨φ_i, B⟩,  b_i = ⟨φ_i, C̄⁻¹ − 1⟩,  c_i = b_i − a_i
-    dA/dt = (C̄⁻¹ − A)/τ, τ = τ1 r   ⇒   τ1 da_i/dt = (E0/E1) c_i − a_i    (exact, for every φ)
+    dA/dt = (C̄⁻¹ − A)/τ   ⇒   τ da_i/dt = (1 − r) b_i − a_i    (exact, for every φ)
 
-so only the maps (force, a, E2/E0) → c and → area, indentation, pressure are to be learned.
+so only the maps (force, a, E2/E0) → c and → area, indentation, pressure are to be learned. Several
+branches (g_b, τ_b) have B = Σ g_b (A_b − 1), and each its own a_ib with τ_b da_ib/dt = g_b b_i −
+a_ib: the maps, which see only the sum of the a_ib, are the same.
 """
 
 from __future__ import annotations
@@ -24,7 +26,8 @@ from finger_common.errors import ModelError
 from ..fem.full_order import FullOrderModel
 from ..fem.mesh import BULK
 from ..geometry import Geometry
-from ..laws import UNIT, Tissue
+from ..laws import UNIT, MaxwellLaw, Tissue, law_of
+from ..laws.generalized_maxwell import LAWS_BY_BRANCHES, TIME_RANGE
 from ..laws.standard_linear_solid import PARAMETERS, StandardLinearSolid
 from .force_histories import KINDS, random_history, random_parameters, training_parameters
 
@@ -34,20 +37,21 @@ COMPONENT_WEIGHTS = np.array([1.0, 1.0, 1.0, 2.0])
 
 @dataclass(frozen=True)
 class Case:
-    """One history to run: parameters (4,), time (n,), force (n,), kind."""
+    """One history to run: parameters (p,) of a law, time (n,), force (n,), kind."""
 
     parameters: np.ndarray
     time: np.ndarray
     force: np.ndarray
     kind: str
+    law: str = StandardLinearSolid.name
 
 
 @dataclass
 class Run:
     """What came out, up to the last row that converged.
 
-    parameters (4,); time, force, area, indentation, peak (n,) in SI; internal, total (n, k): a and
-    b; failed: the force (N) at which the finger carried no more, or NaN.
+    parameters (p,) of the law; time, force, area, indentation, peak (n,) in SI; internal, total
+    (n, k): a and b; failed: the force (N) at which the finger carried no more, or NaN.
     """
 
     parameters: np.ndarray
@@ -60,6 +64,7 @@ class Run:
     internal: np.ndarray
     total: np.ndarray
     failed: float
+    law: str = StandardLinearSolid.name
 
 
 def training_case(seed: int, index: int) -> Case:
@@ -93,6 +98,27 @@ def wide_held_out_case(seed: int, index: int) -> Case:
     return Case(random_parameters(rng, PARAMETERS.range), *random_history(rng, kind, peak), kind)
 
 
+def branch_case(seed: int, index: int) -> Case:
+    """The index-th held-out history of a generalised Maxwell law: 2–4 branches of 1 ms … 10 s.
+
+    Instantaneous and long-term modulus and E2 are those of the paper's box; no training has several
+    branches.
+    """
+    rng = np.random.default_rng([seed, index, 3])
+    E0, E1, _, E2 = random_parameters(rng, PARAMETERS.box)
+    law = LAWS_BY_BRANCHES[2 + index % 3]
+    count = law.INTERNAL_TENSORS
+    shares = rng.dirichlet(np.ones(count)) * E0 / (E0 + E1)
+    low, high = np.log(TIME_RANGE)
+    times = np.exp(rng.uniform(low, high, count))
+    values = {"E0": E0, "E2": E2, "stiffening": 0.0}
+    values |= {f"fraction_{k + 1}": share for k, share in enumerate(shares)}
+    values |= {f"tau_{k + 1}": time for k, time in enumerate(times)}
+    kind = KINDS[index // 3 % len(KINDS)]
+    vector = law.PARAMETERS.vector(values)
+    return Case(vector, *random_history(rng, kind), kind, law.name)
+
+
 def weight_of(model: FullOrderModel) -> np.ndarray:
     """Quadrature weights (E_bulk, 4, 1) of the bulk, over the pad's volume scale."""
     bulk = model.mesh.part == BULK
@@ -100,10 +126,12 @@ def weight_of(model: FullOrderModel) -> np.ndarray:
     return (model.equilibrium.elements.weight[bulk] / length**3)[:, :, None] * COMPONENT_WEIGHTS
 
 
-def internal_field(tissue: Tissue, material: StandardLinearSolid) -> tuple[np.ndarray, np.ndarray]:
+def internal_field(tissue: Tissue, material: MaxwellLaw) -> tuple[np.ndarray, np.ndarray]:
     """B and C̄⁻¹ − 1 (E_bulk, 4, 4) of the bulk tissue."""
-    share = material.E0 / (material.E0 + material.E1)
-    return share * (tissue.internal[0] - UNIT), tissue.c_bar_inverse - UNIT
+    found = np.zeros_like(tissue.c_bar)
+    for branch, internal in zip(material.branches, tissue.internal):
+        found += branch.fraction * (internal - UNIT)
+    return found, tissue.c_bar_inverse - UNIT
 
 
 def run_case(
@@ -113,7 +141,9 @@ def run_case(
 
     modes (k, E_bulk·16): already weighted.
     """
-    material = StandardLinearSolid(friction=friction).with_vector(case.parameters)
+    law = law_of(case.law)
+    assert issubclass(law, MaxwellLaw)
+    material = law(friction=friction).with_vector(case.parameters)
     stepper = model.start(material, float(case.time[0]))
     rows, internal, total, fields = [], [], [], []
     failed = np.nan
@@ -143,6 +173,7 @@ def run_case(
             np.array(internal).reshape(n, k),
             np.array(total).reshape(n, k),
             failed,
+            case.law,
         ),
         np.array(fields),
     )
