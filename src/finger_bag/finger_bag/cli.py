@@ -22,6 +22,7 @@ from .bag_files import find_bags
 from .read_settings import ReadSettings, add_read_options, read_settings_from
 from .recorder import RecorderSettings
 from .replay import ReplaySettings, lateness_text
+from .schema import full_name
 
 EXIT_CHECK_FAILS = 1
 EXIT_LOST = 1
@@ -158,6 +159,8 @@ def _play(args: argparse.Namespace) -> int:
             named = [_topic(reader, t) for t in args.topics or reader.info.topics]
             without = {_topic(reader, t) for t in args.exclude or ()}
             topics = [t for t in named if t not in without]
+        for topic in reader.info.topics if topics is None else topics:
+            full_name(topic)
         settings = settings_from(args, ReplaySettings)
         lateness = play(reader, settings, topics, args.clock, args.wait, args.reliability)
         problems, lost = reader.all_problems(), reader.lost

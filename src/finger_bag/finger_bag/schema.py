@@ -103,6 +103,9 @@ TOPICS: dict[str, TopicSpec] = {
 IMAGE_TOPICS = ("image_raw", "image_raw/compressed", "contact_image", "contact_image/compressed")
 """Topics that show the print: biometric data."""
 
+MAXIMUM_NAME = 247
+"""Characters of a topic name, as ROS allows."""
+
 _NAME = re.compile(r"/?[A-Za-z~_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 
 
@@ -114,8 +117,14 @@ def full_name(topic: str, namespace: str = NAMESPACE) -> str:
     if not _NAME.fullmatch(topic):
         raise InputError(f"'{topic}' is not a topic name; use letters, digits, '_' and '/'")
     if topic.startswith("/"):
-        return topic
-    return "/" + "/".join(part for part in (namespace.strip("/"), topic) if part)
+        name = topic
+    else:
+        name = "/" + "/".join(part for part in (namespace.strip("/"), topic) if part)
+    if len(name) > MAXIMUM_NAME:
+        raise InputError(
+            f"topic name '{name[:40]}…' has {len(name)} characters; use {MAXIMUM_NAME} at most"
+        )
+    return name
 
 
 def spec_of(topic: str) -> TopicSpec | None:

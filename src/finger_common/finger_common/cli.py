@@ -153,10 +153,12 @@ def settings_from(arguments: argparse.Namespace, cls: type[S]) -> S:
 
 
 def plain(text: object, longest: int = 1000) -> str:
-    """Text from outside for a terminal: what cannot be printed is escaped, a long one cut."""
+    """Text from outside for a terminal: what cannot be printed is escaped, the middle of
+    a long one left out.
+    """
     shown = str(text)
     if len(shown) > longest:
-        shown = f"{shown[: longest - 40]} … ({len(shown)} characters)"
+        shown = f"{shown[: longest // 2]} … {shown[-longest // 3 :]}"
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in shown)
 
 

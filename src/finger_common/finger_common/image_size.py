@@ -10,7 +10,7 @@ import struct
 
 from .errors import InputError
 
-FREE_PIXELS, PIXELS_PER_BYTE = 16 << 20, 10
+FREE_PIXELS, PIXELS_PER_BYTE = 10 << 20, 4
 """Pixels that any file may claim, and further ones for each of its bytes.
 
 A dark photograph has about 2 pixels a byte as JPEG and 1 as PNG.

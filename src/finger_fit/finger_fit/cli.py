@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from finger_common.axes import NORMAL_AXES
-from finger_common.cli import EXIT_INTERRUPTED, Parser, add_settings, run, settings_from
+from finger_common.cli import EXIT_INTERRUPTED, Parser, add_settings, plain, run, settings_from
 from finger_common.errors import InputError
 from finger_common.progress import Stages
 from finger_model.fem.area_model import FullOrderAreas
@@ -90,7 +91,7 @@ def summary(result: FitResult) -> Table:
     table = Table("condition", "trials", *headings, "J mm⁴", "J power law", "status")
     for name, fit in result.fits.items():
         table.add_row(
-            name,
+            Text(plain(name)),
             str(len(fit.problem)),
             *(q.text(fit.quantity(q.name)) for q in columns),
             three_digits(fit.cost * MM4),
@@ -118,11 +119,11 @@ def command(argv: Sequence[str] | None = None) -> int:
     console = Console(width=None if sys.stdout.isatty() else 160)
     console.print(summary(result))
     for exclusion in result.exclusions:
-        print(f"excluded: {exclusion.label}: {exclusion.reason}")
+        print(f"excluded: {plain(exclusion.label)}: {plain(exclusion.reason)}")
     for name, fit in result.fits.items():
         for reason in fit.reasons:
-            print(f"{name}: {fit.status}: {reason}")
-    print(f"report: {Path(args.output) / 'report.html'}")
+            print(f"{plain(name)}: {fit.status}: {plain(reason)}")
+    print(f"report: {plain(Path(args.output) / 'report.html')}")
     return EXIT_INTERRUPTED if result.interrupted else 0
 
 

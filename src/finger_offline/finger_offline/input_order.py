@@ -61,10 +61,10 @@ class InputOrder:
             yield moisture, values
 
     def wrenches_until(self, log_ns: int) -> Iterator[list[BagMessage]]:
-        """Take wrenches logged until then, in blocks."""
-        while self._wrenches and (self.full or self._wrenches[0].log_time_ns <= log_ns):
+        """Take wrenches logged until then, in blocks; earlier when too many wait."""
+        waiting = self._wrenches
+        while waiting and ((full := self.full) or waiting[0].log_time_ns <= log_ns):
             block: list[BagMessage] = []
-            late = self._wrenches[0].log_time_ns if self.full else log_ns
-            while self._wrenches and len(block) < BLOCK and self._wrenches[0].log_time_ns <= late:
-                block.append(self._wrenches.popleft())
+            while waiting and len(block) < BLOCK and (full or waiting[0].log_time_ns <= log_ns):
+                block.append(waiting.popleft())
             yield block

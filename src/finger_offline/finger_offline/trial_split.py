@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -26,6 +28,9 @@ from finger_model.paper import TARGET_FORCE
 from finger_vision.area_sensor import AREA_SENSORS
 
 from .trial_records import Exclusion, TrialRecord, TrialSet
+
+CONDITION = re.compile(r"(?:\w[\w .,+()%-]{0,63})?")
+"""Names of conditions; they name files of a fit too, so none may lead to another folder."""
 
 
 @dataclass(frozen=True)
@@ -153,6 +158,8 @@ def split(
         reason = press.reason
         if not reason and not len(record.area_stamp_ns):
             reason = "no contact area during the press"
+        if not CONDITION.fullmatch(record.condition):
+            reason = f"condition {record.condition[:40]!r} is no name of letters, digits, blanks, -"
         if reason:
             result.exclusions.append(Exclusion(bag, record.condition, record.index, reason))
         else:
@@ -262,7 +269,7 @@ def _record(
     near = (areas[0] >= onset - margin) & (areas[0] <= last + margin)
     event = press.event
     index = _integer(metadata.trial_index, number) if event is None else event.index
-    target = event.target_force if event is not None else _number(metadata.target_force)
+    target = _number(event.target_force if event is not None else metadata.target_force)
     return TrialRecord(
         bag=bag,
         session=(event.session if event else "") or metadata.session,
@@ -288,13 +295,14 @@ def _record(
 
 def _integer(text: str, default: int) -> int:
     try:
-        return int(text) + default
+        return int(text[:9]) + default
     except ValueError:
         return default
 
 
-def _number(text: str) -> float:
+def _number(text: str | float) -> float:
     try:
-        return float(text)
+        value = float(text)
     except ValueError:
         return 0.0
+    return value if math.isfinite(value) else 0.0

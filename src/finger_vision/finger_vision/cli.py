@@ -12,7 +12,7 @@ from typing import IO, Any, TypeVar
 
 import numpy as np
 
-from finger_common.cli import Parser, add_settings, run
+from finger_common.cli import Parser, add_settings, plain, run
 from finger_common.errors import InputError
 from finger_common.files import atomic_write
 from finger_common.flags import AreaFlag, flag_names
@@ -137,7 +137,7 @@ def _views(paths: Sequence[Path], board: Board, arguments: Any) -> list[View]:
         for name, image in images_of(path, arguments.topic, arguments.every):
             view = find_board(image, board, name)
             if view is None:
-                print(f"{name}: board not found, left out", file=sys.stderr)
+                print(f"{plain(name)}: board not found, left out", file=sys.stderr)
             else:
                 views.append(view)
     return views
@@ -158,13 +158,13 @@ def _calibrate(arguments: Any) -> int:
     calibration = report.calibration
     calibration.save(arguments.output)
     for name, error in report.view_errors.items():
-        print(f"{name}: {error:.3f} px")
+        print(f"{plain(name)}: {error:.3f} px")
     print(
         f"reprojection error {calibration.reprojection_error:.3f} px, on the plate "
         f"{calibration.plate_error * 1e6:.1f} µm; {calibration.area_per_pixel * 1e6:.6f} mm² per "
         "rectified pixel"
     )
-    print(f"written to {arguments.output}")
+    print(f"written to {plain(arguments.output)}")
     return 0
 
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
@@ -132,12 +135,27 @@ def read_signal(path: str | Path) -> np.ndarray:
         raise InputError(f"{path}: image cannot be read ({error.strerror})") from None
     check_image(content.data, str(path))
     try:
-        image = cv2.imdecode(content, cv2.IMREAD_UNCHANGED)
+        with _silent_libraries():
+            image = cv2.imdecode(content, cv2.IMREAD_UNCHANGED)
     except cv2.error:
         image = None
     if image is None:
         raise InputError(f"{path}: not an image that can be decoded; give PNG, TIFF, JPEG or BMP")
     return image
+
+
+@contextmanager
+def _silent_libraries() -> Iterator[None]:
+    """Keep what libpng and others print themselves from standard error: the reader says it."""
+    sys.stderr.flush()
+    kept, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(null)
 
 
 def read_image(path: str | Path) -> np.ndarray:

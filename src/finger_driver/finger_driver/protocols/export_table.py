@@ -10,6 +10,7 @@ import csv
 import datetime
 import io
 import math
+import zipfile
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,7 +21,10 @@ from finger_common.settings import Settings, setting
 
 MAX_BYTES = 20_000_000
 """Size of a file beyond which it is refused."""
-_MAX_ROWS = 100_000
+MAX_UNPACKED = 40_000_000
+"""Bytes that an XLSX file may unpack to."""
+
+_MAX_ROWS, _MAX_COLUMNS = 100_000, 50
 
 
 @dataclass(frozen=True)
@@ -133,12 +137,13 @@ def _xlsx(data: bytes, name: str, form: TableFormat) -> list[list[Any]]:
     import openpyxl
 
     try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            if sum(member.file_size for member in archive.infolist()) > MAX_UNPACKED:
+                raise ValueError("it unpacks to more than any export")
         book = openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True)
         sheet = book[form.export_sheet] if form.export_sheet else book.worksheets[0]
-        return [
-            list(cells)
-            for cells in sheet.iter_rows(max_row=_MAX_ROWS, max_col=200, values_only=True)
-        ]
+        rows = sheet.iter_rows(max_row=_MAX_ROWS, max_col=_MAX_COLUMNS, values_only=True)
+        return [list(cells) for cells in rows if any(cell is not None for cell in cells)]
     except Exception as error:
         # A damaged archive makes openpyxl raise almost anything.
         raise DeviceError(f"{name} is not a readable XLSX file ({type(error).__name__})") from None

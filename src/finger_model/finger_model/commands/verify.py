@@ -8,6 +8,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from finger_common.cli import plain
 from finger_common.errors import InputError
 
 from . import verify_published, verify_reduced
@@ -75,5 +76,5 @@ def run(arguments: argparse.Namespace) -> int:
                 f"  {colour}{measure.what}: {measure.value:.3g} {measure.unit} ({measure.limit()})"
             )
     if arguments.output:
-        console.print(f"written: {write_page(done, Path(arguments.output))}")
+        print(f"written: {plain(write_page(done, Path(arguments.output)))}")
     return 0 if all(check.passes for check in done) else EXIT_CHECK_FAILS

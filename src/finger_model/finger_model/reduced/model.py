@@ -146,6 +146,10 @@ class ReducedModel:
                 self.networks[name][key] = values
         self.work = np.zeros(1, self._types.work)
         self._limit = a["force_limit"]
+        if self._limit.shape != (3,) or np.abs(self._limit).max() > 20.0:
+            raise ValueError("force_limit is no fit of three exponents")
+        if not all(np.isfinite(values).all() for values in a.values()):
+            raise ValueError("an array holds what is no finite number")
         self.hash = sha256_of(
             {
                 "geometry": self.geometry_hash,

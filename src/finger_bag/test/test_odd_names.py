@@ -1,0 +1,123 @@
+"""Names that mean something to a terminal, a shell or a file system are text and no more."""
+
+from __future__ import annotations
+
+import io
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+from mcap.writer import Writer
+from session_bags import START, write_session
+
+from finger_bag.cli import command
+from finger_bag.definitions import encode
+from finger_bag.reader import open_bag
+from finger_bag.writer import BagWriter
+from finger_common.cli import run
+from finger_common.errors import InputError
+from finger_offline.trials import load_trials
+
+STRING = encode("std_msgs/msg/String", {"data": "hello"})
+
+
+def foreign_bag(path: Path, topic: str) -> None:
+    """A bag as another program may write it: any text as topic and as metadata."""
+    out = io.BytesIO()
+    writer = Writer(out)
+    writer.start("ros2")
+    schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data\n")
+    writer.add_message(writer.register_channel(topic, "cdr", schema), START, STRING, START)
+    good = writer.register_channel("/finger/chatter", "cdr", schema)
+    writer.add_message(good, START, STRING, START)
+    writer.add_metadata("finger_session", {topic: topic, "condition": topic})
+    writer.add_attachment(START, START, topic + ".csv", "text/csv", b"1")
+    writer.finish()
+    path.write_bytes(out.getvalue())
+
+
+@pytest.mark.parametrize(
+    "name", ["[/red]", "[bold", "a" * 300, "\x1b[2J", "$x_{", "../../evil", "é\u202e", "\\"]
+)
+def test_odd_topics_are_shown_and_never_obeyed(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "inside"
+    folder.mkdir()
+    path = folder / "bag.mcap"
+    foreign_bag(path, name)
+    for arguments, codes in (
+        (["info", str(path)], {0}),
+        (["info", "--json", str(path)], {0}),
+        (["validate", str(path)], {1}),
+        (["recover", str(path), "-o", str(folder / "out")], {0, 1}),
+        (["anonymise", str(path), "-o", str(folder / "other")], {2}),
+        (["process", str(path), "-o", str(folder / "processed")], {2}),
+        (["play", str(path), "--topics", name], {2}),
+    ):
+        assert run(command, arguments) in codes, arguments
+        text = capsys.readouterr()
+        assert "\x1b[2J" not in text.out + text.err and "Traceback" not in text.err
+        assert text.err.count("\n") <= 1
+    files = {str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*") if p.is_file()}
+    assert files == {
+        "inside/bag.mcap", "inside/out/metadata.yaml", "inside/out/out_0.mcap",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["[red]", "[bold", "bad\udcffname", "$(rm)"])
+def test_odd_file_names_are_shown(name: str, tmp_path: Path) -> None:
+    """In a process of its own: standard output of a strict encoding."""
+    folder = tmp_path / name
+    folder.mkdir()
+    path = write_session(folder / "bag", trials=1, rate=100)
+    call = [sys.executable, "-m", "finger_bag.cli", "info", os.fsencode(path)]
+    done = subprocess.run(call, capture_output=True, timeout=120)
+    assert done.returncode == 0 and not done.stderr, done.stderr
+    assert name.encode(errors="ignore")[:3] in done.stdout
+
+
+@pytest.mark.parametrize("name", ["a" * 300, "a/" * 3000, "bad\udcffname", "null\x00byte"])
+@pytest.mark.parametrize("act", ["info", "validate", "recover", "process", "anonymise"])
+def test_impossible_names_are_refused_in_one_sentence(
+    act: str, name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good = str(write_session(tmp_path / "bag", trials=1, rate=100))
+    output = ["-o", str(tmp_path / "x")] if act in ("recover", "process", "anonymise") else []
+    assert run(command, [act, str(tmp_path / name), *output]) == 2
+    if output:
+        assert run(command, [act, good, "-o", str(tmp_path / name)]) == 2
+    text = capsys.readouterr().err
+    assert text.count("\n") == (2 if output else 1) and "Traceback" not in text
+    assert {p.name for p in tmp_path.iterdir()} == {"bag"}
+
+
+def test_file_that_is_listed_twice_is_read_once(tmp_path: Path) -> None:
+    path = write_session(tmp_path / "bag", trials=1, rate=100)
+    with open_bag(path) as reader:
+        number = len(list(reader))
+    description = path / "metadata.yaml"
+    data = yaml.safe_load(description.read_text())
+    data["rosbag2_bagfile_information"]["relative_file_paths"] *= 2
+    description.write_text(yaml.safe_dump(data))
+    with open_bag(path) as reader:
+        assert len(list(reader)) == reader.info.message_count == number
+        assert any("listed twice" in p for p in reader.all_problems())
+
+
+@pytest.mark.parametrize("condition", ["../../../evil", "/etc/evil", "..", "$x_{", "\x1b[2J"])
+def test_trial_whose_condition_is_no_name_is_left_out(condition: str, tmp_path: Path) -> None:
+    path = write_session(tmp_path / "bag", trials=1, rate=100, condition=condition)
+    found = load_trials(path)
+    assert not found.trials and "is no name" in found.exclusions[0].reason
+
+    assert "evil" not in {p.name for p in tmp_path.iterdir()}
+
+
+def test_surrogates_are_not_written_into_a_bag(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="not valid text"):
+        BagWriter(tmp_path / "bag", {"subject": "S\udcff1"})
+    assert not list(tmp_path.iterdir())

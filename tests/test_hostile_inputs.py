@@ -1,0 +1,246 @@
+"""Hostile and mutated files: every reader ends with success or one sentence, within 10 s of
+processor time and 500 MB, in a process of its own.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+import subprocess
+import sys
+import zipfile
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zstandard
+
+from finger_bag.definitions import definition_text, encode
+from finger_bag.mcap_writer import MAGIC
+from finger_bag.reader import open_bag
+from finger_bag.writer import BagWriter
+from finger_fit.study.bags import bag_hash
+
+ROOT = Path(__file__).parent.parent
+CORPUS = ROOT / "tests" / "fuzz" / "corpus"
+
+ALIASES = "a0: &a0 [1, 2, 3, 4, 5, 6, 7, 8, 9, 10]\n" + "".join(
+    f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]\n" for i in range(1, 10)
+)
+DIGITS = "9" * 4006
+START = 1_700_000_000_000_000_000
+
+
+def record(opcode: int, body: bytes) -> bytes:
+    return struct.pack("<BQ", opcode, len(body)) + body
+
+
+def text(value: str) -> bytes:
+    return struct.pack("<I", len(value.encode())) + value.encode()
+
+
+def bag_of(content: bytes, chunks: int) -> bytes:
+    """An MCAP file that repeats one chunk and has no summary."""
+    packed = zstandard.compress(content, 3)
+    head = struct.pack("<QQQI", START, START, len(content), zlib.crc32(content))
+    chunk = record(6, head + text("zstd") + struct.pack("<Q", len(packed)) + packed)
+    return MAGIC + record(1, text("ros2") + text("")) + chunk * chunks
+
+
+def messages(message_type: str, cdr: bytes, count: int) -> bytes:
+    schema = struct.pack("<H", 1) + text(message_type) + text("ros2msg")
+    channel = struct.pack("<HH", 1, 1) + text("/finger/wrench") + text("cdr") + struct.pack("<I", 0)
+    message = record(5, struct.pack("<HIQQ", 1, 0, START, START) + cdr)
+    return (
+        record(3, schema + text(definition_text(message_type)))
+        + record(4, channel)
+        + (message * count)
+    )
+
+
+WRENCH = "geometry_msgs/msg/WrenchStamped"
+LONG_FRAME = encode(WRENCH, {"header": {"stamp": START, "frame_id": "x" * 60_000}})
+
+
+def jpeg(size: int) -> bytes:
+    """A whole image of 16 × 16 pixels whose header claims size × size."""
+    data = bytearray((CORPUS / "image.jpg").read_bytes())
+    at = data.index(b"\xff\xc0")
+    data[at + 5 : at + 9] = struct.pack(">HH", size, size)
+    return bytes(data)
+
+
+def png(size: int) -> bytes:
+    """All black, truly of that size."""
+    packer = zlib.compressobj(9)
+    row = bytes(size + 1)
+    pixels = b"".join(packer.compress(row) for _ in range(size)) + packer.flush()
+
+    def part(name: bytes, body: bytes) -> bytes:
+        crc = struct.pack(">I", zlib.crc32(name + body))
+        return struct.pack(">I", len(body)) + name + body + crc
+
+    head = struct.pack(">IIBBBBB", size, size, 8, 0, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + part(b"IHDR", head) + part(b"IDAT", pixels) + part(b"IEND", b"")
+
+
+def npz(header: str) -> bytes:
+    """Arrays of a shipped model, one of which claims another size."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(CORPUS / "model.npz") as old, zipfile.ZipFile(out, "w") as new:
+        for name in old.namelist():
+            data = old.read(name)
+            if name == "betas.npy":
+                padded = header.ljust(117) + "\n"
+                data = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(padded)) + padded.encode()
+            new.writestr(name, data)
+    return out.getvalue()
+
+
+def xlsx(cell: int) -> bytes:
+    """A table with one cell of that many characters."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(CORPUS / "readings.xlsx") as old:
+        with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as new:
+            for name in old.namelist():
+                data = old.read(name)
+                if name == "xl/sharedStrings.xml":
+                    data = data.replace(b"<t>phase</t>", b"<t>" + b"x" * cell + b"</t>")
+                new.writestr(name, data)
+    return out.getvalue()
+
+
+def session(change: Callable[[dict[str, Any]], None]) -> bytes:
+    state = json.loads((CORPUS / "session.json").read_text())
+    change(state)
+    return json.dumps(state).encode()
+
+
+def evil_condition(state: dict[str, Any]) -> None:
+    for trial in state["trials"]:
+        trial["condition"] = "../../../evil"
+
+
+def evil_plan(state: dict[str, Any]) -> None:
+    evil_condition(state)
+    state["plan"]["conditions"] = ["../../../evil"]
+
+
+BOMBS: dict[str, Callable[[], bytes]] = {
+    **{
+        f"{kind}-aliases.yaml": lambda: ALIASES.encode()
+        for kind in "metadata mapping parameters plate material camera rig sensor geometry".split()
+    },
+    "plate-digits.yaml": lambda: f"area_per_pixel: {DIGITS}\n".encode(),
+    "plate-hexadecimal.yaml": lambda: b"area_per_pixel: 0x" + b"f" * 900_000,
+    "plate-sexagesimal.yaml": lambda: b"area_per_pixel: 1" + b":59" * 300_000,
+    "plate-deep.yaml": lambda: b"a: " + b"[" * 500_000,
+    "plate-wide.yaml": lambda: b"a: [" + b"[]," * 300_000 + b"]",
+    "plate-tag.yaml": lambda: b"area_per_pixel: !!int x\n",
+    "material-digits.yaml": lambda: f"young_modulus: {DIGITS}\n".encode(),
+    "settings-digits.json": lambda: f'{{"onset_force": {DIGITS}}}'.encode(),
+    "settings-deep.json": lambda: b'{"a":' * 200_000,
+    "checkpoint-wide.json": lambda: b'{"candidates": [' + b"[]," * 300_000 + b"[]]}",
+    "session-deep.json": lambda: b"[" * 500_000,
+    "session-condition.json": lambda: session(evil_condition),
+    "session-plan.json": lambda: session(evil_plan),
+    "session-current.json": lambda: session(lambda s: s.update(current=99)),
+    "session-negative.json": lambda: session(lambda s: s.update(current=-1)),
+    "session-no_trials.json": lambda: session(lambda s: s.update(trials=[])),
+    "session-no_attempt.json": lambda: session(lambda s: s["trials"][1].update(attempts=[])),
+    "session-digits.json": lambda: session(lambda s: s.update(current=int(DIGITS))),
+    "session-surrogate.json": lambda: session(lambda s: s.update(step="\ud800")),
+    "bag-empty_messages.mcap": lambda: bag_of(messages(WRENCH, b"", 2_000_000), 2),
+    "bag-long_frame.mcap": lambda: bag_of(messages(WRENCH, LONG_FRAME, 500), 10),
+    "bag-chunk_starts.mcap": lambda: (
+        MAGIC
+        + b"\xff" * 30
+        + (record(6, bytes(28) + b"\x04\x00\x00\x00zstd" + bytes(8)) + b"\x00") * 15_000
+    ),
+    "bag-idle.mcap": lambda: MAGIC + (b"\x80" + bytes(8)) * 100_000,
+    "image-30000.jpg": lambda: jpeg(30_000),
+    "image-65500.jpg": lambda: jpeg(65_500),
+    "image-4000.jpg": lambda: jpeg(4000),
+    "image-16_megapixels.png": lambda: png(4000),
+    "image-64_megapixels.png": lambda: png(8000),
+    "image-claims.bmp": lambda: (
+        b"BM" + bytes(12) + struct.pack("<IiiHHI", 40, 60000, 60000, 1, 24, 0)
+    ),
+    "image-claims.pgm": lambda: b"P5 60000 60000 255\n",
+    "model-800_gigabytes.npz": lambda: npz(
+        "{'descr': '<f8', 'fortran_order': False, 'shape': (100000000000,), }"
+    ),
+    "model-objects.npz": lambda: npz("{'descr': '|O', 'fortran_order': False, 'shape': (2,), }"),
+    "readings-cell.xlsx": lambda: xlsx(380_000_000),
+    "readings-quote.csv": lambda: b'value;time\n"' + b"x" * 900_000,
+    "force-cell.csv": lambda: b"time_s,force_n\n0," + b"9" * 900_000 + b"\n",
+    "force-digits.csv": lambda: b"time_s,force_n\n" + b"0,1\n" * 200_000,
+    "netft-nested.xml": lambda: b"<a>" * 300_000,
+}
+REFUSED_SESSIONS = {name for name in BOMBS if name.startswith("session-")}
+
+
+def fuzz(*arguments: object) -> dict[str, Any]:
+    """Report of tests/fuzz; fails with the cases that failed."""
+    call = ["nice", sys.executable, str(ROOT / "tests" / "fuzz"), *map(str, arguments)]
+    done = subprocess.run(call, capture_output=True, text=True, timeout=280)
+    assert done.stdout, done.stderr
+    report: dict[str, Any] = json.loads(done.stdout)
+    assert done.returncode == 0, json.dumps(report["failed"], indent=1)[:5000]
+    return report
+
+
+def test_bombs_end_with_one_sentence(tmp_path: Path) -> None:
+    paths = []
+    for name, make in BOMBS.items():
+        data = make()
+        assert len(data) <= 1_000_000, name
+        paths.append(tmp_path / name)
+        paths[-1].write_bytes(data)
+    # The calibration attached to a bag whose areas must be measured in its images.
+    with open_bag(CORPUS / "bag.mcap") as reader:
+        with BagWriter(tmp_path / "made", reader.info.metadata) as bag:
+            bag.attach("plate_calibration.yaml", ALIASES.encode())
+            for message in reader:
+                if not message.topic.endswith("contact_area"):
+                    bag.add_topic(message.topic, message.type)
+                    bag.copy(message)
+    paths.append((tmp_path / "made" / "made_0.mcap").rename(tmp_path / "bag-attached.mcap"))
+    report = fuzz("--files", *paths)
+    outcomes = {(r["file"], r["reader"]): r["outcome"] for r in report["results"]}
+    refused = {file for (file, _), outcome in outcomes.items() if outcome == "refused"}
+    assert refused >= REFUSED_SESSIONS
+    assert refused >= {name for name in BOMBS if "aliases" in name or "digits.y" in name} - {
+        "metadata-aliases.yaml"  # the files beside it are read without it
+    }
+    assert refused >= {"image-30000.jpg", "image-65500.jpg", "model-800_gigabytes.npz"}
+    assert outcomes["bag-attached.mcap", "process"] == "refused"
+    assert report["longest"] < 10 and report["most_megabytes"] < 500
+
+
+def test_300_mutated_files_end_with_success_or_one_sentence() -> None:
+    report = fuzz("--cases", 300, "--seed", 20)
+    assert report["cases"] == 300 and report["runs"] > 500
+    outcomes = [key.split(", ")[-1] for key in report["outcomes"]]
+    assert {"success", "refused"} == set(outcomes)
+
+
+def test_a_sparse_file_beside_a_bag_is_neither_read_nor_hashed(tmp_path: Path) -> None:
+    path = tmp_path / "bag"
+    with BagWriter(path) as bag:
+        bag.write("moisture", {"header": {"stamp": START}, "value": 1.0})
+    before = bag_hash(path)
+    with open(path / "notes.bin", "wb") as file:
+        file.truncate(6 << 30)
+    assert bag_hash(path) == before
+
+
+@pytest.mark.parametrize("size", [1, 70_000])
+def test_hash_of_a_bag_is_that_of_its_content(size: int, tmp_path: Path) -> None:
+    (tmp_path / "a.mcap").write_bytes(np.random.default_rng(0).bytes(size))
+    (tmp_path / "b.mcap").write_bytes((tmp_path / "a.mcap").read_bytes()[:-1] + b"?")
+    assert bag_hash(tmp_path / "a.mcap") != bag_hash(tmp_path / "b.mcap")
