@@ -154,7 +154,7 @@ BOMBS: dict[str, Callable[[], bytes]] = {
     "session-no_attempt.json": lambda: session(lambda s: s["trials"][1].update(attempts=[])),
     "session-digits.json": lambda: session(lambda s: s.update(current=int(DIGITS))),
     "session-surrogate.json": lambda: session(lambda s: s.update(step="\ud800")),
-    "bag-empty_messages.mcap": lambda: bag_of(messages(WRENCH, b"", 2_000_000), 2),
+    "bag-empty_messages.mcap": lambda: bag_of(messages(WRENCH, b"", 1_900_000), 1),
     "bag-long_frame.mcap": lambda: bag_of(messages(WRENCH, LONG_FRAME, 500), 10),
     "bag-chunk_starts.mcap": lambda: (
         MAGIC
@@ -187,13 +187,14 @@ REFUSED_SESSIONS = {name for name in BOMBS if name.startswith("session-")}
 def fuzz(*arguments: object) -> dict[str, Any]:
     """Report of tests/fuzz; fails with the cases that failed."""
     call = ["nice", sys.executable, str(ROOT / "tests" / "fuzz"), *map(str, arguments)]
-    done = subprocess.run(call, capture_output=True, text=True, timeout=280)
+    done = subprocess.run(call, capture_output=True, text=True, timeout=1500)
     assert done.stdout, done.stderr
     report: dict[str, Any] = json.loads(done.stdout)
     assert done.returncode == 0, json.dumps(report["failed"], indent=1)[:5000]
     return report
 
 
+@pytest.mark.timeout(1600)
 def test_bombs_end_with_one_sentence(tmp_path: Path) -> None:
     paths = []
     for name, make in BOMBS.items():
@@ -222,6 +223,7 @@ def test_bombs_end_with_one_sentence(tmp_path: Path) -> None:
     assert report["longest"] < 10 and report["most_megabytes"] < 500
 
 
+@pytest.mark.timeout(1600)
 def test_300_mutated_files_end_with_success_or_one_sentence() -> None:
     report = fuzz("--cases", 300, "--seed", 20)
     assert report["cases"] == 300 and report["runs"] > 500
