@@ -6,6 +6,7 @@ cell or a message, and checksums are made to fit, so that the change reaches the
 
 from __future__ import annotations
 
+import copy
 import io
 import json
 import struct
@@ -152,13 +153,13 @@ def _change_tree(tree: Any, rng: np.random.Generator) -> None:
         if kind == 0 and isinstance(node, dict):
             del node[key]
         elif kind == 1 and isinstance(node, dict):
-            node[str(_pick(rng, TEXTS))] = node[key]
+            node[str(_pick(rng, TEXTS))] = copy.deepcopy(node[key])
         elif kind == 2 and isinstance(node, list):
-            node.insert(key, node[key])
+            node.insert(key, copy.deepcopy(node[key]))
         elif kind == 3:
             node[key] = [node[key]]
         else:
-            node[key] = _pick(rng, VALUES)
+            node[key] = copy.deepcopy(_pick(rng, VALUES))
 
 
 def change_json(data: bytes, rng: np.random.Generator) -> bytes:
