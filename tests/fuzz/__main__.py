@@ -75,7 +75,9 @@ def attempt(path: Path, name: str) -> dict[str, Any]:
     if "Traceback" in printed:
         result, message = "FAILED", printed
     elif result == "refused" and not message:
-        message = printed.strip()
+        # Lines that begin with the bag's name tell its progress.
+        lines = [x for x in printed.splitlines() if not x.startswith(f"{path.name}:")]
+        message = "\n".join(lines)
         if "\n" in message or not message or len(message) > SENTENCE:
             result = "FAILED"
     beside = {p.name for p in path.parent.iterdir()} - before

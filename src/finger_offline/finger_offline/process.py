@@ -143,12 +143,12 @@ class _Run:
             if self.output is not None:
                 self.output.copy(item)
         self._hand_over(1 << 62)
-        if progress is not None:
-            progress(1.0)
         if not self.states:
             wrench = self.topics.wrench
             reason = self.malformed.reasons.get(wrench, "no message could be read")
             raise InputError(f"{self.reader.path}: topic '{wrench}' holds no wrench ({reason})")
+        if progress is not None:
+            progress(1.0)
 
     def result(self) -> ProcessResult:
         """What was made so far."""
