@@ -40,6 +40,7 @@ IN_RIG_FILE = "force camera moisture vision model recorder protocol page".split(
 OTHER_TOPICS = {
     "contact_image": "the image with the contact's outline, made only while a node subscribes",
     "/diagnostics": "health of every source, once a second",
+    "heartbeat": "names of the nodes that run, four times a second",
     "trial": "the current trial and its phase, latched",
     "~/status": "everything the operator's page shows of the session (JSON, latched)",
     "protocol/status": "the protocol node's `~/status`",

@@ -136,17 +136,21 @@ class Operator:
             here = title in self.page.inner_text("#cue-trial")
             if here and self.look == "paused":
                 self.press("p")
-            elif here and self.look == "prepare":
+            elif here and self.look == "prepare" and self.page.is_enabled("#start"):
                 self.press("Space")
                 self.page.wait_for_timeout(300)
-            return "done" in self.row(index)
+            return "kept" in self.row(index)
 
         self.until(done, f"trial {index} done", 300.0)
 
     def ready(self, index: int) -> None:
         title = f"Trial {index + 1} of"
         self.until(
-            lambda: self.look == "prepare" and title in self.page.inner_text("#cue-trial"),
+            lambda: (
+                self.look == "prepare"
+                and title in self.page.inner_text("#cue-trial")
+                and self.page.is_enabled("#start")
+            ),
             f"preparation of trial {index}",
         )
         self.press("Space")
@@ -191,10 +195,14 @@ def test_nine_trials_from_the_page_with_a_redo_a_killed_node_and_an_unplugged_ca
                 lambda node=node: health.filter(has_text=node).count(), f"health of {node}"
             )
         operator.until(lambda: page.is_visible("#image"), "the live image")
-        operator.press("t")
-        operator.until(
-            lambda: "✗" not in page.inner_text("#answer") and page.inner_text("#answer"), "tare"
-        )
+        operator.until(lambda: "Tare needed" in page.inner_text("#banner"), "the need of a tare")
+
+        def tared() -> bool:
+            operator.press("t")
+            page.wait_for_timeout(3000)
+            return "Tare needed" not in page.inner_text("#banner")
+
+        operator.until(tared, "tare")
 
         # A name is refused, a code is taken.
         operator.until(lambda: operator.look == "closed", "the page without a session")
@@ -205,7 +213,7 @@ def test_nine_trials_from_the_page_with_a_redo_a_killed_node_and_an_unplugged_ca
         operator.until(lambda: "never a name" in page.inner_text("#plan-error"), "the refusal")
         page.click("#plan-cancel")
         operator.begin(3)
-        assert "isopropyl" in page.inner_text("#preparation-text")
+        assert "isopropyl" in page.inner_text("#cue-text")
         assert "Clean the plate" in page.inner_text("#prompt")
         picture("prepare")
 
