@@ -208,7 +208,7 @@ def points(
             measures.append(Measure(f"{name}, {what}: strain under stress", error, "%", high=0.1))
             curves += [
                 Curve(time[rows], strain, f"C{index}-"),
-                Curve(time[rows][::4], found[::4], f"C{index}o", what),
+                Curve(time[rows][::4], found[::4], f"C{index}o"),
             ]
         panels.append(Panel("time (s)", f"{name}: strain", curves))
     measures += _closed_forms(steps)
@@ -221,7 +221,8 @@ def points(
         "over the largest value of a history. Closed forms: after a sudden strain every branch "
         "decays as exp(−t/τ) in any mode; in simple shear the shear stress of neo-Hookean branches "
         "is exactly that of linear viscoelasticity, so that creep follows the creep compliance. "
-        "Lines of the figure: differential equations; circles: law.",
+        "Figure, strain under stress: lines are the differential equations, circles the law; one to "
+        "four branches in blue, orange, green and red.",
         measures,
         panels,
     )
