@@ -221,8 +221,8 @@ def points(
         "over the largest value of a history. Closed forms: after a sudden strain every branch "
         "decays as exp(−t/τ) in any mode; in simple shear the shear stress of neo-Hookean branches "
         "is exactly that of linear viscoelasticity, so that creep follows the creep compliance. "
-        "Figure, strain under stress: lines are the differential equations, circles the law; one to "
-        "four branches in blue, orange, green and red.",
+        "Figure, strain under stress: lines are the differential equations, circles the law; one "
+        "to four branches in blue, orange, green and red.",
         measures,
         panels,
     )
