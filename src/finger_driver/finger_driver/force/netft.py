@@ -227,15 +227,17 @@ class NetFtSource(ForceSource):
                 sample = self._sample_of(*self._records.popleft())
                 if sample is not None:
                     return sample
+            # First what waits in the socket: this process may have stood still, not the box.
+            self._receive(min(max(end - time.monotonic(), 0.0), 0.05))
             now = time.monotonic()
-            if now - self._last_record > _SILENCE:
+            silent = now - self._last_record
+            if not self._records and silent > _SILENCE:
                 raise DeviceError(
-                    f"{self._where()}: no record for {now - self._last_record:.2f} s; check power, "
-                    "cable and that no other client took the stream"
+                    f"{self._where()}: no record for {silent:.2f} s; check power, cable and that "
+                    "no other client took the stream"
                 )
-            if now >= end:
+            if not self._records and now >= end:
                 return None
-            self._receive(min(end - now, 0.05))
 
     def _receive(self, timeout: float) -> bool:
         """Receive one datagram if one comes within `timeout`."""

@@ -117,10 +117,7 @@ class ReducedModel:
     def for_law(self, law: type[ConstitutiveLaw]) -> ReducedModel:
         """The same model for another law of Maxwell branches; raises InputError for other laws."""
         if not issubclass(law, MaxwellLaw):
-            raise InputError(
-                f"material: the law is '{law.name}', the reduced model is made for laws of Maxwell "
-                "branches; use --solver full"
-            )
+            raise InputError(f"material: law '{law.name}' has no reduced model; use --solver full")
         return self if law is self.law else ReducedModel(self.arrays, self.meta, law)
 
     @property
