@@ -67,6 +67,10 @@ class NodeUnderTest:
         overrides = [Parameter(k, value=v) for k, v in parameters.items()]
         self.node = node_class(context=self.context, parameter_overrides=overrides)
         assert self.node.bring_up()
+        if hasattr(self.node, "_note_tare"):
+            # That the sensor has no zero yet is no fault of a device.
+            self.node._note_tare = lambda: None
+            self.node.device.health.recovered("tare_needed")
         self.topic = Topic()
         setattr(self.node, topic, self.topic)
         self.reports: list[tuple[float, int, str, dict[str, str]]] = []
