@@ -12,7 +12,7 @@ from finger_common.errors import InputError
 from finger_common.files import number
 
 from .. import paper
-from .law import parameter
+from .law import IN_KPA, parameter
 from .maxwell import Branch, MaxwellLaw
 from .space import DerivedQuantity
 from .standard_linear_solid import MODULUS_RANGE
@@ -33,11 +33,9 @@ def long_term_modulus(vectors: np.ndarray) -> np.ndarray:
 
 LONG_TERM_MODULUS = DerivedQuantity(
     "long_term_E",
-    unit="Pa",
+    **IN_KPA,
     meaning="Long-term modulus of the bulk tissue at small strain, E0 (1 − Σ fractions).",
     symbol="E∞",
-    display_unit="kPa",
-    display_factor=1e-3,
     decimals=2,
     value=long_term_modulus,
     of=("E0",),
@@ -61,10 +59,8 @@ class GeneralizedMaxwell(MaxwellLaw):
         80e3,
         "Modulus of the bulk tissue under a sudden small strain.",
         bounds=(20e3, 400e3),
-        unit="Pa",
+        **IN_KPA,
         symbol="E₀",
-        display_unit="kPa",
-        display_factor=1e-3,
         decimals=1,
         range=(20e3, 400e3),
         allowed=MODULUS_RANGE,
@@ -127,10 +123,8 @@ def _subclass(count: int) -> type[GeneralizedMaxwell]:
         paper.NATURAL.parameters["E2"],
         "Modulus of the elastic epidermis.",
         bounds=(100e3, 5000e3),
-        unit="Pa",
+        **IN_KPA,
         symbol="E₂",
-        display_unit="kPa",
-        display_factor=1e-3,
         decimals=0,
         range=(100e3, 5000e3),
         allowed=MODULUS_RANGE,

@@ -37,6 +37,9 @@ loses its digits."""
 UNIT = np.array([1.0, 1.0, 1.0, 0.0])
 """The unit tensor. Symmetric tensors are stored as (rr, zz, θθ, rz)."""
 
+IN_KPA: dict[str, Any] = {"unit": "Pa", "display_unit": "kPa", "display_factor": 1e-3}
+"""Description of a modulus: in Pa, shown in kPa."""
+
 _KEY = "parameter"
 
 

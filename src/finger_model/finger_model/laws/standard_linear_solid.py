@@ -8,7 +8,7 @@ from types import MappingProxyType
 import numpy as np
 
 from .. import paper
-from .law import parameter
+from .law import IN_KPA, parameter
 from .maxwell import Branch, MaxwellLaw
 from .space import DerivedQuantity
 
@@ -33,11 +33,9 @@ def _with_composite_modulus(vectors: np.ndarray, modulus: np.ndarray) -> np.ndar
 
 COMPOSITE_MODULUS = DerivedQuantity(
     "composite_E",
-    unit="Pa",
+    **IN_KPA,
     meaning="Long-term modulus of the bulk tissue, 1/(1/E0 + 1/E1).",
     symbol="E",
-    display_unit="kPa",
-    display_factor=1e-3,
     decimals=2,
     value=composite_modulus,
     solve=_with_composite_modulus,
@@ -77,10 +75,8 @@ class StandardLinearSolid(MaxwellLaw):
     E0: float = _paper(
         "E0",
         "Modulus of the spring of the bulk tissue: its stiffness under a sudden load.",
-        unit="Pa",
+        **IN_KPA,
         symbol="E₀",
-        display_unit="kPa",
-        display_factor=1e-3,
         decimals=1,
         range=(30e3, 300e3),
         allowed=MODULUS_RANGE,
@@ -88,10 +84,8 @@ class StandardLinearSolid(MaxwellLaw):
     E1: float = _paper(
         "E1",
         "Modulus of the Kelvin element in series with E0.",
-        unit="Pa",
+        **IN_KPA,
         symbol="E₁",
-        display_unit="kPa",
-        display_factor=1e-3,
         decimals=2,
         range=(8e3, 120e3),
         allowed=(MODULUS_RANGE[0], np.inf),
@@ -109,10 +103,8 @@ class StandardLinearSolid(MaxwellLaw):
     E2: float = _paper(
         "E2",
         "Modulus of the elastic epidermis.",
-        unit="Pa",
+        **IN_KPA,
         symbol="E₂",
-        display_unit="kPa",
-        display_factor=1e-3,
         decimals=0,
         range=(300e3, 5000e3),
         allowed=MODULUS_RANGE,
