@@ -1,4 +1,5 @@
-# Finger contact suite on Ubuntu 24.04 with ROS 2 Jazzy from apt. Building it has not been tested.
+# Finger contact suite on Ubuntu 24.04 with ROS 2 Jazzy from apt. Building it has not been tested:
+# no container tool was at hand. tests/test_colcon.py builds the workspace and runs its commands.
 #
 #   docker build -t finger-contact .
 #   docker run --rm -it --network host finger-contact finger-rig up --simulated
@@ -13,10 +14,14 @@ WORKDIR /finger
 COPY requirements.txt ./
 # Ubuntu 24.04 refuses pip outside a virtual environment (PEP 668); this one sees apt's rclpy.
 RUN python3 -m venv --system-site-packages venv \
-    && venv/bin/pip install --no-cache-dir -r requirements.txt colcon-common-extensions
+    && venv/bin/pip install --no-cache-dir -r requirements.txt colcon-common-extensions \
+         "setuptools<80"
 
 COPY . .
+# The commands are in install/PACKAGE/lib/PACKAGE, where `ros2 run` looks; the links put those for
+# people (finger-…) on the PATH as well.
 RUN . /opt/ros/jazzy/setup.sh && . venv/bin/activate && python -m colcon build --base-paths src \
+    && scripts/link_commands.sh install /usr/local/bin \
     && printf '%s\n' '#!/bin/sh' '. /opt/ros/jazzy/setup.sh' '. /finger/venv/bin/activate' \
          '. /finger/install/setup.sh' 'exec "$@"' > /entry.sh \
     && chmod +x /entry.sh

@@ -14,9 +14,9 @@ help:
 	@echo "make test-compat  the core tests with NumPy 1.26 and OpenCV 4, as on apt Jazzy"
 	@echo "make bench        measure the key figures into bench/results.json"
 	@echo "make soak         record the full rig load for 30 minutes"
-	@echo "make faults       provoke all faults, 30 minutes of them at random; write docs/faults_*.md"
+	@echo "make faults       provoke all faults, 30 minutes of them at random; write docs/faults.md"
 	@echo "make bags         make the sample bags again"
-	@echo "make reference    write docs/nodes.md and rig.yaml from the nodes' own descriptions"
+	@echo "make reference    write docs/nodes.md, rig.yaml and the packages' release files"
 	@echo "make setup        only set up the environment in $(ENV)"
 
 setup:
@@ -51,7 +51,8 @@ bench: setup
 	@$(RUN) bench/run.py
 
 faults: setup-test
-	@$(RUN) scripts/driver_faults.py --measure
+	@$(RUN) scripts/faults.py --measure
+	@$(RUN) tests/fuzz --cases 20000 --seed 2 --few --record --keep out/fuzz
 	@$(RUN) scripts/random_faults.py --minutes 30 --record
 
 soak: setup
@@ -62,6 +63,7 @@ bags: setup
 
 reference: setup
 	@$(RUN) scripts/node_reference.py
+	@$(RUN) scripts/release_files.py
 
 clean:
 	rm -rf out build install log .pytest_cache .ruff_cache .mypy_cache

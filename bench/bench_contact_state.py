@@ -99,7 +99,7 @@ def send(rate: float, fingers: int, duration: float, result: Path) -> None:
     rclpy.try_shutdown()
 
 
-def photograph() -> None:
+def photograph(topic: str = "/finger0/image_raw") -> None:
     """Publish images of 1280 × 1024 at 10 Hz until SIGTERM, as the camera node does."""
     import rclpy
     from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -108,7 +108,7 @@ def photograph() -> None:
     rclpy.init()
     node = rclpy.create_node("camera_load")
     qos = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
-    publisher = node.create_publisher(Image, "/finger0/image_raw", qos)
+    publisher = node.create_publisher(Image, topic, qos)
     picture = Image()
     picture.height, picture.width, picture.encoding, picture.step = 1024, 1280, "mono8", 1280
     y, x = np.mgrid[0:1024, 0:1280]

@@ -11,11 +11,16 @@ import numpy as np
 
 from finger_model.commands.verify_reduced import SEED
 from finger_model.estimator import ContactEstimator
+from finger_model.geometry import Geometry
 from finger_model.laws.standard_linear_solid import PARAMETERS
 from finger_model.paper import TARGET_FORCE
 from finger_model.reduced import ReducedModel
-from finger_model.reduced.error import error_table
+from finger_model.reduced.error import ErrorTable, error_table
 from finger_model.reduced.force_histories import human_press, random_parameters
+from finger_model.reduced.model import load_population
+from finger_model.reduced.population_build import held_out_runs
+from finger_model.reduced.population_runs import random_geometry
+from finger_model.reduced.population_training import measured_error
 from finger_model.reduced.training_runs import held_out_case, pool, run_all
 
 SETS, TRIALS, FRAMES = 900, 15, 20
@@ -86,6 +91,21 @@ def batch_seconds(full_rate: bool) -> float:
     return min(times)
 
 
+def new_finger_times(number: int = 21) -> list[float]:
+    """Times (s) from a geometry to the first contact, the file being read."""
+    rng = np.random.default_rng(7)
+    time_, force = np.array([0.0, 0.1]), np.array([0.0, 0.5])
+    times = []
+    for index in range(number + 1):
+        geometry = random_geometry(rng, middle=True)
+        begin = time.perf_counter()
+        model = ReducedModel.load(geometry=geometry)
+        model.simulate(model.space.default, time_, force)
+        if index:
+            times.append(time.perf_counter() - begin)
+    return times
+
+
 def run(report: Any) -> None:
     """Benchmark entry point."""
     times = step_times() * 1e6
@@ -96,12 +116,20 @@ def run(report: Any) -> None:
     report.note(f"one sample through the estimator: median {np.median(times):.1f} µs")
     report.add("reduced_paper_batch", batch_seconds(False), "s", 2)
     report.add("reduced_full_rate_batch", batch_seconds(True), "s")
-    model = ReducedModel.load()
+    report.add("new_finger_ms", 1e3 * np.median(new_finger_times()), "ms", 50)
     number = 24 if report.quick else PAIRS
+    model = ReducedModel.load()
     with pool(2, model.geometry, 1.0, model.friction, None) as executor:
         runs = [r for r, _ in run_all(executor, [held_out_case(SEED, i) for i in range(number)])]
-    table = error_table(model, runs)
+    _report(report, "default_finger_", error_table(model, runs))
+    fingers = list(held_out_runs(SEED, 2 * number, 2))
+    tables = measured_error(load_population(Geometry()).arrays, fingers)
+    _report(report, "reduced_", tables["middle"])
+    report.note("whole of the population box:\n" + tables["whole"].text(0.02, 0.04))
+
+
+def _report(report: Any, prefix: str, table: ErrorTable) -> None:
     summary = table.summary()
-    report.add("reduced_rms_error", 100 * summary["rms_p99"], "%", 1)
-    report.add("reduced_max_error", 100 * summary["worst_p99"], "%", 2)
+    report.add(prefix + "rms_error", 100 * summary["rms_p99"], "%", 1)
+    report.add(prefix + "max_error", 100 * summary["worst_p99"], "%", 2)
     report.note(table.text())

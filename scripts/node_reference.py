@@ -30,16 +30,17 @@ REFERENCE = ROOT / "docs" / "nodes.md"
 RIG_FILE = ROOT / "src" / "finger_bringup" / "config" / "rig.yaml"
 
 ORDER = (
-    "force camera moisture vision model recorder fit protocol page bring_up fit_request "
-    "simulated_rig"
+    "force camera moisture vision model recorder fit protocol page foxglove lsl bring_up "
+    "fit_request simulated_rig"
 ).split()
 """Nodes in the reader's order."""
 
-IN_RIG_FILE = "force camera moisture vision model recorder protocol page".split()
+IN_RIG_FILE = "force camera moisture vision model recorder protocol page foxglove lsl".split()
 
 OTHER_TOPICS = {
     "contact_image": "the image with the contact's outline, made only while a node subscribes",
     "/diagnostics": "health of every source, once a second",
+    "/parameter_events": "changes of parameters, which clients are told",
     "heartbeat": "names of the nodes that run, four times a second",
     "trial": "the current trial and its phase, latched",
     "~/status": "everything the operator's page shows of the session (JSON, latched)",

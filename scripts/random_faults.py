@@ -1,7 +1,7 @@
 """Random faults at random times on the whole simulated rig: is each named, and gone after its end?
 
-`python scripts/random_faults.py --minutes 30 --record` writes tests/recorded_random_faults.json and
-docs/faults_rig.md from it; without a run, `--page` writes the page again and `--check` compares it.
+`python scripts/random_faults.py --minutes 30 --record` writes tests/recorded_random_faults.json,
+and docs/faults.md from it and the other recorded results.
 
 Runs `finger-rig`'s nodes under its supervisor, with a recording and presses now and then. Measured
 for each fault: time from its begin until `/diagnostics` names it, and from its end until it no
@@ -21,7 +21,6 @@ import re
 import resource
 import shutil
 import signal
-import statistics
 import sys
 import tempfile
 import threading
@@ -31,15 +30,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import faults as faults_page
+from faults import GONE, NAMED
+
 from finger_common.domains import free_domain
 from finger_common.files import atomic_write
 
 ROOT = Path(__file__).resolve().parent.parent
 RECORDED = ROOT / "tests" / "recorded_random_faults.json"
-PAGE = ROOT / "docs" / "faults_rig.md"
-
-NAMED, GONE = 2.0, 5.0
-"""s: bounds."""
 GIVE_UP = 60.0
 """s after which a fault counts as never named, or never gone."""
 LASTING = re.compile("recording was interrupted|messages lost: ")
@@ -470,66 +468,6 @@ def seconds(value: float | None) -> str:
     return "never" if value is None else f"{value:.2f} s"
 
 
-def page(run: Run) -> str:
-    """Text of the page."""
-    named = [r.named for r in run.results if r.named is not None]
-    gone = [r.gone for r in run.results if r.gone is not None]
-    late = run.late(NAMED, GONE)
-    lines = [
-        "# Random faults on the whole simulated rig",
-        "",
-        "<!-- Written by scripts/random_faults.py from recorded results. -->",
-        "",
-        f"`python scripts/random_faults.py --minutes {run.minutes:g} --seed {run.seed} --record` "
-        "ran the rig",
-        "of `finger-rig up --simulated` with a recording, and showed it one random fault after the",
-        "other at random times. *Named*: time from the begin of the fault until `/diagnostics` "
-        "names it.",
-        "*Gone*: time from its end until it is no longer named. The fault of a node that was "
-        "killed ends",
-        "when the node is active again; *back* is the time from the kill until then.",
-        "",
-        f"- {len(run.results)} faults; {len(named)} named, {len(gone)} gone.",
-        f"- Named within {NAMED:g} s: {sum(v <= NAMED for v in named)}; median "
-        f"{statistics.median(named):.2f} s, longest {max(named):.2f} s.",
-        f"- Gone within {GONE:g} s: {sum(v <= GONE for v in gone)}; median "
-        f"{statistics.median(gone):.2f} s, longest {max(gone):.2f} s.",
-        f"- Outside these bounds: {len(late)}.",
-        f"- Tracebacks in the log: {len(run.tracebacks)}.",
-        f"- {run.messages:,} messages recorded; {run.gaps} gaps in the streams, "
-        f"{len(run.silent_losses)} of them without a report of a fault.",
-        "",
-        "| fault | times | named, longest | gone, longest | back, longest | what is said |",
-        "|---|---|---|---|---|---|",
-    ]
-    for name in sorted({r.fault for r in run.results}):
-        rows = [r for r in run.results if r.fault == name]
-
-        def longest(values: list[float | None]) -> str:
-            return seconds(None if None in values else max(v for v in values if v is not None))
-
-        back = [r.restart for r in rows if r.restart is not None]
-        text = clean(next((r.text for r in rows if r.text), ""))
-        cells = (
-            name, str(len(rows)), longest([r.named for r in rows]),
-            longest([r.gone for r in rows]), f"{max(back):.1f} s" if back else "", text,
-        )  # fmt: skip
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines) + "\n"
-
-
-def clean(text: str) -> str:
-    """Without the paths and numbers of this run."""
-    text = re.sub(r"(/[\w.-]+){2,}", "PATH", text.replace("|", "/"))
-    return re.sub(r"\b\d{19}_\d{8}\b", "STAMP_NUMBER", text)
-
-
-def load() -> Run:
-    data = json.loads(RECORDED.read_text(encoding="utf-8"))
-    data["results"] = [Result(**row) for row in data["results"]]
-    return Run(**data)
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=float, default=30.0)
@@ -538,15 +476,8 @@ def main() -> int:
     parser.add_argument("--named", type=float, default=NAMED, help="bound in s")
     parser.add_argument("--gone", type=float, default=GONE, help="bound in s")
     parser.add_argument("--record", action="store_true", help="keep the results; write the page")
-    parser.add_argument("--page", action="store_true", help="only write the page again")
-    parser.add_argument("--check", action="store_true", help="only compare the page")
+    parser.add_argument("--note", default="", help="sentence for the page, such as the load")
     args = parser.parse_args()
-    if args.check:
-        return int(PAGE.read_text(encoding="utf-8") != page(load()))
-    if args.page:
-        with atomic_write(PAGE) as file:
-            file.write(page(load()))
-        return 0
     if args.folder:
         args.folder.mkdir(parents=True, exist_ok=True)
         run = measure(args.minutes, args.seed, args.folder)
@@ -554,12 +485,11 @@ def main() -> int:
         with tempfile.TemporaryDirectory(prefix="faults_") as folder:
             run = measure(args.minutes, args.seed, Path(folder))
     if args.record:
-        data = {**vars(run), "results": [vars(r) for r in run.results]}
+        data = {**vars(run), "note": args.note, "results": [vars(r) for r in run.results]}
         with atomic_write(RECORDED) as file:
             json.dump(data, file, ensure_ascii=False, indent=1)
             file.write("\n")
-        with atomic_write(PAGE) as file:
-            file.write(page(run))
+        faults_page.write()
     late = run.late(args.named, args.gone)
     print(
         f"{len(run.results)} faults, {len(late)} outside {args.named:g} s / {args.gone:g} s; "

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 import threading
 import time
 from collections import deque
+from contextlib import suppress
 from typing import Any
 
 import cv2
@@ -74,14 +76,68 @@ def session(step: str, **fields: Any) -> dict[str, Any]:
     return {**status, **fields}
 
 
-def picture(area: float) -> bytes:
-    """JPEG of a made-up contact (mm²)."""
-    image = np.full((512, 640, 3), 90, np.uint8)
+TEXTURE = np.random.default_rng(1).integers(60, 120, (512, 640, 3), dtype=np.uint8)
+
+
+def picture(area: float, textured: bool = False) -> bytes:
+    """JPEG of a made-up contact (mm²); textured: with as many bytes as a picture can have."""
+    image = TEXTURE.copy() if textured else np.full((512, 640, 3), 90, np.uint8)
     radius = round(12 * math.sqrt(max(area, 0.0) / math.pi))
     if radius:
         cv2.ellipse(image, (330, 250), (radius, round(radius * 1.3)), 0, 0, 360, (190,) * 3, -1)
         cv2.ellipse(image, (330, 250), (radius, round(radius * 1.3)), 0, 0, 360, (0, 200, 0), 2)
     return cv2.imencode(".jpg", image)[1].tobytes()
+
+
+class ForwardedPort:
+    """A port that is forwarded to another one of this machine, as by ssh, over a slow link.
+
+    rate: bytes/s towards the browser. bytes: how many went there.
+    """
+
+    def __init__(self, port: int, rate: float) -> None:
+        self._to, self._rate = port, rate
+        self.bytes = 0
+        self._ready = threading.Event()
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._run()), daemon=True)
+
+    def __enter__(self) -> ForwardedPort:
+        self._thread.start()
+        assert self._ready.wait(10)
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        self._loop.call_soon_threadsafe(self._end.set)
+        self._thread.join(5)
+
+    async def _run(self) -> None:
+        self._loop, self._end = asyncio.get_running_loop(), asyncio.Event()
+        self._free_at = 0.0
+        server = await asyncio.start_server(self._forward, "127.0.0.1", 0)
+        self.port = server.sockets[0].getsockname()[1]
+        self._ready.set()
+        await self._end.wait()
+        server.close()
+
+    async def _forward(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        source, sink = await asyncio.open_connection("127.0.0.1", self._to, limit=4096)
+        both = (self._copy(reader, sink, None), self._copy(source, writer, self._rate))
+        with suppress(asyncio.CancelledError):  # when all ends
+            await asyncio.gather(*both, return_exceptions=True)
+
+    async def _copy(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, rate: float | None
+    ) -> None:
+        try:
+            while data := await reader.read(1024):
+                if rate is not None:  # one link for all connections
+                    self._free_at = max(self._free_at, self._loop.time()) + len(data) / rate
+                    await asyncio.sleep(self._free_at - self._loop.time())
+                    self.bytes += len(data)
+                writer.write(data)
+                await writer.drain()
+        finally:
+            writer.close()
 
 
 class StandIn:
@@ -90,13 +146,14 @@ class StandIn:
     The values of `ages`, `problems` and `tared` may be changed; with `silent` nothing is sent.
     """
 
-    def __init__(self, port: int = 0, token: str = "") -> None:
+    def __init__(self, port: int = 0, **settings: Any) -> None:
         self.commands: deque[tuple[str, dict[str, Any]]] = deque()
         self.answers: dict[str, tuple[bool, str]] = {}
         self.problems: list[Problem] = []
         self.gone: set[str] = set()
         self.tared = True
         self.silent = False
+        self.textured = False
         self.health = [
             {"name": f"finger/{n}: {n}", "level": 0, "message": "active",
              "values": {"measured_rate_hz": "10.0", "samples": "120"}}
@@ -104,7 +161,7 @@ class StandIn:
         ]  # fmt: skip
         self.curves = CurveMemory()
         self._lock = threading.Lock()
-        self.server = PageServer(PageSettings(port=port, token=token), self._command)
+        self.server = PageServer(PageSettings(port=port, **settings), self._command)
         self._end = threading.Event()
         self._last: dict[str, float] = {}
         self._thread = threading.Thread(target=self._feed, daemon=True)
@@ -172,7 +229,7 @@ class StandIn:
                     self._draw("measured", [now, force, area + math.sin(7 * now)])
                 contact = {"area": round(area, 2), "flags": 4 if force > 1.45 else 0}
                 self.server.publish("contact", contact)
-                self.server.publish_image(picture(area), int(now * 1e9))
+                self.server.publish_image(picture(area, self.textured), int(now * 1e9))
             if step % 10 == 0:
                 ages = {k: now - self._last[k] if k in self._last else None
                         for k in ("force", "area", "model")}  # fmt: skip

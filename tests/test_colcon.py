@@ -72,3 +72,20 @@ def test_messages_import_from_the_workspace_and_carry_their_constants(workspace:
         [sys.executable, "-c", code], capture_output=True, text=True, env=env, check=True
     ).stdout.split()
     assert out[0].startswith(str(workspace)) and out[1] == "4"
+
+
+def test_the_images_links_put_the_commands_on_the_path(
+    workspace: Path, project_root: Path, tmp_path: Path
+) -> None:
+    """The step of the Dockerfile, into an empty folder; the workspace's Python path as it sets."""
+    script = project_root / "scripts" / "link_commands.sh"
+    subprocess.run([script, workspace, tmp_path / "bin"], check=True)
+    found = sorted(file.name for file in (tmp_path / "bin").iterdir())
+    assert {"finger-bag", "finger-fit", "finger-model", "finger-rig", "finger-vision"} <= set(found)
+    sites = sorted(workspace.glob("*/lib/python*/site-packages"))
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, sites))}
+    for command in ("finger-rig", "finger-model"):
+        said = subprocess.run(
+            [tmp_path / "bin" / command, "--help"], capture_output=True, text=True, env=env
+        )
+        assert said.returncode == 0 and command in said.stdout, said.stderr

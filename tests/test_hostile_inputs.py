@@ -32,6 +32,7 @@ ALIASES = "a0: &a0 [1, 2, 3, 4, 5, 6, 7, 8, 9, 10]\n" + "".join(
     f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]\n" for i in range(1, 10)
 )
 DIGITS = "9" * 4006
+EVENT_HEAD = b"time_utc,stamp_ns,kind,text,index,attempt\n"
 START = 1_700_000_000_000_000_000
 
 
@@ -114,6 +115,24 @@ def xlsx(cell: int) -> bytes:
     return out.getvalue()
 
 
+def wide_bag(folder: Path) -> Path:
+    """A bag with a thousand images of 9 megapixels, which are one and the same."""
+    image = png(3000)
+    kind = "sensor_msgs/msg/CompressedImage"
+    with open_bag(CORPUS / "bag.mcap") as reader, BagWriter(folder / "wide") as bag:
+        plate = b"area_per_pixel: 1.0e-10\n"
+        bag.attach("plate_calibration.yaml", plate)
+        for message in reader:
+            if message.topic.endswith("wrench"):
+                bag.copy(message)
+        topic = bag.add_topic("/finger/image_raw/compressed", kind)
+        for k in range(1000):
+            stamp = START + 1_000_000 * k
+            fields = {"header": {"stamp": stamp}, "format": "png", "data": image}
+            bag.write_raw(topic, encode(kind, fields), stamp)
+    return (folder / "wide" / "wide_0.mcap").rename(folder / "bag-wide.mcap")
+
+
 def session(change: Callable[[dict[str, Any]], None]) -> bytes:
     state = json.loads((CORPUS / "session.json").read_text())
     change(state)
@@ -179,6 +198,9 @@ BOMBS: dict[str, Callable[[], bytes]] = {
     "readings-quote.csv": lambda: b'value;time\n"' + b"x" * 900_000,
     "force-cell.csv": lambda: b"time_s,force_n\n0," + b"9" * 900_000 + b"\n",
     "force-digits.csv": lambda: b"time_s,force_n\n" + b"0,1\n" * 200_000,
+    "events-cell.csv": lambda: EVENT_HEAD + b'2026,1,note,"' + b"x" * 900_000 + b'",0,0\n',
+    "events-digits.csv": lambda: EVENT_HEAD + f"2026,{DIGITS},note,x,0,0\n".encode() * 200,
+    "events-quotes.csv": lambda: EVENT_HEAD + b'"' * 900_000,
     "netft-nested.xml": lambda: b"<a>" * 300_000,
 }
 REFUSED_SESSIONS = {name for name in BOMBS if name.startswith("session-")}
@@ -211,6 +233,8 @@ def test_bombs_end_with_one_sentence(tmp_path: Path) -> None:
                     bag.add_topic(message.topic, message.type)
                     bag.copy(message)
     paths.append((tmp_path / "made" / "made_0.mcap").rename(tmp_path / "bag-attached.mcap"))
+    paths.append(wide_bag(tmp_path))
+    assert paths[-1].stat().st_size < 1_000_000
     report = fuzz("--files", *paths)
     outcomes = {(r["file"], r["reader"]): r["outcome"] for r in report["results"]}
     refused = {file for (file, _), outcome in outcomes.items() if outcome == "refused"}
@@ -220,6 +244,7 @@ def test_bombs_end_with_one_sentence(tmp_path: Path) -> None:
     }
     assert refused >= {"image-30000.jpg", "image-65500.jpg", "model-800_gigabytes.npz"}
     assert outcomes["bag-attached.mcap", "process"] == "refused"
+    assert outcomes["bag-wide.mcap", "process"] == "success"
     assert report["longest"] < 10 and report["most_megabytes"] < 500
 
 

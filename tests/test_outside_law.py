@@ -128,7 +128,14 @@ def test_fit_and_report_go_by_the_law(law: Any, tmp_path: Path) -> None:
     for index in range(3):
         write_bag(tmp_path / "bags" / f"press_{index}", index, model)
     options = FitOptions(
-        target_force=0.75, grid=2, particles=2, rounds=1, bias_pairs=0, bootstrap=0, profiles=False
+        target_force=0.75,
+        grid=2,
+        particles=2,
+        rounds=1,
+        bias_pairs=0,
+        bootstrap=0,
+        profiles=False,
+        nuisances=False,
     )
     result = fit_bags([tmp_path / "bags"], options, tmp_path / "fit", model=model)
     fit = result.fits["dry"]

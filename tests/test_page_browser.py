@@ -5,19 +5,19 @@ Pictures of the page at five sizes go to out/page (PAGE_SHOTS names another fold
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 import pytest
-from page_stand_in import CLOSED, TARE_NEEDED, StandIn, session
+from page_looks import OVERFLOW, SIZES, shots, violations
+from page_stand_in import CLOSED, TARE_NEEDED, ForwardedPort, StandIn, session
 
 from finger_operator.page.readiness import Problem
 from finger_operator.study_plan import PREPARATIONS
 
-SIZES = ((1920, 1080), (1366, 768), (1280, 800), (1024, 768), (390, 844))
 NO_FORCE = Problem("force", "No force.", "Check its power and its cable.", 0.8)
 
 
@@ -66,27 +66,6 @@ def until(condition: Callable[[], Any], page: Any, seconds: float = 20.0) -> Any
 
 # Looks ---------------------------------------------------------------------------------------
 
-OVERFLOW = """() => {
-  const root = document.documentElement;
-  const found = root.scrollWidth > root.clientWidth ? ["the page scrolls sideways"] : [];
-  for (const e of document.querySelectorAll("button, p, h2, section, output, input, li")) {
-    const box = e.getBoundingClientRect();
-    if (box.width && !e.closest(".unseen, dialog") && box.right > innerWidth + 1) {
-      found.push(`${e.id || e.tagName} beyond the right edge`);
-    }
-    if (e.tagName === "BUTTON" && e.scrollWidth > e.clientWidth + 1) found.push(`${e.id} cut`);
-  }
-  for (const e of document.querySelectorAll("#controls, #moisture, #cue")) {
-    if (e.scrollHeight > e.clientHeight + 1) found.push(`${e.id} does not fit`);
-  }
-  if (innerWidth >= 1024) for (const id of ["tare", "start", "end", "moisture-input"]) {
-    const box = document.getElementById(id).getBoundingClientRect();
-    if (box.bottom > innerHeight) found.push(`${id} is below the fold`);
-  }
-  return found;
-}"""
-
-
 LOOKS = [(*size, "light") for size in SIZES] + [(*size, "dark") for size in (SIZES[0], SIZES[-1])]
 
 
@@ -94,20 +73,19 @@ LOOKS = [(*size, "light") for size in SIZES] + [(*size, "dark") for size in (SIZ
 def test_the_page_fits_every_size_and_what_is_far_away_can_be_read(
     rig: StandIn, page: Any, project_root: Path, width: int, height: int, scheme: str
 ) -> None:
-    shots = Path(os.environ.get("PAGE_SHOTS", project_root / "out" / "page"))
-    shots.mkdir(parents=True, exist_ok=True)
+    folder = shots(project_root)
     page.emulate_media(color_scheme=scheme)
     page.set_viewport_size({"width": width, "height": height})
     prepare(rig, page)
     until(lambda: page.locator(".uplot canvas").count() == 3 and page.is_visible("#image"), page)
     page.wait_for_timeout(300)
     whole = width <= 1024
-    page.screenshot(path=str(shots / f"{width}_{scheme}_prepare.png"), full_page=whole)
+    page.screenshot(path=str(folder / f"{width}_{scheme}_prepare.png"), full_page=whole)
     assert page.evaluate(OVERFLOW) == []
     rig.problems, rig.gone = [NO_FORCE], {"force"}
     page.wait_for_selector("#banner:visible")
     page.wait_for_timeout(900)
-    page.screenshot(path=str(shots / f"{width}_{scheme}_fault.png"))
+    page.screenshot(path=str(folder / f"{width}_{scheme}_fault.png"))
     assert page.evaluate(OVERFLOW) == []
     size = "e => parseFloat(getComputedStyle(e).fontSize)"
     for place in ("#cue-text", "#banner-text", "#banner-remedy"):
@@ -120,15 +98,8 @@ def test_the_page_fits_every_size_and_what_is_far_away_can_be_read(
     page.wait_for_selector("#cue[data-look=lift]")
     page.wait_for_selector("#banner", state="hidden")
     page.wait_for_timeout(300)
-    page.screenshot(path=str(shots / f"{width}_{scheme}_lift.png"))
+    page.screenshot(path=str(folder / f"{width}_{scheme}_lift.png"))
     assert page.evaluate(OVERFLOW) == []
-
-
-def violations(page: Any) -> list[tuple[str, list[Any]]]:
-    """What axe finds."""
-    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
-    found = axe.run(page).response["violations"]
-    return [(v["id"], [node["target"] for node in v["nodes"]]) for v in found]
 
 
 @pytest.mark.timeout(900)
@@ -245,6 +216,7 @@ def test_untared_is_said_before_ready(rig: StandIn, page: Any) -> None:
     page.wait_for_selector("#start:disabled")
     assert "Tare needed" in page.inner_text("#banner")
     until(lambda: "not tared" in page.inner_text("#force-panel h2"), page)
+    assert page.inner_text("#estimate-value") == "–", "an estimate of a force without zero"
     page.keyboard.press("t")
     until(lambda: ("tare", {}) in rig.commands, page)
 
@@ -287,6 +259,52 @@ def test_after_a_restart_of_the_rig_the_page_reloads_itself(
         assert page.evaluate("window.same") is None, "the old page had the old token"
         page.keyboard.press("t")
         until(lambda: ("tare", {}) in second.commands, page)
+
+
+LAGS = """
+window.lags = {};
+const Real = window.WebSocket;
+window.WebSocket = class extends Real {
+  constructor(...how) {
+    super(...how);
+    this.addEventListener("message", ({ data }) => {
+      const now = Date.now() / 1e3;
+      const note = (kind, time) => (window.lags[kind] ??= []).push(now - time);
+      if (typeof data !== "string") {
+        return note("image", Number(new DataView(data).getBigInt64(0, true)) / 1e9);
+      }
+      const m = JSON.parse(data);
+      if (m.type === "points") note("force", m.force.at(-1)[0]);
+      if (m.type === "alive" || (m.type === "cue" && m.id >= 0)) note(m.type, m.time);
+    });
+  }
+};
+"""
+
+
+def test_a_slow_link_drops_frames_and_lags_less_than_a_second(browser: Any) -> None:
+    """60 kB/s through a forwarded port, with the right token; pictures alone would be 2 MB/s."""
+    page = browser.new_page()
+    page.add_init_script(LAGS)
+    with StandIn(share_images=True) as rig, ForwardedPort(rig.server.port, rate=60e3) as link:
+        rig.textured = True
+        address = f"http://localhost:{link.port}/"
+        assert page.goto(address).status == 403
+        page.goto(f"{address}?token={rig.server.token}")
+        page.wait_for_selector("#link.good", timeout=30000)
+        until(lambda: page.is_visible("#image"), page)
+        page.wait_for_timeout(3000)
+        page.evaluate("window.lags = {}")
+        for phase in ("press", "lift", "done") * 3:
+            rig.cue(phase)
+            page.wait_for_timeout(700)
+        lags = page.evaluate("window.lags")
+        assert link.bytes > 100e3
+    assert set(lags) == {"image", "force", "alive", "cue"}
+    assert len(lags["cue"]) == 9 and len(lags["image"]) >= 5, lags
+    for kind, values in lags.items():
+        # A busy machine delays single ones; without rounds the lag would grow all the time.
+        assert median(values) < 1.0, (kind, values)
 
 
 # Session -------------------------------------------------------------------------------------

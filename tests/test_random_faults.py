@@ -24,8 +24,8 @@ def test_each_fault_is_named_and_gone_and_nothing_is_lost_silently(project_root:
 
 
 def test_the_page_holds_the_recorded_results(project_root: Path) -> None:
-    script = project_root / "scripts" / "random_faults.py"
+    script = project_root / "scripts" / "faults.py"
     done = subprocess.run([sys.executable, script, "--check"], timeout=60)
-    assert done.returncode == 0, "run python scripts/random_faults.py --page"
+    assert done.returncode == 0, "run python scripts/faults.py"
     recorded = json.loads((project_root / "tests" / "recorded_random_faults.json").read_text())
     assert len({result["fault"] for result in recorded["results"]}) >= 30

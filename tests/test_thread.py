@@ -16,6 +16,8 @@ import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+from page_looks import violations
+
 from demo.results import true_trials
 from demo.session import SESSION
 from finger_bag.reader import open_bag
@@ -196,6 +198,26 @@ def test_the_demo_recovers_what_the_finger_is_made_of(demo: tuple[Path, str]) ->
     assert "http" not in page.replace("http-equiv", "")
     assert "report:" in output and "report.html" in output
     assert (folder / "fit" / "report.html").exists() and (folder / "fit" / "fit.json").exists()
+
+
+def test_axe_finds_nothing_in_the_reports_and_they_fit_a4(
+    demo: tuple[Path, str], chrome: Any
+) -> None:
+    page = chrome.new_page(viewport={"width": 1280, "height": 900})
+    for report in ("report.html", "fit/report.html"):
+        page.emulate_media(media="screen")
+        page.set_viewport_size({"width": 1280, "height": 900})
+        page.goto((demo[0] / report).as_uri())
+        for scheme in ("light", "dark"):
+            page.emulate_media(color_scheme=scheme)
+            assert violations(page) == [], (report, scheme)
+        # 210 mm less the margins of 14 mm, at 96 px to the inch.
+        page.emulate_media(media="print", color_scheme="light")
+        page.set_viewport_size({"width": 688, "height": 1000})
+        wide = "[...document.querySelectorAll('table, img, svg, pre, p')].filter((e) => "
+        wide += "e.getBoundingClientRect().right > innerWidth + 1).map((e) => e.outerHTML)"
+        assert page.evaluate(wide) == [], report
+    page.close()
 
 
 def test_replaying_the_images_gives_the_areas_that_were_seen_live(demo: tuple[Path, str]) -> None:

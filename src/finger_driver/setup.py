@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Build description for pip and colcon: facts from package.xml, entry points in setup.cfg."""
 
 from glob import glob
@@ -24,5 +27,6 @@ setup(
         (f"share/{name}", ["package.xml"]),
         (f"share/{name}/launch", glob("launch/*.py")),
         (f"share/{name}/config", glob("config/*")),
+        (f"share/{name}/urdf", glob("urdf/*")),
     ],
 )

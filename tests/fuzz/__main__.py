@@ -6,7 +6,8 @@
 
 A case passes when the reader ends with success or one sentence, within 10 s of processor time and
 500 MB, and writes nothing but its output. Prints JSON; exit code 1 when a case fails. Files of
-failed cases are kept in --keep.
+failed cases are kept in --keep; --record keeps the report, from which scripts/faults.py writes
+docs/faults.md.
 """
 
 from __future__ import annotations
@@ -31,7 +32,9 @@ from readers import CORPUS, READERS, Reader, kind_of
 
 from finger_common.cli import one_line
 from finger_common.errors import FingerError
+from finger_common.files import atomic_write
 
+RECORDED = Path(__file__).with_name("recorded.json")
 CPU_SECONDS, MEGABYTES = 10, 500
 BATCH = 40
 """Files that one forked process reads."""
@@ -167,6 +170,7 @@ def main() -> int:
     parser.add_argument("--only", type=int, help="one case: its number, as in the report")
     parser.add_argument("--files", type=Path, nargs="*", default=[])
     parser.add_argument("--few", action="store_true", help="two readers a case, in turn")
+    parser.add_argument("--record", action="store_true", help="keep the report for docs/faults.md")
     parser.add_argument("--keep", type=Path, help="folder for the files of failed cases")
     args = parser.parse_args()
     began = time.time()
@@ -205,6 +209,7 @@ def main() -> int:
     failed = [r for r in results if r["outcome"] == "FAILED"]
     report = {
         "cases": len(chosen),
+        "seed": args.seed,
         "runs": len(results),
         "seconds": round(time.time() - began),
         "longest": max((r["cpu"] for r in results), default=0.0),
@@ -213,6 +218,10 @@ def main() -> int:
         "failed": failed,
         "results": results if args.files else [],
     }
+    if args.record:
+        with atomic_write(RECORDED) as file:
+            json.dump(report, file, ensure_ascii=False, indent=1)
+            file.write("\n")
     print(json.dumps(report, indent=1))
     return 1 if failed else 0
 

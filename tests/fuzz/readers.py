@@ -16,7 +16,7 @@ import numpy as np
 import finger_driver
 from finger_bag.cli import command as bag_command
 from finger_bag.mapping import TopicMapping
-from finger_bringup.nodes import check_parameter_file
+from finger_bringup.nodes import read_parameter_file
 from finger_common.cli import run
 from finger_common.files import read_csv
 from finger_common.settings import Settings
@@ -32,6 +32,7 @@ from finger_model.laws import StandardLinearSolid
 from finger_model.parameter_sets import ParameterSets
 from finger_model.reduced import ReducedModel
 from finger_offline.trials import load_trials
+from finger_operator.event_log import EVENTS_FILE, Event, EventLog
 from finger_operator.protocol import Protocol
 from finger_vision.calibration import PlateCalibration
 from finger_vision.cli import main as vision_main
@@ -101,6 +102,16 @@ def _session(path: Path, out: Path) -> None:
             raise AssertionError(f"{bag} is outside the session's folder")
 
 
+def _events(path: Path, out: Path) -> None:
+    """As the event log of a session that goes on."""
+    folder = path.parent / "session"
+    folder.mkdir()
+    (folder / EVENTS_FILE).write_bytes(path.read_bytes())
+    log = EventLog.load(folder)
+    log.add(Event(10**18, "note", "it goes on"))
+    log.save()
+
+
 def _settings(path: Path, out: Path) -> None:
     cls: type[Settings] = EstimatorSettings
     cls.from_json(path.read_bytes().decode(errors="replace"))
@@ -145,9 +156,10 @@ READERS: dict[str, dict[str, Reader]] = {
     "material": {"material": lambda path, out: StandardLinearSolid.load(path)},
     "geometry": {"geometry": lambda path, out: Geometry.load(path)},
     "camera": {"camera_info": lambda path, out: CameraCalibration.load(path)},
-    "rig": {"rig": lambda path, out: check_parameter_file(path)},
+    "rig": {"rig": lambda path, out: read_parameter_file(path)},
     "settings": {"settings": _settings},
     "session": {"session": _session},
+    "events": {"event log": _events},
     "checkpoint": {"checkpoint": _checkpoint},
     "force": {"table": lambda path, out: read_csv(path, ["time_s", "force_n"])},
     "readings": {"readings": _table},

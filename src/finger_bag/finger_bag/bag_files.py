@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Which files and folders are bags, and which files belong to one."""
 
 from __future__ import annotations

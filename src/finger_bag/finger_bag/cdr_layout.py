@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Where the fields of a serialized message are, so that many messages are read or written as one
 array.
 

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The command `finger-bag`."""
 
 from __future__ import annotations
@@ -292,7 +295,7 @@ def parser() -> argparse.ArgumentParser:
         "finger-bag play bags/dry --rate 2 --clock --topics wrench contact_area",
     )
     show.add_argument("bag", metavar="BAG")
-    add_settings(show, ReplaySettings)
+    add_settings(show.add_argument_group("how it is played"), ReplaySettings)
     show.add_argument("--clock", action="store_true", help="publish the bag's time on /clock")
     show.add_argument("--topics", nargs="+", metavar="TOPIC", help="play these topics only")
     show.add_argument("--exclude", nargs="+", metavar="TOPIC", help="leave out these topics")
@@ -319,7 +322,7 @@ def parser() -> argparse.ArgumentParser:
     record.add_argument("--subject", default="", help="subject code, never a name")
     record.add_argument("--condition", default="", help="moisture condition")
     record.add_argument("--calibration", metavar="FILE", help="plate calibration to attach")
-    add_settings(record, RecorderSettings)
+    add_settings(record.add_argument_group("how the bag is written"), RecorderSettings)
     # The names that these two had before; scripts of users go on.
     earlier: Any = {"default": argparse.SUPPRESS, "help": argparse.SUPPRESS}
     record.add_argument("--split-size", dest="maximum_size", type=int, **earlier)

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Copies of bags: all that can be read (`recover`), or all but biometric data (`anonymise`)."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """ROS 2 message types without ROS: definitions, type hashes, CDR to objects and plain data to CDR.
 
 The suite's own types are shipped as copies of the interface files of finger_msgs, so that this

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """How a bag of another system is read: other topic names, units, fields and axes, from a YAML file.
 
     topics:

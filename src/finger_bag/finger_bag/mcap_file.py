@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Reading MCAP files that may be damaged, cut off or hostile, in bounded memory.
 
 The `mcap` library believes a file: it allocates what a length field claims and stops at the first

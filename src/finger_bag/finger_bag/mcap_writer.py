@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Writing MCAP files, fast and with everything that is known of a message.
 
 docs/dependencies.md has the figures of the libraries beside this: the `mcap` library takes six

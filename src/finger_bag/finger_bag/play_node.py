@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Publishing a bag over the middleware, for `finger-bag play`. Imports rclpy.
 
 rosbag2's own player is not on PyPI, and this one also plays where only the suite is installed. With

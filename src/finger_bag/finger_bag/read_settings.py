@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """How the streams of a bag are found and read: topic names, namespace, axis, mapping file."""
 
 from __future__ import annotations
@@ -39,8 +42,11 @@ class ReadSettings(Settings):
 
 def add_read_options(parser: argparse.ArgumentParser, cls: type[ReadSettings]) -> None:
     """Give a command the options of ReadSettings, or of settings derived from it."""
-    parser.add_argument("--mapping", metavar="FILE", help="YAML file with other topic names, units")
-    add_settings(parser, cls)
+    reading = parser.add_argument_group("how the bag is read")
+    reading.add_argument(
+        "--mapping", metavar="FILE", help="YAML file with other topic names, units"
+    )
+    add_settings(reading, cls)
 
 
 def read_settings_from(args: argparse.Namespace, cls: type[Read], **more: Any) -> Read:

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Reading bags: rosbag2 folders (MCAP, sqlite3, compressed or not), bare MCAP and sqlite3 files.
 
 Reading is streaming: messages come in the order of their log time, one chunk (or a few,

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Recording core: a queue, a thread that writes, and the accounts of what was lost. No ROS.
 
 Messages are put in as they came from the middleware, serialized; the thread writes them and hands

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Recorder node: writes the rig's topics into a bag, serialized as they come.
 
 Node around `recorder.Recorder`. Subscriptions exist from activation on, so that a recording
@@ -260,9 +263,13 @@ class RecorderNode(ManagedNode):
         for topic, (_, reliable) in list(self._subs.items()):
             # Where every publisher offers it, reliable delivery costs nothing and loses nothing.
             offers = self.get_publishers_info_by_topic(topic)
-            if not reliable and offers:
-                if all(o.qos_profile.reliability == ReliabilityPolicy.RELIABLE for o in offers):
-                    self._subscribe(topic, True)
+            always = self.values["qos_reliability"] == "reliable" or self._topics[topic][1] > 0
+            if offers and not always:
+                all_reliable = all(
+                    o.qos_profile.reliability == ReliabilityPolicy.RELIABLE for o in offers
+                )
+                if all_reliable != reliable:
+                    self._subscribe(topic, all_reliable)
 
     def _watch_interruption(self) -> None:
         """Say again and again that nothing is recorded; resume as soon as that is possible."""

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Replay without ROS: messages of a bag at their original spacing, as a plain iterator.
 
     for item in replay(reader, ReplaySettings(rate=2.0)):

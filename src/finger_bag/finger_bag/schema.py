@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """What a session bag holds: topics, types, quality of service, metadata and attachments.
 
 A bag is a rosbag2 folder (NAME/metadata.yaml, NAME/NAME_0.mcap, …) whose MCAP files follow the

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Messages that are missing between the stamps of a stream of constant rate."""
 
 from __future__ import annotations

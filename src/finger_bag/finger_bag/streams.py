@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The streams of a session bag as arrays: what trials, validation and processing start from."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Is a bag fit for use? Checks with a status each, for a table or as data.
 
 Statuses: "ok"; "note", information only; "fail". A bag is fit for use when nothing
@@ -263,9 +266,11 @@ def _check_calibration(reader: BagReader, streams: SessionStreams, result: Valid
     uncalibrated = bool(((streams.area_flags & AreaFlag.UNCALIBRATED) != 0).any())
     if attached:
         result.add("calibration", OK, f"{CALIBRATION_ATTACHMENT} is attached")
+    elif uncalibrated:
+        result.add("calibration", NOTE, "areas were measured without a plate calibration")
     elif len(streams.area_stamp_ns):
-        text = "areas were measured without a plate calibration" if uncalibrated else "not attached"
-        result.add("calibration", NOTE, text)
+        status = NOTE if len(streams.image_stamp_ns) else OK
+        result.add("calibration", status, "not attached; areas are recorded")
     else:
         result.add(
             "calibration",

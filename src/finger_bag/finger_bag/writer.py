@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Writing bags: a rosbag2 folder with MCAP files, zstd chunks, message index and metadata.yaml."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Fixtures of the bag tests; `session_bags` beside this file makes the bags."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Damage to bag files: random bytes, cuts, swapped pieces, and the tricks of hostile files."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Messages for the recorder, and reading them back, for processes that tests start."""
 
 from __future__ import annotations

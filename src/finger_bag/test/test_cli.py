@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The command: exit codes, one sentence for bad input, tables and JSON."""
 
 from __future__ import annotations

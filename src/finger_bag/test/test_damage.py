@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Damaged and hostile bags give a clear error or partial result, in bounded time and memory."""
 
 from __future__ import annotations

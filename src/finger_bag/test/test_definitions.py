@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The shipped definitions are those of finger_msgs; plain data survives the way to CDR and back."""
 
 from __future__ import annotations

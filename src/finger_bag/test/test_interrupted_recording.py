@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """A recording that ends by itself: said aloud, every message accounted for, resumed when it can."""
 
 from __future__ import annotations

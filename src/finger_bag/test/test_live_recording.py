@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """A recording of the real nodes over DDS gives again what they published."""
 
 from __future__ import annotations

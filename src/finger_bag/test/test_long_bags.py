@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Long bags: every message is read, memory stays flat, `info` answers from the summary."""
 
 from __future__ import annotations

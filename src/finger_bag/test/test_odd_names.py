@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Names that mean something to a terminal, a shell or a file system are text and no more."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Recording: nothing lost, nothing re-encoded, complete files after every fault."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Replay: original spacing, rate, loop, start offset; over DDS, nodes estimate as they did live."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Independent readers read what this package writes, and the other way round."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The sample bags of the checkout: fit for use, small, and readable by independent readers."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Stamps that are missing: counted where messages are lost, and only there."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Which lifecycle node to configure or activate next, so that a suite comes up in order. No ROS.
 
 Groups come up one after the other. A group may begin when all nodes of the groups before it are

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Node that brings the lifecycle nodes of the suite up in order and keeps them up.
 
 A node that refuses or is restarted is configured and activated again; `/diagnostics` names the
@@ -22,6 +25,8 @@ from .bring_up import ALL_ACTIVE, BringUp
 
 STATE_TIMEOUT = 5.0
 """s without an answer after which a node's state is unknown: it was killed, or is not there."""
+NEWS = 10.0
+"""s between lines that name the nodes that are waited for."""
 SILENT_AFTER = 1.25
 """s without an answer after which a node is reported as silent."""
 
@@ -74,6 +79,7 @@ class BringUpNode(ManagedNode):
         self._requested: dict[str, tuple[float, Any]] = {}
         self._changing: dict[str, tuple[float, Any]] = {}
         self._complete = False
+        self._told = time.monotonic()
 
     def activate(self) -> None:
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -147,7 +153,9 @@ class BringUpNode(ManagedNode):
             if not self._complete:
                 self._complete = True
                 self.get_logger().info(f"{ALL_ACTIVE}: {', '.join(self._bring_up.nodes)}")
-        elif self._complete:
+        elif not self._complete:
+            self._tell(missing)
+        else:
             # A node's state is unknown while it changes and until it answers after that.
             now = time.monotonic()
             silent = {n for n, at in self._last_answer.items() if now - at > STATE_TIMEOUT}
@@ -156,6 +164,13 @@ class BringUpNode(ManagedNode):
             if lost:
                 self._complete = False
                 self.log_fault(self._health, "not_active", f"not active: {', '.join(lost)}", WARN)
+
+    def _tell(self, missing: list[str]) -> None:
+        """Say now and then what is waited for, so that a slow start is no riddle."""
+        now = time.monotonic()
+        if now - self._told >= NEWS:
+            self._told = now
+            self.get_logger().info(f"waiting for: {', '.join(missing)}")
 
     def _report_silent(self, now: float) -> None:
         """Name nodes that do not answer, at once: they cannot report it themselves."""

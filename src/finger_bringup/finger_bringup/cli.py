@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The command `finger-rig`: the suite without ros2 launch, and the paper's study in simulation."""
 
 from __future__ import annotations
@@ -9,9 +12,14 @@ import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
+from finger_bridge import lsl
+from finger_bridge.foxglove_server import DEFAULT_PORT, require
 from finger_common.cli import Parser, run
+from finger_common.errors import InputError
 from finger_common.folder_lock import lock_folder
+from finger_common.namespaces import DEFAULT_NAMESPACE, default_folder
 
 from . import nodes
 from .bring_up import ALL_ACTIVE
@@ -20,6 +28,8 @@ from .supervisor import Supervisor
 EXAMPLE = """\
 finger-rig up --simulated             # on simulated devices; page at http://127.0.0.1:8080
 finger-rig up --parameters rig.yaml   # real devices, as the file describes them
+finger-rig up --fingers thumb index --compose --parameters hand.yaml   # fingers of a robot hand
+finger-rig up --simulated --namespace thumb   # a second rig beside the first
 finger-rig study --seed 1 --no-images -o out/study"""
 
 
@@ -33,23 +43,38 @@ def parser() -> argparse.ArgumentParser:
     commands = top.add_subparsers(dest="command", required=True, parser_class=Parser)
     up = commands.add_parser(
         "up",
-        help="start the suite as separate processes and keep it running",
+        help="start the suite and keep it running",
         description=(
             "Start the nodes of the rig in order and show their output. A node that ends "
-            "unexpectedly is started again. Ctrl-C ends all."
+            "unexpectedly is started again. Ctrl-C ends all. Each node is a process, unless "
+            "--compose puts them into one."
         ),
         example=(
             "finger-rig up --simulated\n"
             "finger-rig up --parameters rig.yaml --without moisture\n"
-            "finger-rig up --nodes force model --parameters robot.yaml"
+            "finger-rig up --nodes force model --parameters robot.yaml\n"
+            "finger-rig up --fingers thumb index --compose --parameters hand.yaml\n"
+            "finger-rig up --simulated --foxglove"
         ),
     )
     up.add_argument("--simulated", action="store_true", help="simulated devices and participant")
     up.add_argument("--parameters", type=Path, metavar="FILE", help="ROS parameter file (YAML)")
     up.add_argument(
         "--namespace",
-        default=nodes.DEFAULT_NAMESPACE,
-        help="namespace of all nodes (default: %(default)s)",
+        help=f"namespace of all nodes (default: {DEFAULT_NAMESPACE}, with --fingers "
+        f"{nodes.HAND_NAMESPACE})",
+    )
+    up.add_argument(
+        "--fingers",
+        nargs="*",
+        metavar="NAME",
+        help="run force and model once for each finger, in the namespace of its name; without "
+        f"names: {' '.join(nodes.FINGERS)}",
+    )
+    up.add_argument(
+        "--compose",
+        action="store_true",
+        help="run the nodes in one process: less processor time and delay for each sample",
     )
     up.add_argument("--nodes", nargs="+", metavar="NODE", help="run only these nodes")
     up.add_argument(
@@ -58,10 +83,23 @@ def parser() -> argparse.ArgumentParser:
     up.add_argument(
         "--folder",
         type=Path,
-        default=Path("out/rig"),
-        help="folder of sessions and simulated devices (default: %(default)s)",
+        help="folder of sessions and simulated devices (default: out/rig, and out/rig_NAMESPACE "
+        "for other namespaces)",
     )
-    up.add_argument("--seed", type=int, default=1, help="seed of the simulated rig (default: 1)")
+    up.add_argument(
+        "--port", type=int, metavar="N", help="TCP port of the page (default: 8080, or a free one)"
+    )
+    up.add_argument(
+        "--foxglove",
+        nargs="?",
+        const="",
+        metavar="[HOST:]PORT",
+        help=f"serve the live view in Foxglove (default: this machine only, port {DEFAULT_PORT})",
+    )
+    up.add_argument(
+        "--lsl", action="store_true", help="exchange streams with the Lab Streaming Layer"
+    )
+    up.add_argument("--seed", type=int, help="seed of the simulated rig (default: 1)")
     study = commands.add_parser(
         "study",
         help="simulate the paper's study into bags",
@@ -99,15 +137,69 @@ def _main(argv: Sequence[str] | None) -> int:
 # finger-rig up -------------------------------------------------------------------------------
 
 
-def entries(arguments: argparse.Namespace) -> list[nodes.NodeEntry]:
-    """What `finger-rig up` runs; raises InputError for contradictory options."""
+def foxglove_address(text: str) -> dict[str, Any]:
+    """Parameters of the node `foxglove` for "PORT", "HOST:PORT" or ""; raises InputError."""
+    require()
+    if not text:
+        return {}
+    host, _, port = text.rpartition(":")
+    if not port.isdecimal() or int(port) > 65535:
+        raise InputError(f"--foxglove {text}: give PORT or HOST:PORT, such as {DEFAULT_PORT}")
+    return {"port": int(port), "host": host.strip("[]") or "127.0.0.1"}
+
+
+def entries(
+    arguments: argparse.Namespace, devices: nodes.Parameters | None = None
+) -> list[nodes.NodeEntry]:
+    """What `finger-rig up` runs; raises InputError for contradictory options.
+
+    devices: parameters that connect the fingers of a hand to simulated sensors.
+    """
+    parameters: dict[str, dict[str, Any]] = {}
+    if arguments.seed is not None:
+        parameters["simulated_rig"] = {"seed": arguments.seed}
+    if arguments.port is not None:
+        parameters["page"] = {"port": arguments.port}
+    further = []
+    if arguments.foxglove is not None:
+        parameters["foxglove"] = foxglove_address(arguments.foxglove)
+        further.append("foxglove")
+    if arguments.lsl:
+        lsl.require()
+        further.append("lsl")
+    if arguments.fingers is not None:
+        return nodes.hand(
+            fingers(arguments),
+            arguments.nodes or (),
+            arguments.without,
+            nodes.merged(devices or {}, parameters),
+            further,
+        )
     return nodes.rig(
-        arguments.folder.absolute(),
+        folder_of(arguments),
         simulated=arguments.simulated,
         without=arguments.without,
-        parameters={"simulated_rig": {"seed": arguments.seed}},
+        parameters=parameters,
         only=arguments.nodes or (),
+        further=further,
     )
+
+
+def fingers(arguments: argparse.Namespace) -> Sequence[str]:
+    """Names of the fingers of a hand; empty for a rig."""
+    return () if arguments.fingers is None else arguments.fingers or nodes.FINGERS
+
+
+def namespace_of(arguments: argparse.Namespace) -> str:
+    """Namespace of all nodes."""
+    usual = DEFAULT_NAMESPACE if arguments.fingers is None else nodes.HAND_NAMESPACE
+    return arguments.namespace or usual
+
+
+def folder_of(arguments: argparse.Namespace) -> Path:
+    """Absolute folder of the rig."""
+    folder: Path = arguments.folder or default_folder(namespace_of(arguments))
+    return folder.expanduser().absolute()
 
 
 class ReadyLine:
@@ -137,10 +229,17 @@ class ReadyLine:
 
 
 def _up(arguments: argparse.Namespace) -> int:
-    folder = arguments.folder.absolute()
-    chosen = entries(arguments)
+    folder = folder_of(arguments)
+    boards, devices = nodes.simulated_boards(fingers(arguments) if arguments.simulated else ())
+    chosen = entries(arguments, devices)
     lock = lock_folder(folder, "a rig")
-    specs = nodes.process_specs(chosen, folder, arguments.namespace, arguments.parameters)
+    specs = boards + nodes.process_specs(
+        chosen,
+        folder,
+        namespace_of(arguments),
+        arguments.parameters,
+        compose=arguments.compose,
+    )
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     ready = ReadyLine("page" in {entry.name for entry in chosen})
 

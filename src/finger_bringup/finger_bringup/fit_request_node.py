@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Node that requests one fit of the fit node, shows its progress and ends.
 
 Exit code 0: done; 2: refused or failed.
@@ -94,7 +97,7 @@ class FitRequestNode(ManagedNode):
     def _accepted(self, future: Any) -> None:
         handle = future.result()
         if not handle.accepted:
-            self._failure = "the fit node refused: it is busy, or the goal cannot be used"
+            self._failure = "the fit node refused the goal; its log names the reason"
             return
         handle.get_result_async().add_done_callback(self._finished)
 

@@ -1,14 +1,18 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """What runs: the suite's nodes, in which order they come up, with which parameters.
 
-`finger-rig up`, the launch files, the demo and the tests run the entries that `select` and `rig`
-give. The lifecycle nodes among them start unconfigured; the node `bring_up`, which is always the
-last entry, configures and activates them in order, again after a refusal and again after a restart.
-No ROS and no launch here: an entry becomes a command (`process_specs`) or a launch_ros node
-(`launch.actions`).
+`finger-rig up`, the launch files, the demo and the tests run the entries that `select`, `rig` and
+`hand` give. The lifecycle nodes among them start unconfigured; the node `bring_up`, which is always
+the last entry, configures and activates them in order, again after a refusal and again after a
+restart. No ROS and no launch here: an entry becomes a command (`process_specs`) or a launch_ros
+node (`launch.actions`); entries that are composed become one command.
 """
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -17,16 +21,16 @@ from typing import Any
 
 import yaml
 
+from finger_common.axes import DEFAULT_NORMAL_AXIS
 from finger_common.errors import InputError, known_names
 from finger_common.files import atomic_write, load_yaml
+from finger_common.namespaces import DEFAULT_NAMESPACE, own_name
 from finger_sim.rig_settings import RigAddresses
 
 from .supervisor import ProcessSpec
 
-DEFAULT_NAMESPACE = "finger"
-
 Parameters = Mapping[str, Mapping[str, Any]]
-"""Values by node name and parameter name."""
+"""Values by node (its `NodeEntry.path`) and parameter name."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +40,9 @@ class NodeEntry:
     name: node name within the namespace. package, executable: for `ros2 run` and launch files.
     rank: lower ranks come up earlier and end later. lifecycle: `bring_up` configures and activates
     it. restart: is started again when it ends by itself. essential: its end ends everything.
-    parameters: what the suite sets itself; these override a parameter file.
+    composable: may share a process with others. parameters: what the suite must set itself; these
+    override a parameter file. defaults: what it sets where the parameter file does not. finger:
+    namespace below that of the suite, "" for none.
     """
 
     name: str
@@ -46,7 +52,19 @@ class NodeEntry:
     lifecycle: bool = True
     restart: bool = True
     essential: bool = False
+    composable: bool = True
     parameters: Mapping[str, Any] = field(default_factory=dict)
+    defaults: Mapping[str, Any] = field(default_factory=dict)
+    finger: str = ""
+
+    @property
+    def path(self) -> str:
+        """Name below the namespace of the suite: "model", "thumb/model"."""
+        return f"{self.finger}/{self.name}" if self.finger else self.name
+
+    def namespace(self, of_suite: str) -> str:
+        """Full namespace of the node."""
+        return "/" + "/".join(part for part in (of_suite.strip("/"), self.finger) if part)
 
     @property
     def module(self) -> str:
@@ -57,23 +75,33 @@ class NodeEntry:
         """The entry with further parameters set."""
         return replace(self, parameters={**self.parameters, **parameters})
 
+    def with_defaults(self, **defaults: Any) -> NodeEntry:
+        """The entry with further defaults."""
+        return replace(self, defaults={**self.defaults, **defaults})
+
 
 BRING_UP = NodeEntry("bring_up", "finger_bringup", "bring_up_node", 9, lifecycle=False)
+
+COMPOSED = NodeEntry("nodes", "finger_bringup", "composed_node", 1, lifecycle=False)
+"""The process of all nodes that are composed."""
 
 NODES: dict[str, NodeEntry] = {
     entry.name: entry
     for entry in (
-        NodeEntry("simulated_rig", "finger_sim", "rig_node", 0),
+        # Computes whole presses; a process of its own, as real devices are outside of the nodes.
+        NodeEntry("simulated_rig", "finger_sim", "rig_node", 0, composable=False),
         NodeEntry("force", "finger_driver", "force_node", 1),
         NodeEntry("camera", "finger_driver", "camera_node", 1),
         NodeEntry("moisture", "finger_driver", "moisture_node", 1),
         NodeEntry("vision", "finger_vision", "vision_node", 2),
         NodeEntry("model", "finger_model", "model_node", 2),
-        NodeEntry("fit", "finger_fit", "fit_node", 3),
+        NodeEntry("fit", "finger_fit", "fit_node", 3, composable=False),
         NodeEntry("recorder", "finger_bag", "recorder_node", 3),
         NodeEntry("protocol", "finger_operator", "protocol_node", 4),
         # Active at once, so that the operator sees which other nodes are missing.
         NodeEntry("page", "finger_operator", "page_node", 5, lifecycle=False),
+        NodeEntry("foxglove", "finger_bridge", "foxglove_node", 5, lifecycle=False),
+        NodeEntry("lsl", "finger_bridge", "lsl_node", 5, lifecycle=False),
         NodeEntry(
             "fit_request",
             "finger_bringup",
@@ -82,6 +110,7 @@ NODES: dict[str, NodeEntry] = {
             lifecycle=False,
             restart=False,
             essential=True,
+            composable=False,
         ),
         BRING_UP,
     )
@@ -94,8 +123,12 @@ RIG = ("force", "camera", "moisture", "vision", "model", "recorder", "protocol",
 GRASP = ("force", "model")
 """Nodes on a robot."""
 
-SIMULATED_PATIENCE = 60.0
-"""s that the drivers wait for the simulated rig, which may have to compile its kernels first."""
+FRAMED = ("force", "camera", "moisture", "vision")
+"""Nodes that name frames."""
+
+SIMULATED_PATIENCE = 600.0
+"""s that the drivers wait for the simulated rig: without it there is nothing to connect to, and it
+may have to compile its kernels first."""
 
 
 def simulated_devices(addresses: RigAddresses) -> dict[str, dict[str, Any]]:
@@ -146,20 +179,20 @@ def select(
 ) -> list[NodeEntry]:
     """The wanted nodes in the order of their coming up, and last the node that brings them up.
 
-    wanted: names of NODES, or entries beside it. parameters: by node name; those of nodes that are
-    not wanted have no effect. Raises InputError for a name that is not in NODES.
+    wanted: names of NODES, or entries beside it. parameters: those of nodes that are not wanted
+    have no effect. Raises InputError for a name that is not in NODES.
     """
     parameters = parameters or {}
     found = [entry_of(node) if isinstance(node, str) else node for node in wanted]
-    for name in parameters.keys() - {entry.name for entry in found}:
-        entry_of(name)
+    for path in parameters.keys() - {entry.path for entry in found}:
+        entry_of(path.rpartition("/")[2])
     entries = sorted((e for e in found if e.name != BRING_UP.name), key=lambda entry: entry.rank)
     groups: dict[int, list[str]] = {}
     for entry in entries:
         if entry.lifecycle:
-            groups.setdefault(entry.rank, []).append(entry.name)
+            groups.setdefault(entry.rank, []).append(entry.path)
     chosen = [
-        entry.with_parameters(autostart=not entry.lifecycle, **parameters.get(entry.name, {}))
+        entry.with_parameters(autostart=not entry.lifecycle, **parameters.get(entry.path, {}))
         for entry in entries
     ]
     if not groups:
@@ -175,30 +208,100 @@ def rig(
     without: Iterable[str] = (),
     parameters: Parameters | None = None,
     only: Iterable[str] = (),
+    further: Iterable[str] = (),
 ) -> list[NodeEntry]:
     """Entries of a measuring rig.
 
-    folder: of the sessions and of the simulated devices. simulated: with simulated devices and
+    folder: of the sessions, unless the parameter file names another, and of the simulated devices.
+    simulated: with simulated devices and
     participant. without: nodes to leave out. parameters: by node name, further ones. only: the
-    nodes to run in place of all. Raises InputError for a node that does not exist, and for one in
-    `without` that would not run.
+    nodes to run in place of all. further: nodes to run beside these. Raises InputError for a node
+    that does not exist, and for one in `without` that would not run.
     """
     names = list(only) or [*(["simulated_rig"] if simulated else []), *RIG]
+    names += [name for name in further if name not in names]
     for name in without:
         if entry_of(name).name not in names:
             raise InputError(f"node '{name}' would not run anyway; do not name it to be left out")
         names.remove(name)
-    own: dict[str, dict[str, Any]] = {"protocol": {"output": str(folder / "sessions")}}
+    defaults: dict[str, dict[str, Any]] = {"protocol": {"output": str(folder / "sessions")}}
     if "recorder" not in names and not only:
-        own["protocol"]["need_recorder"] = False
+        defaults["protocol"]["need_recorder"] = False
     devices = simulated_devices(RigAddresses.private(folder / "devices")) if simulated else {}
-    return select(names, merged(own, devices, parameters or {}))
+    entries = select(names, merged(devices, parameters or {}))
+    return [entry.with_defaults(**defaults.get(entry.name, {})) for entry in entries]
+
+
+FINGERS = ("thumb", "index", "middle", "ring", "little")
+"""Namespaces of the fingers of a hand, unless others are named."""
+
+HAND_NAMESPACE = "hand"
+
+
+def check_fingers(fingers: Iterable[str]) -> list[str]:
+    """The names; raises InputError for one that is no ROS name and for one that comes twice."""
+    names = list(fingers)
+    for name in names:
+        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
+            raise InputError(
+                f"finger '{name}' is no ROS name; use letters, digits and _, a letter first"
+            )
+        if names.count(name) > 1:
+            raise InputError(f"finger '{name}' is named twice; give each finger its own name")
+    return names
+
+
+def hand(
+    fingers: Iterable[str] = FINGERS,
+    only: Iterable[str] = (),
+    without: Iterable[str] = (),
+    parameters: Parameters | None = None,
+    further: Iterable[str] = (),
+) -> list[NodeEntry]:
+    """Entries of several fingers side by side, each in a namespace of its own.
+
+    fingers: their namespaces. only, without: the nodes of each finger, those of GRASP unless given.
+    parameters: by the path of a node ("thumb/force"). further: nodes of the whole hand. Raises
+    InputError as `rig`.
+    """
+    names = [entry_of(name).name for name in (only or GRASP)]
+    for name in without:
+        if entry_of(name).name not in names:
+            raise InputError(f"node '{name}' would not run anyway; do not name it to be left out")
+        names.remove(name)
+    entries = [
+        replace(NODES[name], finger=finger) for finger in check_fingers(fingers) for name in names
+    ]
+    return select([*entries, *further], parameters)
+
+
+def simulated_boards(fingers: Iterable[str]) -> tuple[list[ProcessSpec], dict[str, dict[str, Any]]]:
+    """A simulated force sensor for each finger, which presses again and again, and the parameters
+    that connect the force nodes to them.
+    """
+    specs, parameters = [], {}
+    for finger in fingers:
+        bus = RigAddresses.private(Path())
+        options = f"port={bus.can_port}"
+        command = [sys.executable, "-m", "finger_driver.simulators.cli", "netcanoem"]
+        command += ["--press", "1.35", f"--axis={DEFAULT_NORMAL_AXIS}"]
+        command += ["--channel", bus.can_channel, "--options", options]
+        specs.append(ProcessSpec(f"{finger}/board", tuple(command)))
+        parameters[f"{finger}/force"] = {
+            "device": "netcanoem",
+            "can_interface": "udp_multicast",
+            "can_channel": bus.can_channel,
+            "can_options": options,
+        }
+    return specs, parameters
 
 
 def write_parameter_file(entries: Iterable[NodeEntry], namespace: str, path: Path) -> Path:
-    """Write the entries' own parameters as a ROS parameter file and return its path."""
+    """Write the settled entries' own parameters as a ROS parameter file and return its path."""
     data = {
-        f"/{namespace}/{entry.name}": {"ros__parameters": dict(entry.parameters)}
+        f"{entry.namespace(namespace)}/{entry.name}".replace("//", "/"): {
+            "ros__parameters": dict(entry.parameters)
+        }
         for entry in entries
         if entry.parameters
     }
@@ -207,15 +310,44 @@ def write_parameter_file(entries: Iterable[NodeEntry], namespace: str, path: Pat
     return path
 
 
-def check_parameter_file(path: Path) -> Path:
-    """The path of a ROS parameter file; raises InputError naming file and key for any other."""
+def read_parameter_file(path: Path) -> dict[str, Mapping[str, Any]]:
+    """Parameters by node pattern of a ROS parameter file; raises InputError naming file and key."""
+    found = {}
     for node, section in load_yaml(path, "parameter file").items():
         if not isinstance(section, dict) or not isinstance(section.get("ros__parameters"), dict):
             raise InputError(
                 f"{path}: '{node}' has no 'ros__parameters' with 'name: value' lines; "
                 "see the rig parameter file of finger_bringup"
             )
-    return path
+        found[node] = section["ros__parameters"]
+    return found
+
+
+def matches(pattern: str, node: str) -> bool:
+    """Whether a key of a parameter file means a node of this full name; * and ** as in ROS."""
+    text = re.escape("/" + pattern.strip("/"))
+    text = text.replace(r"/\*\*", r"(/[^/]+)*").replace(r"\*", r"[^/]+")
+    return re.fullmatch(text, node) is not None
+
+
+def settled(
+    entries: Iterable[NodeEntry], namespace: str, parameter_file: Path | None
+) -> list[NodeEntry]:
+    """The entries with each default that the user's file does not set among their parameters.
+
+    Frames have names of their own in each namespace but the usual one.
+    """
+    file = {} if parameter_file is None else read_parameter_file(parameter_file)
+    result = []
+    for entry in entries:
+        prefix = own_name(entry.namespace(namespace), "/")
+        if prefix and entry.name in FRAMED:
+            entry = replace(entry, defaults={"frame_prefix": f"{prefix}/", **entry.defaults})
+        name = f"{entry.namespace(namespace)}/{entry.name}".replace("//", "/")
+        set_there = {key for node in file if matches(node, name) for key in file[node]}
+        free = {key: value for key, value in entry.defaults.items() if key not in set_there}
+        result.append(replace(entry, parameters={**free, **entry.parameters}, defaults={}))
+    return result
 
 
 def process_specs(
@@ -223,24 +355,40 @@ def process_specs(
     run_folder: Path,
     namespace: str = DEFAULT_NAMESPACE,
     parameter_file: Path | None = None,
+    compose: bool = False,
 ) -> list[ProcessSpec]:
     """Commands that run the entries with this Python.
 
-    parameter_file: of the user, may be None; what an entry sets itself overrides it. run_folder:
-    where the file of the entries' own parameters is written.
+    parameter_file: of the user, may be None; it overrides defaults, not parameters of an entry.
+    run_folder: where the file of the entries' own parameters is written. compose: run all that can
+    share a process in one.
     """
-    entries = list(entries)
-    files = [] if parameter_file is None else [check_parameter_file(parameter_file)]
+    entries = settled(entries, namespace, parameter_file)
+    files = [] if parameter_file is None else [parameter_file]
     files.append(write_parameter_file(entries, namespace, run_folder / "parameters.yaml"))
-    arguments = ["--ros-args", "-r", f"__ns:=/{namespace}"]
-    arguments += [part for file in files for part in ("--params-file", str(file))]
-    return [
+    arguments = [part for file in files for part in ("--params-file", str(file))]
+    together = [entry for entry in entries if compose and entry.composable]
+    specs = [
         ProcessSpec(
-            entry.name,
-            (sys.executable, "-m", entry.module, *arguments),
+            entry.path,
+            (
+                *(sys.executable, "-m", entry.module, "--ros-args"),
+                *("-r", f"__ns:={entry.namespace(namespace)}", *arguments),
+            ),
             rank=entry.rank,
             restart=entry.restart,
             essential=entry.essential,
         )
         for entry in entries
+        if entry not in together
     ]
+    if together:
+        members = composed_arguments(together, namespace)
+        command = (sys.executable, "-m", COMPOSED.module, *members, "--ros-args", *arguments)
+        specs.append(ProcessSpec(COMPOSED.name, command, COMPOSED.rank))
+    return specs
+
+
+def composed_arguments(entries: Iterable[NodeEntry], namespace: str) -> list[str]:
+    """Arguments of `composed_node` that make it run the entries."""
+    return [f"{entry.namespace(namespace)}={entry.module}" for entry in entries]

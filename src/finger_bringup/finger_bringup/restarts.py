@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """How long a process that ended by itself stays down before it is started again. No ROS.
 
 Read by `finger-rig up` and by the launch files alike.

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Keeps processes running: logged with prefixes, restarted, ended together and in order.
 
 No ROS here: a process is a command.

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The fit node, and a fit of a folder of bags where one is given.
 
 ros2 launch finger_bringup fit.launch.py bags:=bags output:=out/fit

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """On a robot: force and contact state only, no camera, no moisture probe, no page.
 
 ros2 launch finger_bringup grasp.launch.py parameters:=robot.yaml
@@ -10,13 +13,13 @@ from launch.actions import OpaqueFunction
 from launch_ros.actions import SetRemap
 
 from finger_bringup import nodes
-from finger_bringup.launch.actions import arguments, node_actions, truth, value
+from finger_bringup.launch.actions import COMPOSE, arguments, node_actions, truth, value
 
 
 def grasp(context: LaunchContext) -> list[Action]:
     """Actions by the arguments given."""
     names = [name for name in nodes.GRASP if name != "force" or truth(context, "force")]
-    actions = node_actions(context, nodes.select(names))
+    actions = node_actions(context, nodes.select(names), truth(context, "compose"))
     if value(context, "wrench"):
         actions.insert(0, SetRemap("wrench", value(context, "wrench")))
     return actions
@@ -25,6 +28,7 @@ def grasp(context: LaunchContext) -> list[Action]:
 def generate_launch_description() -> LaunchDescription:
     """Entry point of ros2 launch."""
     declared = arguments(
+        **COMPOSE,
         force=("true", "Run this suite's force driver; false where another vendor's runs."),
         wrench=("", "Topic of another vendor's wrench in place of this suite's."),
     )

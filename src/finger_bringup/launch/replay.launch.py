@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """A bag through vision and model, live, on the bag's own clock.
 
 ros2 launch finger_bringup replay.launch.py bag:=bags/natural rate:=1.0

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Bringing lifecycle nodes up in order: the rule on plain data, then over DDS with real nodes."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Launch files, with the real ros2 command line where launch_ros is installed."""
 
 from __future__ import annotations
@@ -22,7 +25,7 @@ pytest.importorskip(
     "launch_ros", reason="launch_ros is not on PyPI; it comes with apt ROS or from its sources"
 )
 
-FILES = ("rig", "replay", "grasp", "fit")
+FILES = ("rig", "replay", "grasp", "hand", "fit")
 ROS2 = [sys.executable, "-c", "import sys; from ros2cli.cli import main; sys.exit(main())"]
 
 

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The table of nodes agrees with the packages; `finger-rig` refuses wrong options."""
 
 import importlib.util
@@ -10,10 +13,11 @@ import yaml
 
 from finger_bringup import nodes
 from finger_bringup.bring_up import ALL_ACTIVE
-from finger_bringup.cli import ReadyLine, entries, main, parser
+from finger_bringup.cli import ReadyLine, entries, folder_of, main, parser
 from finger_bringup.restarts import RestartDelay
 from finger_common.errors import InputError
 from finger_common.folder_lock import lock_folder
+from finger_common.namespaces import default_folder
 from finger_sim.rig_settings import RigAddresses
 
 
@@ -61,6 +65,61 @@ def test_what_the_suite_sets_overrides_the_users_parameter_file(tmp_path: Path) 
     assert files == [str(own), str(tmp_path / "parameters.yaml")]
 
 
+def written(folder: Path) -> dict[str, dict[str, object]]:
+    """What the suite sets, by node name."""
+    data = yaml.safe_load((folder / "parameters.yaml").read_text())
+    return {name.rsplit("/", 1)[-1]: section["ros__parameters"] for name, section in data.items()}
+
+
+@pytest.mark.parametrize("pattern", ["/**/protocol", "/**", "/finger/protocol", "/*/protocol"])
+def test_what_the_user_s_file_sets_is_no_default_of_the_suite(tmp_path: Path, pattern: str) -> None:
+    own = tmp_path / "rig.yaml"
+    text = "  ros__parameters: {output: /data/study, need_recorder: true, autostart: true}\n"
+    own.write_text(f"{pattern}:\n{text}")
+    entries = nodes.rig(tmp_path, without=["recorder"])
+    nodes.process_specs(entries, tmp_path)
+    assert written(tmp_path)["protocol"] == {
+        "autostart": False,
+        "output": str(tmp_path / "sessions"),
+        "need_recorder": False,
+    }
+    nodes.process_specs(entries, tmp_path, parameter_file=own)
+    # The order of coming up is the suite's, whatever a copy of the reference file says.
+    assert written(tmp_path)["protocol"] == {"autostart": False}
+
+
+def test_keys_of_a_parameter_file_mean_nodes_as_in_ros() -> None:
+    for pattern in ("/**", "/**/force", "/hand/thumb/force", "/hand/*/force", "/hand/**", "/*/*/*"):
+        assert nodes.matches(pattern, "/hand/thumb/force"), pattern
+    for pattern in ("/**/forc", "/*", "/thumb/force", "/hand/thumb", "force", "/*/force"):
+        assert not nodes.matches(pattern, "/hand/thumb/force"), pattern
+
+
+def test_fingers_have_folders_and_frames_of_their_own(tmp_path: Path) -> None:
+    assert folder_of(parser().parse_args(["up"])) == Path("out/rig").absolute()
+    assert default_folder("/finger/") == Path("out/rig")
+    assert default_folder("hand/thumb") == Path("out/rig_hand_thumb")
+    entries = nodes.rig(tmp_path)
+    nodes.process_specs(entries, tmp_path)
+    assert "frame_prefix" not in written(tmp_path)["force"]
+    nodes.process_specs(entries, tmp_path, "hand/thumb")
+    for name in nodes.FRAMED:
+        assert written(tmp_path)[name]["frame_prefix"] == "hand/thumb/"
+    assert "frame_prefix" not in written(tmp_path).get("model", {})
+
+
+def test_an_option_of_the_command_is_the_last_word(tmp_path: Path) -> None:
+    own = tmp_path / "rig.yaml"
+    own.write_text("/**/page:\n  ros__parameters: {port: 9000}\n")
+    arguments = ["up", "--simulated", "--folder", str(tmp_path), "--port", "9001", "--seed", "7"]
+    nodes.process_specs(entries(parser().parse_args(arguments)), tmp_path, parameter_file=own)
+    assert written(tmp_path)["page"]["port"] == 9001
+    assert written(tmp_path)["simulated_rig"]["seed"] == 7
+    nodes.process_specs(entries(parser().parse_args(arguments[:4])), tmp_path)
+    assert "port" not in written(tmp_path)["page"]
+    assert "seed" not in written(tmp_path)["simulated_rig"]
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [
@@ -73,7 +132,7 @@ def test_a_file_that_is_no_parameter_file_is_named(tmp_path: Path, text: str, sa
     path = tmp_path / "bad.yaml"
     path.write_text(text)
     with pytest.raises(InputError, match=re.escape(str(path))) as error:
-        nodes.check_parameter_file(path)
+        nodes.read_parameter_file(path)
     assert says in str(error.value)
 
 
@@ -134,13 +193,71 @@ def test_the_whole_rig_runs_by_default_and_nodes_can_be_left_out(tmp_path: Path)
     assert names("--nodes", "page", *folder) == ["page"]
 
 
+def test_foxglove_runs_beside_the_rig_on_this_machine_unless_told_otherwise() -> None:
+    pytest.importorskip("foxglove", reason="foxglove-sdk is not installed")
+
+    def entry(*options: str) -> nodes.NodeEntry:
+        found = entries(parser().parse_args(["up", *options]))
+        return next(e for e in found if e.name == "foxglove")
+
+    # Without an address the parameter file decides, and the node's default is this machine.
+    assert not {"host", "port"} & entry("--foxglove").parameters.keys()
+    assert entry("--nodes", "force", "--foxglove", "9000").parameters["host"] == "127.0.0.1"
+    chosen = entry("--foxglove", "[::]:0").parameters
+    assert (chosen["host"], chosen["port"]) == ("::", 0)
+
+
 def test_a_rig_without_recorder_does_not_wait_for_one(tmp_path: Path) -> None:
     chosen = {entry.name: entry for entry in nodes.rig(tmp_path, without=["recorder"])}
-    assert chosen["protocol"].parameters["need_recorder"] is False
-    assert "need_recorder" not in {e.name: e for e in nodes.rig(tmp_path)}["protocol"].parameters
+    assert chosen["protocol"].defaults["need_recorder"] is False
+    assert "need_recorder" not in {e.name: e for e in nodes.rig(tmp_path)}["protocol"].defaults
 
 
 def test_restarts_slow_down_and_are_quick_again_after_a_stable_minute() -> None:
     delay = RestartDelay()
     assert [delay.after_running(0.1) for _ in range(6)] == [1.0, 2.0, 4.0, 8.0, 15.0, 15.0]
     assert delay.after_running(61.0) == 1.0
+
+
+def test_fingers_run_side_by_side_each_in_its_namespace(tmp_path: Path) -> None:
+    boards, devices = nodes.simulated_boards(["thumb", "index"])
+    entries = nodes.hand(["thumb", "index"], parameters=devices)
+    paths = ["thumb/force", "index/force", "thumb/model", "index/model", "bring_up"]
+    assert [entry.path for entry in entries] == paths
+    assert entries[-1].parameters["order"] == [" ".join(paths[:2]), " ".join(paths[2:4])]
+    specs = nodes.process_specs(entries, tmp_path, nodes.HAND_NAMESPACE)
+    assert [spec.name for spec in specs] == paths
+    assert "__ns:=/hand/index" in specs[1].command and "__ns:=/hand" in specs[-1].command
+    data = yaml.safe_load((tmp_path / "parameters.yaml").read_text())
+    assert [board.name for board in boards] == ["thumb/board", "index/board"]
+    force = [data[f"/hand/{name}/force"]["ros__parameters"] for name in ("thumb", "index")]
+    # No finger hears another one's board.
+    assert force[0]["can_channel"] != force[1]["can_channel"]
+
+
+def test_composed_nodes_are_one_process_and_the_others_stay_their_own(tmp_path: Path) -> None:
+    entries = nodes.rig(tmp_path, simulated=True)
+    specs = nodes.process_specs(entries, tmp_path, "finger", compose=True)
+    assert [spec.name for spec in specs] == ["simulated_rig", "nodes"]
+    together = [part for part in specs[1].command if "=" in part]
+    assert together[0] == "/finger=finger_driver.force_node"
+    # The last one is ended first: the node that would bring the others up again.
+    assert together[-1] == "/finger=finger_bringup.bring_up_node"
+    assert len(together) == len(entries) - 1
+    assert "-r" not in specs[1].command  # a remapping would be that of every node in the process
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--fingers", "thumb", "2nd"], "finger '2nd' is no ROS name"),
+        (["--fingers", "thumb", "thumb"], "finger 'thumb' is named twice"),
+        (["--fingers", "--without", "page"], "node 'page' would not run anyway"),
+    ],
+)
+def test_fingers_that_cannot_be_are_refused(
+    arguments: list[str], says: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert main(["up", *arguments, "--folder", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert says in error and error.count("\n") == 1

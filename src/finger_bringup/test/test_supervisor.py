@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The supervisor restarts what ends by itself, ends in order, and leaves nothing behind."""
 
 import os

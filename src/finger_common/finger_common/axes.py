@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The normal axis of a force sensor, and the projection of a force on it."""
 
 from __future__ import annotations

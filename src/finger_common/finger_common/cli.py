@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Conventions of all commands: exit codes, error lines, help with an example.
 
 Exit codes: 0 done; 1 done, but a check it made fails; 2 bad input; 130 ended by Ctrl-C.

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Contact on and off by two force thresholds (hysteresis)."""
 
 from __future__ import annotations

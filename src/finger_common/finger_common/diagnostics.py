@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Health of a source of data: rates, counters and faults, without ROS.
 
 A fault is reported for logging once when it begins, then only counted; it ends when the source
@@ -14,6 +17,23 @@ from dataclasses import dataclass, field
 
 OK, WARN, ERROR, STALE = 0, 1, 2, 3
 """Levels of diagnostic_msgs/DiagnosticStatus."""
+
+
+def full_node_name(name: str, namespace: str) -> str:
+    """A node's name with its namespace, as in /diagnostics: "left/force". "/a/b" has its own."""
+    return name.lstrip("/") if name.startswith("/") else f"{namespace}/{name}".lstrip("/")
+
+
+def status_node(status_name: str) -> str:
+    """Full name of the node in the name of a status, "namespace/node: part"."""
+    return status_name.split(":")[0].lstrip("/")
+
+
+def node_within(status_name: str, namespace: str) -> str | None:
+    """The node's name within a namespace; None for a node outside of it, of another finger."""
+    prefix = full_node_name("", namespace)
+    node = status_node(status_name)
+    return node[len(prefix) :] if node.startswith(prefix) else None
 
 
 @dataclass

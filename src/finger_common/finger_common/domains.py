@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """ROS domains that no other program on this machine uses."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Reading and writing small files so that nothing half-written is left and every error names
 the file.
 
@@ -16,6 +19,7 @@ import math
 import os
 import re
 import tempfile
+import time
 import zipfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -230,6 +234,16 @@ def check_text(text: str, where: str) -> None:
         raise InputError(f"{where}: {text[:40]!r} is not valid text; correct it") from None
 
 
+def await_file(path: str | Path, seconds: float) -> bool:
+    """Wait until a file is there, at most so long; whether it is."""
+    end = time.monotonic() + seconds
+    while not Path(path).exists():
+        if time.monotonic() >= end:
+            return False
+        time.sleep(0.1)
+    return True
+
+
 def load_yaml(path: str | Path, what: str = "YAML file") -> dict[str, Any]:
     """Mapping from a YAML file; raises InputError naming file and line."""
     return parse_yaml(read_text(path, what, MAXIMUM_TEXT), str(path))
@@ -312,12 +326,14 @@ def from_numbers(cls: type[Record], data: dict[str, Any], where: str) -> Record:
         raise InputError(str(error).replace(f"{cls.__name__.lower()}:", f"{where}:", 1)) from None
 
 
-def read_csv(path: str | Path, columns: Sequence[str]) -> dict[str, np.ndarray]:
+def read_csv(
+    path: str | Path, columns: Sequence[str], optional: Sequence[str] = ()
+) -> dict[str, np.ndarray]:
     """Numeric columns (n,) of a comma-separated file with a header line.
 
-    Further columns are ignored, lines starting with '#' and blank lines too. Raises InputError
-    naming file, line and column for a missing column, a cell that is not a finite number, or a file
-    without rows.
+    `optional` columns are read where the header has them. Further columns are ignored, lines
+    starting with '#' and blank lines too. Raises InputError naming file, line and column for a
+    missing column, a cell that is not a finite number, or a file without rows.
     """
     text = read_text(path, "CSV file")
     rows = _csv_rows(csv.reader(text.splitlines()), str(path))
@@ -335,6 +351,7 @@ def read_csv(path: str | Path, columns: Sequence[str]) -> dict[str, np.ndarray]:
                     f"{path}, line {line}: column '{missing[0]}' is missing; "
                     f"the header must contain {','.join(columns)}"
                 )
+            columns = [*columns, *(c for c in optional if c in header)]
             where = [header.index(c) for c in columns]
             continue
         numbers = []

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Bits of `flags` in ContactState and ContactArea, as in the message definitions (a test keeps them
 equal).
 """

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """A lock on a folder, so that two programs do not write into it. The kernel ends it with the
 process, also after SIGKILL.
 """

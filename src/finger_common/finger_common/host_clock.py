@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Host time that steps of the system clock do not reach."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Size of an image from the header of its file, so that none is decoded that is a bomb.
 
 A JPEG of 380 bytes can claim 900 million pixels, and a decoder allocates what it claims.
@@ -18,6 +21,9 @@ A dark photograph has about 2 pixels a byte as JPEG and 1 as PNG.
 
 MAX_PIXELS = 200_000_000
 """Pixels above which no image is decoded."""
+
+BAG_PIXELS, BAG_PIXELS_PER_BYTE = 500_000_000, 100
+"""The same for all images of a bag together; the camera's have one to four pixels a byte."""
 
 _KINDS = "PNG, TIFF, JPEG, BMP or PGM"
 

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The scale of the moisture probe, in arbitrary units (Courage + Khazaka Corneometer CM 825)."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Described parameters: one table per node that declares, checks and documents them.
 
 A `Parameter` has name, default, unit, range or choices, meaning and whether it may change while

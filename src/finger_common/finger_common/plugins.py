@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Parts of the suite that other packages can add: installed objects found by entry point.
 
 A group is a name such as "finger_driver.force"; an entry of it in a package's metadata, ``name =

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Child processes that do not outlive the process that started them."""
 
 from __future__ import annotations

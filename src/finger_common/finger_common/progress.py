@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Progress of a command on standard error, with the time that is left.
 
 On a terminal a bar per stage; otherwise (a file, a pipe, a batch system) a plain line per stage

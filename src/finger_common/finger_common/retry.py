@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Pauses between attempts at something that may fail for a while."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Settings that describe themselves: a frozen dataclass whose fields carry unit, range and meaning.
 
     @dataclass(frozen=True)

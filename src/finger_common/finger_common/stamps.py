@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Time stamps: an `int` of nanoseconds since the epoch in the cores, seconds and nanoseconds in
 messages.
 """

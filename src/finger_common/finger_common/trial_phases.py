@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Phases of a guided trial, as in Trial.msg (a test keeps them equal)."""
 
 from __future__ import annotations

@@ -1,9 +1,14 @@
-"""Units of force, torque and area by name, and their factors to N, N m and m².
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Units of force, torque, area, time and modulus by name, and their factors to SI.
 
 Factors: NIST SP 811.
 """
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 FORCE_UNITS = {
     "N": 1.0,
@@ -28,3 +33,17 @@ TORQUE_UNITS = {
 
 AREA_UNITS = {"m2": 1.0, "cm2": 1e-4, "mm2": 1e-6}
 """Square metres per unit of area."""
+
+MODULUS_UNITS = {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9}
+"""Pascals per unit of a modulus or pressure."""
+
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
+"""Seconds per unit of time."""
+
+
+def unit_named(text: str, units: Mapping[str, float]) -> str | None:
+    """The unit that a text such as "mm²", "MM^2" or "n" means, None for none of them."""
+    plain = text.strip().replace("²", "2").replace("^", "").replace("µ", "u").replace("μ", "u")
+    if plain in units:
+        return plain
+    return next((unit for unit in units if unit.casefold() == plain.casefold()), None)

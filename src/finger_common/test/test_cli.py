@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Conventions of commands: names that were meant, help, completion, progress, folder locks."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Stamps, axes, contact thresholds, flags and phases: the facts that every package shares."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """A ROS domain is free when no process listens on its discovery port."""
 
 import socket

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Small files: nothing half-written, every error names the place and the remedy."""
 
 from __future__ import annotations

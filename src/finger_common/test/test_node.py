@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The managed node over real DDS, in a process of its own."""
 
 from __future__ import annotations

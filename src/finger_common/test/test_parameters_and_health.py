@@ -1,10 +1,21 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Described parameters and the health of a source."""
 
 from __future__ import annotations
 
 import pytest
 
-from finger_common.diagnostics import ERROR, OK, WARN, Health
+from finger_common.diagnostics import (
+    ERROR,
+    OK,
+    WARN,
+    Health,
+    full_node_name,
+    node_within,
+    status_node,
+)
 from finger_common.errors import InputError
 from finger_common.parameters import Parameter, ParameterTable
 
@@ -135,3 +146,14 @@ def test_an_active_source_without_fault_says_what_it_does() -> None:
     health.recovered()
     health.state = "inactive"
     assert health.report().message == "inactive"
+
+
+def test_a_status_belongs_to_the_namespace_of_its_node() -> None:
+    assert full_node_name("force", "/hand/left") == "hand/left/force"
+    assert full_node_name("force", "/") == "force"
+    assert full_node_name("/wrist/force", "/left") == "wrist/force"
+    assert status_node("hand/left/force: ATI: FT1") == "hand/left/force"
+    assert node_within("left/force: sensor", "/left") == "force"
+    assert node_within("force: sensor", "/") == "force"
+    for other in ("left_thumb/force: sensor", "right/force: sensor", "force: sensor"):
+        assert node_within(other, "/left") is None

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Node `camera`: publishes `image_raw` and `camera_info` of one shot with one stamp.
 
 It offers `~/set_camera_info`.
@@ -14,6 +17,7 @@ from sensor_msgs.srv import SetCameraInfo
 from finger_common.cli import one_line
 from finger_common.diagnostics import ERROR
 from finger_common.errors import FingerError
+from finger_common.files import await_file
 from finger_common.node import main_of
 from finger_common.settings import setting
 from finger_common.stamps import nanoseconds
@@ -68,7 +72,7 @@ class CameraNode(DeviceNode):
         self._info_path = resolve_url(self.values["camera_info_url"], self.values["camera_name"])
         self._calibration = self._load_calibration()
         self._freeze = FreezeDetector(self.values["frozen_after"])
-        qos = self.stream_qos(min(_IMAGE_DEPTH, self.values["qos_depth"]))
+        qos = self.stream_qos(min(_IMAGE_DEPTH, self.values["qos_depth"]), publisher=True)
         self._image = self.create_stream_publisher(Image, "image_raw", qos)
         self._info = self.create_stream_publisher(CameraInfo, "camera_info", qos)
         self._service = self.create_service(
@@ -87,6 +91,8 @@ class CameraNode(DeviceNode):
                 f"{self._info_path}: no calibration there; camera_info is marked as not calibrated"
             )
             return CameraCalibration(name=name)
+        # At a rig that starts, whoever writes the file may start at the same time.
+        await_file(self._info_path, self.values["connect_timeout"])
         calibration = CameraCalibration.load(self._info_path)
         if calibration.name != name:
             self.get_logger().warning(
@@ -112,7 +118,7 @@ class CameraNode(DeviceNode):
             )
             calibration = CameraCalibration(name=calibration.name)
         health.sample()
-        frame_id = self.values["frame_id"]
+        frame_id = self.frame
         self._info.publish(fill_camera_info(CameraInfo(), stamp, frame_id, calibration, shape))
         self._image.publish(fill_image(Image(), stamp, frame_id, frame.image))
 

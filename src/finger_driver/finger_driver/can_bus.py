@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Opening a CAN bus through python-can, with the pitfalls of its interfaces taken care of.
 
 `udp_multicast` with a hop limit of 0 (the default here) is served by `HostMulticastBus`: the same
@@ -85,6 +88,7 @@ class HostMulticastBus(can.BusABC):
         self._sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         loopback = socket.inet_aton("127.0.0.1")
         try:
+            self._receiver.setblocking(False)
             self._receiver.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             if hasattr(socket, "SO_REUSEPORT"):
                 self._receiver.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
@@ -102,17 +106,22 @@ class HostMulticastBus(can.BusABC):
             self.shutdown()
             raise can.CanInitializationError(f"{channel}:{port}: {error.strerror}") from error
 
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        # python-can's own loop is for filters; it costs as much as receiving.
+        return super().recv(timeout) if self.filters else self._recv_internal(timeout)[0]
+
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         end = None if timeout is None else time.monotonic() + timeout
         while True:
-            left = None if end is None else max(0.0, end - time.monotonic())
             try:
-                ready, _, _ = select.select([self._receiver], [], [], left)
-            except (OSError, ValueError) as error:
+                # Mostly something waits; asking first would double the calls of the system.
+                data, stamped, sender = receive_stamped(self._receiver, 4096)
+            except BlockingIOError:
+                if timeout == 0 or not self._wait(end):
+                    return None, False
+                continue
+            except OSError as error:
                 raise can.CanOperationError(f"receiving failed: {error}") from error
-            if not ready:
-                return None, False
-            data, stamped, sender = receive_stamped(self._receiver, 4096)
             stamp = time.time() if stamped is None else stamped * 1e-9
             if sender == self._own:
                 continue
@@ -121,6 +130,14 @@ class HostMulticastBus(can.BusABC):
             except Exception:
                 # Not from python-can; a real controller drops what is no frame, too.
                 continue
+
+    def _wait(self, end: float | None) -> bool:
+        """Wait until something can be received, at most until `end` (monotonic s)."""
+        left = None if end is None else max(0.0, end - time.monotonic())
+        try:
+            return bool(select.select([self._receiver], [], [], left)[0])
+        except (OSError, ValueError) as error:
+            raise can.CanOperationError(f"receiving failed: {error}") from error
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         try:

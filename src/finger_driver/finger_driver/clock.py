@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Time stamps: kernel stamps, increasing stamps, device clocks mapped to host time."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """What all devices have in common: connecting, health, and a thread that keeps them connected."""
 
 from __future__ import annotations

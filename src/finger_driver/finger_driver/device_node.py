@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """What the three driver nodes share: connecting, reading thread, release, time in diagnostics."""
 
 from __future__ import annotations
@@ -8,17 +11,17 @@ from typing import Any
 from finger_common.diagnostics import ERROR, WARN
 from finger_common.errors import DeviceError
 from finger_common.host_clock import HostClock
-from finger_common.node import ManagedNode
+from finger_common.node import FrameSettings, ManagedNode
 from finger_common.plugins import PluginKind
 from finger_common.retry import Pauses
-from finger_common.settings import Settings, setting
+from finger_common.settings import setting
 
 from .clock import IncreasingStamps, StampStatistics
 from .device import Device, DeviceThread
 
 
 @dataclass(frozen=True)
-class DeviceNodeSettings(Settings):
+class DeviceNodeSettings(FrameSettings):
     """Parameters of every driver node, for every device."""
 
     connect_timeout: float = setting(

@@ -1,24 +1,30 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Node `force`: publishes `wrench_raw` and `wrench` (tared), offers `~/tare` and `~/reset_tare`."""
 
 from __future__ import annotations
 
+import math
 import threading
+import time
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
+from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from finger_common.axes import DEFAULT_NORMAL_AXIS, NORMAL_AXES, normal_force
 from finger_common.diagnostics import WARN
 from finger_common.errors import DeviceError
-from finger_common.node import main_of
+from finger_common.node import FixedMessage, LocalPublisher, main_of
 from finger_common.settings import setting
+from finger_common.stamps import NANOSECONDS
 
 from .device_node import DeviceNode, DeviceNodeSettings
 from .force import GOOD, SOURCES, ForceSource, WrenchSample
-from .messages import fill_wrench
 from .tare import TareCollector, TareResult
 
 TARE_NEEDED = "tare needed: take the finger off the plate, then call ~/tare"
@@ -73,17 +79,20 @@ class ForceNode(DeviceNode):
     device: ForceSource
 
     def create_interfaces(self) -> None:
+        self._frame = self.frame
         self._bias: np.ndarray | None = None
         self._offset = np.zeros(6)
         self._note_tare()
-        self._normal = float("nan")
+        self._newest: list[float] = []
         self._scale_id = self.device.scale_id
         self._collector: TareCollector | None = None
         self._tare_done = threading.Event()
         self._tare_lock = threading.Lock()
-        qos = self.stream_qos()
+        qos = self.stream_qos(publisher=True)
         self._raw = self.create_stream_publisher(WrenchStamped, "wrench_raw", qos)
         self._tared = self.create_stream_publisher(WrenchStamped, "wrench", qos)
+        self._local = LocalPublisher(self, "wrench")
+        self._message = FixedMessage(WrenchStamped(header=Header(frame_id=self._frame)))
         self._tare_services = [
             self.create_service(Trigger, "~/tare", self._on_tare),
             self.create_service(Trigger, "~/reset_tare", self._on_reset_tare),
@@ -92,10 +101,12 @@ class ForceNode(DeviceNode):
     def destroy_interfaces(self) -> None:
         for service in self._tare_services:
             self.destroy_service(service)
+        self._local.close()
         self.destroy_publisher(self._raw)
         self.destroy_publisher(self._tared)
 
     def on_sample(self, sample: WrenchSample) -> None:
+        received = time.time_ns()
         sample = self.device.checked(sample)
         if not self.accept_stamp(sample.stamp_ns):
             return
@@ -116,16 +127,18 @@ class ForceNode(DeviceNode):
                 )
         if not good and self.values["bad_samples"] == "drop":
             return
-        frame = self.values["frame_id"]
+        raw = tared = [math.nan] * 6
         if good:
-            raw = np.concatenate((sample.force, sample.torque))
+            raw = tared = [*sample.force.tolist(), *sample.torque.tolist()]
             bias = self._bias
-            tared = raw if bias is None else self.device.wrench_of(sample.channels - bias)
-        else:
-            raw = tared = np.full(6, np.nan)
-        self._raw.publish(fill_wrench(WrenchStamped(), sample.stamp_ns, frame, raw))
-        self._tared.publish(fill_wrench(WrenchStamped(), sample.stamp_ns, frame, tared))
-        self._normal = float(normal_force(tared[:3], self.values["normal_axis"]))
+            if bias is not None:
+                tared = self.device.wrench_of(sample.channels - bias).tolist()
+        # First to whom a delay matters.
+        self._local.send(sample.stamp_ns, tuple(tared[:3]), self._frame, received)
+        stamp = divmod(sample.stamp_ns, NANOSECONDS)
+        self._tared.publish(self._message.pack(*stamp, *tared))
+        self._raw.publish(self._message.pack(*stamp, *raw))
+        self._newest = tared
 
     # Services --------------------------------------------------------------------------------
 
@@ -185,8 +198,10 @@ class ForceNode(DeviceNode):
             health.recovered("tare_needed")
 
     def publish_diagnostics(self) -> None:
-        if self.reading and np.isfinite(self._normal):
-            self.device.health.notes["normal_force_n"] = f"{self._normal:.4f}"
+        if self.reading and self._newest:
+            normal = float(normal_force(np.array(self._newest[:3]), self.values["normal_axis"]))
+            if math.isfinite(normal):
+                self.device.health.notes["normal_force_n"] = f"{normal:.4f}"
         super().publish_diagnostics()
 
 

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Between plain data and messages, by attribute access: no message package is imported here."""
 
 from __future__ import annotations
@@ -17,15 +20,6 @@ def fill_header(header: Any, stamp_ns: int, frame_id: str) -> None:
     """Fill a std_msgs/Header."""
     fill_time(header.stamp, stamp_ns)
     header.frame_id = frame_id
-
-
-def fill_wrench(message: Any, stamp_ns: int, frame_id: str, wrench: np.ndarray) -> Any:
-    """Fill a geometry_msgs/WrenchStamped with a wrench (6,) in N and N m; returns it."""
-    fill_header(message.header, stamp_ns, frame_id)
-    values = [float(v) for v in wrench]
-    force, torque = message.wrench.force, message.wrench.torque
-    force.x, force.y, force.z, torque.x, torque.y, torque.z = values
-    return message
 
 
 def fill_image(message: Any, stamp_ns: int, frame_id: str, image: np.ndarray) -> Any:

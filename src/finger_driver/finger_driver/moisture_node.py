@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Node `moisture`: publishes `moisture` for each reading, also those that the operator enters."""
 
 from __future__ import annotations
@@ -10,7 +13,7 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64
 
 from finger_common.moisture import MOISTURE_RANGE, is_moisture
-from finger_common.node import main_of
+from finger_common.node import LATCHED_QOS, main_of
 from finger_common.settings import setting
 from finger_common.stamps import NANOSECONDS
 from finger_msgs.msg import Moisture
@@ -53,12 +56,11 @@ class MoistureNode(DeviceNode):
         )
         self._publish_lock = threading.Lock()
         self._index = 0
-        # Readings are few and each counts: always reliable.
-        qos = QoSProfile(depth=10)
-        self._publisher = self.create_stream_publisher(Moisture, "moisture", qos)
+        # Readings are few and each counts: always reliable, and late joiners get the newest.
+        self._publisher = self.create_stream_publisher(Moisture, "moisture", LATCHED_QOS)
         self._service = self.create_service(SetMoisture, "~/set_moisture", self._on_set_moisture)
         self._subscription = self.create_stream_subscription(
-            Float64, "~/entered", self._on_entered, qos
+            Float64, "~/entered", self._on_entered, QoSProfile(depth=10)
         )
 
     def destroy_interfaces(self) -> None:
@@ -91,7 +93,7 @@ class MoistureNode(DeviceNode):
             health.sample()
             reading = replace(reading, stamp_ns=stamp, index=self._index)
             self._index += 1
-            self._publisher.publish(fill_moisture(Moisture(), reading, self.values["frame_id"]))
+            self._publisher.publish(fill_moisture(Moisture(), reading, self.frame))
 
     def _later(self, stamp_ns: int) -> int:
         """The stamp, or the first one after the last reading's where it lies less than 1 s behind.

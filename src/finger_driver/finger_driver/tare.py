@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Tare: the mean of a still, unloaded signal, refused when the signal moves."""
 
 from __future__ import annotations

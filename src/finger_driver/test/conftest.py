@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Fixtures of the driver tests; the helpers of this folder are importable by name."""
 
 import sys

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Helpers of the driver tests.
 
 Simulators in processes of their own, steered over their standard input, and the table that a
@@ -73,6 +76,11 @@ class DeviceProcess:
         match = re.search(rf"{name} (\d+)", self.ready)
         assert match is not None, self.ready
         return int(match[1])
+
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        return self._child.pid
 
     def close(self) -> None:
         if self._child.poll() is None:

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The nodes as processes over DDS, simulators in processes of their own."""
 
 from __future__ import annotations
@@ -248,3 +251,50 @@ def test_the_command_has_an_example_and_refuses_in_one_line(tmp_path: Path, caps
         assert cli.run(_main, [str(a) for a in arguments]) == 2
         error = capsys.readouterr().err
         assert len(error.strip().splitlines()) == 1, error
+
+
+def test_the_camera_waits_for_a_calibration_that_is_being_written(
+    ros_domain: int, tmp_path: Path
+) -> None:
+    import threading
+
+    from rclpy.lifecycle import TransitionCallbackReturn
+    from rclpy.parameter import Parameter
+
+    from finger_driver.camera.info import CameraCalibration
+    from finger_driver.camera_node import CameraNode
+
+    path = tmp_path / "camera.yaml"
+    (tmp_path / "spool").mkdir()
+    values = {
+        "device": "folder",
+        "path": str(tmp_path / "spool"),
+        "camera_info_url": path.as_uri(),
+        "frame_prefix": "thumb/",
+    }
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=ros_domain)
+    overrides = [Parameter(name, value=value) for name, value in values.items()]
+    node = CameraNode(context=context, parameter_overrides=overrides)
+    written = threading.Timer(0.5, CameraCalibration(640, 480).save, (path,))
+    try:
+        written.start()
+        assert node.trigger_configure() is TransitionCallbackReturn.SUCCESS
+        assert node.frame == "thumb/camera_optical"
+        node.trigger_cleanup()
+    finally:
+        written.join()
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
+def test_a_simulated_press_is_a_press_to_the_nodes() -> None:
+    """Simulator and nodes agree on the axis, so that a newcomer's first try shows contacts."""
+    from finger_common.axes import normal_force
+    from finger_driver.force_node import ForceNodeSettings
+    from finger_driver.simulators.values import LoadOptions
+
+    load = LoadOptions(press=1.35).load()
+    wrenches = np.array([load(round(t * 1e9)) for t in np.linspace(0, 4, 81)])
+    force = normal_force(wrenches[:, :3], ForceNodeSettings().normal_axis)
+    assert force.max() == pytest.approx(1.35, rel=1e-3) and force.min() >= 0.0

@@ -1,8 +1,11 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Every fault a device can show, against the real nodes and simulators in other processes.
 
 For each: what is published, the level and message of diagnostics, how long until good data come
-again. Each test records its row as the property "fault"; `scripts/driver_faults.py` writes
-docs/faults_drivers.md from recorded ones.
+again. Each test records its row as the property "fault"; `scripts/faults.py` writes
+docs/faults.md from recorded ones.
 """
 
 from __future__ import annotations
@@ -742,7 +745,7 @@ def test_readings_keep_counting_through_all_faults(
 
 
 def test_the_page_holds_the_recorded_results(project_root: Path) -> None:
-    script = project_root / "scripts" / "driver_faults.py"
+    script = project_root / "scripts" / "faults.py"
     done = subprocess.run(
         [sys.executable, script, "--check"], capture_output=True, text=True, timeout=60
     )

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Random and mutated bytes through every decoder: no exception escapes, memory stays bounded.
 
 3000 inputs per decoder here, 100 000 in the slow run. Mutations start from valid bytes, so that the

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Wrong scales, impossible values, forged and foreign messages: none becomes a good sample."""
 
 from __future__ import annotations

@@ -1,6 +1,12 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """NETCANOEM: bytes of a real board, arithmetic of the manual, the driver on faulty buses."""
 
 from __future__ import annotations
+
+import threading
+import time
 
 import can
 import numpy as np
@@ -174,6 +180,49 @@ def test_frames_of_two_readings_are_never_joined(channel: str, fault: str) -> No
         wrench = np.concatenate((sample.force, sample.torque))
         size = round(sample.force[2] / direction[2])
         assert np.all(np.abs(wrench - size * direction) <= limit), "two readings were mixed"
+
+
+def test_replies_that_come_late_at_start_up_are_not_taken_for_other_rows(channel: str) -> None:
+    """The first of two replies to one request is used; the second would fit the next request."""
+    bus, simulator = board(channel)
+    simulator.faults.set("delay", 130)
+    simulator.start()
+    prompt = threading.Timer(1.5, simulator.faults.set, ("delay", 0))
+    prompt.start()
+    source = driver(channel, response_timeout=0.05)
+    try:
+        source.connect()
+        assert np.array_equal(source.calibration.matrix, default_calibration().matrix)
+        assert source.health.counters["late_replies"] > 0
+    finally:
+        prompt.cancel()
+        source.close()
+        simulator.stop()
+        bus.shutdown()
+
+
+def test_a_board_that_answers_late_has_not_lost_its_calibration(channel: str) -> None:
+    """A row that was asked for and given up comes while the next row is waited for."""
+    bus, simulator = board(channel)
+    simulator.start()
+    source = driver(channel, response_timeout=0.02, calibration_check_period=0.05)
+    samples = []
+    try:
+        source.connect()
+        for delay in (0, 35, 0, 60, 0, 35, 0):
+            simulator.faults.set("delay", delay)
+            end = time.monotonic() + 0.4
+            while time.monotonic() < end:
+                samples.append(source.read(0.1))
+        assert source.health.counters["calibration_lost"] == 0
+        assert source.health.counters["late_replies"] > 0
+        while source.read(0.1) is None:
+            pass
+    finally:
+        source.close()
+        simulator.stop()
+        bus.shutdown()
+    assert any(samples)
 
 
 @pytest.mark.parametrize("copies", [1, 2])

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Net F/T and DBC-described sensors: bytes, pages, averaging, drivers against simulators."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Sensors of other packages: the one of docs/add_a_sensor.md in the node, and what goes wrong."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Clocks, stamps and tare: accuracy in physical units."""
 
 from __future__ import annotations

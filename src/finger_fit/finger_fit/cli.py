@@ -1,8 +1,12 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The command finger-fit."""
 
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,10 +20,9 @@ from finger_common.axes import NORMAL_AXES
 from finger_common.cli import EXIT_INTERRUPTED, Parser, add_settings, plain, run, settings_from
 from finger_common.errors import InputError
 from finger_common.progress import Stages
-from finger_model.fem.area_model import FullOrderAreas
-from finger_model.laws import law_of
-from finger_model.reduced import ReducedModel
+from finger_model.finger import load_areas
 
+from .nuisance.names import name_of
 from .options import FitOptions
 from .problem import MM4, three_digits
 from .results import FitResult
@@ -58,16 +61,30 @@ def parser() -> argparse.ArgumentParser:
     bags.add_argument(
         "--calibration", metavar="YAML", help="plate calibration for areas from images"
     )
+    bags.add_argument(
+        "--area-per-pixel",
+        type=float,
+        default=0.0,
+        metavar="M2",
+        help="area of a pixel in m², for images without a calibration",
+    )
     bags.add_argument("--mapping", metavar="FILE", help="YAML file with other topic names, units")
     models = p.add_argument_group("model")
     models.add_argument(
         "--model", metavar="NPZ", help="reduced model file (default: the shipped one)"
     )
     models.add_argument(
+        "--geometry",
+        metavar="YAML",
+        default="",
+        help="geometry.yaml of the finger, from 'finger-model geometry' (default: built in)",
+    )
+    models.add_argument(
         "--law",
         metavar="NAME",
         default="",
-        help="another installed material law; it is fitted with the full-order model (slow)",
+        help="another installed material law; one that is no sum of Maxwell branches is fitted "
+        "with the full-order model (slow)",
     )
     add_settings(p, FitOptions)
     return p
@@ -108,19 +125,25 @@ def command(argv: Sequence[str] | None = None) -> int:
     for bag in args.bags:
         if not Path(bag).exists():
             raise InputError(f"{bag}: no such bag; check the path")
-    if args.law and args.model:
-        raise InputError("--law and --model: a reduced model has its own law; give one of the two")
-    model = FullOrderAreas(law_of(args.law)()) if args.law else ReducedModel.load(args.model)
+    if args.calibration and args.area_per_pixel:
+        raise InputError("--calibration and --area-per-pixel: give one of the two")
+    model = load_areas(args.model or "", args.geometry, args.law)
     with Screen(args.quiet) as screen:
         result = fit_bags(
             args.bags, options, args.output, args.condition, model, screen,
-            args.normal_axis, args.calibration, args.mapping,
+            args.normal_axis, args.calibration, args.mapping, args.area_per_pixel,
+            shlex.join(["finger-fit", *(sys.argv[1:] if argv is None else argv)]),
         )  # fmt: skip
     console = Console(width=None if sys.stdout.isatty() else 160)
     console.print(summary(result))
+    for note in result.problems:
+        print(f"note: {plain(note)}")
     for exclusion in result.exclusions:
         print(f"excluded: {plain(exclusion.label)}: {plain(exclusion.reason)}")
     for name, fit in result.fits.items():
+        if fit.nuisance is not None and fit.nuisance.unknown:
+            names = ", ".join(map(name_of, fit.nuisance.unknown))
+            print(f"{plain(name)}: not estimated by these data: {names}; see the report")
         for reason in fit.reasons:
             print(f"{plain(name)}: {fit.status}: {plain(reason)}")
     print(f"report: {plain(Path(args.output) / 'report.html')}")

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Where independent pieces of work run: in this process and its children, or on a Dask cluster.
 
 A piece of work is `function(shared, item)`. Results are in the order of the items and do not depend

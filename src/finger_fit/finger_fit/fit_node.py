@@ -1,25 +1,33 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The fit node: the FitParameters action over `fit_bags`.
 
-The fit runs in a thread; the executor passes on its progress.
+The fit runs in a thread; the executor passes on its progress. A goal that is cancelled, and one
+whose node is deactivated or shut down, is answered within PATIENCE, whatever the thread is at.
 """
 
 from __future__ import annotations
 
+import math
 import queue
 import threading
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.clock import Clock, ClockType
 from rclpy.task import Future
 
 from finger_common.cli import one_line
-from finger_common.diagnostics import Health
+from finger_common.diagnostics import WARN, Health
 from finger_common.errors import FingerError, InputError
 from finger_common.node import ManagedNode, main_of
 from finger_common.settings import Settings, setting
+from finger_model.finger import load_reduced
 from finger_model.reduced import ReducedModel
 from finger_msgs.action import FitParameters
 
@@ -27,27 +35,54 @@ from .options import FitOptions
 from .search import Stopped
 from .study import fit_bags
 
+PATIENCE = 1.5
+"""s that the answer to a cancelled goal waits for the thread to write the best found so far."""
+
 
 @dataclass(frozen=True)
 class FitNodeSettings(Settings):
     """Parameters of the fit node."""
 
-    reduced_model: str = setting(
-        "", "Reduced model file (npz); empty: the shipped one of the default geometry."
-    )
+    reduced_model: str = setting("", "Reduced model file (npz); empty: the shipped one.")
+    geometry_file: str = setting("", "geometry.yaml of the finger; empty: the default geometry.")
+
+
+def _model_of(settings: FitNodeSettings) -> ReducedModel:
+    return load_reduced(settings.reduced_model, settings.geometry_file)
+
+
+def checked_options(goal: Any) -> FitOptions:
+    """Options of a FitParameters goal; raises InputError for what no fit could be made of."""
+    if not goal.output:
+        raise InputError("goal: 'output' is empty; name the folder to write to")
+    if not goal.bags:
+        raise InputError("goal: 'bags' is empty; name the bags to fit")
+    for bag in goal.bags:
+        if not Path(bag).expanduser().exists():
+            raise InputError(f"goal: 'bags': {bag}: no such bag or folder; correct the path")
+    return FitOptions.from_json(goal.options, "goal: 'options'")
 
 
 class _Job:
-    """One fit in a thread; `events` carries feedback to the executor's thread."""
+    """One fit in a thread; `events` carries feedback to the executor's thread.
 
-    def __init__(self, goal: Any, model_file: str | None) -> None:
+    stop: tells the thread to end. answered: done when the goal may be answered. reason: why it
+    ended before its time, empty where the client cancelled it.
+    """
+
+    def __init__(self, goal: Any, settings: FitNodeSettings) -> None:
         self.events: queue.SimpleQueue[tuple[Any, ...]] = queue.SimpleQueue()
         self.stop = threading.Event()
         self.outcome: Any = None
         self.error = ""
         self.names: tuple[str, ...] = ()
+        self.answered = Future()
+        self.reason = ""
+        self.stopped_at = math.inf
+        self.bags = list(goal.bags)
+        self.stage = "load"
         self._goal = goal
-        self._model_file = model_file
+        self._settings = settings
         self.thread = threading.Thread(target=self._run, name="fit", daemon=True)
         self.thread.start()
 
@@ -59,20 +94,25 @@ class _Job:
     def _run(self) -> None:
         try:
             goal = self._goal
-            if not goal.output:
-                raise InputError("goal: 'output' is empty; name the folder to write to")
-            model = ReducedModel.load(self._model_file)
+            options = checked_options(goal)
+            model = _model_of(self._settings)
             self.names = model.space.names
-            options = FitOptions.from_json(goal.options, "goal: 'options'")
             self.outcome = fit_bags(
-                list(goal.bags), options, goal.output, list(goal.conditions), model, self._progress
+                self.bags, options, goal.output, list(goal.conditions), model, self._progress
             )
         except Stopped:
-            self.error = "cancelled before anything was found"
+            self.error = "nothing was found before"
         except FingerError as error:
             self.error = one_line(error)
         except Exception as error:
             self.error = f"defect: {type(error).__name__}: {one_line(error)}"
+
+    def end(self, reason: str = "") -> None:
+        """Tell the thread to end."""
+        if not self.stop.is_set():
+            self.reason = reason
+            self.stopped_at = time.monotonic()
+            self.stop.set()
 
 
 class FitNode(ManagedNode):
@@ -83,12 +123,12 @@ class FitNode(ManagedNode):
 
     def configure(self) -> None:
         """Check the model file and offer the action."""
-        self._model_file = self.settings(FitNodeSettings).reduced_model or None
-        ReducedModel.load(self._model_file)
+        self._model_settings = self.settings(FitNodeSettings)
+        _model_of(self._model_settings)
         self.health = Health("fit", "no device")
         self.healths = [self.health]
         self._job: _Job | None = None
-        self._waiting: Future | None = None
+        self._handle: Any = None
         self._server: ActionServer | None = ActionServer(
             self,
             FitParameters,
@@ -103,43 +143,79 @@ class FitNode(ManagedNode):
         self._timer = self.create_timer(0.1, self._check_job)
 
     def deactivate(self) -> None:
-        """Stop the running job."""
-        if self._job is not None:
-            self._job.stop.set()
+        """End the running job and let its client know."""
         self.destroy_timer(self._timer)
+        if self._job is not None:
+            self._job.end("the fit node was deactivated")
+            if not self._job.answered.done():
+                self._job.answered.set_result(True)
 
     def cleanup(self) -> None:
-        """Withdraw the action."""
-        server = getattr(self, "_server", None)
+        """Withdraw the action, once the client of a goal that was ended has its answer."""
+        if self.answering:
+            steady = Clock(clock_type=ClockType.STEADY_TIME)
+            self._farewell = self.create_timer(0.1, self._withdraw, clock=steady)
+        else:
+            self._withdraw()
+
+    def _withdraw(self) -> None:
+        if self.answering:
+            return
+        farewell = self.__dict__.pop("_farewell", None)
+        if farewell is not None:
+            self.destroy_timer(farewell)
+        server = self.__dict__.pop("_server", None)
         if server is not None:
             server.destroy()
-            self._server = None
+
+    @property
+    def answering(self) -> bool:
+        return getattr(self, "_handle", None) is not None
 
     def _on_goal(self, goal: Any) -> GoalResponse:
-        if self._job is not None or not self._active:
-            self.get_logger().warning("goal refused: a fit is running, or the node is not active")
+        # A refusal of an action carries no reason: what only time changes is answered instead.
+        try:
+            if not self._active:
+                raise InputError("the fit node is not active; activate it first")
+            checked_options(goal)
+        except FingerError as error:
+            text = f"goal refused: {one_line(error)}"
+            self.health.fault("refused", text, WARN)
+            self.get_logger().warning(text)
             return GoalResponse.REJECT
+        self.health.recovered("refused")
         return GoalResponse.ACCEPT
 
     async def _execute(self, handle: Any) -> Any:
-        job = _Job(handle.request, self._model_file)
-        self._handle, self._job, self._waiting = handle, job, Future()
-        self.get_logger().info(f"fitting {len(handle.request.bags)} bags")
-        await self._waiting
-        self._job = None
-        return self._result(handle, job)
+        if self._job is not None and (self.answering or self._job.thread.is_alive()):
+            bags = len(self._job.bags)
+            state = "an ended fit is finishing" if self._job.stop.is_set() else "a fit is running"
+            handle.abort()
+            return FitParameters.Result(
+                message=f"busy: {state} ({bags} bags, {self._job.stage}); try again after it"
+            )
+        job = self._job = _Job(handle.request, self._model_settings)
+        self._handle = handle
+        self.get_logger().info(f"fitting {len(job.bags)} bags")
+        try:
+            await job.answered
+            return self._result(handle, job)
+        finally:
+            self._handle = None
 
     def _check_job(self) -> None:
         """Publish feedback, pass on a cancel request, and end the goal when its thread has
         ended."""
         job = self._job
-        if job is None or self._waiting is None or self._waiting.done():
+        if job is None or job.answered.done():
             return
         alive = job.thread.is_alive()
         if self._handle.is_cancel_requested:
-            job.stop.set()
+            job.end()
+            alive = alive and time.monotonic() - job.stopped_at < PATIENCE
         while not job.events.empty():
             condition, stage, number, rounds, cost, best = job.events.get()
+            job.stage = f"{condition} {stage}".strip()
             feedback = FitParameters.Feedback()
             feedback.parameter_names = list(job.names)
             feedback.condition, feedback.stage = condition, stage
@@ -149,17 +225,25 @@ class FitNode(ManagedNode):
             self._handle.publish_feedback(feedback)
             self.health.sample()
         if not alive:
-            self._waiting.set_result(True)
+            job.answered.set_result(True)
 
     def _result(self, handle: Any, job: _Job) -> Any:
         result = FitParameters.Result()
         outcome = job.outcome
         if outcome is not None:
             folder = Path(outcome.output)
-            result.parameter_file = str(folder / "parameters.yaml")
+            files = sorted(folder.rglob("parameters*.yaml"))
+            result.parameter_file = str(files[0]) if files else ""
             result.report = str(folder / "report.html")
-        if handle.is_cancel_requested:
-            result.message = job.error or "cancelled; the best found so far is written"
+        if job.thread.is_alive():
+            found = f"what was found so far is written to {handle.request.output} in a moment"
+        else:
+            found = job.error or "the best found so far is written"
+        if job.reason:
+            result.message = f"{job.reason}; {found}"
+            handle.abort()
+        elif handle.is_cancel_requested:
+            result.message = f"cancelled; {found}"
             handle.canceled()
         elif outcome is None:
             result.message = job.error

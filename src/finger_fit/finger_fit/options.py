@@ -1,17 +1,25 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Options of a fit: one described class for the command line, the action goal and the report."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from finger_common.contact_threshold import ONSET_FORCE
 from finger_common.errors import InputError
-from finger_common.settings import Settings, setting
-from finger_model.laws import ParameterSpace
+from finger_common.settings import setting
+from finger_common.units import MODULUS_UNITS, TIME_UNITS, unit_named
+from finger_model.laws import ParameterSpace, ParameterSpec
 from finger_model.paper import TARGET_FORCE
+
+from .nuisance.priors import NuisancePriors
 
 FRAMES = "frames and forces"
 SEARCH = "cost and search"
@@ -20,14 +28,24 @@ UNCERTAINTY = "uncertainty"
 RUN = "run"
 """Headings of the options in the help of the command."""
 
+UNITS = {"Pa": MODULUS_UNITS, "s": TIME_UNITS}
+"""Unit of a parameter -> units that its bounds may be given in."""
+
+_END = re.compile(r"\s*([-+.\deE]*[.\d])\s*([^\d\s]*)\s*")
+
 
 @dataclass(frozen=True)
-class FitOptions(Settings):
+class FitOptions(NuisancePriors):
     """Checked options; each field states its unit, range and meaning. Raises InputError for a bad
     value."""
 
     target_force: float = setting(
-        TARGET_FORCE, "Normal force that ends the loading.", "N", 0.1, 50.0, group=FRAMES
+        0.0,
+        "Normal force that ends the loading; 0: that of each trial, as its bag says.",
+        "N",
+        0.0,
+        50.0,
+        group=FRAMES,
     )
     onset_force: float = setting(
         ONSET_FORCE, "Normal force from which frames count.", "N", 0.001, 5.0, group=FRAMES
@@ -77,7 +95,8 @@ class FitOptions(Settings):
     )
     bounds: list[str] = setting(
         [],
-        "Search box where it differs from the law's own, as NAME=LOW:HIGH in SI units.",
+        "Search box where it differs from the law's own, as NAME=LOW:HIGH with units, such as "
+        "E2=500kPa:3MPa; SI without.",
         group=SEARCH,
     )
     grid: int = setting(
@@ -145,7 +164,10 @@ class FitOptions(Settings):
         3, "Moisture clusters to form when trials carry no condition.", "", 1, 9, group=FRAMES
     )
     moisture_required: bool = setting(
-        True, "Exclude trials without a moisture reading.", group=FRAMES
+        False, "Exclude trials without a moisture reading.", group=FRAMES
+    )
+    pool: bool = setting(
+        False, "Fit the presses of all subjects as if they were one finger's.", group=FRAMES
     )
     seed: int = setting(0, "Seed of every random choice.", "", 0, 2**31 - 1, group=SEARCH)
     vision: bool = setting(
@@ -163,10 +185,11 @@ class FitOptions(Settings):
 
     def validate(self) -> None:
         """Onset below target; PSO is always among the searches."""
-        if self.onset_force >= self.target_force:
+        target = self.target_force or TARGET_FORCE
+        if self.onset_force >= target:
             raise InputError(
-                f"onset_force is {self.onset_force:g} N, not below target_force "
-                f"({self.target_force:g} N); lower one or raise the other"
+                f"onset_force is {self.onset_force:g} N, not below target_force ({target:g} N); "
+                "lower one or raise the other"
             )
         if "pso" not in self.optimizer:
             object.__setattr__(self, "optimizer", ["pso", *self.optimizer])
@@ -179,21 +202,64 @@ class FitOptions(Settings):
         box = np.array(space.box, dtype=float)
         for text in self.bounds:
             name, _, span = text.partition("=")
-            low, _, high = span.partition(":")
-            try:
-                values = (float(low), float(high))
-            except ValueError:
-                values = (math.nan, math.nan)
-            if name not in space.names or not 0 < values[0] < values[1] < math.inf:
+            if name not in space.names:
                 raise InputError(
-                    f"bounds '{text}': NAME=LOW:HIGH with 0 < LOW < HIGH in SI units is needed, "
-                    f"NAME one of {', '.join(space.names)}, as in E0=50e3:160e3"
+                    f"bounds '{text}': NAME=LOW:HIGH is needed, NAME one of "
+                    f"{', '.join(space.names)}, as in E0=50kPa:160kPa"
                 )
-            box[space.index(name)] = values
+            box[space.index(name)] = _span(text, span, space[name])
         return box
 
+    def for_trial(self, record: Any) -> FitOptions:
+        """These options with the target force of a recorded trial, where none is set."""
+        if self.target_force:
+            return self
+        own = float(getattr(record, "target_force", 0.0))
+        return replace(self, target_force=own if own > self.onset_force else TARGET_FORCE)
+
     def check_names(self, space: ParameterSpace) -> None:
-        """Raise InputError for `bounds` or `shared` that name no parameter of the space."""
+        """Raise InputError for `bounds`, `shared` or lengths that name nothing known."""
         self.box(space)
+        self.lengths()
         for name in self.shared:
             space.index(name)
+
+
+def _span(text: str, span: str, parameter: ParameterSpec) -> tuple[float, float]:
+    """LOW and HIGH (SI) of bounds; raises InputError that quotes them."""
+    units = UNITS.get(parameter.unit, {parameter.unit: 1.0})
+    found = [_END.fullmatch(part) for part in span.split(":")]
+    ends = [(m[1], unit_named(m[2], units) if m[2] else "") for m in found if m]
+    if len(ends) != 2 or len(found) != 2 or None in (ends[0][1], ends[1][1]):
+        raise InputError(
+            f"bounds '{text}': {parameter.name}=LOW:HIGH is needed, with units "
+            f"{', '.join(units)}, as in E2=500kPa:3MPa"
+        )
+    if bool(ends[0][1]) != bool(ends[1][1]):
+        raise InputError(f"bounds '{text}': one end has a unit, the other none; give both")
+    low, high = (_number(value) * units.get(unit or parameter.unit, 1.0) for value, unit in ends)
+    if not 0 < low < high < math.inf:
+        raise InputError(f"bounds '{text}': 0 < LOW < HIGH is needed; correct them")
+    first, last = parameter.range
+    if high < first or low > last:
+        factor, unit = parameter.display_factor, parameter.display_unit
+        meant = [
+            f"{parameter.name}={ends[0][0]}{u}:{ends[1][0]}{u}"
+            for u, scale in units.items()
+            if not ends[0][1]
+            and _number(ends[0][0]) * scale <= parameter.bounds[1]
+            and _number(ends[1][0]) * scale >= parameter.bounds[0]
+        ]
+        remedy = f"did you mean '{meant[0]}'?" if meant else "give the units, as in E2=500kPa:3MPa"
+        raise InputError(
+            f"bounds '{text}': {low:g} to {high:g} {parameter.unit} lies outside "
+            f"{first * factor:g} to {last * factor:g} {unit}, for which the model is made; {remedy}"
+        )
+    return low, high
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """A stand-in for the reduced model, and trials made with it: the logic of a fit is tested alone.
 
 The stand-in is the hereditary integral of Lee and Radok (1960) for a sphere, stiffened by the

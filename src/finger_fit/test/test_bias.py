@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The measured bias is that of the estimate, and corrected values have almost none."""
 
 from __future__ import annotations

@@ -1,8 +1,13 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The fit node over DDS: goal, feedback, result, cancel, bad goals."""
 
 from __future__ import annotations
 
 import json
+import re
+import signal
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -37,7 +42,7 @@ def client(ros_domain: int, process: Any) -> Any:
         raise AssertionError("nothing came in time: " + child.output.read_text())
 
     wait(action.server_is_ready)
-    yield action, wait, FitParameters
+    yield action, wait, FitParameters, child
     executor.shutdown()
     node.destroy_node()
     rclpy.shutdown(context=context)
@@ -83,7 +88,7 @@ def test_goal_gives_feedback_and_the_parameter_file_and_cancel_keeps_the_best(
 
     from finger_model.parameter_sets import ParameterSets
 
-    action, wait, FitParameters = client
+    action, wait, FitParameters, child = client
     bags = write_bags(tmp_path, double)
     options = {"full_order": False, "profiles": False, "bootstrap": 0, "grid": 2, "rounds": 6}
     heard: list[Any] = []
@@ -110,28 +115,139 @@ def test_goal_gives_feedback_and_the_parameter_file_and_cancel_keeps_the_best(
     assert list(heard[-1].parameter_names) == ["E0", "E1", "tau1", "E2"]
     assert len(heard[-1].best_parameters) == 4
 
-    # Bad goals are aborted with the reason; the node goes on.
+    # Bad goals are refused at once, with the reason in the log; the node goes on.
     for fields, words in (
-        ({"bags": [str(tmp_path / "none")], "output": str(tmp_path / "x")}, "none"),
+        ({"bags": [str(tmp_path / "none")], "output": str(tmp_path / "x")}, "none: no such bag"),
+        ({"bags": [], "output": str(tmp_path / "x")}, "'bags' is empty"),
         ({"bags": bags, "output": str(tmp_path / "x"), "options": '{"round": 1}'}, "'round'"),
-        ({"bags": bags, "output": ""}, "output"),
+        ({"bags": bags, "output": ""}, "'output' is empty"),
     ):
-        handle = send(**fields)
-        result = handle.get_result_async()
-        wait(result.done)
-        assert result.result().status == GoalStatus.STATUS_ABORTED
-        assert words in result.result().result.message
+        assert not send(**fields).accepted
+        wait(lambda words=words: words in child.output.read_text())
+    assert not (tmp_path / "x").exists()
 
     heard.clear()
     options["rounds"] = 100000
     handle = send(bags=bags, output=str(tmp_path / "cut"), options=json.dumps(options))
-    second = send(bags=bags, output=str(tmp_path / "other"))
-    assert not second.accepted, "one goal at a time"
     wait(lambda: any(f.stage == "pso" and f.round > 2 for f in heard))
+    second = send(bags=bags, output=str(tmp_path / "other")).get_result_async()
+    wait(second.done)
+    assert second.result().status == GoalStatus.STATUS_ABORTED
+    says = second.result().result.message
+    assert re.search(r"busy: a fit is running \(3 bags, natural \w+\)", says), says
     wait(handle.cancel_goal_async().done)
     result = handle.get_result_async()
     wait(result.done)
     assert result.result().status == GoalStatus.STATUS_CANCELED
+    # The answer does not wait for the report, after which the parameters are all there.
+    wait((tmp_path / "cut" / "report.html").exists)
     entry = json.loads((tmp_path / "cut" / "fit.json").read_text())["conditions"]["natural"]
     assert entry["status"] == "interrupted"
-    assert ParameterSets.load(result.result().result.parameter_file).sets
+    assert ParameterSets.load(tmp_path / "cut" / "parameters.yaml").sets
+
+    # Ctrl-C on the node's terminal: whoever waits for the fit hears it.
+    heard.clear()
+    handle = send(bags=bags, output=str(tmp_path / "end"), options=json.dumps(options))
+    result = handle.get_result_async()
+    wait(lambda: any(f.stage == "pso" for f in heard))
+    child.send_signal(signal.SIGINT)
+    wait(result.done)
+    assert result.result().status == GoalStatus.STATUS_ABORTED
+    assert "deactivated" in result.result().result.message
+    assert child.wait(60) == 0, child.output.read_text()
+
+
+@pytest.fixture
+def slow_fit(ros_domain: int, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """A fit node whose fit is at something that cannot be interrupted until it is let go."""
+    import threading
+
+    from rclpy.action import ActionClient
+
+    from finger_fit import fit_node
+    from finger_msgs.action import FitParameters
+
+    let_go, begun = threading.Event(), threading.Event()
+
+    def fit_bags(*arguments: Any) -> Any:
+        begun.set()
+        assert let_go.wait(100)
+        arguments[-1]("natural", "full order", 1, 1, 0.0, [])
+
+    monkeypatch.setattr(fit_node, "fit_bags", fit_bags)
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=ros_domain)
+    node = fit_node.FitNode(context=context)
+    asker = rclpy.create_node("asker", context=context)
+    executor = rclpy.executors.SingleThreadedExecutor(context=context)
+    for each in (node, asker):
+        executor.add_node(each)
+    assert node.bring_up()
+    action = ActionClient(asker, FitParameters, "/fit/fit")
+
+    def wait(condition: Callable[[], Any], seconds: float = 60) -> Any:
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            executor.spin_once(timeout_sec=0.05)
+            if condition():
+                return
+        raise AssertionError("nothing came in time")
+
+    def send(folder: Path) -> Any:
+        begun.clear()
+        asked = action.send_goal_async(FitParameters.Goal(bags=[str(folder)], output=str(folder)))
+        wait(asked.done)
+        handle = asked.result()
+        assert handle.accepted
+        return handle, handle.get_result_async()
+
+    wait(action.server_is_ready)
+    yield node, wait, send, begun, let_go
+    let_go.set()
+    executor.shutdown()
+    for each in (node, asker):
+        each.destroy_node()
+    rclpy.shutdown(context=context)
+
+
+def test_a_cancelled_goal_is_answered_at_once_though_the_fit_cannot_stop(
+    slow_fit: Any, tmp_path: Path
+) -> None:
+    from action_msgs.msg import GoalStatus
+
+    node, wait, send, begun, let_go = slow_fit
+    handle, result = send(tmp_path)
+    wait(begun.is_set)
+    asked = time.monotonic()
+    wait(handle.cancel_goal_async().done)
+    wait(result.done)
+    assert 1.0 < time.monotonic() - asked < 10.0  # 1.6 s on a machine that is not busy
+    assert result.result().status == GoalStatus.STATUS_CANCELED
+    assert "is written to" in result.result().result.message
+    _, early = send(tmp_path)
+    wait(early.done)
+    assert "busy: an ended fit is finishing" in early.result().result.message
+    let_go.set()
+    wait(lambda: not node._job.thread.is_alive())
+    let_go.clear()
+    _, again = send(tmp_path)
+    wait(begun.is_set)
+    let_go.set()
+    wait(again.done)
+
+
+@pytest.mark.parametrize("transition", ["deactivate", "shutdown"])
+def test_deactivation_and_shutdown_end_the_goal(
+    slow_fit: Any, tmp_path: Path, transition: str
+) -> None:
+    from action_msgs.msg import GoalStatus
+
+    node, wait, send, begun, _ = slow_fit
+    _, result = send(tmp_path)
+    wait(begun.is_set)
+    getattr(node, f"trigger_{transition}")()
+    wait(result.done)
+    assert result.result().status == GoalStatus.STATUS_ABORTED
+    assert "the fit node was deactivated" in result.result().result.message
+    if transition == "shutdown":
+        wait(lambda: "_server" not in vars(node))

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The check of a fit against a better model, with the stand-in as the better one and a biased copy
 as the reduced.
 """

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Local fits, covariances, profiles and bootstrap."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """J, the power law on the same frames, robust loss and weights."""
 
 from __future__ import annotations
@@ -43,9 +46,7 @@ def test_power_law_minimises_the_same_cost(double, loss: str) -> None:
     law = fit_power_law(problem)
 
     def cost(v: np.ndarray) -> float:
-        return float(
-            (problem.weight * problem.losses(v[0] * 1e-6 * problem.force ** v[1])).sum() * MM4
-        )
+        return float(problem.trial_costs(v[0] * 1e-6 * problem.force ** v[1]).sum() * MM4)
 
     other = minimize(
         cost,

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Grid, PSO and cross-checks: inside the box, repeatable to the bit, resumable, stoppable."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Which frames count, which trials do not, and how they are grouped."""
 
 from __future__ import annotations
@@ -73,7 +76,6 @@ def test_tremor_passes_in_mode_full_and_not_in_mode_paper(double) -> None:
     [
         (lambda r: replace(r, force=r.force * 0.8), "below the target"),
         (lambda r: replace(r, area_flags=r.area_flags | 4), "image border"),
-        (lambda r: replace(r, moisture_before=[], moisture_after=[]), "no moisture"),
         (
             lambda r: replace(
                 r,
@@ -108,6 +110,23 @@ def test_unfit_trials_are_excluded_with_the_reason(double, change, words: str) -
     assert [t.index for t in trials] == [0]
     assert len(exclusions) == 1 and words in exclusions[0].reason
     assert exclusions[0].label == "natural_01 trial 1"
+
+
+def test_moisture_is_needed_only_when_asked_for(double) -> None:
+    record = replace(double.make_record(0), moisture_before=[], moisture_after=[])
+    assert len(prepare_all([record], FitOptions())[0]) == 1
+    _, exclusions = prepare_all([record], FitOptions(moisture_required=True))
+    assert exclusions[0].reason == "no moisture reading"
+
+
+def test_a_trial_ends_at_its_own_target_force_unless_another_is_set(double) -> None:
+    record = double.make_record(0, peak=1.1)
+    assert not prepare_all([record], FitOptions())[0], "the paper's target where none is known"
+    record.target_force = 0.9
+    own = prepare(record, FitOptions())
+    assert 0.9 <= own.frame_force[-1] < 1.1
+    lower = prepare(record, FitOptions(target_force=0.5))
+    assert len(lower.area) < len(own.area)
 
 
 def test_frames_without_contact_in_the_window_are_dropped_and_counted(double) -> None:

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """From a person's fingertip, measured with calipers, to the lengths of the model.
 
 The rules are simple proportions. Each length has a standard deviation: of the calipers, and of
@@ -9,7 +12,9 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from finger_common.errors import InputError
 
@@ -239,3 +244,19 @@ def estimate_geometry(
         {key: value[2] for key, value in values.items()},
         ", ".join(known),
     )
+
+
+def session_geometry(plan: Mapping[str, Any]) -> str | None:
+    """`geometry.yaml` of a guided session's subject; None where no calipers were used.
+
+    plan: as in session.json; `finger_width` and `finger_depth` (m), `finger` and `age` are used,
+    0 and "" for what was not noted. Raises InputError as `estimate_geometry` does, and for a depth
+    without width.
+    """
+    width, depth = (plan.get(key) or None for key in ("finger_width", "finger_depth"))
+    if width is None and depth is None:
+        return None
+    if width is None:
+        raise InputError("the fingertip has a depth but no width; enter the width too, or neither")
+    finger, age = (plan.get(key) or None for key in ("finger", "age"))
+    return estimate_geometry(width, depth, finger=finger, age=age).yaml_text()

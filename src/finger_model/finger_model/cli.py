@@ -1,4 +1,7 @@
-"""The command `finger-model`: simulate, geometry, reduce, verify."""
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The command `finger-model`: simulate, geometry, reduce, reduce-population, verify."""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ from collections.abc import Sequence
 
 from finger_common.cli import Parser, run
 
-COMMANDS = ("simulate", "geometry", "reduce", "verify")
+COMMANDS = ("simulate", "geometry", "reduce", "reduce_population", "verify")
 
 
 def parser() -> Parser:

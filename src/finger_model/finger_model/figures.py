@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Figures of the full-order and the reduced model."""
 
 from __future__ import annotations

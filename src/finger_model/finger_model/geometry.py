@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Shape of the finger: what `geometry.yaml` holds, its checks and its hash."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Contact at one instant and over time, as models give it; the CSV files of force and contact."""
 
 from __future__ import annotations
@@ -112,5 +115,12 @@ def check_force_history(
 
 def read_force_csv(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
     """Time (n,) in s and force (n,) in N of columns `time_s,force_n`; raises InputError."""
-    table = read_csv(path, ["time_s", "force_n"])
-    return check_force_history(table["time_s"], table["force_n"], str(path))
+    return read_load_csv(path)[:2]
+
+
+def read_load_csv(path: str | Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Time (n,) in s, force (n,) in N and, where there is a column `tangential_force_n`, that force
+    (n,) in N along x; raises InputError."""
+    table = read_csv(path, ["time_s", "force_n"], ["tangential_force_n"])
+    time, force = check_force_history(table["time_s"], table["force_n"], str(path))
+    return time, force, table.get("tangential_force_n")

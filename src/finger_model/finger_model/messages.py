@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Between messages and the core's plain data.
 
 Messages are read by attribute: those of rclpy and those of a bag reader alike.
@@ -6,18 +9,13 @@ Messages are read by attribute: those of rclpy and those of a bag reader alike.
 from __future__ import annotations
 
 import json
-from operator import attrgetter
 from typing import Any
 
 from finger_common.errors import InputError
 from finger_common.files import parse_json
-from finger_common.stamps import fill_time, header_stamp, time_fields
+from finger_common.stamps import NANOSECONDS, header_stamp, time_fields
 
 from .estimator import ContactEstimate, EstimatorEvent, EventType
-from .estimator.estimate import ESTIMATE_FIELDS
-
-_COPIED = tuple(f.name for f in ESTIMATE_FIELDS if f.type != "time")
-_copied = attrgetter(*_COPIED)
 
 
 def wrench_of(message: Any) -> tuple[int, tuple[float, float, float]]:
@@ -76,9 +74,15 @@ def event_fields(event: EstimatorEvent, sequence: int) -> dict[str, Any]:
     }
 
 
-def fill_contact_state(message: Any, estimate: ContactEstimate) -> None:
-    """Set the fields of a ContactState message; using one again is cheaper than a new one."""
-    fill_time(message.header.stamp, estimate.stamp_ns)
-    fill_time(message.onset, estimate.onset_ns)
-    for name, value in zip(_COPIED, _copied(estimate)):
-        setattr(message, name, value)
+def state_numbers(estimate: ContactEstimate) -> tuple[float, ...]:
+    """Numbers of a finger_msgs/ContactState in the order of its fields, without its texts."""
+    stamp, normal_force, lateral_force, in_contact, onset, *others, _, flags = estimate
+    return (
+        *divmod(stamp, NANOSECONDS),
+        normal_force,
+        lateral_force,
+        in_contact,
+        *divmod(onset, NANOSECONDS),
+        *others,
+        flags,
+    )

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Node `model`: publishes `contact_state` for every wrench sample.
 
 The estimate is corrected by `contact_area`; its parameters follow `moisture`.
@@ -7,6 +10,8 @@ from __future__ import annotations
 
 import gc
 import json
+import math
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,6 +21,7 @@ import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
+from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from finger_common.cli import one_line
@@ -23,7 +29,13 @@ from finger_common.diagnostics import WARN, Health
 from finger_common.errors import FingerError
 from finger_common.flags import StateFlag
 from finger_common.moisture import MOISTURE_TEXT
-from finger_common.node import LATCHED_QOS, ManagedNode, main_of
+from finger_common.node import (
+    LATCHED_QOS,
+    FixedMessage,
+    LocalSubscription,
+    ManagedNode,
+    main_of,
+)
 from finger_common.settings import Settings, setting
 from finger_common.stamps import fill_time, seconds
 from finger_msgs.msg import ContactArea, ContactState, ModelEvent, Moisture
@@ -31,8 +43,8 @@ from finger_msgs.srv import ForceForArea, PredictContact
 
 from .estimator import ContactEstimate, ContactEstimator, EstimatorEvent, EstimatorSettings
 from .estimator.parameter_selection import check_sets
-from .geometry import Geometry
-from .messages import area_of, event_fields, fill_contact_state, moisture_of, wrench_of
+from .finger import load_reduced
+from .messages import area_of, event_fields, moisture_of, state_numbers, wrench_of
 from .parameter_sets import ParameterSets
 from .reduced.model import ReducedModel
 
@@ -50,12 +62,12 @@ class ModelSettings(Settings):
     geometry_file: str = setting(
         "",
         "geometry.yaml of the finger; empty for the default geometry.",
-        advice="Another geometry needs its own reduced model: finger-model reduce --geometry.",
+        advice="A finger outside the population box needs its own reduced model: finger-model "
+        "reduce --geometry.",
     )
     reduced_model_file: str = setting(
         "",
-        "Reduced model made by 'finger-model reduce'; empty for the shipped one of the default "
-        "geometry.",
+        "Reduced model made by 'finger-model reduce'; empty for the shipped one.",
     )
     force_stale_after: float = setting(
         0.1,
@@ -73,7 +85,8 @@ SAMPLES_PER_CALLBACK = 64
 _WARNINGS = {
     StateFlag.MOISTURE_MISSING: "no moisture reading yet, default parameters are in use",
     StateFlag.MOISTURE_STALE: "the moisture reading is older than moisture_stale_after",
-    StateFlag.MOISTURE_OUT_OF_RANGE: "moisture is outside the model's range: estimate less certain",
+    StateFlag.MOISTURE_OUT_OF_RANGE: "moisture {moisture:.3g} is outside the model's range: "
+    "estimate less certain",
     StateFlag.PARAMETERS_OUT_OF_RANGE: "the material parameters lie outside the range of the "
     "reduced model",
     StateFlag.AREA_STALE: "no area was fused for longer than area_stale_after while in contact",
@@ -108,7 +121,11 @@ class LatencyHistogram:
 
 
 class ModelNode(ManagedNode):
-    """Node around a ContactEstimator."""
+    """Node around a ContactEstimator.
+
+    Wrench samples of a force node in the same process come in that node's thread, all others
+    through DDS. `_lock` is held by whoever uses the estimator.
+    """
 
     SETTINGS = (EstimatorSettings, ModelSettings)
     NAME = "model"
@@ -128,7 +145,11 @@ class ModelNode(ManagedNode):
         self._sequence = 0
         self._last: ContactEstimate | None = None
         self._area_received = False
-        self._latency = LatencyHistogram()
+        self._lock = threading.RLock()
+        self._serializer: tuple[tuple[str, str], FixedMessage] | None = None
+        self._wrench: Any = None
+        self._local: LocalSubscription | None = None
+        self._latency, self._age = LatencyHistogram(), LatencyHistogram()
         self._entities: list[tuple[Any, Any]] = []
         self._jump_handle: Any = None
 
@@ -137,8 +158,7 @@ class ModelNode(ManagedNode):
     def configure(self) -> None:
         """Load model and parameters, compile, connect."""
         values = self.values
-        geometry = Geometry.load(values["geometry_file"]) if values["geometry_file"] else Geometry()
-        self._model = ReducedModel.load(values["reduced_model_file"] or None, geometry)
+        self._model = load_reduced(values["reduced_model_file"], values["geometry_file"])
         self._sets = self._load_sets(values["parameter_file"])
         settings = self.settings(EstimatorSettings)
         _compile(ContactEstimator(self._model, self._sets, settings))
@@ -146,12 +166,12 @@ class ModelNode(ManagedNode):
         self._sequence = 0
         self.health.stale_after = values["force_stale_after"]
         qos = self.stream_qos()
-        self._message = ContactState()
-        self._state_publisher = self.create_stream_publisher(ContactState, "contact_state", qos)
-        self._event_publisher = self.create_publisher(ModelEvent, "model_events", LATCHED_QOS)
-        self._wrench = self.create_stream_subscription(
-            WrenchStamped, values["wrench_topic"], self._on_wrench, qos
+        self._state_publisher = self.create_stream_publisher(
+            ContactState, "contact_state", self.stream_qos(publisher=True)
         )
+        self._event_publisher = self.create_publisher(ModelEvent, "model_events", LATCHED_QOS)
+        self._local = LocalSubscription(self, values["wrench_topic"], self._on_sample, self.fail)
+        self._follow_wrench()
         area = self.create_stream_subscription(ContactArea, "contact_area", self._on_area, qos)
         moisture = self.create_stream_subscription(Moisture, "moisture", self._on_moisture, qos)
         services = (
@@ -162,7 +182,6 @@ class ModelNode(ManagedNode):
         self._entities = [
             (self.destroy_publisher, self._state_publisher),
             (self.destroy_publisher, self._event_publisher),
-            (self.destroy_subscription, self._wrench),
             (self.destroy_subscription, area),
             (self.destroy_subscription, moisture),
             *((self.destroy_service, service) for service in services),
@@ -184,12 +203,13 @@ class ModelNode(ManagedNode):
     def activate(self) -> None:
         """Begin with a finger at rest."""
         assert self._model is not None
+        self._follow_wrench()
         self.estimator = ContactEstimator(self._model, self._sets, self.settings(EstimatorSettings))
         self._started = False
         self._jumped = False
         self._last = None
         self._area_received = False
-        self._latency = LatencyHistogram()
+        self._latency, self._age = LatencyHistogram(), LatencyHistogram()
         # What exists now lives as long as the node; the garbage collector leaves it alone.
         gc.collect()
         gc.freeze()
@@ -197,18 +217,24 @@ class ModelNode(ManagedNode):
 
     def deactivate(self) -> None:
         """Take no more samples."""
-        self._active = False
+        with self._lock:
+            self._active = False
 
     def cleanup(self) -> None:
         """Disconnect."""
-        self._active = False
+        if self._local is not None:
+            self._local.close()
+            self._local = None
+        self._follow_wrench()
+        with self._lock:
+            self._active = False
+            self.estimator = None
         if self._jump_handle is not None:
             self._jump_handle.unregister()
             self._jump_handle = None
         for destroy, entity in self._entities:
             destroy(entity)
         self._entities = []
-        self.estimator = None
 
     def parameters_changed(self, changes: dict[str, Any]) -> None:
         """New settings or parameter sets, from the next sample on."""
@@ -218,13 +244,14 @@ class ModelNode(ManagedNode):
         sets = self._load_sets(merged["parameter_file"]) if "parameter_file" in changes else None
         self.health.stale_after = merged["force_stale_after"]
         changed = [name for name in changes if name in EstimatorSettings.parameters()]
-        if changed:
-            reason = f"parameter {', '.join(changed)} set"
-            self._publish_event(self.estimator.change_settings(settings, reason))
-        if sets is not None:
-            self._sets = sets
-            reason = f"parameter file {changes['parameter_file'] or 'unset, shipped sets'}"
-            self._publish_event(self.estimator.change_parameters(sets, reason))
+        with self._lock:
+            if changed:
+                reason = f"parameter {', '.join(changed)} set"
+                self._publish_event(self.estimator.change_settings(settings, reason))
+            if sets is not None:
+                self._sets = sets
+                reason = f"parameter file {changes['parameter_file'] or 'unset, shipped sets'}"
+                self._publish_event(self.estimator.change_parameters(sets, reason))
 
     def _load_sets(self, path: str) -> ParameterSets:
         assert self._model is not None
@@ -238,51 +265,77 @@ class ModelNode(ManagedNode):
 
     # Streams ---------------------------------------------------------------------------------
 
+    def _follow_wrench(self) -> None:
+        """Subscribe to the wrench, unless a node of this process gives it or none is wanted."""
+        wanted = self._local is not None and not self._local.fed
+        if wanted and self._wrench is None:
+            self._wrench = self.create_stream_subscription(
+                WrenchStamped, self.values["wrench_topic"], self._on_wrench, self.stream_qos()
+            )
+        elif not wanted and self._wrench is not None:
+            self.destroy_subscription(self._wrench)
+            self._wrench = None
+
     def _on_wrench(self, message: WrenchStamped, info: dict[str, int]) -> None:
-        """One sample, and those that wait behind it.
+        """One sample through DDS, and those that wait behind it.
 
         A round of the executor takes longer than an estimate.
         """
-        self._process_wrench(message, info)
+        if self._local is None or self._local.fed:
+            return
+        self._on_sample(*_sample_of(message, info))
         handle = self._wrench.handle
         for _ in range(SAMPLES_PER_CALLBACK):
             with handle:
                 taken = handle.take_message(WrenchStamped, False)
             if taken is None:
                 return
-            self._process_wrench(*taken)
+            self._on_sample(*_sample_of(*taken))
 
-    def _process_wrench(self, message: WrenchStamped, info: dict[str, int]) -> None:
-        estimator = self.estimator
-        if not self._active or estimator is None:
-            return
-        stamp, force = wrench_of(message)
-        if not self._started:
-            self._started = True
-            self._publish_event(estimator.start_event(stamp))
-        if self._jumped:
-            self._jumped = False
-            last = estimator.last_stamp
-            if last is not None and stamp <= last:
-                self._publish_event(estimator.clock_jump_event(stamp))
-        for estimate in estimator.add_wrench(stamp, force):
-            out = self._message
-            fill_contact_state(out, estimate)
-            out.header.frame_id = message.header.frame_id
-            self._state_publisher.publish(out)
-            self._latency.add(time.time_ns() - info["received_timestamp"])
-            self._last = estimate
-            self.health.sample()
+    def _on_sample(
+        self, stamp: int, force: tuple[float, float, float], frame: str, received: int
+    ) -> None:
+        """One sample: stamp (ns), force (3,) in N, its frame, and when it came (ns)."""
+        with self._lock:
+            estimator = self.estimator
+            if not self._active or estimator is None:
+                return
+            if not self._started:
+                self._started = True
+                self._publish_event(estimator.start_event(stamp))
+            if self._jumped:
+                self._jumped = False
+                last = estimator.last_stamp
+                if last is not None and stamp <= last:
+                    self._publish_event(estimator.clock_jump_event(stamp))
+            for estimate in estimator.add_wrench(stamp, force):
+                self._state_publisher.publish(self._serialized(estimate, frame))
+                now = time.time_ns()
+                self._latency.add(now - received)
+                self._age.add(now - stamp)
+                self._last = estimate
+                self.health.sample()
+
+    def _serialized(self, estimate: ContactEstimate, frame: str) -> bytes:
+        """The estimate as a ContactState."""
+        texts = (frame, estimate.parameter_set)
+        if self._serializer is None or self._serializer[0] != texts:
+            prototype = ContactState(header=Header(frame_id=frame), parameter_set=texts[1])
+            self._serializer = texts, FixedMessage(prototype)
+        return self._serializer[1].pack(*state_numbers(estimate))
 
     def _on_area(self, message: ContactArea) -> None:
-        if self._active and self.estimator is not None:
-            self._area_received = True
-            area = area_of(message)
-            if not self.estimator.add_area(*area):
-                self._publish_event(self.estimator.note_late(areas=[area[0]]))
+        with self._lock:
+            if self._active and self.estimator is not None:
+                self._area_received = True
+                area = area_of(message)
+                if not self.estimator.add_area(*area):
+                    self._publish_event(self.estimator.note_late(areas=[area[0]]))
 
     def _on_moisture(self, message: Moisture) -> None:
-        if self._active and self.estimator is not None:
+        with self._lock:
+            if not self._active or self.estimator is None:
+                return
             reading = moisture_of(message)
             late = self.estimator.counters["late_moistures"]
             if not self.estimator.add_moisture(*reading):
@@ -316,7 +369,8 @@ class ModelNode(ManagedNode):
             response.success, response.message = False, "the node is not active; activate it first"
             return response
         try:
-            request(self.estimator)
+            with self._lock:
+                request(self.estimator)
             response.success = True
         except FingerError as error:
             response.success, response.message = False, one_line(error)
@@ -351,17 +405,20 @@ class ModelNode(ManagedNode):
             flags = 0 if self._last is None else self._last.flags
             for flag, sentence in _WARNINGS.items():
                 key = flag.name.lower()  # type: ignore[union-attr]
-                self._warn_while(bool(flags & flag), key, sentence)
+                moisture = math.nan if self._last is None else self._last.moisture
+                self._warn_while(bool(flags & flag), key, sentence.format(moisture=moisture))
             self._warn_while(self._area_is_overdue(), "area_missing", _NO_AREA)
             for name, number in self.estimator.statistics().items():
                 self.health.notes[name] = str(number)
             self.health.notes["parameters"] = json.dumps(
                 [float(f"{v:.6g}") for v in self.estimator.parameters]
             )
-            for percent in (50, 99):
-                self.health.notes[f"latency_p{percent}_ms"] = (
-                    f"{self._latency.percentile(percent):.3f}"
-                )
+            for name, delays in (("latency", self._latency), ("age", self._age)):
+                for percent in (50, 99):
+                    value = delays.percentile(percent)
+                    self.health.notes[f"{name}_p{percent}_ms"] = f"{value:.3f}"
+            # A force node of this process may have come or gone.
+            self._follow_wrench()
         super().publish_diagnostics()
 
     def _warn_while(self, condition: bool, key: str, sentence: str) -> None:
@@ -385,6 +442,13 @@ class ModelNode(ManagedNode):
         if not settings.fuse_area or duration <= settings.area_stale_after:
             return False
         return self._area_received or self.count_publishers("contact_area") > 0
+
+
+def _sample_of(
+    message: WrenchStamped, info: dict[str, int]
+) -> tuple[int, tuple[float, float, float], str, int]:
+    """Stamp, force, frame and time of receipt of a message and what the middleware adds."""
+    return *wrench_of(message), message.header.frame_id, info["received_timestamp"]
 
 
 def _compile(estimator: ContactEstimator) -> None:

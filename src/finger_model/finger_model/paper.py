@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """What Nam and Kuchenbecker (IEEE Trans. Haptics 14(2), 303–309, 2021) print, and the study truth.
 
 This is the one home of these numbers: search box, target force, moisture of the conditions, moduli.

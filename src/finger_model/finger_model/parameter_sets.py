@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Fitted material parameters per moisture condition, and their interpolation over moisture.
 
 `parameters.yaml`, written by a fit and loaded by the model node::

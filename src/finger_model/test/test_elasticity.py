@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Linear elasticity as an option of the full-order model."""
 
 import numpy as np

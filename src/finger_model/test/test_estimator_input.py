@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Rules of input of the estimator: stamps, gaps, duplicates, order, delay, events, replay."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The full-order model as its users see it: histories, states, errors, limits of what it can do."""
 
 import itertools

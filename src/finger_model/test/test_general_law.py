@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The general law: branches and stiffening in material.yaml, its limits, and bad input."""
 
 import numpy as np

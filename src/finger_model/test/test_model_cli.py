@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The command line: CSV and YAML contract, figures, files, errors in one sentence."""
 
 import csv

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """A law in one file of an outside package: the example of docs/add_a_law.md, installed and run."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Parameter sets: interpolation over moisture, files, bad input."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The parameter space: vectors, coordinates, derived quantities, moisture; the paper's facts."""
 
 from __future__ import annotations

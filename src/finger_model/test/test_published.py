@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """`finger-model verify --published`: printed results about people beside the model's."""
 
 import json

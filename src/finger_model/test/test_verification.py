@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Every point of the verification page with its number (see docs/verification.md)."""
 
 import pytest

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Images of a bag one at a time, for `finger-vision calibrate`."""
 
 from __future__ import annotations

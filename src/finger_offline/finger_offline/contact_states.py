@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Many contact estimates at once: to serialized ContactState messages, CSV and Parquet."""
 
 from __future__ import annotations

@@ -1,7 +1,11 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Contact areas from the images of a bag, through the same area sensor as the live vision node."""
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -12,7 +16,7 @@ import numpy as np
 from finger_bag.reader import BagMessage, BagReader
 from finger_bag.schema import CALIBRATION_ATTACHMENT
 from finger_common.errors import FingerError, InputError
-from finger_common.image_size import check_image
+from finger_common.image_size import BAG_PIXELS, BAG_PIXELS_PER_BYTE, check_image
 from finger_common.stamps import header_stamp
 from finger_vision.area_sensor import (
     AREA_SENSORS,
@@ -71,10 +75,14 @@ def calibration_of(
 
 
 class ImageAreas:
-    """Collects the areas of images; `add` one image message after the other, in order."""
+    """Collects the areas of images; `add` one image message after the other, in order.
 
-    def __init__(self, sensor: AreaSensor) -> None:
+    pixels: of all images together; those behind them are not measured.
+    """
+
+    def __init__(self, sensor: AreaSensor, pixels: float = math.inf) -> None:
         self._sensor = sensor
+        self._pixels = pixels
         self._rows: list[tuple[int, int, float, float, float, int]] = []
 
     @classmethod
@@ -87,11 +95,16 @@ class ImageAreas:
     ) -> ImageAreas:
         """With the area sensor's default settings and the bag's calibration."""
         found = calibration_of(reader, calibration, area_per_pixel)
-        return cls(AREA_SENSORS.open({"area_sensor": area_sensor}, found))
+        pixels = BAG_PIXELS + BAG_PIXELS_PER_BYTE * reader.info.size
+        return cls(AREA_SENSORS.open({"area_sensor": area_sensor}, found), pixels)
 
     def measure(self, message: Any) -> ContactMeasurement:
         """Measure one image; raises InputError when it is no usable image."""
-        return self._sensor.process(grey_image(message))
+        if self._pixels <= 0:
+            raise InputError("more pixels than a bag of this size can hold; not measured")
+        image = grey_image(message)
+        self._pixels -= image.size
+        return self._sensor.process(image)
 
     def add(self, item: BagMessage) -> None:
         """Measure one image and keep its area; raises InputError when it is no usable image."""

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Order of the inputs of an offline run: by log time, each kind after a wait of its own."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Which topics of a bag a run of `finger-bag process` reads, and which ones it replaces."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The bag that `finger-bag process` writes: the input's messages, new areas and estimates."""
 
 from __future__ import annotations

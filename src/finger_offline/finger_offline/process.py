@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Running vision and model over a bag, without middleware, through the same objects as the live
 nodes.
 
@@ -21,9 +24,9 @@ from finger_bag.streams import Malformed, stamp_and_value, wrong_type
 from finger_common.errors import FingerError, InputError
 from finger_common.stamps import seconds
 from finger_model.estimator import ContactEstimator, EstimateBlock, EstimatorSettings
+from finger_model.finger import load_reduced
 from finger_model.messages import area_of, event_of, moisture_of
 from finger_model.parameter_sets import ParameterSets
-from finger_model.reduced import ReducedModel
 
 from .contact_states import open_table
 from .image_areas import ImageAreas, MeasuringThread
@@ -98,7 +101,7 @@ def process(
 
 
 def _estimator(options: ProcessOptions) -> ContactEstimator:
-    model = ReducedModel.load(options.model_file or None)
+    model = load_reduced(options.model_file, options.geometry_file)
     sets = ParameterSets.load(options.parameter_file) if options.parameter_file else None
     values = {"normal_axis": options.axis, **options.estimator}
     return ContactEstimator(model, sets, EstimatorSettings.from_mapping(values))

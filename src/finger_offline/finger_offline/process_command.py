@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The subcommand `finger-bag process`. Vision and model are imported only when it runs."""
 
 from __future__ import annotations
@@ -39,13 +42,16 @@ def add_command(add: AddCommand) -> None:
     parser.add_argument(
         "-o", "--output", required=True, help="bag to write; with several bags, their folder"
     )
-    parser.add_argument(
+    model = parser.add_argument_group("model and estimator")
+    model.add_argument(
         "--set", action="append", default=[], metavar="NAME=VALUE", help="estimator setting"
     )
-    parser.add_argument("--parameters", default="", metavar="FILE", help="parameters.yaml to use")
-    parser.add_argument("--model", default="", metavar="FILE", help="reduced model to use")
-    parser.add_argument("--csv", metavar="FILE", help="write the estimates to this CSV file")
-    parser.add_argument(
+    model.add_argument("--parameters", default="", metavar="FILE", help="parameters.yaml to use")
+    model.add_argument("--model", default="", metavar="FILE", help="reduced model to use")
+    model.add_argument("--geometry", default="", metavar="YAML", help="geometry.yaml of the finger")
+    tables = parser.add_argument_group("tables")
+    tables.add_argument("--csv", metavar="FILE", help="write the estimates to this CSV file")
+    tables.add_argument(
         "--parquet", metavar="FILE", help="write them to this Parquet file (needs pyarrow)"
     )
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="bags in parallel")
@@ -67,6 +73,7 @@ def run(args: argparse.Namespace) -> int:
         estimator=estimator_settings(args.set),
         parameter_file=args.parameters,
         model_file=args.model,
+        geometry_file=args.geometry,
         tables=tables,
     )
     output = Path(args.output)

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """What `finger-bag process` runs and writes."""
 
 from __future__ import annotations
@@ -16,8 +19,8 @@ class ProcessOptions(ReadSettings):
     """What to run and to write.
 
     estimator: settings of the estimator by name that replace those recorded. parameter_file,
-    model_file: for the model, empty for those of the suite. tables: CSV and Parquet files of
-    the estimates.
+    model_file, geometry_file: for the model, empty for those of the suite. tables: CSV and Parquet
+    files of the estimates.
     """
 
     images: str = setting(
@@ -36,9 +39,11 @@ class ProcessOptions(ReadSettings):
     estimator: Mapping[str, Any] = field(default_factory=dict)
     parameter_file: str = ""
     model_file: str = ""
+    geometry_file: str = ""
     tables: tuple[str, ...] = ()
 
     def is_own(self) -> bool:
         """Whether an axis, files or settings are given, so that recorded events do not apply."""
-        own = (self.estimator, self.parameter_file, self.model_file, self.normal_axis)
+        files = (self.parameter_file, self.model_file, self.geometry_file)
+        own = (self.estimator, *files, self.normal_axis)
         return any(own)

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Checks of the trials in a bag, for `finger-bag validate`."""
 
 from __future__ import annotations
@@ -8,14 +11,15 @@ import numpy as np
 
 from finger_bag.validate import FAIL, NOTE, OK, CheckedBag, Validation
 
-from .trial_records import TrialRecord, TrialSet
+from .lag import MAXIMUM_LAG, WORTH_A_NOTE, force_image_lag
+from .trial_records import TrialSet
 from .trial_split import TrialSettings, split
 
-MAXIMUM_LAG = 0.15
-"""s between force and image."""
+PLAUSIBLE_AREA = (5e-6, 2e-3)
+"""m²; the largest area of a press of a fingertip lies between (the paper's: 60 to 150 mm²)."""
 
-LONGEST_LAG = 0.4
-"""s, largest delay between force and area that is looked for."""
+LARGEST_FORCE = 100.0
+"""N; a finger cannot press harder without injury, another unit can."""
 
 READINGS = 3
 """Moisture readings expected before and after each press (paper, section III)."""
@@ -55,6 +59,7 @@ def check_trials(bag: CheckedBag, result: Validation) -> None:
             f"trial {t.index}: {t.peak_force:.2f} of {t.target_force:g} N" for t in short[:5]
         )
     result.add("target force", FAIL if short else OK, detail)
+    _check_values(found, result)
     _check_moisture(found, result)
     _check_lateral(found, result)
     _check_sync(found, result)
@@ -64,6 +69,20 @@ def _exclusions(found: TrialSet) -> str:
     return "; ".join(f"trial {e.index} ({e.reason})" for e in found.exclusions[:5])
 
 
+def _check_values(found: TrialSet, result: Validation) -> None:
+    """Forces and areas of another unit than N and m²."""
+    force = max(t.peak_force for t in found)
+    areas = np.concatenate([t.area for t in found])
+    area = float(np.nanmax(areas)) if np.isfinite(areas).any() else 0.0
+    wrong = []
+    if force > LARGEST_FORCE:
+        wrong.append(f"force up to {force:.4g} N")
+    if area and not PLAUSIBLE_AREA[0] <= area <= PLAUSIBLE_AREA[1]:
+        wrong.append(f"areas up to {area * 1e6:.3g} mm²")
+    text = f"{' and '.join(wrong)} cannot be a finger's; name the unit in a mapping file"
+    result.add("units", FAIL if wrong else OK, text if wrong else "force and areas of a finger")
+
+
 def _check_moisture(found: TrialSet, result: Validation) -> None:
     without = [t.index for t in found if not t.moisture_before and not t.moisture_after]
     other = [
@@ -71,8 +90,13 @@ def _check_moisture(found: TrialSet, result: Validation) -> None:
         for t in found
         if (len(t.moisture_before), len(t.moisture_after)) != (READINGS,) * 2
     ]
-    if without:
-        status, detail = FAIL, f"no reading for trial {', '.join(map(str, without[:5]))}"
+    unnamed = [t.index for t in found if t.index in without and not t.condition]
+    if unnamed:
+        status = FAIL
+        detail = f"neither reading nor condition for trial {', '.join(map(str, unnamed[:5]))}"
+    elif without:
+        status = NOTE
+        detail = f"no reading for trial {', '.join(map(str, without[:5]))}; its condition is named"
     elif other:
         status = NOTE
         detail = f"{', '.join(other[:5])}; {READINGS} + {READINGS} are expected"
@@ -93,44 +117,14 @@ def _check_lateral(found: TrialSet, result: Validation) -> None:
 
 
 def _check_sync(found: TrialSet, result: Validation) -> None:
-    lags = [lag for t in found if (lag := force_image_lag(t)) is not None]
-    if not lags:
+    lag = force_image_lag(found)
+    if lag is None:
         result.add("sync of force and image", NOTE, "unknown: no areas over a rising force")
         return
-    lag = float(np.median(lags))
-    status = OK if abs(lag) <= MAXIMUM_LAG else FAIL
+    status = FAIL if abs(lag) > MAXIMUM_LAG else NOTE if abs(lag) > WORTH_A_NOTE else OK
     result.add(
         "sync of force and image",
         status,
-        f"area lags force by {lag * 1e3:.0f} ms (median of {len(lags)} trials"
-        + (")" if status == OK else "); correct image_time_offset or the clocks"),
+        f"areas come {abs(lag) * 1e3:.0f} ms {'late' if lag >= 0 else 'early'} beyond the creep of "
+        "the skin" + ("" if status == OK else "; correct image_time_offset or the clocks"),
     )
-
-
-def force_image_lag(trial: TrialRecord) -> float | None:
-    """Time (s) by which the area of a press lags the force, positive when the area comes late; None
-    when unclear.
-
-    The lag at which ln A over ln F of the rising and falling flanks is most nearly one line. Creep
-    of the skin delays the area of a soft finger by some 10 ms, so this finds clocks that disagree,
-    not the last frame's delay.
-    """
-    usable = np.isfinite(trial.area) & (trial.area > 0)
-    stamps, area = trial.area_stamp_ns[usable], trial.area[usable]
-    if len(stamps) < 6 or len(trial.stamp_ns) < 50:
-        return None
-    origin = int(trial.stamp_ns[0])
-    time, frame = (trial.stamp_ns - origin) * 1e-9, (stamps - origin) * 1e-9
-    lags = np.arange(-LONGEST_LAG, LONGEST_LAG + 1e-9, 0.01)
-    costs = np.full(len(lags), np.nan)
-    for index, lag in enumerate(lags):
-        force = np.interp(frame - lag, time, trial.force)
-        good = force >= 0.1
-        if good.sum() < 6 or np.ptp(np.log(force[good])) < 0.7:
-            continue
-        x, y = np.log(force[good]), np.log(area[good])
-        slope, offset = np.polyfit(x, y, 1)
-        costs[index] = float(np.mean((y - slope * x - offset) ** 2)) / max(slope, 0.05) ** 2
-    if np.isfinite(costs).sum() < 10:
-        return None
-    return float(lags[int(np.nanargmin(costs))])

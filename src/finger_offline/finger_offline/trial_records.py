@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Trials as read from bags: a press with its force, areas and moisture readings."""
 
 from __future__ import annotations
@@ -17,7 +20,7 @@ class TrialRecord:
     NaN where unknown), area_flags (k,): gross areas; real_area (k,). moisture_before,
     moisture_after: readings (a.u.). onset_ns, liftoff_ns: first sample at or above the onset force,
     first one below the lift-off force (None when the recording ends before). area_source: "topic"
-    or "images".
+    or "images". doubts: what is wrong with the recording that it comes from.
     """
 
     bag: str
@@ -40,6 +43,7 @@ class TrialRecord:
     onset_ns: int
     liftoff_ns: int | None
     area_source: str = "topic"
+    doubts: tuple[str, ...] = ()
 
     @property
     def moisture(self) -> float:

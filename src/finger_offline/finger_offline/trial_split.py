@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Which press belongs to which trial: by `trial` messages if there are any, else by force."""
 
 from __future__ import annotations
@@ -63,6 +66,9 @@ class TrialSettings(ReadSettings):
     calibration: str = setting(
         "", "Plate calibration file for the images; empty: the one attached to the bag."
     )
+    area_per_pixel: float = setting(
+        0.0, "Area of a pixel in place of a calibration; 0: not given.", unit="m²", minimum=0.0
+    )
     area_sensor: str = setting(
         AREA_SENSORS.default, "Area sensor that measures the contact in the images."
     )
@@ -119,6 +125,8 @@ def split(
     finite = np.isfinite(normal)
     if not finite.all():
         result.problems.append(f"{bag}: {int((~finite).sum())} wrenches without a finite force")
+    doubts = _doubts(streams, bag)
+    result.problems += doubts
     stamp, normal, lateral = in_stamp_order(
         streams.wrench_stamp_ns[finite], normal[finite], lateral[finite]
     )
@@ -154,7 +162,7 @@ def split(
         record = _record(
             press, number, stamp, normal, lateral, areas, moistures[number], metadata, settings, bag
         )
-        record = replace(record, area_source=streams.area_source)
+        record = replace(record, area_source=streams.area_source, doubts=tuple(doubts))
         reason = press.reason
         if not reason and not len(record.area_stamp_ns):
             reason = "no contact area during the press"
@@ -165,6 +173,17 @@ def split(
         else:
             result.trials.append(record)
     return result
+
+
+def _doubts(streams: SessionStreams, bag: str) -> list[str]:
+    """Stamps that run back: they are put in order, but one of two clocks was wrong."""
+    stamps = {"wrench": streams.wrench_stamp_ns, "contact_area": streams.area_stamp_ns}
+    back = {name: int((np.diff(values) < 0).sum()) for name, values in stamps.items()}
+    return [
+        f"{bag}: {number} stamps of {name} run back; they were put in order"
+        for name, number in back.items()
+        if number
+    ]
 
 
 def _by_force(

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Trials of bags: `load_trials` reads, splits and drops attempts that were done again."""
 
 from __future__ import annotations
@@ -60,7 +63,9 @@ def streams_with_areas(reader: BagReader, settings: TrialSettings) -> SessionStr
         raise missing(reader, "contact_area" if settings.image_areas == "absent" else "image_raw")
     measure = None
     if from_images:
-        measure = ImageAreas.for_bag(reader, settings.calibration, area_sensor=settings.area_sensor)
+        measure = ImageAreas.for_bag(
+            reader, settings.calibration, settings.area_per_pixel, settings.area_sensor
+        )
     streams = read_streams(
         reader,
         settings,

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Fixtures of these tests: session bags as in the tests of finger_bag."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Processing gives what the core gives sample by sample, and what a live node published."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Bags become trials: windows, normal force, areas, moisture, exclusions with reasons."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The trials of a session and their attempts, as kept in the state file and in trials.csv."""
 
 from __future__ import annotations

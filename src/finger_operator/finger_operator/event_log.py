@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """What happened in a session, with clock times: events.csv beside the bags. Only ever appended."""
 
 from __future__ import annotations
@@ -50,11 +53,13 @@ class EventLog:
             text = log._path.read_text(encoding="utf-8", errors="replace")
         except OSError:
             return log
-        for row in csv.reader(text.splitlines()[1:]):
+        for line in text.splitlines()[1:]:
             try:
-                _, stamp, kind, note, index, attempt = row
-                log.events.append(Event(int(stamp), kind, note, int(index), int(attempt)))
-            except ValueError:
+                ((_, stamp, kind, note, index, attempt),) = csv.reader([line])
+                event = Event(int(stamp), kind, note, int(index), int(attempt))
+                utc_time(event.stamp_ns)
+                log.events.append(event)
+            except (ValueError, OverflowError, OSError, csv.Error):
                 continue
         log._written = len(log.events)
         if not text.endswith("\n"):

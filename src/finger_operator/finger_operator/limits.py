@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Thresholds and times that a guided trial must keep."""
 
 from __future__ import annotations

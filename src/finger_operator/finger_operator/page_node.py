@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Node that serves the operator's page.
 
 It shows the streams and states of the suite, and turns the page's commands into service calls to
@@ -28,7 +31,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from finger_bag.cdr_layout import stamp_of_cdr
-from finger_common.diagnostics import Health
+from finger_common.diagnostics import Health, node_within
 from finger_common.node import (
     LATCHED_QOS,
     POLLED_DEPTH,
@@ -51,7 +54,6 @@ from .page.feed import (
     HealthBoard,
     estimate_point,
     measured_point,
-    node_of,
 )
 from .page.readiness import Readiness, refusal
 from .page.server import PageServer
@@ -106,19 +108,17 @@ class PageNode(ManagedNode):
     def activate(self) -> None:
         self._memory = ForceMemory()
         self._curves = CurveMemory()
-        self._board = HealthBoard()
+        self._board = HealthBoard(self.get_namespace())
         self._readiness = Readiness()
         self._status: dict[str, Any] = {"step": "closed"}
         self._last_force = self._last_state = 0
         self._image_subscription: Any = None
         self._server.start()
         self.get_logger().info(f"operator's page: {self._server.url}")
+        other = "through a forwarded port: http://localhost:PORT"
         if not is_loopback(self.values["host"]):
-            self.get_logger().info(
-                "operator's page from other machines: "
-                f"http://ADDRESS:{self._server.port}/?token={self._server.token} with this "
-                "machine's address"
-            )
+            other = f"from other machines: http://ADDRESS:{self._server.port}"
+        self.get_logger().info(f"the page {other}/?token={self._server.token}")
         self._health.notes["address"] = self._server.url
         qos = self.stream_qos()
         deep = self.stream_qos(max(self.values["qos_depth"], POLLED_DEPTH))
@@ -186,7 +186,8 @@ class PageNode(ManagedNode):
 
     def _show_state(self, message: ContactState) -> None:
         self._readiness.sample("model", time.monotonic())
-        if message.in_contact:
+        # Of a force without a zero the model makes a contact that is not there.
+        if message.in_contact and self._readiness.tared is not False:
             values = [getattr(message, name) for name in ESTIMATE]
             self._draw("model", estimate_point(header_stamp(message), message.normal_force, values))
 
@@ -252,10 +253,12 @@ class PageNode(ManagedNode):
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         now = time.monotonic()
         for status in message.status:
+            node = node_within(status.name, self.get_namespace())
+            if node is None:
+                continue
             values = {v.key: v.value for v in status.values}
             level = status.level[0]
             self._board.add(now, status.name, level, status.message, values)
-            node = node_of(status.name)
             self._readiness.report(node, status.name, level, status.message, values, now)
 
     def _slow(self) -> None:

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """One press of a guided trial: its events, and every reason for which it is not valid. No ROS."""
 
 from __future__ import annotations

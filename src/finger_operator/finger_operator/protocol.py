@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """A guided session as a state machine, without ROS.
 
 Every input carries a time in nanoseconds. The machine answers with effects (announce a phase, start

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Node that guides a study.
 
 It publishes the latched `trial`, starts and stops the recorder, and publishes the session for the
@@ -26,7 +29,7 @@ from std_srvs.srv import Trigger
 from finger_bag.streams import TrialEvent
 from finger_common.axes import DEFAULT_NORMAL_AXIS, NORMAL_AXES
 from finger_common.cli import one_line
-from finger_common.diagnostics import WARN, Health
+from finger_common.diagnostics import WARN, Health, full_node_name, status_node
 from finger_common.errors import FingerError, InputError
 from finger_common.files import atomic_write, read_text
 from finger_common.folder_lock import lock_folder
@@ -41,7 +44,7 @@ from .limits import Limits
 from .normal_force import NormalForce
 from .protocol import Effect, Protocol, StartRecording, Step
 from .recorder_requests import RecorderRequests
-from .session_store import STATE_FILE, free_space, sessions_by_subject
+from .session_store import STATE_FILE, free_space, further_files, sessions_by_subject
 from .status import closed_status, session_status
 from .study_plan import NAME, PREPARATIONS, PlanSettings, StudyPlan, parse_preparations
 
@@ -103,7 +106,8 @@ class ProtocolSettings(Settings):
     )
     watched: list = setting(
         ["force", "camera", "vision", "recorder"],
-        "Nodes whose error in /diagnostics makes a trial invalid and delays the next press.",
+        "Nodes whose error in /diagnostics makes a trial invalid and delays the next press; of "
+        "this node's namespace, or with a full name such as /wrist/force.",
     )
 
 
@@ -137,6 +141,8 @@ class ProtocolNode(ManagedNode):
         self._limits = self.settings(Limits)
         settings = self.settings(ProtocolSettings)
         self._normal_force = NormalForce(settings.normal_axis)
+        namespace = self.get_namespace()
+        self._watched = {full_node_name(name, namespace): name for name in settings.watched}
         parse_preparations(settings.preparations)
         self._output = Path(settings.output).expanduser().resolve()
         self._lock = lock_folder(self._output, "a protocol node")
@@ -239,6 +245,9 @@ class ProtocolNode(ManagedNode):
             raise InputError(
                 f"session '{session}' exists already; choose another id or leave it empty"
             )
+        for name, text in further_files(plan).items():
+            with atomic_write(folder / name) as file:
+                file.write(text)
         with atomic_write(self._output / POINTER) as file:
             file.write(session)
         return Protocol(plan, folder, self._effect, self._limits)
@@ -337,8 +346,8 @@ class ProtocolNode(ManagedNode):
         if self._protocol is None:
             return
         for status in message.status:
-            name = status.name.split(":")[0].rsplit("/", 1)[-1]
-            if name in self.values["watched"]:
+            name = self._watched.get(status_node(status.name))
+            if name is not None:
                 self._protocol.health(name, status.level[0], status.message, self._now())
 
     def _tick(self) -> None:

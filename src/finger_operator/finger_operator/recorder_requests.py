@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Requests to the recorder, sent one at a time and in order, by any service client."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """A session on disk: the state file, with which a session can be continued, and trials.csv."""
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ from typing import Any
 
 from finger_common.errors import InputError
 from finger_common.files import atomic_write, load_json
+from finger_common.plugins import Plugins
 
 from .attempt import Attempt, TrialState
 from .event_log import EventLog
@@ -27,6 +31,10 @@ COLUMNS = (
     "moisture_after_au,bag,reason,notes,markers"
 ).split(",")
 
+
+FURTHER_FILES = Plugins("finger_operator.session_file", "file of a session")
+"""Files that other packages add to a session when it begins, by name: functions that take the plan
+(as in session.json) and give the text, or None where the plan has not what they need."""
 
 VERDICTS = ("pending", "done", "skipped")
 DEFAULTS = asdict(Attempt(1))
@@ -112,6 +120,12 @@ def _fits(value: object, default: object) -> bool:
     if isinstance(default, float):
         return isinstance(value, (int, float)) and math.isfinite(value)
     return type(value) is type(default)
+
+
+def further_files(plan: StudyPlan) -> dict[str, str]:
+    """Text of each further file of a session; raises InputError for a plan that cannot be right."""
+    texts = {name: FURTHER_FILES.load(name)(plan.to_dict()) for name in FURTHER_FILES.names()}
+    return {name: text for name, text in texts.items() if text is not None}
 
 
 def save_table(folder: Path, trials: Sequence[TrialState], log: EventLog) -> None:

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Everything that the operator's page shows of a session, as plain data (JSON on `~/status`).
 
 Without an open session, `step` is "closed" and only `plan`, `preparations`, `instruction`,

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """What a session asks for: subject code, conditions in blocks, trials per block, target force.
 
 The defaults are those of Nam and Kuchenbecker, IEEE Trans. Haptics 14(2):303–309, 2021: blocks of

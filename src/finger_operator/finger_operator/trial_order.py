@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The order of the trials: blocks as given, shuffled or counterbalanced, or all trials shuffled.
 
 Counterbalanced blocks follow Williams, Aust. J. Sci. Res. A 2(2):149–168, 1949: over the subjects

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """A running page server and clients of it, for the tests."""
 
 from __future__ import annotations
@@ -50,11 +53,19 @@ async def served_all(socket: aiohttp.ClientWebSocketResponse) -> None:
     await next_of(socket, "answer")
 
 
-async def next_of(socket: Any, kind: str) -> dict[str, Any]:
+async def received(socket: Any) -> Any:
+    """The next message: JSON, or bytes of an image. Rounds are confirmed, as the page does."""
     while True:
         message = await asyncio.wait_for(socket.receive(), 10)
-        assert message.type is not aiohttp.WSMsgType.CLOSED, "the server closed the connection"
-        if message.type is aiohttp.WSMsgType.TEXT:
-            data = json.loads(message.data)
-            if data["type"] == kind:
-                return data
+        assert message.type in (aiohttp.WSMsgType.TEXT, aiohttp.WSMsgType.BINARY), message
+        data = json.loads(message.data) if isinstance(message.data, str) else message.data
+        if isinstance(data, bytes) or data["type"] != "round":
+            return data
+        await socket.send_json({**data, "type": "got"})
+
+
+async def next_of(socket: Any, kind: str) -> dict[str, Any]:
+    while True:
+        data = await received(socket)
+        if isinstance(data, dict) and data["type"] == kind:
+            return data

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The page's server against clients that mean harm, break off or do not read."""
 
 from __future__ import annotations
@@ -11,7 +14,7 @@ from typing import Any
 
 import aiohttp
 import pytest
-from served_page import Served, next_of, run
+from served_page import Served, next_of, received, run
 
 from finger_common.errors import InputError
 from finger_operator.page import server
@@ -57,7 +60,7 @@ def closed(peer: socket.socket) -> bool:
 def test_the_operators_stream_needs_the_token_from_everywhere(
     served: Served, monkeypatch: pytest.MonkeyPatch, local: bool, token: str
 ) -> None:
-    monkeypatch.setattr(server, "is_loopback", lambda address: local)
+    monkeypatch.setattr(server, "from_this_machine", lambda *request: local)
     served.server.publish("status", {"subject": "S01"})
 
     async def body(session: aiohttp.ClientSession) -> None:
@@ -76,6 +79,8 @@ def test_the_operators_stream_needs_the_token_from_everywhere(
         ({"Host": "127.0.0.1:8080"}, True),
         ({"Host": "localhost:8080"}, True),
         ({"Host": "[::1]:8080"}, True),
+        ({"Host": "localhost:9000"}, False),
+        ({"Host": "127.0.0.1"}, False),
         ({"Host": "rig.example"}, False),
         ({"Host": "192.168.0.7:8080"}, False),
         ({"Host": "127.0.0.1:8080", "X-Forwarded-For": "10.0.0.9"}, False),
@@ -87,8 +92,8 @@ def test_the_operators_stream_needs_the_token_from_everywhere(
 def test_what_a_proxy_forwards_is_not_from_this_machine(
     headers: dict[str, str], local: bool
 ) -> None:
-    assert from_this_machine("127.0.0.1", headers) is local
-    assert not from_this_machine("10.0.0.9", headers)
+    assert from_this_machine("127.0.0.1", 8080, headers) is local
+    assert not from_this_machine("10.0.0.9", 8080, headers)
 
 
 def test_the_page_behind_a_proxy_needs_the_token(served: Served) -> None:
@@ -185,6 +190,17 @@ def test_a_browser_that_never_reads_is_dropped_and_others_are_served(served: Ser
     wait_for(lambda: not served.server._browsers, "both gone")
 
 
+def test_a_browser_that_never_confirms_is_dropped(served: Served) -> None:
+    async def body(session: aiohttp.ClientSession) -> None:
+        async with served.connect(session) as socket_:
+            message = await socket_.receive()
+            while message.type is aiohttp.WSMsgType.TEXT:
+                message = await socket_.receive()
+            assert socket_.closed
+
+    run(body)
+
+
 def test_an_answer_that_is_not_read_is_given_up(served: Served) -> None:
     with socket.socket() as peer:
         peer.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1024)
@@ -200,7 +216,8 @@ def test_a_quiet_browser_is_kept(served: Served) -> None:
     async def body(session: aiohttp.ClientSession) -> None:
         async with served.connect(session, token=served.server.token) as socket_:
             await next_of(socket_, "hello")
-            await asyncio.sleep(1.5)
+            with pytest.raises(asyncio.TimeoutError):
+                await asyncio.wait_for(received(socket_), 1.5)
             served.server.publish_cue(time.time_ns(), {"phase": "lift"})
             assert (await next_of(socket_, "cue"))["phase"] == "lift"
 

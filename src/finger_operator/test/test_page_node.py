@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The page node over DDS, with a WebSocket in place of a browser."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The page's server over real sockets: who may see what, who may command, what bad messages do."""
 
 from __future__ import annotations
@@ -10,11 +13,14 @@ from collections.abc import Iterator
 from typing import Any
 
 import aiohttp
+import cv2
+import numpy as np
 import pytest
-from served_page import Served, next_of, run, served_all
+from served_page import Served, next_of, received, run, served_all
 
 from finger_common.errors import InputError
 from finger_operator.page.access import is_loopback
+from finger_operator.page.browser import Browser, smaller_image
 from finger_operator.page.commands import COMMANDS, check_command
 from finger_operator.page.feed import (
     CurveMemory,
@@ -59,13 +65,30 @@ def test_operator_page_carries_the_token_and_loads_nothing_from_elsewhere(served
     run(body)
 
 
-@pytest.mark.parametrize("host", ["evil.example", "evil.example:{port}", "127.0.0.1:1", "", "["])
+@pytest.mark.parametrize("host", ["evil.example", "evil.example:{port}", "", "[", ":{port}"])
 def test_requests_under_a_foreign_name_are_refused(served: Served, host: str) -> None:
     async def body(session: aiohttp.ClientSession) -> None:
         headers = {"Host": host.format(port=served.server.port)}
         async with session.get(served.url(), headers=headers) as page:
             assert page.status in (400, 403)
             assert served.server.token not in await page.text()
+
+    run(body)
+
+
+@pytest.mark.parametrize("host", ["localhost:9000", "127.0.0.1:1", "[::1]:9000"])
+def test_a_forwarded_port_needs_the_right_token(served: Served, host: str) -> None:
+    async def body(session: aiohttp.ClientSession) -> None:
+        headers = {"Host": host, "Origin": f"http://{host}"}
+        for query, status in (("", 403), ("?token=x", 403), (f"?token={served.server.token}", 200)):
+            async with session.get(served.url(f"/{query}"), headers=headers) as page:
+                assert page.status == status
+                assert (served.server.token in await page.text()) is (status == 200)
+        address = served.url(f"/ws?token={served.server.token}")
+        async with session.ws_connect(address, headers=headers) as socket:
+            await next_of(socket, "hello")
+        with pytest.raises(aiohttp.WSServerHandshakeError, match="403"):
+            await session.ws_connect(served.url("/ws"), headers=headers)
 
     run(body)
 
@@ -217,6 +240,48 @@ def test_cues_are_never_dropped_and_come_before_the_rest(served: Served) -> None
     assert run(body) == list(range(50))
 
 
+def test_one_round_is_on_its_way_and_of_what_waits_the_newest_is_kept(served: Served) -> None:
+    async def body(session: aiohttp.ClientSession) -> None:
+        async with served.connect(session) as socket:
+            await next_of(socket, "hello")
+            await socket.send_json({"type": "watch", "images": True})
+            await served_all(socket)
+            served.server.publish("status", {"number": -1})
+            while (message := json.loads((await socket.receive()).data))["type"] != "round":
+                pass
+            for number in range(20):
+                served.server.publish("status", {"number": number})
+                served.server.publish_image(b"x" * 1000, number)
+                served.server.publish_cue(number, {"phase": number})
+            seen = []
+            while len(seen) < 20:
+                cue = json.loads((await socket.receive()).data)
+                assert cue["type"] == "cue", "the round before is not confirmed"
+                seen.append(cue["phase"])
+            await socket.send_json({**message, "type": "got"})
+            assert (await next_of(socket, "status"))["number"] == 19
+            assert (await received(socket))[:8] == (19).to_bytes(8, "little")
+
+    run(body)
+
+
+def test_images_get_smaller_as_rounds_take_long() -> None:
+    rng = np.random.default_rng(1)
+    picture = cv2.GaussianBlur(rng.integers(0, 255, (512, 640), dtype=np.uint8), (0, 0), 2)
+    jpeg = cv2.imencode(".jpg", picture)[1].tobytes()
+    for limit in (len(jpeg), 20_000, 5_000):
+        small = smaller_image(jpeg, limit)
+        assert len(small) <= limit
+        assert min(cv2.imdecode(np.frombuffer(small, np.uint8), 0).shape) >= 64
+    assert smaller_image(b"no image", 3) == b"no image"
+    browser = Browser(None, True, True)
+    for took, larger in ((1.0, False), (0.5, False), (0.0, True)):
+        before = browser.image_bytes
+        browser.confirmed, browser.sending_since = False, time.monotonic() - took
+        browser.confirm(browser.rounds)
+        assert (browser.image_bytes > before) is larger
+
+
 def test_late_browser_learns_state_and_cue_participant_only_the_cue(served: Served) -> None:
     served.server.publish("status", {"step": "prepare"})
     served.server.publish("health", {"items": []})
@@ -233,7 +298,7 @@ def test_late_browser_learns_state_and_cue_participant_only_the_cue(served: Serv
             served.server.publish_cue(time.time_ns(), {"phase": "lift"})
             kinds = []
             while "cue" not in kinds:
-                kinds.append(json.loads((await socket.receive()).data)["type"])
+                kinds.append((await received(socket))["type"])
             assert set(kinds) <= {"cue", "hello"}
 
     run(body)
@@ -247,12 +312,10 @@ def test_images_go_to_watchers_only(served: Served) -> None:
             await served_all(watcher)
             assert served.server.watchers == 1
             served.server.publish_image(b"jpeg", 7)
-            message = await watcher.receive()
-            assert message.type is aiohttp.WSMsgType.BINARY
-            assert message.data == (7).to_bytes(8, "little") + b"jpeg"
+            assert await received(watcher) == (7).to_bytes(8, "little") + b"jpeg"
             served.server.publish_cue(time.time_ns(), {"phase": "prepare"})
             await next_of(other, "hello")
-            assert (await other.receive()).type is aiohttp.WSMsgType.TEXT, "no image for the other"
+            assert (await received(other))["type"] == "cue", "no image for the other"
         async with served.connect(session, "participant") as participant:
             await participant.send_json({"type": "watch", "images": True})
             await served_all(participant)
@@ -265,8 +328,7 @@ def test_images_go_to_watchers_only(served: Served) -> None:
 def test_beyond_this_machine_images_need_a_setting_and_the_operators_view_the_token(
     monkeypatch: pytest.MonkeyPatch, share: bool
 ) -> None:
-    for module in ("server", "access"):
-        monkeypatch.setattr(f"finger_operator.page.{module}.is_loopback", lambda address: False)
+    monkeypatch.setattr("finger_operator.page.access.is_loopback", lambda address: False)
     served = Served(share_images=share)
 
     async def body(session: aiohttp.ClientSession) -> None:
@@ -297,6 +359,20 @@ def test_port_in_use_is_reported_in_one_sentence(served: Served) -> None:
     second = PageServer(PageSettings(port=served.server.port), served.command)
     with pytest.raises(InputError, match="choose another host or port"):
         second.start()
+
+
+def test_a_second_page_takes_a_free_port_unless_one_is_asked_for(
+    free_port: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usual = free_port()
+    monkeypatch.setattr("finger_operator.page.server.USUAL_PORT", usual)
+    first, second = Served(), Served()
+    assert first.server.port == usual
+    assert second.server.port not in (usual, 0) and f":{second.server.port}/" in second.server.url
+    with pytest.raises(InputError, match=f"cannot be served on 127.0.0.1:{usual} "):
+        PageServer(PageSettings(port=usual), second.command).start()
+    for served in (first, second):
+        served.server.stop()
 
 
 def test_loopback_addresses() -> None:
@@ -336,6 +412,10 @@ def test_health_of_a_silent_node_is_stale() -> None:
     assert board.snapshot(1.0)[0]["level"] == 0
     late = board.snapshot(5.0)[0]
     assert late["level"] == 3 and "silent" in late["message"]
+    of_finger = HealthBoard("/finger")
+    for name in ("finger/force: sensor", "thumb/force: sensor"):
+        of_finger.add(0.0, name, 0, "active", {})
+    assert [item["level"] for item in of_finger.snapshot(1.0, {"force"})] == [3, 0]
     for k in range(1000):
         board.add(1.0, f"n{k}", 0, "", {})
     assert len(board.snapshot(1.0)) <= HealthBoard.LIMIT

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The guided study, walked through every path on simulated time, without ROS."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The protocol node over DDS: a trial, commands, and a restart after SIGKILL."""
 
 from __future__ import annotations
@@ -18,6 +21,7 @@ class Suite:
     """Stands in for the rest of the suite: force, areas, readings and a recorder."""
 
     def __init__(self, domain: int) -> None:
+        from diagnostic_msgs.msg import DiagnosticArray
         from geometry_msgs.msg import WrenchStamped
         from rclpy.qos import QoSProfile
         from std_msgs.msg import String
@@ -40,6 +44,7 @@ class Suite:
         self.wrench = self.node.create_publisher(WrenchStamped, "wrench", stream)
         self.areas = self.node.create_publisher(ContactArea, "contact_area", stream)
         self.moisture = self.node.create_publisher(Moisture, "moisture", stream)
+        self.diagnostics = self.node.create_publisher(DiagnosticArray, "/diagnostics", stream)
         self.node.create_subscription(Trial, "trial", self.trials.append, LATCHED_QOS)
         self.node.create_subscription(String, "protocol/status", self._take_status, LATCHED_QOS)
         self.node.create_service(Record, "recorder/record", self._record)
@@ -70,6 +75,15 @@ class Suite:
         message.flags = 0 if self.force > 0.02 else ContactArea.FLAG_NO_CONTACT
         message.header.stamp = self.node.get_clock().now().to_msg()
         self.areas.publish(message)
+
+    def report_error(self, node: str) -> None:
+        from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+
+        status = DiagnosticStatus(level=b"\x02", name=f"{node}: sensor", message="cable cut")
+        self.diagnostics.publish(DiagnosticArray(status=[status]))
+
+    def faults(self) -> list[str]:
+        return [e["text"] for e in self.status.get("events", []) if e["kind"] == "fault"]
 
     def read_moisture(self, value: float) -> None:
         from finger_msgs.msg import Moisture
@@ -178,8 +192,12 @@ def test_trial_over_dds_restart_after_sigkill_and_commands(
     assert suite.trials[-1].phase == Trial.PHASE_PREPARE and suite.trials[-1].subject == "S01"
 
     suite.to_press()
+    # A broken sensor of another finger does not fail this finger's trial.
+    suite.report_error("other/force")
+    suite.report_error("force_of_another")
     suite.press()
     suite.step("moisture_after")
+    assert suite.faults() == []
     for value in (35.0, 36.0, 37.0):
         suite.read_moisture(value)
     suite.until(lambda: suite.status["trials"][0]["verdict"] == "done")
@@ -206,6 +224,9 @@ def test_trial_over_dds_restart_after_sigkill_and_commands(
     assert suite.status["trials"][0]["verdict"] == "done"
     assert "interrupted" in suite.status["trials"][1]["reason"]
     suite.until(lambda: suite.requests[-1].command == 0)
+
+    suite.report_error("force")
+    suite.until(lambda: suite.faults() == ["force: cable cut"])
 
     # Every other command, and the refusals.
     assert suite.command("resume").success

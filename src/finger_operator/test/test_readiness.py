@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """What the page says is wrong: within a second, with the remedy, and only what a trial needs."""
 
 from __future__ import annotations
@@ -83,6 +86,10 @@ def test_an_unplugged_sensor_is_named_with_what_its_driver_says() -> None:
     problem = rig.board.problems(rig.now)[0]
     assert problem.text == "No force: no reply from the board."
     assert problem.age is not None and 0.9 < problem.age < 1.2
+    long = "NETCANOEM at base 0x20 on can0: no answer; check power, bit rate and termination"
+    rig.board.report("force", "force: sensor", ERROR, long, {}, rig.now)
+    problem = rig.board.problems(rig.now)[0]
+    assert (problem.text, problem.detail) == ("No force.", long), "read from afar, and beside it"
     assert "cable" in problem.remedy
     assert len(rig.texts) == 1, "the model's silence follows from it"
 

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The simulated skin conditions: the study truth of `finger_model.paper`, and moisture readings."""
 
 from __future__ import annotations

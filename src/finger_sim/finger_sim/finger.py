@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The simulated finger: a full-order model with known parameters, simulated ahead of time.
 
 Its contact is the truth that images are rendered from; nothing else of it may reach an estimate.

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The relief of one fingerprint: ridges with minutiae, drawn from a seed.
 
 Phase of the ridges: the AM-FM model of a print, cos(ψ + Σ ± arg(z − z_k)), one spiral per minutia

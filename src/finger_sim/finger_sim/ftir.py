@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """FTIR renderer: a known contact on the plate becomes a camera frame.
 
 A print is touched where the distance from a ridge's crest is below a width that grows with the

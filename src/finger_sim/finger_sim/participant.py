@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The simulated participant: does what the announced phase of the trial asks for, in real time.
 
 It plays planned trials: the force on the plate and the frame the camera sees at any instant, and

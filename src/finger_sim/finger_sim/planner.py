@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Plans trials in a worker process of low priority while others are played."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """A human-like press: the normal force of a finger on the plate, drawn from a seed.
 
 The participant of the paper pressed from nothing to the target force at a free speed, saw a cue and

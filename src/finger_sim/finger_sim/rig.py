@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The simulated rig: finger, force sensor, camera and moisture probe in one process.
 
 The only way from this finger to an estimate is through bytes and pixels: a NETCANOEM board polled
@@ -18,6 +21,7 @@ import cv2
 import numpy as np
 
 from finger_common.errors import InputError
+from finger_common.namespaces import DEFAULT_NAMESPACE
 from finger_common.stamps import NANOSECONDS, nanoseconds
 from finger_driver import can_bus
 from finger_driver.simulators.images import FrameFolderWriter
@@ -59,11 +63,19 @@ EXPOSURE = 5e-3
 class SimulatedRig:
     """The rig. `start` opens the devices, `announce` passes a trial's phase to the participant.
 
-    report(text): progress as text. `start` raises DeviceError when the CAN bus does not open.
+    report(text): progress as text. namespace: of the finger, which gives folder and port where the
+    settings do not. `start` raises DeviceError when the CAN bus does not open, and InputError when
+    another rig has the folder or the bus.
     """
 
-    def __init__(self, settings: RigSettings, report: Callable[[str], None] = print) -> None:
+    def __init__(
+        self,
+        settings: RigSettings,
+        report: Callable[[str], None] = print,
+        namespace: str = DEFAULT_NAMESPACE,
+    ) -> None:
         self.settings = settings
+        self.addresses = settings.addresses(namespace)
         self._report = report
         self._stop = threading.Event()
         self._open = ExitStack()
@@ -72,7 +84,8 @@ class SimulatedRig:
 
     def start(self) -> None:
         """Open all devices and begin to show an empty plate."""
-        settings, addresses = self.settings, self.settings.addresses
+        settings, addresses = self.settings, self.addresses
+        self._open.push(addresses.lock())
         for folder in (addresses.spool, addresses.truth, addresses.planned):
             folder.mkdir(parents=True, exist_ok=True)
         for line in NOT_MODELLED:
@@ -142,7 +155,7 @@ class SimulatedRig:
     # Force -------------------------------------------------------------------------------------
 
     def _start_force(self) -> None:
-        addresses = self.settings.addresses
+        addresses = self.addresses
         bus = can_bus.open_bus(
             "udp_multicast", addresses.can_channel, options={"port": addresses.can_port}
         )
@@ -161,10 +174,10 @@ class SimulatedRig:
     # Camera ------------------------------------------------------------------------------------
 
     def _start_camera(self) -> None:
-        self._frames = FrameFolderWriter(self.settings.addresses.spool)
+        self._frames = FrameFolderWriter(self.addresses.spool)
         # The plate without a finger is the same in all conditions but for the noise of a frame.
         self._plate = renderer_for("natural", self.settings.view, self.settings.seed)
-        self._plate.calibration().save(self.settings.addresses.calibration)
+        self._plate.calibration().save(self.addresses.calibration)
         thread = threading.Thread(target=self._expose, name="camera", daemon=True)
         thread.start()
         self._open.callback(thread.join, 5.0)
@@ -195,7 +208,7 @@ class SimulatedRig:
     # After a press -----------------------------------------------------------------------------
 
     def _played(self, trial: PlannedTrial, start_ns: int) -> None:
-        path = self.settings.addresses.truth / f"{trial.request.name}.json"
+        path = self.addresses.truth / f"{trial.request.name}.json"
         write_truth(path, trial, start_ns)
         self._report(
             f"pressed {trial.request.name}: {trial.press.force.max():.2f} N, "

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Node `simulated_rig`: announces the current trial to the simulated participant.
 
 Node around `rig.SimulatedRig`. It publishes nothing: what it measures leaves through the
@@ -22,12 +25,19 @@ class RigNode(ManagedNode):
     SETTINGS = (RigSettings,)
 
     def configure(self) -> None:
-        self._rig = SimulatedRig(self.settings(RigSettings), self.get_logger().info)
+        log = self.get_logger().info
+        self._rig = SimulatedRig(self.settings(RigSettings), log, self.get_namespace())
         self._rig.start()
+        addresses = self._rig.addresses
+        log(
+            f"devices: CAN udp_multicast {addresses.can_channel}, port={addresses.can_port}; "
+            f"images {addresses.spool}; moisture probe {addresses.probe}; "
+            f"plate calibration {addresses.calibration}"
+        )
 
     def activate(self) -> None:
         self._subscription = self.create_subscription(Trial, "trial", self._on_trial, LATCHED_QOS)
-        self.get_logger().info(f"{RIG_READY} in {self.values['folder']}")
+        self.get_logger().info(f"{RIG_READY} in {self._rig.addresses.folder}")
 
     def parameters_changed(self, changes: dict[str, Any]) -> None:
         if "faults" in changes:

@@ -1,14 +1,21 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Settings of the simulated rig, and where its devices are found."""
 
 from __future__ import annotations
 
 import secrets
 import socket
+import tempfile
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from finger_common.errors import InputError
+from finger_common.folder_lock import lock_folder
+from finger_common.namespaces import DEFAULT_NAMESPACE, default_folder, own_port
 from finger_common.settings import Settings, setting
 from finger_driver import can_bus
 from finger_driver.simulators import images, netcanoem, serial_moisture
@@ -46,6 +53,18 @@ class RigAddresses:
             port = int(probe.getsockname()[1])
         group = ".".join(str(1 + secrets.randbelow(254)) for _ in range(3))
         return cls(folder, port, f"239.{group}")
+
+    def lock(self) -> ExitStack:
+        """Lock folder and CAN bus until closed; raises InputError where another rig has them."""
+        locks = ExitStack()
+        try:
+            locks.enter_context(lock_folder(self.folder, "a simulated rig"))
+            bus = f"finger_can_{self.can_channel}_{self.can_port}"
+            locks.enter_context(lock_folder(Path(tempfile.gettempdir()) / bus, "a simulated rig"))
+        except InputError as error:
+            locks.close()
+            raise InputError(f"{error}, or another can_port") from None
+        return locks
 
     @property
     def spool(self) -> Path:
@@ -85,11 +104,16 @@ class RigAddresses:
 class RigSettings(Settings):
     """How the rig behaves, and where."""
 
-    folder: str = setting("", "Folder of the rig: frames, link to the probe, truth.")
+    folder: str = setting(
+        "",
+        "Folder of the rig: frames, link to the probe, truth; empty: by the namespace, "
+        "out/rig/devices or out/rig_NAMESPACE/devices.",
+    )
     can_port: int = setting(
-        can_bus.DEFAULT_PORT,
-        "UDP port of the simulated CAN bus; another for each rig on one machine.",
-        minimum=1,
+        0,
+        f"UDP port of the simulated CAN bus; 0: by the namespace, {can_bus.DEFAULT_PORT} for "
+        f"'{DEFAULT_NAMESPACE}'. The log names it.",
+        minimum=0,
         maximum=65535,
     )
     can_channel: str = setting(CAN_CHANNEL, "Multicast group of the simulated CAN bus.")
@@ -128,15 +152,14 @@ class RigSettings(Settings):
     )
 
     def validate(self) -> None:
-        if not self.folder:
-            raise InputError("parameter 'folder' is empty; name a folder for the simulated rig")
         self.upcoming_trials()
         self.present_faults()
 
-    @property
-    def addresses(self) -> RigAddresses:
-        """Where the devices are found."""
-        return RigAddresses(Path(self.folder), self.can_port, self.can_channel)
+    def addresses(self, namespace: str = DEFAULT_NAMESPACE) -> RigAddresses:
+        """Where the devices of a rig in this namespace are found."""
+        folder = Path(self.folder) if self.folder else default_folder(namespace) / "devices"
+        port = self.can_port or own_port(namespace, can_bus.DEFAULT_PORT)
+        return RigAddresses(folder.absolute(), port, self.can_channel)
 
     @property
     def view(self) -> CameraView:

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The paper's whole experiment on a simulated finger, written as bags: 45 presses, 15 a condition.
 
 The finger is the full-order model on a finer mesh than any fit uses, with the study's known

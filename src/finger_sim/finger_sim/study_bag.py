@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """A trial of the simulated study as a session bag, such as a recording of the rig would give."""
 
 from __future__ import annotations

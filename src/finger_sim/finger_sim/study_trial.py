@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """One trial of the simulated study: press, true contact, and what the sensors measure of them.
 
 Everything is drawn from the seed, the condition and the index: equal arguments give equal trials.

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """A trial of the simulated rig, planned ahead of time: press, contact, frames, moisture readings.
 
 The full-order model and the renderer are slower than real time, so a worker process plans each

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The simulated study has the paper's moisture and composite moduli."""
 
 import numpy as np

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The FTIR renderer: the areas it gives as true are in the pixels."""
 
 from __future__ import annotations

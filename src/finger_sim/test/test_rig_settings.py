@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Settings of the simulated rig: addresses apart, trials to come, bad values by name."""
 
 from pathlib import Path
@@ -5,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from finger_common.errors import InputError
+from finger_driver import can_bus
 from finger_sim.rig_settings import RigAddresses, RigSettings
 from finger_sim.trial_plan import TrialRequest
 
@@ -22,7 +26,6 @@ def test_blocks_become_requests_in_the_order_of_the_session() -> None:
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        ({"folder": ""}, "'folder' is empty"),
         ({"upcoming": ["dry"]}, "block 'dry'.*CONDITION:TRIALS"),
         ({"upcoming": ["wet:3"]}, "condition 'wet'.*dry, natural, moist"),
         ({"frame_rate": 0.0}, "'frame_rate' is 0.0, outside 0.5 … 60 Hz"),
@@ -36,7 +39,30 @@ def test_values_that_cannot_be_used_are_named(values: dict[str, object], words: 
 def test_private_addresses_differ_and_are_parameters_of_the_rig(tmp_path: Path) -> None:
     one, other = (RigAddresses.private(tmp_path / name) for name in ("one", "other"))
     assert (one.can_channel, one.can_port) != (other.can_channel, other.can_port)
-    assert RigSettings(**one.parameters()).addresses == one
+    assert RigSettings(**one.parameters()).addresses() == one
+
+
+def test_rigs_of_other_namespaces_have_other_folders_and_ports() -> None:
+    spaces = ("finger", "/", "thumb", "hand/thumb", "hand/index", "hand_thumb")
+    found = [RigSettings().addresses(space) for space in spaces]
+    assert found[0].folder == Path("out/rig/devices").absolute()
+    assert found[2].folder == Path("out/rig_thumb/devices").absolute()
+    assert found[0].can_port == can_bus.DEFAULT_PORT == found[1].can_port
+    assert len({a.can_port for a in found[1:]}) == 5
+    assert all(1024 < a.can_port < 65536 for a in found)
+
+
+def test_two_rigs_share_neither_folder_nor_bus(tmp_path: Path) -> None:
+    one = RigAddresses.private(tmp_path / "one")
+    for other in (
+        RigAddresses(one.folder, one.can_port + 1, one.can_channel),
+        RigAddresses(tmp_path / "two", one.can_port, one.can_channel),
+    ):
+        with one.lock():
+            with pytest.raises(InputError, match=r"in use by a simulated rig .* another can_port"):
+                other.lock()
+        with other.lock():
+            pass
 
 
 def test_faults_are_read_with_their_number() -> None:

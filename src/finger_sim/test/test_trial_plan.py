@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Planned trials: true contacts of the full-order finger, their frames, and the planner."""
 
 import functools

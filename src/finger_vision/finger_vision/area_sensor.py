@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """What an area sensor is: an image or another signal in; contact area, outline and flags out.
 
 Area sensors are found by the entry-point group ``finger_vision.area_sensor``. The vision node,

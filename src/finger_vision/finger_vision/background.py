@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The plate without a finger: learned from contact-free frames, or guessed from one frame.
 
 All images here are at the segmenter's working resolution.

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Calibration boards: checkerboard and ChArUco, found in a grey image."""
 
 from __future__ import annotations

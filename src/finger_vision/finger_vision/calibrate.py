@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Plate calibration from views of a board: lens by Zhang's method, plate by a homography.
 
 Z. Zhang, "A flexible new technique for camera calibration", IEEE Trans. PAMI 22(11), 2000, as in

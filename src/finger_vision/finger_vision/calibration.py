@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """From pixels to metres on the plate: camera matrix, lens distortion, plate homography.
 
 Lens distortion is removed from a pixel (Zhang's camera model as in OpenCV and

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """`finger-vision`: areas from images, plate calibration."""
 
 from __future__ import annotations

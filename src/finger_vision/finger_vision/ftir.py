@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """FTIR area sensor: from one frame of a finger on lit glass to the contact's areas and shape.
 
 Steps: reduce to about 60 µm a pixel; background (learned, or guessed from the frame); contrast
@@ -25,10 +28,6 @@ from .images import as_mono8
 from .outline import Shape, closed_outline, convex_corners, shifted, widened
 from .ridges import Ridges, contrast_of, find_ridges
 from .working_grid import WorkingGrid
-
-FURROW = 0.26
-"""Skin outside the outermost ridge, in ridge periods times the squared share of the contact that
-does not touch. Half a furrow would be 0.5 where ridges run along the rim, 0 where they meet it."""
 
 GUESSED_MINIMUM = 0.5e-6
 """m² of ridges below which a region is dust where no background was learned."""
@@ -71,6 +70,21 @@ class FtirSettings(Settings):
         unit="m²",
         minimum=0.0,
         maximum=1e-4,
+    )
+    furrow_margin: float = setting(
+        0.26,
+        "Skin outside the outermost ridge that counts as contact, in ridge periods times the "
+        "squared share of the contact that does not touch.",
+        minimum=0.0,
+        maximum=2.0,
+        advice="0 gives the hull of the ridges alone; docs/vision.md has the effect.",
+    )
+    furrow_margin_saturated: float = setting(
+        0.85,
+        "The same where the plate around the contact is saturated, which hides the faint rim.",
+        minimum=0.0,
+        maximum=2.0,
+        advice="Set it to furrow_margin for the outline of what is visible.",
     )
     working_pixel: float = setting(
         60e-6,
@@ -165,10 +179,11 @@ class FtirSegmenter(AreaSensor):
         nothing = ContactMeasurement(flags=int(flags | AreaFlag.NO_CONTACT))
         if ridges is None:
             return nothing
-        outlined = self._outline(ridges, grid)
+        saturated = _saturated_share(frame, ridges, background.bright_ridges)
+        outlined = self._outline(ridges, grid, saturated)
         if outlined is None:
             return nothing
-        shape, real_area, hull = outlined
+        shape, real_area, hull, hidden = outlined
         if shape.area < settings.minimum_area:
             return nothing
         if not background.learned and real_area < GUESSED_MINIMUM:
@@ -187,7 +202,7 @@ class FtirSegmenter(AreaSensor):
         return ContactMeasurement(
             gross_area=shape.area,
             real_area=min(real_area, shape.area),
-            area_sd=self._standard_deviation(shape),
+            area_sd=self._standard_deviation(shape, hidden),
             centroid=shape.centroid,
             ellipse_major=shape.major,
             ellipse_minor=shape.minor,
@@ -196,8 +211,13 @@ class FtirSegmenter(AreaSensor):
             flags=int(flags),
         )
 
-    def _outline(self, ridges: Ridges, grid: WorkingGrid) -> tuple[Shape, float, np.ndarray] | None:
-        """Shape, real area (m²) and outline (n, 2) m; None where nothing is left."""
+    def _outline(
+        self, ridges: Ridges, grid: WorkingGrid, saturated: float
+    ) -> tuple[Shape, float, np.ndarray, float] | None:
+        """Shape, real area (m²), outline (n, 2) m and width of the rim (m) that saturation hides.
+
+        saturated: share of the plate around the contact. None where nothing is left.
+        """
         convex = self.settings.outline == "convex"
         if convex:
             corners = convex_corners(ridges.outermost)
@@ -211,10 +231,14 @@ class FtirSegmenter(AreaSensor):
             return None
         pixel_area = float(cv2.mean(grid.areas[ridges.box], ridges.touching)[0])
         real_area = pixel_area * cv2.countNonZero(ridges.touching)
+        settings = self.settings
         touching_share = min(1.0, real_area / shape.area)
-        margin = FURROW * self.settings.ridge_period * (1 - touching_share) ** 2
+        furrow = settings.ridge_period * (1 - touching_share) ** 2
+        extra = settings.furrow_margin_saturated - settings.furrow_margin
+        hidden = saturated * extra * furrow
+        margin = max(settings.furrow_margin * furrow + hidden, 0.0)
         outline = widened(outline, margin) if convex else shifted(outline, margin)
-        return Shape(outline), real_area, outline
+        return Shape(outline), real_area, outline, hidden
 
     def _is_clipped(self, hull: np.ndarray, grid: WorkingGrid) -> bool:
         """Whether the outline comes within a ridge period of the image's border.
@@ -229,15 +253,33 @@ class FtirSegmenter(AreaSensor):
             low.min() < margin or high[0] > width - 1 - margin or high[1] > height - 1 - margin
         )
 
-    def _standard_deviation(self, shape: Shape) -> float:
+    def _standard_deviation(self, shape: Shape, hidden: float) -> float:
         """Standard deviation of the gross area, m².
 
-        Independent errors of the outline, one per ridge period along it, and a common relative
-        error. Both sizes come from rendered frames (docs/vision.md).
+        Independent errors of the outline, one per ridge period along it; a common relative error;
+        half of the rim (width `hidden`, m) that a saturated plate hides. The first two sizes come
+        from rendered frames (docs/vision.md).
         """
         period = self.settings.ridge_period
         edge = 0.25 * period * math.sqrt(period * shape.perimeter)
-        return math.hypot(edge, 0.015 * shape.area)
+        return math.hypot(edge, 0.015 * shape.area, 0.5 * hidden * shape.perimeter)
+
+
+def _saturated_share(frame: np.ndarray, ridges: Ridges, bright_ridges: bool) -> float:
+    """Share of the plate around the contact that is at the plate's end of the greys.
+
+    Noise and vignetting leave next to no pixel there; saturation leaves most of them, also after a
+    later change of gain or gamma.
+    """
+    around = cv2.bitwise_not(ridges.region)
+    pixels = cv2.countNonZero(around)
+    if pixels == 0:
+        return 0.0
+    part = frame[ridges.box]
+    low, high, _, _ = cv2.minMaxLoc(part, around)
+    end = low if bright_ridges else high
+    at_end = cv2.bitwise_and(cv2.compare(part, np.array([end]), cv2.CMP_EQ), around)
+    return cv2.countNonZero(at_end) / pixels
 
 
 def _is_saturated(frame: np.ndarray, ridges: Ridges) -> bool:

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Images of a camera, a file, a bag or a message as arrays, or refused with the reason."""
 
 from __future__ import annotations
@@ -135,7 +138,7 @@ def read_signal(path: str | Path) -> np.ndarray:
         raise InputError(f"{path}: image cannot be read ({error.strerror})") from None
     check_image(content.data, str(path))
     try:
-        with _silent_libraries():
+        with silent_libraries():
             image = cv2.imdecode(content, cv2.IMREAD_UNCHANGED)
     except cv2.error:
         image = None
@@ -145,7 +148,7 @@ def read_signal(path: str | Path) -> np.ndarray:
 
 
 @contextmanager
-def _silent_libraries() -> Iterator[None]:
+def silent_libraries() -> Iterator[None]:
     """Keep what libpng and others print themselves from standard error: the reader says it."""
     sys.stderr.flush()
     kept, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Plain data from and for messages, by attribute access alone, without a message package."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Outlines of a mask of ridges: convex hull, closed outline, and their moments."""
 
 from __future__ import annotations

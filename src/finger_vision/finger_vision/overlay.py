@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Picture of a signal with the measured contact drawn in."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Which pixels are ridges of the pressing finger: contrast, local threshold, region.
 
 Images here are at working resolution; masks are uint8, 0 or 255.

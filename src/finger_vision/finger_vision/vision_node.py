@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Vision node: `image_raw` in, `contact_area` out with the image's stamp.
 
 `contact_image` shows the measured contact; it is drawn only while it has subscribers. Images are
@@ -20,9 +23,10 @@ from std_srvs.srv import Trigger
 
 from finger_common.diagnostics import WARN, Health
 from finger_common.errors import FingerError
+from finger_common.files import await_file
 from finger_common.flags import AreaFlag
-from finger_common.node import ManagedNode, main_of
-from finger_common.settings import Settings, setting
+from finger_common.node import FrameSettings, ManagedNode, main_of
+from finger_common.settings import setting
 from finger_msgs.msg import ContactArea
 
 from .area_sensor import AREA_SENSORS
@@ -32,13 +36,20 @@ from .overlay import draw_overlay
 
 
 @dataclass(frozen=True)
-class VisionSettings(Settings):
+class VisionSettings(FrameSettings):
     """Settings of the node itself."""
 
     learn_background: bool = setting(
         True, "Learn the background from images without contact as they pass."
     )
     frame_id: str = setting("plate", "Name of the plate frame in the headers sent.")
+    calibration_timeout: float = setting(
+        10.0,
+        "Time for the calibration file to appear when the node is configured.",
+        unit="s",
+        minimum=0.0,
+        maximum=600.0,
+    )
     opencv_threads: int = setting(
         1,
         "Threads OpenCV may use; 1 leaves the other cores to the force and model nodes.",
@@ -63,6 +74,8 @@ class VisionNode(ManagedNode):
 
     def configure(self) -> None:
         cv2.setNumThreads(self.values["opencv_threads"])
+        if self.values["calibration_file"]:
+            await_file(self.values["calibration_file"], self.values["calibration_timeout"])
         self.calibration = self.settings(CalibrationSettings).load()
         self.sensor = AREA_SENSORS.open(self.values, self.calibration)
         learn = self.values["learn_background"]
@@ -70,8 +83,10 @@ class VisionNode(ManagedNode):
         self.health = Health("vision")
         self.healths = [self.health]
         self._lock = threading.Lock()
-        self._areas = self.create_stream_publisher(ContactArea, "contact_area", self.stream_qos())
-        self._overlays = self.create_stream_publisher(Image, "contact_image", self.stream_qos(1))
+        qos = self.stream_qos(publisher=True)
+        self._areas = self.create_stream_publisher(ContactArea, "contact_area", qos)
+        newest = self.stream_qos(1, publisher=True)
+        self._overlays = self.create_stream_publisher(Image, "contact_image", newest)
         self._reset = self.create_service(Trigger, "~/reset", self._on_reset)
         self._images: Any = None
         if not self.calibration.calibrated:
@@ -141,7 +156,7 @@ class VisionNode(ManagedNode):
             learned = self.sensor.learned
         area = contact_area_message(contact_area_fields(measurement))
         area.header.stamp = message.header.stamp
-        area.header.frame_id = self.values["frame_id"]
+        area.header.frame_id = self.frame
         self._areas.publish(area)
         self.health.sample()
         self.health.notes["background_frames"] = str(learned)

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The coarser grid of pixels on which frames are measured."""
 
 from __future__ import annotations

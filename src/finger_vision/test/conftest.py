@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Bags of images, and a running vision node with its peer."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Plate calibration against a camera with known lens, tilt and distance."""
 
 from __future__ import annotations

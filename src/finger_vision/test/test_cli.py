@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """`finger-vision area` and calibration from a bag."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Areas against known contacts, over everything that may influence the segmentation."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Images of messages and files become arrays or are refused with the reason."""
 
 from __future__ import annotations

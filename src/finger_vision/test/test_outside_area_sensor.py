@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """An area sensor of another package, as docs/add_an_area_sensor.md shows it, used unedited."""
 
 from __future__ import annotations

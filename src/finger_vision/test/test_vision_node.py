@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The vision node as a process: stamps, empty plate, refused frames, overlay on demand."""
 
 from __future__ import annotations
@@ -6,7 +9,11 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
+import threading
+from pathlib import Path
+
 import numpy as np
+import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import Image
 
@@ -88,3 +95,32 @@ def test_overlay_is_drawn_while_it_has_subscribers(peer) -> None:
     assert pictures[0].encoding == "bgr8"
     assert (pictures[0].width, pictures[0].height) == (1280, 1024)
     peer.node.destroy_subscription(subscription)
+
+
+def test_it_waits_for_a_calibration_that_is_being_written(ros_domain: int, tmp_path: Path) -> None:
+    from rclpy.lifecycle import TransitionCallbackReturn
+    from rclpy.parameter import Parameter
+
+    from finger_vision.calibration import PlateCalibration
+    from finger_vision.vision_node import VisionNode
+
+    path = tmp_path / "plate.yaml"
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=ros_domain)
+    values = {"calibration_file": str(path), "frame_prefix": "thumb/"}
+    overrides = [Parameter(name, value=value) for name, value in values.items()]
+    node = VisionNode(context=context, parameter_overrides=overrides)
+    calibration = PlateCalibration.from_area_per_pixel(1e-9)
+    written = threading.Timer(0.5, calibration.save, (path,))
+    try:
+        written.start()
+        assert node.trigger_configure() is TransitionCallbackReturn.SUCCESS
+        assert node.frame == "thumb/plate"
+        node.trigger_cleanup()
+        path.unlink()
+        node.set_parameters_atomically([Parameter("calibration_timeout", value=0.2)])
+        assert node.trigger_configure() is TransitionCallbackReturn.FAILURE
+    finally:
+        written.join()
+        node.destroy_node()
+        rclpy.shutdown(context=context)

@@ -1,11 +1,14 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The entries of `nodes` as launch actions, for the launch files of this package."""
 
 from __future__ import annotations
 
+import tempfile
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
 
 from launch import LaunchContext  # type: ignore[attr-defined]
 from launch.action import Action
@@ -25,14 +28,18 @@ from launch_ros.actions import Node
 
 from finger_bringup import nodes
 from finger_bringup.restarts import RestartDelay
+from finger_common.namespaces import DEFAULT_NAMESPACE
 
 COMMON = {
-    "namespace": (nodes.DEFAULT_NAMESPACE, "Namespace of all nodes and topics."),
+    "namespace": (DEFAULT_NAMESPACE, "Namespace of all nodes and topics."),
     "parameters": ("", "ROS parameter file (YAML), such as a copy of config/rig.yaml."),
     "respawn": ("true", "Start nodes again that end by themselves."),
     "log_level": ("info", "Lowest level of the messages that nodes log."),
 }
 """Arguments of every launch file: default and meaning."""
+
+COMPOSE = {"compose": ("false", "Run the nodes in one process.")}
+"""Argument of the launch files of many nodes."""
 
 
 def arguments(**further: tuple[str, str]) -> list[DeclareLaunchArgument]:
@@ -61,12 +68,19 @@ def path(context: LaunchContext, name: str) -> Path:
     return Path(value(context, name)).expanduser().absolute()
 
 
-def node_actions(context: LaunchContext, entries: Iterable[nodes.NodeEntry]) -> list[Action]:
-    """Launch actions that run the entries with the common arguments."""
+def node_actions(
+    context: LaunchContext, entries: Iterable[nodes.NodeEntry], compose: bool = False
+) -> list[Action]:
+    """Launch actions that run the entries with the common arguments.
+
+    compose: run all that can share a process in one.
+    """
     respawn, level = truth(context, "respawn"), value(context, "log_level")
-    files: list[Any] = []
-    if value(context, "parameters"):
-        files = [str(nodes.check_parameter_file(path(context, "parameters")))]
+    suite = value(context, "namespace")
+    file = path(context, "parameters") if value(context, "parameters") else None
+    entries = nodes.settled(entries, suite, file)
+    files = [] if file is None else [str(file)]
+    together = [entry for entry in entries if compose and entry.composable]
 
     def node(entry: nodes.NodeEntry) -> Node:
         # Launch files wait for a line of `bring_up` that has the level info.
@@ -75,13 +89,31 @@ def node_actions(context: LaunchContext, entries: Iterable[nodes.NodeEntry]) -> 
             package=entry.package,
             executable=entry.executable,
             name=entry.name,
-            namespace=value(context, "namespace"),
+            namespace=entry.namespace(suite),
             parameters=[*files, dict(entry.parameters)],
             ros_arguments=["--log-level", entry_level],
             output="screen",
         )
 
-    return [action for e in entries for action in _kept_running(e, node, RestartDelay(), respawn)]
+    def composed(entry: nodes.NodeEntry) -> Node:
+        own = Path(tempfile.mkdtemp(prefix="finger_launch_")) / "parameters.yaml"
+        nodes.write_parameter_file(together, suite, own)
+        # Without a name and a namespace: they would be those of every node in the process.
+        return Node(
+            package=entry.package,
+            executable=entry.executable,
+            arguments=nodes.composed_arguments(together, suite),
+            ros_arguments=[p for file in (*files, own) for p in ("--params-file", str(file))],
+            output="screen",
+        )
+
+    alone = [(e, node) for e in entries if e not in together]
+    shared = [(nodes.COMPOSED, composed)] if together else []
+    return [
+        action
+        for entry, make in (*alone, *shared)
+        for action in _kept_running(entry, make, RestartDelay(), respawn)
+    ]
 
 
 def _kept_running(

@@ -1,19 +1,29 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The base of every node of the suite, over rclpy.
 
 `managed`: the lifecycle node with described parameters, diagnostics and autostart. `polling`:
-streams that a node reads when it needs them. `qos`: quality of service of latched topics.
-`running`: a node as a process.
+streams that a node reads when it needs them. `local`: samples between nodes of one process.
+`serialized`: messages as bytes. `qos`: quality of service of latched topics. `running`: a node as a
+process.
 """
 
-from .managed import ManagedNode, NodeSettings
+from .local import LocalPublisher, LocalSubscription
+from .managed import FrameSettings, ManagedNode, NodeSettings
 from .polling import POLLED_DEPTH, PolledSubscription
 from .qos import LATCHED_QOS, STATE_QOS
 from .running import main_of, run_node, use_large_shared_memory
+from .serialized import FixedMessage
 
 __all__ = [
     "LATCHED_QOS",
     "POLLED_DEPTH",
     "STATE_QOS",
+    "FixedMessage",
+    "FrameSettings",
+    "LocalPublisher",
+    "LocalSubscription",
     "ManagedNode",
     "NodeSettings",
     "PolledSubscription",

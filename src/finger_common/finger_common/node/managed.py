@@ -1,14 +1,19 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The lifecycle node that every node of the suite derives from.
 
-`ManagedNode` declares the parameters of its `Settings` classes, refuses bad values with a reason,
-publishes `/diagnostics` at 1 Hz and its name on `heartbeat` at 4 Hz, brings itself up when
-`autostart` is true, and turns errors of the core into failed transitions with one sentence in the
-log. A node overrides `configure`, `activate`,
-`deactivate` and `cleanup`, which raise a FingerError to refuse.
+`ManagedNode` declares the parameters of its `Settings` classes with types and ranges, refuses bad
+values with a reason, publishes `/diagnostics` at 1 Hz and its name on `heartbeat` at 4 Hz, brings
+itself up when `autostart` is true, and turns errors of the core into failed transitions with one
+sentence in the log. A node overrides `configure`, `activate`, `deactivate` and `cleanup`, which
+raise a FingerError to refuse.
 """
 
 from __future__ import annotations
 
+import copy
+import time
 import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,24 +21,40 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.exceptions import ParameterException
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter as RosParameter
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSCompatibility, QoSPolicyKind, QoSProfile, qos_check_compatible
+from rclpy.qos_overriding_options import QoSOverridingOptions
 from std_msgs.msg import String
 
 from ..cli import one_line
-from ..diagnostics import WARN, Health
+from ..diagnostics import ERROR, WARN, Health, full_node_name
 from ..errors import FingerError, InputError
 from ..parameters import ParameterTable
 from ..plugins import PluginKind
 from ..settings import S, Settings, parameters_of, setting
+from .described import descriptor_of, ros_value, type_of
 from .polling import PolledSubscription
+from .qos import AUTO, BEST_EFFORT, RELIABLE, stream_qos
 
 HEARTBEAT = 0.25
 """s between heartbeats: what no diagnostic at 1 Hz can, they show a dead node within a second."""
+
+
+REMEMBERED = 30.0
+"""s for which the middleware may still show the publishers of a node that was killed."""
+
+OVERRIDABLE = (
+    QoSPolicyKind.HISTORY,
+    QoSPolicyKind.DEPTH,
+    QoSPolicyKind.RELIABILITY,
+    QoSPolicyKind.DURABILITY,
+)
+"""Policies of streams that `qos_overrides.TOPIC.publisher.…` and `.subscription.…` change."""
 
 
 @dataclass(frozen=True)
@@ -45,13 +66,26 @@ class NodeSettings(Settings):
         "Configure and activate at start; false where a launch file or manager brings the node up.",
     )
     qos_reliability: str = setting(
-        "best_effort",
-        "Reliability of the streams this node publishes and subscribes to.",
-        choices=("best_effort", "reliable"),
-        advice="A reliable subscriber never connects to a best-effort publisher.",
+        AUTO,
+        "Reliability of the node's streams; auto publishes reliably and subscribes with best "
+        "effort, which connects with every other node.",
+        choices=(AUTO, RELIABLE, BEST_EFFORT),
+        advice="qos_overrides changes single topics. A reliable subscriber never connects to a "
+        "best-effort publisher.",
     )
     qos_depth: int = setting(
         200, "Samples a stream keeps for a slow reader.", minimum=1, maximum=100000
+    )
+
+
+@dataclass(frozen=True)
+class FrameSettings(Settings):
+    """Parameter of nodes that name frames."""
+
+    frame_prefix: str = setting(
+        "",
+        "Put before every frame name, such as 'thumb/', so that the frames of several fingers "
+        "differ; the parameter of the same name of robot_state_publisher.",
     )
 
 
@@ -86,18 +120,24 @@ class ManagedNode(LifecycleNode):
         self._live = False
         self._active = False
         self._all = self.parameter_table()
+        self._bad_values: dict[str, str] = {}
         for parameter in self._all:
-            allowed = parameter.range_text()
             self.declare_parameter(
-                parameter.name,
-                parameter.default,
-                ParameterDescriptor(
-                    description=f"{parameter.meaning} {allowed}".strip(),
-                    additional_constraints=allowed,
-                    dynamic_typing=True,
-                ),
+                parameter.name, type_of(parameter), descriptor_of(parameter), ignore_override=True
             )
+            override = self._parameter_overrides.get(parameter.name)
+            try:
+                given = parameter.default if override is None else override.value
+                value = ros_value(parameter, given)
+            except InputError as error:
+                # The node stays up, so that the value can be corrected.
+                self._bad_values[parameter.name] = str(error)
+                value = ros_value(parameter, parameter.default)
+            super().set_parameters_atomically([value])
         self.add_on_set_parameters_callback(self._on_set_parameters)
+        self._streams: list[Any] = []
+        self._mismatches: dict[str, QoSProfile] = {}
+        self._shared_since: dict[str, float] = {}
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # Steady time: diagnostics continue when simulated time stands still or jumps.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -122,79 +162,189 @@ class ManagedNode(LifecycleNode):
     def parameters_changed(self, changes: dict[str, Any]) -> None:
         """Take over changed run-time parameters; raises FingerError to refuse all of them."""
 
+    @property
+    def answering(self) -> bool:
+        """Whether somebody waits for an answer, for which the process stays up a moment."""
+        return False
+
     # Parameters ------------------------------------------------------------------------------
 
     def read_parameters(self) -> dict[str, Any]:
         """Checked values of all parameters; raises InputError."""
-        values = {p.name: self.get_parameter(p.name).value for p in self._all}
-        return self._all.check(values)
+        for problem in self._bad_values.values():
+            raise InputError(problem)
+        return self._all.check({p.name: self.get_parameter(p.name).value for p in self._all})
 
     def settings(self, cls: type[S]) -> S:
         """The parameters that `cls` describes, with changes made while the node is active."""
         return cls.select(self.values)
 
+    @property
+    def frame(self) -> str:
+        """Frame of the node's messages, of the parameters `frame_prefix` and `frame_id`."""
+        return f"{self.values['frame_prefix']}{self.values['frame_id']}"
+
+    def set_parameters_atomically(
+        self, parameter_list: Sequence[RosParameter]
+    ) -> SetParametersResult:
+        """As rclpy; refuses in our words, before rclpy looks at type and range in its own."""
+        try:
+            checked = [self._checked(parameter) for parameter in parameter_list]
+        except InputError as error:
+            return SetParametersResult(successful=False, reason=one_line(error))
+        return super().set_parameters_atomically(checked)
+
+    def _checked(self, parameter: RosParameter) -> RosParameter:
+        if parameter.name not in self._all:
+            return parameter
+        described = self._all[parameter.name]
+        value = ros_value(described, parameter.value)
+        if self._live and not described.runtime:
+            raise InputError(
+                f"parameter '{described.name}' can be changed only before the node is "
+                "configured; deactivate and clean up first"
+            )
+        return value
+
     def _on_set_parameters(self, parameters: Sequence[RosParameter]) -> SetParametersResult:
         try:
-            changes = {}
-            for ros_parameter in parameters:
-                if ros_parameter.name not in self._all:
-                    continue
-                described = self._all[ros_parameter.name]
-                changes[described.name] = described.check(ros_parameter.value)
-                if self._live and not described.runtime:
-                    raise InputError(
-                        f"parameter '{described.name}' can be changed only before the node is "
-                        "configured; deactivate and clean up first"
-                    )
+            own = [self._checked(p) for p in parameters if p.name in self._all]
+            changes = {p.name: self._all[p.name].check(p.value) for p in own}
             if self._live and changes:
                 self.parameters_changed(changes)
                 self.values.update(changes)
+            for name in changes:
+                self._bad_values.pop(name, None)
         except FingerError as error:
             return SetParametersResult(successful=False, reason=one_line(error))
         return SetParametersResult(successful=True)
 
+    def _describe_live(self, live: bool) -> None:
+        """Mark what can no longer be changed as read-only for tools that show parameters."""
+        self._live = live
+        for parameter in self._all:
+            self.describe_parameter(parameter.name).read_only = live and not parameter.runtime
+
     # Quality of service ----------------------------------------------------------------------
 
-    def stream_qos(self, depth: int | None = None) -> QoSProfile:
-        """QoS of a data stream, by the node's parameters."""
-        reliable = self.values["qos_reliability"] == "reliable"
-        return QoSProfile(
-            depth=depth or self.values["qos_depth"],
-            history=HistoryPolicy.KEEP_LAST,
-            reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        )
+    def stream_qos(self, depth: int | None = None, publisher: bool = False) -> QoSProfile:
+        """QoS of a data stream that the node publishes or reads, by its parameters."""
+        depth = depth or self.values["qos_depth"]
+        return stream_qos(self.values["qos_reliability"], depth, publisher)
 
     def create_stream_publisher(self, message_type: Any, topic: str, qos: QoSProfile) -> Any:
-        """Publisher that reports subscribers whose QoS is incompatible."""
+        """Publisher that reports subscribers whose QoS is incompatible, and other publishers."""
+        # A probe that wants another QoS harms nobody else: no fault of the node.
         events = PublisherEventCallbacks(
-            incompatible_qos=lambda event: self._report_mismatch(topic, "subscriber")
+            incompatible_qos=lambda event: self.get_logger().warning(
+                f"a subscriber of '{topic}' wants another QoS and receives nothing; "
+                f"qos_overrides.{publisher.topic_name}.publisher can offer it"
+            )
         )
-        return self.create_publisher(message_type, topic, qos, event_callbacks=events)
+        publisher = self._with_overrides(
+            self.create_publisher, message_type, topic, copy.copy(qos), event_callbacks=events
+        )
+        self._streams.append(publisher)
+        return publisher
 
     def create_stream_subscription(
         self, message_type: Any, topic: str, callback: Any, qos: QoSProfile, **options: Any
     ) -> Any:
         """Subscription that reports publishers whose QoS is incompatible."""
+        qos = copy.copy(qos)
         events = SubscriptionEventCallbacks(
-            incompatible_qos=lambda event: self._report_mismatch(topic, "publisher")
+            incompatible_qos=lambda event: self._report_mismatch(topic, qos)
         )
-        return self.create_subscription(
-            message_type, topic, callback, qos, event_callbacks=events, **options
+        return self._with_overrides(
+            self.create_subscription,
+            message_type,
+            topic,
+            callback,
+            qos,
+            event_callbacks=events,
+            **options,
         )
+
+    def _with_overrides(self, create: Any, *arguments: Any, **options: Any) -> Any:
+        """Create a publisher or subscription whose QoS the parameters qos_overrides.… change."""
+        overrides = QoSOverridingOptions(OVERRIDABLE)
+        try:
+            return create(*arguments, qos_overriding_options=overrides, **options)
+        except (
+            RuntimeError,
+            TypeError,
+            ValueError,
+            AssertionError,
+            ParameterException,
+        ) as error:
+            raise InputError(
+                f"qos_overrides of '{arguments[1]}' cannot be used ({one_line(error)}); "
+                "give history, depth, reliability and durability as ROS names them"
+            ) from None
+
+    def _forget_overrides(self) -> None:
+        """They are declared anew with the next streams, whose usual values may be others."""
+        for name in self.list_parameters(["qos_overrides"], 0).names:
+            self.describe_parameter(name).read_only = False
+            self.undeclare_parameter(name)
 
     def check_mismatch(self, polled: PolledSubscription) -> None:
         """Report publishers of a polled topic whose QoS is incompatible."""
         if polled.new_mismatches():
-            self._report_mismatch(polled.topic, "publisher")
+            self._report_mismatch(polled.topic, polled.qos)
 
-    def _report_mismatch(self, topic: str, who: str) -> None:
+    def _report_mismatch(self, topic: str, qos: QoSProfile) -> None:
+        self._mismatches[topic] = qos
         message = (
-            f"a {who} of '{topic}' has an incompatible QoS and exchanges no data with this node; "
-            "set the same qos_reliability on both sides"
+            f"a publisher of '{topic}' has an incompatible QoS and exchanges no data with this "
+            "node; set qos_reliability to auto on both sides"
         )
-        health = self.healths[0] if self.healths else None
-        if health is None or health.fault("qos_mismatch", message, WARN):
+        if not self.healths or self.healths[0].fault("qos_mismatch", message, WARN):
             self.get_logger().warning(message)
+
+    def _watch_mismatches(self) -> None:
+        """End the fault when the publishers that did not fit are gone."""
+        for topic, qos in list(self._mismatches.items()):
+            offers = [offer.qos_profile for offer in self.get_publishers_info_by_topic(topic)]
+            if all(qos_check_compatible(o, qos)[0] != QoSCompatibility.ERROR for o in offers):
+                del self._mismatches[topic]
+                if not self._mismatches:
+                    self.healths[0].recovered("qos_mismatch")
+
+    def _watch_publishers(self) -> None:
+        """Report other publishers of the node's streams: whoever reads them mixes both."""
+        others: set[str] = set()
+        for publisher in self._streams:
+            if self.count_publishers(publisher.topic_name) > 1:
+                others |= self._other_publishers(publisher.topic_name)
+            else:
+                self._shared_since.pop(publisher.topic_name, None)
+        if others:
+            text = (
+                f"also published by {', '.join(sorted(others))}: readers mix both; end one, or "
+                "give it another namespace"
+            )
+            self.log_fault(self.healths[0], "second_publisher", text, ERROR)
+        else:
+            self.healths[0].recovered("second_publisher")
+
+    def _other_publishers(self, topic: str) -> set[str]:
+        """Topic and node of publishers of a stream of this node that are not this node's.
+
+        One of this node's own name may be what is left of a node that was killed and is now
+        running again, so it counts only after a while.
+        """
+        names = [
+            f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+            for info in self.get_publishers_info_by_topic(topic)
+        ]
+        own = self.get_fully_qualified_name()
+        found = {f"{name} ({topic})" for name in names if name != own}
+        if names.count(own) < 2:
+            self._shared_since.pop(topic, None)
+        elif time.monotonic() - self._shared_since.setdefault(topic, time.monotonic()) > REMEMBERED:
+            found.add(f"another {own} ({topic})")
+        return found
 
     # Diagnostics -----------------------------------------------------------------------------
 
@@ -202,6 +352,8 @@ class ManagedNode(LifecycleNode):
         """One DiagnosticStatus per health."""
         if not self.healths:
             return
+        self._watch_mismatches()
+        self._watch_publishers()
         array = DiagnosticArray()
         array.header.stamp = self.get_clock().now().to_msg()
         for health in self.healths:
@@ -209,7 +361,7 @@ class ManagedNode(LifecycleNode):
             array.status.append(
                 DiagnosticStatus(
                     level=bytes([report.level]),
-                    name=f"{self.get_fully_qualified_name().lstrip('/')}: {health.name}",
+                    name=f"{full_node_name(self.get_name(), self.get_namespace())}: {health.name}",
                     message=report.message,
                     hardware_id=report.hardware_id,
                     values=[KeyValue(key=k, value=v) for k, v in report.values.items()],
@@ -226,6 +378,15 @@ class ManagedNode(LifecycleNode):
         except Exception:
             if rclpy.ok(context=self.context):
                 raise
+
+    def fail(self, error: Exception) -> None:
+        """Let an error in another thread count as one in a callback of this node."""
+
+        def raise_error() -> None:
+            raise error
+
+        if self.executor is not None:
+            self.executor.create_task(raise_error)
 
     def log_fault(self, health: Health, key: str, message: str, level: int = 2) -> None:
         """Note a fault and log it if it is new."""
@@ -269,9 +430,9 @@ class ManagedNode(LifecycleNode):
             self.values = self.read_parameters()
 
         if not self._attempt("configure", read, self.configure):
-            self._attempt("cleanup", self.cleanup)
+            self._attempt("cleanup", self._clean_up)
             return TransitionCallbackReturn.FAILURE
-        self._live = True
+        self._describe_live(True)
         self._set_state("inactive")
         return TransitionCallbackReturn.SUCCESS
 
@@ -290,9 +451,8 @@ class ManagedNode(LifecycleNode):
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self._live = False
         self._set_state("unconfigured")
-        ok = self._attempt("cleanup", self.cleanup)
+        ok = self._attempt("cleanup", self._clean_up)
         return TransitionCallbackReturn.SUCCESS if ok else TransitionCallbackReturn.ERROR
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -303,6 +463,15 @@ class ManagedNode(LifecycleNode):
         self.release()
         return TransitionCallbackReturn.SUCCESS
 
+    def _clean_up(self) -> None:
+        self._streams.clear()
+        self._mismatches.clear()
+        try:
+            self.cleanup()
+        finally:
+            self._forget_overrides()
+            self._describe_live(False)
+
     def release(self) -> None:
         """Deactivate and clean up, in any state."""
         if self._live:
@@ -310,7 +479,7 @@ class ManagedNode(LifecycleNode):
             if self._active:
                 self._active = False
                 self._attempt("deactivate", self.deactivate)
-            self._attempt("cleanup", self.cleanup)
+            self._attempt("cleanup", self._clean_up)
             self._set_state("finalized")
 
     def _LifecycleNodeMixin__on_change_state(self, request: Any, response: Any) -> Any:

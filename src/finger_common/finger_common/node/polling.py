@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Streams that a node reads when it needs them, without a callback for each message."""
 
 from __future__ import annotations
@@ -44,6 +47,7 @@ class PolledSubscription:
 
     def __init__(self, node: Node, message_type: Any, topic: str, qos: QoSProfile) -> None:
         self.topic = topic
+        self.qos = qos
         self._node = node
         self._type = message_type
         self._subscription = node.create_subscription(

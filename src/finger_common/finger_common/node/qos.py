@@ -1,8 +1,29 @@
-"""Quality of service of latched topics."""
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Quality of service of streams and of latched topics."""
 
 from __future__ import annotations
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+AUTO, RELIABLE, BEST_EFFORT = "auto", "reliable", "best_effort"
+"""Values of `qos_reliability`."""
+
+
+def stream_qos(reliability: str, depth: int, publisher: bool) -> QoSProfile:
+    """QoS of a data stream.
+
+    AUTO publishes reliably and subscribes with best effort, as REP 2003 has it for sensor data:
+    each matches whatever the other side wants.
+    """
+    reliable = publisher if reliability == AUTO else reliability == RELIABLE
+    return QoSProfile(
+        depth=depth,
+        history=HistoryPolicy.KEEP_LAST,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+    )
+
 
 LATCHED_QOS = QoSProfile(
     depth=10,
@@ -10,7 +31,7 @@ LATCHED_QOS = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
-"""QoS of `model_events`, and of readers that must not miss a message of `trial`.
+"""QoS of `model_events` and `moisture`, and of readers that must not miss a message of `trial`.
 
 Late joiners receive the messages published before: a recorder that starts after the model records
 the events that determine the model's state."""

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """A node as a process: start, signals, end."""
 
 from __future__ import annotations
@@ -21,6 +24,11 @@ from .managed import ManagedNode
 
 END_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 """Signals that end a node."""
+
+FAREWELL = 1.0
+"""s at most in which a node that ends answers those who wait for it."""
+DELIVERY = 0.25
+"""s for an answer to be delivered."""
 
 
 def use_large_shared_memory() -> None:
@@ -73,6 +81,18 @@ class _SignalHandler:
             self._executor.spin_once()
 
 
+def say_farewell(node: ManagedNode, executor: SingleThreadedExecutor) -> None:
+    """Let a released node answer those who wait for it, before it is destroyed."""
+    if not node.answering:
+        return
+    end = time.monotonic() + FAREWELL
+    while node.answering and time.monotonic() < end:
+        executor.spin_once(timeout_sec=0.05)
+    end = time.monotonic() + DELIVERY
+    while time.monotonic() < end:
+        executor.spin_once(timeout_sec=0.05)
+
+
 def run_node(node_class: type[ManagedNode], argv: Sequence[str] | None = None) -> int:
     """Run one node until a signal ends it; returns the exit code.
 
@@ -112,6 +132,7 @@ def run_node(node_class: type[ManagedNode], argv: Sequence[str] | None = None) -
             signal.signal(number, signal.SIG_IGN)
         if node is not None:
             node.release()
+            say_farewell(node, executor)
             executor.remove_node(node)
             node.destroy_node()
         executor.shutdown()
@@ -122,11 +143,12 @@ def run_node(node_class: type[ManagedNode], argv: Sequence[str] | None = None) -
 
 
 def main_of(node_class: type[ManagedNode]) -> Any:
-    """`main` function of a node's executable."""
+    """`main` function of a node's executable; its `node_class` is for processes of many nodes."""
 
     def main(argv: Sequence[str] | None = None) -> None:
         code = run_node(node_class, argv)
         # Daemon threads of the middleware can hang at interpreter exit.
         os._exit(code)
 
+    main.node_class = node_class  # type: ignore[attr-defined]
     return main

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Frames as files in a folder, from the simulated rig or another program that owns the camera.
 
 A frame is a file `<stamp>_<sequence>.pgm` (or .png, .tif, .bmp): the acquisition time in ns since

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Detects a camera that repeats its last image, unlike one that sees nothing move."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Camera calibration files in the format of ROS camera_info_manager, and their URLs.
 
 No message package is imported here.

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Every source of OpenCV's VideoCapture: V4L2 camera, file, image sequence, GStreamer pipeline.
 
 A camera is read by a thread without pause that keeps only the newest frame: V4L2 queues up to four

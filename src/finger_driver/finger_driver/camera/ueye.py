@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """IDS uEye cameras, also sold by Thorlabs as DCx, through IDS's `pyueye`.
 
 `pyueye` and the uEye library are needed only when such a camera is opened. Order of calls and of

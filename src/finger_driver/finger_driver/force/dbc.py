@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Any CAN force sensor that a DBC file and a mapping describe, streaming or polled."""
 
 from __future__ import annotations

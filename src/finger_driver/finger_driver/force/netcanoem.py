@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """ATI NETCANOEM on any python-can bus: start-up, polling at a fixed rate, faults.
 
 The board is polled: one request, two reply frames. Frames of other devices may lie between them,
@@ -10,8 +13,13 @@ the bus may echo the driver's own frames, replies may be lost or late. Rules use
 - After a poll without a complete reply a *fence* is sent, a request with a reply of its own. The
   board answers in order, so whatever arrives before the fence's reply is old and is discarded. No
   reply is ever paired with a later request.
+- The reply to a request for a row does not say which row it is. A fence that was given up may still
+  be answered, so all fences ask for the same row until no late reply has come for a while, and
+  start-up, after a repeated request, waits for what is still to come and reads the matrix twice.
 - The active calibration is lost when the board resets. One row of the matrix is read again every
   `calibration_check_period` seconds and after every silence; a change leads to a new start-up.
+- A computer that stands still for a moment loses no reply: what has come is read also after the
+  timeout, and where the timeout itself passed unseen, the board gets it once more.
 - The stamp is the middle between sending the request and the arrival of the first reply, so its
   error is at most half a round trip.
 """
@@ -37,8 +45,14 @@ from .source import CRITICAL, GOOD, SATURATED, ForceSettings, ForceSource, Wrenc
 
 _CATCH_UP = 5
 """Missed polls that are made up for by polling without pause; more are skipped and counted."""
+_STOOD_STILL = 0.005
+"""Seconds after the end of a timeout; noticed only then, this process did not run at its end."""
+_SPARE = 100
+"""Frames that are read after the end of a timeout, because they may have waited."""
 _SILENCE = 0.25
 """Seconds without a reply after which the connection counts as lost."""
+_QUIET = 1.0
+"""Seconds without a late reply after which the fences ask for another row."""
 
 
 @dataclass(frozen=True)
@@ -92,10 +106,12 @@ class NetcanoemSource(ForceSource):
         self._timeout = settings.response_timeout
         self._bus: can.BusABC | None = None
         self._first_id = protocol.identifier(settings.base_identifier, 0)
+        self._poll_request = can_bus.frame(self._first_id | protocol.READ_GAUGES, b"")
         self.calibration: protocol.Calibration | None = None
         self.firmware: tuple[int, int, int] | None = None
         self._rows = np.zeros((6, 6))
         self._row_due = 0
+        self._late_row = 0.0
         self._echoes = 0
 
     # Connection ------------------------------------------------------------------------------
@@ -148,7 +164,11 @@ class NetcanoemSource(ForceSource):
                 f"{self._where()}: transducer '{serial}' is connected, '{expected}' is expected; "
                 "connect the right one or change 'expected_serial'"
             )
-        rows = np.array([self._read_row(axis) for axis in range(6)])
+        rows, again = (np.array([self._read_row(axis) for axis in range(6)]) for _ in range(2))
+        if not np.array_equal(rows, again, equal_nan=True):
+            raise DeviceError(
+                f"{self._where()}: two readings of the matrix differ; check the bus load"
+            )
         counts, codes = (protocol.DEFAULT_COUNTS,) * 2, (2, 4)
         if self.firmware[:2] >= (3, 7):
             counts = protocol.decode_counts(self._ask(protocol.READ_COUNTS)[0])
@@ -213,11 +233,16 @@ class NetcanoemSource(ForceSource):
     def _receive(self, end: float) -> can.Message | None:
         """Next frame of this board before `end` (monotonic s), or None; others are counted."""
         assert self._bus is not None
-        while (left := end - time.monotonic()) > 0:
-            frame = self._bus.recv(left)
+        spare, again = _SPARE, True
+        while spare:
+            left = end - time.monotonic()
+            spare -= left <= 0
+            frame = self._bus.recv(max(left, 0.0))
             if frame is None:
-                return None
-            if frame.is_error_frame:
+                if not again or time.monotonic() - end < _STOOD_STILL:
+                    return None
+                again, end = False, time.monotonic() + self._timeout
+            elif frame.is_error_frame:
                 self.note("bus_errors", "the bus carries error frames; check wiring and bit rate")
             elif (
                 frame.is_extended_id
@@ -240,16 +265,25 @@ class NetcanoemSource(ForceSource):
     def _ask(self, opcode: int, data: bytes = b"") -> tuple[bytes, ...]:
         """Reply frames to a request, in order; tried three times, then DeviceError."""
         due = protocol.REPLIES[opcode]
-        for frames in self._attempts(opcode, data):
+        for attempt, frames in enumerate(self._attempts(opcode, data)):
             got: dict[int, bytes] = {}
             for frame in frames:
                 key = (frame.arbitration_id & 0xF, frame.dlc)
                 if key in due:
                     got[key[0]] = bytes(frame.data)
                 if len(got) == len(due):
+                    if attempt:
+                        self._await_late(attempt * len(due))
                     return tuple(got[op] for op, _ in due)
             self.health.count("retries")
         raise DeviceError(f"{self._where()}: no answer to request 0x{opcode:X}; check the bus load")
+
+    def _await_late(self, number: int) -> None:
+        """Take replies to earlier attempts, so that none is taken for that to the next request."""
+        end = time.monotonic() + (number + 1) * max(self._timeout, 0.1)
+        while number and self._receive(end) is not None:
+            self.health.count("late_replies")
+            number -= 1
 
     # Reading ---------------------------------------------------------------------------------
 
@@ -296,11 +330,14 @@ class NetcanoemSource(ForceSource):
                 return
             foreign = frame.arbitration_id & ~0xF != self._first_id or frame.is_extended_id
             self.health.count("foreign" if foreign else "old_frames")
+            if not foreign and frame.arbitration_id & 0xF in (2, 3, 4):
+                self._late_row = time.monotonic()
 
     def _poll(self) -> WrenchSample | None:
+        assert self._bus is not None
         self._discard_old()
         sent = self.clock.now()
-        self._send(protocol.READ_GAUGES)
+        self._bus.send(self._poll_request, timeout=self._timeout)
         end = time.monotonic() + self._timeout
         first = second = None
         arrived = 0
@@ -328,6 +365,7 @@ class NetcanoemSource(ForceSource):
             elif opcode in (2, 3, 4) and frame.dlc == 8:
                 # Of a fence that was given up.
                 self.health.count("late_replies")
+                self._late_row = time.monotonic()
             elif not (opcode == 0 and frame.dlc == 0):
                 self._malformed(frame)
         self._last_reply = time.monotonic()
@@ -349,7 +387,7 @@ class NetcanoemSource(ForceSource):
     def _quality(self, status: int, gauges: np.ndarray) -> int:
         status &= ~protocol.ANY_ERROR
         ends = protocol.saturated(gauges)
-        if not status and not ends.size:
+        if not status and not ends:
             self.cleared("critical", "status_warning", "saturated")
             return GOOD
         text = f"{protocol.status_text(status)} (status 0x{status:04X})"
@@ -358,7 +396,7 @@ class NetcanoemSource(ForceSource):
             return CRITICAL
         self.cleared("critical")
         self.note_if(status != 0, "status_warning", f"sensor reports: {text}")
-        if not ends.size:
+        if not ends:
             self.cleared("saturated")
             return GOOD
         which = ", ".join(map(str, ends))
@@ -393,6 +431,7 @@ class NetcanoemSource(ForceSource):
         while len(rows) < 3:
             frame = self._receive(end)
             if frame is None:
+                self._late_row = time.monotonic()
                 return False
             opcode = frame.arbitration_id & 0xF
             if opcode in (2, 3, 4) and frame.dlc == 8:
@@ -407,7 +446,7 @@ class NetcanoemSource(ForceSource):
 
     def _check_calibration(self) -> None:
         self._check_due = time.monotonic() + self.settings.calibration_check_period
-        if self._fence():
+        if self._fence() and time.monotonic() - self._late_row > _QUIET:
             self._row_due = (self._row_due + 1) % 6
 
     def _compare_row(self, frames: tuple[bytes, bytes, bytes]) -> None:

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """ATI Net F/T (and Ethernet Axia) over RDT, configured by its XML page.
 
 - The page gives counts per unit and units; it is read at every connection and again every few
@@ -6,7 +9,8 @@
 - Records carry no time. Their number and the box's rate make a device clock, mapped to host time of
   receipt (kernel stamps); when the rate proves to differ from the page's, receipt itself is the
   stamp.
-- What waited in the socket longer than `_OLD` s is skipped, so that a slow reader never lags.
+- What waits in the socket while this computer stands still for a moment is read afterwards; what
+  waited longer than `_OLD` s is skipped, so that a slow reader never lags.
 - A box that sends faster than `rate` is averaged over whole blocks, stamped in the block's middle.
   Its own decimation has no filter.
 - UDP has no protection against a forger who sends from the box's address. What can be checked is:
@@ -44,7 +48,9 @@ _TIMEOUT = 1.0
 """Seconds for the web page and for the first record to come."""
 _CHECK_PERIOD = 2.0
 """Seconds between readings of the page beside the stream."""
-_OLD = 0.1
+_OLD = 0.5
+_BUFFER = 1 << 20
+"""Bytes asked for to hold what comes meanwhile; the kernel may grant less (net.core.rmem_max)."""
 _REORDERED = 64
 """A record number at most this far back is a late datagram, one further back a new numbering."""
 _DRIFT_LIMIT = 2e-3
@@ -152,6 +158,7 @@ class NetFtSource(ForceSource):
     def _open(self) -> None:
         self._socket = connection = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         request_kernel_stamps(connection)
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
         connection.connect((self.settings.netft_host, self.settings.netft_port))
         self._begin()
         self._send(rdt.START_REALTIME)

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """What every force sensor's driver gives, and the settings that all of them have."""
 
 from __future__ import annotations
@@ -110,9 +113,9 @@ class ForceSource(Device[WrenchSample]):
             return sample
         settings = self.settings
         # Written so that NaN fails, too.
-        if (np.abs(sample.force) <= settings.force_range).all() and (
-            np.abs(sample.torque) <= settings.torque_range
-        ).all():
+        if all(abs(f) <= settings.force_range for f in sample.force.tolist()) and all(
+            abs(t) <= settings.torque_range for t in sample.torque.tolist()
+        ):
             self.cleared("implausible")
             return sample
         force = ", ".join(f"{v:.3g}" for v in sample.force)

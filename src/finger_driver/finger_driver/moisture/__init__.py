@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Moisture readings: `open_source(settings)` makes the driver of an installed source."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Moisture readings from an export file that is watched.
 
 The file is read when it has stayed the same for two checks, so that a table just being written is

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Moisture readings from a serial port, one per line."""
 
 from __future__ import annotations

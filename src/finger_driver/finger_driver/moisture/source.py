@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """What every source of moisture readings gives, and the settings that all of them have."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """CAN sensors described by a DBC file and a mapping of its signals to force and torque.
 
 The mapping is a YAML file; `data/robotous_rft.yaml` is the worked and commented example. Everything

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Readings in a table that the moisture probe's program exports: CSV or XLSX.
 
 No public format of the maker's program is known, so columns, decimal comma, encoding and time

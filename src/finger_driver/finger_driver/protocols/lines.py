@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Readings in lines of text, as a serial adapter sends them."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """ATI NETCANOEM wire protocol (F/T over CAN): addressing, opcodes, status word, arithmetic.
 
 Source: ATI "F/T CAN Bus and Serial Bus Network Interface for OEM", 9610-05-1030-04, sections 7 to
@@ -174,9 +177,9 @@ def decode_serial(data: bytes) -> str:
     return "".join(chr(b) for b in data if 0x20 < b < 0x7F)
 
 
-def saturated(gauges: np.ndarray) -> np.ndarray:
-    """Indices (k,) of saturated gauges."""
-    return np.flatnonzero((gauges == SATURATED[0]) | (gauges == SATURATED[1]))
+def saturated(gauges: np.ndarray) -> list[int]:
+    """Indices of saturated gauges."""
+    return [index for index, value in enumerate(gauges.tolist()) if value in SATURATED]
 
 
 @dataclass(frozen=True)
@@ -195,6 +198,7 @@ class Calibration:
     serial: str = ""
     scaled: np.ndarray = field(init=False, repr=False)
     """(6, 6) matrix from gauge counts to N and N m."""
+    _inverse: np.ndarray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         matrix = np.asarray(self.matrix, dtype=float)
@@ -209,6 +213,7 @@ class Calibration:
         scale = np.array([force] * 3 + [torque] * 3)
         object.__setattr__(self, "matrix", matrix)
         object.__setattr__(self, "scaled", matrix * scale[:, None])
+        object.__setattr__(self, "_inverse", np.linalg.inv(self.scaled))
 
     def wrench(self, gauges: np.ndarray) -> np.ndarray:
         """Wrench (6,) in N and N m of gauges (6,) without their bias (manual, figure 7.1)."""
@@ -216,4 +221,4 @@ class Calibration:
 
     def gauges(self, wrench: np.ndarray) -> np.ndarray:
         """Gauges (6,) float, not rounded, of a wrench (6,) in N and N m."""
-        return np.linalg.solve(self.scaled, np.asarray(wrench, dtype=float))
+        return self._inverse @ np.asarray(wrench, dtype=float)

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The Net F/T's configuration page `netftapi2.xml`.
 
 Source: ATI 9610-05-Ethernet Axia, section 11; element names as read by public drivers. Counts per

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """ATI Net F/T Raw Data Transfer (RDT) over UDP.
 
 Source: ATI 9620-05-net ft, section 10, and the public driver netft/ros-netft (status word, order of

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Units of force and torque by the codes and names that sensors send.
 
 Codes: ATI manual 9610-05-1030-04, table of opcode 0x8; the same codes are used in READCALINFO of

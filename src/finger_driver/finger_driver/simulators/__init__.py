@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Wire-level simulators of the devices.
 
 Each serves the device's own protocol, is given values from outside and knows no finger. In Python:

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """`finger-device-sim`: one simulated device in a process of its own.
 
 Its subcommands are the simulators of the installed sources.

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """A moisture program's export: a table that grows with each reading.
 
 Models: CSV with decimal comma, XLSX, appending, and rewriting in place as a spreadsheet saves;

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Faults of a simulated device that can be switched on and off while it runs."""
 
 from __future__ import annotations

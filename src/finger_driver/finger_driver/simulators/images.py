@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Frames written into a folder as a camera's program would, for the `folder` camera.
 
 Models: acquisition stamp and frame number in the file name, files that appear whole, a bounded

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """An ATI NETCANOEM board with transducer on a python-can bus, wire level.
 
 Models: all documented opcodes, sixteen calibration slots (slot 0 active after power-up and reset),

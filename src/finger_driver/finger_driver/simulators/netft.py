@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """An ATI Net F/T box: RDT over UDP with its XML page over HTTP.
 
 Models: start, stop and bias requests, one client at a time, endless and counted streams, real-time

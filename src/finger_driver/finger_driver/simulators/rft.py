@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """A Robotous RFT force sensor on a python-can bus.
 
 Models: the commands model, serial number, firmware, output rate, one sample, start, stop and bias;

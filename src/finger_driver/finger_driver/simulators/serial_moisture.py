@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """A moisture probe's serial adapter behind a pseudo-terminal: one line per reading.
 
 Models: lines at the port of a real adapter, unplugging and plugging in again under the same name (a

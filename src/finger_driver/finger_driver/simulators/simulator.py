@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """What all simulated devices share: faults, a thread, options, commands of `finger-device-sim`."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Values for a simulated device when nothing else gives them: pressing forces, test images."""
 
 from __future__ import annotations
@@ -7,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from finger_common.axes import NORMAL_AXES, axis_of
+from finger_common.axes import DEFAULT_NORMAL_AXIS, NORMAL_AXES, axis_of
 from finger_common.errors import InputError
 from finger_common.files import read_csv
 from finger_common.settings import Settings, setting
@@ -45,7 +48,7 @@ def constant_wrench(text: str) -> Wrench:
     return lambda stamp_ns: wrench
 
 
-def pressing_wrench(peak: float, axis: str = "+z", period: float = 4.0) -> Wrench:
+def pressing_wrench(peak: float, axis: str = DEFAULT_NORMAL_AXIS, period: float = 4.0) -> Wrench:
     """A raised-cosine press to `peak` N in the first half of each `period` s, then no load."""
     direction = axis_vector(axis)
 
@@ -56,7 +59,9 @@ def pressing_wrench(peak: float, axis: str = "+z", period: float = 4.0) -> Wrenc
     return wrench
 
 
-def recorded_wrench(time_s: np.ndarray, force: np.ndarray, axis: str = "+z") -> Wrench:
+def recorded_wrench(
+    time_s: np.ndarray, force: np.ndarray, axis: str = DEFAULT_NORMAL_AXIS
+) -> Wrench:
     """A recorded force (N) over time (s), repeated; raises InputError unless time increases."""
     if len(time_s) < 2 or np.any(np.diff(time_s) <= 0):
         raise InputError("--csv: time_s must increase from row to row, over at least two rows")
@@ -90,7 +95,9 @@ class LoadOptions(Settings):
     press: float = setting(0.0, "Press to this force and release, repeatedly; 0 for not.", unit="N")
     csv: str = setting("", "File of force over time, columns time_s,force_n; repeated.")
     axis: str = setting(
-        "+z", "Axis of the sensor along which --press and --csv push.", choices=NORMAL_AXES
+        DEFAULT_NORMAL_AXIS,
+        "Axis of the sensor along which --press and --csv push; the nodes' normal_axis.",
+        choices=NORMAL_AXES,
     )
 
     def validate(self) -> None:

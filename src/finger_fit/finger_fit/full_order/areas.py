@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Contact areas of fit candidates by the full-order model."""
 
 from __future__ import annotations

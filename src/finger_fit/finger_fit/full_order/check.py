@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Check of a fit's top candidates against a better model."""
 
 from __future__ import annotations
@@ -16,9 +19,10 @@ from .areas import BetterModel
 class FullOrderCheck:
     """Top candidates by both models.
 
-    full_costs (C,): J in m⁴; areas (C, n): full-order areas (m²) at the frames; rms_difference: of
-    the best candidate's areas by both models, uncorrected, over the largest area; best: index of
-    the candidate that full order prefers; headline: name of the space's headline quantity; change:
+    full_costs (C,): in m⁴, J with the nuisances eliminated; areas (C, n): full-order areas (m²) at
+    the frames; rms_difference: of the best candidate's areas by both models, uncorrected, over the
+    largest area; best: index of the candidate that full order prefers; headline: name of the
+    space's headline quantity; change:
     its relative change by re-ranking. A fit is final with rms_difference ≤ AREA_LIMIT and change ≤
     CHANGE_LIMIT.
     """
@@ -61,7 +65,7 @@ def check(
     """Simulate candidates (C, N), best first, with a better model over all trials."""
     areas = better.areas(problem, candidates, done)
     reduced = problem.raw_areas(candidates)
-    full_costs = problem.trial_costs(areas).sum(axis=1)
+    full_costs = problem.goal().cost(areas)
     best = int(np.nanargmin(full_costs)) if np.isfinite(full_costs).any() else 0
     headline = problem.space.headline
     values = problem.space.quantity(headline, candidates)

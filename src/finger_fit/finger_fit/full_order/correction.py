@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Correction of a fit's areas to a better model (space mapping)."""
 
 from __future__ import annotations

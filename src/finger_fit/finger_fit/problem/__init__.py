@@ -1,6 +1,11 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The fit's problem: trials, the model, and the cost of a parameter set."""
 
 from .cost import AreaCorrection, AreaModel, FitProblem, material_of
+from .goal import PRESS_GAIN, Goal, Nuisances, losses
 from .power_law import PowerLaw, fit_power_law, power_law_of
 from .report_units import MM2, MM4, three_digits
-from .trials import Exclusion, FitTrial, TrialRejected, prepare, prepare_all
+from .trials import Exclusion, FitTrial, Recording, TrialRejected, prepare, prepare_all
+from .unloaded import Tare, unloaded_tare

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The cost J of a parameter set on the frames that count, as in the paper.
 
 J = Σ over trials of the mean over the trial's frames of (model area − measured area)², in m⁴
@@ -6,6 +9,7 @@ J = Σ over trials of the mean over the trial's frames of (model area − measur
 
 from __future__ import annotations
 
+import copy
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,6 +21,7 @@ from finger_common.files import sha256_of
 from finger_model.laws import ConstitutiveLaw, ParameterSpace, StandardLinearSolid
 
 from ..options import FitOptions
+from .goal import Goal, Nuisances, losses
 from .trials import FitTrial
 
 _batch_lock = threading.Lock()
@@ -69,7 +74,8 @@ class FitProblem:
     space: of the model's parameters; box (D, 2): the search box in SI units. Arrays over all
     frames, trial after trial: measured (n,) m², force (n,) N, trial_of (n,), weight (n,), which
     sums to one within a trial. correction: of the model's areas, None before the correction to
-    full order. Calls are deterministic and safe from several threads.
+    full order. nuisances: eliminated from the cost, None before they were estimated. Calls are
+    deterministic and safe from several threads.
     """
 
     def __init__(self, trials: Sequence[FitTrial], model: AreaModel, options: FitOptions) -> None:
@@ -88,6 +94,7 @@ class FitProblem:
         # A trial whose frames all have weight zero does not count.
         self.weight = raw / np.where(sums > 0, sums, 1.0)[self.trial_of]
         self.correction: AreaCorrection | None = None
+        self.nuisances: Nuisances | None = None
         self._drives = [(t.time, t.force, t.frames) for t in self.trials]
 
     def __len__(self) -> int:
@@ -108,23 +115,39 @@ class FitProblem:
             parts = self.model.batch(parameters, self._drives)
         return np.concatenate(parts, axis=1)
 
-    def losses(self, areas: np.ndarray) -> np.ndarray:
-        """Loss in m⁴ of every frame for areas (…, n): the squared residual, or the Huber loss."""
-        residual = areas - self.measured
-        if self.options.loss == "huber":
-            scale = self.options.huber_scale
-            size = np.abs(residual)
-            return np.where(size <= scale, residual**2, scale * (2.0 * size - scale))
-        return residual**2
+    def uncorrected(self) -> FitProblem:
+        """The same problem without correction and nuisances, which a fit sets."""
+        found = copy.copy(self)
+        found.correction = found.nuisances = None
+        return found
+
+    def redrive(self, trials: Sequence[FitTrial]) -> None:
+        """Take the same trials under other drives (another tare, another lag)."""
+        self.trials = tuple(trials)
+        self.force = np.concatenate([t.frame_force for t in self.trials])
+        self._drives = [(t.time, t.force, t.frames) for t in self.trials]
 
     def trial_costs(self, areas: np.ndarray) -> np.ndarray:
-        """Cost (…, T) in m⁴ of every trial for areas (…, n): the weighted mean of its frames'
-        losses."""
-        return np.add.reduceat(self.weight * self.losses(areas), self.starts[:-1], axis=-1)
+        """Part of J (…, T) in m⁴ of every trial for areas (…, n), whatever the nuisances: the
+        weighted mean of its frames' losses."""
+        lost = self.weight * losses(areas - self.measured, self.options)
+        return np.add.reduceat(lost, self.starts[:-1], axis=-1)
+
+    def goal(self, weight: np.ndarray | None = None) -> Goal:
+        """What is minimised, under the problem's weights or others (n,), as the bootstrap has."""
+        if weight is None:
+            return Goal(self.measured, self.weight, self.options, self.nuisances)
+        own = np.add.reduceat(self.weight, self.starts[:-1])
+        given = np.add.reduceat(weight, self.starts[:-1])
+        repeats = np.divide(given, own, out=np.zeros_like(own), where=own > 0)
+        return Goal(self.measured, weight, self.options, self.nuisances, repeats)
 
     def cost(self, parameters: np.ndarray) -> np.ndarray:
-        """J (P,) in m⁴ of parameters (P, D)."""
-        return self.trial_costs(self.areas(parameters)).sum(axis=-1)
+        """J (P,) in m⁴ of parameters (P, D), with the nuisances eliminated where there are any."""
+        areas = self.areas(parameters)
+        if self.nuisances is None:
+            return self.trial_costs(areas).sum(axis=-1)
+        return self.goal().cost(areas)
 
     def key(self) -> str:
         """Hash of what a cost depends on: frames, drive, weights, loss and model."""

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The power law A = k Fᵐ fitted to the same frames, with the same weights and loss, as the
 model."""
 
@@ -9,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.optimize import least_squares, minimize_scalar
 
+from .goal import losses
 from .report_units import MM2, MM4
 
 if TYPE_CHECKING:
@@ -38,7 +42,7 @@ def fit_power_law(problem: FitProblem) -> PowerLaw:
     usable = (measured > 0) & (force > 0)
     log_m = float(np.polyfit(np.log(force[usable]), np.log(measured[usable]), 1)[0])
     k, m = power_law_of(problem, problem.weight)
-    cost = float((problem.weight * problem.losses(k * force**m)).sum())
+    cost = float((problem.weight * losses(k * force**m - measured, problem.options)).sum())
     return PowerLaw(k, m, cost, log_m)
 
 
@@ -51,7 +55,7 @@ def power_law_of(problem: FitProblem, weight: np.ndarray) -> tuple[float, float]
         return float((weight * shape * measured).sum() / (weight * shape * shape).sum())
 
     def cost(m: float, k: float) -> float:
-        return float((weight * problem.losses(k * force**m)).sum())
+        return float((weight * losses(k * force**m - measured, problem.options)).sum())
 
     # Under squared residuals k follows from m in closed form, which leaves one dimension.
     found = minimize_scalar(

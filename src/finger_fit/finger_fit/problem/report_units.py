@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Factors from SI to the units of reports, and how many digits they show."""
 
 from __future__ import annotations

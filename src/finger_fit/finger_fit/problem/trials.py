@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """From recorded trials to what a fit compares: the force that drives the model, and the frames.
 
 A recorded trial is any object with the fields of `finger_offline.trials.TrialRecord`. The trials
@@ -8,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,9 +21,50 @@ from finger_common.contact_threshold import contacts
 from finger_common.flags import AreaFlag
 
 from ..options import FitOptions
+from .unloaded import Tare, unloaded_tare
 
 REST_FORCE = 0.005
 """N; a smoothed force up to this is no touch: 1/171 N, the resolution of the Nano17 (paper)."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What the drive of a trial is made of (SI), times from the first sample.
+
+    time, force, smooth (n,): as recorded, and low-passed; driving (n,): as the model gets it;
+    onset: index of the first sample that counts; last: of the last sample of the contact;
+    frame_time (m,): of all frames; counted (k,): indices of those that count.
+    """
+
+    time: np.ndarray
+    force: np.ndarray
+    smooth: np.ndarray
+    driving: np.ndarray
+    onset: int
+    last: int
+    frame_time: np.ndarray
+    counted: np.ndarray
+
+    def drive(
+        self, tare: float, lag: float, options: FitOptions
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Times (d,) of the model's steps, force (d,) there, and the frames' indices (k,).
+
+        tare: N, taken off the force; lag: s by which the images' stamps are late.
+        """
+        time, smooth, first = self.time, self.smooth - tare, self.onset
+        touch = first
+        while touch > 0 and smooth[touch - 1] > REST_FORCE and time[first] - time[touch - 1] < 1.0:
+            touch -= 1
+        touch = max(touch - 1, 0)
+        frame_time = self.frame_time - lag
+        counted = frame_time[self.counted]
+        # A frame before the first touch has no contact, and drives nothing.
+        start = min(float(time[touch]), float(counted[0]) - 1e-3)
+        knots = drive_times(start, float(counted[-1]), frame_time, counted, options)
+        driving = np.maximum(np.interp(knots, time, self.driving - tare), 0.0)
+        driving[knots <= time[touch]] = 0.0
+        return knots, driving, np.searchsorted(knots, counted - 1e-9)
 
 
 @dataclass(frozen=True)
@@ -49,6 +93,28 @@ class FitTrial:
     record_time: np.ndarray
     record_force: np.ndarray
     dropped: int = 0
+    rest: Tare | None = None
+    tare: float = 0.0
+    lag: float = 0.0
+    recording: Recording | None = None
+
+    def with_drive(self, tare: float, lag: float, options: FitOptions) -> FitTrial:
+        """The same frames under a drive with another tare (N) and another lag of the images (s)."""
+        source = self.recording
+        if source is None:
+            raise ValueError(f"{self.label} keeps no recording to make another drive of")
+        knots, force, frames = source.drive(tare, lag, options)
+        shown = slice(int(np.searchsorted(source.time, knots[0])), source.last + 1)
+        return replace(
+            self,
+            time=knots - knots[0],
+            force=force,
+            frames=frames,
+            record_time=source.time[shown] - knots[0],
+            record_force=source.force[shown] - tare,
+            tare=tare,
+            lag=lag,
+        )
 
     @property
     def frame_time(self) -> np.ndarray:
@@ -76,6 +142,7 @@ class TrialRejected(Exception):
 
 def prepare(record: Any, options: FitOptions) -> FitTrial:
     """Drive and frames of one recorded trial; raises TrialRejected with the reason."""
+    options = options.for_trial(record)
     start = int(record.stamp_ns[0]) if len(record.stamp_ns) else 0
     time = (np.asarray(record.stamp_ns, dtype=np.int64) - start) * 1e-9
     force = np.asarray(record.force, dtype=float)
@@ -91,6 +158,12 @@ def prepare(record: Any, options: FitOptions) -> FitTrial:
         raise TrialRejected(f"{int((~finite).sum())} force samples are not finite")
     rate = 1.0 / float(np.median(np.diff(time)))
     smooth = low_passed(force, rate, options.force_cutoff)
+    rest = None
+    if options.nuisances:
+        touched = frame_time[np.isfinite(area) & (area > 0) & ((flags & AreaFlag.NO_CONTACT) == 0)]
+        rest = unloaded_tare(time, force, smooth, touched)
+    tare = rest.force if rest else 0.0
+    unshifted, smooth = smooth, smooth - tare
 
     reached = np.flatnonzero(smooth >= options.target_force)
     if not len(reached):
@@ -134,40 +207,34 @@ def prepare(record: Any, options: FitOptions) -> FitTrial:
     if options.moisture_required and not len(readings):
         raise TrialRejected("no moisture reading")
 
-    touch = first
-    while touch > 0 and smooth[touch - 1] > REST_FORCE and time[first] - time[touch - 1] < 1.0:
-        touch -= 1
-    touch = max(touch - 1, 0)
-    end = frame_time[counted[-1]]
-    knots = drive_times(time[touch], end, frame_time, frame_time[counted], options)
+    driving = unshifted
     if options.force == "paper":
         # The paper brought the force to the frames; 0.45 of their rate keeps the filter below its
         # limit.
-        driving = np.interp(knots, time, low_passed(force, rate, 0.45 / period))
-    else:
-        driving = np.interp(knots, time, smooth)
-    driving = np.maximum(driving, 0.0)
-    driving[0] = 0.0
-    frames = np.searchsorted(knots, frame_time[counted] - 1e-9)
-    shown = slice(touch, last + 1)
+        driving = low_passed(force, rate, 0.45 / period)
+    recording = Recording(time, force, unshifted, driving, first, last, frame_time, counted)
     sd = np.asarray(record.area_sd, dtype=float)
-    return FitTrial(
+    nothing = np.empty(0)
+    trial = FitTrial(
         label_of(record),
         record.condition or "",
         record.subject or "",
         int(record.index),
-        knots - knots[0],
-        driving,
-        frames,
+        nothing,
+        nothing,
+        nothing,
         area[counted],
         sd[counted] if len(sd) == len(area) else np.full(len(counted), np.nan),
-        driving[frames] < options.low_force,
+        nothing,
         float(readings.mean()) if len(readings) else np.nan,
         readings,
-        time[shown] - knots[0],
-        force[shown],
+        nothing,
+        nothing,
         dropped,
-    )
+        rest,
+        recording=recording,
+    ).with_drive(tare, 0.0, options)
+    return replace(trial, low=trial.frame_force < options.low_force)
 
 
 def label_of(record: Any) -> str:

@@ -1,3 +1,7 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The report of a fit: figures, tables and the page. It draws results and computes none."""
 
+from .figures import figure
 from .page import write_report

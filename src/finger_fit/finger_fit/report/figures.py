@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Figures of the report, drawn from a fit's results; none shows a fingerprint.
 
 Nothing is computed here: areas, curves and the deformed finger are part of the results.
@@ -5,6 +8,7 @@ Nothing is computed here: areas, curves and the deformed finger are part of the 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import matplotlib
@@ -17,26 +21,31 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 
+from finger_common.errors import InputError, known_names
 from finger_model.laws import Quantity
 
 from ..problem.report_units import MM2, MM4, three_digits
 from ..results import DeformedFinger, FitResult
 
-PALETTE = ("#b5651d", "#2a7f62", "#1f5a99", "#7a3b8f", "#8a8a2a", "#b03a48")
-"""Warm to cool from dry to moist; distinguishable without colour by lightness and marker."""
+PALETTE = ("#d55e00", "#009e73", "#0072b2", "#cc79a7", "#e69f00", "#56b4e9")
+"""Warm to cool from dry to moist: colours of Okabe and Ito (2008), told apart with every kind of
+colour vision; markers tell them apart without colour."""
 
 MARKERS = ("o", "s", "^", "D", "v", "P")
+
+SMALLEST = 8.0
+"""pt, size of the smallest text of a figure that is printed at its own width."""
 
 STYLE: dict[Any, Any] = {
     "font.family": "serif",
     "font.serif": ["STIX Two Text", "STIXGeneral", "DejaVu Serif"],
     "mathtext.fontset": "stix",
-    "font.size": 8.5,
+    "font.size": SMALLEST,
     "axes.titlesize": 9,
     "axes.labelsize": 8.5,
-    "xtick.labelsize": 7.5,
-    "ytick.labelsize": 7.5,
-    "legend.fontsize": 7.5,
+    "xtick.labelsize": SMALLEST,
+    "ytick.labelsize": SMALLEST,
+    "legend.fontsize": SMALLEST,
     "legend.frameon": False,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -49,10 +58,15 @@ STYLE: dict[Any, Any] = {
     "axes.titlelocation": "left",
     "axes.titlepad": 5,
     "savefig.dpi": 220,
+    "pdf.fonttype": 42,
+    "svg.hashsalt": "finger_fit",
     "figure.constrained_layout.use": True,
 }
 COLUMN = 7.1
 """Width of a figure in inches: two columns of an IEEE page."""
+
+ABREAST = 3
+"""Panels of conditions beside each other; further ones go into further rows."""
 
 SUBSCRIPTS = str.maketrans("₀₁₂₃₄₅₆₇₈₉∞", "0123456789∞")
 
@@ -88,21 +102,45 @@ def legend_below(figure: Figure, *panels: Axes, columns: int = 6) -> None:
         )  # fmt: skip
 
 
+def lettered(panel: Axes, number: int, text: str = "") -> None:
+    """Title of a panel behind its letter: "(a) dry"."""
+    panel.set_title(f"({chr(ord('a') + number)}) {text}".rstrip(), loc="left")
+
+
+def condition_panels(report: FitResult, height: float) -> tuple[Figure, list[Axes]]:
+    """A figure with one lettered panel per condition, all on the same axes."""
+    number = len(report.fits)
+    columns = min(number, ABREAST)
+    rows = -(-number // columns)
+    width = COLUMN if columns > 1 else 0.5 * COLUMN
+    figure, grid = plt.subplots(
+        rows, columns, figsize=(width, height * rows), sharex=True, sharey=True, squeeze=False
+    )
+    panels = list(grid.flat)
+    for unused in panels[number:]:
+        unused.set_visible(False)
+    for index, name in enumerate(report.fits):
+        lettered(panels[index], index, name)
+        if index + columns >= number:
+            panels[index].tick_params(labelbottom=True)
+    return figure, panels[:number]
+
+
 def all_figures(report: FitResult) -> dict[str, Figure]:
     """Every figure that the fit has the data for, by file name in the order of the report."""
     with plt.rc_context(STYLE):
-        figures = {
-            "moisture": moisture_figure(report),
-            "area_over_force": area_over_force_figure(report),
-            "force_over_time": force_over_time_figure(report),
-            "example_trial": example_figure(report),
-            "candidates": candidates_figure(report),
-            "matched_trials": matched_figure(report),
-            "profiles": profiles_figure(report),
-            "residuals": residuals_figure(report),
-            "convergence": convergence_figure(report),
-        }
+        figures = {name: make(report) for name, make in FIGURES.items()}
     return {name: figure for name, figure in figures.items() if figure is not None}
+
+
+def figure(report: FitResult, name: str) -> Figure:
+    """One figure by name; raises InputError for a name that the fit has no figure of."""
+    if name in FIGURES:
+        with plt.rc_context(STYLE):
+            made = FIGURES[name](report)
+        if made is not None:
+            return made
+    raise InputError(f"figure '{name}' does not exist here; {known_names(name, FIGURES)}")
 
 
 def moisture_figure(report: FitResult) -> Figure | None:
@@ -133,7 +171,7 @@ def moisture_figure(report: FitResult) -> Figure | None:
             f"{mean:.1f} ± {deviation:.1f}",
             ha="center",
             va="bottom",
-            fontsize=7.5,
+            fontsize=SMALLEST,
         )
     axes.set_yticks(range(len(fits)), [f"{n}\n($n$ = {len(f.problem)})" for n, f in fits.items()])
     axes.set_ylim(-0.4, len(fits) - 0.15)
@@ -148,11 +186,8 @@ def moisture_figure(report: FitResult) -> Figure | None:
 
 def area_over_force_figure(report: FitResult) -> Figure:
     """Measured areas over force, one panel per condition, with model trials and power law."""
-    number = len(report.fits)
-    figure, panels = plt.subplots(
-        1, number, figsize=(COLUMN if number > 1 else 0.5 * COLUMN, 2.8), sharey=True, squeeze=False
-    )
-    for panel, (name, fit) in zip(panels[0], report.fits.items()):
+    figure, panels = condition_panels(report, 2.8)
+    for panel, (name, fit) in zip(panels, report.fits.items()):
         colour = colour_of(report, name)
         problem = fit.problem
         model = fit.areas
@@ -173,31 +208,26 @@ def area_over_force_figure(report: FitResult) -> Figure:
             force, law.area(force) * MM2, color="0.1", ls=(0, (4, 2)), lw=1.0,
             label="power law $kF^m$", zorder=4,
         )  # fmt: skip
-        panel.set_title(name)
         panel.set_xlabel("normal force (N)")
-        panel.set_xlim(0, None)
         panel.text(
             0.98, 0.03,
             f"model $J$ = {three_digits(fit.cost * MM4)} mm$^4$\n"
             f"power law $J$ = {three_digits(law.cost * MM4)} mm$^4$\n"
             f"$k$ = {law.k * MM2:.1f}, $m$ = {law.m:.2f}",
-            transform=panel.transAxes, ha="right", va="bottom", fontsize=7,
+            transform=panel.transAxes, ha="right", va="bottom", fontsize=SMALLEST,
         )  # fmt: skip
-    panels[0, 0].set_ylim(0, None)
-    panels[0, 0].set_ylabel("gross contact area (mm$^2$)")
-    legend_below(figure, *panels[0])
+    panels[0].set_xlim(0, None)
+    panels[0].set_ylim(0, None)
+    figure.supylabel("gross contact area (mm$^2$)", fontsize=8.5)
+    legend_below(figure, *panels)
     return figure
 
 
 def force_over_time_figure(report: FitResult) -> Figure:
     """Normal force of every trial as recorded, aligned at onset."""
-    number = len(report.fits)
-    figure, panels = plt.subplots(
-        1, number, figsize=(COLUMN if number > 1 else 0.5 * COLUMN, 1.9), sharey=True, sharex=True,
-        squeeze=False,
-    )  # fmt: skip
+    figure, panels = condition_panels(report, 1.9)
     target = report.options.target_force
-    for panel, (name, fit) in zip(panels[0], report.fits.items()):
+    for panel, (name, fit) in zip(panels, report.fits.items()):
         for trial in fit.problem.trials:
             panel.plot(
                 trial.record_time,
@@ -206,14 +236,17 @@ def force_over_time_figure(report: FitResult) -> Figure:
                 lw=0.6,
                 alpha=0.6,
             )
-        panel.axhline(target, color="0.3", lw=0.6, ls=(0, (1, 2)))
-        panel.set_title(name)
+            # Where the loading ends: the last frame that counts.
+            panel.plot(trial.time[-1], trial.force[-1], ".", color="0.15", ms=2.5, zorder=3)
+        if target:
+            panel.axhline(target, color="0.3", lw=0.6, ls=(0, (1, 2)))
         panel.set_xlabel("time from touch (s)")
-    panels[0, 0].set_ylabel("normal force (N)")
-    panels[0, 0].text(
-        0.02, target, f"target {target:g} N", fontsize=7, va="bottom", color="0.3",
-        transform=panels[0, 0].get_yaxis_transform(),
-    )  # fmt: skip
+    figure.supylabel("normal force (N)", fontsize=8.5)
+    if target:
+        panels[0].text(
+            0.02, target, f"target {target:g} N", fontsize=SMALLEST, va="bottom", color="0.3",
+            transform=panels[0].get_yaxis_transform(),
+        )  # fmt: skip
     return figure
 
 
@@ -231,7 +264,7 @@ def example_figure(report: FitResult) -> Figure:
     top.plot(trial.time, trial.force, color="0.1", lw=0.9, label="drives the model")
     top.set_ylabel("force (N)")
     top.tick_params(labelbottom=False)
-    top.set_title(f"(a) {trial.label}", loc="left")
+    lettered(top, 0, trial.label)
     bottom.plot(trial.time, fit.curves[index] * MM2, color=colour, label="model")
     bottom.errorbar(
         trial.frame_time, trial.area * MM2, yerr=np.nan_to_num(trial.area_sd) * MM2, fmt="o",
@@ -286,13 +319,20 @@ def _deformed(axes: Axes, finger: DeformedFinger, force: float) -> None:
     bone_z = np.concatenate([z[::-1], z]) * 1e3
     axes.fill(bone_r, np.minimum(bone_z, 0.0), facecolor="#f4f1ea", edgecolor="0.35", lw=0.6)
     axes.text(
-        0, -0.45 * geometry.bone_semi_axis_axial * 1e3, "bone", ha="center", va="center", fontsize=7
+        0,
+        -0.45 * geometry.bone_semi_axis_axial * 1e3,
+        "bone",
+        ha="center",
+        va="center",
+        fontsize=SMALLEST,
     )
     plate = fields.plate_height * 1e3
     width = geometry.pad_semi_axis_radial * 1e3 * 1.12
     axes.fill_between([-width, width], plate - 0.55, plate, color="#c9dbe8", lw=0)
     axes.plot([-width, width], [plate, plate], color="#456", lw=0.8)
-    axes.text(-width + 0.1, plate - 0.30, "glass plate", fontsize=7, va="center", color="#345")
+    axes.text(
+        -width + 0.1, plate - 0.30, "glass plate", fontsize=SMALLEST, va="center", color="#345"
+    )
     radius = contact.radius * 1e3
     axes.annotate(
         "", (radius, plate - 0.85), (-radius, plate - 0.85),
@@ -303,18 +343,18 @@ def _deformed(axes: Axes, finger: DeformedFinger, force: float) -> None:
         0, below,
         f"contact diameter {2 * radius:.1f} mm, area {contact.area * MM2:.1f} mm$^2$, "
         f"indentation {contact.indentation * 1e3:.2f} mm",
-        ha="center", va="top", fontsize=7,
+        ha="center", va="top", fontsize=SMALLEST,
     )  # fmt: skip
     axes.set_aspect("equal")
     axes.set_xlim(-width, width)
     axes.set_ylim(below - 0.72, geometry.nail_thickness * 1e3 + 0.2)
     axes.set_axis_off()
-    axes.set_title(f"(b) full-order finger at {force:.2f} N", loc="left")
+    lettered(axes, 1, f"full-order finger at {force:.2f} N")
     if image is not None:
         place = axes.inset_axes((0.22, -0.10, 0.56, 0.035))
         bar = plt.colorbar(image, cax=place, orientation="horizontal")
-        bar.set_label("largest shear strain (from principal stretches)", fontsize=7)
-        place.tick_params(labelsize=6.5)
+        bar.set_label("largest shear strain", fontsize=SMALLEST)
+        place.tick_params(labelsize=SMALLEST)
         bar.outline.set_linewidth(0.4)  # type: ignore[operator]
 
 
@@ -324,7 +364,7 @@ def candidates_figure(report: FitResult) -> Figure:
     box = next(iter(report.fits.values())).problem.box
     figure, panels = plt.subplots(1, len(space.quantity_names), figsize=(COLUMN, 2.4))
     labels = list(report.fits)
-    for panel, name in zip(panels, space.quantity_names):
+    for number, (panel, name) in enumerate(zip(panels, space.quantity_names)):
         quantity = space.describe(name)
         factor = quantity.display_factor
         for row, (condition, fit) in enumerate(report.fits.items()):
@@ -364,7 +404,7 @@ def candidates_figure(report: FitResult) -> Figure:
         panel.set_xticks(
             range(len(labels)), labels, rotation=35, ha="right", rotation_mode="anchor"
         )
-        panel.set_title(title_of(quantity))
+        lettered(panel, number, title_of(quantity))
         panel.tick_params(axis="x", length=0)
     return figure
 
@@ -390,7 +430,8 @@ def matched_figure(report: FitResult) -> Figure | None:
         )  # fmt: skip
     left.set_ylabel("normal force (N)")
     right.set_ylabel("gross contact area (mm$^2$)")
-    for panel in (left, right):
+    for number, panel in enumerate((left, right)):
+        lettered(panel, number)
         panel.set_xlabel("time from touch (s)")
         panel.set_ylim(0, None)
         panel.set_xlim(0, None)
@@ -405,7 +446,7 @@ def profiles_figure(report: FitResult) -> Figure | None:
     space = report.space
     names = (*space.derived, *space.names)
     figure, panels = plt.subplots(1, len(names), figsize=(COLUMN, 2.35), sharey=True, squeeze=False)
-    for panel, name in zip(panels[0], names):
+    for number, (panel, name) in enumerate(zip(panels[0], names)):
         quantity = space.describe(name)
         factor = quantity.display_factor
         ticks: list[float] = []
@@ -414,7 +455,7 @@ def profiles_figure(report: FitResult) -> Figure | None:
             if profile is None:
                 continue
             colour = colour_of(report, condition)
-            rise = (profile.costs - fit.cost) / (profile.threshold - fit.cost)
+            rise = (profile.costs - fit.objective) / (profile.threshold - fit.objective)
             panel.plot(
                 profile.values * factor, np.maximum(rise, 0.0), color=colour, lw=1.1,
                 marker=marker_of(report, condition), ms=1.8, label=condition,
@@ -427,7 +468,7 @@ def profiles_figure(report: FitResult) -> Figure | None:
         if ticks:
             panel.set_xlim(min(ticks), max(ticks))
             _plain_log_ticks(panel, min(ticks), max(ticks))
-        panel.set_title(title_of(quantity))
+        lettered(panel, number, title_of(quantity))
     panels[0, 0].set_ylabel(r"$(J - J_\mathrm{min})\,/\,(J_{95} - J_\mathrm{min})$")
     legend_below(figure, *panels[0])
     return figure
@@ -460,16 +501,19 @@ def residuals_figure(report: FitResult) -> Figure:
                 marker=marker_of(report, name), label=name,
             )  # fmt: skip
         panels[2].hist(model, bins=13, histtype="step", color=colour, density=True, lw=1.0)
-    for panel, title in (
-        (panels[0], "model − measured (mm$^2$)"),
-        (panels[1], "power law − measured (mm$^2$)"),
+    for number, (panel, title) in enumerate(
+        (
+            (panels[0], "model − measured (mm$^2$)"),
+            (panels[1], "power law − measured (mm$^2$)"),
+        )
     ):
         panel.axhline(0, color="0.3", lw=0.6)
         panel.set_ylim(-1.1 * limit, 1.1 * limit)
         panel.set_xlabel("normal force (N)")
-        panel.set_title(title)
+        lettered(panel, number, title)
     legend_below(figure, panels[0])
-    panels[2].set_title("model: distribution")
+    panels[1].sharex(panels[0])
+    lettered(panels[2], 2, "model: distribution")
     panels[2].set_xlabel("residual (mm$^2$)")
     panels[2].set_yticks([])
     return figure
@@ -502,7 +546,8 @@ CAPTIONS = {
     "area_over_force": "Gross contact area over normal force on the frames that count: measured, "
     "model driven by each trial's own force, and the power law A = kFᵐ fitted to the same frames "
     "with the same weights.",
-    "force_over_time": "Normal force of all trials as recorded, aligned at first touch.",
+    "force_over_time": "Normal force of all trials as recorded, aligned at first touch; the dot is "
+    "the last frame that counts.",
     "example_trial": "The trial of median cost: (a) force and area over time, measured against "
     "model and power law; (b) the full-order finger at its last frame, drawn from the deformed "
     "mesh; the dashed line is the pad at rest.",
@@ -519,3 +564,16 @@ CAPTIONS = {
     "bounded local polish (dashed); both by the reduced model. The legend gives the last value.",
 }
 """Caption of each figure."""
+
+FIGURES: dict[str, Callable[[FitResult], Figure | None]] = {
+    "moisture": moisture_figure,
+    "area_over_force": area_over_force_figure,
+    "force_over_time": force_over_time_figure,
+    "example_trial": example_figure,
+    "candidates": candidates_figure,
+    "matched_trials": matched_figure,
+    "profiles": profiles_figure,
+    "residuals": residuals_figure,
+    "convergence": convergence_figure,
+}
+"""What draws each figure, in the order of the report."""

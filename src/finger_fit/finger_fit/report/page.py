@@ -1,4 +1,7 @@
-"""The report of a fit: one self-contained HTML file, with its figures as PNG files beside it."""
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The report of a fit: one self-contained HTML file, with its figures as files beside it."""
 
 from __future__ import annotations
 
@@ -16,27 +19,80 @@ from finger_common.files import atomic_write
 from ..results import FitResult
 from . import tables
 from .figures import CAPTIONS, STYLE, all_figures
+from .nuisances import nuisances
 
 NARROW = ("moisture", "convergence")
 """Figures of less than the page's width."""
 
 
+FORMATS = {
+    # Fixed metadata: equal fits give equal files.
+    "png": {"Software": None},
+    "svg": {"Date": None, "Creator": None},
+    "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
+}
+"""Formats of the figures beside the page, and the metadata that they do not get."""
+
+
 def write_report(result: FitResult, folder: Path) -> Path:
-    """Write report.html and figures/*.png into the folder; returns the path of the page."""
+    """Write report.html and figures/*.png, *.svg and *.pdf into the folder; returns the page.
+
+    Of several subjects, each has a report in its own folder, and the page compares them.
+    """
+    page = folder / "report.html"
+    if result.subjects:
+        for name, part in result.subjects.items():
+            write_report(part, folder / name)
+        text = render_subjects(result)
+    else:
+        text = render(result, _write_figures(result, folder / "figures"))
+    with atomic_write(page) as file:
+        file.write(text)
+    return page
+
+
+def _write_figures(result: FitResult, folder: Path) -> dict[str, bytes]:
+    """Write every figure in every format; gives the PNG of each."""
     pictures: dict[str, bytes] = {}
     with plt.rc_context(STYLE):
         for name, figure in all_figures(result).items():
-            buffer = io.BytesIO()
-            # Fixed metadata: equal fits give equal files.
-            figure.savefig(buffer, format="png", metadata={"Software": None})
+            for kind, metadata in FORMATS.items():
+                buffer = io.BytesIO()
+                figure.savefig(buffer, format=kind, metadata=metadata)
+                with atomic_write(folder / f"{name}.{kind}", "wb") as file:
+                    file.write(buffer.getvalue())
+                if kind == "png":
+                    pictures[name] = buffer.getvalue()
             plt.close(figure)
-            pictures[name] = buffer.getvalue()
-            with atomic_write(folder / "figures" / f"{name}.png", "wb") as file:
-                file.write(pictures[name])
-    page = folder / "report.html"
-    with atomic_write(page) as file:
-        file.write(render(result, pictures))
-    return page
+    return pictures
+
+
+def _head(title: str) -> list[str]:
+    style = (resources.files(__package__) / "static" / "report.css").read_text(encoding="utf-8")
+    return [
+        "<!doctype html><html lang=en><meta charset=utf-8>",
+        '<meta name=viewport content="width=device-width,initial-scale=1">',
+        f"<title>{title}</title><style>{style}</style>",
+    ]
+
+
+def render_subjects(result: FitResult) -> str:
+    """The page that compares several subjects."""
+    parts = [
+        *_head("Finger model fits"),
+        "<main><h1>Viscoelastic finger model, fitted to contact area</h1>",
+        f"<p class=lead>{_lead(result)}</p>",
+        tables.subjects(result),
+        "<h2>Data quality</h2>",
+        tables.quality(result),
+        tables.exclusions(result),
+        tables.contrast_table(result),
+        "<h2>Goodness of fit</h2>",
+        tables.costs(result),
+        "<h2>Provenance</h2>",
+        tables.provenance(result),
+    ]
+    return "\n".join(part for part in parts if part) + "\n</main></html>\n"
 
 
 def render(result: FitResult, pictures: dict[str, bytes]) -> str:
@@ -55,15 +111,16 @@ def render(result: FitResult, pictures: dict[str, bytes]) -> str:
             f"<figcaption><b>Fig. {next(numbers)}.</b> {text}</figcaption></figure>"
         )
 
-    style = (resources.files(__package__) / "static" / "report.css").read_text(encoding="utf-8")
     parts = [
-        "<!doctype html><html lang=en><meta charset=utf-8>",
-        '<meta name=viewport content="width=device-width,initial-scale=1">',
-        f"<title>Finger model fit</title><style>{style}</style>",
+        *_head("Finger model fit"),
         "<main><h1>Viscoelastic finger model, fitted to contact area</h1>",
         f"<p class=lead>{_lead(result)}</p>",
+        "<h2>Data quality</h2>",
+        tables.quality(result),
+        "<h2>Parameters</h2>",
         tables.parameters(result),
         tables.verdict(result),
+        tables.contrast_table(result),
         "<h2>Data</h2>",
         figure("moisture"),
         figure("force_over_time"),
@@ -81,6 +138,8 @@ def render(result: FitResult, pictures: dict[str, bytes]) -> str:
         figure("candidates"),
         figure("profiles"),
         tables.identifiability(result),
+        nuisances(result),
+        tables.covariances(result),
         tables.bootstrap(result),
         "<h2>Search</h2>",
         tables.search(result),

@@ -1,12 +1,14 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Tables and sentences of the report, as HTML."""
 
 from __future__ import annotations
 
 import itertools
-import platform
 from collections.abc import Sequence
 from html import escape
-from importlib.metadata import PackageNotFoundError, version
+from urllib.parse import quote
 
 import numpy as np
 
@@ -138,6 +140,109 @@ def _corrected(fit: ConditionFit, name: str) -> str:
     return f"{value}<small>{low} – {high}</small>"
 
 
+def quality(result: FitResult) -> str:
+    """What the checks found in the data: failures and notes in words, the rest in a table."""
+    checked = {n: f.quality for n, f in result.fits.items() if f.quality is not None}
+    if not checked:
+        return ""
+    words = {"fail": "<b class=bad>fails</b>", "note": "note", "ok": "<span class=final>ok</span>"}
+    rows = []
+    for name in dict.fromkeys(c.name for q in checked.values() for c in q.checks):
+        of_name = {n: next(c for c in q.checks if c.name == name) for n, q in checked.items()}
+        worst = min(of_name.values(), key=lambda c: ["fail", "note", "ok"].index(c.status)).status
+        details: dict[str, list[str]] = {}
+        for condition, check in of_name.items():
+            if check.status == worst or len(of_name) <= LONG_TABLE // 3:
+                details.setdefault(check.detail, []).append(condition)
+        several = len(details) > 1 or len(of_name) > len(next(iter(details.values())))
+        text = "<br>".join(
+            (f"{escape(', '.join(names))}: " if several else "") + escape(detail)
+            for detail, names in list(details.items())[:LONG_TABLE]
+        )
+        rows.append([escape(name), words[worst], text])
+    return table(["check", "", "found"], rows, (1, 2))
+
+
+def contrast_table(result: FitResult) -> str:
+    """Differences between the conditions of a subject, with what they say in words."""
+    if not result.contrasts:
+        return ""
+    space = result.space
+    several = len({c.subject for c in result.contrasts}) > 1
+    rows = []
+    for c in result.contrasts:
+        if several and c.quantity != space.headline:
+            continue
+        low, high = (show(space, c.quantity, v) for v in c.difference_95)
+        rows.append(
+            [
+                *([escape(c.subject)] if several else []),
+                f"{escape(c.first)} – {escape(c.second)}",
+                *headings(space, [c.quantity]),
+                f"{c.ratio:.3f}<small>{c.ratio_95[0]:.3f} – {c.ratio_95[1]:.3f}</small>",
+                f"{show(space, c.quantity, c.difference)}<small>{low} – {high}</small>",
+                f"{c.probability_greater:.3f}",
+                "differ" if c.separated else "<i>not separated</i>",
+            ]
+        )
+    header = ["conditions", "quantity", "ratio", "difference", "P(first greater)", "95 %"]
+    source = ", ".join(sorted({c.source for c in result.contrasts}))
+    return (
+        "<h2>Contrasts</h2>"
+        + table(["subject", *header] if several else header, rows, (0, 1))
+        + f"<p class=lead>First condition over and less the second, with 95 % intervals ({source}; "
+        "the errors of two conditions are taken as independent). Not separated: the interval of "
+        "the ratio holds 1, so these data do not tell the two apart.</p>"
+    )
+
+
+def subjects(result: FitResult) -> str:
+    """Parameters of every subject and condition, with a link to the subject's own report."""
+    space = result.space
+    names = space.quantity_names
+    header = ["subject", "condition", "presses", *headings(space, names), "<i>J</i> (mm⁴)"]
+    rows = []
+    for subject, part in result.subjects.items():
+        for condition, fit in part.fits.items():
+            kind = "final" if fit.status == "final" else "bad"
+            rows.append(
+                [
+                    f"<a href='{quote(subject)}/report.html'>{escape(subject)}</a>",
+                    f"{escape(condition)}<br><span class='status {kind}'>"
+                    f"{escape(fit.status)}</span>",
+                    str(len(fit.problem)),
+                    *(show(space, n, fit.quantity(n)) + _interval(fit, n) for n in names),
+                    area_cost(fit.cost),
+                ]
+            )
+    return table(header, rows, (1,)) + (
+        "<p class=lead>Each subject is fitted alone; estimates with 95 % intervals by profile "
+        "likelihood.</p>"
+    )
+
+
+def covariances(result: FitResult) -> str:
+    """Standard deviations and correlations of the logarithms of the parameters."""
+    space = result.space
+    rows = []
+    for condition, fit in result.fits.items():
+        matrix = fit.covariance_log()
+        deviation = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+        for i, name in enumerate(space.names):
+            cells = []
+            for j in range(len(space)):
+                scale = deviation[i] * deviation[j]
+                text = f"{matrix[i, j] / scale:.2f}" if j < i and scale > 0 else ""
+                cells.append(f"{100 * deviation[i]:.1f} %" if i == j else text.replace("-", "−"))
+            rows.append([escape(condition) if not i else "", space[name].html, *cells])
+    header = ["condition", "", *(space[n].html for n in space.names)]
+    return table(header, rows, (1,)) + (
+        "<p class=lead>Covariance of the logarithms: standard deviations on the diagonal, "
+        "correlations below it; of the bootstrap where there is one. A parameter on a bound has "
+        "none.</p>"
+    )
+
+
 def verdict(result: FitResult) -> str:
     """Whether each condition is final, and why not."""
     lines = []
@@ -182,8 +287,7 @@ def costs(result: FitResult) -> str:
     rows = []
     for name, fit in result.fits.items():
         law, problem, full, found = fit.power_law, fit.problem, fit.full_order, fit.goodness
-        rms = np.sqrt(np.mean((fit.areas - problem.measured) ** 2)) * MM2
-        fits = ["–"] * 4
+        fits = ["–"] * 5
         if found is not None:
             k = found.k
             fits = [
@@ -192,6 +296,7 @@ def costs(result: FitResult) -> str:
                     with_interval(v.value, v.low, v.high, 3)
                     for v in (found.m, found.model, found.power_law)
                 ),
+                with_interval(found.rms.value * MM2, found.rms.low * MM2, found.rms.high * MM2, 2),
             ]
         rows.append(
             [
@@ -202,7 +307,6 @@ def costs(result: FitResult) -> str:
                 area_cost(full.full_costs[0]) if full else "–",
                 area_cost(law.cost),
                 *fits,
-                three_digits(rms),
             ]
         )
     header = [
@@ -215,7 +319,8 @@ def costs(result: FitResult) -> str:
         "<p class=lead><i>J</i>: sum over trials of the mean squared area difference over the "
         f"frames from onset to {ends[result.options.window]}. The power law "
         "<i>A</i> = <i>kF</i><sup><i>m</i></sup> minimises the same <i>J</i>. Intervals: 95 %, "
-        "percentile bootstrap over trials; <i>R</i>² of the model with its parameters held.</p>"
+        "percentile bootstrap over trials; <i>R</i>² and RMS error of the model with its "
+        "parameters held.</p>"
     )
 
 
@@ -226,7 +331,9 @@ def trials(result: FitResult) -> str:
         problem = fit.problem
         costs = problem.trial_costs(fit.areas)
         by_law = problem.trial_costs(fit.power_law.area(problem.force))
+        known = {t.label: t for t in fit.quality.trials} if fit.quality else {}
         for index, trial in enumerate(problem.trials):
+            found = known.get(trial.label)
             rows.append(
                 [
                     escape(trial.label),
@@ -238,15 +345,25 @@ def trials(result: FitResult) -> str:
                     f"{trial.area.max() * MM2:.1f}",
                     area_cost(costs[index]),
                     area_cost(by_law[index]),
+                    *(
+                        f"{value:{form}}".replace("-", "−") if np.isfinite(value) else "–"
+                        for value, form in (
+                            (found.lag * 1e3 if found else np.nan, ".0f"),
+                            (found.tare if found else np.nan, ".3f"),
+                            (found.gain if found else np.nan, ".3f"),
+                        )
+                    ),
                 ]
             )
     header = [
         "trial", "condition", "moisture (a.u.)", "loading (s)", "peak force (N)", "frames",
-        "largest area (mm²)", "<i>J</i> model (mm⁴)", "<i>J</i> power law (mm⁴)",
+        "largest area (mm²)", "<i>J</i> model (mm⁴)", "<i>J</i> power law (mm⁴)", "lag (ms)",
+        "tare (N)", "gain",
     ]  # fmt: skip
     return table(header, rows, (1,)) + (
         "<p class=lead>Loading: time from first touch to the last frame that counts. <i>J</i>: the "
-        "trial's part of the cost.</p>"
+        "trial's part of the cost. Lag: of the areas behind the fitted model. Tare: force before "
+        "the contact. Gain: measured area over the model's.</p>"
     )
 
 
@@ -399,7 +516,9 @@ def candidates(result: FitResult) -> str:
                     f"{escape(name)} {k + 1}",
                     *(show(space, n, value) for n, value in values.items()),
                     area_cost(cost),
+                    area_cost(cost - fit.top_costs[0]),
                     area_cost(full.full_costs[k]) if full else "–",
+                    area_cost(full.full_costs[k] - full.full_costs[0]) if full else "–",
                 ]
             )
         if fit.correction is not None:
@@ -417,7 +536,7 @@ def candidates(result: FitResult) -> str:
             "the best candidate, frame by frame, and the fit was polished again:</p>"
         ) + listing(changed)
     header = ["candidate", *headings(space, space.quantity_names)]
-    header += ["<i>J</i> reduced", "<i>J</i> full order"]
+    header += ["<i>J</i> reduced", "Δ<i>J</i>", "<i>J</i> full order", "Δ<i>J</i>"]
     return text + "<p>Top distinct candidates, by both models:</p>" + table(header, rows)
 
 
@@ -464,11 +583,13 @@ def provenance(result: FitResult) -> str:
     default = type(options)().to_dict()
     changed = [f"{k} = {v}" for k, v in options.to_dict().items() if v != default[k]]
     seconds = ", ".join(f"{stage} {spent:.1f} s" for stage, spent in result.seconds.items())
-    packages = [platform.python_version(), *map(_version, ("numpy", "scipy", "pymoo"))]
+    libraries = [f"{name} {v}" for name, v in sources.get("libraries", {}).items() if v]
     rows = [
+        ["command", _code(sources.get("command") or "–")],
         ["software", escape(str(sources.get("software_version", "–")))],
-        ["Python, NumPy, SciPy, pymoo", escape(", ".join(packages))],
-        ["date", escape(str(sources.get("date", "–")))],
+        ["Python, libraries", escape(", ".join([str(sources.get("python", "–")), *libraries]))],
+        ["machine", escape(str(sources.get("platform", "–")))],
+        ["date (UTC)", escape(f"{sources.get('date', '–')} {sources.get('time_utc', '')}")],
         ["seed", str(options.seed)],
         ["material law", escape(str(sources.get("law", "–")))],
         ["geometry", _code(sources.get("geometry_hash", "–"))],
@@ -506,10 +627,3 @@ def _model_error(error: dict[str, float]) -> str:
         "worst instant, in % of a history's largest area, at the 99th percentile of "
         f"{error['pairs']:g} histories held out from its training"
     )
-
-
-def _version(package: str) -> str:
-    try:
-        return f"{package} {version(package)}"
-    except PackageNotFoundError:
-        return f"{package} –"

@@ -1,4 +1,8 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """What a fit found, and the files fit.json and parameters.yaml."""
 
-from .files import condition_dict, fit_dict, parameter_sets, write
+from .contrasts import Contrast, contrasts
+from .files import condition_dict, fit_dict, parameter_files, write
 from .fits import ConditionFit, CrossCheck, DeformedFinger, FitResult

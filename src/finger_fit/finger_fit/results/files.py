@@ -1,4 +1,7 @@
-"""Files of a fit: fit.json and parameters.yaml."""
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Files of a fit: fit.json, parameters.yaml and tables/."""
 
 from __future__ import annotations
 
@@ -18,6 +21,7 @@ from finger_model.parameter_sets import ParameterSet, ParameterSets
 from ..problem import MM4, material_of
 from ..uncertainty import shifted_interval
 from .fits import ConditionFit, FitResult
+from .tables import write_tables
 
 SAME_MOISTURE = 1e-6
 """a.u.; means of two conditions closer than this count as equal."""
@@ -44,6 +48,8 @@ def condition_dict(fit: ConditionFit) -> dict[str, Any]:
         "frames": len(fit.problem.measured),
         "status": fit.status,
         "reasons": fit.reasons,
+        "nuisance": None if fit.nuisance is None else fit.nuisance.to_dict(),
+        "quality": None if fit.quality is None else fit.quality.to_data(),
         "pso": {
             **space.mapping(fit.pso.best[0]),
             "J": fit.pso.best[1] * MM4,
@@ -72,7 +78,7 @@ def condition_dict(fit: ConditionFit) -> dict[str, Any]:
     }
     if fit.full_order is not None:
         found = fit.full_order
-        out["J_full_order"] = float(found.full_costs[0]) * MM4
+        out["J_full_order"] = float(fit.problem.trial_costs(found.areas[0]).sum()) * MM4
         for entry, cost in zip(out["top"], found.full_costs):
             entry["J_full_order"] = float(cost) * MM4
         out["full_order"] = {
@@ -93,6 +99,10 @@ def condition_dict(fit: ConditionFit) -> dict[str, Any]:
         c = fit.covariance
         out["active_bounds"] = c.active
         out["frame_noise"] = c.noise
+        out["covariance_log"] = {
+            "parameters": list(space.names),
+            "matrix": fit.covariance_log().tolist(),
+        }
         for first, second in itertools.combinations(space.names, 2):
             out[f"correlation_{first}_{second}"] = c.correlation(first, second)
         out["sd_log"] = {name: c.deviation(name) for name in space.quantity_names}
@@ -133,31 +143,53 @@ def _shifted(fit: ConditionFit, name: str, bias: float) -> dict[str, float]:
 def fit_dict(result: FitResult) -> dict[str, Any]:
     """The whole of fit.json, as plain data that JSON can hold."""
     data = {
-        "conditions": {name: condition_dict(fit) for name, fit in result.fits.items()},
-        "force_modes": result.force_modes,
-        "shared": result.shared,
-        "epidermis_thickness": result.thickness,
+        "provenance": result.sources,
+        **_found(result),
+        "contrasts": [asdict(c) for c in result.contrasts],
         "exclusions": [
             {"trial": e.label, "condition": e.condition, "reason": e.reason}
             for e in result.exclusions
         ],
         "notes": result.problems,
         "options": result.options.to_dict(),
-        "sources": result.sources,
         "seconds": result.seconds,
     }
     return _plain(data)
 
 
-def parameter_sets(result: FitResult) -> ParameterSets:
-    """Sets for the model node, which interpolates over moisture.
+def _found(result: FitResult) -> dict[str, Any]:
+    """What was fitted: `conditions`, or of several subjects `subjects` with theirs."""
+    if result.subjects:
+        return {"subjects": {name: _found(part) for name, part in result.subjects.items()}}
+    return {
+        "conditions": {name: condition_dict(fit) for name, fit in result.fits.items()},
+        "force_modes": result.force_modes,
+        "shared": result.shared,
+        "epidermis_thickness": result.thickness,
+    }
 
-    Conditions of equal mean moisture are separated by 0.001 a.u.; a condition without readings gets
-    the middle of the instrument's scale.
+
+def parameter_files(result: FitResult) -> dict[str, ParameterSets]:
+    """Files for the model node, which interpolates over moisture: name → sets.
+
+    One file, parameters.yaml, of the conditions with moisture readings; conditions of equal mean
+    moisture are separated by 0.001 a.u. Without any reading the model node cannot choose between
+    several conditions: each gets a file of its own, parameters_CONDITION.yaml. A single set is
+    placed in the middle of the scale, where its moisture does not matter.
     """
+    known = {n: f for n, f in result.fits.items() if math.isfinite(f.moisture[0])}
+    if known or len(result.fits) == 1:
+        return {"parameters.yaml": _sets(result, known or result.fits)}
+    return {
+        f"parameters_{name.replace(' ', '_')}.yaml": _sets(result, {name: fit})
+        for name, fit in result.fits.items()
+    }
+
+
+def _sets(result: FitResult, fits: dict[str, ConditionFit]) -> ParameterSets:
     sets: list[ParameterSet] = []
     middle = 0.5 * sum(MOISTURE_RANGE)
-    for name, fit in result.fits.items():
+    for name, fit in fits.items():
         mean, deviation = fit.moisture
         mean = mean if math.isfinite(mean) else middle
         while any(abs(mean - other.moisture) < SAME_MOISTURE for other in sets):
@@ -176,16 +208,22 @@ def parameter_sets(result: FitResult) -> ParameterSets:
         str(result.sources.get("geometry_hash", "")),
         str(result.sources.get("reduced_model_hash", "")),
         "fit",
-        type(material_of(next(iter(result.fits.values())).problem.model)),
+        type(material_of(next(iter(fits.values())).problem.model)),
     )
 
 
 def write(result: FitResult, folder: Path) -> None:
-    """Write fit.json and parameters.yaml into the folder."""
+    """Write fit.json, the parameter files and the tables into the folder; of several subjects,
+    those of each into a folder of its own too."""
+    for name, part in result.subjects.items():
+        write(part, folder / name)
     with atomic_write(folder / "fit.json") as file:
         json.dump(fit_dict(result), file, indent=1, ensure_ascii=False)
         file.write("\n")
-    parameter_sets(result).save(folder / "parameters.yaml")
+    write_tables(result, folder)
+    if not result.subjects:
+        for name, sets in parameter_files(result).items():
+            sets.save(folder / name)
 
 
 def _plain(value: Any) -> Any:

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """What a fit found: plain data for files, the report and programs."""
 
 from __future__ import annotations
@@ -17,9 +20,12 @@ if TYPE_CHECKING:
     from finger_model.laws import ParameterSpace
 
     from ..full_order import Correction, FullOrderCheck
+    from ..nuisance.result import NuisanceResult
     from ..options import FitOptions
     from ..problem import Exclusion, FitProblem, PowerLaw
+    from ..quality import Quality
     from ..search import LocalFit, Search
+    from .contrasts import Contrast
 
 
 @dataclass(frozen=True)
@@ -38,11 +44,12 @@ class CrossCheck:
 class ConditionFit:
     """Everything that the fit of one condition found (SI, J in m⁴).
 
-    parameters (N,): the result; cost: its J; pso: the search alone; polish: the local least
-    squares, None without. top (C, N), top_costs (C,): best distinct candidates. bias_corrected:
-    empty without bias pairs; samples (B, N): bootstrap. areas (n,): the model's areas (m²) at the
-    frames; goodness: R² there; curves: at every step of each trial's drive. status: "final", "not
-    checked", "not final" or "interrupted", with reasons.
+    parameters (N,): the result; cost: its J; objective: what was minimised, J with the nuisances
+    eliminated (`problem.Goal`); nuisance: None without. pso: the search alone; polish: the local
+    least squares of J, None without. top (C, N), top_costs (C,): best distinct candidates.
+    bias_corrected: empty without bias pairs; samples (B, N): bootstrap. areas (n,): the model's
+    areas (m²) at the frames; goodness: R² there; curves: at every step of each trial's drive.
+    status: "final", "not checked", "not final" or "interrupted", with reasons.
     """
 
     condition: str
@@ -65,9 +72,12 @@ class ConditionFit:
     areas: np.ndarray = field(default_factory=lambda: np.empty(0))
     goodness: Goodness | None = None
     curves: list[np.ndarray] = field(default_factory=list)
+    nuisance: NuisanceResult | None = None
+    objective: float = float("nan")
     status: str = "not checked"
     reasons: list[str] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
+    quality: Quality | None = None
 
     @property
     def space(self) -> ParameterSpace:
@@ -95,7 +105,12 @@ class ConditionFit:
         return float(low), float(high)
 
     def covariance_log(self) -> np.ndarray:
-        """Covariance (N, N) of the coordinates: of the bootstrap if there is one, else of J."""
+        """Covariance (N, N) of the coordinates: of the bootstrap if there is one, else of J.
+
+        With nuisances that of their fit, for no resampling of the presses shows what they share.
+        """
+        if self.covariance is not None and self.nuisance is not None:
+            return self.covariance.covariance
         if self.samples is not None and len(self.samples) > 10:
             return np.cov(self.space.to_log(self.samples).T)
         if self.covariance is not None:
@@ -127,6 +142,8 @@ class FitResult:
 
     shared, thickness: the additional fits that were asked for; force_modes: per condition and mode
     of the force, J (mm⁴) and the headline quantity; deformed: for the report's example trial.
+    subjects: of several subjects, the result of each; `fits` then holds all of them, named "SUBJECT
+    CONDITION". contrasts: between the conditions of a subject.
     """
 
     options: FitOptions
@@ -140,6 +157,8 @@ class FitResult:
     force_modes: dict[str, dict[str, Any]] = field(default_factory=dict)
     deformed: DeformedFinger | None = None
     output: Path | None = None
+    subjects: dict[str, FitResult] = field(default_factory=dict)
+    contrasts: list[Contrast] = field(default_factory=list)
 
     @property
     def space(self) -> ParameterSpace:

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Free coordinates of a search: which parameters may vary, and inside which box."""
 
 from __future__ import annotations

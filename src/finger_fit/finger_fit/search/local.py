@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Bounded local least squares in the logarithm of the parameters, several candidates per batch.
 
 A damped Gauss–Newton method (Levenberg–Marquardt). Every step solves the linearised problem within
@@ -7,14 +10,13 @@ active is reached exactly, so that the report can name the active bounds.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from ..options import FitOptions
-from ..problem.report_units import MM2
 from .coordinates import Coordinates
 
 DIFFERENCE = 2e-3
@@ -22,19 +24,27 @@ DIFFERENCE = 2e-3
 area."""
 
 
+class Target(Protocol):
+    """What is minimised, as a function of areas: a `problem.Goal`, or several."""
+
+    def cost(self, areas: np.ndarray) -> np.ndarray:
+        """Cost (…,) in m⁴ of areas (…, n) in m²."""
+        ...
+
+    def rows(self, areas: np.ndarray) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
+        """The cost near areas (n,) as a sum of squares; see `problem.Goal.rows`."""
+        ...
+
+
 class Areas(Protocol):
     """What a local fit needs of a problem: a FitProblem, or one that is built from FitProblems."""
-
-    options: FitOptions
-    measured: np.ndarray
-    weight: np.ndarray
 
     def areas(self, parameters: np.ndarray) -> np.ndarray:
         """Areas (P, n) in m² for parameters (P, N)."""
         ...
 
-    def losses(self, areas: np.ndarray) -> np.ndarray:
-        """Loss in m⁴ of every frame, of the shape of areas (…, n)."""
+    def goal(self, weight: np.ndarray | None = None) -> Target:
+        """What is minimised, under weights (n,) of the frames in place of the problem's own."""
         ...
 
 
@@ -60,7 +70,7 @@ def refine(
     frame_weights (n,): in place of the problem's own, as the bootstrap has them; tolerance:
     relative decrease of J that ends the search.
     """
-    weight = problem.weight if frame_weights is None else frame_weights
+    goal = problem.goal(frame_weights)
     box = coordinates.box
     span = box[:, 1] - box[:, 0]
     dimension = len(box)
@@ -71,13 +81,10 @@ def refine(
         spent += len(u)
         return problem.areas(coordinates.parameters(u))
 
-    def total(area: np.ndarray) -> np.ndarray:
-        return (weight * problem.losses(area)).sum(axis=-1)
-
     u = np.clip(coordinates.of(np.asarray(start, dtype=float)), box[:, 0], box[:, 1])
     if dimension == 0 or not np.any(span > 0):
         area = areas(u[None])
-        return LocalFit(coordinates.parameters(u[None])[0], float(total(area)[0]), spent)
+        return LocalFit(coordinates.parameters(u[None])[0], float(goal.cost(area)[0]), spent)
     damping = 1e-3
     base = None
     cost = np.inf
@@ -88,13 +95,11 @@ def refine(
         if base is None:
             rows = areas(np.vstack([u, moved]))
             base, moved_areas = rows[0], rows[1:]
-            cost = float(total(base))
+            cost = float(goal.cost(base))
         else:
             moved_areas = areas(moved)
-        residual = base - problem.measured
-        root = np.sqrt(weight * robust_factor(problem, residual))
-        jacobian = (root * (moved_areas - base) / step[:, None]).T * MM2
-        target = -root * residual * MM2
+        residual, linear = goal.rows(base)
+        jacobian = (linear(moved_areas - base) / step[:, None]).T
         scale = np.sqrt((jacobian**2).sum(axis=0))
         scale = np.maximum(scale, 1e-6 * max(scale.max(), 1e-30))
         improved = False
@@ -104,14 +109,14 @@ def refine(
                 system = np.vstack([jacobian, np.diag(np.sqrt(damping * factor) * scale)])
                 move = lsq_linear(
                     system,
-                    np.concatenate([target, np.zeros(dimension)]),
+                    np.concatenate([-residual, np.zeros(dimension)]),
                     bounds=_open(box - u[:, None]),
                     method="bvls" if dimension > 1 else "trf",
                 ).x
                 trials.append(np.clip(u + move, box[:, 0], box[:, 1]))
             candidates = np.array(trials)
             found = areas(candidates)
-            costs = total(found)
+            costs = goal.cost(found)
             pick = int(np.argmin(costs))
             damping *= (0.1, 1.0, 10.0)[pick]
             if costs[pick] < cost:
@@ -132,10 +137,3 @@ def _open(limits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Bounds (D, 2) of a step for lsq_linear, which refuses equal ones."""
     low, high = np.minimum(limits[:, 0], 0.0), np.maximum(limits[:, 1], 0.0)
     return low - 1e-12, high + 1e-12
-
-
-def robust_factor(problem: Areas, residual: np.ndarray) -> np.ndarray:
-    """Weights (n,) that turn squares into the loss of the options near these residuals (m²)."""
-    if problem.options.loss != "huber":
-        return np.ones_like(residual)
-    return np.minimum(1.0, problem.options.huber_scale / np.maximum(np.abs(residual), 1e-30))

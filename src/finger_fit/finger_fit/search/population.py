@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Global searches inside a box: brute-force grid, particle swarm, and the cross-checks.
 
 All of them work on the logarithm of the parameters, evaluate every candidate of a round in one

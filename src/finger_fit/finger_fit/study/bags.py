@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Recorded trials from bags, with their provenance."""
 
 from __future__ import annotations
@@ -47,12 +50,14 @@ def load(
     calibration: str | None = None,
     progress: Callable[[int, int], None] | None = None,
     mapping: str | Path | None = None,
+    area_per_pixel: float = 0.0,
 ) -> Loaded:
     """Read every bag among paths (bags, or folders of bags).
 
     Areas come from contact_area, or from the images where it is absent or options.vision is set.
     Force comes from wrench, or else from wrench_raw less its mean before the press. mapping: file
-    that names other topics and units (docs/bags.md); progress: called with bags read and all bags.
+    that names other topics and units (docs/bags.md); area_per_pixel: m², for images without a
+    calibration; progress: called with bags read and all bags.
     Raises InputError when a path is no bag or a bag holds no trial data.
     """
     bags = find_bags(paths)
@@ -62,6 +67,7 @@ def load(
         liftoff_force=LIFTOFF_SHARE * options.onset_force,
         image_areas="always" if options.vision else "absent",
         calibration=calibration or "",
+        area_per_pixel=area_per_pixel,
         mapping=TopicMapping.load(mapping) if mapping else TopicMapping(),
     )
     out = Loaded()

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The fit of one condition, stage by stage: from the grid to the intervals."""
 
 from __future__ import annotations
@@ -11,6 +14,9 @@ from finger_model.fem.area_model import FullOrderAreas
 
 from ..engine import Engine, LocalEngine
 from ..full_order import BetterModel, FullOrder, check, correct
+from ..nuisance.estimate import ROUNDS, NuisanceModel
+from ..nuisance.geometry import FullOrderGeometry, geometry_responses
+from ..nuisance.result import nuisance_result
 from ..options import FitOptions
 from ..problem import FitProblem, fit_power_law
 from ..results import ConditionFit, CrossCheck
@@ -49,6 +55,7 @@ def fit_condition(
     the full-order model of the same finger when None. Ctrl-C (KeyboardInterrupt) and Stopped end
     the work; what was found until then comes back with status "interrupted".
     """
+    problem = problem.uncorrected()
     stages = _Stages(problem, options, condition or "all", engine, folder, report, better)
     stages.progress = Progress(condition, len(problem.space), report)
     fit = stages.search()
@@ -106,6 +113,7 @@ class _Stages:
         with progress.timed("power law"):
             law = fit_power_law(problem)
         fit = ConditionFit(self.progress.condition, problem, parameters, cost, grid, pso, law)
+        fit.objective = cost
         fit.seconds = progress.seconds
         if not (grid.complete and pso.complete):
             fit.status = "interrupted"
@@ -136,19 +144,41 @@ class _Stages:
             with progress.timed("polish"):
                 fit.polish = polish(problem, fit.parameters, self.start)
             if fit.polish.cost < fit.cost:
-                fit.parameters, fit.cost = fit.polish.parameters, fit.polish.cost
+                fit.parameters = fit.polish.parameters
+                fit.cost = fit.objective = fit.polish.cost
             progress.rounds("polish")(1, 1, fit.cost, fit.parameters)
         with progress.timed("cross-checks"):
             others = [name for name in options.optimizer if name != "pso"]
             fit.cross_checks = [self.cross_check(fit, name) for name in others]
         count = progress.count("full order")
+        without = fit.parameters
+        model = self.nuisance_model(fit) if options.nuisances else None
+        settled = None
+        if model is not None:
+            with progress.timed("nuisances"):
+                settled = model.settle(
+                    np.vstack([fit.parameters, self.start[:2]]), ROUNDS if self.reduced else 1
+                )
+            fit.parameters, fit.objective = settled.fit.parameters, settled.fit.cost
         if options.full_order and options.correct and self.reduced:
             with progress.timed("full order"):
                 found, fit.correction = correct(problem, fit.parameters, self.better, done=count)
-            fit.parameters, fit.cost = found.parameters, found.cost
+            fit.parameters, fit.objective = found.parameters, found.cost
+            if model is not None:
+                with progress.timed("nuisances"):
+                    settled = model.settle(fit.parameters[None])
+                fit.parameters, fit.objective = settled.fit.parameters, settled.fit.cost
+        if settled is not None:
+            # The baseline has the same force, less the tare and at the images' times.
+            fit.power_law = fit_power_law(problem)
+        fit.cost = float(problem.trial_costs(problem.areas(fit.parameters)[0]).sum())
         fit.top, fit.top_costs = top_candidates(fit, options.top)
         with progress.timed("sensitivities"):
             fit.covariance = covariance(problem, fit.parameters)
+        if settled is not None and model is not None:
+            asked = [name for name in options.lengths() if name != options.extra]
+            left_out = tuple(name for name in asked if name not in model.lengths)
+            fit.nuisance = nuisance_result(problem, settled, fit.covariance, left_out, without)
         if options.full_order and self.reduced:
             with progress.timed("full order"):
                 fit.full_order = check(problem, fit.top, self.better, count)
@@ -157,17 +187,32 @@ class _Stages:
             fit.status = "not final" if fit.reasons else "final"
         if options.profiles:
             names = problem.space.quantity_names
-            shared = (problem, fit.parameters, fit.cost, fit.covariance)
+            shared = (problem, fit.parameters, fit.objective, fit.covariance)
             fit.profiles = dict(zip(names, self.map("profiles", _profile, shared, names)))
         seeded = (problem, fit.parameters, options.seed)
-        # The swarm alone does not end at a minimum, so refits cannot measure its bias. Polish and
-        # correction do.
-        if options.bias_pairs and (options.polish or fit.correction is not None):
+        # The swarm alone does not end at a minimum, so refits cannot measure its bias. Polish,
+        # nuisances and correction do.
+        minimum = options.polish or fit.correction is not None or fit.nuisance is not None
+        if options.bias_pairs and minimum:
             pairs = self.map("bias", _bias_pair, seeded, range(options.bias_pairs))
             fit.bias_corrected = bias_corrected(problem.space, fit.parameters, np.array(pairs))
         if options.bootstrap:
             samples = self.map("bootstrap", _bootstrap, seeded, range(options.bootstrap))
             fit.samples = np.array(samples)
+
+    def nuisance_model(self, fit: ConditionFit) -> NuisanceModel:
+        """The nuisances of the problem; the finger's lengths where the full order is asked for."""
+        responses = {}
+        better, lengths = self.better, self.options.lengths()
+        if self.options.extra in lengths:
+            del lengths[self.options.extra]  # fitted
+        if self.options.full_order and lengths and isinstance(better, FullOrder):
+            with self.progress.timed("geometry"):
+                count = self.progress.count("geometry")
+                responses = geometry_responses(
+                    self.problem, fit.parameters, FullOrderGeometry(better, count), lengths
+                )
+        return NuisanceModel(self.problem, self.options, responses)
 
     def map(self, stage: str, function: Any, shared: Any, items: Any) -> list[Any]:
         """Independent pieces of a stage, on the engine."""
@@ -211,12 +256,12 @@ def top_candidates(fit: ConditionFit, number: int) -> tuple[np.ndarray, np.ndarr
     """Best distinct candidates (≤ number, N) of polish, PSO and grid, and their J, best first."""
     space = fit.space
     points = [fit.parameters[None], fit.pso.candidates.reshape(-1, len(space))]
-    costs = [np.array([fit.cost]), fit.pso.costs.reshape(-1)]
+    costs = [np.array([fit.objective]), fit.pso.costs.reshape(-1)]
     points.append(best_points(fit.grid, 50))
     costs.append(np.sort(fit.grid.costs.reshape(-1), kind="stable")[:50])
     all_points, all_costs = np.concatenate(points), np.concatenate(costs)
-    if fit.correction is not None:
-        # The costs of the search are those of uncorrected areas.
+    if fit.correction is not None or fit.problem.nuisances is not None:
+        # The costs of the search are J of uncorrected areas.
         keep = np.argsort(all_costs[1:], kind="stable")[:200] + 1
         all_points = np.concatenate([all_points[:1], all_points[keep]])
         all_costs = np.concatenate([all_costs[:1], fit.problem.cost(all_points[1:])])

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The full-order finger of the report's example trial, deformed at its last frame."""
 
 from __future__ import annotations

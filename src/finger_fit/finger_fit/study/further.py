@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Fits beyond one condition's own parameters.
 
 Parameters shared by all conditions, the epidermis thickness, and the other mode of the force.
@@ -5,14 +8,14 @@ Parameters shared by all conditions, the epidermis thickness, and the other mode
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from ..full_order import FullOrder
-from ..problem import MM4, FitProblem, FitTrial, prepare_all
+from ..problem import MM4, FitProblem, FitTrial, Goal, prepare_all
 from ..results import ConditionFit
 from ..search import Coordinates, all_free, refine
 from ..uncertainty.covariance import inverse_of
@@ -33,9 +36,6 @@ class JointProblem:
 
     def __init__(self, problems: Sequence[FitProblem]) -> None:
         self._problems = problems
-        self.options = problems[0].options
-        self.measured = np.concatenate([p.measured for p in problems])
-        self.weight = np.concatenate([p.weight for p in problems])
         self._splits = np.cumsum([len(p.measured) for p in problems])[:-1]
 
     def areas(self, parameters: np.ndarray) -> np.ndarray:
@@ -43,10 +43,33 @@ class JointProblem:
         parts = np.split(parameters, len(self._problems), axis=1)
         return np.concatenate([p.areas(v) for p, v in zip(self._problems, parts)], axis=1)
 
-    def losses(self, areas: np.ndarray) -> np.ndarray:
-        """Loss in m⁴ of every frame."""
+    def goal(self, weight: np.ndarray | None = None) -> JointGoal:
+        """The sum over the conditions."""
+        weights = [None] * len(self._problems) if weight is None else np.split(weight, self._splits)
+        return JointGoal([p.goal(w) for p, w in zip(self._problems, weights)], self._splits)
+
+
+class JointGoal:
+    """The goals of several conditions, added."""
+
+    def __init__(self, goals: Sequence[Goal], splits: np.ndarray) -> None:
+        self._goals, self._splits = goals, splits
+
+    def cost(self, areas: np.ndarray) -> np.ndarray:
+        """Cost (…,) in m⁴ of areas (…, n)."""
         parts = np.split(areas, self._splits, axis=-1)
-        return np.concatenate([p.losses(a) for p, a in zip(self._problems, parts)], axis=-1)
+        return np.sum([goal.cost(part) for goal, part in zip(self._goals, parts)], axis=0)
+
+    def rows(self, areas: np.ndarray) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
+        """As `Goal.rows`, the conditions' rows one after the other."""
+        parts = np.split(areas, self._splits)
+        found = [goal.rows(part) for goal, part in zip(self._goals, parts)]
+
+        def linear(change: np.ndarray) -> np.ndarray:
+            pieces = np.split(change, self._splits, axis=-1)
+            return np.concatenate([f(piece) for (_, f), piece in zip(found, pieces)], axis=-1)
+
+        return np.concatenate([rows for rows, _ in found]), linear
 
 
 def shared_fit(
@@ -107,8 +130,7 @@ class ThicknessProblem:
     def __init__(self, problem: FitProblem, thickness: float, log_ratio: np.ndarray) -> None:
         self._problem = problem
         self._thickness = thickness
-        self.options, self.losses = problem.options, problem.losses
-        self.measured, self.weight = problem.measured, problem.weight
+        self.goal = problem.goal
         x = np.log(THICKNESS_FACTORS)
         low, high = log_ratio[0], log_ratio[2]
         # Parabola through 0 at x = 0 and the two outer points.
@@ -195,12 +217,16 @@ def force_modes(fit: ConditionFit, records: Sequence[Any]) -> dict[str, dict[str
     problem = FitProblem([t for t in trials if identity(t) in wanted], fit.problem.model, changed)
     if len(problem.measured) == len(fit.problem.measured):
         problem.correction = fit.problem.correction
+        if fit.problem.nuisances is not None:
+            problem.nuisances = fit.problem.nuisances
+            drives = zip(problem.trials, fit.problem.trials)
+            problem.redrive([t.with_drive(known.tare, known.lag, changed) for t, known in drives])
     free = all_free(problem)
     found = refine(problem, free, fit.parameters, tolerance=1e-5)
     return {
         options.force: {"J": fit.cost * MM4, headline: fit.quantity(headline)},
         other: {
-            "J": found.cost * MM4,
+            "J": float(problem.trial_costs(problem.areas(found.parameters)[0]).sum()) * MM4,
             headline: float(fit.space.quantity(headline, found.parameters)),
         },
     }

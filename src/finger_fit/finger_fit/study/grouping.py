@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Trials by condition; trials without a condition are grouped by moisture."""
 
 from __future__ import annotations

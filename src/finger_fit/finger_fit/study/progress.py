@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Progress of a fit: what a caller learns of its stages, and the time that they take."""
 
 from __future__ import annotations

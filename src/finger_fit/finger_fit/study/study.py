@@ -1,14 +1,18 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """A whole fit: recorded trials, or bags, to results and files."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
-from datetime import date
+import dataclasses
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from finger_bag.schema import software_version
+import numpy as np
+
 from finger_common.errors import InputError, ModelError
 from finger_model.fem.area_model import FullOrderAreas
 from finger_model.reduced import ReducedModel
@@ -17,9 +21,11 @@ from .. import results
 from ..engine import Engine, engine_for
 from ..full_order import FullOrder
 from ..options import FitOptions
-from ..problem import Exclusion, FitProblem, material_of, prepare_all
+from ..problem import Exclusion, FitProblem, FitTrial, prepare_all
+from ..problem.trials import label_of
+from ..quality import judge, quality_of, screen
 from ..report import write_report
-from ..results import ConditionFit, FitResult
+from ..results import ConditionFit, FitResult, contrasts
 from ..search import Stopped
 from .bags import load
 from .condition import fit_condition
@@ -27,6 +33,7 @@ from .deformed import deformed_finger
 from .further import force_modes, shared_fit, thickness_fit
 from .grouping import group_trials
 from .progress import Progress, Report
+from .provenance import provenance
 
 SMALLEST_CONDITION = 3
 """Trials below which a condition is not fitted: too few to separate parameters from scatter."""
@@ -40,29 +47,113 @@ def fit_records(
     folder: Path | None = None,
     report: Report | None = None,
 ) -> FitResult:
-    """Fit recorded trials, condition by condition. Raises InputError when nothing can be fitted."""
-    trials, exclusions = prepare_all(records, options)
+    """Fit recorded trials, subject by subject and condition by condition.
+
+    options.pool fits all subjects as one. Raises InputError when nothing can be fitted.
+    """
+    screened = screen(records)
+    trials, excluded = prepare_all(screened.records, options)
+    exclusions = [*screened.exclusions, *excluded]
+    of_trial = {label_of(record): record for record in screened.records}
+    notes = list(screened.notes)
     if not trials:
         raise nothing_to_fit(exclusions)
+    subjects: dict[str, list[FitTrial]] = {}
+    for trial in trials:
+        subjects.setdefault(trial.subject, []).append(trial)
+    with engine_for(options.dask) as engine:
+        if len(subjects) == 1 or options.pool:
+            if len(subjects) > 1:
+                notes.append(f"{len(subjects)} subjects are pooled: {', '.join(subjects)}")
+            part = _fit_subject(
+                trials, of_trial, model, options, conditions, engine, folder, report
+            )
+            return dataclasses.replace(
+                part, exclusions=exclusions, problems=[*notes, *part.problems]
+            )
+        parts: dict[str, FitResult] = {}
+        for subject in sorted(subjects):
+            name = subject or "unnamed"
+            try:
+                parts[name] = _fit_subject(
+                    subjects[subject],
+                    of_trial,
+                    model,
+                    options,
+                    conditions,
+                    engine,
+                    None if folder is None else folder / name,
+                    _told(report, name),
+                )
+            except InputError as error:
+                notes.append(f"subject {name}: {error}")
+                continue
+            notes += [f"subject {name}: {note}" for note in parts[name].problems]
+            if parts[name].interrupted:
+                break
+    if not parts:
+        raise InputError(f"no subject can be fitted ({'; '.join(notes)})")
+    return FitResult(
+        options,
+        {f"{name} {c}": fit for name, part in parts.items() for c, fit in part.fits.items()},
+        exclusions,
+        notes,
+        subjects=parts,
+        contrasts=[found for part in parts.values() for found in part.contrasts],
+    )
+
+
+def _told(report: Report | None, subject: str) -> Report | None:
+    """A report of progress that names the subject before the condition."""
+    if report is None:
+        return None
+    return lambda condition, *rest: report(f"{subject} {condition}".strip(), *rest)
+
+
+def _fit_subject(
+    trials: Sequence[FitTrial],
+    of_trial: Mapping[str, Any],
+    model: Any,
+    options: FitOptions,
+    conditions: Sequence[str],
+    engine: Engine,
+    folder: Path | None,
+    report: Report | None,
+) -> FitResult:
+    """Fit the conditions of one subject; raises InputError when none can be fitted."""
     groups, notes = group_trials(trials, options, conditions)
     fits: dict[str, ConditionFit] = {}
-    with engine_for(options.dask) as engine:
-        for name, group in groups.items():
-            if len(group) < SMALLEST_CONDITION:
-                notes.append(
-                    f"condition '{name}' has {len(group)} trials, {SMALLEST_CONDITION} are needed: "
-                    "not fitted"
-                )
-                continue
-            problem = FitProblem(group, model, options)
-            fits[name] = fit_condition(problem, options, name, engine, folder, report)
-            if fits[name].status == "interrupted":
-                break
-        if not fits:
-            raise InputError(f"no condition can be fitted ({'; '.join(notes)})")
-        result = FitResult(options, fits, exclusions, notes)
-        if not result.interrupted:
-            _further(result, records, engine)
+    for name, group in groups.items():
+        if len(group) < SMALLEST_CONDITION:
+            notes.append(
+                f"condition '{name}' has {len(group)} trials, {SMALLEST_CONDITION} are needed: "
+                "not fitted"
+            )
+            continue
+        problem = FitProblem(group, model, options)
+        try:
+            fit = fits[name] = fit_condition(problem, options, name, engine, folder, report)
+        except ModelError as error:
+            if not options.bounds:
+                raise
+            raise InputError(
+                f"condition '{name}', bounds {', '.join(options.bounds)}: {error}; narrow them"
+            ) from None
+        if fit.status == "interrupted":
+            break
+        fit.quality = quality_of(fit, [of_trial[t.label] for t in problem.trials])
+        judge(fit)
+    if not fits:
+        raise InputError(f"no condition can be fitted ({'; '.join(notes)})")
+    result = FitResult(options, fits, [], notes)
+    if len(fits) > 1 and not any(np.isfinite(fit.moisture[0]) for fit in fits.values()):
+        result.problems.append(
+            "no condition has moisture readings: the model node cannot choose between them, so "
+            "each gets a parameter file of its own"
+        )
+    if not result.interrupted:
+        _further(result, [of_trial[t.label] for t in trials], engine)
+        result.contrasts = contrasts(fits, trials[0].subject)
     return result
 
 
@@ -107,12 +198,16 @@ def fit_bags(
     normal_axis: str | None = None,
     calibration: str | None = None,
     mapping: str | Path | None = None,
+    area_per_pixel: float = 0.0,
+    command: str = "",
 ) -> FitResult:
     """Fit bags and write fit.json, parameters.yaml, report.html and its figures into `output`.
 
     paths: bags and folders of bags; model: a ReducedModel, or a FullOrderAreas of any law, None for
-    the shipped reduced model; conditions: names to fit, empty for all. Nothing is written without
-    `output`. Raises InputError for bags that cannot be fitted.
+    the shipped reduced model; conditions: names to fit, empty for all; area_per_pixel: m², in place
+    of a calibration; command: how the fit was asked for, for its provenance. Of several subjects,
+    each has its own folder in `output`. Nothing is written without `output`. Raises InputError for
+    bags that cannot be fitted.
     """
     options = options or FitOptions()
     model = model or ReducedModel.load()
@@ -120,21 +215,17 @@ def fit_bags(
     folder = None if output is None else Path(output)
     progress = Progress("", len(model.space), report)
     with progress.timed("load"):
-        loaded = load(paths, options, normal_axis, calibration, progress.count("load"), mapping)
+        loaded = load(
+            paths, options, normal_axis, calibration, progress.count("load"), mapping,
+            area_per_pixel,
+        )  # fmt: skip
     if not loaded.records:
         raise nothing_to_fit(loaded.exclusions)
     result = fit_records(loaded.records, model, options, conditions, folder, report)
     result.exclusions = [*loaded.exclusions, *result.exclusions]
     result.problems = [*loaded.problems, *result.problems]
-    result.sources = {
-        "bags": loaded.sources,
-        "law": material_of(model).name,
-        "geometry_hash": model.geometry.hash(),
-        "reduced_model_hash": getattr(model, "hash", ""),
-        "reduced_model_error": getattr(model, "measured_error", {}),
-        "software_version": software_version(),
-        "date": date.today().isoformat(),
-    }
+    for part in (result, *result.subjects.values()):
+        part.sources = provenance(model, options, loaded.sources, command)
     result.seconds.update(progress.seconds)
     for fit in result.fits.values():
         for stage, spent in fit.seconds.items():
@@ -146,18 +237,24 @@ def fit_bags(
 
 
 def _write(result: FitResult, folder: Path, progress: Progress) -> None:
-    """fit.json and parameters.yaml first, then the report; a stopped fit writes what it found."""
+    """Files first, then the report; a stopped fit writes what it found."""
     results.write(result, folder)
     with contextlib.suppress(Stopped):
         progress.count("report")(0, 1)
     with progress.timed("report"):
-        fit, trial = result.example()
-        try:
-            result.deformed = deformed_finger(fit, trial, FullOrder.like(fit.problem.model))
-        except ModelError as error:
-            result.problems.append(f"the deformed finger is not drawn: {error}")
+        draw(result)
         write_report(result, folder)
     result.seconds.update(progress.seconds)
     results.write(result, folder)
     with contextlib.suppress(Stopped):
         progress.count("report")(1, 1)
+
+
+def draw(result: FitResult) -> None:
+    """Compute the deformed finger that the report of each subject shows."""
+    for part in result.subjects.values() or [result]:
+        fit, trial = part.example()
+        try:
+            part.deformed = deformed_finger(fit, trial, FullOrder.like(fit.problem.model))
+        except ModelError as error:
+            part.problems.append(f"the deformed finger is not drawn: {error}")

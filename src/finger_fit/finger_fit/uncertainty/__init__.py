@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """How well the data determine the parameters: covariance, profiles, bootstrap, bias."""
 
 from .bias import BiasCorrected, bias_corrected, bias_pair, shifted_interval

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Bias of the estimates, and bias-corrected values (bootstrap bias correction).
 
 A least-squares estimate of a nonlinear model is biased, even in the middle of the box (Box 1971). A
@@ -56,14 +59,23 @@ def bias_pair(problem: FitProblem, best: np.ndarray, seed: int, index: int) -> n
     rng = np.random.default_rng([seed, index, 1])
     areas = problem.areas(best)[0]
     number = len(problem)
+    goal = problem.goal()
+    residual = goal.residuals(areas)
+    if problem.nuisances is not None:
+        residual = residual + problem.nuisances.slope @ goal.moves(residual)
     # The fit has absorbed part of the scatter of the trials.
-    residual = (problem.measured - areas) * np.sqrt(number / max(number - 1, 1))
-    noise = residual * rng.choice([-1.0, 1.0], number)[problem.trial_of]
+    residual = -residual * np.sqrt(number / max(number - 1, 1))
+    signs = rng.choice([-1.0, 1.0], number)
     synthetic = copy.copy(problem)
     coordinates = all_free(problem)
     fits = []
     for sign in (1.0, -1.0):
-        synthetic.measured = areas + sign * noise
+        made = areas
+        if problem.nuisances is not None:
+            # The gains of the presses flip with their residuals.
+            synthetic.nuisances = problem.nuisances.with_gains(sign * signs, problem.trial_of)
+            made = areas * synthetic.nuisances.factor
+        synthetic.measured = made + sign * (residual * signs[problem.trial_of])
         fits.append(refine(synthetic, coordinates, best, tolerance=1e-5, iterations=25).parameters)
     return np.array(fits)
 

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Bootstrap over trials: parameters refitted to resampled trials, and percentile intervals."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Sensitivities and the covariance of the estimate.
 
 With the frames' weights w, residuals r and sensitivities s = ∂A/∂x in the coordinates x
@@ -5,6 +8,10 @@ With the frames' weights w, residuals r and sensitivities s = ∂A/∂x in the c
 the covariance of Σ w r s. B is computed twice: for independent frames of equal noise, and from the
 scatter of whole trials, which also holds when the frames of a trial share an error (Liang and Zeger
 1986). The larger variance is used.
+
+With nuisance parameters (`problem.Goal`), those of one trial are eliminated in H and in the first
+B; those shared by all trials are further coordinates, with their priors in H and in both B. So the
+covariance holds what a prior leaves open too.
 """
 
 from __future__ import annotations
@@ -31,7 +38,9 @@ class Covariance:
 
     curvature (N, N): H in m⁴; covariance (N, N), with zero rows where a bound is active; noise: m²,
     standard deviation of a frame's residual; active: parameters on a bound, with "low" or "high";
-    scores (N, T): Σ w r s of every trial; frame_information (N, N): B of independent frames.
+    scores (M, T): Σ w r s of every trial; frame_information (M, M): B of independent frames.
+    nuisances: names of the K shared nuisances, M = N + K: they follow the parameters in curvature,
+    scores and frame_information, and in prior (M,), their part of H.
     """
 
     space: ParameterSpace
@@ -42,6 +51,9 @@ class Covariance:
     active: dict[str, str]
     scores: np.ndarray
     frame_information: np.ndarray
+    prior: np.ndarray
+    variance: float
+    nuisances: tuple[str, ...] = ()
 
     def deviation(self, name: str) -> float:
         """Standard deviation of a quantity's logarithm."""
@@ -72,12 +84,59 @@ class Covariance:
         else:
             freed = {name}
         free = [i for i, n in enumerate(space.names) if n in unbounded | freed]
-        full = _sandwich(self.curvature, self.frame_information, self.scores, free)
+        free, part = self._with_nuisances(free, gradient)
+        full = self._sandwich(free)
         inverse = inverse_of(self.curvature[np.ix_(free, free)])
-        part = gradient[free]
         variance = float(part @ full @ part)
         rise = variance / max(float(part @ inverse @ part), 1e-300)
         return float(np.sqrt(variance)), rise
+
+    def _with_nuisances(
+        self, free: Sequence[int], gradient: np.ndarray
+    ) -> tuple[list[int], np.ndarray]:
+        """Coordinates of the free parameters and all nuisances, and the gradient in them."""
+        number = len(self.space)
+        index = [*free, *range(number, number + len(self.nuisances))]
+        return index, np.concatenate([gradient[list(free)], np.zeros(len(self.nuisances))])
+
+    def budget(self, name: str) -> dict[str, float]:
+        """What the standard deviation of a quantity's logarithm is made of.
+
+        By the prior of each shared nuisance, and the rest, "data"; their squares add up.
+        """
+        gradient = self.space.log_gradient(name, self.parameters)
+        free = [i for i, n in enumerate(self.space.names) if n not in self.active]
+        index, part = self._with_nuisances(free, gradient)
+        inverse = inverse_of(self.curvature[np.ix_(index, index)])
+        weights = (part @ inverse)[len(free) :]
+        prior = self.prior[len(self.space) :]
+        parts = weights**2 * prior * self.variance
+        total = float(part @ self._sandwich(index) @ part)
+        data = np.sqrt(max(total - float(parts.sum()), 0.0))
+        return {"data": float(data), **dict(zip(self.nuisances, map(float, np.sqrt(parts))))}
+
+    def nuisance_deviations(self) -> dict[str, float]:
+        """Standard deviation of each shared nuisance after the fit."""
+        free = [i for i, n in enumerate(self.space.names) if n not in self.active]
+        index, _ = self._with_nuisances(free, np.zeros(len(self.space)))
+        found = np.sqrt(np.diag(self._sandwich(index)))[len(free) :]
+        return dict(zip(self.nuisances, map(float, found)))
+
+    def _sandwich(self, free: Sequence[int]) -> np.ndarray:
+        """Covariance of free coordinates: the larger of the two estimates of the module's text."""
+        index = np.ix_(free, free)
+        inverse = inverse_of(self.curvature[index])
+        known = np.diag(self.prior[list(free)]) * self.variance
+        by_frames = inverse @ (self.frame_information[index] + known) @ inverse
+        part = self.scores[list(free)]
+        trials = part.shape[1]
+        part = part - part.mean(axis=1, keepdims=True)
+        clustered = part @ part.T * (trials / max(trials - 1, 1))
+        by_trials = inverse @ (clustered + known) @ inverse
+        growth = np.sqrt(
+            np.maximum(np.diag(by_trials) / np.maximum(np.diag(by_frames), 1e-300), 1.0)
+        )
+        return by_frames * np.outer(growth, growth)
 
 
 def sensitivities(problem: FitProblem, parameters: np.ndarray) -> np.ndarray:
@@ -103,24 +162,56 @@ def active_bounds(space: ParameterSpace, parameters: np.ndarray, box: np.ndarray
 
 def covariance(problem: FitProblem, parameters: np.ndarray) -> Covariance:
     """Curvature and covariance at parameters (N,), the best ones."""
-    space = problem.space
+    space, weight = problem.space, problem.weight
+    number = len(space)
+    goal = problem.goal()
     slope = sensitivities(problem, parameters)
-    residual = problem.areas(parameters)[0] - problem.measured
-    weight = problem.weight
-    curvature = (weight * slope) @ slope.T
+    residual = goal.residuals(problem.areas(parameters)[0])
     active = active_bounds(space, parameters, problem.box)
     free = [i for i, name in enumerate(space.names) if name not in active]
-    degrees = max(len(weight) - len(free), 1)
+    degrees = float(len(weight) - len(free))
+    shared = problem.nuisances
+    names: tuple[str, ...] = ()
+    prior = np.zeros(number)
+    filtered = weight * slope
+    own, own_sd, variance = np.zeros((len(weight), 0)), np.zeros(0), 0.0
+    if shared is not None:
+        common = shared.shared
+        names = tuple(name for name, is_common in zip(shared.names, common) if is_common)
+        residual = residual + shared.slope @ goal.moves(residual)
+        slope = np.vstack([slope * shared.factor, shared.slope[:, common].T])
+        variance = shared.variance
+        prior = np.concatenate([prior, variance / shared.sd[common] ** 2])
+        own, own_sd = shared.slope[:, ~common], shared.sd[~common]
+        # Σ⁻¹ s for frames that share their trial's nuisances: what these explain is taken out.
+        filtered = weight * slope
+        inner = (own.T * weight) @ own + np.diag(variance / own_sd**2)
+        filtered = filtered - (filtered @ own) @ np.linalg.solve(inner, (weight[:, None] * own).T)
+        degrees -= float((1.0 - goal.spread() ** 2 / shared.sd**2).sum())
+    curvature = filtered @ slope.T + np.diag(prior)
     # Equal noise in every frame; the residuals of the fit are smaller by the fitted parameters.
-    noise = float(np.sqrt((residual**2).sum() / degrees))
-    information = (weight * slope * noise) @ (weight * slope * noise).T
+    noise = float(np.sqrt((residual**2).sum() / max(degrees, 0.2 * len(weight), 1.0)))
+    spread = np.hstack([filtered * noise, (filtered @ own) * own_sd])
+    information = spread @ spread.T
     scores = np.add.reduceat(weight * residual * slope, problem.starts[:-1], axis=1)
-    out = np.zeros((len(space), len(space)))
-    if free:
-        out[np.ix_(free, free)] = _sandwich(curvature, information, scores, free)
-    return Covariance(
-        space, np.array(parameters), curvature, out, noise, active, scores, information
+    found = Covariance(
+        space,
+        np.array(parameters),
+        curvature,
+        np.zeros((number, number)),
+        noise,
+        active,
+        scores,
+        information,
+        prior,
+        variance,
+        names,
     )
+    if free:
+        index, _ = found._with_nuisances(free, np.zeros(number))
+        part = found._sandwich(index)[: len(free), : len(free)]
+        found.covariance[np.ix_(free, free)] = part
+    return found
 
 
 def inverse_of(matrix: np.ndarray) -> np.ndarray:
@@ -129,22 +220,6 @@ def inverse_of(matrix: np.ndarray) -> np.ndarray:
     values, vectors = np.linalg.eigh(matrix * np.outer(scale, scale))
     values = np.maximum(values, 1e-9)
     return (vectors / values) @ vectors.T * np.outer(scale, scale)
-
-
-def _sandwich(
-    curvature: np.ndarray, information: np.ndarray, scores: np.ndarray, free: Sequence[int]
-) -> np.ndarray:
-    """Covariance of the free coordinates: the larger of the two estimates of the module's text."""
-    index = np.ix_(free, free)
-    inverse = inverse_of(curvature[index])
-    by_frames = inverse @ information[index] @ inverse
-    part = scores[list(free)]
-    trials = part.shape[1]
-    part = part - part.mean(axis=1, keepdims=True)
-    clustered = part @ part.T * (trials / max(trials - 1, 1))
-    by_trials = inverse @ clustered @ inverse
-    growth = np.sqrt(np.maximum(np.diag(by_trials) / np.maximum(np.diag(by_frames), 1e-300), 1.0))
-    return by_frames * np.outer(growth, growth)
 
 
 def cramer_rao(

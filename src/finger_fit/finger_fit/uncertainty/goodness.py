@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """How well the model and the power law describe the areas: R², and intervals over the trials."""
 
 from __future__ import annotations
@@ -25,12 +28,14 @@ class Interval:
 
 @dataclass(frozen=True)
 class Goodness:
-    """k (m²/N^m) and m of the power law, and R² of model and power law on the fit's frames."""
+    """k (m²/N^m) and m of the power law, R² of model and power law on the fit's frames, and the
+    root mean square of the model's residuals there (m²), every trial weighing alike."""
 
     k: Interval
     m: Interval
     model: Interval
     power_law: Interval
+    rms: Interval
 
 
 def r_squared(problem: FitProblem, areas: np.ndarray, weight: np.ndarray) -> float:
@@ -49,7 +54,9 @@ def goodness(problem: FitProblem, areas: np.ndarray, law: PowerLaw, seed: int) -
 
     def values(weight: np.ndarray, k: float, m: float) -> tuple[float, ...]:
         by_law = k * np.maximum(problem.force, 0.0) ** m
-        return k, m, r_squared(problem, areas, weight), r_squared(problem, by_law, weight)
+        rms = np.sqrt((weight * (areas - problem.measured) ** 2).sum() / weight.sum())
+        r2, law_r2 = r_squared(problem, areas, weight), r_squared(problem, by_law, weight)
+        return k, m, r2, law_r2, float(rms)
 
     found = values(problem.weight, law.k, law.m)
     number = len(problem)

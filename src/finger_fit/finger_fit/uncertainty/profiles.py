@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Profile likelihoods and the 95 % intervals that follow from them.
 
 The interval of a quantity is where its profile stays below J_min + t² V / (H⁻¹), with Student's t

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """`finger-model reduce`: build the reduced model of a geometry."""
 
 from __future__ import annotations
@@ -29,7 +32,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("--geometry", metavar="YAML", help="lengths in m (default: built in)")
     parser.add_argument("--workers", type=int, default=2, help="processes (default: 2)")
     parser.add_argument("-o", "--output", required=True, metavar="NPZ", help="file to write")
-    add_settings(parser, BuildSettings)
+    add_settings(parser.add_argument_group("size and accuracy of the build"), BuildSettings)
     parser.set_defaults(run=run)
 
 

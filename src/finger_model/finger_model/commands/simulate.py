@@ -1,8 +1,12 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """`finger-model simulate`: force history to contact history."""
 
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from pathlib import Path
 
@@ -14,7 +18,7 @@ from finger_common.errors import InputError
 
 from ..fem.elasticity import ELASTICITIES, NEO_HOOKE
 from ..geometry import Geometry
-from ..history import ContactHistory, read_force_csv
+from ..history import ContactHistory, read_load_csv
 from ..laws import ConstitutiveLaw, StandardLinearSolid, load_material
 
 
@@ -28,42 +32,63 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
             "the output time_s,force_n,area_mm2,radius_mm,indentation_mm,peak_pressure_kpa with "
             "one row per input row. The finger is at rest before the first row. Without --solver "
             "the reduced model is used where there is one for the geometry, material and load, "
-            "and the full-order model otherwise."
+            "and the full-order model otherwise. A column tangential_force_n in the input, "
+            "--pad-aspect and --tilt-deg call for the full-order model in three dimensions "
+            "(seconds a row); its output has the columns semi_axis_a_mm,semi_axis_b_mm,"
+            "stick_ratio,slip_margin,tangential_displacement_mm,orientation_deg,center_x_mm,"
+            "center_y_mm besides (docs/third_dimension.md)."
         ),
         example=(
             "finger-model simulate --force force.csv -o contact.csv\n"
             "finger-model simulate --force force.csv --material material.yaml --solver full \\\n"
-            "    --plot stress.png --vtu stress.vtu -o contact.csv"
+            "    --plot stress.png --vtu stress.vtu -o contact.csv\n"
+            "finger-model simulate --force pull.csv --solver full --pad-aspect 1.3 --tilt-deg 15"
         ),
     )
     parser.add_argument("--force", required=True, metavar="CSV", help="columns time_s,force_n")
-    parser.add_argument("--geometry", metavar="YAML", help="lengths in m (default: built in)")
-    parser.add_argument(
+    model = parser.add_argument_group("finger and model")
+    model.add_argument("--geometry", metavar="YAML", help="lengths in m (default: built in)")
+    model.add_argument(
         "--material", metavar="YAML", help="law and parameters in SI (default: the natural set)"
     )
-    parser.add_argument("--solver", choices=("reduced", "full"), help="model to use")
-    parser.add_argument(
+    model.add_argument("--solver", choices=("reduced", "full"), help="model to use")
+    model.add_argument(
         "--reduced-model", metavar="FILE", help="file of 'finger-model reduce' (default: shipped)"
     )
-    parser.add_argument(
+    model.add_argument(
         "--refinement",
         type=float,
         default=1.0,
         metavar="X",
         help="divides the node spacing of the full-order mesh (default: 1)",
     )
-    parser.add_argument(
+    model.add_argument(
         "--elasticity",
         choices=ELASTICITIES,
         default=NEO_HOOKE,
         help="strain measure of the full-order model (default: neo-hooke; the others are for "
         "comparison, see docs/paper_choices.md)",
     )
-    parser.add_argument(
+    solid = parser.add_argument_group("three dimensions")
+    solid.add_argument(
+        "--pad-aspect",
+        type=float,
+        metavar="R",
+        help="elliptical pad: pad, skin, bone and nail R times as long along x as along y",
+    )
+    solid.add_argument(
+        "--tilt-deg",
+        type=float,
+        nargs="+",
+        metavar=("PITCH", "ROLL"),
+        help="tilted plate: its side at +x rises by PITCH degrees, its side at +y by ROLL degrees",
+    )
+    pictures = parser.add_argument_group("pictures and fields")
+    pictures.add_argument(
         "--plot", metavar="PNG", help="draw the deformed half-section with its von Mises stress"
     )
-    parser.add_argument("--vtu", metavar="FILE", help="save the fields for ParaView")
-    parser.add_argument(
+    pictures.add_argument("--vtu", metavar="FILE", help="save the fields for ParaView")
+    pictures.add_argument(
         "--at",
         type=float,
         metavar="S",
@@ -77,7 +102,9 @@ def run(arguments: argparse.Namespace) -> int:
     """Carry out the subcommand."""
     geometry = Geometry.load(arguments.geometry) if arguments.geometry else Geometry()
     material = load_material(arguments.material) if arguments.material else StandardLinearSolid()
-    time, force = read_force_csv(arguments.force)
+    time, force, pull = read_load_csv(arguments.force)
+    if pull is not None or arguments.pad_aspect is not None or arguments.tilt_deg is not None:
+        return _solid(arguments, geometry, material, time, force, pull)
     wants_fields = bool(arguments.plot or arguments.vtu)
     if arguments.solver == "reduced" and wants_fields:
         raise InputError("--plot and --vtu need the stress field: use --solver full")
@@ -100,6 +127,61 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _solid(
+    arguments: argparse.Namespace,
+    geometry: Geometry,
+    material: ConstitutiveLaw,
+    time: np.ndarray,
+    force: np.ndarray,
+    pull: np.ndarray | None,
+) -> int:
+    """History of the full-order model in three dimensions."""
+    from ..solid3d.full_order import SolidModel
+    from ..solid3d.mesh import Pose
+
+    if arguments.solver == "reduced" or arguments.reduced_model:
+        raise InputError(
+            "tangential_force_n, --pad-aspect and --tilt-deg need three dimensions, and the "
+            "reduced model is axisymmetric: use --solver full"
+        )
+    if arguments.elasticity != NEO_HOOKE:
+        raise InputError("--elasticity is of the axisymmetric model: leave it out")
+    if arguments.plot or arguments.vtu or arguments.at is not None:
+        raise InputError("--plot, --vtu and --at are of the axisymmetric model: leave them out")
+    tilt = arguments.tilt_deg or [0.0]
+    if len(tilt) > 2:
+        raise InputError(f"--tilt-deg has {len(tilt)} values; give PITCH or PITCH ROLL")
+    if pull is not None and material.friction == 0.0 and np.any(pull != 0.0):
+        raise InputError(
+            f"{arguments.force}: 'tangential_force_n' needs friction, and the material has none; "
+            "set 'friction' in the material file"
+        )
+    aspect = 1.0 if arguments.pad_aspect is None else arguments.pad_aspect
+    pose = Pose(aspect, *(math.radians(angle) for angle in tilt))
+    _check_output(arguments.output)
+    model = SolidModel(geometry, pose, arguments.refinement)
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task("full-order model", total=1.0)
+        history = model.simulate(
+            material, time, force, pull, lambda done: progress.update(task, completed=done)
+        )
+    if arguments.output:
+        history.to_csv(arguments.output)
+    else:
+        sys.stdout.write(history.csv_text())
+    return 0
+
+
+def _check_output(*paths: str | None) -> None:
+    """Raises InputError for a file that cannot be written, before the work."""
+    for path in paths:
+        if path and not Path(path).resolve().parent.is_dir():
+            raise InputError(f"{path}: the folder does not exist; create it first")
+        if path and Path(path).is_dir():
+            raise InputError(f"{path}: is a folder; give the name of a file")
+
+
 def _reduced(
     arguments: argparse.Namespace,
     geometry: Geometry,
@@ -108,11 +190,10 @@ def _reduced(
     force: np.ndarray,
 ) -> ContactHistory | None:
     """History of the reduced model; None, with a note, where the full-order model has to do it."""
-    from ..reduced.model import ReducedModel
+    from ..finger import simulate_reduced
 
     try:
-        model = ReducedModel.load(arguments.reduced_model, geometry=geometry)
-        return model.for_law(type(material)).simulate(material, time, force)
+        return simulate_reduced(material, time, force, geometry, arguments.reduced_model or "")
     except InputError as error:
         if arguments.solver == "reduced" or arguments.reduced_model:
             raise
@@ -138,11 +219,7 @@ def _full(
                 f"({time[0]:g} … {time[-1]:g} s)"
             )
         row = int(np.argmin(np.abs(time - arguments.at)))
-    for path in (arguments.plot, arguments.vtu, arguments.output):
-        if path and not Path(path).resolve().parent.is_dir():
-            raise InputError(f"{path}: the folder does not exist; create it first")
-        if path and Path(path).is_dir():
-            raise InputError(f"{path}: is a folder; give the name of a file")
+    _check_output(arguments.plot, arguments.vtu, arguments.output)
     model = FullOrderModel(geometry, arguments.refinement, elasticity=arguments.elasticity)
     stepper = model.start(material, float(time[0]))
     points = []

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """`finger-model verify --reduced`: error of a reduced model against full-order runs."""
 
 from __future__ import annotations
@@ -30,6 +33,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="for generalised Maxwell laws of 2 to 4 branches of 1 ms to 10 s instead",
     )
+    parser.add_argument(
+        "--population",
+        action="store_true",
+        help="for random fingers and laws of the population box instead",
+    )
     parser.add_argument("--workers", type=int, default=2, help="processes (default: 2)")
     parser.add_argument(
         "--error-plot", metavar="PNG", help="draw the distribution and the worst pair"
@@ -39,7 +47,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Print the distribution; exit code 1 when it misses the limits of `reduced.error`."""
     from .. import figures
-    from ..reduced.error import error_table
+    from ..laws import law_of
+    from ..reduced.error import error_table, pair_error
     from ..reduced.model import ReducedModel
     from ..reduced.training_runs import (
         branch_case,
@@ -53,6 +62,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError("--reduced runs no other check and writes no page: leave out CHECK and -o")
     if arguments.pairs < 6:
         raise InputError(f"--pairs is {arguments.pairs}, 6 or more are needed")
+    if arguments.population:
+        return _population(arguments)
     model = ReducedModel.load(arguments.reduced_model)
     if arguments.wide and arguments.branches:
         raise InputError("--wide and --branches are different sets of pairs: give one of them")
@@ -73,11 +84,38 @@ def run(arguments: argparse.Namespace) -> int:
     table = error_table(model, runs)
     print(table.text())
     if arguments.error_plot:
-        worst = table.worst()
-        case = next(r for r in runs if np.array_equal(r.parameters, worst.parameters))
+        counted = [r for r in runs if pair_error(model, r) is not None]
+        case = counted[table.pairs.index(table.worst())]
         limit = model.range["force"][1]
+        model = model.for_law(law_of(case.law))
         found = model.simulate(case.parameters, case.time, np.minimum(case.force, limit))
         figures.error_distribution(table, case, found, arguments.error_plot)
     if arguments.wide or arguments.branches:
         return 0
     return 0 if table.share_within() >= 0.99 and table.none_beyond() else 1
+
+
+def _population(arguments: argparse.Namespace) -> int:
+    """The same over the population box; exit code 1 when it misses its goals."""
+    from ..geometry import Geometry
+    from ..reduced.model import ReducedModel, load_population
+    from ..reduced.population_build import held_out_runs
+    from ..reduced.population_training import measured_error
+    from .reduce_population import GOALS, tables_text
+
+    if arguments.wide or arguments.branches or arguments.error_plot:
+        raise InputError("--population goes without --wide, --branches and --error-plot")
+    if arguments.reduced_model:
+        model = ReducedModel.load(arguments.reduced_model, Geometry())
+        if not model.serves_population:
+            raise InputError(f"{arguments.reduced_model}: made for one geometry, not for the box")
+    else:
+        model = load_population(Geometry())
+    with Stages() as stages:
+        found = held_out_runs(SEED, arguments.pairs, arguments.workers)
+        runs = list(stages.track(found, "full-order runs", arguments.pairs))
+    tables = measured_error(model.arrays, runs)
+    print(tables_text(tables))
+    shares = {"middle": 0.99, "whole": 0.95}
+    met = [tables[r].share_within(*GOALS[r]) >= share for r, share in shares.items()]
+    return 0 if all(met) else 1

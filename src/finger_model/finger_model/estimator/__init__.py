@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The streaming estimator of the contact state."""
 
 from .estimate import ContactEstimate, EstimateBlock

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Compiled Kalman filters of the model's error in area, corrected by measured areas.
 
 With φ = ln(F / 1 N) the error is
@@ -19,7 +22,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from ..compiled import njit
 
 SCALES = (0.1, 0.4, 1.5, 0.1, 0.4, 1.5)
 """Of the deviations of d and e, one for each filter."""

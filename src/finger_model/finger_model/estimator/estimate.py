@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """One contact estimate: the only declaration of its fields.
 
 The compiled core's rows, messages, CDR bytes and CSV columns derive from it.

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Streaming estimate of a finger's contact from force, measured area and moisture.
 
     estimator = ContactEstimator(ReducedModel.load())

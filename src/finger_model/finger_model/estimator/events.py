@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Changes of the estimator beside its inputs; recorded, so that a replay makes them too."""
 
 from __future__ import annotations

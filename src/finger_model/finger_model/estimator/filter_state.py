@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The memory of the estimator between samples, as records of the compiled core."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Measured areas and moisture readings that wait for the wrench sample at which they enter."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Material parameters for a moisture reading, and what they mean for the estimate."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Contact under a force not applied yet; the state of the estimator stays as it is."""
 
 from __future__ import annotations

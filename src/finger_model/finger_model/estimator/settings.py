@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Settings of the estimator: one declaration for the core, the node and the node reference."""
 
 from __future__ import annotations

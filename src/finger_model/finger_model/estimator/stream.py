@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Compiled core of the estimator: many wrench samples through model and filters in one call.
 
 A measured area of stamp t corrects the filters at t, against the model's area at t from the
@@ -12,11 +15,11 @@ from collections import namedtuple
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from finger_common import contact_threshold
 from finger_common.flags import StateFlag
 
+from ..compiled import njit
 from ..reduced import kernels as rk
 from . import area_filter
 

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Contact radius inside an element, and contact pressure, from the skin nodes.
 
 An *event* is a node that touches the plate or leaves it. The loads of the events show where the

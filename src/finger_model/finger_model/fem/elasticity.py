@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """In which strain measure the parts of the finger are elastic: finite strain, or linear elasticity.
 
 The model's own choice is finite strain throughout (neo-Hooke with split volume). The others are

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Compiled kernels of the four-node axisymmetric element with mean dilatation.
 
 Symbols as in docs/theory.md: F deformation gradient, J its determinant, θ mean dilatation of an
@@ -11,7 +14,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from ..compiled import njit
 
 _POINT = 1.0 / math.sqrt(3.0)
 _XI = np.array([[-_POINT, -_POINT], [_POINT, -_POINT], [_POINT, _POINT], [-_POINT, _POINT]])

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Equilibrium of a mesh pressed by a rigid, flat, rough plate: Newton's method with an active set.
 
 Contact is exact: a node in contact has the plate's height, its reaction is the contact force, and

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Displacement, stress and contact tractions of a state, for figures and files."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The full-order finger: finite strain, viscoelastic bulk, rough rigid plate.
 
 `FullOrderModel` holds mesh and solver of a geometry; `Stepper` takes one finger through a load

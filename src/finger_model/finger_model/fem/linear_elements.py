@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Compiled kernels of the same element for linear elasticity: Hooke's law in one strain measure E.
 
 With `finite`, E is Green–Lagrange's strain and the stress that of Piola and Kirchhoff (St
@@ -9,8 +12,8 @@ of tr E over the element, so that nearly incompressible tissue does not lock.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from ..compiled import njit
 from .elements import SHAPE, deformation
 
 

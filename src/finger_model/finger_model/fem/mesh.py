@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Structured quadrilateral mesh of the finger's half-section, graded towards the contact.
 
 Columns of nodes run from the bone to the skin; they are numbered from the top down to the axis, the
@@ -10,6 +13,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import brentq
 
 from finger_common.errors import InputError
 
@@ -25,6 +29,13 @@ BULK_LAYERS = 13
 SKIN_LAYER = 0.72
 """Thickness of a layer of skin elements over the node spacing in the contact."""
 NAIL_LAYERS = 3
+
+SIMILAR_CONTACT, SIMILAR_BEYOND, SIMILAR_BULK, SIMILAR_SKIN = 18, 8, 6, 3
+"""Elements of `similar_mesh` along the skin, in the contact and beyond it, and across."""
+SIMILAR_GROWTH = 1.05
+"""Growth of its elements in the contact, from the axis outwards."""
+SIMILAR_NAIL = 4
+"""Its node at the nail's edge, counted from the bone."""
 
 
 @dataclass(frozen=True)
@@ -67,16 +78,52 @@ def finger_mesh(geometry: Geometry, refinement: float = 1.0) -> Mesh:
     return _assemble(geometry, columns, len(bulk) - 1, max(1, round(NAIL_LAYERS * refinement)))
 
 
+def similar_mesh(geometry: Geometry) -> Mesh:
+    """Coarse mesh whose numbers of nodes are the same for every geometry (SIMILAR_…).
+
+    Each node moves smoothly when a length changes, so that results are smooth functions of the
+    lengths, and the values of a field at the same node of two fingers belong together. The default
+    mesh rounds numbers of layers and nodes, which scatters the area by some tenths of a percent
+    from finger to finger. The nail must end between bone and epidermis.
+    """
+    dense, arc = _arc(geometry)
+    even = np.interp(0.62 * geometry.pad_semi_axis_radial, _radii(geometry, dense), arc)
+    contact = SIMILAR_GROWTH ** np.arange(SIMILAR_CONTACT)
+    contact *= even / contact.sum()
+
+    def beyond(growth: float) -> np.ndarray:
+        return contact[-1] * growth ** np.arange(1, SIMILAR_BEYOND + 1)
+
+    growth = brentq(lambda g: beyond(g).sum() - (arc[-1] - even), 0.5, 3.0)
+    positions = np.concatenate([[0.0], np.cumsum(np.concatenate([contact, beyond(growth)]))])
+    angles = np.interp(positions / positions[-1] * arc[-1], arc, dense)
+    bulk = _bulk_fractions(SIMILAR_BULK)
+    columns = [_column(geometry, angle, bulk, SIMILAR_SKIN, SIMILAR_NAIL) for angle in angles[::-1]]
+    return _assemble(geometry, columns, SIMILAR_BULK, 1)
+
+
+def _radii(geometry: Geometry, angles: np.ndarray) -> np.ndarray:
+    return geometry.pad_semi_axis_radial * np.sin(angles)
+
+
+def _arc(geometry: Geometry) -> tuple[np.ndarray, np.ndarray]:
+    """Eccentric angles (n,) from the axis to the top and the skin's arc length (n,) to them."""
+    dense = np.linspace(0.0, 0.5 * math.pi, 4001)
+    a, b = geometry.pad_semi_axis_radial, geometry.pad_semi_axis_axial
+    speed = np.hypot(a * np.cos(dense), b * np.sin(dense))
+    return dense, np.concatenate(
+        [[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(dense))]
+    )
+
+
 def _surface_angles(geometry: Geometry, spacing: float) -> np.ndarray:
     """Eccentric angles (n,) of the skin nodes from the axis to the top.
 
     The spacing is even where a contact can be expected and grows by 12 % a node beyond.
     """
-    dense = np.linspace(0.0, 0.5 * math.pi, 4001)
-    a, b = geometry.pad_semi_axis_radial, geometry.pad_semi_axis_axial
-    speed = np.hypot(a * np.cos(dense), b * np.sin(dense))
-    arc = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(dense))])
-    even = np.interp(0.62 * a, a * np.sin(dense), arc)
+    a = geometry.pad_semi_axis_radial
+    dense, arc = _arc(geometry)
+    even = np.interp(0.62 * a, _radii(geometry, dense), arc)
     steps = [spacing] * math.ceil(even / spacing)
     growth = 1.0 + 0.12 * spacing / (CONTACT_SPACING * a)
     while sum(steps) < arc[-1]:
@@ -92,8 +139,12 @@ def _bulk_fractions(layers: int) -> np.ndarray:
     return even - 0.3 * np.sin(2.0 * math.pi * even) / (2.0 * math.pi)
 
 
-def _column(geometry: Geometry, angle: float, bulk: np.ndarray, layers: int) -> np.ndarray:
-    """Nodes (n, 2) from bone to skin at an eccentric angle; the last column has the nail's edge."""
+def _column(
+    geometry: Geometry, angle: float, bulk: np.ndarray, layers: int, nail: int | None = None
+) -> np.ndarray:
+    """Nodes (n, 2) from bone to skin at an eccentric angle; the last column has the nail's edge, at
+    its node number `nail` or else at the nearest one.
+    """
     top = angle > 0.5 * math.pi * (1 - 1e-12)
     sine, cosine = math.sin(angle), 0.0 if top else math.cos(angle)
     bone = np.array([x[0] for x in geometry.bone_profile(np.array([angle / (0.5 * math.pi)]))])
@@ -110,7 +161,7 @@ def _column(geometry: Geometry, angle: float, bulk: np.ndarray, layers: int) -> 
         # Columns near the top follow the shifted nodes of the last one so that elements keep their
         # shape.
         weight = max(0.0, 1.0 - (0.5 * math.pi - angle) / 0.6)
-        straight = _column(geometry, 0.5 * math.pi, bulk, layers)
+        straight = _column(geometry, 0.5 * math.pi, bulk, layers, nail)
         even = np.concatenate(
             [straight[:1, 0] + bulk * (inner_a - straight[0, 0]), straight[-layers:, 0]]
         )
@@ -120,7 +171,7 @@ def _column(geometry: Geometry, angle: float, bulk: np.ndarray, layers: int) -> 
         return column + weight * shift[:, None] * (inner - bone)
     edge = geometry.nail_radius
     if geometry.nail_thickness > 0 and bone[0] < edge < inner_a:
-        nearest = 1 + int(np.argmin(np.abs(column[1 : len(bulk) - 1, 0] - edge)))
+        nearest = nail or 1 + int(np.argmin(np.abs(column[1 : len(bulk) - 1, 0] - edge)))
         r = column[: len(bulk), 0]
         knots = [r[0], r[nearest], r[-1]]
         column[: len(bulk), 0] = np.interp(r, knots, [r[0], edge, r[-1]])

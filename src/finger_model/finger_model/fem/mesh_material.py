@@ -1,13 +1,17 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """A material law on a mesh: bulk tissue by the law, epidermis and nail neo-Hookean."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 
-from ..laws import UNIT, ConstitutiveLaw, StepEnergy, Tissue, trace
+from ..laws import UNIT, ConstitutiveLaw, StepEnergy, Tissue, trace, unit
 from . import elements
 from .elasticity import FiniteStrain, LinearStrain
 from .elements import Elements, Stiffness
@@ -21,13 +25,37 @@ class Crushed(Exception):
     """Tissue is squeezed below SMALLEST_VOLUME."""
 
 
+def elastic_moduli(law: ConstitutiveLaw, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Shear modulus (E,) of epidermis and nail, zero in the bulk tissue, and bulk modulus (E,) in
+    Pa of elements whose part (E,) is BULK, EPIDERMIS or NAIL."""
+    shear, bulk = np.zeros(len(part)), np.full(len(part), law.bulk_modulus)
+    for number, modulus, ratio in (
+        (EPIDERMIS, law.epidermis_modulus, law.poisson_ratio_epidermis),
+        (NAIL, law.nail_modulus, law.poisson_ratio_nail),
+    ):
+        shear[part == number] = modulus / (2.0 * (1.0 + ratio))
+        bulk[part == number] = modulus / (3.0 * (1.0 - 2.0 * ratio))
+    return shear, bulk
+
+
+class OnMesh(Protocol):
+    """What a step needs of a law on a mesh, axisymmetric or not."""
+
+    tissue_index: np.ndarray
+    elastic_metric: np.ndarray
+    bulk: np.ndarray
+
+    def tissue_invariant(self, x: np.ndarray) -> np.ndarray:
+        """Ī₁ of the bulk tissue at node positions x."""
+
+
 class StepMaterial:
     """Material of all elements during one time step.
 
     metric (E, 4, 4): the tensor H in Pa without the law's stiffening; bulk (E,): K in Pa.
     """
 
-    def __init__(self, mesh_material: MeshMaterial, energy: StepEnergy) -> None:
+    def __init__(self, mesh_material: OnMesh, energy: StepEnergy) -> None:
         self.metric = mesh_material.elastic_metric.copy()
         self.metric[mesh_material.tissue_index] = energy.metric
         self.bulk = mesh_material.bulk
@@ -42,7 +70,7 @@ class StepMaterial:
         invariant = self._material.tissue_invariant(x)
         h, slope_of_tissue = self._stiffening(invariant)
         metric = self.metric.copy()
-        metric[index] += h[:, :, None] * UNIT
+        metric[index] += h[:, :, None] * unit(metric.shape[-1])
         slope = np.zeros(metric.shape[:2])
         slope[index] = slope_of_tissue
         return Stiffness(metric, slope, self.bulk)
@@ -73,14 +101,7 @@ class MeshMaterial:
         for group in groups:
             linear[group.index] = isinstance(group, LinearStrain)
         self.linear_tissue = bool(linear[self.tissue_index].any())
-        self.shear = np.zeros(len(mesh.cells))
-        self.bulk = np.full(len(mesh.cells), law.bulk_modulus)
-        for part, modulus, ratio in (
-            (EPIDERMIS, law.epidermis_modulus, law.poisson_ratio_epidermis),
-            (NAIL, law.nail_modulus, law.poisson_ratio_nail),
-        ):
-            self.shear[mesh.part == part] = modulus / (2.0 * (1.0 + ratio))
-            self.bulk[mesh.part == part] = modulus / (3.0 * (1.0 - 2.0 * ratio))
+        self.shear, self.bulk = elastic_moduli(law, mesh.part)
         self.elastic_metric = np.tile(self.shear[:, None, None] * UNIT, (1, 4, 1))
 
     def at_rest(self) -> Tissue:

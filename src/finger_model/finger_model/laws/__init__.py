@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Material laws, and the parameters that each lets a fit vary.
 
 A law is found by name among the entry points `finger_model.law`; nothing here is edited to add one
@@ -20,7 +23,7 @@ from .generalized_maxwell import (
     GeneralizedMaxwell4,
     from_branches,
 )
-from .law import UNIT, ConstitutiveLaw, StepEnergy, Tissue, parameter, trace
+from .law import UNIT, ConstitutiveLaw, StepEnergy, Tissue, parameter, trace, unit
 from .maxwell import Branch, MaxwellLaw
 from .space import DerivedQuantity, ParameterSpace, ParameterSpec, Quantity
 from .standard_linear_solid import StandardLinearSolid

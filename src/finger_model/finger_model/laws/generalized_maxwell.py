@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Bulk tissue with one to four Maxwell branches: relaxation from milliseconds to seconds."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """What a material law of the finger is: parameters, fixed properties, and the bulk tissue's
 response.
 
@@ -34,8 +37,14 @@ LARGEST_BULK_OVER_SHEAR = 2e5
 """Largest bulk modulus over long-term shear modulus of the bulk tissue: beyond it Newton's method
 loses its digits."""
 
-UNIT = np.array([1.0, 1.0, 1.0, 0.0])
-"""The unit tensor. Symmetric tensors are stored as (rr, zz, θθ, rz)."""
+
+def unit(components: int) -> np.ndarray:
+    """The unit tensor, stored as (rr, zz, θθ, rz), in three dimensions (xx, yy, zz, xy, yz, xz)."""
+    return np.array([1.0, 1.0, 1.0] + [0.0] * (components - 3))
+
+
+UNIT = unit(4)
+"""The unit tensor of an axisymmetric body."""
 
 IN_KPA: dict[str, Any] = {"unit": "Pa", "display_unit": "kPa", "display_factor": 1e-3}
 """Description of a modulus: in Pa, shown in kPa."""
@@ -44,7 +53,7 @@ _KEY = "parameter"
 
 
 def trace(tensors: np.ndarray) -> np.ndarray:
-    """Trace (…) of symmetric tensors (…, 4)."""
+    """Trace (…) of symmetric tensors (…, 4 or 6)."""
     return tensors[..., 0] + tensors[..., 1] + tensors[..., 2]
 
 
@@ -63,12 +72,17 @@ class Tissue(NamedTuple):
 
     c_bar, c_bar_inverse (n, 4, 4): C̄ = J^(−2/3) FᵀF and its inverse; internal (k, n, 4, 4): the
     law's k internal tensors. Axes: element, Gauss point, component. Arrays are never changed in
-    place.
+    place. In three dimensions an element has 8 points, a tensor 6 components.
     """
 
     c_bar: np.ndarray
     c_bar_inverse: np.ndarray
     internal: np.ndarray
+
+    @property
+    def unit(self) -> np.ndarray:
+        """The unit tensor, of as many components as the strains."""
+        return unit(self.c_bar.shape[-1])
 
 
 class StepEnergy(NamedTuple):

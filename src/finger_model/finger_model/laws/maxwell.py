@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Laws of bulk tissue as a spring beside Maxwell branches, at finite strain.
 
 A branch is a spring G in series with a damper of relaxation time τ:
@@ -24,11 +27,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from finger_common.errors import InputError
 
-from .law import UNIT, ConstitutiveLaw, StepEnergy, Tissue, trace
+from ..compiled import njit
+from .law import ConstitutiveLaw, StepEnergy, Tissue, trace
 
 LARGEST_STIFFENING = 50.0
 _LARGEST_EXPONENT = 40.0
@@ -159,7 +162,7 @@ class MaxwellLaw(ConstitutiveLaw):
             metric += branch.fraction * self.instantaneous_shear_modulus * relaxed
         if self.stiffening > 0.0:
             return StepEnergy(metric, self._spring)
-        return StepEnergy(metric + self.long_term_shear_modulus * UNIT)
+        return StepEnergy(metric + self.long_term_shear_modulus * before.unit)
 
     def update(
         self, duration: float, before: Tissue, c_bar: np.ndarray, c_bar_inverse: np.ndarray

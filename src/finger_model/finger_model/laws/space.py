@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The parameters that a material law lets a fit vary.
 
 Everything outside a law goes by its `ParameterSpace`: search box, tables, figures, parameter files,

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The default law: the paper's standard linear solid under an elastic epidermis."""
 
 from __future__ import annotations

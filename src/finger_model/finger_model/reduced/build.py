@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Building a reduced model: full-order runs, coordinates, training, measured error, file.
 
 An interrupted build continues when it is started again with the same settings: finished runs are in
@@ -67,7 +70,9 @@ def build(
     workers = workers or min(2, os.cpu_count() or 1)
     report = progress or (lambda stage, share: None)
     output = Path(output)
-    parts = _parts_folder(output, geometry, settings)
+    kept = ("pilots", "seed", "refinement", "friction")
+    runs = {key: value for key, value in settings.to_dict().items() if key in kept}
+    parts = parts_folder(output, sha256_of({"geometry": geometry.hash(), "runs": runs}))
     began = time.monotonic()
 
     modes = _modes(parts, geometry, settings, workers, report)
@@ -166,11 +171,8 @@ def _meta(geometry: Geometry, settings: BuildSettings) -> dict[str, Any]:
 # Resumable stages ----------------------------------------------------------------------------
 
 
-def _parts_folder(output: Path, geometry: Geometry, settings: BuildSettings) -> Path:
-    """Folder of finished runs; emptied when it belongs to other settings."""
-    kept = ("pilots", "seed", "refinement", "friction")
-    runs = {key: value for key, value in settings.to_dict().items() if key in kept}
-    name = sha256_of({"geometry": geometry.hash(), "runs": runs})
+def parts_folder(output: Path, name: str) -> Path:
+    """Folder of finished runs; emptied when it belongs to another build than that named `name`."""
     folder = output.with_name(output.name + ".parts")
     stamp = folder / "belongs_to"
     try:

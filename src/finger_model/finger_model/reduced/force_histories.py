@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Random parameter sets and force histories for training and verifying the reduced model.
 
 A history is (time, force), (n,) each, fine enough for the full-order model: force changes by at

@@ -1,14 +1,20 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Compiled kernels of the reduced model: one time step, and many histories at once.
 
 Everything is dimensionless inside: force f = F / (E0 L²) with the pad's radial semi-axis L, x =
-f^(1/3), internal strain amplitudes a (k,), friction states q (m,). Two small networks of the same
-form,
+f^(1/3), internal strain amplitudes a (k,), friction states q (m,). Strain grows over three decades
+with the load; S = √(G(x)² + |a|²) measures it, G being what a sudden load brings to a finger at
+rest. Two small networks of the same form,
 
-    drive    (δ/L, c)                            = N₁(x, a; ln E2/E0)
-    contact  (ln(A / (L² x²)), ln(p_max/p_mean)) = N₂(x, a, q; ln E2/E0)
+    drive    (δ/(L S^(2/3)), c/S)                = N₁(x, S, a/S; finger)
+    contact  (ln(A / (L² x²)), ln(p_max/p_mean)) = N₂(x, S, a/S, q; finger)
 
-give indentation δ and drive c = d − a of the internal strain, area A and peak over mean pressure.
-All Maxwell branches (g_b, τ_b) share the total strain d, and the state follows
+with y = W₃ᵀ s(g₂ ⊙ W₂ᵀ s(g₁ ⊙ W₁ᵀ u + b₁) + b₂) + b₃, s(v) = v/√(1 + v²), whose gains g and
+biases b hold what the map needs to know of the finger (`maps`), give indentation δ and drive c = d
+− a of the internal strain, area A and peak over mean pressure. All Maxwell branches (g_b, τ_b)
+share the total strain d, and the state follows
 
     τ_b da_b/dt = g_b d − a_b,   a = Σ a_b                 (exact, see `training_runs`)
     dq_j = (sgn(dδ) − q_j) |d ln δ| / β_j,  q = 1 in the air   (stick after a reversal of the load)
@@ -29,23 +35,28 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+
+from ..compiled import njit, prange
 
 CONTACT_OUTPUTS = 2
 """Outputs of the contact network; the drive network has 1 + k."""
 
 MOST_BRANCHES = 4
 
-SHIFT_LOG, SHIFT_RATIO = 0.03, 0.1
-"""The networks' inputs are x, ln(x + SHIFT_LOG), a and a/(x + SHIFT_RATIO): a flattens at small
-loads."""
+SHIFT_LOG, SHIFT_STRAIN = 0.03, 3e-4
+"""The networks' inputs are x, ln(x + SHIFT_LOG), ln(S + SHIFT_STRAIN), a/S and, for contact, q."""
+LOAD_INPUTS = 3
+
+SUDDEN, SUDDEN_LIMIT = 0.9, 1.4
+"""G(x) = SUDDEN x³/(1 + SUDDEN_LIMIT x): median of |c| at sudden loads on random fingers."""
+_LEAST_STRAIN = 1e-6
 
 _SUBSTEP = 0.15
 _MOST_SUBSTEPS = 4
 _MOST_ITERATIONS = 6
 _CONVERGED = 1e-7
 """Of the amplitudes in Newton's method; they are of the order of 0.1."""
-_DELTA_FLOOR = 0.01
+DELTA_FLOOR = 0.01
 """Smallest δ/L that counts for the friction state."""
 
 
@@ -64,15 +75,17 @@ def record_types(latents: int, frictions: int, drive_width: int, contact_width: 
 
     def layers(width: int, outputs: int) -> list[tuple]:
         return [
-            ("load", "f8", (2, width)),  # rows of x and ln(x + SHIFT_LOG)
-            ("amplitude", "f8", (k, width)),
-            ("amplitude_ratio", "f8", (k, width)),  # rows of a/(x + SHIFT_RATIO)
-            ("bias_2", "f8", (width,)),
+            ("load", "f8", (LOAD_INPUTS, width)),
+            ("amplitude", "f8", (k, width)),  # rows of a/S
             ("weights_2", "f8", (width, width)),
             ("weights_3", "f8", (width, outputs)),
         ]
 
-    contact_only = [("friction", "f8", (m, contact_width)), ("bias_3", "f8", (CONTACT_OUTPUTS,))]
+    def modulation(width: int, outputs: int) -> list[tuple]:
+        vectors = [(name, "f8", (width,)) for name in ("gain_1", "bias_1", "gain_2", "bias_2")]
+        return [*vectors, ("bias_3", "f8", (outputs,))]
+
+    contact_only = [("friction", "f8", (m, contact_width))]
     return RecordTypes(
         networks=np.dtype(
             [
@@ -89,9 +102,9 @@ def record_types(latents: int, frictions: int, drive_width: int, contact_width: 
                 ("fraction", "f8", (MOST_BRANCHES,)),  # g
                 ("tau", "f8", (MOST_BRANCHES,)),  # in s
                 ("force_limit", "f8"),  # N
-                ("drive_bias", "f8", (drive_width,)),  # first layer, with ln E2/E0 in it
+                ("drive", modulation(drive_width, 1 + k)),
                 ("drive_at_rest", "f8", (1 + k,)),
-                ("contact_bias", "f8", (contact_width,)),
+                ("contact", modulation(contact_width, CONTACT_OUTPUTS)),
             ]
         ),
         state=np.dtype(
@@ -115,7 +128,8 @@ def record_types(latents: int, frictions: int, drive_width: int, contact_width: 
                 ("residual", "f8", (k,)),
                 ("drive", "f8", (1 + k,)),
                 ("jacobian", "f8", (k, k)),
-                ("sensitivity", "f8", (k, drive_width)),
+                ("sensitivity", "f8", (1 + k, drive_width)),  # to ln(S + …) and each a/S
+                ("slope", "f8", (1 + k,)),
                 ("drive_1", "f8", (drive_width,)),
                 ("drive_2", "f8", (drive_width,)),
                 ("contact_1", "f8", (contact_width,)),
@@ -144,35 +158,44 @@ def _add_rows(values, weights, out):
 
 
 @njit(cache=True)
-def _activate(layer):
-    """v / sqrt(1 + v²) of each value, in place."""
+def _activate(gain, bias, layer):
+    """v / sqrt(1 + v²) with v = gain · value + bias of each value, in place."""
     for o in range(len(layer)):
-        v = layer[o]
+        v = gain[o] * layer[o] + bias[o]
         layer[o] = v / math.sqrt(1.0 + v * v)
 
 
 @njit(cache=True)
-def _first_layer(layers, bias, x, amplitudes, out):
-    """First hidden layer of a network before activation, without friction states."""
-    z = math.log(x + SHIFT_LOG)
-    for o in range(len(out)):
-        out[o] = bias[o] + (x * layers.load[0, o] + z * layers.load[1, o])
-    ratio = 1.0 / (x + SHIFT_RATIO)
+def strain_scale(x, amplitudes):
+    """S of a load measure x and amplitudes (k,)."""
+    sudden = SUDDEN * x * x * x / (1.0 + SUDDEN_LIMIT * x)
+    square = sudden * sudden + _LEAST_STRAIN * _LEAST_STRAIN
     for j in range(len(amplitudes)):
-        v = amplitudes[j]
-        r = v * ratio
-        for o in range(len(out)):
-            out[o] += v * layers.amplitude[j, o] + r * layers.amplitude_ratio[j, o]
+        square += amplitudes[j] * amplitudes[j]
+    return math.sqrt(square)
 
 
 @njit(cache=True)
-def _second_layer(layers, first, second):
+def _first_layer(layers, x, scale, amplitudes, out):
+    """First hidden layer of a network before gain, bias and activation, without friction states."""
+    z = math.log(x + SHIFT_LOG)
+    s = math.log(scale + SHIFT_STRAIN)
+    for o in range(len(out)):
+        out[o] = x * layers.load[0, o] + z * layers.load[1, o] + s * layers.load[2, o]
+    for j in range(len(amplitudes)):
+        v = amplitudes[j] / scale
+        for o in range(len(out)):
+            out[o] += v * layers.amplitude[j, o]
+
+
+@njit(cache=True)
+def _second_layer(layers, modulation, first, second):
     """Activate the first hidden layer in place and evaluate the second one."""
-    _activate(first)
+    _activate(modulation.gain_1, modulation.bias_1, first)
     for o in range(len(second)):
-        second[o] = layers.bias_2[o]
+        second[o] = 0.0
     _add_rows(first, layers.weights_2, second)
-    _activate(second)
+    _activate(modulation.gain_2, modulation.bias_2, second)
 
 
 @njit(cache=True)
@@ -181,58 +204,71 @@ def _drive(net, par, work, x, amplitudes, out):
 
     Relative to the values at rest, so that a finger at rest stays there exactly.
     """
-    _first_layer(net.drive, par.drive_bias, x, amplitudes, work.drive_1)
-    _second_layer(net.drive, work.drive_1, work.drive_2)
+    scale = strain_scale(x, amplitudes)
+    _first_layer(net.drive, x, scale, amplitudes, work.drive_1)
+    _second_layer(net.drive, par.drive, work.drive_1, work.drive_2)
     for o in range(len(out)):
-        out[o] = -par.drive_at_rest[o]
+        out[o] = par.drive.bias_3[o]
     _add_rows(work.drive_2, net.drive.weights_3, out)
+    out[0] = scale ** (2.0 / 3.0) * out[0] - par.drive_at_rest[0]
+    for o in range(1, len(out)):
+        out[o] = scale * out[o] - par.drive_at_rest[o]
 
 
 @njit(cache=True)
 def _contact(net, par, state, work, x):
     """ln(A/(L² x²)) and ln(p_max/p_mean) at x and the present state, into work.contact."""
-    _first_layer(net.contact, par.contact_bias, x, state.amplitudes, work.contact_1)
+    scale = strain_scale(x, state.amplitudes)
+    _first_layer(net.contact, x, scale, state.amplitudes, work.contact_1)
     _add_rows(state.friction, net.contact.friction, work.contact_1)
-    _second_layer(net.contact, work.contact_1, work.contact_2)
+    _second_layer(net.contact, par.contact, work.contact_1, work.contact_2)
     for o in range(CONTACT_OUTPUTS):
-        work.contact[o] = net.contact.bias_3[o]
+        work.contact[o] = par.contact.bias_3[o]
     _add_rows(work.contact_2, net.contact.weights_3, work.contact)
 
 
 @njit(cache=True)
-def _drive_jacobian(net, work, x):
+def _drive_jacobian(net, par, work, x, amplitudes):
     """∂c_i/∂a_j (k, k) where the drive was evaluated last, into work.jacobian.
 
-    Overwrites the layers of that evaluation.
+    With c = S y(ln S, a/S), ∂S/∂a_j = a_j/S. Overwrites the layers of that evaluation.
     """
     layers, h1, h2 = net.drive, work.drive_1, work.drive_2
-    sensitivity, jacobian = work.sensitivity, work.jacobian
-    k, n = sensitivity.shape
-    ratio = 1.0 / (x + SHIFT_RATIO)
+    sensitivity, jacobian, slope = work.sensitivity, work.jacobian, work.slope
+    n = len(h1)
+    k = len(amplitudes)
+    scale = strain_scale(x, amplitudes)
     # Slopes of v / sqrt(1 + v²) from its values z: (1 − z²)^1.5.
     for o in range(n):
         z = 1.0 - h1[o] * h1[o]
-        h1[o] = z * math.sqrt(z)
+        h1[o] = par.drive.gain_1[o] * z * math.sqrt(z)
         z = 1.0 - h2[o] * h2[o]
-        h2[o] = z * math.sqrt(z)
-    for j in range(k):
+        h2[o] = par.drive.gain_2[o] * z * math.sqrt(z)
+    for j in range(1 + k):
+        row = layers.load[2] if j == 0 else layers.amplitude[j - 1]
         for o in range(n):
             sensitivity[j, o] = 0.0
         for i in range(0, n, 4):
-            v0 = h1[i] * (layers.amplitude[j, i] + ratio * layers.amplitude_ratio[j, i])
-            v1 = h1[i + 1] * (layers.amplitude[j, i + 1] + ratio * layers.amplitude_ratio[j, i + 1])
-            v2 = h1[i + 2] * (layers.amplitude[j, i + 2] + ratio * layers.amplitude_ratio[j, i + 2])
-            v3 = h1[i + 3] * (layers.amplitude[j, i + 3] + ratio * layers.amplitude_ratio[j, i + 3])
+            v0, v1 = h1[i] * row[i], h1[i + 1] * row[i + 1]
+            v2, v3 = h1[i + 2] * row[i + 2], h1[i + 3] * row[i + 3]
             for o in range(n):
                 sensitivity[j, o] += (
                     v0 * layers.weights_2[i, o] + v1 * layers.weights_2[i + 1, o]
                 ) + (v2 * layers.weights_2[i + 2, o] + v3 * layers.weights_2[i + 3, o])
-        for i in range(k):
-            jacobian[i, j] = 0.0
         for o in range(n):
-            v = sensitivity[j, o] * h2[o]
-            for i in range(k):
-                jacobian[i, j] += v * layers.weights_3[o, 1 + i]
+            sensitivity[j, o] *= h2[o]
+    for i in range(k):
+        # y_i + ∂y_i/∂ln S − Σ_m (a_m/S) ∂y_i/∂(a_m/S), the factor of a_j/S.
+        radial = (work.drive[1 + i] + par.drive_at_rest[1 + i]) / scale
+        for j in range(1 + k):
+            slope[j] = 0.0
+            for o in range(n):
+                slope[j] += sensitivity[j, o] * layers.weights_3[o, 1 + i]
+        radial += slope[0] * scale / (scale + SHIFT_STRAIN)
+        for j in range(k):
+            radial -= amplitudes[j] / scale * slope[1 + j]
+        for j in range(k):
+            jacobian[i, j] = slope[1 + j] + radial * amplitudes[j] / scale
 
 
 @njit(cache=True)
@@ -301,7 +337,7 @@ def _strain(net, par, state, work, x):
         trial[i] = a[i]
     for _ in range(_MOST_ITERATIONS):
         _drive(net, par, work, x, trial, work.drive)
-        _drive_jacobian(net, work, x)
+        _drive_jacobian(net, par, work, x, trial)
         for i in range(k):
             residual[i] = base[i] + new * (work.drive[1 + i] + trial[i]) - trial[i]
             for j in range(k):
@@ -346,7 +382,7 @@ def _advance(net, par, state, work, dt, force):
         delta = state.drive[0]
         _strain(net, par, state, work, (f / par.force_scale) ** (1.0 / 3.0))
         if f > 0.0:
-            change = math.log(max(state.drive[0], _DELTA_FLOOR) / max(delta, _DELTA_FLOOR))
+            change = math.log(max(state.drive[0], DELTA_FLOOR) / max(delta, DELTA_FLOOR))
             sign = 1.0 if change > 0.0 else -1.0
             for j in range(len(q)):
                 fade = math.exp(-abs(change) / net.betas[j])

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The reduced model at run time: any parameters and any force history in microseconds a step."""
 
 from __future__ import annotations
@@ -9,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -20,22 +23,19 @@ from ..geometry import Geometry
 from ..history import ContactHistory, ContactPoint, check_force_history
 from ..laws import ConstitutiveLaw, MaxwellLaw, ParameterSpace, StandardLinearSolid, law_of
 from . import kernels as rk
+from . import population
+from .maps import GeometryMaps, Maps, PopulationMaps
 
-FORMAT = 2
+FORMAT = 3
 """Version of the file's layout."""
 
 SHIPPED = "reduced_default.npz"
+"""Of the default geometry and friction: more exact there than the population's."""
+
+SHIPPED_POPULATION = "reduced_population.npz"
 
 LAW = StandardLinearSolid
 """The law that models are trained on; their maps hold for any branches (see `training_runs`)."""
-
-
-class _Folded(NamedTuple):
-    """A network for the kernels: first layer's bias, row of ln E2/E0 in it, layers by name."""
-
-    first_bias: np.ndarray
-    stiffness_row: np.ndarray
-    layers: dict[str, np.ndarray]
 
 
 @dataclass
@@ -49,13 +49,15 @@ class ReducedState:
 
 
 class ReducedModel:
-    """Reduced model of one geometry, for one material law.
+    """Reduced model of one finger, for one material law.
 
-    law: StandardLinearSolid, on which it was trained, or another law of Maxwell branches (see
-    `for_law`). geometry: what it was built for; geometry_hash: of the geometry; hash: of the file's
-    numbers; range: dict of the parameters' (low, high) and of "force"; measured_error: what
-    `finger-model verify --reduced` found when it was built; settings: of the build. Raises
-    InputError for arrays that do not belong together.
+    arrays, meta: what the file holds, made for one geometry or for the population box; for the
+    latter, geometry (default: the default one) and fixed (fixed properties of the material; default
+    those of the law) say which finger it is. law: StandardLinearSolid, on which models are trained,
+    or another law of Maxwell branches (see `for_law`). geometry_hash: of the geometry; hash: of all
+    that it consists of; range: dict of the parameters' (low, high) and of "force"; measured_error:
+    what `finger-model verify --reduced` found when it was built; settings: of the build. Raises
+    InputError for arrays that do not belong together and fingers outside the population box.
     """
 
     def __init__(
@@ -63,16 +65,27 @@ class ReducedModel:
         arrays: dict[str, np.ndarray],
         meta: dict[str, Any],
         law: type[MaxwellLaw] | None = None,
+        geometry: Geometry | None = None,
+        fixed: dict[str, float] | None = None,
     ) -> None:
         try:
             self.arrays = {k: np.ascontiguousarray(v, dtype=float) for k, v in arrays.items()}
             self.meta = meta
-            self.geometry = Geometry.from_dict(meta["geometry"], "reduced model")
-            self.geometry_hash = str(meta["geometry_hash"])
+            self.serves_population = bool(meta.get("population", False))
+            if self.serves_population:
+                self.geometry = geometry or Geometry()
+                self.geometry_hash = self.geometry.hash()
+                self._fixed = {**_fixed_of(LAW()), **(fixed or {})}
+            else:
+                self.geometry = Geometry.from_dict(meta["geometry"], "reduced model")
+                self.geometry_hash = str(meta["geometry_hash"])
+                self._fixed = {
+                    **_fixed_of(LAW()),
+                    **meta.get("fixed", {}),
+                    "friction": float(meta["friction"]),
+                }
             self._box = {k: (float(v[0]), float(v[1])) for k, v in meta["range"].items()}
-            self.measured_error = dict(meta["measured_error"])
             self.settings = dict(meta["settings"])
-            self.friction = float(meta["friction"])
             trained_on = law_of(str(meta.get("law", "")))
             self.law = law or LAW
             self._prepare()
@@ -91,6 +104,26 @@ class ReducedModel:
                 "reduced model: its geometry does not have the hash it claims; build it again with "
                 "'finger-model reduce'"
             )
+        if self.serves_population:
+            population.check_geometry(self.geometry)
+            population.check_fixed(self._fixed)
+
+    @property
+    def friction(self) -> float:
+        """Friction coefficient between skin and plate."""
+        return self._fixed["friction"]
+
+    @property
+    def measured_error(self) -> dict[str, Any]:
+        """Errors measured when the file was built: for the population, those of the region in which
+        the finger lies."""
+        error = dict(self.meta["measured_error"])
+        return dict(error.get(self.region, {})) if self.serves_population else error
+
+    @property
+    def region(self) -> str:
+        """Region of the population box whose stated error holds: "middle" or "whole"."""
+        return population.region_of(self.geometry)
 
     @property
     def space(self) -> ParameterSpace:
@@ -99,9 +132,8 @@ class ReducedModel:
 
     @property
     def fixed(self) -> dict[str, float]:
-        """Fixed properties of the material that it was built for, as in material.yaml."""
-        properties = {**self.law().to_dict(), **self.meta.get("fixed", {})}
-        properties["friction"] = self.friction
+        """Fixed properties of the material that it is for, as in material.yaml."""
+        properties = {**self.law().to_dict(), **self._fixed}
         return {name: properties[name] for name in self.law.keys() if name not in self.space}
 
     @property
@@ -111,14 +143,33 @@ class ReducedModel:
         for spec in self.space:
             found[spec.name] = self._box.get(spec.name, spec.range)
         if "stiffening" in self.space:
-            found["stiffening"] = (0.0, 0.0)
+            found["stiffening"] = self._box.get("stiffening", (0.0, 0.0))
         return {**found, "force": self._box["force"]}
 
     def for_law(self, law: type[ConstitutiveLaw]) -> ReducedModel:
         """The same model for another law of Maxwell branches; raises InputError for other laws."""
         if not issubclass(law, MaxwellLaw):
             raise InputError(f"material: law '{law.name}' has no reduced model; use --solver full")
-        return self if law is self.law else ReducedModel(self.arrays, self.meta, law)
+        if law is self.law:
+            return self
+        return ReducedModel(self.arrays, self.meta, law, self.geometry, self._fixed)
+
+    def for_material(self, material: ConstitutiveLaw) -> ReducedModel:
+        """The same finger with the law and the fixed properties of a material.
+
+        Raises InputError for a law without reduced model and for properties that it does not serve.
+        The shipped model of the default geometry gives way to the population's where it must.
+        """
+        model = self.for_law(type(material))
+        assert isinstance(material, MaxwellLaw)
+        wanted = {name: getattr(material, name) for name in model.fixed}
+        if wanted == model.fixed and (material.stiffening == 0.0 or self.serves_population):
+            return model
+        if not self.serves_population:
+            if self.meta is not _shipped().meta:
+                return model
+            return load_population(self.geometry).for_material(material)
+        return ReducedModel(self.arrays, self.meta, model.law, self.geometry, wanted)
 
     @property
     def material(self) -> ConstitutiveLaw:
@@ -126,78 +177,38 @@ class ReducedModel:
         return replace(self.law(), **self.fixed)  # type: ignore[type-var]
 
     def _prepare(self) -> None:
-        a = self.arrays
-        self.latents = a["drive_weights_3"].shape[1] - 1
-        frictions = len(a["betas"])
-        drive = self._network("drive", 2 + 2 * self.latents, 1 + self.latents)
-        contact = self._network("contact", 2 + 2 * self.latents + frictions, rk.CONTACT_OUTPUTS)
-        self._first_bias = {"drive": drive.first_bias, "contact": contact.first_bias}
-        self._stiffness_row = {"drive": drive.stiffness_row, "contact": contact.stiffness_row}
-        self._types = rk.record_types(
-            self.latents, frictions, len(drive.first_bias), len(contact.first_bias)
-        )
-        self.networks = np.zeros(1, self._types.networks)
-        self.networks["betas"] = a["betas"]
-        for name, folded in (("drive", drive), ("contact", contact)):
-            for key, values in folded.layers.items():
-                self.networks[name][key] = values
-        self.work = np.zeros(1, self._types.work)
-        self._limit = a["force_limit"]
-        if self._limit.shape != (3,) or np.abs(self._limit).max() > 20.0:
-            raise ValueError("force_limit is no fit of three exponents")
-        if not all(np.isfinite(values).all() for values in a.values()):
+        maps = PopulationMaps if self.serves_population else GeometryMaps
+        self.maps: Maps = maps(self.arrays)
+        self.latents = self.maps.latents
+        self.networks, self.work = self.maps.networks, self.maps.work
+        if not all(np.isfinite(values).all() for values in self.arrays.values()):
             raise ValueError("an array holds what is no finite number")
-        self.hash = sha256_of(
-            {
-                "geometry": self.geometry_hash,
-                "arrays": {k: sha256_of(v.tobytes()) for k, v in sorted(a.items())},
-            }
-        )
-        self.rms_error = float(self.measured_error.get("rms_p99", 0.01))
-
-    def _network(self, name: str, inputs: int, outputs: int) -> _Folded:
-        """A network for the kernels; raises ValueError for layers that do not fit together."""
-        a = {k.removeprefix(name + "_"): v for k, v in self.arrays.items() if k.startswith(name)}
-        first, second, last = (a[f"weights_{i}"] for i in (1, 2, 3))
-        width = len(a["bias_1"])
-        if (
-            first.shape != (inputs + 1, width)
-            or second.shape != (width, width)
-            or last.shape != (width, outputs)
-        ):
-            raise ValueError(f"layers of the {name} network do not fit together")
-        # Scaling of inputs and outputs goes into the weights; the last input, ln E2/E0, into the
-        # bias.
-        first = first / a["input_scale"][:, None]
-        k = self.latents
-        layers = {
-            "load": first[:2],
-            "amplitude": first[2 : 2 + k],
-            "amplitude_ratio": first[2 + k : 2 + 2 * k],
-            "bias_2": a["bias_2"],
-            "weights_2": second,
-            "weights_3": last * a["output_scale"],
-        }
-        if name == "contact":
-            layers["friction"] = first[2 + 2 * k : inputs]
-            layers["bias_3"] = a["bias_3"] * a["output_scale"] + a["output_mean"]
-        return _Folded(a["bias_1"] - a["input_mean"] @ first, first[inputs], layers)
+        self.hash = _hash_of(self)
+        # Over the population the largest errors are those of extreme fingers.
+        figure = "rms_p90" if self.serves_population else "rms_p99"
+        self.rms_error = float(self.measured_error.get(figure, 0.01))
 
     # Files -----------------------------------------------------------------------------------
 
     @classmethod
     def load(cls, path: str | Path | None = None, geometry: Geometry | None = None) -> ReducedModel:
-        """From a file of `finger-model reduce`; None for the shipped one of the default geometry.
+        """From a file of `finger-model reduce`; None for a shipped one.
+
+        That is the one of the default geometry or, for another geometry, of the population box.
 
         Raises InputError for a file that is not one, of another version, or made for another
-        geometry than `geometry` (when given).
+        geometry than `geometry` (when given), and for a finger outside the box.
         """
         if path is None:
+            if geometry is not None and geometry.hash() != Geometry().hash():
+                return load_population(geometry)
             model = _shipped()
             where = "the shipped reduced model"
         else:
             where = str(path)
             model = cls._parse(read_bytes(path, "reduced model"), where)
+            if model.serves_population and geometry is not None:
+                return ReducedModel(model.arrays, model.meta, model.law, geometry)
         if geometry is not None and geometry.hash() != model.geometry_hash:
             raise InputError(
                 f"{where} was made for another geometry ({model.geometry_hash[:8]}, needed is "
@@ -232,29 +243,13 @@ class ReducedModel:
     def constants(self, parameters: np.ndarray | ConstitutiveLaw) -> np.ndarray:
         """The kernels' record (1,) of one parameter set; raises InputError for bad parameters."""
         material = self._material(parameters)
-        length = self.geometry.pad_semi_axis_radial
-        record = np.zeros(1, self._types.parameters)
-        record["length"] = length
-        record["force_scale"] = material.instantaneous_modulus * length**2
-        branches = material.branches
-        record["branches"] = len(branches)
-        for index, branch in enumerate(branches):
-            record["fraction"][0, index] = branch.fraction
-            record["tau"][0, index] = branch.relaxation_time
+        record = self.maps.parameters(self.geometry, material)
         record["force_limit"] = self._limit_of(material)
-        stiffness = math.log(material.epidermis_modulus / material.instantaneous_modulus)
-        for name in ("drive", "contact"):
-            record[f"{name}_bias"] = self._first_bias[name] + stiffness * self._stiffness_row[name]
-        # Indentation and drive at rest, which the kernels subtract.
-        state = self.state_at_rest(record)
-        record["drive_at_rest"] = state["drive"]
         return record
 
     def state_at_rest(self, constants: np.ndarray) -> np.ndarray:
         """The kernels' record (1,) of a finger at rest."""
-        state = np.zeros(1, self._types.state)
-        rk.rest(self.networks, constants, state, self.work)
-        return state
+        return self.maps.at_rest(constants)
 
     def _vector(self, parameters: np.ndarray | ConstitutiveLaw) -> np.ndarray:
         """Parameters (n,) as floats; raises InputError for what the model was not built for."""
@@ -266,7 +261,7 @@ class ReducedModel:
     def _material(self, parameters: np.ndarray | ConstitutiveLaw) -> MaxwellLaw:
         found = self.material.with_vector(self._vector(parameters))
         assert isinstance(found, MaxwellLaw)
-        if found.stiffening > 0:
+        if found.stiffening > 0 and not self.serves_population:
             raise InputError(
                 f"material: 'stiffening' is {found.stiffening:g}, the reduced model is made for 0; "
                 "use --solver full"
@@ -310,11 +305,8 @@ class ReducedModel:
         return self._limit_of(self._material(parameters))
 
     def _limit_of(self, material: MaxwellLaw) -> float:
-        E0, length = material.instantaneous_modulus, self.geometry.pad_semi_axis_radial
-        c = self._limit
-        share, skin = material.long_term_fraction, material.epidermis_modulus / E0
-        carried = E0 * length**2 * math.exp(c[0] + c[1] * math.log(share) + c[2] * math.log(skin))
-        return min(self._box["force"][1], carried)
+        scale = material.instantaneous_modulus * self.geometry.pad_semi_axis_radial**2
+        return min(self._box["force"][1], scale * self.maps.largest_load(material))
 
     # Use -------------------------------------------------------------------------------------
 
@@ -440,7 +432,7 @@ class ReducedModel:
             rk.batch(
                 self.networks,
                 constants,
-                np.zeros(1, self._types.state),
+                np.zeros(1, self.maps.types.state),
                 self.work,
                 np.concatenate([time for time, _ in checked]),
                 np.concatenate([force for _, force in checked]),
@@ -460,9 +452,39 @@ def history_of(time: np.ndarray, force: np.ndarray, table: np.ndarray) -> Contac
     )
 
 
+def _fixed_of(law: MaxwellLaw) -> dict[str, float]:
+    """Properties of a material that no parameter of its law holds."""
+    return {k: v for k, v in law.to_dict().items() if k not in law.PARAMETERS}
+
+
+def _hash_of(model: ReducedModel) -> str:
+    parts: dict[str, Any] = {
+        "geometry": model.geometry_hash,
+        "arrays": {k: sha256_of(v.tobytes()) for k, v in sorted(model.arrays.items())},
+    }
+    if model.serves_population:
+        parts["fixed"] = {k: float(v) for k, v in model.fixed.items()}
+    return sha256_of(parts)
+
+
+def _read_shipped(name: str) -> ReducedModel:
+    file = resources.files("finger_model") / "data" / name
+    if not file.is_file():
+        raise InputError(f"the shipped reduced model {name} is missing; run 'finger-model reduce'")
+    return ReducedModel._parse(file.read_bytes(), name)
+
+
 @functools.cache
 def _shipped() -> ReducedModel:
-    file = resources.files("finger_model") / "data" / SHIPPED
-    if not file.is_file():
-        raise InputError("the shipped reduced model is missing; run 'finger-model reduce'")
-    return ReducedModel._parse(file.read_bytes(), SHIPPED)
+    return _read_shipped(SHIPPED)
+
+
+@functools.cache
+def _population() -> ReducedModel:
+    return _read_shipped(SHIPPED_POPULATION)
+
+
+def load_population(geometry: Geometry) -> ReducedModel:
+    """The shipped model of the population box for one finger; raises InputError outside the box."""
+    shipped = _population()
+    return ReducedModel(shipped.arrays, shipped.meta, shipped.law, geometry)

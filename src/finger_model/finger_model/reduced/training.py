@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Training of the reduced model's networks on full-order runs, by Levenberg and Marquardt's method.
 
 Two hidden layers of the smooth sigmoid v/√(1 + v²), weighted least squares over all rows of the
@@ -40,10 +43,21 @@ class Samples:
 def features(
     x: np.ndarray, a: np.ndarray, q: np.ndarray | None, stiffness: np.ndarray
 ) -> np.ndarray:
-    """Inputs of a network (n, 2 + 2k + m + 1), in the order of `kernels`."""
-    columns = [x, np.log(x + rk.SHIFT_LOG), a, a / (x + rk.SHIFT_RATIO)[:, None]]
+    """Inputs of a network (n, 3 + k + m + 1), in the order of `kernels`."""
+    scale = strain_scales(x, a)
+    columns = [x, np.log(x + rk.SHIFT_LOG), np.log(scale + rk.SHIFT_STRAIN), a / scale[:, None]]
     columns += [q] if q is not None else []
     return np.column_stack([*columns, stiffness])
+
+
+def strain_scales(x: np.ndarray, a: np.ndarray) -> np.ndarray:
+    """S (n,) of load measures (n,) and amplitudes (n, k)."""
+    return np.array([rk.strain_scale(*row) for row in zip(x, np.ascontiguousarray(a))])
+
+
+def drive_targets(depth: np.ndarray, drive: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """What the drive network gives (n, 1 + k) for δ/L (n,) and c (n, k)."""
+    return np.column_stack([depth / scale ** (2 / 3), drive / scale[:, None]])
 
 
 def load_measure(run: Run, length: float) -> np.ndarray:
@@ -57,10 +71,11 @@ def drive_samples(run: Run, length: float, latents: int, count: float = 1.0) -> 
     stiffness = np.full(len(x), math.log(run.parameters[3] / run.parameters[0]))
     inputs = features(x, run.internal[:, :latents], None, stiffness)
     delta = run.indentation / length
-    targets = np.column_stack([delta, (run.total - run.internal)[:, :latents]])
-    weights = np.ones_like(targets)
+    scale = strain_scales(x, run.internal[:, :latents])
+    targets = drive_targets(delta, (run.total - run.internal)[:, :latents], scale)
+    weights = np.repeat(scale[:, None], targets.shape[1], axis=1)
     # Indentation counts relative to the run's largest.
-    weights[:, 0] = 0.2 / max(delta.max(), 0.06)
+    weights[:, 0] = scale ** (2 / 3) * 0.2 / max(delta.max(), 0.06)
     return Samples(inputs, targets, count * weights)
 
 

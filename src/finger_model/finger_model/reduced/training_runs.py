@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Full-order runs for the reduced model: internal strain in a few coordinates along many histories.
 
 The full-order bulk has the energy ½ J^(−2/3) H : C with H = G∞ 1 + (G0 − G∞) A. Over G0, and with r

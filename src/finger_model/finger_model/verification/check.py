@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Result of one verification: numbers with limits, and curves for a figure."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Finger: limits in time, independent reference curves, energy, smoothness, monotonicity."""
 
 from __future__ import annotations

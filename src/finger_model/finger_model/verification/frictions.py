@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Friction: its effect on area, Coulomb's law, and a disc on a rough plane."""
 
 from __future__ import annotations

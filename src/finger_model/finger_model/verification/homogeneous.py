@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The general law in homogeneous deformations, against closed forms and ordinary differential
 equations.
 

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Patch tests, orders of convergence, mesh and time-step error of the defaults."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """What has been printed about people's fingers, beside the model's own numbers.
 
 The paper's three conditions answer for the exponents and their order. One generic finger, with

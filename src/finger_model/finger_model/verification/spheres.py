@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Hertz and Lee–Radok: spheres on a rigid plane."""
 
 from __future__ import annotations

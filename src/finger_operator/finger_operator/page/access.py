@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Who may open the page and command the rig."""
 
 from __future__ import annotations
@@ -22,20 +25,23 @@ def is_loopback(address: str | None) -> bool:
     return (mapped or peer).is_loopback
 
 
-def host_allowed(header: str | None, host: str, port: int, further: Collection[str]) -> bool:
-    """Whether a Host header names this server: by address, as localhost, or by a `further` name."""
+def _named(header: str | None) -> tuple[str, int]:
+    """Name and port in a Host header; an empty name for what is none."""
     try:
         parts = urlsplit(f"//{header or ''}")
-        name, given_port = parts.hostname or "", parts.port or 80
+        return parts.hostname or "", parts.port or 80
     except ValueError:
-        return False
-    if not name:
-        return False
-    if name in further:
-        return True
-    if given_port != port:
-        return False
-    if name in ("localhost", host):
+        return "", 0
+
+
+def host_allowed(header: str | None, host: str, further: Collection[str]) -> bool:
+    """Whether a Host header names this server: by address, as localhost, or by a `further` name.
+
+    Any port: a forwarded one has another number. A foreign name that resolves to this machine is
+    what must not pass.
+    """
+    name, _ = _named(header)
+    if name and (name in further or name in ("localhost", host)):
         return True
     try:
         ipaddress.ip_address(name)
@@ -44,17 +50,15 @@ def host_allowed(header: str | None, host: str, port: int, further: Collection[s
     return True
 
 
-def from_this_machine(address: str | None, headers: Mapping[str, str]) -> bool:
-    """Whether a request was made on this machine, for this machine.
+def from_this_machine(address: str | None, port: int, headers: Mapping[str, str]) -> bool:
+    """Whether a request to our `port` was made on this machine, for this machine.
 
     A reverse proxy or a forwarded port makes requests from here for people elsewhere: it names
-    another host, or says that it forwards.
+    another host or port, or says that it forwards. Only a port that is forwarded to the same number
+    elsewhere looks like this machine; who can forward it may log in here.
     """
-    try:
-        name = urlsplit(f"//{headers.get('Host') or ''}").hostname or ""
-    except ValueError:
-        return False
-    forwarded = any(key in headers for key in FORWARDING)
+    name, given_port = _named(headers.get("Host"))
+    forwarded = given_port != port or any(key in headers for key in FORWARDING)
     return is_loopback(address) and not forwarded and (name == "localhost" or is_loopback(name))
 
 

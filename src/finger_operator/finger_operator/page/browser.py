@@ -1,7 +1,12 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """One connected browser: what waits to be sent to it, and the order in which it is sent.
 
-Cues and answers are sent at once and never dropped. Of everything else only the newest of its kind
-is kept, so that a slow tablet loses frame rate and nothing else.
+Cues and answers are sent at once and never dropped. Everything else goes in rounds; the next round
+waits until the page says that it has the last one, so that never more than one is on its way. Of
+what waits, only the newest of its kind is kept, and an image is made smaller until a round takes a
+fraction of a second. So a slow link loses frame rate and detail, and what it shows is not old.
 """
 
 from __future__ import annotations
@@ -13,10 +18,35 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
 
+import cv2
+import numpy as np
 from aiohttp import web
 
 POINTS_LIMIT = 5000
 """Points of a curve that wait for a browser; a slow one misses the rest."""
+
+ROUND = (0.1, 0.2)
+"""s that a round may take: below, images may be larger; above, they must be smaller."""
+
+IMAGE_BYTES = (2_000, 50_000, 1_000_000)
+"""Bytes of an image: the smallest limit, the first, the largest."""
+
+
+def smaller_image(jpeg: bytes, limit: int) -> bytes:
+    """A JPEG of no more than `limit` bytes, or an eighth of the width: with fewer pixels."""
+    data = np.frombuffer(jpeg, np.uint8)
+    for reduced in (
+        cv2.IMREAD_REDUCED_COLOR_2,
+        cv2.IMREAD_REDUCED_COLOR_4,
+        cv2.IMREAD_REDUCED_COLOR_8,
+    ):
+        if len(jpeg) <= limit:
+            break
+        image = cv2.imdecode(data, reduced)
+        if image is None:
+            break
+        jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 60])[1].tobytes()
+    return jpeg
 
 
 @dataclass(eq=False)
@@ -31,11 +61,18 @@ class Browser:
     cues: deque[str] = field(default_factory=deque)
     newest: dict[str, str] = field(default_factory=dict)
     points: dict[str, list[list[Any]]] = field(default_factory=dict)
-    image: bytes | None = None
+    image: tuple[bytes, bytes] | None = None
+    """Head and JPEG of the newest image."""
+    image_bytes: int = IMAGE_BYTES[1]
+    """Largest image that the link takes."""
     wake: asyncio.Event = field(default_factory=asyncio.Event)
     transport: asyncio.BaseTransport | None = None
     sending_since: float | None = None
-    """Monotonic time at which a round of sending began that has not ended."""
+    """Monotonic time since which something is being sent, or was sent and is not confirmed."""
+    rounds: int = 0
+    """Number of the last round."""
+    confirmed: bool = True
+    """Whether the page has the last round."""
 
     def add_cue(self, text: str) -> None:
         """A cue or an answer, to be sent before everything else."""
@@ -55,9 +92,23 @@ class Browser:
                 values.append(value)
         self.wake.set()
 
-    def add_image(self, data: bytes) -> None:
-        """The newest image."""
-        self.image = data
+    def add_image(self, head: bytes, jpeg: bytes) -> None:
+        """The newest image, with the bytes that go before it."""
+        self.image = (head, jpeg)
+        self.wake.set()
+
+    def confirm(self, number: int) -> None:
+        """The page has the round of that number."""
+        if number != self.rounds or self.confirmed:
+            return
+        took = time.monotonic() - (self.sending_since or time.monotonic())
+        low, high = ROUND
+        smallest, _, largest = IMAGE_BYTES
+        if took > high:
+            self.image_bytes = max(self.image_bytes // 2, smallest)
+        elif took < low:
+            self.image_bytes = min(self.image_bytes * 5 // 4, largest)
+        self.confirmed, self.sending_since = True, None
         self.wake.set()
 
     def answer(self, number: Any, success: bool, sentence: str) -> None:
@@ -80,25 +131,39 @@ class Browser:
         """Send what waits until the browser goes away; the only writer to its socket."""
         try:
             while not self.socket.closed:
-                self.sending_since = None
                 await self.wake.wait()
                 self.wake.clear()
-                self.sending_since = time.monotonic()
+                if self.confirmed:
+                    self.sending_since = time.monotonic()
                 await self._send_cues()
-                newest, self.newest = self.newest, {}
-                for text in newest.values():
-                    await self.socket.send_str(text)
-                    await self._send_cues()
-                if self.points:
-                    points, self.points = self.points, {}
-                    await self.socket.send_str(json.dumps({"type": "points", **points}))
-                await self._send_cues()
-                if self.image is not None:
-                    image, self.image = self.image, None
-                    await self.socket.send_bytes(image)
+                if self.confirmed:
+                    await self._send_round()
         except (ConnectionError, RuntimeError):
             # The browser went away in the middle of a message; the reader notices and cleans up.
             pass
+
+    async def _send_round(self) -> None:
+        """Send the newest of everything; the page confirms the last message of it."""
+        image, self.image = self.image, None
+        if not (self.newest or self.points or image):
+            self.sending_since = None
+            return
+        if image and len(image[1]) > self.image_bytes:
+            small = await asyncio.to_thread(smaller_image, image[1], self.image_bytes)
+            image = (image[0], small)
+        self.confirmed, self.rounds = False, self.rounds + 1
+        newest, self.newest = self.newest, {}
+        points, self.points = self.points, {}
+        for text in newest.values():
+            await self.socket.send_str(text)
+            await self._send_cues()
+        if points:
+            await self.socket.send_str(json.dumps({"type": "points", **points}))
+            await self._send_cues()
+        if image:
+            await self.socket.send_bytes(b"".join(image))
+            await self._send_cues()
+        await self.socket.send_str(json.dumps({"type": "round", "id": self.rounds}))
 
     async def _send_cues(self) -> None:
         while self.cues:

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """The commands of the page, with the names and types of their arguments."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """What the page draws: a short memory of force, and pairs of force and area, as plain data.
 
 Areas go to the browser in mm² and forces in N; everything else here is SI.
@@ -11,7 +14,7 @@ from collections import deque
 from collections.abc import Collection, Sequence
 from typing import Any
 
-from finger_common.diagnostics import STALE
+from finger_common.diagnostics import STALE, node_within
 from finger_common.flags import AreaFlag
 from finger_common.stamps import NANOSECONDS, seconds
 
@@ -135,18 +138,14 @@ class CurveMemory:
         }
 
 
-def node_of(name: str) -> str:
-    """Name of the node in the name of a status, "namespace/node: part"."""
-    return name.split(":")[0].rsplit("/", 1)[-1]
-
-
 class HealthBoard:
     """Newest status of every node and device of /diagnostics; one silent for 3 s is stale."""
 
     STALE_AFTER = 3.0
     LIMIT = 64
 
-    def __init__(self) -> None:
+    def __init__(self, namespace: str = "/") -> None:
+        self._namespace = namespace
         self._entries: dict[str, tuple[float, dict[str, Any]]] = {}
 
     def add(self, now: float, name: str, level: int, message: str, values: dict[str, str]) -> None:
@@ -166,7 +165,7 @@ class HealthBoard:
         result = []
         for name in sorted(self._entries):
             last, entry = self._entries[name]
-            if now - last > self.STALE_AFTER or node_of(name) in dead:
+            if now - last > self.STALE_AFTER or node_within(name, self._namespace) in dead:
                 age = f"silent for {now - last:.0f} s"
                 entry = {**entry, "level": STALE, "message": age}
             result.append(entry)

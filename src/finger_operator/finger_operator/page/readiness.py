@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """What keeps the next trial from being recorded well, and what the operator does about it.
 
 A device counts as gone as soon as its stream or its node's heartbeat falls silent, so that no old
@@ -16,6 +19,10 @@ STREAM_SILENT = 0.6
 
 NODE_SILENT = 0.9
 """s without a heartbeat until a node counts as not running; it beats every 0.25 s."""
+
+
+SHORT = 60
+"""Characters of a device's own words that stand in the banner's large line."""
 
 
 @dataclass(frozen=True)
@@ -62,12 +69,17 @@ ALWAYS = ("protocol", "force")
 
 @dataclass(frozen=True)
 class Problem:
-    """One thing that is wrong. age: s since the last sign of life, None when there was none."""
+    """One thing that is wrong.
+
+    age: s since the last sign of life, None when there was none. detail: the device's own words,
+    where they are too long to be read from afar.
+    """
 
     source: str
     text: str
     remedy: str
     age: float | None = None
+    detail: str = ""
 
 
 @dataclass(frozen=True)
@@ -163,12 +175,17 @@ class Readiness:
             if device.key == "model" and self._silent("force", now):
                 return None  # the missing force says it already
             age = self.age(device.stream, now)
-            text = f"{device.silence}: {fault}." if fault else f"{device.silence}."
-            return Problem(device.key, text, device.remedy, age)
+            short = f": {fault}" if 0 < len(fault) <= SHORT else ""
+            return Problem(
+                device.key, f"{device.silence}{short}.", device.remedy, age, "" if short else fault
+            )
         if device.key == "force":
             return self._tare_problem()
         if fault:
-            return Problem(device.key, f"{_capital(device.name)}: {fault}.", device.remedy or CABLE)
+            remedy = device.remedy or CABLE
+            if len(fault) > SHORT:
+                return Problem(device.key, f"The {device.name} has a fault.", remedy, None, fault)
+            return Problem(device.key, f"{_capital(device.name)}: {fault}.", remedy)
         return None
 
     def _tare_problem(self) -> Problem | None:

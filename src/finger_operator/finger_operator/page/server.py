@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Web server of the operator's page, on aiohttp, without ROS. One WebSocket per browser.
 
 What protects the rig:
@@ -7,9 +10,9 @@ What protects the rig:
 - the operator's page is for this machine, and for others that name the token; a proxy or forwarded
   port counts as another machine;
 - the operator's WebSocket and each command carry the token, which only that page contains;
-- a connection without a complete request, and a browser that does not read, are closed after a
-  while; there is a limit of connections;
-- images go to this machine only, unless `share_images`;
+- a connection without a complete request, and a browser that does not read or does not confirm what
+  it got, are closed after a while; there is a limit of connections;
+- images go to this machine only, not through a forwarded port either, unless `share_images`;
 - messages are small JSON objects of known form; any other is answered with a sentence and has no
   effect.
 """
@@ -36,10 +39,10 @@ from finger_common.moisture import MOISTURE_RANGE
 from finger_common.stamps import seconds
 
 from ..study_plan import PlanSettings
-from .access import from_this_machine, host_allowed, is_loopback, same_secret
+from .access import from_this_machine, host_allowed, same_secret
 from .browser import Browser
 from .commands import check_command
-from .settings import PageSettings
+from .settings import USUAL_PORT, PageSettings
 
 STATIC = Path(__file__).resolve().parent / "static"
 MESSAGE_LIMIT = 16384
@@ -172,9 +175,8 @@ class PageServer:
                 app.router.add_get(f"/static/{file.name}", self._static(file))
         runner = web.AppRunner(app, access_log=None, shutdown_timeout=1.0, logger=_LOGGER)
         await runner.setup()
-        site = web.TCPSite(runner, self.settings.host or None, self.settings.port)
         try:
-            await site.start()
+            await self._listen(runner)
             self.port = runner.addresses[0][1]
             self._started.set()
             tasks = [
@@ -189,12 +191,23 @@ class PageServer:
         finally:
             await runner.cleanup()
 
+    async def _listen(self, runner: web.AppRunner) -> None:
+        """On the port of the settings, or else on the usual one, or else on a free one."""
+        wanted = self.settings.port
+        for port in [wanted] if wanted else [USUAL_PORT, 0]:
+            try:
+                await web.TCPSite(runner, self.settings.host or None, port).start()
+                return
+            except OSError:
+                if port == wanted:
+                    raise
+
     # Guards ----------------------------------------------------------------------------------
 
     @web.middleware
     async def _guard(self, request: web.Request, handler: Any) -> web.StreamResponse:
         header = request.headers.get("Host")
-        if not host_allowed(header, self.settings.host, self.port, self._allowed):
+        if not host_allowed(header, self.settings.host, self._allowed):
             return web.Response(
                 status=403,
                 text="The page is not served under this name; see allowed_hosts.\n",
@@ -231,11 +244,12 @@ class PageServer:
     # Pages -----------------------------------------------------------------------------------
 
     async def _operator_page(self, request: web.Request) -> web.Response:
-        if not (from_this_machine(request.remote, request.headers) or self._has_token(request)):
+        local = from_this_machine(request.remote, self.port, request.headers)
+        if not (local or self._has_token(request)):
             return web.Response(
                 status=403,
-                text="Open the operator's page with ?token=… as the page node's log shows it; "
-                "/participant needs no token.\n",
+                text="From another machine or port the operator's page needs ?token=… behind its "
+                "address, as the page node's log shows it; /participant needs no token.\n",
             )
         return web.Response(text=operator_page(self.token), content_type="text/html")
 
@@ -262,7 +276,7 @@ class PageServer:
             return web.Response(status=403, text="The operator's view needs the token.\n")
         socket = web.WebSocketResponse(heartbeat=20.0, max_msg_size=MESSAGE_LIMIT, compress=False)
         await socket.prepare(request)
-        local = is_loopback(request.remote)
+        local = from_this_machine(request.remote, self.port, request.headers)
         browser = Browser(socket, operator, operator and (local or self.settings.share_images))
         browser.add_state("hello", json.dumps({"type": "hello", "images": browser.images}))
         if operator:
@@ -302,6 +316,8 @@ class PageServer:
             stamp = self._cue_stamps.get(number)
             if stamp is not None and browser.operator:
                 self._latencies.append(time.time() - seconds(stamp))
+        elif kind == "got" and isinstance(number, int):
+            browser.confirm(number)
         elif kind == "watch" and isinstance(message.get("images"), bool):
             browser.wants_images = message["images"] and browser.images
         elif kind == "command":
@@ -383,9 +399,9 @@ class PageServer:
 
     def publish_image(self, jpeg: bytes, stamp_ns: int) -> None:
         """An image for the browsers that want it and may have it."""
-        self._call(self._publish_image, struct.pack("<q", stamp_ns) + jpeg)
+        self._call(self._publish_image, struct.pack("<q", stamp_ns), jpeg)
 
-    def _publish_image(self, data: bytes) -> None:
+    def _publish_image(self, head: bytes, jpeg: bytes) -> None:
         for browser in self._browsers:
             if browser.images and browser.wants_images:
-                browser.add_image(data)
+                browser.add_image(head, jpeg)

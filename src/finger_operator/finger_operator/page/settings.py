@@ -1,3 +1,6 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 """Parameters of the page: where it is served, to whom, and what it shows."""
 
 from __future__ import annotations
@@ -6,6 +9,9 @@ from dataclasses import dataclass
 
 from finger_common.axes import DEFAULT_NORMAL_AXIS, NORMAL_AXES
 from finger_common.settings import Settings, setting
+
+USUAL_PORT = 8080
+"""Port of the page where nothing else serves it."""
 
 
 @dataclass(frozen=True)
@@ -19,8 +25,9 @@ class PageSettings(Settings):
         "from the log.",
     )
     port: int = setting(
-        8080,
-        "TCP port of the page; 0 selects a free one, which the log names.",
+        0,
+        f"TCP port of the page; 0 is {USUAL_PORT}, or a free one while that is taken. The log "
+        "names it.",
         minimum=0,
         maximum=65535,
     )

@@ -205,7 +205,7 @@ const blocked = () => state.status.step === "prepare" && !state.status.paused
 
 function showStatus(s) {
   state.status = s;
-  if (s.target_force) charts.target = s.target_force;
+  charts.target = s.target_force ?? s.plan?.target_force ?? charts.target;
   const open = s.step !== "closed";
   set($("session"), open ? `${s.subject} · ${s.session}` : "no session");
   const attempt = s.attempt ? ` · attempt ${s.attempt + 1}` : "";
@@ -310,7 +310,8 @@ function showProblems(since) {
     const age = first.age === null ? "" : ` Silent for ${seconds(first.age + since)} s.`;
     set($("banner-text"), `${first.text}${age}`);
     set($("banner-remedy"), first.remedy);
-    set($("banner-more"), problems.slice(1).map((p) => p.text).join(" "));
+    const more = [first.detail, ...problems.slice(1).map((p) => p.text)];
+    set($("banner-more"), more.filter(Boolean).join(" "));
     alarm = problems.map((p) => p.text).join(" ") + ` ${first.remedy}`;
   }
   set($("alarm"), alarm);
@@ -352,7 +353,7 @@ function showNumbers() {
   showNumber("area-value", "mm²", "area", area == null ? "–" : area.toFixed(1));
   $("clipped").hidden = !(live && fresh("area") && state.clipped);
   // Without contact there is no estimate to draw: its area is zero.
-  const contact = model && (!live || (force && force[0] - model[0] < 0.3));
+  const contact = model && !untared && (!live || (force && force[0] - model[0] < 0.3));
   const zero = untared ? "–" : "0.0";
   showNumber("estimate-value", "mm²", "model", contact ? Charts.estimate(model) : zero);
   const third = contact ? Charts.third(charts.third, model) : "";

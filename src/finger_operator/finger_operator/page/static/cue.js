@@ -65,7 +65,12 @@ export class Link {
     const socket = new WebSocket(`${scheme}://${location.host}/ws?${this.view}`);
     socket.binaryType = "arraybuffer";
     socket.onopen = () => { this.delay = 250; this.state("open"); };
-    socket.onmessage = (event) => this.receive(event.data);
+    socket.onmessage = ({ data }) => {
+      // The server waits for this before it sends more, so that nothing old is on its way.
+      if (typeof data === "string" && data.startsWith('{"type": "round"')) {
+        this.send({ ...JSON.parse(data), type: "got" });
+      } else this.receive(data);
+    };
     socket.onclose = () => {
       this.state("lost");
       setTimeout(() => this.again(), this.delay);

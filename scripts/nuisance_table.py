@@ -1,0 +1,359 @@
+"""What the errors of a rig do to a fit, with nuisance parameters and without.
+
+    python scripts/nuisance_table.py [--seeds 20] [--cases tare,lag] [--output DIR] [--write]
+
+Simulated presses with known truth: the reduced model makes the areas and fits them, so that the
+bias is that of the error alone (the bias of the reduced model itself: scripts/recovery.py). The
+answer to the finger's lengths comes from the full-order model, as in a fit. Every seed gives the
+same presses new noise. "scatter" cases: gains of whole presses so large that the power law's J is
+the published one. "all" draws every error from its prior.
+
+Columns: mean error of E; mean standard deviation that the fits state; the larger goal, 3 % or half
+of it; share of 95 % intervals that hold the truth. Writes nuisances.json, and with --write the
+table of docs/nuisance_parameters.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import pickle
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numba
+import numpy as np
+from scipy.optimize import brentq
+
+from finger_common.files import atomic_write
+from finger_fit.engine import LocalEngine
+from finger_fit.full_order import FullOrder
+from finger_fit.nuisance.estimate import NuisanceModel
+from finger_fit.nuisance.geometry import FullOrderGeometry, Response, geometry_responses
+from finger_fit.options import FitOptions
+from finger_fit.problem import MM4, FitProblem, fit_power_law, prepare_all
+from finger_fit.search import all_free, refine
+from finger_fit.uncertainty import covariance, in_interval
+from finger_model.laws import StandardLinearSolid
+from finger_model.paper import TRIALS_PER_CONDITION
+from finger_model.reduced import ReducedModel
+from finger_sim.conditions import STUDY
+from finger_sim.press import Press, plan_press
+from finger_sim.study_bag import START_NS
+from finger_sim.study_trial import (
+    AREA_NOISE,
+    FORCE_NOISE,
+    FORCE_RATE,
+    FORCE_RESOLUTION,
+    FRAME_RATE,
+    stream,
+)
+
+SPACE = StandardLinearSolid.PARAMETERS
+QUANTITIES = ("composite_E", "E2", "tau1")
+PRESS_SEED = 1
+STEP = 0.04
+PUBLISHED_J = {"dry": 2650.0, "natural": 4767.0, "moist": 1807.0}
+"""mm⁴, of the power law (the paper)."""
+
+BEGIN, END = "<!-- nuisance -->", "<!-- /nuisance -->"
+PAGE = Path(__file__).parents[1] / "docs" / "nuisance_parameters.md"
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Errors of one study (SI; gains and lengths as logarithms).
+
+    rest: whether the record holds the unloaded plate; scatter: of the presses' gains; collapse:
+    share of the area that the hull loses at 0 N; trials: presses.
+    """
+
+    tare: float = 0.0
+    lag: float = 0.0
+    gain: float = 0.0
+    collapse: float = 0.0
+    thickness: float = 0.0
+    scatter: float = 0.0
+    rest: bool = True
+    trials: int = TRIALS_PER_CONDITION
+    drawn: bool = False
+
+
+CASES: dict[str, tuple[str, Rig]] = {
+    "none": ("natural", Rig()),
+    **{f"tare {v:+.2f} N": ("natural", Rig(tare=v)) for v in (-0.05, -0.02, 0.02, 0.05)},
+    **{
+        f"tare {v:+.2f} N, no rest recorded": ("natural", Rig(tare=v, rest=False))
+        for v in (-0.05, -0.02, 0.02, 0.05)
+    },
+    **{f"lag {1e3 * v:+.0f} ms": ("natural", Rig(lag=v)) for v in (-0.03, -0.01, 0.01, 0.03, 0.08)},
+    **{f"area {100 * v:+.0f} %": ("natural", Rig(gain=float(np.log1p(v)))) for v in (-0.06, 0.06)},
+    "hull loses 30 % at 0 N": ("natural", Rig(collapse=0.3)),
+    **{
+        f"epidermis {100 * v:+.0f} %": ("natural", Rig(thickness=float(np.log1p(v))))
+        for v in (-0.25, 0.25)
+    },
+    "all, drawn from the priors": ("natural", Rig(scatter=0.05, drawn=True)),
+    "all, no rest recorded": ("natural", Rig(scatter=0.05, drawn=True, rest=False)),
+    "three presses": ("natural", Rig(trials=3)),
+    **{f"published J, {name}": (name, Rig(scatter=-1.0)) for name in PUBLISHED_J},
+    "published J, natural, three presses": ("natural", Rig(scatter=-1.0, trials=3)),
+}
+
+
+class InProcess(LocalEngine):
+    """Everything in this process."""
+
+    spread = LocalEngine.map
+
+
+@cache
+def model() -> ReducedModel:
+    return ReducedModel.load()
+
+
+@cache
+def press(name: str, index: int) -> tuple[Press, np.ndarray, np.ndarray]:
+    """A press, its frame times (k,) in s and true areas (k,) in m²."""
+    drawn = plan_press(stream(PRESS_SEED, name, index, "press"))
+    phase = stream(PRESS_SEED, name, index, "camera").uniform(0.0, 1.0 / FRAME_RATE)
+    frames = np.arange(phase, drawn.duration, 1.0 / FRAME_RATE)
+    knots = np.union1d(drawn.time[::5], frames)
+    force = np.interp(knots, drawn.time, drawn.force)
+    rows = np.searchsorted(knots, frames)
+    truth = STUDY[name].material.vector()
+    area = model().batch(truth, [(knots, force, rows)])[0][0]
+    return drawn, frames, np.where(force[rows] > 0, area, 0.0)
+
+
+def published_scatter(name: str) -> float:
+    """Scatter of the presses' gains at which the power law has the published J.
+
+    A gain g = exp(z) adds mean(A²) (g − 1)² to a press's part of J.
+    """
+    squares = 0.0
+    for index in range(TRIALS_PER_CONDITION):
+        drawn, frames, area = press(name, index)
+        squares += float((area[(area > 0) & (frames <= drawn.cue + 0.1)] ** 2).mean())
+
+    def excess(s: float) -> float:
+        gain = np.exp(2 * s * s) - 2 * np.exp(0.5 * s * s) + 1.0
+        return squares * gain * MM4 - PUBLISHED_J[name]
+
+    return float(brentq(excess, 1e-3, 1.0))
+
+
+def record(
+    name: str, index: int, rig: Rig, seed: int, answer: Response | None, options: FitOptions
+) -> Any:
+    """One press as a rig with these errors records it."""
+    drawn, frames, area = press(name, index)
+    rng = np.random.default_rng([seed, index, 17])
+    time = np.arange(0.0, drawn.duration, 1.0 / FORCE_RATE)
+    true = np.interp(time, drawn.time, drawn.force)
+    force = true + rng.normal(0.0, FORCE_NOISE, len(time)) + rig.tare
+    force = np.round(force / FORCE_RESOLUTION) * FORCE_RESOLUTION
+    pressed = np.interp(frames, drawn.time, drawn.force)
+    log = rig.gain + rig.scatter * rng.normal() + np.zeros(len(area))
+    if answer is not None and rig.thickness:
+        duration = drawn.cue - drawn.onset
+        place = np.log(np.maximum(pressed, 0.05))
+        for power, table in ((1, answer.slope), (2, answer.bend)):
+            own = [np.interp(duration, answer.durations, column) for column in table.T]
+            log = log + np.polyval(own, place) * rig.thickness**power
+    # A bow that the fit's straight line does not have.
+    lost = 1.0 - rig.collapse * np.clip(1.0 - pressed / options.low_force, 0.0, 1.0) ** 0.7
+    measured = area * np.exp(log) * lost
+    noisy = np.maximum(measured + rng.normal(0.0, AREA_NOISE, len(area)), 0.0)
+    noisy = np.where(area > 0, noisy, 0.0)
+    inside, seen = np.ones(len(time), bool), np.ones(len(frames), bool)
+    if not rig.rest:
+        inside = (time > drawn.onset) & (time < drawn.lift_off)
+        seen = (frames > drawn.onset) & (frames < drawn.lift_off)
+    return SimpleNamespace(
+        bag="rig",
+        subject="SIM1",
+        condition=name,
+        index=index,
+        stamp_ns=START_NS + np.round(time[inside] * 1e9).astype(np.int64),
+        force=force[inside],
+        area_stamp_ns=START_NS + np.round((frames[seen] + rig.lag) * 1e9).astype(np.int64),
+        area=noisy[seen],
+        area_sd=np.full(int(seen.sum()), AREA_NOISE),
+        area_flags=np.where(area > 0, 0, 1)[seen],
+        moisture_before=[70.0],
+        moisture_after=[70.0],
+    )
+
+
+def problem_of(
+    name: str, rig: Rig, seed: int, options: FitOptions, answer: Response | None = None
+) -> FitProblem:
+    """The presses of one seed, prepared."""
+    records = [record(name, i, rig, seed, answer, options) for i in range(rig.trials)]
+    trials, _ = prepare_all(records, options)
+    return FitProblem(trials, model(), options)
+
+
+def responses_of(name: str, folder: Path | None) -> dict[str, Response]:
+    """Answers of a condition's presses to the finger's lengths, computed once and kept."""
+    path = None if folder is None else folder / f"lengths_{name}.pickle"
+    if path is not None and path.exists():
+        return pickle.loads(path.read_bytes())
+    options = FitOptions(step=STEP)
+    problem = problem_of(name, Rig(), 0, options)
+    better = FullOrderGeometry(FullOrder.like(model(), InProcess()))
+    truth = STUDY[name].material.vector()
+    found = geometry_responses(problem, truth, better, options.lengths())
+    if path is not None:
+        with atomic_write(path, "wb") as file:
+            pickle.dump(found, file)
+    return found
+
+
+def drawn_rig(rig: Rig, options: FitOptions, rng: np.random.Generator) -> Rig:
+    """A rig with its errors drawn from the priors."""
+    lengths = options.lengths()
+    return replace(
+        rig,
+        tare=rng.normal(0.0, options.tare_sd),
+        lag=rng.normal(0.0, options.lag_sd),
+        gain=rng.normal(0.0, options.area_gain_sd),
+        collapse=abs(rng.normal(0.0, options.collapse_sd)),
+        thickness=rng.normal(0.0, lengths.get("epidermis_thickness", 0.0)),
+    )
+
+
+def fit_case(
+    case: str, seed: int, responses: dict[str, Response], options: FitOptions | None = None
+) -> dict[str, Any]:
+    """One fit with nuisances and one without, of one case and seed, both from the truth."""
+    name, rig = CASES[case]
+    options = options or FitOptions(step=STEP)
+    if rig.scatter < 0:
+        rig = replace(rig, scatter=published_scatter(name))
+    if rig.drawn:
+        rig = drawn_rig(rig, options, np.random.default_rng([seed, 29]))
+    answer = responses.get("epidermis_thickness")
+    truth = STUDY[name].material.vector()
+    out: dict[str, Any] = {"case": case, "seed": seed}
+    plain = problem_of(name, rig, seed, replace(options, nuisances=False), answer)
+    alone = refine(plain, all_free(plain), truth)
+    problem = problem_of(name, rig, seed, options, answer)
+    found = NuisanceModel(problem, options, responses).settle(np.vstack([truth, alone.parameters]))
+    fit, known = found.fit, covariance(problem, found.fit.parameters)
+    out |= {
+        "J_power_law": fit_power_law(plain).cost * MM4,
+        "scatter": found.scatter,
+        "active": known.active,
+        "deviations": known.nuisance_deviations(),
+        "budget": known.budget("composite_E"),
+    }
+    without = covariance(plain, alone.parameters)
+    for q in QUANTITIES:
+        true = float(SPACE.quantity(q, truth))
+        out[q] = {
+            "error": float(np.log(SPACE.quantity(q, fit.parameters) / true)),
+            "deviation": known.interval_deviation(q)[0],
+            "covered": in_interval(problem, q, true, fit.parameters, fit.cost, known),
+            "error_without": float(np.log(SPACE.quantity(q, alone.parameters) / true)),
+            "covered_without": in_interval(plain, q, true, alone.parameters, alone.cost, without),
+        }
+    return out
+
+
+def _job(job: tuple[str, int, Path | None]) -> dict[str, Any]:
+    case, seed, folder = job
+    numba.set_num_threads(1)
+    return fit_case(case, seed, responses_of(CASES[case][0], folder))
+
+
+def run(folder: Path, seeds: int, wanted: Sequence[str]) -> list[dict[str, Any]]:
+    """All cases whose name begins with one of `wanted` (all for none), on two processes."""
+    folder.mkdir(parents=True, exist_ok=True)
+    cases = [c for c in CASES if not wanted or any(c.startswith(w) for w in wanted)]
+    for name in {CASES[c][0] for c in cases}:
+        responses_of(name, folder)
+    jobs = [(case, seed, folder) for case in cases for seed in range(seeds)]
+    rows: list[dict[str, Any]] = []
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(2, context) as workers:
+        for count, row in enumerate(workers.map(_job, jobs), 1):
+            rows.append(row)
+            print(
+                f"\r{row['case']}: {count}/{len(jobs)}      ", end="", file=sys.stderr, flush=True
+            )
+            if count % 10 == 0 or count == len(jobs):
+                with atomic_write(folder / "nuisances.json") as file:
+                    json.dump(rows, file)
+    print(file=sys.stderr)
+    return rows
+
+
+def summary(rows: Sequence[dict[str, Any]], q: str = "composite_E") -> dict[str, float]:
+    """Bias, deviations and coverage of one quantity over the rows of a case."""
+    found = {key: np.array([row[q][key] for row in rows], dtype=float) for key in rows[0][q]}
+    number = len(rows)
+    return {
+        "bias": float(found["error"].mean()),
+        "bias_error": float(found["error"].std(ddof=1) / np.sqrt(number)) if number > 1 else np.nan,
+        "bias_without": float(found["error_without"].mean()),
+        "deviation": float(found["deviation"].mean()),
+        "spread": float(found["error"].std(ddof=1)) if number > 1 else np.nan,
+        "coverage": float(found["covered"].mean()),
+        "coverage_without": float(found["covered_without"].mean()),
+    }
+
+
+def table(rows: Sequence[dict[str, Any]]) -> str:
+    """The table of the page."""
+    lines = [
+        "| error | E without: bias | covered | E: bias (± its error) | stated deviation | "
+        "bias / deviation | E covered | E2 | τ1 | goal |",
+        "|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for case in CASES:
+        part = [row for row in rows if row["case"] == case]
+        if not part:
+            continue
+        found = summary(part)
+        others = [f"{100 * summary(part, q)['coverage']:.0f} %" for q in ("E2", "tau1")]
+        goal = abs(found["bias"]) <= max(0.03, 0.5 * found["deviation"])
+        met = "met" if goal and found["coverage"] >= 0.9 else "missed"
+        lines.append(
+            f"| {case} | {100 * found['bias_without']:+.0f} % | "
+            f"{100 * found['coverage_without']:.0f} % | "
+            f"{100 * found['bias']:+.1f} ± {100 * found['bias_error']:.1f} % | "
+            f"{100 * found['deviation']:.0f} % | {found['bias'] / found['deviation']:+.2f} | "
+            f"{100 * found['coverage']:.0f} % | {others[0]} | {others[1]} | {met} |"
+        )
+    seeds = len({row["seed"] for row in rows})
+    return "\n".join([*lines, "", f"{seeds} seeds, {len(rows)} fits."])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--cases", default="", help="beginnings of names, separated by commas")
+    parser.add_argument("--output", type=Path, default=Path("out/nuisances"))
+    parser.add_argument("--write", action="store_true", help=f"put the table into {PAGE.name}")
+    args = parser.parse_args()
+    wanted = [word for word in args.cases.split(",") if word]
+    text = table(run(args.output, args.seeds, wanted))
+    print(text)
+    if args.write:
+        page = PAGE.read_text(encoding="utf-8")
+        before, after = page.split(BEGIN)[0], page.split(END)[1]
+        with atomic_write(PAGE) as file:
+            file.write(f"{before}{BEGIN}\n{text}\n{END}{after}")
+
+
+if __name__ == "__main__":
+    main()

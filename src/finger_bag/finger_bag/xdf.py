@@ -1,0 +1,135 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Streams of an XDF file, which LabRecorder writes from the Lab Streaming Layer, as plain arrays.
+
+`pyxdf` reads the file and puts all streams on the clock of the recording computer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from finger_common.errors import InputError, known_names
+from finger_common.stamps import NANOSECONDS
+
+NEEDS = "reading XDF files needs the package pyxdf: pip install pyxdf"
+
+
+@dataclass(frozen=True)
+class XdfStream:
+    """One stream of a file.
+
+    name, kind: as its program called it. labels, units: of the channels, "" where not given. rate:
+    nominal, in Hz, 0 for an irregular one. time (n,): s on the clock of the recording computer.
+    values (n, c): numbers, or texts of markers. clock_error: s, RMS deviation of the measured
+    clock offsets from the line by which the times were corrected; 0 with fewer than three.
+    """
+
+    name: str
+    kind: str
+    labels: tuple[str, ...]
+    units: tuple[str, ...]
+    rate: float
+    time: np.ndarray
+    values: np.ndarray
+    clock_error: float
+
+    def channel(self, label: str) -> np.ndarray:
+        """Values (n,) of a channel, by its label or by its number from 0; raises InputError."""
+        if label in self.labels:
+            return self.values[:, self.labels.index(label)]
+        if label.isdecimal() and int(label) < self.values.shape[1]:
+            return self.values[:, int(label)]
+        named = [name or str(number) for number, name in enumerate(self.labels)]
+        raise InputError(
+            f"XDF stream '{self.name}' has no channel '{label}'; {known_names(label, named)}"
+        )
+
+
+@dataclass(frozen=True)
+class XdfFile:
+    """Streams of a file and when it was begun (ns since the epoch, None where it does not say)."""
+
+    path: Path
+    begun_ns: int | None
+    streams: tuple[XdfStream, ...]
+
+    def stream(self, name: str) -> XdfStream:
+        """The stream of that name, or else the only one of that type; raises InputError."""
+        named = [s for s in self.streams if s.name == name]
+        found = named or [s for s in self.streams if s.kind == name]
+        if len(found) == 1:
+            return found[0]
+        if found:
+            raise InputError(f"{self.path}: {len(found)} streams are called '{name}'; rename one")
+        known = known_names(name, (s.name for s in self.streams))
+        raise InputError(f"{self.path}: no stream is called '{name}'; {known}")
+
+
+def read_xdf(path: Path) -> XdfFile:
+    """Read a whole file; raises InputError without pyxdf and for a file that cannot be read."""
+    try:
+        import pyxdf
+    except ImportError:
+        raise InputError(NEEDS) from None
+    if not path.is_file():
+        raise InputError(f"{path}: no such XDF file")
+    try:
+        found, header = pyxdf.load_xdf(str(path), synchronize_clocks=True)
+        streams = tuple(_stream(stream) for stream in found)
+    except Exception as error:  # pyxdf raises whatever its parsers do
+        raise InputError(f"{path}: not a readable XDF file ({type(error).__name__})") from None
+    return XdfFile(path, _begun(header), streams)
+
+
+def _stream(data: dict[str, Any]) -> XdfStream:
+    info = data["info"]
+    time = np.asarray(data["time_stamps"], float)
+    values = np.asarray(data["time_series"])
+    count = int(info["channel_count"][0])
+    described = _channels(info, count)
+    return XdfStream(
+        name=_text(info, "name"),
+        kind=_text(info, "type"),
+        labels=tuple(_text(channel, "label") for channel in described),
+        units=tuple(_text(channel, "unit") for channel in described),
+        rate=float(info["nominal_srate"][0]),
+        time=time,
+        values=values.reshape(len(time), count),
+        clock_error=_clock_error(data),
+    )
+
+
+def _channels(info: dict[str, Any], count: int) -> list[dict[str, Any]]:
+    try:
+        channels = info["desc"][0]["channels"][0]["channel"]
+    except (KeyError, TypeError, IndexError):
+        channels = []
+    return [*channels, *({} for _ in range(count))][:count]
+
+
+def _text(info: dict[str, Any], key: str) -> str:
+    return str((info.get(key) or [""])[0] or "")
+
+
+def _clock_error(data: dict[str, Any]) -> float:
+    when = np.asarray(data.get("clock_times", ()), float)
+    offset = np.asarray(data.get("clock_values", ()), float)
+    if len(when) < 3:
+        return 0.0
+    line = np.polyfit(when - when[0], offset, 1)
+    return float(np.std(offset - np.polyval(line, when - when[0])))
+
+
+def _begun(header: dict[str, Any]) -> int | None:
+    try:
+        began = datetime.fromisoformat(header["info"]["datetime"][0].replace("+0000", "+00:00"))
+    except (KeyError, TypeError, IndexError, ValueError):
+        return None
+    return round(began.timestamp() * NANOSECONDS)

@@ -1,0 +1,292 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What users of ROS expect of every node: parameters, quality of service, publishers counted."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from rcl_interfaces.msg import ParameterType  # noqa: E402
+from rcl_interfaces.srv import DescribeParameters, SetParameters  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy  # noqa: E402
+from std_msgs.msg import Float64  # noqa: E402
+
+from finger_common.diagnostics import Health  # noqa: E402
+from finger_common.node import ManagedNode, managed  # noqa: E402
+from finger_common.settings import Settings, setting  # noqa: E402
+
+
+@dataclass(frozen=True)
+class GaugeSettings(Settings):
+    gain: float = setting(1.0, "Gain.", minimum=0.0, maximum=10.0, runtime=True)
+    offset: float = setting(0.0, "Offset.", minimum=-1.0)
+    count: int = setting(3, "Count.", unit="samples", minimum=1, maximum=9)
+    mode: str = setting("a", "Mode.", choices=("a", "b"))
+    names: list = setting([""], "Names.", runtime=True)
+
+
+class Gauge(ManagedNode):
+    NAME = "gauge"
+    SETTINGS = (GaugeSettings,)
+
+    def configure(self) -> None:
+        self.healths = [Health("gauge")]
+        self.stream = self.create_stream_publisher(
+            Float64, "value", self.stream_qos(publisher=True)
+        )
+        self.heard: list[float] = []
+        self.input = self.create_stream_subscription(
+            Float64, "input", lambda m: self.heard.append(m.data), self.stream_qos()
+        )
+
+    def cleanup(self) -> None:
+        self.destroy_publisher(self.stream)
+        self.destroy_subscription(self.input)
+
+
+class Bench:
+    """A gauge in namespace `left` and an observer, served together."""
+
+    def __init__(self, domain: int) -> None:
+        self._domain = domain
+        self._contexts: list[Any] = []
+        self._nodes: list[Any] = []
+        self.context = self.new_context()
+        self.executor = rclpy.executors.SingleThreadedExecutor(context=self.context)
+        self.observer = self.add(rclpy.create_node("observer", context=self.context))
+        self.reports: list[Any] = []
+        self.observer.create_subscription(
+            DiagnosticArray, "/diagnostics", lambda m: self.reports.extend(m.status), 10
+        )
+
+    def new_context(self) -> Any:
+        context = rclpy.Context()
+        rclpy.init(context=context, domain_id=self._domain)
+        self._contexts.append(context)
+        return context
+
+    def add(self, node: Any) -> Any:
+        self.executor.add_node(node)
+        self._nodes.append(node)
+        return node
+
+    def gauge(self, **values: Any) -> Gauge:
+        overrides = [Parameter(name, value=v) for name, v in values.items()]
+        return self.add(
+            Gauge(context=self.context, namespace="left", parameter_overrides=overrides)
+        )
+
+    def until(self, condition: Callable[[], Any], seconds: float = 60) -> Any:
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.executor.spin_once(timeout_sec=0.05)
+            found = condition()
+            if found:
+                return found
+        raise AssertionError("nothing came in time")
+
+    def call(self, kind: Any, service: str, request: Any) -> Any:
+        client = self.observer.create_client(kind, service)
+        self.until(client.service_is_ready)
+        future = client.call_async(request)
+        self.until(future.done)
+        self.observer.destroy_client(client)
+        return future.result()
+
+    def describe(self, *names: str) -> list[Any]:
+        request = DescribeParameters.Request(names=list(names))
+        return self.call(DescribeParameters, "/left/gauge/describe_parameters", request).descriptors
+
+    def set(self, name: str, value: Any) -> Any:
+        message = Parameter(name, value=value).to_parameter_msg()
+        request = SetParameters.Request(parameters=[message])
+        return self.call(SetParameters, "/left/gauge/set_parameters", request).results[0]
+
+    def level(self, gauge: Gauge) -> int:
+        """Level of the next diagnostics of the gauge."""
+        self.reports.clear()
+        self.until(lambda: self.reports)
+        assert self.reports[0].name == "left/gauge: gauge"
+        return int(self.reports[0].level[0])
+
+    def close(self) -> None:
+        self.executor.shutdown()
+        for node in self._nodes:
+            node.destroy_node()
+        for context in self._contexts:
+            rclpy.shutdown(context=context)
+
+
+@pytest.fixture
+def bench(ros_domain: int) -> Iterator[Bench]:
+    made = Bench(ros_domain)
+    yield made
+    made.close()
+
+
+def test_parameters_have_types_and_ranges_and_are_read_only_while_they_cannot_change(
+    bench: Bench,
+) -> None:
+    gauge = bench.gauge()
+    gain, offset, count, mode = bench.describe("gain", "offset", "count", "mode")
+    assert gain.type == ParameterType.PARAMETER_DOUBLE and not gain.dynamic_typing
+    limits = gain.floating_point_range[0]
+    assert (limits.from_value, limits.to_value) == (0.0, 10.0)
+    limits = offset.floating_point_range[0]
+    assert limits.from_value == -1.0 and limits.to_value > 1e300
+    assert (count.integer_range[0].from_value, count.integer_range[0].to_value) == (1, 9)
+    assert "samples" in count.additional_constraints
+    assert mode.type == ParameterType.PARAMETER_STRING and "a, b" in mode.description
+    assert not any(d.read_only for d in (gain, count, mode))
+    assert gauge.bring_up()
+    assert [d.read_only for d in bench.describe("gain", "count", "names")] == [False, True, False]
+    refused = bench.set("count", 4)
+    assert not refused.successful and "clean up first" in refused.reason
+    gauge.trigger_deactivate()
+    gauge.trigger_cleanup()
+    assert not bench.describe("count")[0].read_only
+    assert bench.set("count", 4).successful
+
+
+def test_a_refused_value_leaves_type_and_value(bench: Bench) -> None:
+    gauge = bench.gauge()
+    assert gauge.bring_up()
+    for name, value, says in (
+        ("gain", "much", "number is needed"),
+        ("gain", 11.0, "0 … 10"),
+        ("gain", None, "number is needed"),
+        ("mode", 3, "text is needed"),
+        ("names", 3.0, "list is needed"),
+    ):
+        refused = bench.set(name, value)
+        assert not refused.successful and says in refused.reason, refused.reason
+    assert bench.describe("gain")[0].type == ParameterType.PARAMETER_DOUBLE
+    assert gauge.get_parameter("gain").value == 1.0
+    # A whole number is a number: it is taken, and the parameter stays one of type double.
+    assert bench.set("gain", 3).successful
+    assert gauge.get_parameter("gain").type_ is Parameter.Type.DOUBLE
+    assert gauge.values["gain"] == 3.0
+    assert bench.set("names", []).successful
+    assert gauge.get_parameter("names").type_ is Parameter.Type.STRING_ARRAY
+
+
+def test_a_bad_value_at_start_leaves_the_node_up_until_it_is_corrected(bench: Bench) -> None:
+    gauge = bench.gauge(gain=2, count=99, names=[])
+    assert gauge.get_parameter("gain").value == 2.0
+    assert gauge.get_parameter("names").value == []
+    assert not gauge.bring_up()
+    with pytest.raises(Exception, match=r"'count' is 99, outside 1 … 9 samples"):
+        gauge.read_parameters()
+    assert bench.set("count", 9).successful
+    assert gauge.bring_up() and gauge.values["count"] == 9
+
+
+RELIABLE = QoSProfile(depth=10)
+BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def test_reliable_and_best_effort_readers_and_writers_connect_and_a_probe_is_no_fault(
+    bench: Bench,
+) -> None:
+    gauge = bench.gauge()
+    assert gauge.bring_up()
+    heard: dict[str, list[float]] = {"reliable": [], "best effort": [], "latched": []}
+    for name, qos in zip(heard, (RELIABLE, BEST_EFFORT, LATCHED)):
+        bench.observer.create_subscription(
+            Float64, "/left/value", lambda m, name=name: heard[name].append(m.data), qos
+        )
+    bench.until(lambda: gauge.stream.get_subscription_count() == 2)
+
+    def both() -> bool:
+        gauge.stream.publish(Float64(data=1.0))
+        return bool(heard["reliable"] and heard["best effort"])
+
+    bench.until(both)
+    writers = [
+        bench.observer.create_publisher(Float64, "/left/input", q) for q in (RELIABLE, BEST_EFFORT)
+    ]
+
+    def all_heard() -> bool:
+        for number, writer in enumerate(writers):
+            writer.publish(Float64(data=float(number)))
+        return {0.0, 1.0} <= set(gauge.heard)
+
+    bench.until(all_heard)
+    # The latched reader wants what a sensor stream does not offer: nobody's fault but its own.
+    assert bench.level(gauge) == 0
+    assert not heard["latched"]
+
+
+def test_qos_overrides_change_one_topic(bench: Bench) -> None:
+    gauge = bench.gauge(
+        **{
+            "qos_overrides./left/value.publisher.durability": "transient_local",
+            "qos_overrides./left/value.publisher.depth": 2,
+        },
+    )
+    assert gauge.bring_up()
+    for number in range(5):
+        gauge.stream.publish(Float64(data=float(number)))
+    heard: list[float] = []
+    bench.observer.create_subscription(
+        Float64, "/left/value", lambda m: heard.append(m.data), LATCHED
+    )
+    bench.until(lambda: len(heard) == 2)
+    assert heard == [3.0, 4.0]
+    info = bench.observer.get_publishers_info_by_topic("/left/value")[0].qos_profile
+    assert info.durability is DurabilityPolicy.TRANSIENT_LOCAL
+    # What is not overridden follows the node's parameters, also at the next configuration.
+    gauge.trigger_deactivate()
+    gauge.trigger_cleanup()
+    assert bench.set("qos_reliability", "best_effort").successful
+    assert gauge.bring_up()
+    assert gauge.stream.qos_profile.reliability is ReliabilityPolicy.BEST_EFFORT
+    assert gauge.stream.qos_profile.depth == 2
+
+
+def test_a_bad_qos_override_refuses_the_configuration(bench: Bench) -> None:
+    gauge = bench.gauge(**{"qos_overrides./left/value.publisher.reliability": "hopeful"})
+    assert not gauge.bring_up()
+    assert gauge.get_parameter("gain").value == 1.0
+
+
+def test_a_publisher_that_does_not_fit_is_a_warning_until_it_is_gone(bench: Bench) -> None:
+    gauge = bench.gauge(qos_reliability="reliable")
+    assert gauge.bring_up()
+    writer = bench.observer.create_publisher(Float64, "/left/input", BEST_EFFORT)
+    bench.until(lambda: "qos_mismatch" in gauge.healths[0].faults)
+    bench.observer.destroy_publisher(writer)
+    bench.until(lambda: "qos_mismatch" not in gauge.healths[0].faults)
+
+
+def test_a_second_publisher_of_a_stream_is_an_error_and_a_restarted_node_is_not(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gauge = bench.gauge()
+    assert gauge.bring_up()
+    assert bench.level(gauge) == 0
+    writer = bench.observer.create_publisher(Float64, "/left/value", RELIABLE)
+    bench.until(lambda: "second_publisher" in gauge.healths[0].faults)
+    assert "/observer (/left/value)" in gauge.healths[0].faults["second_publisher"]
+    assert bench.level(gauge) == 2
+    bench.observer.destroy_publisher(writer)
+    bench.until(lambda: "second_publisher" not in gauge.healths[0].faults)
+    # Two of one name: at first it may be what a killed process left behind.
+    twin = bench.add(Gauge(context=bench.new_context(), namespace="left"))
+    assert twin.bring_up()
+    bench.until(lambda: gauge.count_publishers("value") == 2)
+    assert bench.level(gauge) == 0
+    monkeypatch.setattr(managed, "REMEMBERED", 0.5)
+    bench.until(lambda: "second_publisher" in gauge.healths[0].faults)
+    assert "another /left/gauge" in gauge.healths[0].faults["second_publisher"]

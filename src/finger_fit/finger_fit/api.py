@@ -1,0 +1,316 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Fit a finger from Python: arrays in, one result object out, without ROS and without bags.
+
+    from finger_fit import Trial, fit
+
+    presses = [Trial(time, force, area, condition="dry", subject="S01"), …]
+    result = fit(presses)
+    result.parameters["composite_E"]      # Pa
+    result.intervals["composite_E"]       # 95 %
+    result.report("out")                  # report.html, fit.json, tables and figures
+
+Everything is in SI: s, N, m², Pa.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from finger_common.contact_threshold import LIFTOFF_FORCE, ONSET_FORCE
+from finger_common.errors import InputError
+from finger_common.flags import AreaFlag
+from finger_common.stamps import NANOSECONDS
+from finger_model.finger import load_areas
+from finger_model.geometry import Geometry
+from finger_offline.trial_records import TrialRecord
+from finger_offline.trial_split import presses
+
+from .options import FitOptions
+from .results import ConditionFit, FitResult, write
+from .study import draw, fit_records, provenance
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+EPOCH = 946_684_800 * NANOSECONDS
+"""Stamp (ns) of time 0 of a trial: 2000-01-01."""
+
+PART_OF_PEAK = 0.95
+"""Target force over peak force of a trial for which none is given."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One press.
+
+    time (n,): s; force (n,): normal force in N, tared, positive when the finger presses, from no
+    contact on; area: gross contact area in m², (n,) with NaN where there is no frame, or (k,) at
+    area_time (k,) in s. moisture: readings (a.u.). target_force (N): ends the loading, 95 % of the
+    peak by default. Lists, arrays and pandas columns are taken. Raises InputError for arrays that
+    do not belong together.
+    """
+
+    time: Any
+    force: Any
+    area: Any
+    area_time: Any = None
+    condition: str = ""
+    subject: str = ""
+    moisture: Any = ()
+    target_force: float = 0.0
+    index: int = -1
+    label: str = ""
+
+    def record(self, number: int) -> TrialRecord:
+        """As a trial of a bag; number: its place in a list of trials."""
+        name = self.label or f"trial {number}"
+        time, force = _column(self.time, f"{name}: time"), _column(self.force, f"{name}: force")
+        area = _column(self.area, f"{name}: area", gaps=True)
+        frames = time if self.area_time is None else _column(self.area_time, f"{name}: area_time")
+        for what, other, against in (("force", force, time), ("area", area, frames)):
+            if len(other) != len(against):
+                raise InputError(
+                    f"{name}: {len(other)} values of {what} for {len(against)} times; give as many"
+                )
+        for what, values in (("time", time), ("area_time", frames)):
+            if len(values) < 2 or not np.all(np.diff(values) > 0):
+                raise InputError(f"{name}: {what} must increase; sort the rows by time")
+        found = presses(_stamps(time), force, ONSET_FORCE, LIFTOFF_FORCE)
+        if not found:
+            raise InputError(
+                f"{name}: force stays below {ONSET_FORCE} N; give the normal force in N, positive "
+                "when the finger presses"
+            )
+        first, end = max(found, key=lambda p: float(force[p[0] : p[1]].max()))
+        peak = float(force[first:end].max())
+        measured = np.isfinite(area)
+        readings = np.atleast_1d(np.asarray(self.moisture, dtype=float))
+        return TrialRecord(
+            bag=self.label or "trials",
+            session="python",
+            subject=str(self.subject),
+            condition=str(self.condition),
+            index=self.index if self.index >= 0 else number,
+            attempt=0,
+            target_force=self.target_force or PART_OF_PEAK * peak,
+            stamp_ns=_stamps(time),
+            force=force,
+            lateral_force=np.zeros(len(force)),
+            area_stamp_ns=_stamps(frames[measured]),
+            area=area[measured],
+            area_sd=np.full(int(measured.sum()), np.nan),
+            area_flags=np.where(area[measured] > 0, 0, int(AreaFlag.NO_CONTACT)),
+            real_area=np.full(int(measured.sum()), np.nan),
+            moisture_before=readings.tolist(),
+            moisture_after=[],
+            onset_ns=int(_stamps(time)[first]),
+            liftoff_ns=int(_stamps(time)[end]) if end < len(time) else None,
+            area_source="arrays",
+        )
+
+
+def _column(values: Any, name: str, gaps: bool = False) -> np.ndarray:
+    try:
+        found = np.asarray(values, dtype=float).reshape(-1)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} holds something else than numbers; convert it") from None
+    bad = np.isinf(found) if gaps else ~np.isfinite(found)
+    if bad.any():
+        raise InputError(f"{name}: value {int(np.flatnonzero(bad)[0])} is not finite; leave it out")
+    return found
+
+
+def _stamps(time: np.ndarray) -> np.ndarray:
+    return EPOCH + np.round((time - min(time[0], 0.0)) * NANOSECONDS).astype(np.int64)
+
+
+class ByCondition(dict[str, Any]):
+    """Values by condition; of a single condition, its entries are found directly too.
+
+    `result.parameters["dry"]["E0"]`, or `result.parameters["E0"]` where "dry" is all there is.
+    """
+
+    def __missing__(self, key: str) -> Any:
+        if len(self) == 1:
+            (only,) = self.values()
+            if isinstance(only, Mapping) and key in only:
+                return only[key]
+        raise KeyError(f"{key!r}; there are {', '.join(map(repr, self))}")
+
+
+@dataclass(eq=False)
+class Fit:
+    """What `fit` found. `result` has everything; the rest is the way there.
+
+    Conditions of several subjects are named "SUBJECT CONDITION"; `subjects` has a Fit of each.
+    """
+
+    result: FitResult
+    subjects: dict[str, Fit] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return f"Fit({', '.join(self.result.fits)})\n{self.summary()}"
+
+    @property
+    def conditions(self) -> list[str]:
+        """Names of what was fitted."""
+        return list(self.result.fits)
+
+    @property
+    def parameters(self) -> ByCondition:
+        """Condition → quantity → value (SI)."""
+        return ByCondition(
+            {n: f.space.quantities(f.parameters) for n, f in self.result.fits.items()}
+        )
+
+    @property
+    def intervals(self) -> ByCondition:
+        """Condition → quantity → 95 % interval (low, high) by profile likelihood, else bootstrap.
+
+        An end at the bound of the search box means that the data do not limit it.
+        """
+        found = ByCondition()
+        for name, condition in self.result.fits.items():
+            ends = {q: _interval(condition, q) for q in condition.space.quantity_names}
+            found[name] = {q: interval for q, interval in ends.items() if interval is not None}
+        return found
+
+    @property
+    def covariance(self) -> ByCondition:
+        """Condition → covariance (N, N) of the logarithms of the parameters, in the order of
+        `names`; for a single condition the array itself under its name."""
+        return ByCondition({n: f.covariance_log() for n, f in self.result.fits.items()})
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Parameters in the order of the covariance."""
+        return self.result.space.names
+
+    @property
+    def status(self) -> ByCondition:
+        """Condition → "final", "not final", "not checked" or "interrupted"."""
+        return ByCondition({n: f.status for n, f in self.result.fits.items()})
+
+    @property
+    def notes(self) -> list[str]:
+        """What a reader should know: notes, failed checks, excluded trials."""
+        found = list(self.result.problems)
+        for name, condition in self.result.fits.items():
+            found += [f"{name}: {reason}" for reason in condition.reasons]
+        return found + [f"excluded: {e.label}: {e.reason}" for e in self.result.exclusions]
+
+    def predict(
+        self, time: Any = None, force: Any = None, condition: str | None = None
+    ) -> np.ndarray:
+        """Contact area (n,) in m² under a force (n,) in N at times (n,) in s.
+
+        Without arguments: the fitted areas at all frames that count, in the order of `frames()`.
+        condition: may be left out where there is one. Raises InputError.
+        """
+        if time is None and force is None:
+            chosen = [condition] if condition else self.conditions
+            return np.concatenate([self._condition(c).areas for c in chosen])
+        found = self._condition(condition)
+        seconds, newtons = _column(time, "time"), _column(force, "force")
+        if len(seconds) != len(newtons) or len(seconds) < 2 or np.any(np.diff(seconds) <= 0):
+            raise InputError("predict: time and force need equal length, and time must increase")
+        drive = (seconds - seconds[0], np.maximum(newtons, 0.0), np.arange(len(seconds)))
+        return found.problem.model.batch(found.parameters[None], [drive])[0][0]
+
+    def _condition(self, name: str | None) -> ConditionFit:
+        fits = self.result.fits
+        if name is None and len(fits) == 1:
+            return next(iter(fits.values()))
+        if name not in fits:
+            raise InputError(f"condition {name!r}: choose one of {', '.join(fits)}")
+        return fits[name]
+
+    def frames(self) -> dict[str, np.ndarray]:
+        """Columns of all frames that count: condition, trial, time_s, force_n, area_mm2,
+        predicted_mm2, residual_mm2, …; `pandas.DataFrame(result.frames())` takes them."""
+        from .results.tables import frame_rows
+
+        rows = list(frame_rows(self.result))
+        return {name: np.array([row[name] for row in rows]) for name in rows[0]}
+
+    def summary(self) -> str:
+        """A table of the parameters with their intervals, as text."""
+        lines = []
+        for name, found in self.result.fits.items():
+            lines.append(f"{name or 'all'} ({len(found.problem)} presses): {found.status}")
+            for quantity in map(found.space.describe, found.space.quantity_names):
+                ends = _interval(found, quantity.name)
+                text = quantity.text(found.quantity(quantity.name))
+                span = f"  [{quantity.text(ends[0])}, {quantity.text(ends[1])}]" if ends else ""
+                lines.append(f"  {quantity.name:12} {text:>9}{span} {quantity.display_unit}")
+        return "\n".join(lines)
+
+    def plot(self, name: str = "area_over_force") -> Figure:
+        """A figure of the report: area_over_force, residuals, profiles, candidates, …
+
+        Raises InputError for a name that this fit has no figure of.
+        """
+        from .report import figure
+
+        return figure(self.result, name)
+
+    def save(self, folder: str | Path) -> Path:
+        """Write fit.json, parameters.yaml and tables/ into a folder; returns it."""
+        write(self.result, Path(folder))
+        return Path(folder)
+
+    def report(self, folder: str | Path) -> Path:
+        """`save`, and report.html with its figures; returns the page's path."""
+        from .report import write_report
+
+        if all(part.deformed is None for part in self.result.subjects.values() or [self.result]):
+            draw(self.result)
+        self.save(folder)
+        return write_report(self.result, Path(folder))
+
+
+def _interval(found: ConditionFit, name: str) -> tuple[float, float] | None:
+    if name in found.profiles:
+        return found.profiles[name].interval
+    return found.bootstrap_interval(name)
+
+
+def fit(
+    trials: Iterable[Trial],
+    geometry: Geometry | str | Path | Mapping[str, float] | None = None,
+    law: str = "",
+    conditions: Sequence[str] = (),
+    model: Any = None,
+    **options: Any,
+) -> Fit:
+    """Fit the finger's parameters to presses, by subject and condition.
+
+    geometry: of the finger, as an object, a mapping or a geometry.yaml; the shipped one by default.
+    law: another installed material law; one without a reduced model is slow. model: any object
+    with `space` and `batch` in place of both. options: fields of `FitOptions`, such as
+    bootstrap=0, full_order=False, seed=1, bounds=["E2=500kPa:3MPa"]. Raises InputError for data
+    that cannot be fitted.
+    """
+    if isinstance(geometry, Mapping):
+        geometry = Geometry.from_dict(dict(geometry))
+    chosen = FitOptions.from_mapping(options, "fit")
+    model = model or load_areas("", geometry or "", law)
+    chosen.check_names(model.space)
+    records = [trial.record(number) for number, trial in enumerate(trials)]
+    if not records:
+        raise InputError("fit: no trial was given; give a list of Trial")
+    result = fit_records(records, model, chosen, conditions)
+    changed = "".join(f", {name}={value!r}" for name, value in options.items())
+    found = {}
+    for name, part in result.subjects.items():
+        part.sources = provenance(model, chosen, (), f"finger_fit.fit(…{changed})")
+        found[name] = Fit(part)
+    result.sources = provenance(model, chosen, (), f"finger_fit.fit(…{changed})")
+    return Fit(result, found)

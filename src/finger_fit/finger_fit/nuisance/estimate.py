@@ -1,0 +1,273 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Nuisance parameters: linearised around a fit, estimated with it, and named where they are not.
+
+Parameters of the drive (tare, lag) change what the model is driven with; those of the output
+(gains, collapse of the hull, lengths of the finger) multiply its areas. All of them are linearised
+around the present estimate; the finger's parameters are fitted with the nuisances eliminated
+(`problem.Goal`), the nuisances follow, and both are repeated until they rest. The result is the
+joint maximum of the posterior, and the scatter of the presses' gains is estimated with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..options import FitOptions
+from ..problem import PRESS_GAIN, FitProblem, FitTrial, Nuisances, fit_power_law
+from ..search import LocalFit, all_free, refine
+from .geometry import Response
+from .names import AREA_GAIN, COLLAPSE, LAG, TARE, TRIAL_TARE
+
+TRIAL_SHARE = 0.25
+"""Deviation of one trial's tare over that of all, where none was measured; an assumption: a sensor
+drifts slowly."""
+
+USUAL_SCATTER, SCATTER_WEIGHT = 0.03, 2.0
+"""Scatter of the presses' gains that is expected beforehand (an assumption), and the number of
+presses that this counts for (scaled inverse chi-squared)."""
+
+ROUNDS = 10
+SETTLED = 0.01
+"""Largest change of a parameter's logarithm, and of a nuisance over its deviation, that ends the
+rounds (nuisances: ten times this)."""
+
+_LAG_STEP, _TARE_STEP = 0.004, 0.002
+"""s and N, steps of the differences."""
+
+
+@dataclass(frozen=True)
+class Settled:
+    """Nuisances with the fit at which they rest.
+
+    scatter: standard deviation of the presses' gains (logarithm); noise: m², of a frame.
+    """
+
+    fit: LocalFit
+    nuisances: Nuisances
+    scatter: float
+    noise: float
+
+
+@dataclass
+class _State:
+    """Present values: tare of all and of each trial (T,), lag, log gains, collapse, log lengths."""
+
+    trial_tare: np.ndarray
+    press_gain: np.ndarray
+    tare: float = 0.0
+    lag: float = 0.0
+    area_gain: float = 0.0
+    collapse: float = 0.0
+    lengths: dict[str, float] = field(default_factory=dict)
+
+
+class NuisanceModel:
+    """The nuisances of one problem and their priors.
+
+    responses: to the finger's lengths, with their deviations; none are allowed for without.
+    """
+
+    def __init__(
+        self,
+        problem: FitProblem,
+        options: FitOptions,
+        responses: Mapping[str, Response] | None = None,
+    ) -> None:
+        self.problem, self.options = problem, options
+        self.responses = {name: found.on(problem) for name, found in (responses or {}).items()}
+        self.lengths = {n: sd for n, sd in options.lengths().items() if n in self.responses}
+        self.redrivable = all(t.recording is not None for t in problem.trials)
+        number = len(problem)
+        self.rests = np.array([t.rest.force if t.rest else np.nan for t in problem.trials])
+        self.unseen = np.isnan(self.rests)
+        seen = self.rests[~self.unseen]
+        # Trials without a rest have the tare of the others, if most of the others show one.
+        usual = float(np.median(seen)) if len(seen) > number / 2 else 0.0
+        spread = float(seen.std()) if len(seen) > number / 2 else options.tare_sd
+        self.tare_mean = np.where(self.unseen, usual, self.rests)
+        own = np.array([t.rest.deviation if t.rest else 0.0 for t in problem.trials])
+        self.tare_sd = np.where(self.unseen, TRIAL_SHARE * max(spread, 1e-4), own)
+        self.common_tare_sd = spread if self.unseen.any() else 0.0
+        self.state = _State(np.zeros(number), np.zeros(number))
+        self.state.lengths = dict.fromkeys(self.lengths, 0.0)
+        self.scatter, self.noise = self._first_guess()
+
+    def _first_guess(self) -> tuple[float, float]:
+        """Scatter of the gains and noise of a frame (m²), from a power law for every trial."""
+        problem = self.problem
+        law = fit_power_law(problem)
+        shape = np.maximum(law.area(problem.force), 1e-12)
+        weight, starts = problem.weight, problem.starts[:-1]
+        gain = np.add.reduceat(weight * shape * problem.measured, starts) / np.maximum(
+            np.add.reduceat(weight * shape * shape, starts), 1e-30
+        )
+        left = problem.measured - gain[problem.trial_of] * shape
+        noise = float(np.sqrt((left**2).sum() / max(len(left) - 2 * len(gain), 1)))
+        logs = np.log(np.maximum(gain, 1e-3))
+        return self._scatter_of(logs, np.zeros_like(logs)), max(noise, 1e-9)
+
+    def _scatter_of(self, gains: np.ndarray, variance: np.ndarray) -> float:
+        """Scatter of log gains (T,) known to a variance (T,) each."""
+        if not self.options.press_gain:
+            return 0.0
+        degrees = len(gains) - 1
+        own = max(float(((gains - gains.mean()) ** 2).sum() - degrees * variance.mean()), 0.0)
+        prior = SCATTER_WEIGHT * USUAL_SCATTER**2
+        return float(np.sqrt((own + prior) / (degrees + SCATTER_WEIGHT)))
+
+    # Linearisation --------------------------------------------------------------------------
+
+    def _collapse_shape(self) -> np.ndarray:
+        low = self.options.low_force
+        return np.clip(1.0 - self.problem.force / low, 0.0, 1.0) if low > 0 else np.zeros(0)
+
+    def _factor(self) -> np.ndarray:
+        state = self.state
+        log = state.area_gain + state.press_gain[self.problem.trial_of]
+        if self.options.collapse_sd > 0 and self.options.low_force > 0:
+            log = log - state.collapse * self._collapse_shape()
+        for name, x in state.lengths.items():
+            slope, bend = self.responses[name]
+            log = log + slope * x + bend * x * x
+        return np.exp(log)
+
+    def _drives(self, lag: float, tare: float) -> list[FitTrial]:
+        """The trials under the present state, moved by a lag (s) and a tare (N)."""
+        state = self.state
+        common = np.where(self.unseen, state.tare, 0.0)
+        tares = self.tare_mean + common + state.trial_tare + tare
+        return [
+            t.with_drive(float(value), state.lag + lag, self.options)
+            for t, value in zip(self.problem.trials, tares)
+        ]
+
+    def linearise(self, parameters: np.ndarray) -> Nuisances:
+        """Around the present state and parameters (N,); sets the problem's drives besides."""
+        problem, options, state = self.problem, self.options, self.state
+        number, frames = len(problem), len(problem.measured)
+        slopes = {}
+        if self.redrivable:
+            for name, step, sides in (
+                (LAG, _LAG_STEP, ((_LAG_STEP, 0.0), (-_LAG_STEP, 0.0))),
+                (TARE, _TARE_STEP, ((0.0, _TARE_STEP), (0.0, -_TARE_STEP))),
+            ):
+                rows = []
+                for lag, tare in sides:
+                    problem.redrive(self._drives(lag, tare))
+                    rows.append(problem.areas(parameters)[0])
+                slopes[name] = (rows[0] - rows[1]) / (2.0 * step)
+            problem.redrive(self._drives(0.0, 0.0))
+        factor = self._factor()
+        areas = problem.areas(parameters)[0] * factor
+        names: list[str] = []
+        trials, states, means, deviations, columns = [], [], [], [], []
+
+        def add(name: str, trial: int, at: float, sd: float, column: np.ndarray) -> None:
+            if sd > 0:
+                names.append(name)
+                trials.append(trial)
+                states.append(at)
+                means.append(0.0)
+                deviations.append(sd)
+                columns.append(column)
+
+        inside = problem.trial_of[:, None] == np.arange(number)
+        if self.redrivable:
+            add(LAG, -1, state.lag, options.lag_sd, slopes[LAG] * factor)
+            tare = slopes[TARE] * factor
+            unseen = self.unseen[problem.trial_of]
+            add(TARE, -1, state.tare, self.common_tare_sd, np.where(unseen, tare, 0.0))
+            for t in range(number):
+                sd = float(self.tare_sd[t])
+                add(TRIAL_TARE, t, state.trial_tare[t], sd, np.where(inside[:, t], tare, 0.0))
+        add(AREA_GAIN, -1, state.area_gain, options.area_gain_sd, areas)
+        if options.low_force > 0:
+            low = -self._collapse_shape() * areas
+            add(COLLAPSE, -1, state.collapse, options.collapse_sd, low)
+        for name, sd in self.lengths.items():
+            (slope, bend), x = self.responses[name], state.lengths[name]
+            add(name, -1, x, sd, areas * (slope + 2.0 * bend * x))
+        for t in range(number):
+            own = np.where(inside[:, t], areas, 0.0)
+            add(PRESS_GAIN, t, state.press_gain[t], self.scatter, own)
+        return Nuisances(
+            tuple(names),
+            np.array(trials, dtype=int),
+            np.array(states),
+            np.array(means),
+            np.array(deviations),
+            np.array(columns).T if columns else np.zeros((frames, 0)),
+            factor,
+            self.noise**2 * float(problem.weight.mean()),
+        )
+
+    # Estimation -----------------------------------------------------------------------------
+
+    def settle(self, starts: np.ndarray, rounds: int = ROUNDS) -> Settled:
+        """Fit from the best of parameters (C, N); the problem keeps drives and nuisances."""
+        problem = self.problem
+        free = all_free(problem)
+        space = problem.space
+        starts = np.atleast_2d(starts)
+        at = starts[0]
+        for _ in range(rounds):
+            problem.nuisances = self.linearise(at)
+            found = [refine(problem, free, start) for start in (at, *starts[1:])]
+            fit = min(found, key=lambda f: f.cost)
+            starts = starts[:1]
+            move = self._follow(fit.parameters)
+            change = float(np.abs(space.to_log(fit.parameters) - space.to_log(at)).max())
+            at = fit.parameters
+            scatter = self.scatter
+            self._learn(fit.parameters)
+            growth = abs(np.log(self.scatter / scatter)) if scatter > 0 else 0.0
+            if max(change, 0.1 * move, 0.1 * growth) < SETTLED:
+                break
+        problem.nuisances = self.linearise(at)
+        fit = refine(problem, free, at)
+        return Settled(fit, problem.nuisances, self.scatter, self.noise)
+
+    def _follow(self, parameters: np.ndarray) -> float:
+        """Move the state to the best nuisances at parameters (N,); the largest move over its
+        deviation."""
+        found = self.problem.nuisances
+        assert found is not None
+        goal = self.problem.goal()
+        moves = goal.moves(goal.residuals(self.problem.areas(parameters)[0]))
+        state = self.state
+        for name, trial, move in zip(found.names, found.trials, moves):
+            if trial >= 0:
+                getattr(state, name)[trial] += move
+            elif name in state.lengths:
+                state.lengths[name] += move
+            else:
+                setattr(state, name, getattr(state, name) + move)
+        return float(np.abs(moves / found.sd).max()) if len(moves) else 0.0
+
+    def _learn(self, parameters: np.ndarray) -> None:
+        """Renew noise of a frame and scatter of the gains at the present state."""
+        problem, found = self.problem, self.problem.nuisances
+        assert found is not None
+        if self.redrivable:
+            problem.redrive(self._drives(0.0, 0.0))
+        areas = problem.areas(parameters)[0] * self._factor()
+        residual = areas - problem.measured
+        counted = problem.weight > 0
+        goal = problem.goal()
+        used = len(problem.space) + float((1.0 - goal.spread() ** 2 / found.sd**2).sum())
+        degrees = max(float(counted.sum()) - used, 0.2 * counted.sum())
+        self.noise = max(float(np.sqrt((residual[counted] ** 2).sum() / degrees)), 1e-9)
+        if not self.options.press_gain:
+            return
+        starts, weight = problem.starts[:-1], problem.weight
+        information = np.add.reduceat(weight * areas * areas, starts)
+        score = np.add.reduceat(-weight * areas * residual, starts)
+        usable = information > 0
+        move = np.divide(score, information, out=np.zeros_like(score), where=usable)
+        own = self.noise**2 * weight.mean() / np.where(usable, information, np.inf)
+        self.scatter = self._scatter_of((self.state.press_gain + move)[usable], own[usable])

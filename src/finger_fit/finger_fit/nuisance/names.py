@@ -1,0 +1,27 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Names and units of the nuisance parameters."""
+
+from __future__ import annotations
+
+TARE, TRIAL_TARE, LAG = "tare", "trial_tare", "lag"
+AREA_GAIN, COLLAPSE = "area_gain", "collapse"
+"""Beside the lengths of the finger, by their keys in geometry.yaml, and `problem.PRESS_GAIN`."""
+
+UNITS = {TARE: "N", TRIAL_TARE: "N", LAG: "s"}
+"""The others are shares (logarithms of factors)."""
+
+WORDS = {
+    LAG: "lag of the images",
+    AREA_GAIN: "gain of all areas",
+    COLLAPSE: "collapse of the hull below the low force",
+    "pad_semi_axis_radial": "width of the pad",
+    "pad_semi_axis_axial": "depth of the pad",
+    "bone_semi_axis_axial": "height of the bone",
+}
+
+
+def name_of(nuisance: str) -> str:
+    """A nuisance in words."""
+    return WORDS.get(nuisance, nuisance.replace("_", " "))

@@ -1,0 +1,89 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What is known of the nuisance parameters before a fit, as options."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from finger_common.errors import InputError
+from finger_common.settings import Settings, setting
+from finger_model.geometry import LENGTHS
+
+NUISANCE = "nuisance parameters (standard deviations of their priors; 0 leaves one out)"
+"""Heading of the options in the help of the command."""
+
+
+@dataclass(frozen=True)
+class NuisancePriors(Settings):
+    """Options of the nuisance parameters; raises InputError for a bad value."""
+
+    nuisances: bool = setting(
+        True,
+        "Allow for what the rig and the finger's shape leave unknown: estimated with the "
+        "parameters, or included in their intervals.",
+        group=NUISANCE,
+    )
+    tare_sd: float = setting(
+        0.02,
+        "Tare left in the force of trials that show no unloaded plate. Where they show it, the "
+        "tare is measured there.",
+        "N",
+        0.0,
+        1.0,
+        group=NUISANCE,
+    )
+    lag_sd: float = setting(
+        0.05, "Time by which the images' stamps are late.", "s", 0.0, 1.0, group=NUISANCE
+    )
+    area_gain_sd: float = setting(
+        0.05,
+        "Factor of all areas (logarithm): calibration of the plate, threshold of the images.",
+        "",
+        0.0,
+        1.0,
+        group=NUISANCE,
+    )
+    press_gain: bool = setting(
+        True,
+        "Factor of each press's areas, with a scatter that is estimated from the presses.",
+        group=NUISANCE,
+    )
+    collapse_sd: float = setting(
+        0.3,
+        "Share of the gross area that the image loses as the force goes to zero below low_force.",
+        "",
+        0.0,
+        1.0,
+        group=NUISANCE,
+    )
+    geometry_sd: list[str] = setting(
+        [
+            "epidermis_thickness=0.25",
+            "pad_semi_axis_radial=0.05",
+            "pad_semi_axis_axial=0.08",
+            "bone_semi_axis_axial=0.2",
+        ],
+        "Relative deviation of lengths of the finger, as NAME=DEVIATION; the default is that of a "
+        "finger measured with calipers (finger-model geometry).",
+        group=NUISANCE,
+    )
+
+    def lengths(self) -> dict[str, float]:
+        """Relative deviation of each length; raises InputError for what is none."""
+        found = {}
+        for text in self.geometry_sd:
+            name, _, number = text.partition("=")
+            try:
+                value = float(number)
+            except ValueError:
+                value = -1.0
+            if name not in LENGTHS or not 0.0 <= value <= 1.0:
+                raise InputError(
+                    f"geometry_sd '{text}': NAME=DEVIATION is needed, a relative deviation from 0 "
+                    f"to 1 and NAME one of {', '.join(LENGTHS)}"
+                )
+            if value > 0:
+                found[name] = value
+        return found

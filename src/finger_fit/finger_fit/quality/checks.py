@@ -1,0 +1,209 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What a reader should know of a condition's data before its numbers: checks with a status each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from finger_bag.validate import FAIL, NOTE, OK, Check
+from finger_common.flags import AreaFlag
+from finger_offline.lag import MAXIMUM_LAG, WORTH_A_NOTE, log_lag
+
+from ..problem import FitTrial
+from ..results import ConditionFit
+
+DOUBTFUL = {
+    AreaFlag.SATURATED: "saturated",
+    AreaFlag.LOW_CONTRAST: "of low contrast",
+    AreaFlag.SPARSE: "with few ridges",
+    AreaFlag.MULTIPLE_REGIONS: "with several regions",
+    AreaFlag.NO_BACKGROUND: "without background",
+}
+"""Flags of a frame that leave it usable but doubtful."""
+
+MANY_FRAMES = 0.25
+"""Part of the frames with a doubtful flag, or saturated, from which the check fails."""
+
+TARE_NOTE, TARE_LIMIT = 0.01, 0.1
+"""N of force on the unloaded plate from which it is noted, and from which it fails. It is taken off
+before the fit (`problem.unloaded`)."""
+
+SCATTER_NOTE, SCATTER_LIMIT = 0.10, 0.25
+"""Standard deviation of the trials' gain from which it is noted, and from which it fails."""
+
+STEP = 0.01
+"""s between the samples of the force by which the lag is looked for."""
+
+
+@dataclass(frozen=True)
+class TrialQuality:
+    """One trial.
+
+    J: m⁴; lag: s of the areas behind the fitted model, NaN where it is unclear; tare: force (N) on
+    the unloaded plate, NaN where the trial does not show it; gain: measured area over the model's;
+    frames, saturated, doubtful, low: numbers of frames.
+    """
+
+    label: str
+    J: float
+    lag: float
+    tare: float
+    gain: float
+    frames: int
+    saturated: int
+    doubtful: int
+    low: int
+
+
+@dataclass
+class Quality:
+    """Checks and trials of one condition."""
+
+    checks: list[Check] = field(default_factory=list)
+    trials: list[TrialQuality] = field(default_factory=list)
+
+    @property
+    def failures(self) -> list[str]:
+        """Names and details of the checks that fail."""
+        return [f"{c.name}: {c.detail}" for c in self.checks if c.status == FAIL]
+
+    def add(self, name: str, status: str, detail: str) -> None:
+        self.checks.append(Check(name, status, detail))
+
+    def to_data(self) -> dict[str, Any]:
+        """For JSON: `checks`, `trials` (SI, J in mm⁴)."""
+        trials = [{**asdict(t), "J": t.J * 1e12} for t in self.trials]
+        return {"checks": [asdict(c) for c in self.checks], "trials": trials}
+
+
+def quality_of(fit: ConditionFit, records: Sequence[Any]) -> Quality:
+    """Of a fitted condition; records: the recorded trials, in the order of the problem's."""
+    problem = fit.problem
+    out = Quality()
+    costs = problem.trial_costs(fit.areas)
+    drives = [_drive(record, t.tare) for t, record in zip(problem.trials, records)]
+    curves = problem.model.batch(fit.parameters[None], drives)
+    for index, (trial, record) in enumerate(zip(problem.trials, records)):
+        part = slice(problem.starts[index], problem.starts[index + 1])
+        model, weight = fit.areas[part], problem.weight[part]
+        flags = _flags(record, trial)
+        out.trials.append(
+            TrialQuality(
+                trial.label,
+                float(costs[index]),
+                _lag(record, drives[index], curves[index][0]),
+                trial.rest.force if trial.rest else float("nan"),
+                float((weight * model * trial.area).sum() / (weight * model * model).sum()),
+                len(trial.area),
+                int(((flags & AreaFlag.SATURATED) != 0).sum()),
+                int(((flags & sum(DOUBTFUL)) != 0).sum()),
+                int(trial.low.sum()),
+            )
+        )
+    _check_frames(out, records, problem.trials)
+    _check_times(out, records)
+    _check_lag(out)
+    _check_tare(out)
+    _check_scatter(out)
+    _check_moisture(out, fit)
+    return out
+
+
+def _flags(record: Any, trial: FitTrial) -> np.ndarray:
+    """Flags of the frames that count: those of the areas that the trial kept."""
+    counted = np.isin(np.asarray(record.area, dtype=float), trial.area)
+    return np.asarray(record.area_flags, dtype=np.int64)[counted]
+
+
+def _drive(record: Any, tare: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Time, force and rows of the whole press at even steps, for the model."""
+    time = (np.asarray(record.stamp_ns) - record.stamp_ns[0]) * 1e-9
+    steps = np.arange(0.0, time[-1], STEP)
+    force = np.maximum(np.interp(steps, time, np.asarray(record.force, dtype=float)) - tare, 0.0)
+    return steps, force, np.arange(len(steps))
+
+
+def _lag(record: Any, drive: tuple[np.ndarray, ...], curve: np.ndarray) -> float:
+    frames = (np.asarray(record.area_stamp_ns) - record.stamp_ns[0]) * 1e-9
+    found = log_lag(drive[0], drive[1], curve, frames, np.asarray(record.area, dtype=float))
+    return float("nan") if found is None else found
+
+
+def _check_frames(out: Quality, records: Sequence[Any], trials: Sequence[FitTrial]) -> None:
+    frames = sum(t.frames for t in out.trials)
+    flags = np.concatenate([_flags(r, t) for r, t in zip(records, trials)])
+    found = {text: int(((flags & flag) != 0).sum()) for flag, text in DOUBTFUL.items()}
+    parts = [f"{number} {text}" for text, number in found.items() if number]
+    dropped = sum(t.dropped for t in trials)
+    if dropped:
+        parts.append(f"{dropped} without a measurable contact, not used")
+    worst = max(found["saturated"], found["of low contrast"], found["with few ridges"])
+    status = FAIL if worst > MANY_FRAMES * frames else NOTE if parts else OK
+    out.add("frames", status, f"of {frames} frames " + (", ".join(parts) or "none is doubtful"))
+    low = sum(t.low for t in out.trials)
+    status = NOTE if low > MANY_FRAMES * frames else OK
+    out.add(
+        "low force",
+        status,
+        f"{low} of {frames} frames lie below the low force, where an outline underestimates the "
+        "area",
+    )
+
+
+def _check_times(out: Quality, records: Sequence[Any]) -> None:
+    doubts = list(dict.fromkeys(d for r in records for d in getattr(r, "doubts", ())))
+    out.add("stamps", FAIL if doubts else OK, "; ".join(doubts[:3]) or "in order")
+
+
+def _check_lag(out: Quality) -> None:
+    lags = np.array([t.lag for t in out.trials])
+    lags = lags[np.isfinite(lags)]
+    if not len(lags):
+        out.add("lag of the areas", NOTE, "unknown: too few areas over a changing force")
+        return
+    middle = float(np.median(lags))
+    size = abs(middle)
+    status = FAIL if size > MAXIMUM_LAG else NOTE if size > WORTH_A_NOTE else OK
+    text = f"{1e3 * middle:.0f} ms behind the fitted model (median of {len(lags)} presses)"
+    if status == FAIL:
+        text += "; correct the clocks, image_time_offset or --time-offset"
+    out.add("lag of the areas", status, text)
+
+
+def _check_tare(out: Quality) -> None:
+    tares = np.array([t.tare for t in out.trials])
+    tares = tares[np.isfinite(tares)]
+    if not len(tares):
+        out.add("tare", NOTE, "unknown: no press shows the unloaded plate")
+        return
+    worst = float(tares[np.argmax(np.abs(tares))])
+    status = FAIL if abs(worst) > TARE_LIMIT else NOTE if abs(worst) > TARE_NOTE else OK
+    text = (
+        f"force without contact {np.median(tares):+.3f} N (median), at most {worst:+.3f} N; it is "
+        "taken off"
+    )
+    out.add("tare", status, text.replace("-", "−"))
+
+
+def _check_scatter(out: Quality) -> None:
+    gains = np.array([t.gain for t in out.trials])
+    spread = float(np.std(np.log(gains), ddof=1)) if len(gains) > 1 else 0.0
+    status = FAIL if spread > SCATTER_LIMIT else NOTE if spread > SCATTER_NOTE else OK
+    out.add(
+        "scatter between presses",
+        status,
+        f"areas of whole presses differ from the model by {100 * spread:.1f} % (SD of the gain)",
+    )
+
+
+def _check_moisture(out: Quality, fit: ConditionFit) -> None:
+    without = sum(not np.isfinite(t.moisture) for t in fit.problem.trials)
+    number = len(fit.problem)
+    text = f"{number - without} of {number} presses have readings"
+    out.add("moisture", NOTE if without else OK, text)

@@ -1,0 +1,25 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Is a fit final? Only with bounds for which the model is made, and data that pass their checks."""
+
+from __future__ import annotations
+
+from ..results import ConditionFit
+
+
+def judge(fit: ConditionFit) -> None:
+    """Add to a fit's reasons what keeps it from being final besides the full-order check."""
+    problem = fit.problem
+    for parameter, (low, high) in zip(problem.space, problem.box):
+        first, last = parameter.range
+        if low < first * (1 - 1e-9) or high > last * (1 + 1e-9):
+            factor, unit = parameter.display_factor, parameter.display_unit
+            fit.reasons.append(
+                f"the bounds of {parameter.name}, {low * factor:g} to {high * factor:g} {unit}, "
+                f"leave {first * factor:g} to {last * factor:g} {unit}, for which the model is made"
+            )
+    if fit.quality is not None:
+        fit.reasons += [f"data: {failure}" for failure in fit.quality.failures]
+    if fit.status == "final" and fit.reasons:
+        fit.status = "not final"

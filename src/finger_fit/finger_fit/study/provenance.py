@@ -1,0 +1,49 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Where a fit comes from: command, date, versions, seed, models and hashes of the bags."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Sequence
+from datetime import datetime, timezone
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+from finger_bag.schema import software_version
+
+from ..options import FitOptions
+from ..problem import material_of
+
+LIBRARIES = ("numpy", "scipy", "numba", "pymoo", "opencv-python-headless", "matplotlib")
+"""Libraries that the numbers of a fit depend on."""
+
+
+def provenance(
+    model: Any, options: FitOptions, bags: Sequence[dict[str, Any]] = (), command: str = ""
+) -> dict[str, Any]:
+    """What a fit is made of, for fit.json and the report."""
+    now = datetime.now(timezone.utc)
+    return {
+        "command": command,
+        "date": now.date().isoformat(),
+        "time_utc": now.time().isoformat("seconds"),
+        "software_version": software_version(),
+        "python": platform.python_version(),
+        "platform": f"{platform.system()} {platform.machine()}",
+        "libraries": {name: _version(name) for name in LIBRARIES},
+        "seed": options.seed,
+        "law": material_of(model).name,
+        "geometry_hash": model.geometry.hash() if hasattr(model, "geometry") else "",
+        "reduced_model_hash": getattr(model, "hash", ""),
+        "reduced_model_error": getattr(model, "measured_error", {}),
+        "bags": list(bags),
+    }
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return ""

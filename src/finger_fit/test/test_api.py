@@ -1,0 +1,179 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""`from finger_fit import Trial, fit`: arrays in, one result object out, without ROS."""
+
+from __future__ import annotations
+
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from finger_common.errors import InputError
+from finger_fit import Fit, Trial, fit
+
+QUICK: dict[str, Any] = {
+    "full_order": False,
+    "bootstrap": 50,
+    "bias_pairs": 0,
+    "grid": 3,
+    "rounds": 10,
+}
+
+
+def trials_of(double: SimpleNamespace, number: int = 5, **about: Any) -> list[Trial]:
+    """Presses as plain arrays, time from 0, force at 500 Hz, areas at 10 Hz."""
+    found = []
+    truth = about.pop("truth", double.TRUTH)
+    for i in range(number):
+        r = double.make_record(i, 0.6 + 0.3 * i, 0.3e-6, truth=truth)
+        start = r.stamp_ns[0]
+        time, frames = (r.stamp_ns - start) * 1e-9, (r.area_stamp_ns - start) * 1e-9
+        found.append(Trial(time, r.force, r.area, frames, target_force=1.35, **about))
+    return found
+
+
+@pytest.fixture(scope="module")
+def result(double: SimpleNamespace) -> Fit:
+    trials = trials_of(double, condition="dry", subject="S01")
+    return fit(trials, model=double.HereditaryModel(), **QUICK)
+
+
+def test_the_truth_lies_in_the_intervals(double: SimpleNamespace, result: Fit) -> None:
+    true = double.composite(double.TRUTH)
+    assert result.parameters["composite_E"] == pytest.approx(true, rel=0.05)
+    low, high = result.intervals["composite_E"]
+    assert low < result.parameters["dry"]["composite_E"] < high
+    assert low < true < high
+    assert result.covariance["dry"].shape == (4, 4)
+    assert np.all(np.linalg.eigvalsh(result.covariance["dry"]) > -1e-12)
+    assert result.status == {"dry": "not checked"}
+    assert "composite_E" in result.summary() and "kPa" in repr(result)
+
+
+def test_it_predicts_areas_of_presses_that_it_has_not_seen(
+    double: SimpleNamespace, result: Fit
+) -> None:
+    time = np.linspace(0.0, 1.5, 151)
+    force = 1.2 * time / 1.5
+    areas = result.predict(time, force)
+    drive = (time, force, np.arange(151))
+    (true,) = double.HereditaryModel().batch(double.TRUTH, [drive])
+    assert areas.shape == (151,) and areas[0] == 0.0
+    assert np.allclose(areas, true[0], rtol=0.02, atol=1e-7)
+    frames = result.frames()
+    assert len(result.predict()) == len(frames["area_mm2"])
+    assert np.allclose(frames["residual_mm2"], frames["area_mm2"] - frames["predicted_mm2"])
+    with pytest.raises(InputError, match="time must increase"):
+        result.predict(time[::-1], force)
+    with pytest.raises(InputError, match="choose one of dry"):
+        result.predict(time, force, "moist")
+
+
+def test_pandas_columns_and_one_common_time(double: SimpleNamespace) -> None:
+    pandas = pytest.importorskip("pandas", reason="pandas is not installed")
+    presses = []
+    for trial in trials_of(double, 3):
+        frame = pandas.DataFrame({"time_s": trial.time, "force_n": trial.force})
+        frame["area_m2"] = np.nan
+        rows = np.searchsorted(trial.time, trial.area_time)
+        rows = np.minimum(rows, len(frame) - 1)
+        frame.loc[rows, "area_m2"] = trial.area
+        presses.append(Trial(frame["time_s"], frame["force_n"], frame["area_m2"]))
+    result = fit(presses, model=double.HereditaryModel(), **{**QUICK, "bootstrap": 0})
+    assert result.conditions == ["all"]
+    table = pandas.DataFrame(result.frames())
+    assert set(table["trial"]) == {f"trials trial {i}" for i in range(3)}
+
+
+def test_subjects_are_fitted_apart_and_conditions_compared(
+    double: SimpleNamespace, tmp_path: Path
+) -> None:
+    soft = np.array([80e3, 15e3, 0.2, 1000e3])
+    trials = [
+        *trials_of(double, 4, condition="dry", subject="S01"),
+        *trials_of(double, 4, condition="moist", subject="S01", truth=soft),
+        *trials_of(double, 4, condition="dry", subject="S02"),
+    ]
+    # The areas of one truth must not repeat: S02 pressed a little otherwise.
+    trials[8:] = [
+        Trial(t.time, np.asarray(t.force) * 0.99, t.area, t.area_time, "dry", "S02",
+              target_force=1.3)
+        for t in trials[8:]
+    ]  # fmt: skip
+    result = fit(trials, model=double.HereditaryModel(), **QUICK)
+    assert list(result.subjects) == ["S01", "S02"]
+    assert result.subjects["S02"].conditions == ["dry"]
+    found = {c.quantity: c for c in result.result.contrasts}
+    assert {c.subject for c in found.values()} == {"S01"}
+    contrast = found["composite_E"]
+    assert (contrast.first, contrast.second) == ("dry", "moist")
+    true = double.composite(double.TRUTH) / double.composite(soft)
+    assert contrast.ratio_95[0] < contrast.ratio < contrast.ratio_95[1]
+    assert contrast.ratio == pytest.approx(true, rel=0.1)
+    assert contrast.separated and contrast.probability_greater > 0.99
+
+    result.save(tmp_path)
+    data = json.loads((tmp_path / "fit.json").read_text())
+    assert data["contrasts"][0]["subject"] == "S01" and "S02" in data["subjects"]
+    assert data["provenance"]["command"].startswith("finger_fit.fit(")
+
+
+def test_saved_tables_hold_what_was_found(result: Fit, tmp_path: Path) -> None:
+    folder = result.save(tmp_path / "out")
+    with (folder / "tables" / "frames.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == len(result.predict())
+    observed, predicted, residual = (
+        np.array([float(r[k]) for r in rows]) for k in ("area_mm2", "predicted_mm2", "residual_mm2")
+    )
+    assert np.allclose(observed - predicted, residual, atol=1e-3)
+    with (folder / "tables" / "parameters.csv").open() as file:
+        found = {r["quantity"]: r for r in csv.DictReader(file)}
+    value = result.parameters["E2"] * 1e-3
+    assert float(found["E2"]["value"]) == pytest.approx(value, rel=1e-5)
+    text = (folder / "tables" / "parameters.tex").read_text()
+    rows_of_tex = text.split(r"\midrule")[1].split(r"\bottomrule")[0].strip().splitlines()
+    assert len(rows_of_tex) == 5 and all(r.endswith(r"\\") for r in rows_of_tex)
+    columns = text.splitlines()[1].split("}{")[1].rstrip("}")
+    assert all(r.count(" & ") == len(columns) - 1 for r in rows_of_tex)
+    for name in ("goodness", "trials"):
+        assert (folder / "tables" / f"{name}.csv").stat().st_size > 0
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"force": [0.0, 1.0]}, "trial 0: 2 values of force"),
+        ({"force": "much"}, "trial 0: force holds something else than numbers"),
+        ({"time": [0.0] * 200}, "trial 0: time must increase"),
+        ({"force": -np.ones(200)}, "positive when the finger presses"),
+        ({"area": np.full(200, np.inf)}, "area: value 0 is not finite"),
+    ],
+)
+def test_bad_arrays_are_named(change: dict[str, Any], sentence: str) -> None:
+    time = np.linspace(0.0, 2.0, 200)
+    good = {"time": time, "force": np.sin(time), "area": 5e-5 * np.sin(time)}
+    with pytest.raises(InputError, match=sentence):
+        fit([Trial(**{**good, **change})])
+    with pytest.raises(InputError, match="no trial was given"):
+        fit([])
+    with pytest.raises(InputError, match="did you mean 'bootstrap'"):
+        fit([Trial(**good)], bootstraps=3)
+
+
+def test_importing_needs_no_ros() -> None:
+    code = (
+        "import sys; sys.modules['rclpy'] = None; sys.modules['finger_msgs'] = None\n"
+        "from finger_fit import Trial, fit; print(Trial.__name__, fit.__name__)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["Trial", "fit"]

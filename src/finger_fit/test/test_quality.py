@@ -1,0 +1,204 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Data that cannot be right are refused before a fit, or named on top of its results."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from finger_common.errors import InputError
+from finger_common.flags import AreaFlag
+from finger_fit.options import FitOptions
+from finger_fit.quality import screen
+from finger_fit.results import parameter_files, write
+from finger_fit.study import fit_records
+from finger_model.laws import StandardLinearSolid
+from finger_model.parameter_sets import ParameterSets
+
+QUICK = FitOptions(
+    full_order=False, profiles=False, bootstrap=0, bias_pairs=0, grid=2, particles=2, rounds=1
+)
+
+
+@pytest.fixture(scope="module")
+def presses(double: SimpleNamespace) -> list[Any]:
+    """Four presses of one finger."""
+    return [double.make_record(i, 0.6 + 0.4 * i, 0.3e-6) for i in range(4)]
+
+
+def fitted(double: SimpleNamespace, records: list[Any], options: FitOptions = QUICK) -> Any:
+    return fit_records(records, double.HereditaryModel(), options)
+
+
+def status_of(result: Any, name: str) -> tuple[str, str]:
+    (fit,) = result.fits.values()
+    (check,) = [c for c in fit.quality.checks if c.name == name]
+    return check.status, check.detail
+
+
+def test_clean_presses_pass_every_check(double: SimpleNamespace, presses: list[Any]) -> None:
+    result = fitted(double, presses)
+    (fit,) = result.fits.values()
+    assert {c.name: c.status for c in fit.quality.checks} == {
+        "frames": "ok",
+        "low force": "ok",
+        "stamps": "ok",
+        "lag of the areas": "ok",
+        "tare": "ok",
+        "scatter between presses": "ok",
+        "moisture": "ok",
+    }
+    assert all(t.gain == pytest.approx(1.0, abs=0.02) for t in fit.quality.trials)
+
+
+def test_the_same_press_three_times_counts_once(
+    double: SimpleNamespace, presses: list[Any]
+) -> None:
+    again = [replace(p, bag="copy", stamp_ns=p.stamp_ns + 10**9,
+                     area_stamp_ns=p.area_stamp_ns + 10**9) for p in presses]  # fmt: skip
+    result = fitted(double, [*presses, *again, *presses])
+    (fit,) = result.fits.values()
+    assert len(fit.problem) == 4
+    reasons = [e.reason for e in result.exclusions]
+    assert len(reasons) == 8 and all("the same press as" in r for r in reasons)
+
+
+def test_areas_and_forces_in_another_unit_are_excluded(presses: list[Any]) -> None:
+    wrong = [
+        replace(presses[0], area=presses[0].area * 1e6),
+        replace(presses[1], area=presses[1].area * 1e-2),
+        replace(presses[2], force=presses[2].force * 1e3),
+    ]
+    found = screen([*wrong, presses[3]])
+    assert len(found.records) == 1
+    areas, small, force = (e.reason for e in found.exclusions)
+    assert "name the unit" in areas and "5 and 2000 mm²" in small and "more than a finger" in force
+
+
+def test_two_subjects_are_fitted_apart_unless_pooled(
+    double: SimpleNamespace, presses: list[Any], tmp_path: Path
+) -> None:
+    soft = np.array([80e3, 15e3, 0.2, 1000e3])
+    other = [double.make_record(i, 0.6 + 0.4 * i, 0.3e-6, truth=soft) for i in range(4)]
+    records = [*presses, *(replace(p, subject="S02") for p in other)]
+    options = replace(QUICK, grid=4, rounds=5)
+    result = fitted(double, records, options)
+    assert list(result.subjects) == ["S01", "S02"]
+    stiff, softer = (part.fits["natural"] for part in result.subjects.values())
+    assert stiff.quantity("composite_E") > 1.3 * softer.quantity("composite_E")
+    result.sources = {"geometry_hash": "a"}
+    write(result, tmp_path)
+    data = json.loads((tmp_path / "fit.json").read_text())
+    assert set(data["subjects"]) == {"S01", "S02"} and "conditions" not in data
+    assert data["subjects"]["S02"]["conditions"]["natural"]["trials"] == 4
+    assert len(ParameterSets.load(tmp_path / "S02" / "parameters.yaml").sets) == 1
+    assert not (tmp_path / "parameters.yaml").exists()
+
+    pooled = fitted(double, records, replace(options, pool=True))
+    assert not pooled.subjects and len(pooled.fits["natural"].problem) == 8
+    assert "2 subjects are pooled: S01, S02" in pooled.problems
+
+
+@pytest.mark.parametrize(
+    ("change", "name", "words"),
+    [
+        (lambda r: {"area_flags": r.area_flags | int(AreaFlag.SATURATED)}, "frames", "saturated"),
+        (
+            lambda r: {"area_stamp_ns": r.area_stamp_ns + 120_000_000},
+            "lag of the areas",
+            "behind the fitted model",
+        ),
+        (lambda r: {"force": r.force + 0.12}, "tare", "without contact"),
+        (lambda r: {"area": r.area * (0.6 + 0.35 * r.index)}, "scatter between presses", "differ"),
+    ],
+    ids=["saturated", "late", "tare", "scatter"],
+)
+def test_a_failing_check_is_named_and_keeps_a_fit_from_being_final(
+    double: SimpleNamespace, presses: list[Any], change: Any, name: str, words: str
+) -> None:
+    result = fitted(double, [replace(p, **change(p)) for p in presses])
+    status, detail = status_of(result, name)
+    assert status == "fail" and words in detail
+    (fit,) = result.fits.values()
+    assert any(reason.startswith(f"data: {name}") for reason in fit.reasons)
+
+
+def test_stamps_that_ran_back_fail(double: SimpleNamespace, presses: list[Any]) -> None:
+    for press in presses:
+        press.doubts = ("bag: 3 stamps of wrench run back; they were put in order",)
+    try:
+        assert status_of(fitted(double, presses), "stamps")[0] == "fail"
+    finally:
+        for press in presses:
+            del press.doubts
+
+
+def test_moisture_off_the_scale_is_noted_and_left_out(
+    double: SimpleNamespace, presses: list[Any], tmp_path: Path
+) -> None:
+    records = [replace(p, moisture_before=[1e9, 70.0]) for p in presses]
+    result = fitted(double, records)
+    assert "4 moisture readings lie off the scale" in result.problems[0]
+    (fit,) = result.fits.values()
+    assert fit.moisture[0] == pytest.approx(70.0)
+    write(result, tmp_path)
+    assert ParameterSets.load(tmp_path / "parameters.yaml").sets[0].moisture < 130.0
+
+
+def test_conditions_without_moisture_get_files_that_the_model_node_can_use(
+    double: SimpleNamespace, presses: list[Any]
+) -> None:
+    records = [
+        replace(p, condition=name, moisture_before=[], moisture_after=[], bag=f"{name}{p.index}",
+                area=p.area * (1.0 + 0.01 * k))
+        for k, name in enumerate(("dry", "natural", "moist"))
+        for p in presses
+    ]  # fmt: skip
+    result = fitted(double, records)
+    files = parameter_files(result)
+    assert set(files) == {f"parameters_{c}.yaml" for c in ("dry", "natural", "moist")}
+    assert all(len(sets.sets) == 1 for sets in files.values())
+    assert any("parameter file of its own" in note for note in result.problems)
+
+
+SPACE = StandardLinearSolid.PARAMETERS
+
+
+def test_bounds_take_units() -> None:
+    box = FitOptions(bounds=["E2=500kPa:3MPa", "tau1=10 ms:0.5 s"]).box(SPACE)
+    assert box[SPACE.index("E2")].tolist() == [500e3, 3e6]
+    assert box[SPACE.index("tau1")] == pytest.approx([0.01, 0.5])
+    assert FitOptions(bounds=["E0=5e4:160e3"]).box(SPACE)[0].tolist() == [5e4, 160e3]
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("E2=500:3000", r"'E2=500:3000': 500 to 3000 Pa lies outside.*'E2=500kPa:3000kPa'"),
+        ("E9=1:2", r"'E9=1:2'.*one of E0, E1, tau1, E2"),
+        ("E2=3MPa:500kPa", r"0 < LOW < HIGH"),
+        ("E2=500:3MPa", r"one end has a unit"),
+        ("E2=500s:3s", r"with units Pa, kPa, MPa, GPa"),
+        ("E2=500kPa", r"LOW:HIGH"),
+        ("tau1=10kPa:20kPa", r"with units s, ms"),
+    ],
+)
+def test_bad_bounds_are_quoted_with_the_remedy(text: str, sentence: str) -> None:
+    with pytest.raises(InputError, match=sentence):
+        FitOptions(bounds=[text]).box(SPACE)
+
+
+def test_bounds_beyond_the_models_range_are_not_final(
+    double: SimpleNamespace, presses: list[Any]
+) -> None:
+    result = fitted(double, presses, replace(QUICK, bounds=["E2=100kPa:3MPa"]))
+    (fit,) = result.fits.values()
+    assert any("the bounds of E2" in reason for reason in fit.reasons)

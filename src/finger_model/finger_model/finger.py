@@ -1,0 +1,75 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Which finger a node or command works with: geometry file, reduced model file, material law."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from finger_common.errors import InputError
+
+from .fem.area_model import FullOrderAreas
+from .geometry import Geometry
+from .history import ContactHistory
+from .laws import ConstitutiveLaw, MaxwellLaw, law_of
+from .reduced.model import ReducedModel, load_population
+
+
+def load_reduced(
+    model_file: str | Path = "", geometry_file: str | Path | Geometry = ""
+) -> ReducedModel:
+    """The reduced model of a finger; without files that of the default geometry.
+
+    geometry_file: geometry.yaml or its content, of any finger of the population box or, with
+    model_file, of the finger that the file was made for. Raises InputError for files that are
+    wrong or do not belong together, and for a finger outside the box.
+    """
+    return ReducedModel.load(model_file or None, _geometry(geometry_file))
+
+
+def _geometry(source: str | Path | Geometry) -> Geometry | None:
+    """A geometry, or that of a file; None for an empty name."""
+    if isinstance(source, Geometry):
+        return source
+    return Geometry.load(source) if source else None
+
+
+def simulate_reduced(
+    material: ConstitutiveLaw,
+    time: np.ndarray,
+    force: np.ndarray,
+    geometry: Geometry,
+    model_file: str | Path = "",
+) -> ContactHistory:
+    """Contact (see `ReducedModel.simulate`) by the most exact reduced model that serves a finger.
+
+    Without a file that is the one of the default finger and, for materials and forces that it does
+    not serve, the one of the population box. Raises the InputError of the last one.
+    """
+    model = ReducedModel.load(model_file or None, geometry)
+    try:
+        return model.for_material(material).simulate(material, time, force)
+    except InputError:
+        if model_file or model.serves_population:
+            raise
+    return load_population(geometry).for_material(material).simulate(material, time, force)
+
+
+def load_areas(
+    model_file: str | Path = "", geometry_file: str | Path | Geometry = "", law: str = ""
+) -> ReducedModel | FullOrderAreas:
+    """What a fit varies: the reduced model or, for a law that has none, the full-order model.
+
+    Raises InputError as `load_reduced` does, and for an unknown law.
+    """
+    if not law or issubclass(law_of(law), MaxwellLaw):
+        model = load_reduced(model_file, geometry_file)
+        return model.for_law(law_of(law)) if law else model
+    if model_file:
+        raise InputError(
+            f"law '{law}' has no reduced model: leave the model file out, or fit another law"
+        )
+    return FullOrderAreas(law_of(law)(), _geometry(geometry_file))

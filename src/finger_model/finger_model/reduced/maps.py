@@ -1,0 +1,188 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The maps of a reduced model: networks for the kernels, with gains and biases of one finger.
+
+`GeometryMaps` are those of one geometry (`finger-model reduce`), whose biases depend on ln E2/E0.
+`PopulationMaps` serve every finger of the population box; gains and biases come from its context.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ..geometry import Geometry
+from ..laws import MaxwellLaw
+from . import kernels as rk
+from .population import context_of
+from .training import sigmoid
+
+NETWORKS = ("drive", "contact")
+
+
+class Modulation(NamedTuple):
+    """Gains and biases of a network: (w,), (w,), (w,), (w,), (o,)."""
+
+    gain_1: np.ndarray
+    bias_1: np.ndarray
+    gain_2: np.ndarray
+    bias_2: np.ndarray
+    bias_3: np.ndarray
+
+
+class Maps:
+    """Networks as the kernels take them. Raises ValueError for layers that do not fit together."""
+
+    def __init__(
+        self, layers: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]], betas: np.ndarray
+    ) -> None:
+        first = {name: values[0] for name, values in layers.items()}
+        self.latents = k = layers["drive"][2].shape[1] - 1
+        frictions = len(betas)
+        inputs = {"drive": rk.LOAD_INPUTS + k, "contact": rk.LOAD_INPUTS + k + frictions}
+        outputs = {"drive": 1 + k, "contact": rk.CONTACT_OUTPUTS}
+        widths = {name: values.shape[1] for name, values in first.items()}
+        self.types = rk.record_types(k, frictions, widths["drive"], widths["contact"])
+        self.networks = np.zeros(1, self.types.networks)
+        self.networks["betas"] = betas
+        self.work = np.zeros(1, self.types.work)
+        for name, (one, two, three) in layers.items():
+            width = widths[name]
+            if (
+                one.shape[0] != inputs[name]
+                or two.shape != (width, width)
+                or three.shape != (width, outputs[name])
+            ):
+                raise ValueError(f"layers of the {name} network do not fit together")
+            record = self.networks[name]
+            record["load"] = one[: rk.LOAD_INPUTS]
+            record["amplitude"] = one[rk.LOAD_INPUTS : inputs["drive"]]
+            record["weights_2"], record["weights_3"] = two, three
+        self.networks["contact"]["friction"] = first["contact"][inputs["drive"] :]
+
+    def modulation(self, name: str, finger: np.ndarray) -> Modulation:
+        """Gains and biases of a network for a finger, as `finger_of` describes it."""
+        raise NotImplementedError
+
+    def finger_of(self, geometry: Geometry, material: MaxwellLaw) -> np.ndarray:
+        """What the maps need to know of a finger (c,)."""
+        raise NotImplementedError
+
+    def largest_load(self, material: MaxwellLaw) -> float:
+        """Largest F/(E0 L²) that the maps were trained for."""
+        raise NotImplementedError
+
+    def parameters(self, geometry: Geometry, material: MaxwellLaw) -> np.ndarray:
+        """The kernels' record (1,) of a finger, without the force limit."""
+        length, branches = geometry.pad_semi_axis_radial, material.branches
+        return self.parameters_of(
+            length,
+            material.instantaneous_modulus * length**2,
+            np.array([branch.fraction for branch in branches]),
+            np.array([branch.relaxation_time for branch in branches]),
+            self.finger_of(geometry, material),
+        )
+
+    def parameters_of(
+        self,
+        length: float,
+        scale: float,
+        fractions: np.ndarray,
+        times: np.ndarray,
+        finger: np.ndarray,
+    ) -> np.ndarray:
+        """The same of length (m), E0 L² (N), fractions and times (s) of the branches, finger."""
+        record = np.zeros(1, self.types.parameters)
+        record["length"] = length
+        record["force_scale"] = scale
+        record["branches"] = count = len(fractions)
+        record["fraction"][0, :count] = fractions
+        record["tau"][0, :count] = times
+        for name in NETWORKS:
+            for key, value in self.modulation(name, finger)._asdict().items():
+                record[name][key] = value
+        # Indentation and drive at rest, which the kernels subtract.
+        record["drive_at_rest"] = self.at_rest(record)["drive"]
+        return record
+
+    def at_rest(self, record: np.ndarray) -> np.ndarray:
+        """The kernels' record (1,) of a finger at rest."""
+        state = np.zeros(1, self.types.state)
+        rk.rest(self.networks, record, state, self.work)
+        return state
+
+
+class GeometryMaps(Maps):
+    """Maps of one geometry."""
+
+    def __init__(self, arrays: dict[str, np.ndarray]) -> None:
+        layers = {}
+        self._first: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        self._later: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        for name in NETWORKS:
+            a = {
+                key.removeprefix(name + "_"): v for key, v in arrays.items() if key.startswith(name)
+            }
+            # Scaling of inputs and outputs goes into the weights; the last input is ln E2/E0.
+            first = a["weights_1"] / a["input_scale"][:, None]
+            layers[name] = (first[:-1], a["weights_2"], a["weights_3"] * a["output_scale"])
+            self._first[name] = (a["bias_1"] - a["input_mean"] @ first, first[-1])
+            self._later[name] = (a["bias_2"], a["bias_3"] * a["output_scale"] + a["output_mean"])
+        super().__init__(layers, arrays["betas"])
+        self._limit = arrays["force_limit"]
+        if self._limit.shape != (3,) or np.abs(self._limit).max() > 20.0:
+            raise ValueError("force_limit is no fit of three exponents")
+
+    def finger_of(self, geometry: Geometry, material: MaxwellLaw) -> np.ndarray:
+        return np.array([math.log(material.epidermis_modulus / material.instantaneous_modulus)])
+
+    def modulation(self, name: str, finger: np.ndarray) -> Modulation:
+        stiffness = float(finger[0])
+        bias, row = self._first[name]
+        ones = np.ones(len(bias))
+        bias_2, bias_3 = self._later[name]
+        return Modulation(ones, bias + stiffness * row, ones, bias_2, bias_3)
+
+    def largest_load(self, material: MaxwellLaw) -> float:
+        c = self._limit
+        skin = material.epidermis_modulus / material.instantaneous_modulus
+        return math.exp(c[0] + c[1] * math.log(material.long_term_fraction) + c[2] * math.log(skin))
+
+
+class PopulationMaps(Maps):
+    """Maps of all fingers of the population box."""
+
+    def __init__(self, arrays: dict[str, np.ndarray]) -> None:
+        layers = {}
+        self._context: dict[str, dict[str, np.ndarray]] = {}
+        for name in NETWORKS:
+            a = {
+                key.removeprefix(name + "_"): v for key, v in arrays.items() if key.startswith(name)
+            }
+            first = a["W1"] / a["input_scale"][:, None]
+            layers[name] = (first, a["W2"], a["W3"] * a["output_scale"])
+            self._context[name] = {**a, "shift": a["input_mean"] @ first}
+        super().__init__(layers, arrays["betas"])
+        self._load = arrays["largest_load"]
+        if self._load.shape != (2,) or not (self._load >= 0).all():
+            raise ValueError("largest_load is no pair of coefficients")
+
+    def finger_of(self, geometry: Geometry, material: MaxwellLaw) -> np.ndarray:
+        return context_of(geometry, material)
+
+    def modulation(self, name: str, finger: np.ndarray) -> Modulation:
+        a = self._context[name]
+        context = (finger - a["context_mean"]) / a["context_scale"]
+        first = sigmoid(context @ a["V1"] + a["d1"])[0]
+        found = sigmoid(first @ a["V2"] + a["d2"])[0] @ a["V3"] + a["d3"]
+        width = a["W2"].shape[0]
+        gain_1, bias_1, gain_2, bias_2 = found[: 4 * width].reshape(4, width)
+        bias_3 = found[4 * width :] * a["output_scale"] + a["output_mean"]
+        return Modulation(gain_1, bias_1 - gain_1 * a["shift"], gain_2, bias_2, bias_3)
+
+    def largest_load(self, material: MaxwellLaw) -> float:
+        soft, stiffening = self._load
+        return material.long_term_fraction * soft * (1.0 + stiffening * material.stiffening)

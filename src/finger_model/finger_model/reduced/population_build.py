@@ -1,0 +1,250 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Building the reduced model of the population box, once for all fingers in it.
+
+Finished runs lie in a folder beside the output (`OUTPUT.parts`) until the file is written; the same
+command continues an interrupted build.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from finger_common.errors import ModelError
+from finger_common.files import atomic_write, sha256_of
+from finger_common.settings import Settings, setting
+
+from ..fem.full_order import FullOrderModel
+from ..fem.mesh import similar_mesh
+from ..geometry import Geometry
+from ..laws.generalized_maxwell import TIME_RANGE
+from .build import parts_folder
+from .error import ErrorTable
+from .model import LAW, ReducedModel
+from .population import STIFFENING
+from .population_runs import WHOLE, Case, Run, held_out_case, run, training_case
+from .population_training import LATENTS, measured_error, train
+from .training_runs import principal_modes, weight_of
+
+LARGEST_FORCE = 10.0
+"""N, end of the range the model is built for."""
+CHUNK = 50
+"""Runs of one file."""
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class PopulationSettings(Settings):
+    """What a build of the population's model depends on."""
+
+    histories: int = setting(
+        12_500, "Training histories, each of a finger of its own.", minimum=50, maximum=1_000_000
+    )
+    corrections: int = setting(
+        500, "Histories that are run on the default mesh too.", minimum=5, maximum=100_000
+    )
+    held_out: int = setting(
+        340, "Histories on which the error is measured.", minimum=4, maximum=100_000
+    )
+    pilots: int = setting(160, "Histories that choose the coordinates.", minimum=5, maximum=10_000)
+    epochs: int = setting(
+        120, "Passes of each training over all histories.", minimum=1, maximum=100_000
+    )
+    seed: int = setting(1, "Seed of the random fingers and histories.", minimum=0, maximum=2**31)
+
+
+def build(
+    output: str | Path,
+    settings: PopulationSettings | None = None,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> tuple[ReducedModel, dict[str, ErrorTable]]:
+    """Build the model of the population box and write it to `output`; with its measured errors.
+
+    Raises InputError when the output cannot be written and ModelError when too few runs succeed.
+    """
+    settings = settings or PopulationSettings()
+    workers = workers or min(2, os.cpu_count() or 1)
+    report = progress or (lambda stage, share: None)
+    output = Path(output)
+    runs_only = {k: v for k, v in settings.to_dict().items() if k in ("seed", "pilots")}
+    parts = parts_folder(output, sha256_of({"population": runs_only}))
+    began = time.monotonic()
+    modes = _modes(parts, settings, report)
+
+    def runs_of(stage: str, task: _Task, number: int) -> list[Run | None]:
+        return list(_runs(parts, task, settings.seed, number, workers, stage, report))
+
+    coarse = runs_of("runs on the coarse mesh", _Task("coarse", modes), settings.histories)
+    fine = runs_of("runs on the default mesh", _Task("fine", None), settings.corrections)
+    held_out = runs_of("held-out runs", _Task("held_out", None), settings.held_out)
+    model, tables = assemble(
+        [r for r in coarse if r is not None],
+        [(c, f) for c, f in zip(coarse, fine) if c is not None and f is not None],
+        [r for r in held_out if r is not None],
+        settings,
+        report,
+        began,
+    )
+    model.save(output)
+    shutil.rmtree(parts)
+    return model, tables
+
+
+def assemble(
+    runs: list[Run],
+    pairs: list[tuple[Run, Run]],
+    held_out: list[Run],
+    settings: PopulationSettings,
+    report: Progress,
+    began: float,
+) -> tuple[ReducedModel, dict[str, ErrorTable]]:
+    """Train on the runs and measure the error. Raises ModelError when too few are usable."""
+    usable = [r for r in runs if _usable(r)]
+    pairs = [pair for pair in pairs if all(_usable(r) for r in pair)]
+    if len(usable) < 0.8 * settings.histories or len(pairs) < 0.5 * settings.corrections:
+        raise ModelError(
+            f"only {len(usable)} of {settings.histories} full-order runs succeeded; "
+            "check the population box"
+        )
+    arrays = train(usable, pairs, settings.epochs, report)
+    return with_error(arrays, held_out, settings, time.monotonic() - began)
+
+
+def with_error(
+    arrays: dict[str, np.ndarray], held_out: list[Run], settings: PopulationSettings, seconds: float
+) -> tuple[ReducedModel, dict[str, ErrorTable]]:
+    """The model of trained arrays, and its error over held-out runs."""
+    tables = measured_error(arrays, held_out)
+    box = {name: list(limits) for name, limits in WHOLE.items()}
+    meta: dict[str, Any] = {
+        "population": True,
+        "range": {
+            **box,
+            "tau1": list(TIME_RANGE),
+            "stiffening": list(STIFFENING),
+            "force": [0.0, LARGEST_FORCE],
+        },
+        "law": LAW.name,
+        "measured_error": {region: table.summary() for region, table in tables.items()},
+        "settings": {
+            **settings.to_dict(),
+            "latents": LATENTS,
+            "refinement": 1.0,
+            "build_seconds": round(seconds, 1),
+        },
+    }
+    return ReducedModel(arrays, meta), tables
+
+
+def _usable(found: Run) -> bool:
+    """Whether a run has rows and never covers the whole pad, where the mesh is crushed."""
+    pad = np.pi * found.length**2
+    return len(found.time) > 3 and 0 < found.area.max() < 0.98 * pad
+
+
+@dataclass(frozen=True)
+class _Task:
+    """Kind of runs, and the modes (k, n) on which the internal strain is projected."""
+
+    name: str
+    modes: np.ndarray | None
+
+    def case(self, seed: int, index: int) -> Case:
+        make = held_out_case if self.name == "held_out" else training_case
+        return make(seed, index)
+
+
+_worker: dict[str, Any] = {}
+
+
+def _begin(task: _Task, seed: int) -> None:
+    os.environ["OMP_NUM_THREADS"] = "1"
+    _worker.update(task=task, seed=seed)
+
+
+def _work(indices: range) -> list[Run]:
+    task: _Task = _worker["task"]
+    coarse = task.name == "coarse"
+    return [run(task.case(_worker["seed"], i), task.modes, coarse) for i in indices]
+
+
+def _modes(parts: Path, settings: PopulationSettings, report: Progress) -> np.ndarray:
+    """Projections (k, n) on the principal components of the internal strain, on `similar_mesh`."""
+    file = parts / "modes.npy"
+    if file.exists():
+        return np.load(file, allow_pickle=False)
+    found: list[np.ndarray] = []
+    for index in range(settings.pilots):
+        run(training_case(settings.seed + 1_000_000, index), None, True, found)
+        report("choosing coordinates", (index + 1) / settings.pilots)
+    geometry = Geometry()
+    weight = weight_of(FullOrderModel(geometry, mesh=similar_mesh(geometry)))
+    modes = principal_modes(np.array(found), weight, LATENTS)
+    with atomic_write(file, "wb") as handle:
+        np.save(handle, modes)
+    return modes
+
+
+def _runs(
+    parts: Path,
+    task: _Task,
+    seed: int,
+    number: int,
+    workers: int,
+    stage: str,
+    report: Progress,
+) -> Iterator[Run]:
+    """Runs of all cases, from their files where they are finished."""
+    chunks = [range(first, min(first + CHUNK, number)) for first in range(0, number, CHUNK)]
+    files = [parts / f"{task.name}_{part.start:06d}_{part.stop:06d}.npz" for part in chunks]
+    missing = [part for part, file in zip(chunks, files) if not file.exists()]
+    done = number - sum(len(part) for part in missing)
+    if missing:
+        with ProcessPoolExecutor(workers, initializer=_begin, initargs=(task, seed)) as executor:
+            for part, found in zip(missing, executor.map(_work, missing)):
+                save_runs(parts / f"{task.name}_{part.start:06d}_{part.stop:06d}.npz", found)
+                done += len(part)
+                report(stage, done / number)
+    for file in files:
+        yield from load_runs(file)
+
+
+def save_runs(path: Path, runs: list[Run]) -> None:
+    """Write runs into an npz archive."""
+    arrays = {
+        f"{index}_{field.name}": np.asarray(getattr(found, field.name))
+        for index, found in enumerate(runs)
+        for field in fields(Run)
+    }
+    with atomic_write(path, "wb") as handle:
+        np.savez(handle, **arrays)  # type: ignore[arg-type]
+
+
+def load_runs(path: Path) -> Iterator[Run]:
+    """Runs of `save_runs`."""
+    with np.load(path, allow_pickle=False) as archive:
+        values = {key: archive[key] for key in archive.files}
+    for index in range(len(values) // len(fields(Run))):
+        own = {field.name: values[f"{index}_{field.name}"] for field in fields(Run)}
+        yield Run(**{k: v.item() if v.ndim == 0 else v for k, v in own.items()})
+
+
+def held_out_runs(seed: int, number: int, workers: int) -> Iterator[Run]:
+    """Held-out runs on the default mesh, as they come."""
+    task = _Task("held_out", None)
+    parts = [range(i, i + 1) for i in range(number)]
+    with ProcessPoolExecutor(workers, initializer=_begin, initargs=(task, seed)) as executor:
+        for found in executor.map(_work, parts):
+            yield from found

@@ -1,0 +1,235 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Full-order runs over the population: random fingers, laws and short histories.
+
+Most runs are on `similar_mesh`, coarse but smooth from finger to finger, and also give the internal
+strain (see `training_runs`). Some are on the default mesh: they correct the coarse ones.
+"""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from dataclasses import dataclass
+
+import numpy as np
+
+from finger_common.errors import InputError, ModelError
+
+from ..fem.full_order import FullOrderModel
+from ..fem.mesh import similar_mesh
+from ..geometry import Geometry
+from ..laws import MaxwellLaw
+from ..laws.generalized_maxwell import LAWS_BY_BRANCHES
+from ..paper import FRICTION, SEARCH_BOX
+from .force_histories import KINDS, random_history
+from .population import BOX, MIDDLE_FRICTION, MIDDLE_STIFFENING, NAIL_INSIDE, context_of
+from .training_runs import internal_field
+
+MOST_SECONDS = 6.0
+"""A training run that takes longer is cut short."""
+
+WHOLE = {"E0": (20e3, 400e3), "E1": (6e3, 150e3), "E2": (100e3, 5000e3)}
+MIDDLE = {name: (low / 1.5, high * 1.5) for name, (low, high) in SEARCH_BOX.items()}
+TIMES = (1e-3, 10.0)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A finger, its law and a history: time (n,) in s, force (n,) in N."""
+
+    geometry: Geometry
+    material: MaxwellLaw
+    time: np.ndarray
+    force: np.ndarray
+    kind: str
+    middle: bool
+
+
+def _between(rng: np.random.Generator, limits: tuple[float, float]) -> float:
+    return float(np.exp(rng.uniform(*np.log(limits))))
+
+
+def random_geometry(rng: np.random.Generator, middle: bool) -> Geometry:
+    """A finger of the population box; `middle`: 12 to 20 mm wide."""
+    while True:
+        low, high = (6e-3, 10e-3) if middle else (BOX["pad_semi_axis_radial"].low, 12e-3)
+        length = rng.uniform(low, high)
+        aspect = rng.uniform(BOX["aspect"].low, BOX["aspect"].high)
+        skin = rng.uniform(BOX["epidermis_thickness"].low, BOX["epidermis_thickness"].high)
+        radial = rng.uniform(BOX["bone_radial"].low, BOX["bone_radial"].high)
+        axial = rng.uniform(BOX["bone_axial"].low, BOX["bone_axial"].high)
+        nail = rng.uniform(BOX["nail_radius"].low, BOX["nail_radius"].high)
+        try:
+            return Geometry(
+                pad_semi_axis_radial=length,
+                pad_semi_axis_axial=aspect * length,
+                epidermis_thickness=skin,
+                bone_semi_axis_radial=radial * length,
+                bone_semi_axis_axial=axial * aspect * length,
+                nail_radius=min(nail * length, NAIL_INSIDE * (length - skin)),
+                nail_thickness=rng.uniform(0.2e-3, 0.8e-3),
+            )
+        except InputError:
+            continue
+
+
+def random_material(
+    rng: np.random.Generator, middle: bool, branches: int, plain: bool = False
+) -> MaxwellLaw:
+    """A law of so many branches with moduli of the box; `plain`: friction 0.25, no stiffening."""
+    box = MIDDLE if middle else WHOLE
+    E0, E1, E2 = (_between(rng, box[name]) for name in ("E0", "E1", "E2"))
+    shares = rng.dirichlet(np.ones(branches)) * E0 / (E0 + E1)
+    values = {"E0": E0, "E2": E2}
+    for k in range(branches):
+        values |= {f"fraction_{k + 1}": shares[k], f"tau_{k + 1}": _between(rng, TIMES)}
+    share = rng.uniform(0.0, 1.0 / (1.0 + MIDDLE_FRICTION))
+    friction = MIDDLE_FRICTION * share / (1.0 - share)
+    stiffening = rng.uniform(0.0, 10.0 / (10.0 + MIDDLE_STIFFENING))
+    stiffening = MIDDLE_STIFFENING * stiffening / (1.0 - stiffening)
+    nail = 170e6 * math.exp(rng.normal(0.0, 1.0))
+    if plain or rng.random() < 0.35:
+        friction = FRICTION
+    if plain or rng.random() < 0.45:
+        stiffening = 0.0
+    values["stiffening"] = stiffening
+    law = LAWS_BY_BRANCHES[branches]
+    return law(friction=min(friction, 1.0), nail_modulus=min(max(nail, 1e7), 2e9), **values)  # type: ignore[arg-type]
+
+
+def training_history(rng: np.random.Generator, tau: float, peak: float):
+    """Time and force of a short history: loading, creep, unloading, reloading, in some 14 rows."""
+
+    def span(low: float, high: float) -> float:
+        return tau * 10.0 ** rng.uniform(low, high)
+
+    times, forces = [0.0], [0.0]
+
+    def go(force: float, duration: float, rows: int, power: float = 1.0) -> None:
+        share = (np.arange(1, rows + 1) / rows) ** power
+        start, before = times[-1], forces[-1]
+        times.extend(start + share * duration)
+        forces.extend(before + share * (force - before))
+
+    go(peak, span(-2.5, 1.5), 6, 1.6)
+    kind = rng.integers(4)
+    if kind > 0:
+        go(peak, span(-1.5, 1.5), 2, 1.5)
+    if kind == 2:
+        low = peak * rng.uniform(0.05, 0.6)
+        go(low, span(-2.0, 1.0), 3)
+        go(low, span(-1.5, 1.5), 1)
+        go(peak * rng.uniform(0.5, 1.2), span(-2.0, 1.0), 3)
+    if kind == 3:
+        go(0.0, span(-2.0, 1.0), 3)
+        go(0.0, span(-1.5, 1.0), 1)
+        go(peak * rng.uniform(0.3, 1.1), span(-2.0, 1.0), 4, 1.5)
+    if kind == 1:
+        go(peak * rng.uniform(1.2, 2.5), span(-2.0, 1.0), 3)
+    return np.array(times), np.array(forces)
+
+
+def training_case(seed: int, index: int) -> Case:
+    """The index-th training history; half of them in the middle box."""
+    rng = np.random.default_rng([seed, index])
+    middle = bool(index % 2)
+    geometry = random_geometry(rng, middle)
+    material = random_material(rng, middle, int(rng.choice([1, 1, 1, 2, 3])))
+    length = geometry.pad_semi_axis_radial
+    carried = material.instantaneous_modulus * material.long_term_fraction * length**2
+    carried *= 12.0 * (1.0 + 0.3 * material.stiffening)
+    peak = _between(rng, (0.3, 2.2) if middle else (0.2, 11.0))
+    peak = min(peak, carried * rng.uniform(0.4, 1.0))
+    time, force = training_history(rng, material.branches[0].relaxation_time, peak)
+    return Case(geometry, material, time, force, "training", middle)
+
+
+def held_out_case(seed: int, index: int) -> Case:
+    """The index-th held-out history, half of them in the middle box: all kinds, holds of 60 s."""
+    rng = np.random.default_rng([seed, index, 1])
+    middle = bool(index % 2)
+    geometry = random_geometry(rng, middle)
+    material = random_material(rng, middle, int(rng.choice([1, 2, 3])), plain=index % 4 < 2)
+    peak = _between(rng, (0.3, 2.0) if middle else (0.2, 10.0))
+    kind = (*KINDS, "long hold")[(index // 2) % (len(KINDS) + 1)]
+    if kind == "long hold":
+        rise = rng.uniform(0.2, 2.0)
+        share = np.arange(1, 17) / 16
+        time = np.concatenate([[0.0], rise * share**1.4, rise + 60.0 * share**3])
+        force = peak * np.concatenate([[0.0], share**1.4, np.ones(16)])
+    else:
+        time, force = random_history(rng, kind, peak)
+    return Case(geometry, material, time, force, kind, middle)
+
+
+@dataclass
+class Run:
+    """What came out, up to the last row that converged.
+
+    context (10,), share: long-term fraction, length (m), scale: E0 L² (N); fractions, times (b,) of
+    the branches; time, force, area, indentation, peak (n,) in SI; internal, total (n, k).
+    """
+
+    context: np.ndarray
+    length: float
+    scale: float
+    share: float
+    fractions: np.ndarray
+    times: np.ndarray
+    time: np.ndarray
+    force: np.ndarray
+    area: np.ndarray
+    indentation: np.ndarray
+    peak: np.ndarray
+    internal: np.ndarray
+    total: np.ndarray
+    failed: float
+    kind: str
+    middle: bool
+
+
+def run(case: Case, modes: np.ndarray | None, coarse: bool, fields: list | None = None) -> Run:
+    """Run a case; fields of the internal strain are added to `fields`."""
+    geometry, material = case.geometry, case.material
+    mesh = similar_mesh(geometry) if coarse else None
+    stepper = FullOrderModel(geometry, mesh=mesh).start(material, float(case.time[0]))
+    rows, internal, total = [], [], []
+    failed = math.nan
+    begin = clock.perf_counter()
+    for i in range(len(case.time)):
+        if clock.perf_counter() - begin > (MOST_SECONDS if coarse else 10.0 * MOST_SECONDS):
+            break
+        try:
+            point = stepper.step(float(case.time[i]), float(case.force[i]))
+        except ModelError:
+            failed = float(case.force[i])
+            break
+        rows.append((point.area, point.indentation, point.peak_pressure))
+        if modes is not None or fields is not None:
+            b, c = internal_field(stepper.state.tissue, material)
+            if modes is not None:
+                internal.append(modes @ b.ravel())
+                total.append(modes @ c.ravel())
+            elif fields is not None and i % 5 == 4:
+                fields.append(b.astype(np.float32).ravel())
+    n = len(rows)
+    k = 0 if modes is None else len(modes)
+    table = np.array(rows).reshape(n, 3)
+    return Run(  # type: ignore[call-arg]
+        context_of(geometry, material),
+        geometry.pad_semi_axis_radial,
+        material.instantaneous_modulus * geometry.pad_semi_axis_radial**2,
+        material.long_term_fraction,
+        np.array([b.fraction for b in material.branches]),
+        np.array([b.relaxation_time for b in material.branches]),
+        case.time[:n],
+        case.force[:n],
+        *table.T,
+        np.array(internal).reshape(n, k),
+        np.array(total).reshape(n, k),
+        failed,
+        case.kind,
+        case.middle,
+    )

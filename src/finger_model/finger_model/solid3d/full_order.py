@@ -1,0 +1,479 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The three-dimensional finger: tangential load, elliptical pad, tilted plate.
+
+`SolidModel` holds mesh and solver of a finger and a plate; `SolidStepper` takes it through a
+history of loads.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+
+import numpy as np
+
+from finger_common.errors import InputError, ModelError
+from finger_common.files import atomic_write
+
+from ..fem.equilibrium import OPEN, SLIP, STICK, NotConverged
+from ..fem.mesh_material import Crushed, StepMaterial
+from ..geometry import Geometry
+from ..history import CSV_HEADER, check_force_history, mean_pressure
+from ..laws import ConstitutiveLaw, Tissue
+from .contact import Contact, Plate, Sliding
+from .contact_shape import node_areas, outline, pressure, stick_ratio
+from .equilibrium import Equilibrium
+from .material import SolidMaterial
+from .mesh import MeshSize, Pose, SolidMesh, solid_mesh
+
+SMALLEST_CUT = 2.0**-12
+"""Smallest fraction of a step: a step that does not converge is cut to a quarter, down to this."""
+SLIDE = 0.02
+"""Plate shift over the contact radius with which a sliding plate is followed."""
+SLIDES = 200
+"""Largest number of such shifts: four radii."""
+
+
+SOLID_CSV_HEADER = (
+    CSV_HEADER + ",semi_axis_a_mm,semi_axis_b_mm,stick_ratio,slip_margin,tangential_displacement_mm"
+    ",orientation_deg,center_x_mm,center_y_mm"
+)
+
+
+@dataclass(frozen=True)
+class SolidPoint:
+    """Contact at one instant (SI); vectors are in axes of the plate, see `Pose`.
+
+    time (s), force (N): along the plate's normal; area (m²), radius (m): √(area/π); indentation
+    (m): the plate's travel along its normal from first touch of the unloaded shape; peak and mean
+    pressure (Pa); semi_axis_a ≥ semi_axis_b (m), orientation (rad) of a from x, center_x, center_y
+    (m): of the contact; tangential_x, tangential_y (N): force of the plate on the skin; shift_x,
+    shift_y (m): of the plate; stick_ratio: share of the area that slid by less than 5 % of the
+    plate's travel in the step; slip_margin: 1 − |Q|/(μ P), zero where the plate slides. Without
+    contact these two are NaN.
+    """
+
+    time: float
+    force: float
+    area: float
+    radius: float
+    indentation: float
+    peak_pressure: float
+    mean_pressure: float
+    semi_axis_a: float
+    semi_axis_b: float
+    orientation: float
+    center_x: float
+    center_y: float
+    tangential_x: float
+    tangential_y: float
+    shift_x: float
+    shift_y: float
+    stick_ratio: float
+    slip_margin: float
+
+
+@dataclass(frozen=True)
+class SolidHistory:
+    """Contact over time: arrays (n,) in SI of the fields of `SolidPoint`, by name."""
+
+    columns: dict[str, np.ndarray] = field(default_factory=dict)
+
+    def __getattr__(self, name: str) -> np.ndarray:
+        columns = self.__dict__.get("columns", {})
+        if name in columns:
+            return columns[name]
+        raise AttributeError(name)
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values()), ()))
+
+    @classmethod
+    def from_points(cls, points: Sequence[SolidPoint], load: np.ndarray) -> SolidHistory:
+        """History of the given points in their order under normal forces `load` (n,) in N."""
+        names = [f.name for f in fields(SolidPoint)]
+        columns = {name: np.array([getattr(p, name) for p in points]) for name in names}
+        return cls({**columns, "load": np.array(load, dtype=float)})
+
+    def csv_text(self) -> str:
+        """The header SOLID_CSV_HEADER and one line per instant."""
+        columns = (
+            self.area * 1e6,
+            self.radius * 1e3,
+            self.indentation * 1e3,
+            self.peak_pressure * 1e-3,
+            self.semi_axis_a * 1e3,
+            self.semi_axis_b * 1e3,
+            self.stick_ratio,
+            self.slip_margin,
+            self.shift_x * 1e3,
+            np.degrees(self.orientation),
+            self.center_x * 1e3,
+            self.center_y * 1e3,
+        )
+        lines = [SOLID_CSV_HEADER]
+        for time, force, *rest in zip(self.time.tolist(), self.load.tolist(), *columns):
+            lines.append(f"{time!r},{force!r}," + ",".join(f"{value:.6g}" for value in rest))
+        return "\n".join(lines) + "\n"
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write `csv_text` to a file."""
+        with atomic_write(path) as file:
+            file.write(self.csv_text())
+
+
+@dataclass
+class SolidState:
+    """State of a finger (SI). Arrays are never changed in place, but for those of `contact`."""
+
+    time: float
+    positions: np.ndarray
+    contact: Contact
+    tissue: Tissue
+
+    def copy(self) -> SolidState:
+        """Independent copy."""
+        return replace(self, contact=self.contact.copy())
+
+
+class SolidModel:
+    """Finite elements of one finger against one plate.
+
+    refinement divides the node spacing; half: use the symmetry of the pose, if it has one, for
+    loads along x; size and mesh replace the default ones. Raises InputError.
+    """
+
+    def __init__(
+        self,
+        geometry: Geometry | None = None,
+        pose: Pose | None = None,
+        refinement: float = 1.0,
+        half: bool = True,
+        size: MeshSize | None = None,
+        mesh: SolidMesh | None = None,
+    ) -> None:
+        if not 0.25 <= refinement <= 4:
+            raise InputError(f"refinement is {refinement:g}, outside 0.25 … 4; 1 is the default")
+        self.geometry = geometry if geometry is not None else Geometry()
+        self.pose = pose or Pose()
+        fineness = (size or MeshSize()).refined(refinement)
+        self.mesh = (
+            mesh if mesh is not None else solid_mesh(self.geometry, self.pose, fineness, half)
+        )
+        self.equilibrium = Equilibrium(self.mesh)
+        self.tip_height = float(self.mesh.nodes[self.mesh.surface, 2].min())
+
+    def start(self, material: ConstitutiveLaw, time: float = 0.0) -> SolidStepper:
+        """A finger of this material at rest, without contact, at `time` (s)."""
+        return SolidStepper(self, material, time)
+
+    def simulate(
+        self,
+        material: ConstitutiveLaw,
+        time: np.ndarray,
+        force: np.ndarray,
+        tangential_force: np.ndarray | None = None,
+        progress: Callable[[float], None] | None = None,
+    ) -> SolidHistory:
+        """Contact under forces (n,) in N along the plate's normal and tangential forces (n,) along
+        x, or (n, 2), in N at times (n,) in s; at rest before time[0], which may carry load.
+
+        `progress` is called with the fraction done. Raises InputError and ModelError as the
+        axisymmetric model does.
+        """
+        time, force = check_force_history(time, force)
+        stepper = self.start(material, float(time[0]))
+        pulls: list[tuple[float, float] | None] = [None] * len(time)
+        if tangential_force is not None:
+            pull = np.zeros((len(time), 2))
+            pull[:, : np.ndim(tangential_force)] = np.reshape(tangential_force, (len(time), -1))
+            pulls = [(float(x), float(y)) for x, y in pull]
+        points = []
+        for index in range(len(time)):
+            points.append(stepper.step(float(time[index]), float(force[index]), pulls[index]))
+            if progress is not None:
+                progress((index + 1) / len(time))
+        return SolidHistory.from_points(points, force)
+
+
+class SolidStepper:
+    """One finger under a load history; `state` may be copied, kept and set again."""
+
+    def __init__(self, model: SolidModel, material: ConstitutiveLaw, time: float = 0.0) -> None:
+        self.model = model
+        self.material = material
+        self.solid = SolidMaterial(material, model.mesh, model.equilibrium.elements)
+        self.state = SolidState(
+            time,
+            model.mesh.nodes.copy(),
+            model.equilibrium.unloaded_contact(),
+            self.solid.at_rest(),
+        )
+        self.sliding = False
+        self._before: SolidState | None = None
+        model.equilibrium.forget()
+
+    def step(
+        self,
+        time: float,
+        force: float,
+        tangential_force: tuple[float, float] | None = None,
+        shift: tuple[float, float] | None = None,
+    ) -> SolidPoint:
+        """Advance to `time` (s) with the plate's normal force (N) going there linearly.
+
+        Along the plate either its force on the skin (N) or its shift (m) since the start is given;
+        by default it does not move. A tangential force beyond friction makes the plate slide.
+        F ≤ 0 is no contact. Raises ModelError when no equilibrium is found; the state is then
+        unchanged.
+        """
+        return self._advance(time, max(force, 0.0), None, tangential_force, shift)
+
+    def step_to_position(
+        self, time: float, indentation: float, shift: tuple[float, float] | None = None
+    ) -> SolidPoint:
+        """Advance to `time` (s) with the plate moving to `indentation` (m) from first touch and to
+        a shift (m) along itself; by default it does not shift."""
+        return self._advance(time, None, indentation, None, shift)
+
+    @property
+    def indentation(self) -> float:
+        """Travel of the plate (m) from first touch of the unloaded shape."""
+        return float(self.state.contact.plate[2]) - self.model.tip_height
+
+    @property
+    def plate_force(self) -> np.ndarray:
+        """Force (3,) in N of the plate on the finger: tangential x, y and normal."""
+        total = self.model.mesh.copies * self.state.contact.force.sum(axis=0)
+        if self.model.mesh.half:
+            total[1] = 0.0
+        return total
+
+    def _advance(
+        self,
+        time: float,
+        force: float | None,
+        indentation: float | None,
+        pull: tuple[float, float] | None,
+        shift: tuple[float, float] | None,
+    ) -> SolidPoint:
+        """Advance to `time` in as many parts as convergence needs."""
+        start, before = self.state, self._before
+        given = [v for v in (force, indentation, *(pull or ()), *(shift or ())) if v is not None]
+        if not all(math.isfinite(v) for v in (time, *given)):
+            raise InputError(f"step to t = {time} s and {given}: finite numbers are needed")
+        if time < start.time:
+            raise InputError(
+                f"time goes back from {start.time:g} s to {time:g} s; sort the history"
+            )
+        sideways = (pull or (0.0, 0.0))[1], (shift or (0.0, 0.0))[1]
+        if self.model.mesh.half and any(sideways):
+            raise InputError("a load along y needs the whole finger: use half=False")
+        copies = self.model.mesh.copies
+        old = start.contact
+        begin = np.concatenate([old.plate, old.force.sum(axis=0)])
+        end = np.concatenate([old.plate, np.full(3, np.nan)])
+        if shift is not None:
+            end[:2] = shift
+        if pull is not None:
+            end[3:5] = np.array(pull) / copies
+            end[:2] = np.nan
+            if self.model.mesh.half:
+                end[1], end[4] = old.plate[1], np.nan
+        if force is not None:
+            end[5], end[2] = force / copies, np.nan
+        else:
+            end[2] = self.model.tip_height + (indentation or 0.0)
+        self.sliding = False
+        done, size = 0.0, 1.0
+        while done < 1.0:
+            goal = min(1.0, done + size)
+            target = begin + goal * (end - begin)
+            instant = start.time + goal * (time - start.time)
+            try:
+                self._try(instant, Plate(target[:3], target[3:]))
+            except (NotConverged, Crushed) as error:
+                size = 0.25 * (goal - done)
+                if size < SMALLEST_CUT:
+                    self.state, self._before = start, before
+                    raise ModelError(
+                        f"no equilibrium at t = {instant:.4g} s, "
+                        f"{self._words(target)}: {error}; the load is beyond what this finger "
+                        "carries: lower it or use stiffer moduli"
+                    ) from None
+                continue
+            done = goal
+            size = 2.0 * size
+        return self.point()
+
+    def _words(self, target: np.ndarray) -> str:
+        """The target of a step in words."""
+        if not math.isnan(target[5]):
+            return f"{target[5] * self.model.mesh.copies:.4g} N"
+        return f"{(target[2] - self.model.tip_height) * 1e3:.4g} mm"
+
+    def _try(self, time: float, plate: Plate) -> None:
+        """One step without cutting; leaves the state alone unless it converges."""
+        state, friction = self.state, self.material.friction
+        duration = time - state.time
+        material = self.solid.step(duration, state.tissue)
+        skin = state.positions[self.model.mesh.surface]
+        if plate.force[2] <= 0.0:
+            # No contact: the plate just touches.
+            x, contact = state.positions.copy(), state.contact.copy()
+            contact.status[:] = OPEN
+            contact.force[:] = 0.0
+            away = float(skin[:, 2].min()) - self.model.equilibrium.length
+            x, contact = self.model.equilibrium.solve(
+                x, contact, material, friction, Plate(np.array([0.0, 0.0, away]), plate.force)
+            )
+            contact.plate = state.contact.plate.copy()
+            contact.plate[2] = float(x[self.model.mesh.surface, 2].min())
+        else:
+            x, contact = self._solve(plate, material)
+        self._before = state
+        self.state = SolidState(time, x, contact, self.solid.update(duration, state.tissue, x))
+
+    def _solve(self, plate: Plate, material: StepMaterial) -> tuple[np.ndarray, Contact]:
+        """Positions and contact; a plate that slides is followed until no node sticks."""
+        state, friction = self.state, self.material.friction
+        surface = self.model.mesh.surface
+        x, contact = self._guess(plate)
+        contact.anchor = self._anchor(state, x, contact)
+        solve = self.model.equilibrium.solve
+        pull = plate.force[:2]
+        tangential = np.isnan(plate.position[:2])
+        size = float(np.hypot(*np.where(tangential, pull, 0.0)))
+        if not tangential.any():
+            return solve(x, contact, material, friction, plate)
+        if size < friction * plate.force[2] * (1.0 - 1e-6) or (size == 0.0 and friction > 0.0):
+            try:
+                return solve(x, contact, material, friction, plate)
+            except Sliding:
+                pass
+        # The plate slides: it is moved until every node slips.
+        self.sliding = True
+        way = np.where(tangential, pull, 0.0) / max(size, 1e-300)
+        position = plate.position.copy()
+        radius = 2e-4
+        for _ in range(SLIDES):
+            position[:2] = np.where(
+                tangential, contact.plate[:2] + SLIDE * radius * way, position[:2]
+            )
+            x, contact = solve(x, contact, material, friction, Plate(position, plate.force))
+            active = contact.status != OPEN
+            radius = float(np.ptp(x[surface[active], 0]))
+            if not np.any(contact.status == STICK):
+                break
+            contact.anchor = x[surface, :2] - contact.plate[:2]
+        return x, contact
+
+    def _anchor(self, state: SolidState, x: np.ndarray, contact: Contact) -> np.ndarray:
+        """Places (S, 2) on the plate where nodes stick: where they were when the step began or,
+        for open nodes, where they touch on the way to the guess x of the step's end."""
+        surface = self.model.mesh.surface
+        before, after = state.positions[surface], x[surface]
+        start = before[:, :2] - state.contact.plate[:2]
+        gap = before[:, 2] - state.contact.plate[2]
+        approach = gap - (after[:, 2] - contact.plate[2])
+        part = np.zeros(len(gap))
+        comes = (state.contact.status == OPEN) & (approach > 0.0)
+        part[comes] = np.clip(gap[comes] / approach[comes], 0.0, 1.0)
+        return start + part[:, None] * (after[:, :2] - contact.plate[:2] - start)
+
+    def _guess(self, plate: Plate) -> tuple[np.ndarray, Contact]:
+        """Starting positions and contact of a step: extrapolation, or Hertz at first touch."""
+        state, before = self.state, self._before
+        surface = self.model.mesh.surface
+        contact, x = state.contact.copy(), state.positions.copy()
+        height = plate.position[2]
+        if not contact.status.any():
+            gap = x[surface, 2] - (height if not math.isnan(height) else math.inf)
+            if math.isnan(height):
+                shear = self.material.instantaneous_shear_modulus
+                tip = self.model.geometry.tip_radius
+                load = plate.force[2] * self.model.mesh.copies
+                radius = min(
+                    (3.0 * load * tip / (16.0 * shear)) ** (1 / 3),
+                    0.4 * self.model.equilibrium.length,
+                )
+                contact.plate[2] = float(x[surface, 2].min()) + 0.6 * radius**2 / tip
+                gap = x[surface, 2] - contact.plate[2]
+            touching = STICK if self.material.friction > 0.0 else SLIP
+            contact.status[gap < 0.0] = touching
+            if not math.isnan(plate.force[2]):
+                contact.status[np.argmin(x[surface, 2])] = touching
+            return x, contact
+        if before is not None and before.contact.status.any():
+            past = np.concatenate(
+                [
+                    state.contact.plate - before.contact.plate,
+                    (state.contact.force - before.contact.force).sum(axis=0),
+                ]
+            )
+            now = np.concatenate(
+                [
+                    plate.position - state.contact.plate,
+                    plate.force - state.contact.force.sum(axis=0),
+                ]
+            )
+            ratios = []
+            for kind in (slice(0, 3), slice(3, 6)):
+                known = ~np.isnan(now[kind])
+                a, b = past[kind][known], now[kind][known]
+                if float(b @ b) > 0.0:
+                    scale = math.sqrt(float(a @ a) * float(b @ b))
+                    if float(a @ b) < 0.9 * scale or scale == 0.0:
+                        ratios.append(0.0)
+                    else:
+                        ratios.append(float(b @ b) / float(a @ b))
+            ratio = ratios[0] if ratios and max(ratios) < 1.3 * min(ratios) + 1e-12 else 0.0
+            if ratio == 0.0 and self.material.friction > 0.0:
+                # The load turns: everything sticks at first.
+                contact.status[contact.status == SLIP] = STICK
+            if 0.0 < ratio <= 2.0:
+                x = x + ratio * (state.positions - before.positions)
+                contact.plate = contact.plate + ratio * (state.contact.plate - before.contact.plate)
+        return x, contact
+
+    def point(self) -> SolidPoint:
+        """Contact at the present state."""
+        state = self.state
+        mesh = self.model.mesh
+        skin = state.positions[mesh.surface]
+        areas = node_areas(mesh, skin)
+        shape = outline(mesh, skin, state.contact, areas)
+        qx, qy, force = (float(v) for v in self.plate_force)
+        bound = self.material.friction * force
+        touches = bool((state.contact.status != OPEN).any())
+        slides = self.sliding or bound <= 0.0
+        stick = math.nan
+        if touches:
+            before = self._before.contact.plate if self._before else state.contact.plate
+            travel = float(np.linalg.norm(state.contact.plate - before))
+            stick = 0.0 if slides else stick_ratio(skin, state.contact, areas, travel)
+        margin = 0.0 if slides else max(1.0 - math.hypot(qx, qy) / bound, 0.0)
+        return SolidPoint(
+            time=state.time,
+            force=force,
+            area=shape.area,
+            radius=math.sqrt(shape.area / math.pi),
+            indentation=self.indentation,
+            peak_pressure=float(pressure(mesh, state.contact, areas).max(initial=0.0)),
+            mean_pressure=mean_pressure(force, shape.area),
+            semi_axis_a=shape.semi_axes[0],
+            semi_axis_b=shape.semi_axes[1],
+            orientation=shape.orientation,
+            center_x=float(shape.center[0]),
+            center_y=float(shape.center[1]),
+            tangential_x=qx,
+            tangential_y=qy,
+            shift_x=float(state.contact.plate[0]),
+            shift_y=float(state.contact.plate[1]),
+            stick_ratio=stick,
+            slip_margin=margin if touches else math.nan,
+        )

@@ -1,0 +1,192 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The reduced model of every finger of the population box: physics, accuracy, what it refuses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from finger_common.errors import InputError
+from finger_model.anthropometry import estimate_geometry
+from finger_model.fem.full_order import FullOrderModel
+from finger_model.geometry import Geometry
+from finger_model.laws import StandardLinearSolid
+from finger_model.laws.generalized_maxwell import LAWS_BY_BRANCHES
+from finger_model.reduced import ReducedModel
+from finger_model.reduced.population_build import PopulationSettings, build, held_out_runs
+from finger_model.reduced.population_training import measured_error
+
+SLIM = Geometry(
+    pad_semi_axis_radial=7e-3,
+    pad_semi_axis_axial=5.5e-3,
+    epidermis_thickness=0.4e-3,
+    bone_semi_axis_radial=2.6e-3,
+    bone_semi_axis_axial=2.0e-3,
+    nail_radius=5.8e-3,
+    nail_thickness=0.45e-3,
+)
+SOFT = StandardLinearSolid(E0=60e3, E1=30e3, tau1=0.1, E2=1200e3)
+PRESS = (np.linspace(0.0, 1.0, 21), np.linspace(0.0, 1.35, 21))
+
+
+def areas(geometry: Geometry, material, time=PRESS[0], force=PRESS[1]) -> np.ndarray:
+    """Areas (n,) of the shipped model."""
+    model = ReducedModel.load(geometry=geometry).for_material(material)
+    return model.simulate(material, time, force).area
+
+
+def test_the_file_is_small() -> None:
+    data = Path(__file__).parents[1] / "finger_model" / "data" / "reduced_population.npz"
+    assert data.stat().st_size < 10e6
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.25, 0.6])
+def test_a_finger_without_a_build_follows_the_full_order(friction: float) -> None:
+    material = replace(SOFT, friction=friction)
+    truth = FullOrderModel(SLIM).simulate(material, *PRESS)
+    found = areas(SLIM, material)
+    assert np.abs(found - truth.area)[3:].max() < 0.025 * truth.area.max()
+
+
+def test_the_error_over_random_fingers_is_that_which_is_stated() -> None:
+    model = ReducedModel.load(geometry=SLIM)
+    table = measured_error(model.arrays, list(held_out_runs(911, 6, 2)))["whole"]
+    assert len(table.pairs) >= 5
+    summary = table.summary()
+    assert summary["rms_median"] < 2.0 * model.meta["measured_error"]["whole"]["rms_p90"]
+
+
+@pytest.mark.slow
+def test_the_goals_hold_over_fingers_that_no_training_saw() -> None:
+    model = ReducedModel.load(geometry=SLIM)
+    tables = measured_error(model.arrays, list(held_out_runs(912, 320, 2)))
+    stated = model.meta["measured_error"]
+    for region in ("middle", "whole"):
+        found = tables[region].summary()
+        assert found["rms_p90"] < 1.3 * stated[region]["rms_p90"]
+
+
+def test_lengths_and_forces_scale_together() -> None:
+    larger = Geometry(**{key: 1.3 * value for key, value in SLIM.to_dict().items()})
+    np.testing.assert_allclose(
+        areas(larger, SOFT, PRESS[0], 1.69 * PRESS[1]), 1.69 * areas(SLIM, SOFT), rtol=1e-9
+    )
+
+
+def test_the_error_is_stated_by_region() -> None:
+    middle = ReducedModel.load(geometry=SLIM)
+    wide = ReducedModel.load(
+        geometry=Geometry(**{k: 11.9 / 7 * v for k, v in SLIM.to_dict().items()})
+    )
+    assert (middle.region, wide.region) == ("middle", "whole")
+    assert middle.rms_error < wide.rms_error
+
+
+def test_friction_nail_and_stiffening_matter_as_in_the_full_order() -> None:
+    soft_nail = replace(SOFT, nail_modulus=2e7)
+    branches = LAWS_BY_BRANCHES[1](E0=60e3, fraction_1=2 / 3, tau_1=0.1, E2=1200e3)
+    stiffening = replace(branches, stiffening=6.0)
+    full = FullOrderModel(SLIM)
+    for other, base in (
+        (replace(SOFT, friction=0.0), SOFT),
+        (soft_nail, SOFT),
+        (stiffening, branches),
+    ):
+        truth = full.simulate(other, *PRESS).area[-1] / full.simulate(base, *PRESS).area[-1]
+        found = areas(SLIM, other)[-1] / areas(SLIM, base)[-1]
+        assert found == pytest.approx(truth, abs=0.02)
+
+
+def test_the_default_finger_gives_way_to_the_population_where_it_must() -> None:
+    model = ReducedModel.load()
+    assert not model.serves_population
+    assert model.for_material(StandardLinearSolid()) is model
+    other = model.for_material(StandardLinearSolid(friction=0.5))
+    assert other.serves_population and other.friction == 0.5
+    assert other.geometry_hash == model.geometry_hash and other.hash != model.hash
+
+
+def test_streaming_batch_and_simulation_agree_to_the_bit() -> None:
+    model = ReducedModel.load(geometry=SLIM)
+    vector = SOFT.vector()
+    simulated = model.simulate(vector, *PRESS).area
+    assert np.array_equal(model.batch(vector, [PRESS])[0][0], simulated)
+    state = model.start(vector)
+    steps = [
+        model.step(state, dt, f).area for dt, f in zip(np.diff(PRESS[0], prepend=0.0), PRESS[1])
+    ]
+    assert np.array_equal(steps, simulated)
+
+
+def test_another_finger_has_another_hash() -> None:
+    thicker = replace(SLIM, epidermis_thickness=0.5e-3)
+    models = [ReducedModel.load(geometry=g) for g in (SLIM, thicker)]
+    assert models[0].geometry_hash == SLIM.hash()
+    assert len({m.hash for m in models}) == 2
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"epidermis_thickness": 1.5e-3}, "thickness of the epidermis is 1.5 mm"),
+        ({"pad_semi_axis_axial": 3.5e-3, "bone_semi_axis_axial": 1.2e-3}, "pad_semi_axis_axial"),
+        ({"bone_semi_axis_radial": 1.2e-3}, "bone_semi_axis_radial"),
+        ({"nail_radius": 3e-3}, "nail_radius"),
+        ({"nail_thickness": 0.0}, "nail_thickness"),
+        ({"bone_center_height": 0.3e-3}, "bone_center_height"),
+    ],
+)
+def test_a_finger_outside_the_box_is_refused_with_the_remedy(change: dict, word: str) -> None:
+    with pytest.raises(InputError, match=word) as caught:
+        ReducedModel.load(geometry=replace(SLIM, **change))
+    assert "finger-model reduce" in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "change", [{"poisson_ratio_bulk": 0.45}, {"poisson_ratio_nail": 0.3}, {"nail_modulus": 3e6}]
+)
+def test_a_material_that_it_does_not_serve_is_refused(change: dict) -> None:
+    material = replace(SOFT, **change)
+    with pytest.raises(InputError, match=next(iter(change))):
+        ReducedModel.load(geometry=SLIM).for_material(material)
+
+
+def test_a_force_of_a_thousand_newtons_is_refused() -> None:
+    with pytest.raises(InputError, match=r"1e\+03 N .* limit"):
+        areas(SLIM, SOFT, np.array([0.0, 1.0]), np.array([0.0, 1000.0]))
+
+
+def test_a_person_measured_with_calipers_needs_no_build() -> None:
+    for width, depth in ((14e-3, 11e-3), (18e-3, 13e-3), (11e-3, 9e-3)):
+        geometry = estimate_geometry(width, depth).geometry
+        assert areas(geometry, SOFT)[-1] > 0
+
+
+def test_a_small_build_resumes(tmp_path: Path) -> None:
+    settings = PopulationSettings(
+        histories=60, corrections=8, held_out=4, pilots=6, epochs=1, seed=3
+    )
+    output = tmp_path / "small.npz"
+
+    class Stop(Exception):
+        pass
+
+    def stop(stage: str, share: float) -> None:
+        if stage.startswith("training"):
+            raise Stop
+
+    with pytest.raises(Stop):
+        build(output, settings, 2, stop)
+    began = {p: p.stat().st_mtime_ns for p in (tmp_path / "small.npz.parts").glob("*.npz")}
+    assert began
+    stages: list[str] = []
+    _, tables = build(output, settings, 2, lambda stage, share: stages.append(stage))
+    assert not any("runs" in stage for stage in stages)
+    assert output.exists() and not (tmp_path / "small.npz.parts").exists()
+    assert ReducedModel.load(output, SLIM).serves_population
+    assert tables["whole"].pairs

@@ -1,0 +1,272 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The three-dimensional model: elements, condensation, contact laws, command."""
+
+import csv
+import math
+
+import numpy as np
+import pytest
+
+from finger_common.cli import run
+from finger_common.errors import InputError
+from finger_model.cli import _main
+from finger_model.fem.equilibrium import SLIP, STICK
+from finger_model.geometry import Geometry
+from finger_model.laws import GeneralizedMaxwell2, StandardLinearSolid
+from finger_model.solid3d import contact_shape, elements
+from finger_model.solid3d.condensation import Condensation
+from finger_model.solid3d.contact_shape import node_areas, outline
+from finger_model.solid3d.full_order import SOLID_CSV_HEADER, SolidModel
+from finger_model.solid3d.mesh import MeshSize, Pose, solid_mesh
+from finger_model.verification.cases import elastic
+
+COARSE = MeshSize(center=0.2, across=4, growth=1.3, bulk=3, bulk_growth=1.5, skin=1)
+DRY = {"modulus": 30e3, "E2": 1652e3}
+
+
+@pytest.fixture(scope="module")
+def model():
+    return SolidModel(size=COARSE)
+
+
+def body(mesh, law):
+    """Elements, neo-Hookean material and an array of tangents of a mesh."""
+    bricks = elements.reference_bricks(mesh.nodes, mesh.cells)
+    metric = np.zeros((*bricks.weight.shape, 6))
+    metric[..., :3] = law.instantaneous_shear_modulus
+    bulk = np.full(len(mesh.cells), law.bulk_modulus)
+    tangent = np.zeros((len(mesh.cells), elements.UNKNOWNS, elements.UNKNOWNS))
+    return bricks, elements.Stiffness(metric, elements.NO_SLOPE, bulk), tangent
+
+
+@pytest.mark.parametrize(
+    "pose", [Pose(), Pose(1.4), Pose(1.2, math.radians(25)), Pose(1.1, 0.2, -0.3)]
+)
+def test_mesh_fills_the_finger(pose):
+    geometry = Geometry()
+    mesh = solid_mesh(geometry, pose)
+    volume = elements.reference_bricks(mesh.nodes, mesh.cells).weight.sum()
+    g = geometry
+    pad = g.pad_semi_axis_radial**2 * g.pad_semi_axis_axial
+    bone = g.bone_semi_axis_radial**2 * g.bone_semi_axis_axial
+    nail = (g.nail_radius**2 - g.bone_semi_axis_radial**2) * g.nail_thickness
+    exact = pose.aspect * math.pi * (2 / 3 * (pad - bone) + nail)
+    assert volume * mesh.copies == pytest.approx(exact, rel=0.015)
+    # The plate touches first where the mesh is finest.
+    skin = mesh.nodes[mesh.surface]
+    spacing = np.sqrt(node_areas(mesh, skin))
+    assert spacing[np.argmin(skin[:, 2])] < np.median(spacing)
+
+
+@pytest.mark.parametrize("stiffening", [False, True])
+def test_tangent_is_the_derivative_of_the_force(stiffening):
+    slope = 20e3
+    mesh = solid_mesh(Geometry(), Pose(1.2, 0.3), COARSE)
+    law = elastic(**DRY)
+    bricks, material, tangent = body(mesh, law)
+    rng = np.random.default_rng(2)
+    x = mesh.nodes @ (np.eye(3) + 0.1 * rng.normal(size=(3, 3)))
+    step = 1e-8 * rng.normal(size=x.shape)
+    forces = []
+    for sign in (1, -1, 0):
+        force = np.zeros_like(x)
+        moved = x + sign * step
+        if stiffening:
+            excess = elements.first_invariant(moved, bricks) - 3.0
+            metric = np.zeros_like(material.metric)
+            metric[..., :3] = (law.instantaneous_shear_modulus + slope * excess)[..., None]
+            material = material._replace(metric=metric, slope=np.full(excess.shape, slope))
+        elements.assemble(moved, bricks, material, sign == 0, force, tangent)
+        forces.append(force)
+    expected = np.zeros_like(x)
+    local = np.einsum("eij,ej->ei", tangent, step[mesh.cells].reshape(len(mesh.cells), -1))
+    np.add.at(expected, mesh.cells, local.reshape(*mesh.cells.shape, 3))
+    error = np.abs(0.5 * (forces[0] - forces[1]) - expected).max() / np.abs(expected).max()
+    assert error < 1e-6
+
+
+def test_uniform_gradient_gives_uniform_strain():
+    mesh = solid_mesh(Geometry(), Pose(1.2), COARSE)
+    bricks = elements.reference_bricks(mesh.nodes, mesh.cells)
+    f = np.array([[1.1, 0.2, 0.0], [0.05, 0.9, 0.1], [0.0, -0.1, 1.0]])
+    shape = (*bricks.weight.shape, 6)
+    c_bar, inverse, volume = np.empty(shape), np.empty(shape), np.empty(shape[:2])
+    elements.strain_measures(mesh.nodes @ f.T, bricks, c_bar, inverse, volume)
+    j = np.linalg.det(f)
+    c = j ** (-2 / 3) * f.T @ f
+    for found, tensor in ((c_bar, c), (inverse, np.linalg.inv(c))):
+        exact = tensor[[0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
+        assert np.allclose(found, exact, atol=1e-9)
+    assert np.allclose(volume, j)
+
+
+def test_condensation_equals_elimination_by_hand():
+    mesh = solid_mesh(Geometry(), None, MeshSize(0.2, 2, 1.6, 2, 1.5, 1))
+    bricks, material, tangent = body(mesh, elastic(**DRY))
+    elements.assemble(mesh.nodes, bricks, material, True, np.zeros_like(mesh.nodes), tangent)
+    kept = mesh.surface[:9]
+    condensation = Condensation(mesh.cells, mesh.place, mesh.fixed, kept)
+    n = mesh.nodes.size
+    full = np.zeros((n, n))
+    dofs = (3 * mesh.cells[:, :, None] + np.arange(3)).reshape(len(mesh.cells), -1)
+    for block, where in zip(tangent, dofs):
+        full[np.ix_(where, where)] += block
+    load = np.random.default_rng(0).normal(size=n)
+    load[mesh.fixed.ravel()] = 0.0
+    inside = ~mesh.fixed.ravel()
+    inside[condensation.kept_dofs] = False
+    keep = condensation.kept_dofs[~mesh.fixed.ravel()[condensation.kept_dofs]]
+    free = ~mesh.fixed.ravel()[condensation.kept_dofs]
+    stiffness = condensation.factorize(tangent)[np.ix_(free, free)]
+    solved = np.linalg.solve(full[np.ix_(inside, inside)], full[np.ix_(inside, keep)])
+    exact = full[np.ix_(keep, keep)] - full[np.ix_(keep, inside)] @ solved
+    assert np.allclose(stiffness, exact, atol=1e-9 * np.abs(exact).max())
+    assert np.allclose(condensation.reduce(load)[free], load[keep] - solved.T @ load[inside])
+    moved = np.zeros(len(condensation.kept_dofs))
+    moved[free] = np.linspace(-1, 1, len(keep))
+    out = condensation.expand(moved)
+    residual = full[np.ix_(inside, inside)] @ out[inside] - load[inside]
+    residual += full[np.ix_(inside, keep)] @ moved[free]
+    assert np.abs(residual).max() < 1e-9 * np.abs(load).max()
+
+
+def laws_hold(stepper, friction):
+    """Signorini's and Coulomb's laws at every node; returns how many stick and slip."""
+    contact, mesh = stepper.state.contact, stepper.model.mesh
+    gap = stepper.state.positions[mesh.surface, 2] - contact.plate[2]
+    largest = contact.force[:, 2].max()
+    assert gap.min() > -1e-10
+    assert contact.force[:, 2].min() > -1e-6 * largest
+    assert np.abs(contact.force[:, 2] * gap).max() < 1e-10 * largest
+    size = np.hypot(contact.force[:, 0], contact.force[:, 1])
+    assert np.all(size < friction * contact.force[:, 2] + 1e-5 * friction * largest)
+    slips = contact.status == SLIP
+    assert np.allclose(size[slips], friction * contact.force[slips, 2], atol=1e-5 * largest)
+    sticks = contact.status == STICK
+    moved = stepper.state.positions[mesh.surface, :2] - contact.plate[:2] - contact.anchor
+    assert np.abs(moved[sticks]).max(initial=0.0) < 1e-10
+    assert np.all(np.sum(contact.force[slips, :2] * moved[slips], axis=1) <= 1e-15)
+    return int(sticks.sum()), int(slips.sum())
+
+
+def test_pull_from_stick_to_slip_and_back(model):
+    friction, load = 0.4, 0.4
+    stepper = model.start(elastic(**DRY, friction=friction))
+    for k in range(1, 4):
+        point = stepper.step(k, load * k / 3, (0.0, 0.0))
+    assert point.force == pytest.approx(load, rel=1e-6)
+    assert point.tangential_x == pytest.approx(0.0, abs=1e-6)
+    ratios, shifts = [], []
+    for k, part in enumerate((0.2, 0.5, 0.8, 0.95), start=4):
+        point = stepper.step(k, load, (part * friction * load, 0.0))
+        laws_hold(stepper, friction)
+        assert point.tangential_x == pytest.approx(part * friction * load, rel=1e-5)
+        assert point.slip_margin == pytest.approx(1 - part, abs=1e-4)
+        ratios.append(point.stick_ratio)
+        shifts.append(point.shift_x)
+    assert all(np.diff(ratios) < 0) and ratios[0] > 0.8 and ratios[-1] < 0.3
+    assert all(np.diff(shifts) > 0)
+    held = stepper.state
+    stepper.step(8.0, load, (0.5 * friction * load, 0.0))
+    back = stepper.point()
+    assert back.stick_ratio > 0.6, "a pull that turns back sticks again"
+    assert back.shift_x > shifts[1], "the way back is another one (hysteresis)"
+    stepper.state = held
+    slid = stepper.step(8.0, load, (1.2 * friction * load, 0.0))
+    assert stepper.sliding and slid.stick_ratio == 0.0 and slid.slip_margin == 0.0
+    assert slid.tangential_x == pytest.approx(friction * load, rel=5e-3)
+
+
+def test_half_and_whole_finger_agree():
+    law = StandardLinearSolid(friction=0.5)
+    size = MeshSize(center=0.2, across=3, growth=1.4, bulk=2, skin=1)
+    points = []
+    for half in (True, False):
+        stepper = SolidModel(pose=Pose(1.2, 0.2), size=size, half=half).start(law)
+        stepper.step_to_position(0.2, 0.4e-3)
+        points.append(stepper.step_to_position(0.4, 0.6e-3, (0.2e-3, 0.0)))
+    for name in ("force", "tangential_x", "area", "semi_axis_a", "center_x", "stick_ratio"):
+        ours, whole = (getattr(p, name) for p in points)
+        assert ours == pytest.approx(whole, rel=2e-3, abs=1e-6), name
+    with pytest.raises(InputError, match="half=False"):
+        SolidModel(size=size).start(law).step_to_position(1.0, 1e-4, (0.0, 1e-4))
+
+
+def test_pull_turns_with_its_direction():
+    law = elastic(**DRY, friction=0.5)
+    size = MeshSize(center=0.2, across=3, growth=1.4, bulk=2, skin=1)
+    whole = SolidModel(size=size, half=False)
+    found = []
+    for angle in (0.0, 0.5 * math.pi):
+        stepper = whole.start(law)
+        stepper.step_to_position(1.0, 0.5e-3)
+        way = 0.15e-3 * math.cos(angle), 0.15e-3 * math.sin(angle)
+        point = stepper.step_to_position(2.0, 0.5e-3, way)
+        found.append((point.tangential_x, point.tangential_y, point.force))
+    assert found[0][0] == pytest.approx(found[1][1], rel=1e-3)
+    assert abs(found[0][1]) < 1e-3 * found[0][0]
+    assert found[0][2] == pytest.approx(found[1][2], rel=1e-3)
+
+
+def test_viscoelastic_tissue_creeps_and_returns(model):
+    law = GeneralizedMaxwell2(stiffening=1.0)
+    stepper = model.start(law)
+    fast = stepper.step(0.01, 0.3)
+    held = stepper.step(3.0, 0.3)
+    assert held.area > 1.1 * fast.area and held.indentation > fast.indentation
+    gone = stepper.step(3.01, 0.0)
+    assert gone.area == 0.0 and math.isnan(gone.stick_ratio) and gone.indentation > 0.05e-3
+    assert stepper.step(60.0, 0.0).indentation < 0.02e-3
+
+
+def test_outline_finds_a_known_ellipse(model, monkeypatch):
+    monkeypatch.setattr(contact_shape, "EDGE_SHIFT", 0.0)
+    mesh = model.mesh
+    skin = mesh.nodes[mesh.surface].copy()
+    contact = model.equilibrium.unloaded_contact()
+    a, b = 3.1e-3, 2.4e-3
+    reach = np.hypot(skin[:, 0] / a, skin[:, 1] / b)
+    contact.plate[2] = -6.5e-3
+    skin[:, 2] = -6.5e-3 + 0.3e-3 * np.maximum(reach - 1.0, 0.0) ** 2
+    contact.status[reach <= 1.0] = STICK
+    found = outline(mesh, skin, contact, node_areas(mesh, skin))
+    assert found.area == pytest.approx(math.pi * a * b, rel=5e-3)
+    assert found.semi_axes == pytest.approx((a, b), rel=0.01)
+    assert abs(found.orientation) < 0.01 and np.abs(found.center).max() < 0.03e-3
+
+
+def test_command_with_tangential_force_ellipse_and_tilt(tmp_path, capsys):
+    force, out = tmp_path / "f.csv", tmp_path / "o.csv"
+    force.write_text(
+        "time_s,force_n,tangential_force_n\n0.1,0.2,0\n0.2,0.2,0.03\n0.3,0.2,0.2\n0.4,0,0\n"
+    )
+    arguments = ["simulate", "--force", str(force), "--solver", "full", "--refinement", "0.4"]
+    arguments += ["--pad-aspect", "1.3", "-o", str(out)]
+    assert run(_main, arguments) == 0
+    assert out.read_text().splitlines()[0] == SOLID_CSV_HEADER
+    with out.open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["force_n"] for row in rows] == ["0.2", "0.2", "0.2", "0.0"]
+    first, pulled, slid, gone = ({k: float(v) for k, v in row.items()} for row in rows)
+    assert first["semi_axis_a_mm"] > 1.1 * first["semi_axis_b_mm"]
+    assert pulled["slip_margin"] == pytest.approx(1 - 0.03 / (0.25 * 0.2), abs=1e-3)
+    assert 0 < pulled["stick_ratio"] < 1 and pulled["tangential_displacement_mm"] > 0
+    assert slid["stick_ratio"] == 0 and slid["slip_margin"] == 0
+    assert gone["area_mm2"] == 0 and math.isnan(gone["stick_ratio"])
+    for extra, words in (
+        (["--solver", "reduced"], "--solver full"),
+        (["--tilt-deg", "60"], "tilt"),
+        (["--tilt-deg", "1", "2", "3"], "PITCH"),
+        (["--pad-aspect", "5"], "aspect"),
+        (["--plot", "x.png"], "--plot"),
+    ):
+        assert run(_main, [*arguments, *extra]) == 2
+        assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("pose", [(5.0, 0.0), (1.0, 2.0), (1.0, math.nan)])
+def test_impossible_pose_is_refused(pose):
+    with pytest.raises(InputError):
+        Pose(*pose)

@@ -1,0 +1,40 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Without numba the estimator gives the same values, and says once that it is slow."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+SCRIPT = """
+import sys
+if sys.argv[1] == "plain":
+    sys.modules["numba"] = None
+from finger_model.estimator import ContactEstimator
+from finger_model.reduced import ReducedModel
+
+estimator = ContactEstimator(ReducedModel.load())
+start = 1_700_000_000_000_000_000
+for i, force in enumerate((0.0, 0.2, 0.6)):
+    (estimate,) = estimator.add_wrench(start + 2_000_000 * i, (0.0, 0.0, force))
+    print(estimate.in_contact, estimate.area, estimate.indentation, estimate.peak_pressure)
+"""
+
+
+def estimates(way: str) -> tuple[list[list[str]], str]:
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT, way], capture_output=True, text=True, check=True
+    )
+    return [line.split() for line in done.stdout.splitlines()], done.stderr
+
+
+def test_the_estimator_runs_without_numba_and_says_once_that_it_is_slow() -> None:
+    plain, said = estimates("plain")
+    compiled, silent = estimates("compiled")
+    assert len(plain) == 3 and said.count("numba is not installed") == 1 and not silent
+    assert [row[0] for row in plain] == [row[0] for row in compiled]
+    for slow, fast in zip(plain, compiled, strict=True):
+        for a, b in zip(map(float, slow[1:]), map(float, fast[1:]), strict=True):
+            assert abs(a - b) <= 1e-9 * abs(b)

@@ -1,0 +1,119 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Frames of videos and folders of images, one after the other, with their times."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from finger_common.errors import InputError
+from finger_common.stamps import NANOSECONDS, nanoseconds
+from finger_vision.images import as_mono8, read_image, silent_libraries
+
+from .settings import ImportSettings
+from .tables import Times, read_table
+
+IMAGE_ENDINGS = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".pgm")
+
+Frame = tuple[int, np.ndarray]
+"""Time in ns, image (H, W) uint8."""
+
+
+def frames_of(settings: ImportSettings) -> tuple[Iterator[Frame], int, bool]:
+    """Frames of the video or folder; how many are expected (0: unknown); whether their times are
+    absolute.
+
+    Raises InputError, from the iterator too, naming file and remedy.
+    """
+    times = _times_of(settings) if settings.image_times else None
+    if settings.video:
+        count = len(times.ns) if times else 0
+        return _video(settings, times), count, bool(times and times.absolute)
+    files = _image_files(settings.images)
+    if times is None:
+        if not settings.frame_rate:
+            raise InputError(
+                f"{settings.images}: images have no times; give a table with --image-times, or "
+                "--frame-rate"
+            )
+        period = NANOSECONDS / settings.frame_rate
+        times = Times(np.round(np.arange(len(files)) * period).astype(np.int64), False)
+    if len(times.ns) != len(files):
+        raise InputError(
+            f"{settings.image_times}: {len(times.ns)} times for {len(files)} images in "
+            f"{settings.images}; give one row per image"
+        )
+    frames = ((int(t), read_image(f)) for t, f in zip(times.ns, files))
+    return frames, len(files), times.absolute
+
+
+def _times_of(settings: ImportSettings) -> Times:
+    table = read_table(settings.image_times)
+    return table.times(table.heading(settings.area_time, "--area-time"), settings.time_unit)
+
+
+def _image_files(folder: str) -> list[Path]:
+    path = Path(folder)
+    if not path.is_dir():
+        raise InputError(f"{folder}: no such folder; give the folder that holds the images")
+    files = [p for p in path.iterdir() if p.suffix.lower() in IMAGE_ENDINGS]
+    if not files:
+        raise InputError(f"{folder}: holds no image ({', '.join(IMAGE_ENDINGS)})")
+
+    def natural(file: Path) -> list[tuple[int, int | str]]:  # press2 before press10
+        parts = re.split(r"(\d+)", file.name)
+        return [(0, int(p)) if p.isdigit() else (1, p) for p in parts]
+
+    return sorted(files, key=natural)
+
+
+def _video(settings: ImportSettings, times: Times | None) -> Iterator[Frame]:
+    name = settings.video
+    if not Path(name).is_file():
+        raise InputError(f"{name}: no such video; check the path")
+    with silent_libraries():
+        video = cv2.VideoCapture(name)
+    if not video.isOpened():
+        raise InputError(f"{name}: not a video that can be read; convert it to .mp4 or .avi")
+    rate = settings.frame_rate or video.get(cv2.CAP_PROP_FPS)
+    number, last = 0, -1
+    try:
+        while True:
+            read, image = video.read()
+            if not read:
+                break
+            if times is not None:
+                if number >= len(times.ns):
+                    raise InputError(
+                        f"{settings.image_times}: {len(times.ns)} times, but {name} has more "
+                        "frames; give one row per frame"
+                    )
+                stamp = int(times.ns[number])
+            elif settings.frame_rate:
+                stamp = nanoseconds(number / rate)
+            else:
+                stamp = nanoseconds(video.get(cv2.CAP_PROP_POS_MSEC) * 1e-3)
+                if stamp <= last:  # a container without times of its frames
+                    if not 0 < rate < 1e5:
+                        raise InputError(
+                            f"{name}: does not say its frame rate; give it with --frame-rate"
+                        )
+                    stamp = nanoseconds(number / rate)
+            last = stamp
+            yield stamp, as_mono8(image, name)
+            number += 1
+    finally:
+        video.release()
+    if not number:
+        raise InputError(f"{name}: holds no frame that can be read; convert it to .mp4 or .avi")
+    if times is not None and number < len(times.ns):
+        raise InputError(
+            f"{settings.image_times}: {len(times.ns)} times for {number} frames of {name}; give "
+            "one row per frame"
+        )

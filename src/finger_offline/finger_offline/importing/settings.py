@@ -1,0 +1,186 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What `finger-bag import` takes: files, their columns and units, and what they belong to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from finger_common.axes import DEFAULT_NORMAL_AXIS, NORMAL_AXES
+from finger_common.errors import InputError
+from finger_common.moisture import MOISTURE_TEXT, is_moisture
+from finger_common.settings import Settings, setting
+from finger_common.units import AREA_UNITS, FORCE_UNITS, TIME_UNITS
+from finger_vision.area_sensor import AREA_SENSORS
+
+from ..trial_split import CONDITION
+
+FILES = "files"
+COLUMNS = "columns and units"
+IMAGES = "areas from images"
+ABOUT = "what the files hold"
+"""Headings of the options in the help of the command."""
+
+PATHS = ("force", "area", "video", "images", "image_times", "calibration")
+"""Settings that name a file; in a table of trials they are relative to the table."""
+
+
+@dataclass(frozen=True)
+class ImportSettings(Settings):
+    """One recording: force, and areas from a table, a video or images.
+
+    A table file is FILE or FILE::PART, where PART is the sheet of a workbook or the group or
+    dataset of an HDF5 or MATLAB file.
+    """
+
+    force: str = setting("", "Table with time and force.", group=FILES)
+    area: str = setting("", "Table with time and contact area.", group=FILES)
+    video: str = setting("", "Video of the contact, in place of areas.", group=FILES)
+    images: str = setting(
+        "", "Folder of images of the contact, in the order of their names.", group=FILES
+    )
+    image_times: str = setting(
+        "", "Table with the time of each frame of a video or each image.", group=FILES
+    )
+    force_time: str = setting("time_s", "Column of the force's time.", group=COLUMNS)
+    force_column: str = setting(
+        "force_n",
+        "Column of the normal force, or the three columns of the force as X,Y,Z.",
+        group=COLUMNS,
+    )
+    force_unit: str = setting(
+        "",
+        "Unit of the force; empty: as the heading says (force_mn, Fz [N]).",
+        choices=("", *FORCE_UNITS),
+        group=COLUMNS,
+    )
+    force_sign: str = setting(
+        "positive",
+        "Sign of a single force column while the finger presses.",
+        choices=("positive", "negative"),
+        group=COLUMNS,
+    )
+    normal_axis: str = setting(
+        DEFAULT_NORMAL_AXIS,
+        "Of three force columns, the axis along which a pressing finger gives a positive force.",
+        choices=NORMAL_AXES,
+        group=COLUMNS,
+    )
+    tare: float = setting(
+        0.0,
+        "Subtract the mean force of the first seconds, without contact; 0: the force is tared.",
+        "s",
+        0.0,
+        600.0,
+        group=COLUMNS,
+    )
+    area_time: str = setting("time_s", "Column of the areas' or images' time.", group=COLUMNS)
+    area_column: str = setting("area_mm2", "Column of the gross contact area.", group=COLUMNS)
+    area_unit: str = setting(
+        "",
+        "Unit of the area; empty: as the heading says (area_mm2, Area [cm²]).",
+        choices=("", *AREA_UNITS),
+        group=COLUMNS,
+    )
+    time_unit: str = setting(
+        "",
+        "Unit of all times; empty: as the heading says, else seconds.",
+        choices=("", *TIME_UNITS),
+        group=COLUMNS,
+    )
+    time_offset: float = setting(
+        0.0,
+        "Added to the times of areas or images, where their clock differs from the force's.",
+        "s",
+        -1e9,
+        1e9,
+        group=COLUMNS,
+    )
+    area_per_pixel: float = setting(
+        0.0,
+        "Area of a pixel on the plate, in place of a calibration; 0: not given.",
+        "m²",
+        0.0,
+        1e-4,
+        group=IMAGES,
+    )
+    calibration: str = setting("", "Plate calibration (finger-vision calibrate).", group=IMAGES)
+    frame_rate: float = setting(
+        0.0,
+        "Frames a second, where neither the video nor a table says it; 0: not given.",
+        "Hz",
+        0.0,
+        1e5,
+        group=IMAGES,
+    )
+    area_sensor: str = setting(
+        AREA_SENSORS.default, "Area sensor that measures the contact.", group=IMAGES
+    )
+    keep_images: bool = setting(
+        False,
+        "Write the images into the bag too, as lossless PNG. They show prints: biometric data.",
+        group=IMAGES,
+    )
+    subject: str = setting("", "Code of the subject, never a name.", group=ABOUT)
+    condition: str = setting("", "Condition of the skin, such as dry.", group=ABOUT)
+    moisture: list[str] = setting(
+        [], "Readings of the moisture probe (a.u.) that belong to each press.", group=ABOUT
+    )
+    session: str = setting("import", "Name of the session.", group=ABOUT)
+    index: int = setting(0, "Number of the first press.", "", 0, 10**6, group=ABOUT)
+    target_force: float = setting(
+        0.0,
+        "Force at which the loading ends; 0: 95 % of the peak of each press.",
+        "N",
+        0.0,
+        100.0,
+        group=ABOUT,
+    )
+    start: str = setting(
+        "2000-01-01",
+        "Date and time (UTC) of time 0, for times that are no dates themselves.",
+        group=ABOUT,
+    )
+
+    def validate(self) -> None:
+        """One source of areas with its scale; subject and condition named."""
+        given = [name for name in ("area", "video", "images") if getattr(self, name)]
+        if not self.force:
+            raise InputError("no file with the force; give it with --force")
+        if len(given) != 1:
+            what = " and ".join(f"--{name}" for name in given) or "none"
+            raise InputError(f"areas: {what} given; give one of --area, --video and --images")
+        for name in ("subject", "condition"):
+            value = getattr(self, name)
+            if not value:
+                raise InputError(f"no {name}; give it with --{name}, or as a column of --trials")
+            if not CONDITION.fullmatch(value):
+                raise InputError(
+                    f"{name} {value[:40]!r} is no name of letters, digits, blanks and .,+()%-"
+                )
+        if self.area:
+            for name in ("area_per_pixel", "calibration", "frame_rate", "image_times"):
+                if getattr(self, name):
+                    option = name.replace("_", "-")
+                    raise InputError(f"--{option} is for --video and --images, not for --area")
+        elif bool(self.area_per_pixel) == bool(self.calibration):
+            raise InputError(
+                f"areas from --{given[0]}: give either --calibration (finger-vision calibrate "
+                "makes it) or --area-per-pixel in m², such as 9.86e-10"
+            )
+        _ = self.readings
+
+    @property
+    def readings(self) -> list[float]:
+        """Moisture readings (a.u.); raises InputError for text that is none."""
+        values = []
+        for text in self.moisture:
+            try:
+                value = float(text)
+            except ValueError:
+                value = float("nan")
+            if not is_moisture(value):
+                raise InputError(f"moisture '{text[:20]}' is no reading; give {MOISTURE_TEXT}")
+            values.append(value)
+        return values

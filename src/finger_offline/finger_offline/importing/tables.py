@@ -1,0 +1,408 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Columns of numbers and times from table files of many kinds.
+
+A reader is a function of a path and a part (sheet, group, dataset; may be empty) that gives a
+`Table`; `READERS` finds it by the file's ending.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import date, datetime, time, timezone
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from finger_common.errors import InputError, known_names
+from finger_common.files import exists, parse_npz, read_bytes, read_text
+from finger_common.stamps import NANOSECONDS
+from finger_common.units import AREA_UNITS, FORCE_UNITS, TIME_UNITS, unit_named
+
+EPOCH_SECONDS = 1e8
+"""s; a time beyond this (three years) counts from 1970, as computers do."""
+
+MAXIMUM_COLUMNS = 4096
+
+_UNITS = (FORCE_UNITS, AREA_UNITS, TIME_UNITS)
+
+
+@dataclass(frozen=True)
+class Times:
+    """Times (n,) in ns. absolute: they count from 1970 UTC, else from the recording's start."""
+
+    ns: np.ndarray
+    absolute: bool
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns by heading: arrays, or sequences of cells as read; they may differ in length.
+
+    units: a row of units below the headings, where there was one. first_row: number of the first
+    row of values, for errors.
+    """
+
+    where: str
+    columns: Mapping[str, Sequence[Any] | np.ndarray]
+    units: Mapping[str, str] = field(default_factory=dict)
+    first_row: int = 1
+
+    def heading(self, name: str, option: str) -> str:
+        """The heading that a name means: equal, or equal but for case and a unit at its end.
+
+        Raises InputError that names the option to choose another.
+        """
+        if name in self.columns:
+            return name
+        alike = [h for h in self.columns if _bare(h) == name.strip().casefold()]
+        if len(alike) == 1:
+            return alike[0]
+        reason = "is there twice" if alike else "does not exist"
+        raise InputError(
+            f"{self.where}: column '{name}' {reason} ({known_names(name, self.columns)}); "
+            f"name it with {option}"
+        )
+
+    def unit(self, heading: str, units: Mapping[str, float]) -> str | None:
+        """The unit that a column states: in the row of units, as "Force [N]" or as "force_n"."""
+        for text in (self.units.get(heading, ""), *_endings(heading)):
+            found = unit_named(text, units)
+            if found is not None:
+                return found
+        return None
+
+    def numbers(self, heading: str, gaps: bool = False) -> np.ndarray:
+        """A column (n,) as floats; gaps: empty cells and NaN are allowed.
+
+        Raises InputError naming row and column.
+        """
+        cells = self.columns[heading]
+        try:
+            values = np.asarray(cells, dtype=float).reshape(-1)
+        except (TypeError, ValueError):
+            values = np.array([self._number(heading, row) for row in range(len(cells))])
+        bad = np.isinf(values) if gaps else ~np.isfinite(values)
+        if bad.any():
+            self._refuse(heading, int(np.flatnonzero(bad)[0]), "is no finite number")
+        return values
+
+    def times(self, heading: str, unit: str = "") -> Times:
+        """A column of times: numbers, or dates with time.
+
+        unit: of numbers; empty for the one that the heading states, else s.
+        """
+        cells = self.columns[heading]
+        first = cells[0] if len(cells) else None
+        if isinstance(cells, np.ndarray) and cells.dtype.kind == "M":
+            return Times(cells.astype("datetime64[ns]").astype(np.int64), True)
+        if isinstance(first, (datetime, time)) or (isinstance(first, str) and ":" in first):
+            found = [self._date(heading, row) for row in range(len(cells))]
+            clock = isinstance(first, time) or (isinstance(first, str) and "-" not in first)
+            return Times(np.array(found, np.int64), not clock)
+        factor = TIME_UNITS[unit or self.unit(heading, TIME_UNITS) or "s"]
+        seconds = self.numbers(heading) * factor
+        absolute = bool(len(seconds) and abs(seconds[0]) > EPOCH_SECONDS)
+        if len(seconds) and np.abs(seconds).max() > 9e9:
+            row = int(np.argmax(np.abs(seconds)))
+            self._refuse(heading, row, "is no time in seconds; name its unit with --time-unit")
+        return Times(np.round(seconds * NANOSECONDS).astype(np.int64), absolute)
+
+    def _refuse(self, heading: str, row: int, reason: str) -> None:
+        raise InputError(
+            f"{self.where}, row {row + self.first_row}, column '{heading}': "
+            f"{str(self.columns[heading][row])[:40]!r} {reason}"
+        )
+
+    def _number(self, heading: str, row: int) -> float:
+        cell = self.columns[heading][row]
+        if cell is None or (isinstance(cell, str) and not cell.strip()):
+            return float("nan")
+        try:
+            return float(cell)
+        except (TypeError, ValueError):
+            pass
+        text = str(cell).strip()
+        if text.rfind(",") > text.rfind("."):  # 1.234,5
+            text = text.replace(".", "").replace(",", ".")
+        else:
+            text = text.replace(",", "")
+        try:
+            return float(text)
+        except ValueError:
+            self._refuse(heading, row, "is no number; correct it")
+            raise
+
+    def _date(self, heading: str, row: int) -> int:
+        cell = self.columns[heading][row]
+        try:
+            if isinstance(cell, str):
+                text = cell.strip().replace(",", ".")
+                cell = datetime.fromisoformat(text if "-" in text else f"1970-01-01T{text}")
+            elif isinstance(cell, time):
+                cell = datetime.combine(date(1970, 1, 1), cell)
+            if cell.tzinfo is None:
+                cell = cell.replace(tzinfo=timezone.utc)
+            since = cell - datetime(1970, 1, 1, tzinfo=timezone.utc)
+        except (AttributeError, TypeError, ValueError):
+            self._refuse(heading, row, "is no time as in 2024-05-01 13:45:10.250; correct it")
+        return (since.days * 86400 + since.seconds) * NANOSECONDS + since.microseconds * 1000
+
+
+def _endings(heading: str) -> list[str]:
+    """Texts in a heading that may be its unit: "N" of "Fz [N]", "Fz (N)", "fz_N"."""
+    text = heading.strip()
+    found = []
+    for opening, closing in ("[]", "()"):
+        if text.endswith(closing) and opening in text:
+            found.append(text[text.rindex(opening) + 1 : -1])
+    if "/" in text:  # Fz/N
+        found.append(text.rsplit("/", 1)[1])
+    if "_" in text:
+        found.append(text.rsplit("_", 1)[1])
+    return found
+
+
+def _bare(heading: str) -> str:
+    """A heading in lower case without a unit in brackets or behind a slash."""
+    text = heading.strip().casefold()
+    for sign in "[(/":
+        text = text.split(sign, 1)[0] if not text.startswith(sign) else text
+    return text.strip()
+
+
+# Files ---------------------------------------------------------------------------------------
+
+
+def read_table(name: str) -> Table:
+    """The table in FILE or FILE::PART; raises InputError naming it."""
+    file, _, part = name.partition("::")
+    path = Path(file)
+    if not exists(path):
+        raise InputError(f"{file}: no such file; check the path")
+    reader = READERS.get(path.suffix.lower())
+    if reader is None:
+        raise InputError(
+            f"{file}: no table of a known kind; give a file of one of {', '.join(READERS)}"
+        )
+    table = reader(path, part)
+    if not table.columns or not len(next(iter(table.columns.values()))):
+        raise InputError(f"{name}: holds no row of values; export it again")
+    return table
+
+
+def _read_text(path: Path, part: str) -> Table:
+    _no_part(path, part)
+    return of_rows(str(path), _text_rows(read_text(path, "table")))
+
+
+def _text_rows(text: str) -> list[tuple[int, list[Any]]]:
+    """Numbered rows of cells; the delimiter is the one that gives the most regular rows."""
+    lines = [
+        (number, line)
+        for number, line in enumerate(text.splitlines(), 1)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    sample = [line for _, line in lines[:200]]
+
+    def regular(delimiter: str) -> int:
+        counts = Counter(line.count(delimiter) for line in sample)
+        counts.pop(0, None)
+        return max(counts.values(), default=0)
+
+    # A comma may be the decimal one: it counts last.
+    delimiter = next((d for d in ";\t," if 2 * regular(d) >= len(sample)), ",")
+    rows = csv.reader(io.StringIO("\n".join(line for _, line in lines)), delimiter=delimiter)
+    try:
+        cells = [[cell.strip() for cell in row] for row in rows]
+    except csv.Error as error:
+        raise InputError(f"table cannot be read as CSV ({error}); export it again") from None
+    numbers = [n for n, _ in lines] if len(cells) == len(lines) else list(range(1, len(cells) + 1))
+    return list(zip(numbers, cells))
+
+
+def of_rows(where: str, rows: Sequence[tuple[int, Sequence[Any]]]) -> Table:
+    """Table of numbered rows of cells: lines of text, then headings, perhaps units, then values.
+
+    Without headings, columns are named "1", "2", ….
+    """
+    wide = max((_filled(row) for _, row in rows[-1000:]), default=1)
+    start = next((i for i, (_, row) in enumerate(rows) if _filled(row) >= wide), len(rows))
+    if start == len(rows):
+        return Table(where, {})
+    header = [str(cell if cell is not None else "").strip() for cell in rows[start][1]]
+    units: dict[str, str] = {}
+    if any(_is_value(cell) for cell in rows[start][1]):
+        header = [str(i) for i in range(1, len(header) + 1)]
+    else:
+        start += 1
+        below = rows[start][1] if start < len(rows) else ()
+        stated = [str(cell or "").strip(" []()") for cell in below]
+        if any(unit_named(text, known) for text in stated for known in _UNITS):
+            units = dict(zip(header, stated))
+            start += 1
+    body = rows[start:]
+    columns = {
+        name: [row[i] if i < len(row) else None for _, row in body]
+        for i, name in enumerate(header)
+        if name
+    }
+    return Table(where, columns, units, body[0][0] if body else 1)
+
+
+def _filled(row: Sequence[Any]) -> int:
+    """Cells of a row up to the last one that is not empty."""
+    return max((i for i, c in enumerate(row, 1) if c is not None and str(c).strip()), default=0)
+
+
+def _is_value(cell: Any) -> bool:
+    """Whether a cell is a number or a time rather than a heading."""
+    if not isinstance(cell, str):
+        return cell is not None
+    text = cell.strip().replace(",", ".")
+    if text[:1].isdigit() and ":" in text:
+        return True
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _no_part(path: Path, part: str) -> None:
+    if part:
+        raise InputError(f"{path}::{part}: a file of this kind has no parts; leave out '::{part}'")
+
+
+def _read_excel(path: Path, part: str) -> Table:
+    import openpyxl
+
+    content = io.BytesIO(read_bytes(path, "workbook"))
+    try:
+        book = openpyxl.load_workbook(content, read_only=True, data_only=True)
+        names = book.sheetnames
+        if part and part not in names:
+            raise InputError(f"{path}: sheet '{part}' does not exist; {known_names(part, names)}")
+        sheet = book[part] if part else book.worksheets[0]
+        rows = [
+            (number, list(cells))
+            for number, cells in enumerate(
+                sheet.iter_rows(max_col=MAXIMUM_COLUMNS, values_only=True), 1
+            )
+            if any(cell is not None for cell in cells)
+        ]
+    except InputError:
+        raise
+    except Exception as error:
+        # A damaged archive makes openpyxl raise almost anything.
+        raise InputError(
+            f"{path}: not a workbook that can be read ({type(error).__name__}); save it as .xlsx"
+        ) from None
+    return of_rows(f"{path}, sheet {part or names[0]}", rows)
+
+
+def _read_parquet(path: Path, part: str) -> Table:
+    _no_part(path, part)
+    try:
+        from pyarrow import ArrowException, parquet
+    except ImportError:
+        raise InputError(f"{path}: Parquet needs pyarrow; pip install pyarrow") from None
+    try:
+        found = parquet.read_table(path)
+        columns = {str(n): found.column(n).to_numpy() for n in found.column_names}
+    except (ArrowException, OSError, ValueError) as error:
+        raise InputError(f"{path}: not a Parquet file that can be read ({error})") from None
+    return Table(str(path), columns)
+
+
+def _read_npz(path: Path, part: str) -> Table:
+    _no_part(path, part)
+    arrays = parse_npz(read_bytes(path, "NPZ file"), str(path))
+    return _of_arrays(str(path), arrays)
+
+
+def _read_hdf5(path: Path, part: str) -> Table:
+    try:
+        import h5py
+    except ImportError:
+        raise InputError(f"{path}: HDF5 needs h5py; pip install h5py") from None
+    where = f"{path}::{part}" if part else str(path)
+    try:
+        with h5py.File(path, "r") as file:
+            names: list[str] = []
+            file.visit(names.append)
+            key = part.strip("/") or "/"
+            if key != "/" and key not in file:
+                raise InputError(f"{path}: '{part}' does not exist; {known_names(part, names)}")
+            node = file[key]
+            members = node.items() if isinstance(node, h5py.Group) else [(key, node)]
+            arrays = {n: v[()] for n, v in members if isinstance(v, h5py.Dataset)}
+    except InputError:
+        raise
+    except (OSError, ValueError, KeyError, RuntimeError) as error:
+        raise InputError(f"{path}: not an HDF5 file that can be read ({error})") from None
+    if not arrays:
+        raise InputError(
+            f"{where}: holds groups only; name one as {path}::GROUP ({', '.join(names[:8])})"
+        )
+    if len(arrays) == 1:
+        found = next(iter(arrays.values()))
+        if found.dtype.names:  # a table of records
+            arrays = {name: found[name] for name in found.dtype.names}
+        elif found.ndim == 2 and min(found.shape) > 1:  # a matrix: columns by number
+            arrays = {str(i): column for i, column in enumerate(found.T, 1)}
+    return _of_arrays(where, arrays)
+
+
+def _read_matlab(path: Path, part: str) -> Table:
+    content = read_bytes(path, "MATLAB file")
+    if content.startswith(b"MATLAB 7.3"):
+        return _read_hdf5(path, part)
+    from scipy.io import loadmat
+
+    try:
+        found = loadmat(io.BytesIO(content), squeeze_me=True, struct_as_record=True)
+    except Exception as error:
+        # A damaged file makes loadmat raise almost anything.
+        raise InputError(f"{path}: not a MATLAB file that can be read ({error})") from None
+    arrays = {name: value for name, value in found.items() if not name.startswith("__")}
+    if part:
+        if part not in arrays:
+            raise InputError(f"{path}: '{part}' does not exist; {known_names(part, arrays)}")
+        record = arrays[part]
+        if record.dtype.names:
+            arrays = {name: record[name].item() for name in record.dtype.names}
+        else:
+            arrays = {str(i): column for i, column in enumerate(np.atleast_2d(record.T), 1)}
+    return _of_arrays(f"{path}::{part}" if part else str(path), arrays)
+
+
+def _of_arrays(where: str, arrays: Mapping[str, Any]) -> Table:
+    """Table of the arrays that are columns: one dimension of more than one value."""
+    columns = {}
+    for name, value in arrays.items():
+        array = np.squeeze(np.asarray(value))
+        if array.ndim == 1 and array.dtype.kind in "biufSUOM":
+            columns[str(name)] = array.astype(str) if array.dtype.kind == "S" else array
+    return Table(where, columns)
+
+
+READERS: dict[str, Callable[[Path, str], Table]] = {
+    ".csv": _read_text,
+    ".tsv": _read_text,
+    ".txt": _read_text,
+    ".xlsx": _read_excel,
+    ".xlsm": _read_excel,
+    ".parquet": _read_parquet,
+    ".h5": _read_hdf5,
+    ".hdf5": _read_hdf5,
+    ".mat": _read_matlab,
+    ".npz": _read_npz,
+}
+"""Ending of a file -> what reads it."""

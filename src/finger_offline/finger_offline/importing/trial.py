@@ -1,0 +1,383 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""One recording of a laboratory's own files → one session bag."""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from finger_bag.schema import CALIBRATION_ATTACHMENT
+from finger_bag.writer import BagWriter
+from finger_common.axes import axis_of
+from finger_common.errors import InputError
+from finger_common.files import sha256_of_file
+from finger_common.flags import AreaFlag
+from finger_common.stamps import NANOSECONDS, nanoseconds, seconds
+from finger_common.trial_phases import TrialPhase
+from finger_common.units import AREA_UNITS, FORCE_UNITS
+from finger_vision.area_sensor import AREA_SENSORS, ContactMeasurement
+from finger_vision.calibration import PlateCalibration
+
+from ..image_areas import area_fields
+from ..trial_checks import LARGEST_FORCE, PLAUSIBLE_AREA
+from ..trial_split import TrialSettings, presses
+from .pictures import Frame, frames_of
+from .settings import PATHS, ImportSettings
+from .tables import Table, Times, read_table
+
+FEWEST_AREAS = 3
+"""Areas during a press without which a fit cannot use it."""
+
+PART_OF_PEAK = 0.95
+"""Target force over peak force of a press for which none was set."""
+
+BEFORE_PRESS = 0.25
+"""s before its onset at which a press is announced."""
+
+Progress = Callable[[str, float, float], None]
+"""Called with a stage, what is done and its total."""
+
+_Item = tuple[int, str, dict[str, Any]]
+"""Stamp in ns, topic, fields."""
+
+
+@dataclass
+class Imported:
+    """What a bag got.
+
+    presses: onset, end (ns) and peak force (N) of each; area_stamps (ns), areas (m²) of all frames;
+    notes: what a reader of the data should know.
+    """
+
+    path: Path
+    presses: list[tuple[int, int, float]] = field(default_factory=list)
+    area_stamps: list[int] = field(default_factory=list)
+    areas: list[float] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class _Force:
+    """Force (n, 3) in the bag's axes, normal force (n,) and stamps (n,)."""
+
+    stamp_ns: np.ndarray
+    force: np.ndarray
+    normal: np.ndarray
+
+
+def import_trial(
+    settings: ImportSettings, target: str | Path, show: Progress | None = None
+) -> Imported:
+    """Write the bag `target` of one recording; may hold several presses.
+
+    Raises InputError, and writes nothing, for files that cannot be read, or whose values cannot be
+    those of a finger (unit, sign, clock).
+    """
+    result = Imported(Path(target))
+    table = read_table(settings.force)
+    times, force = _force(settings, table, result.notes)
+    start = _start(settings.start)
+    stamps = times.ns if times.absolute else times.ns + start
+    found = _Force(stamps, force, -force[:, 2])
+    events = _presses(settings, found, result)
+    areas = _areas(settings, times.absolute, start, result, show)
+    with BagWriter(target, _metadata(settings)) as bag:
+        if settings.calibration or settings.area_per_pixel:
+            bag.attach(
+                CALIBRATION_ATTACHMENT, _calibration(settings).to_yaml().encode(), "text/yaml"
+            )
+        for stamp, topic, fields in heapq.merge(
+            events, _wrenches(found), areas, key=lambda item: item[0]
+        ):
+            header = {**fields.pop("header", {}), "stamp": stamp}
+            bag.write(topic, {"header": header, **fields}, stamp)
+        _check_areas(settings, result)
+    return result
+
+
+# Force ---------------------------------------------------------------------------------------
+
+
+def _force(settings: ImportSettings, table: Table, notes: list[str]) -> tuple[Times, np.ndarray]:
+    """Times, and forces (n, 3) in N in the bag's axes: negative in z under a press."""
+    heading = table.heading(settings.force_time, "--force-time")
+    times = table.times(heading, settings.time_unit)
+    headings = [
+        table.heading(name.strip(), "--force-column") for name in settings.force_column.split(",")
+    ]
+    if len(headings) not in (1, 3):
+        raise InputError(
+            f"--force-column {settings.force_column}: name the normal force, or x, y and z as "
+            "Fx,Fy,Fz"
+        )
+    unit = settings.force_unit or _unit(table, headings[-1], FORCE_UNITS, "--force-unit N")
+    columns = [table.numbers(h) * FORCE_UNITS[unit] for h in headings]
+    _check_length(table, heading, headings[0], len(times.ns), len(columns[0]))
+    keep = _in_order(table, heading, times.ns, notes)
+    times = Times(times.ns[keep], times.absolute)
+    force = np.zeros((len(times.ns), 3))
+    if len(columns) == 1:
+        force[:, 2] = columns[0][keep] * (1.0 if settings.force_sign == "negative" else -1.0)
+    else:
+        index, sign = axis_of(settings.normal_axis)
+        force[:, 2] = -sign * columns[index][keep]
+        force[:, 0], force[:, 1] = (columns[(index + k) % 3][keep] for k in (1, 2))
+    if settings.tare:
+        first = seconds(times.ns - times.ns[0]) <= settings.tare
+        force -= force[first].mean(axis=0)
+        spread = float(force[first, 2].std())
+        if spread > 0.05:
+            raise InputError(
+                f"{table.where}: the force varies by {spread:.2f} N in the first "
+                f"{settings.tare:g} s; shorten --tare to the part without contact"
+            )
+    return times, force
+
+
+def _unit(table: Table, heading: str, units: dict[str, float], remedy: str) -> str:
+    unit = table.unit(heading, units)
+    if unit is None:
+        raise InputError(
+            f"{table.where}: column '{heading}' does not say its unit; give {remedy} "
+            f"(one of {', '.join(units)})"
+        )
+    return unit
+
+
+def _check_length(table: Table, a: str, b: str, first: int, second: int) -> None:
+    if first != second:
+        raise InputError(
+            f"{table.where}: columns '{a}' and '{b}' have {first} and {second} values; they must "
+            "belong together"
+        )
+
+
+def _in_order(table: Table, heading: str, stamps: np.ndarray, notes: list[str]) -> np.ndarray:
+    """Mask of the rows that count: of rows with one time, the first. Refuses a step back."""
+    steps = np.diff(stamps)
+    if (steps < 0).any():
+        row = int(np.flatnonzero(steps < 0)[0]) + 1 + table.first_row
+        raise InputError(
+            f"{table.where}, row {row}, column '{heading}': time runs back by "
+            f"{-steps.min() / NANOSECONDS:.3g} s; export the rows in the order of time"
+        )
+    keep = np.concatenate([[True], steps > 0])
+    if not keep.all():
+        count = int((~keep).sum())
+        notes.append(f"{table.where}: {count} rows repeat the time of the row before, left out")
+    return keep
+
+
+def _presses(settings: ImportSettings, found: _Force, result: Imported) -> list[_Item]:
+    """Trial messages and moisture readings of the presses; raises InputError without one."""
+    normal, stamps = found.normal, found.stamp_ns
+    split = TrialSettings()
+    high, low = float(normal.max()), float(normal.min())
+    where = settings.force
+    if high > LARGEST_FORCE:
+        raise InputError(
+            f"{where}: force goes up to {high:.4g} N, more than a finger can press; give the "
+            "right --force-unit"
+        )
+    if -low > max(high, split.minimum_peak):
+        raise InputError(
+            f"{where}: force goes down to {low:.3g} N and up to {high:.3g} N; give "
+            "--force-sign negative, or the --normal-axis along which a press is positive"
+        )
+    chosen = [
+        (first, end)
+        for first, end in presses(stamps, normal)
+        if normal[first:end].max() >= split.minimum_peak
+    ]
+    if not chosen:
+        raise InputError(
+            f"{where}: no press of {split.minimum_peak:g} N or more, the largest force is "
+            f"{high:.3g} N; check --force-column, --force-unit and --tare"
+        )
+    items: list[_Item] = []
+    for number, (first, end) in enumerate(chosen):
+        peak = float(normal[first:end].max())
+        last = int(stamps[min(end, len(stamps)) - 1])
+        result.presses.append((int(stamps[first]), last, peak))
+        if first == 0:
+            result.notes.append(f"press {number}: begins before the recording; it cannot be fitted")
+        earlier = int(stamps[chosen[number - 1][1] - 1]) if number else int(stamps[0])
+        begin = max(int(stamps[first]) - nanoseconds(BEFORE_PRESS), earlier)
+        target = settings.target_force or math.floor(PART_OF_PEAK * peak * 100) / 100
+        about = {
+            "session": settings.session,
+            "subject": settings.subject,
+            "condition": settings.condition,
+            "index": settings.index + number,
+            "target_force": target,
+        }
+        items.append((begin, "trial", {**about, "phase": int(TrialPhase.PRESS)}))
+        for reading, value in enumerate(settings.readings):
+            fields = {"value": value, "index": reading, "phase": 1, "source": "import"}
+            items.append((begin, "moisture", fields))
+        items.append((last + 1, "trial", {**about, "phase": int(TrialPhase.DONE)}))
+    return items
+
+
+def _wrenches(found: _Force) -> Iterator[_Item]:
+    for stamp, (x, y, z) in zip(found.stamp_ns.tolist(), found.force.tolist()):
+        header = {"frame_id": "force_sensor"}
+        yield stamp, "wrench", {"header": header, "wrench": {"force": {"x": x, "y": y, "z": z}}}
+
+
+# Areas ---------------------------------------------------------------------------------------
+
+
+def _areas(
+    settings: ImportSettings, absolute: bool, start: int, result: Imported, show: Progress | None
+) -> Iterator[_Item]:
+    """Areas, and images where they are kept, in the order of time."""
+    offset = nanoseconds(settings.time_offset)
+
+    def based(name: str, theirs: bool) -> int:
+        if theirs != absolute:
+            raise InputError(
+                f"{settings.force} and {name}: one counts its times from 1970 or midnight, the "
+                "other from its own start; give both the same origin, or --time-offset"
+            )
+        return offset if theirs else start + offset
+
+    if settings.area:
+        table = read_table(settings.area)
+        heading = table.heading(settings.area_time, "--area-time")
+        times = table.times(heading, settings.time_unit)
+        column = table.heading(settings.area_column, "--area-column")
+        unit = settings.area_unit or _unit(table, column, AREA_UNITS, "--area-unit mm2")
+        area = table.numbers(column, gaps=True) * AREA_UNITS[unit]
+        _check_length(table, heading, column, len(times.ns), len(area))
+        keep = _in_order(table, heading, times.ns, result.notes) & np.isfinite(area)
+        result.area_stamps = (times.ns[keep] + based(settings.area, times.absolute)).tolist()
+        result.areas = area[keep].tolist()
+        return _area_items(result)
+    frames, count, theirs = frames_of(settings)
+    begin = based(settings.video or settings.images, theirs)
+    return _image_items(settings, frames, count, begin, result, show)
+
+
+def _area_items(result: Imported) -> Iterator[_Item]:
+    for stamp, area in zip(result.area_stamps, result.areas):
+        touching = area > 0
+        yield (
+            stamp,
+            "contact_area",
+            {
+                "header": {"frame_id": "plate"},
+                "gross_area": max(area, 0.0),
+                "real_area": math.nan if touching else 0.0,
+                "area_stddev": math.nan,
+                "flags": 0 if touching else int(AreaFlag.NO_CONTACT),
+            },
+        )
+
+
+def _image_items(
+    settings: ImportSettings,
+    frames: Iterator[Frame],
+    count: int,
+    begin: int,
+    result: Imported,
+    show: Progress | None,
+) -> Iterator[_Item]:
+    sensor = AREA_SENSORS.open({"area_sensor": settings.area_sensor}, _calibration(settings))
+    stamps, areas = result.area_stamps, result.areas
+    for number, (time, image) in enumerate(frames, 1):
+        stamp = begin + time
+        if stamps and stamp <= stamps[-1]:
+            raise InputError(
+                f"{settings.image_times or settings.video}: time of frame {number} is not after "
+                "the one before; correct the times"
+            )
+        found: ContactMeasurement = sensor.process(image)
+        stamps.append(stamp)
+        areas.append(found.gross_area)
+        fields = area_fields(stamp, found, "plate")
+        yield stamp, "contact_area", fields
+        if settings.keep_images:
+            data = cv2.imencode(".png", image)[1].tobytes()
+            header = {"frame_id": "camera_optical"}
+            yield (
+                stamp,
+                "image_raw/compressed",
+                {"header": header, "format": "mono8; png compressed", "data": data},
+            )
+        if show is not None:
+            show("areas", number, max(count, number))
+
+
+def _calibration(settings: ImportSettings) -> PlateCalibration:
+    if settings.calibration:
+        return PlateCalibration.load(settings.calibration)
+    return PlateCalibration.from_area_per_pixel(settings.area_per_pixel)
+
+
+def _check_areas(settings: ImportSettings, result: Imported) -> None:
+    """Refuse areas that no finger can have, and those of another time than the presses."""
+    name = settings.area or settings.video or settings.images
+    high = max(result.areas, default=0.0)
+    if not high > 0.0:
+        raise InputError(f"{name}: no area above zero; check the column, or the image scale")
+    if not PLAUSIBLE_AREA[0] <= high <= PLAUSIBLE_AREA[1]:
+        remedy = "--area-unit" if settings.area else "--area-per-pixel or --calibration"
+        raise InputError(
+            f"{name}: the largest area is {high * 1e6:.4g} mm², that of a fingertip lies between "
+            f"{PLAUSIBLE_AREA[0] * 1e6:g} and {PLAUSIBLE_AREA[1] * 1e6:g} mm²; give the right "
+            f"{remedy}"
+        )
+    stamps = np.array(result.area_stamps)
+    inside = [int(((stamps >= a) & (stamps <= b)).sum()) for a, b, _ in result.presses]
+    if not any(inside):
+        origin = result.presses[0][0]
+        raise InputError(
+            f"{name}: no area during a press; the first press begins "
+            f"{seconds(origin - int(stamps[0])):.3g} s after the first area and the last area "
+            f"comes {seconds(int(stamps[-1]) - origin):.3g} s after it; give --time-offset"
+        )
+    for number, count in enumerate(inside):
+        if count < FEWEST_AREAS:
+            result.notes.append(f"press {number}: {count} areas, {FEWEST_AREAS} are needed to fit")
+
+
+# About ---------------------------------------------------------------------------------------
+
+
+def _start(text: str) -> int:
+    try:
+        at = datetime.fromisoformat(text)
+    except ValueError:
+        raise InputError(
+            f"--start '{text[:40]}' is no date and time; give it as 2024-05-01T13:45:00"
+        ) from None
+    if at.tzinfo is None:
+        at = at.replace(tzinfo=timezone.utc)
+    return round(at.timestamp()) * NANOSECONDS
+
+
+def _metadata(settings: ImportSettings) -> dict[str, Any]:
+    """Session metadata; `files` names what was imported, with hashes."""
+    files = []
+    for name in PATHS:
+        path = Path(str(getattr(settings, name)).partition("::")[0])
+        if getattr(settings, name) and path.is_file():
+            files.append(f"{name}: {path.name} sha256:{sha256_of_file(path)}")
+    return {
+        "session": settings.session,
+        "subject": settings.subject,
+        "condition": settings.condition,
+        "source": "finger-bag import",
+        "files": "; ".join(files),
+    }

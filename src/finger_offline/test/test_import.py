@@ -1,0 +1,349 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Files of a laboratory become session bags that are fit for use, or are refused in a sentence."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from finger_bag.cli import command
+from finger_bag.reader import open_bag
+from finger_bag.validate import validate
+from finger_common.errors import InputError
+from finger_offline.importing.settings import ImportSettings
+from finger_offline.importing.tables import read_table
+from finger_offline.importing.trial import import_trial
+from finger_offline.trial_records import TrialRecord
+from finger_offline.trials import load_trials
+
+TIME = np.arange(0.0, 9.0, 0.004)
+FRAMES = np.arange(0.0, 9.0, 0.1)
+ABOUT = {"subject": "S01", "condition": "dry"}
+
+
+def force_at(time: np.ndarray) -> np.ndarray:
+    """Two presses, to 1.5 and to 1.2 N, with a tremor that keeps samples apart."""
+    first = 1.5 * np.clip(np.minimum(time - 0.5, 3.0 - time), 0.0, 1.0)
+    both = first + 1.2 * np.clip(np.minimum(time - 5.0, 8.0 - time), 0.0, 1.0)
+    return both * (1.0 + 0.002 * np.sin(50.0 * time))
+
+
+def area_at(time: np.ndarray) -> np.ndarray:
+    """mm²."""
+    return 60.0 * force_at(time) ** 0.4
+
+
+def csv(path: Path, heading: str, *columns: np.ndarray) -> str:
+    np.savetxt(path, np.column_stack(columns), "%.6f", ",", header=heading, comments="")
+    return str(path)
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> dict[str, str]:
+    """Settings that name a force and an area file as the contract has them."""
+    return {
+        "force": csv(tmp_path / "force.csv", "time_s,force_n", TIME, force_at(TIME)),
+        "area": csv(tmp_path / "area.csv", "time_s,area_mm2", FRAMES, area_at(FRAMES)),
+        **ABOUT,
+    }
+
+
+def check_trials(bag: Path, tolerance: float = 1e-5) -> list[TrialRecord]:
+    """The bag is fit for use and gives both presses with their forces and areas."""
+    result = validate(bag)
+    assert result.fit, result.to_data()
+    found = load_trials(bag)
+    assert found.problems == [] and found.exclusions == []
+    assert [(t.subject, t.condition) for t in found] == [("S01", "dry")] * 2
+    for trial, peak in zip(found, (1.5, 1.2)):
+        assert trial.peak_force == pytest.approx(peak, rel=0.01)
+        assert trial.target_force == pytest.approx(0.95 * trial.peak_force, abs=0.011)
+        start = load_start(bag)
+        time = (trial.stamp_ns - start) * 1e-9
+        assert np.allclose(trial.force, force_at(time), atol=max(tolerance, 1e-3))
+        frames = (trial.area_stamp_ns - start) * 1e-9
+        assert np.allclose(trial.area * 1e6, area_at(frames), atol=60 * tolerance)
+    return list(found)
+
+
+def load_start(bag: Path) -> int:
+    with open_bag(bag) as reader:
+        assert reader.info.start_ns is not None
+        return reader.info.start_ns
+
+
+def test_csv_files_of_the_contract_make_a_bag_fit_for_use(
+    files: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = tmp_path / "bag"
+    options = [f"--{k}={v}" for k, v in files.items()]
+    assert command(["import", "-o", str(bag), *options]) == 0
+    assert "2 presses" in capsys.readouterr().out
+    trials = check_trials(bag)
+    assert [t.index for t in trials] == [0, 1]
+    assert trials[0].onset_ns > load_start(bag) and np.isnan(trials[0].area_sd[-1])
+    with open_bag(bag) as reader:
+        text = reader.info.metadata.to_mapping()
+    assert text["source"] == "finger-bag import" and "area.csv sha256:" in text["files"]
+
+
+def write_german(path: Path) -> None:
+    lines = ["Messung 3;Kraft und Fläche", "", "Zeit;Kraft;Fläche", "ms;mN;cm²"]
+    for number, (time, force) in enumerate(zip(TIME, force_at(TIME))):
+        area = f"{area_at(np.array(time)) / 100:.5f}" if number % 25 == 0 else ""
+        lines.append(f"{1e3 * time:.1f};{-1e3 * force:.2f};{area}".replace(".", ","))
+    path.write_text("\n".join(lines), encoding="utf-8")
+
+
+def write_excel(path: Path) -> None:
+    openpyxl = pytest.importorskip("openpyxl", reason="XLSX needs openpyxl")
+    book = openpyxl.Workbook()
+    book.active.append(["not this sheet"])
+    sheet = book.create_sheet("press")
+    sheet.append(["Zeit [ms]", "Kraft (mN)", "Fläche/cm²"])
+    for number, (time, force) in enumerate(zip(TIME, force_at(TIME))):
+        area = float(area_at(np.array(time))) / 100 if number % 25 == 0 else None
+        sheet.append([1e3 * time, -1e3 * force, area])
+    book.save(path)
+
+
+def arrays() -> dict[str, np.ndarray]:
+    area = np.where(np.arange(len(TIME)) % 25 == 0, area_at(TIME) / 100, np.nan)
+    return {"Zeit_ms": 1e3 * TIME, "Kraft_mN": -1e3 * force_at(TIME), "Fläche_cm2": area}
+
+
+def write_parquet(path: Path) -> None:
+    pyarrow = pytest.importorskip("pyarrow", reason="Parquet needs pyarrow")
+    pytest.importorskip("pyarrow.parquet").write_table(pyarrow.table(arrays()), path)
+
+
+def write_hdf5(path: Path) -> None:
+    h5py = pytest.importorskip("h5py", reason="HDF5 needs h5py")
+    with h5py.File(path, "w") as file:
+        group = file.create_group("recordings/press")
+        for name, values in arrays().items():
+            group[name] = values
+
+
+def write_matlab(path: Path) -> None:
+    from scipy.io import savemat
+
+    savemat(path, {"press": {k.replace("ä", "a"): v for k, v in arrays().items()}})
+
+
+@pytest.mark.parametrize(
+    ("name", "write", "part"),
+    [
+        ("log.csv", write_german, ""),
+        ("log.xlsx", write_excel, "::press"),
+        ("log.parquet", write_parquet, ""),
+        ("log.h5", write_hdf5, "::recordings/press"),
+        ("log.mat", write_matlab, "::press"),
+    ],
+)
+def test_tables_of_other_programs_with_their_headings_and_units(
+    tmp_path: Path, name: str, write: Callable[[Path], None], part: str
+) -> None:
+    write(tmp_path / name)
+    table = str(tmp_path / name) + part
+    suffix = ("_ms", "_mN", "_cm2") if name[-3:] in ("uet", ".h5", "mat") else ("", "", "")
+    columns = [a + b for a, b in zip(("Zeit", "Kraft", "Fläche"), suffix)]
+    if name.endswith("mat"):
+        columns[2] = "Flache_cm2"
+    settings = ImportSettings(
+        force=table,
+        area=table,
+        force_time=columns[0],
+        area_time=columns[0],
+        force_column=columns[1],
+        area_column=columns[2],
+        force_sign="negative",
+        moisture=["41.5", "42"],
+        **ABOUT,
+    )
+    import_trial(settings, tmp_path / "bag")
+    trials = check_trials(tmp_path / "bag")
+    assert [t.moisture for t in trials] == [41.75, 41.75]
+
+
+def test_dates_three_axes_tare_and_a_clock_that_differs(tmp_path: Path) -> None:
+    time = np.datetime64("2024-05-01T10:00:00") + (1e6 * TIME).astype("timedelta64[us]")
+    lines = ["when,Fx,Fy,Fz"]
+    force = force_at(TIME)
+    lines += [f"{w},{f + 0.3:.6f},{0.1 * f:.6f},0.2" for w, f in zip(time, force)]
+    (tmp_path / "force.csv").write_text("\n".join(lines))
+    unix = 1_714_557_600.0 - 3600.0  # the camera's clock is an hour behind
+    area = csv(tmp_path / "area.csv", "t,A", FRAMES + unix, area_at(FRAMES))
+    settings = ImportSettings(
+        force=str(tmp_path / "force.csv"),
+        area=area,
+        force_time="when",
+        force_column="Fx,Fy,Fz",
+        force_unit="N",
+        normal_axis="+x",
+        tare=0.4,
+        area_time="t",
+        area_column="A",
+        area_unit="mm2",
+        time_offset=3600.0,
+        **ABOUT,
+    )
+    import_trial(settings, tmp_path / "bag")
+    trials = check_trials(tmp_path / "bag", 1e-3)
+    middle = len(trials[0].force) // 2
+    assert trials[0].lateral_force[middle] == pytest.approx(0.1 * trials[0].force[middle], abs=1e-3)
+    assert load_start(tmp_path / "bag") == 1_714_557_600_000_000_000
+
+
+PIXEL = 2.5e-9
+
+
+def picture(area: float, rng: np.random.Generator) -> np.ndarray:
+    """FTIR-like frame (240, 320): ridges darken where the finger touches; area in mm²."""
+    y, x = np.mgrid[:240, :320]
+    radius = np.sqrt(area * 1e-6 / np.pi / PIXEL)
+    touched = (np.hypot(x - 160, y - 120) < radius) & (np.sin(x / 2.0) > 0)
+    image = np.where(touched, 60.0, 200.0) + rng.normal(0.0, 2.0, x.shape)
+    return image.clip(0, 255).astype(np.uint8)
+
+
+def test_a_video_and_a_folder_of_images_give_areas(files: dict[str, str], tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    times = np.arange(0.0, 4.0, 0.1)
+    video = cv2.VideoWriter(
+        str(tmp_path / "v.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 10.0, (320, 240), False
+    )
+    (tmp_path / "images").mkdir()
+    for number, time in enumerate(times):
+        image = picture(float(area_at(time)), rng)
+        video.write(image)
+        cv2.imwrite(str(tmp_path / "images" / f"press{number}.png"), image)
+    video.release()
+    csv(tmp_path / "times.csv", "image,time_ms", np.arange(len(times)), 1e3 * times)
+    sources: dict[str, dict[str, Any]] = {
+        "video": {"video": str(tmp_path / "v.avi")},
+        "images": {
+            "images": str(tmp_path / "images"),
+            "image_times": str(tmp_path / "times.csv"),
+            "area_time": "time_ms",
+            "keep_images": True,
+        },
+    }
+    for name, source in sources.items():
+        settings = ImportSettings(force=files["force"], area_per_pixel=PIXEL, **source, **ABOUT)
+        result = import_trial(settings, tmp_path / f"bag_{name}")
+        assert "press 1: 0 areas" in " ".join(result.notes)
+        assert validate(tmp_path / f"bag_{name}").fit
+        (trial,) = load_trials(tmp_path / f"bag_{name}").trials
+        frames = (trial.area_stamp_ns - load_start(tmp_path / f"bag_{name}")) * 1e-9
+        assert np.allclose(np.diff(frames), 0.1, atol=1e-6)
+        pressed = trial.area > 0
+        assert pressed.sum() > 20
+        true = area_at(frames[pressed])
+        # The ridges end up to a period before the outline.
+        assert np.allclose(trial.area[pressed] * 1e6, true, rtol=0.12)
+        with open_bag(tmp_path / f"bag_{name}") as reader:
+            kept = reader.topic("image_raw/compressed")
+            assert (kept is not None) == (name == "images")
+
+
+def test_a_table_of_trials_gives_a_folder_of_bags(files: dict[str, str], tmp_path: Path) -> None:
+    write_german(tmp_path / "log.csv")
+    (tmp_path / "trials.csv").write_text(
+        "force,area,subject,condition,moisture,force_time,area_time,force_column,area_column,"
+        "force_sign\n"
+        "force.csv,area.csv,S01,dry,40 42,,,,,\n"
+        "log.csv,log.csv,S02,dry,,Zeit,Zeit,Kraft,Fläche,negative\n"
+    )
+    out = tmp_path / "study"
+    assert command(["import", "-o", str(out), "--trials", str(tmp_path / "trials.csv")]) == 0
+    assert sorted(p.name for p in out.iterdir()) == ["S01_dry_00", "S02_dry_00"]
+    found = load_trials(out)
+    assert [t.subject for t in found] == ["S01", "S01", "S02", "S02"]
+    assert found.trials[0].moisture == 41.0 and np.isnan(found.trials[2].moisture)
+
+    (tmp_path / "twice.csv").write_text(
+        "force,area,subject,condition\nforce.csv,area.csv,S01,dry\nforce.csv,area.csv,S01,moist\n"
+    )
+    with pytest.raises(InputError, match=r"row 3: the force is that of row 2 once more"):
+        command(["import", "-o", str(tmp_path / "no"), "--trials", str(tmp_path / "twice.csv")])
+    assert not (tmp_path / "no").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"area_unit": "cm2"}, r"largest area is 7\d+ mm².*--area-unit"),
+        ({"area_unit": "m2"}, r"largest area is 7.*--area-unit"),
+        ({"force_unit": "kN"}, r"force goes up to 150. N.*--force-unit"),
+        ({"force_unit": "mN"}, r"no press of 0.2 N.*--force-unit"),
+        ({"force_sign": "negative"}, r"goes down to -1.5 N.*--force-sign"),
+        ({"time_offset": 100.0}, r"no area during a press.*--time-offset"),
+        ({"force_column": "Fz"}, r"'Fz' does not exist.*force_n.*--force-column"),
+        ({"condition": ""}, r"no condition.*--condition"),
+        ({"subject": "../S01"}, r"subject .* is no name"),
+        ({"moisture": ["1e9"]}, r"moisture '1e9' is no reading"),
+        ({"area": ""}, r"give one of --area, --video and --images"),
+        ({"area": "", "video": "v.mp4"}, r"--calibration .* or --area-per-pixel"),
+        ({"area": "", "video": "no.mp4", "area_per_pixel": 1e-9}, r"no\.mp4: no such video"),
+        ({"force": "nothing.csv"}, r"nothing\.csv: no such file"),
+        ({"force": __file__}, r"no table of a known kind.*\.csv"),
+        ({"area_per_pixel": 1e-9}, r"--area-per-pixel is for --video"),
+        ({"start": "yesterday"}, r"--start 'yesterday' is no date"),
+        ({"tare": 2.0}, r"varies by .* --tare"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused_and_nothing_is_written(
+    files: dict[str, str], tmp_path: Path, change: dict[str, Any], sentence: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        import_trial(ImportSettings(**{**files, **change}), tmp_path / "bag")
+    assert re.search(sentence, str(caught.value)), caught.value
+    assert not [p for p in tmp_path.iterdir() if p.suffix != ".csv"]
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("time_s,force_n\n0,0\n0.1,0.5\n0.05,1\n", r"row 4, column 'time_s': time runs back"),
+        ("time_s,force_n\n0,0\n0.1,much\n", r"row 3, column 'force_n': 'much' is no number"),
+        ("time_s,force_n\n0,0\n0.1,inf\n", r"row 3, column 'force_n': 'inf' is no finite"),
+        ("time_s,force_n\n", r"holds no row"),
+        ("", r"holds no row"),
+        ("time_s,force\n0,0\n1,2\n", r"column 'force_n' does not exist.*did you mean 'force'"),
+        ("t;F\n0;1\n", r"known are t, F"),
+    ],
+)
+def test_bad_rows_are_named(
+    files: dict[str, str], tmp_path: Path, text: str, sentence: str
+) -> None:
+    Path(files["force"]).write_text(text)
+    with pytest.raises(InputError) as caught:
+        import_trial(ImportSettings(**files), tmp_path / "bag")
+    assert re.search(sentence, str(caught.value)), caught.value
+
+
+@pytest.mark.parametrize("name", ["a.xlsx", "a.parquet", "a.h5", "a.mat", "a.npz"])
+def test_damaged_tables_are_refused_in_a_sentence(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(range(256)))
+    with pytest.raises(InputError, match=re.escape(name)):
+        read_table(str(tmp_path / name))
+
+
+def test_numbers_of_other_countries() -> None:
+    from finger_offline.importing.tables import of_rows
+
+    rows = [(1, ["a", "b"]), (2, ["1.234,5", "1,234.5"]), (3, ["-0,5", ""])]
+    table = of_rows("t", rows)
+    assert table.numbers("a").tolist() == [1234.5, -0.5]
+    assert table.numbers("b", gaps=True)[0] == 1234.5
+    with pytest.raises(InputError, match="row 3"):
+        table.numbers("b")

@@ -1,0 +1,55 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Creep of the skin is no lag of the clocks."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from finger_model.reduced import ReducedModel
+from finger_offline.lag import force_image_lag
+
+
+def presses(lag: float, parameters: np.ndarray | None, number: int = 4) -> list[Any]:
+    """Presses of 0.6 to 1.8 s with areas at 10 Hz that come late; None: a finger without creep."""
+    rng = np.random.default_rng(0)
+    model = ReducedModel.load()
+    found = []
+    for k in range(number):
+        rise = 0.6 + 0.4 * k
+        time, frames = np.arange(0, rise + 1.2, 0.002), np.arange(0, rise + 1.2, 0.1)
+        force = 1.5 * np.clip(np.minimum((time - 0.4) / rise, (rise + 0.75 - time) / 0.35), 0, 1)
+        if parameters is None:
+            area = 60e-6 * force**0.4
+        else:
+            area = model.batch(parameters[None], [(time, force, np.arange(len(time)))])[0][0]
+        seen = np.interp(frames - lag, time, area)
+        seen = np.where(seen > 0, np.maximum(seen + rng.normal(0, 1.5e-6, len(frames)), 0), 0)
+        found.append(
+            SimpleNamespace(
+                stamp_ns=(time * 1e9).astype(np.int64),
+                force=force,
+                area_stamp_ns=(frames * 1e9).astype(np.int64),
+                area=seen,
+            )
+        )
+    return found
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.08, -0.08, 0.15])
+def test_the_lag_of_the_clocks_is_found_whether_or_not_the_skin_creeps(lag: float) -> None:
+    natural = ReducedModel.load().space.default
+    for parameters in (None, natural, natural * [1.0, 0.7, 0.3, 0.6]):
+        assert force_image_lag(presses(lag, parameters)) == pytest.approx(lag, abs=0.04)
+
+
+def test_without_a_press_the_lag_is_unknown() -> None:
+    assert force_image_lag([]) is None
+    flat = presses(0.0, None, 1)
+    flat[0].force = np.full(len(flat[0].stamp_ns), 1.0)
+    assert force_image_lag(flat) is None

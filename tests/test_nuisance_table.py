@@ -1,0 +1,59 @@
+"""A small nuisance table: errors of a rig on the real reduced model, fitted with nuisances."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+
+@pytest.fixture(scope="module")
+def script(project_root: Path) -> Any:
+    """scripts/nuisance_table.py as a module."""
+    path = project_root / "scripts" / "nuisance_table.py"
+    spec = importlib.util.spec_from_file_location("nuisance_table", path)
+    assert spec and spec.loader
+    module = importlib.util.module_from_spec(spec)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(sys.modules, "nuisance_table", module)
+        spec.loader.exec_module(module)
+        yield module
+
+
+@pytest.fixture(scope="module")
+def rows(script: Any) -> dict[str, dict]:
+    """One seed of a few cases, without the finger's lengths (full-order runs)."""
+    cases = ("tare +0.05 N", "lag +80 ms", "published J, natural, three presses")
+    return {case: script.fit_case(case, 0, {}) for case in cases}
+
+
+def test_an_error_of_the_rig_does_not_move_e_out_of_its_interval(rows) -> None:
+    for case, row in rows.items():
+        found = row["composite_E"]
+        assert found["covered"], case
+        if not row["active"]:
+            assert abs(found["error"]) < 2 * found["deviation"], case
+    late = rows["lag +80 ms"]
+    assert late["deviations"]["lag"] < 0.02, "the presses tell the lag"
+    assert not late["tau1"]["covered_without"] or not late["composite_E"]["covered_without"]
+
+
+def test_scatter_of_the_published_size_is_stated(rows, script) -> None:
+    scatter = script.published_scatter("natural")
+    assert 0.25 < scatter < 0.45, "gains of 30 to 40 %"
+    few, many = rows["published J, natural, three presses"], rows["lag +80 ms"]
+    assert few["scatter"] > 0.2 > 5 * many["scatter"]
+    assert few["E2"]["deviation"] > 2 * many["E2"]["deviation"]
+
+
+def test_the_table_has_a_row_for_each_case(rows, script) -> None:
+    text = script.table(list(rows.values()))
+    for case in rows:
+        assert f"| {case} |" in text
+    assert "nan" not in text.replace("± nan", "")
+    found = script.summary([rows["lag +80 ms"]])
+    assert np.isfinite(found["bias"]) and found["coverage"] in (0.0, 1.0)
