@@ -62,6 +62,8 @@ def test_commands_reach_the_protocol_and_its_cues_come_back(
                             return message
                     while True:
                         received.append(await socket.receive_json())
+                        if received[-1]["type"] == "round":  # confirmed, as the page does
+                            await socket.send_json({**received[-1], "type": "got"})
                         if wanted.items() <= received[-1].items():
                             return received[-1]
 
