@@ -121,7 +121,7 @@ def test_a_mapping_file_names_the_topic_of_the_force_and_its_unit(
     [
         (["missing.mcap"], ["missing.mcap", "no such bag"]),
         (["{bags}", "--condition", "wet"], ["'wet'", "natural"]),
-        (["{bags}", "--bounds", "E0=9:1"], ["E0=9:1", "NAME=LOW:HIGH"]),
+        (["{bags}", "--bounds", "E0=9:1"], ["E0=9:1", "LOW < HIGH"]),
         (["{bags}", "--target-force", "9"], ["no trial can be fitted", "below the target"]),
         (["{bags}", "--bootstrap", "3", "--dask", "tcp://127.0.0.1:9"], ["tcp://127.0.0.1:9"]),
     ],

@@ -67,7 +67,13 @@ def test_it_predicts_areas_of_presses_that_it_has_not_seen(
     drive = (time, force, np.arange(151))
     (true,) = double.HereditaryModel().batch(double.TRUTH, [drive])
     assert areas.shape == (151,) and areas[0] == 0.0
-    assert np.allclose(areas, true[0], rtol=0.02, atol=1e-7)
+    assert np.allclose(areas[force >= 0.4], true[0][force >= 0.4], rtol=0.02)
+    # Near the onset, where the area grows fast, the lag that the fit cannot tell counts.
+    nuisance = result.result.fits["dry"].nuisance
+    assert nuisance is not None
+    late = 2.0 * nuisance.values["lag"].sd
+    assert np.all(true[0] >= 0.98 * np.interp(time - late, time, areas))
+    assert np.all(true[0] <= 1.02 * np.interp(time + late, time, areas) + 1e-7)
     frames = result.frames()
     assert len(result.predict()) == len(frames["area_mm2"])
     assert np.allclose(frames["residual_mm2"], frames["area_mm2"] - frames["predicted_mm2"])

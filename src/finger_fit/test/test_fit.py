@@ -112,7 +112,10 @@ def test_other_force_mode_is_fitted_to_the_same_trials(double) -> None:
     records = []
     for name, E1 in (("dry", 43e3), ("natural", 22e3)):
         truth = np.array([120e3, E1, 0.2, 1500e3])
-        records += [double.make_record(i, 0.8, condition=name, truth=truth) for i in range(3)]
+        for i in range(3):
+            # No press is another one's copy, which would be left out.
+            ramp = 0.7 + 0.1 * i
+            records.append(double.make_record(i, ramp, condition=name, truth=truth))
     for record in records:
         record.bag = "session"
     result = fit_records(records, double.HereditaryModel(), FitOptions(**QUICK, rounds=5))
