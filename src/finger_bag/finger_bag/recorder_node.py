@@ -136,6 +136,8 @@ class RecorderNode(ManagedNode):
         self._latched: dict[str, deque[Serialized]] = {}
         self._gaps: dict[str, StampGaps] = {}
         self._announced: dict[str, int] = {}
+        self._newest: dict[str, int] = {}
+        """Log time of the last message of each topic."""
         self._host_clock = HostClock()
         self._pauses = Pauses(1.0, 3.0)
         self._next_attempt = self._last_attempt = self._next_reminder = 0.0
@@ -207,6 +209,8 @@ class RecorderNode(ManagedNode):
         now = self._host_clock.now()
         earliest = now - round(_LONGEST_DELAY * NANOSECONDS)
         received = self._host_clock.of_stamp(info.get("received_timestamp") or None, earliest)
+        # What the middleware had to send again keeps its place among its publisher's messages.
+        received = self._newest[topic] = max(received, self._newest.get(topic, 0))
         sent = self._host_clock.of_stamp(info.get("source_timestamp") or None, 0)
         message = Serialized(topic, kind, cdr, received, min(sent, received))
         if latched:

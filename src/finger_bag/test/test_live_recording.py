@@ -132,7 +132,9 @@ def test_processing_a_live_recording_gives_the_published_states_bit_for_bit(
 
     names = ("--ros-args", "-r", "__ns:=/finger")
     model = process("-m", "finger_model.model_node", *names, *RELIABLE)
-    recorder = process("-m", "finger_bag.recorder_node", *names, *RELIABLE)
+    # A recorder that gets no processor for seconds loses nothing either.
+    buffered = ("-p", "buffer_time:=60.0")
+    recorder = process("-m", "finger_bag.recorder_node", *names, *RELIABLE, *buffered)
     for publisher in (rig.wrench, rig.area, rig.moisture):
         rig.until(lambda p=publisher: p.get_subscription_count() == 2, "model and recorder")
     for topic in ("/finger/contact_state", "/finger/model_events"):

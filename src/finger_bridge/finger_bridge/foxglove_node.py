@@ -38,7 +38,7 @@ T = TypeVar("T")
 POLL = 0.02
 """s between readings of the topics that clients show."""
 
-FOUND = 1.0
+FOUND = 5.0
 """s within which a service that exists is found."""
 
 ANSWER = 5.0

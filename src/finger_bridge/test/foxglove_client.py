@@ -10,6 +10,7 @@ import functools
 import itertools
 import json
 import struct
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -52,7 +53,7 @@ class FoxgloveClient:
         return found
 
     async def _take(self) -> None:
-        message = await asyncio.wait_for(self._socket.receive(), 30)
+        message = await asyncio.wait_for(self._socket.receive(), 120)
         if message.type is aiohttp.WSMsgType.BINARY:
             self._take_binary(message.data)
             return
@@ -139,11 +140,12 @@ class FoxgloveClient:
 async def with_client(port: int, body: Callable[[FoxgloveClient], Any]) -> Any:
     """Run a coroutine with a client of the server on that port, once the server is there."""
     async with aiohttp.ClientSession() as session:
-        for _ in range(600):
+        until = time.monotonic() + 120
+        while time.monotonic() < until:
             try:
                 url = f"ws://127.0.0.1:{port}"
                 async with session.ws_connect(url, protocols=["foxglove.sdk.v1"]) as socket:
-                    return await asyncio.wait_for(body(FoxgloveClient(socket)), 60)
+                    return await asyncio.wait_for(body(FoxgloveClient(socket)), 240)
             except aiohttp.ClientConnectorError:
                 await asyncio.sleep(0.1)
         raise AssertionError("Foxglove is not served")

@@ -126,7 +126,9 @@ def test_a_client_sees_topics_sets_parameters_and_calls_services(
         await with_client(port, second_client)
 
         # Parameters: all, one changed, one refused with the reason.
-        values = await client.parameters()
+        values: dict[str, Any] = {}
+        while not {"/foxglove.port", "/protocol.trials"} <= set(values):
+            values = await client.parameters()  # of the nodes discovered so far
         assert values["/foxglove.port"] == port and values["/protocol.trials"] == 15
         assert await client.set_parameters(protocol__trials=3, protocol__target_force=1) == {
             "/protocol.trials": 3,

@@ -30,7 +30,7 @@ from finger_common.errors import FingerError
 from finger_common.flags import StateFlag
 from finger_common.moisture import MOISTURE_TEXT
 from finger_common.node import (
-    LATCHED_QOS,
+    EVENTS_QOS,
     FixedMessage,
     LocalSubscription,
     ManagedNode,
@@ -169,7 +169,7 @@ class ModelNode(ManagedNode):
         self._state_publisher = self.create_stream_publisher(
             ContactState, "contact_state", self.stream_qos(publisher=True)
         )
-        self._event_publisher = self.create_publisher(ModelEvent, "model_events", LATCHED_QOS)
+        self._event_publisher = self.create_publisher(ModelEvent, "model_events", EVENTS_QOS)
         self._local = LocalSubscription(self, values["wrench_topic"], self._on_sample, self.fail)
         self._follow_wrench()
         area = self.create_stream_subscription(ContactArea, "contact_area", self._on_area, qos)

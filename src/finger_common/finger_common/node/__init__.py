@@ -12,11 +12,12 @@ process.
 from .local import LocalPublisher, LocalSubscription
 from .managed import FrameSettings, ManagedNode, NodeSettings
 from .polling import POLLED_DEPTH, PolledSubscription
-from .qos import LATCHED_QOS, STATE_QOS
+from .qos import EVENTS_QOS, LATCHED_QOS, STATE_QOS
 from .running import main_of, run_node, use_large_shared_memory
 from .serialized import FixedMessage
 
 __all__ = [
+    "EVENTS_QOS",
     "LATCHED_QOS",
     "POLLED_DEPTH",
     "STATE_QOS",

@@ -31,10 +31,18 @@ LATCHED_QOS = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
-"""QoS of `model_events` and `moisture`, and of readers that must not miss a message of `trial`.
+"""QoS of `moisture`, and of readers of `model_events` and `trial`.
 
 Late joiners receive the messages published before: a recorder that starts after the model records
 the events that determine the model's state."""
+
+EVENTS_QOS = QoSProfile(
+    depth=200,
+    history=HistoryPolicy.KEEP_LAST,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+"""QoS of the publisher of `model_events`: none may be lost, and late areas make bursts of them."""
 
 STATE_QOS = QoSProfile(
     depth=1,

@@ -179,6 +179,7 @@ class NetFtSource(ForceSource):
         self._last: rdt.Record | None = None
         self._held: tuple[rdt.Record, int] | None = None
         self._internal: int | None = None
+        self._stamp = 0
         self._mapper.restart()
         self._last_record = time.monotonic()
 
@@ -339,6 +340,8 @@ class NetFtSource(ForceSource):
         )
         if other_rate:
             stamp = received
+        # Back from times of receipt, the mapped ones may begin a little earlier.
+        self._stamp = stamp = max(stamp, self._stamp + 1)
         if self.clock.now() - received > _OLD * 1e9:
             self.health.count("skipped")
             self._pending.clear()
