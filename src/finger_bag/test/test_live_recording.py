@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from finger_bag.reader import open_bag
+from finger_common.stamps import header_stamp
 from finger_offline.process import process as run_offline
 from finger_offline.process_options import ProcessOptions
 
@@ -159,13 +160,34 @@ def test_processing_a_live_recording_gives_the_published_states_bit_for_bit(
 
     result = run_offline(tmp_path / "live", tmp_path / "again")
     assert result.replayed
-    assert states(tmp_path / "again") == states(tmp_path / "live")
+    again, live = states(tmp_path / "again"), states(tmp_path / "live")
+    differing = next((i for i, pair in enumerate(zip(again, live)) if pair[0] != pair[1]), None)
+    assert differing is None, report(tmp_path, differing)
+    assert again == live
     assert len(states(tmp_path / "live")) == SAMPLES
     # The events matter: without the change of the setting other states come out.
     run_offline(
         tmp_path / "live", tmp_path / "other", ProcessOptions(estimator={"onset_force": 0.06})
     )
     assert states(tmp_path / "other") != states(tmp_path / "live")
+
+
+def report(folder: Path, index: int) -> str:
+    """Flags of the states around one that differs, and the recorded inputs and events."""
+    lines = []
+    for name in ("again", "live"):
+        with open_bag(folder / name) as reader:
+            found = [m.message for m in reader.messages(["/finger/contact_state"])]
+            found.sort(key=lambda m: header_stamp(m))
+            begin = header_stamp(found[0])
+            lines.append(f"{name} from {index}: {[m.flags for m in found[index - 1 : index + 3]]}")
+            for m in reader.messages(["/finger/contact_area", "/finger/model_events"]):
+                at = (header_stamp(m.message) - begin) // 2_000_000
+                logged = (m.log_time_ns - begin) / 2e6
+                what = getattr(m.message, "reason", "area")
+                late = str(m.message.settings).partition("late")[2] if what != "area" else ""
+                lines.append(f"  {at} {what} {late} logged at {logged:.0f}")
+    return "\n".join(lines)
 
 
 def states(bag: Path) -> list[bytes]:

@@ -12,11 +12,14 @@ from typing import Any
 
 from finger_bag.reader import BagMessage
 
-AREA_WAIT_NS = 1_000_000_000
-"""Log time after which an area or reading is used; events that name late ones precede it."""
-
 WRENCH_WAIT_NS = 2_000_000_000
 """Log time after which a wrench is used; areas later than this were late in a live run too."""
+
+BACKLOG_NS = 30_000_000_000
+"""The same where recorded events say what was late: so far the model node may have been behind."""
+
+HEAD_START_NS = 1_000_000_000
+"""Log time that areas and readings are used before a wrench logged with them."""
 
 BLOCK = 4000
 """Wrenches that are handed over at once."""
@@ -27,9 +30,16 @@ MAXIMUM_WAITING = 50_000
 
 
 class InputOrder:
-    """Holds wrenches, areas and readings until no later message of the bag can precede them."""
+    """Holds wrenches, areas and readings until no later message of the bag can precede them.
 
-    def __init__(self) -> None:
+    follow_events: recorded events tell which inputs were late and when settings changed. A model
+    node that had no processor for seconds published them as much later than the bag holds the
+    inputs.
+    """
+
+    def __init__(self, follow_events: bool) -> None:
+        self.wait_ns = BACKLOG_NS if follow_events else WRENCH_WAIT_NS
+        """Log time after which a wrench is used."""
         self._wrenches: deque[BagMessage] = deque()
         # Log time, number of the input, whether it is a reading, arguments for the estimator.
         self._inputs: list[tuple[int, int, bool, tuple[Any, ...]]] = []
@@ -57,14 +67,16 @@ class InputOrder:
         self._count += 1
         heapq.heappush(self._inputs, (log_ns, self._count, moisture, values))
 
-    def inputs_until(self, log_ns: int) -> Iterator[tuple[bool, tuple[Any, ...]]]:
-        """Take areas and readings logged until then: (is a reading, estimator's arguments)."""
+    def inputs_due(self, now_ns: int) -> Iterator[tuple[bool, tuple[Any, ...]]]:
+        """Take areas and readings that have waited: (is a reading, estimator's arguments)."""
+        log_ns = now_ns - self.wait_ns + HEAD_START_NS
         while self._inputs and self._inputs[0][0] <= log_ns:
             _, _, moisture, values = heapq.heappop(self._inputs)
             yield moisture, values
 
-    def wrenches_until(self, log_ns: int) -> Iterator[list[BagMessage]]:
-        """Take wrenches logged until then, in blocks; earlier when too many wait."""
+    def wrenches_due(self, now_ns: int) -> Iterator[list[BagMessage]]:
+        """Take wrenches that have waited, in blocks; earlier when too many wait."""
+        log_ns = now_ns - self.wait_ns
         waiting = self._wrenches
         while waiting and ((full := self.full) or waiting[0].log_time_ns <= log_ns):
             block: list[BagMessage] = []

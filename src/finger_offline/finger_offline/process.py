@@ -30,7 +30,7 @@ from finger_model.parameter_sets import ParameterSets
 
 from .contact_states import open_table
 from .image_areas import ImageAreas, MeasuringThread
-from .input_order import AREA_WAIT_NS, WRENCH_WAIT_NS, InputOrder
+from .input_order import HEAD_START_NS, InputOrder
 from .input_topics import InputTopics
 from .output_bag import OutputBag
 from .process_options import ProcessOptions
@@ -122,7 +122,8 @@ class _Run:
     ) -> None:
         self.reader, self.mapping, self.topics = reader, options.mapping, topics
         self.estimator, self.images, self.output, self.sinks = estimator, images, output, sinks
-        self.queue = InputOrder()
+        # Images are not held for so long: they need memory.
+        self.queue = InputOrder(topics.events is not None and topics.image is None)
         self.malformed = Malformed()
         self.decode = reader.decoder(topics.wrench, reader.info.topics[topics.wrench].type)
         self.started = False
@@ -165,7 +166,7 @@ class _Run:
         if late and not replayed:
             problems.append(
                 f"{late} areas were logged more than "
-                f"{seconds(WRENCH_WAIT_NS - AREA_WAIT_NS):.0f} s after their stamp and "
+                f"{seconds(HEAD_START_NS):.0f} s after their stamp and "
                 "were not used"
             )
         duration = self.reader.info.duration
@@ -234,13 +235,13 @@ class _Run:
 
     def _hand_over(self, now_ns: int) -> None:
         """Give the estimator what no later message can precede."""
-        self._collect_areas(now_ns - AREA_WAIT_NS)
-        for moisture, values in self.queue.inputs_until(now_ns - AREA_WAIT_NS):
+        self._collect_areas(now_ns - self.queue.wait_ns + HEAD_START_NS)
+        for moisture, values in self.queue.inputs_due(now_ns):
             if moisture:
                 self.estimator.add_moisture(*values)
             else:
                 self.estimator.add_area(*values)
-        for items in self.queue.wrenches_until(now_ns - WRENCH_WAIT_NS):
+        for items in self.queue.wrenches_due(now_ns):
             self._estimate(items)
 
     def _estimate(self, items: Sequence[BagMessage]) -> None:

@@ -124,11 +124,12 @@ def test_serialized_states_equal_those_encoded_one_by_one() -> None:
             assert cdr == encode(STATE, state_fields(estimate, frame_id))
 
 
-def live_recording(path: Path) -> list[bytes]:
+def live_recording(path: Path, behind_ns: int = 0) -> list[bytes]:
     """A bag as the recorder makes it beside a live model node: inputs, events, and what was
     published.
 
-    With a late area, a change of settings and a reset on the way. Gives the published states.
+    With a late area, a change of settings and a reset on the way. behind_ns: what the node is
+    behind, so that its events are logged as much later. Gives the published states.
     """
     estimator = ContactEstimator(ReducedModel.load(), None, EstimatorSettings(drift_sd=0.05))
     published = []
@@ -139,7 +140,7 @@ def live_recording(path: Path) -> list[bytes]:
             nonlocal sequence
             fields = event_fields(event, sequence)  # type: ignore[arg-type]
             sequence += 1
-            bag.write("model_events", fields, log)
+            bag.write("model_events", fields, log + behind_ns)
 
         tell(estimator.start_event(START), START)
         for i in range(6000):
@@ -176,10 +177,11 @@ def live_recording(path: Path) -> list[bytes]:
     return published
 
 
+@pytest.mark.parametrize("behind_ns", [0, 5_000_000_000])
 def test_processing_a_recording_gives_what_the_live_node_published_bit_for_bit(
-    tmp_path: Path,
+    tmp_path: Path, behind_ns: int
 ) -> None:
-    published = live_recording(tmp_path / "live")
+    published = live_recording(tmp_path / "live", behind_ns)
     result = process(tmp_path / "live", tmp_path / "out")
     assert result.replayed
     with open_bag(tmp_path / "out") as reader:

@@ -78,6 +78,7 @@ class ContactEstimator:
         self._state = FilterState(model)
         self._events: list[EstimatorEvent] = []
         self._jumps: set[int] = set()
+        self._after_jump: list[EstimatorEvent] = []
         self._moisture: tuple[int, float] | None = None
         self._one_stamp = np.zeros(1, np.int64)
         self._one_force = np.zeros((1, 3))
@@ -162,6 +163,10 @@ class ContactEstimator:
                 f"the event was recorded with reduced model {event.model_hash[:8]}, this one is "
                 f"{self.model.hash[:8]}; use the same model file"
             )
+        if self._jumps:
+            # Stamps of the time after the jump mean nothing before it.
+            self._after_jump.append(event)
+            return
         if event.is_time_jump:
             # Its stamp lies before samples already processed; it belongs to the sample that steps
             # back to it.
@@ -249,7 +254,6 @@ class ContactEstimator:
             return True
         if stamp_ns in self._jumps:
             # Recorded by a node that saw its clock jump back to here.
-            self._jumps.discard(stamp_ns)
             self._jump_back(stamp_ns)
             return True
         if stamp_ns == newest:
@@ -342,6 +346,10 @@ class ContactEstimator:
     def _jump_back(self, stamp_ns: int) -> None:
         """Time jumped back to `stamp_ns`: reset the state and flag the next estimate."""
         self._inputs.jump_back(stamp_ns)
+        self._jumps.clear()
+        later, self._after_jump = self._after_jump, []
+        for event in later:
+            self.apply_event(event)
         self._moisture = None
         self._configure()
         self._state.reset()
