@@ -3,10 +3,11 @@
     python scripts/nuisance_table.py [--seeds 20] [--cases tare,lag] [--output DIR] [--write]
 
 Simulated presses with known truth: the reduced model makes the areas and fits them, so that the
-bias is that of the error alone (the bias of the reduced model itself: scripts/recovery.py). The
-answer to the finger's lengths comes from the full-order model, as in a fit. Every seed gives the
-same presses new noise. "scatter" cases: gains of whole presses so large that the power law's J is
-the published one. "all" draws every error from its prior.
+bias is that of the error alone (the bias of the reduced model itself: scripts/recovery.py). What
+another epidermis does to the true areas comes from the full-order model; the fit knows it from the
+reduced model of all fingers. Every seed gives the same presses new noise. "scatter" cases: gains
+of whole presses so large that the power law's J is the published one. "all" draws every error from
+its prior.
 
 Columns: mean error of E; mean standard deviation that the fits state; the larger goal, 3 % or half
 of it; share of 95 % intervals that hold the truth. Writes nuisances.json, and with --write the
@@ -36,7 +37,12 @@ from finger_common.files import atomic_write
 from finger_fit.engine import LocalEngine
 from finger_fit.full_order import FullOrder
 from finger_fit.nuisance.estimate import NuisanceModel
-from finger_fit.nuisance.geometry import FullOrderGeometry, Response, geometry_responses
+from finger_fit.nuisance.geometry import (
+    FullOrderGeometry,
+    PopulationGeometry,
+    Response,
+    geometry_responses,
+)
 from finger_fit.options import FitOptions
 from finger_fit.problem import MM4, FitProblem, fit_power_law, prepare_all
 from finger_fit.search import all_free, refine
@@ -203,15 +209,15 @@ def problem_of(
 
 
 def responses_of(name: str, folder: Path | None) -> dict[str, Response]:
-    """Answers of a condition's presses to the finger's lengths, computed once and kept."""
-    path = None if folder is None else folder / f"lengths_{name}.pickle"
+    """True answers of a condition's presses to the epidermis, computed once and kept."""
+    path = None if folder is None else folder / f"epidermis_{name}.pickle"
     if path is not None and path.exists():
         return pickle.loads(path.read_bytes())
     options = FitOptions(step=STEP)
     problem = problem_of(name, Rig(), 0, options)
     better = FullOrderGeometry(FullOrder.like(model(), InProcess()))
     truth = STUDY[name].material.vector()
-    found = geometry_responses(problem, truth, better, options.lengths())
+    found = geometry_responses(problem, truth, better, {"epidermis_thickness": 0.25})
     if path is not None:
         with atomic_write(path, "wb") as file:
             pickle.dump(found, file)
@@ -234,7 +240,10 @@ def drawn_rig(rig: Rig, options: FitOptions, rng: np.random.Generator) -> Rig:
 def fit_case(
     case: str, seed: int, responses: dict[str, Response], options: FitOptions | None = None
 ) -> dict[str, Any]:
-    """One fit with nuisances and one without, of one case and seed, both from the truth."""
+    """One fit with nuisances and one without, of one case and seed, both from the truth.
+
+    responses: true answers to the epidermis, needed where a case changes it.
+    """
     name, rig = CASES[case]
     options = options or FitOptions(step=STEP)
     if rig.scatter < 0:
@@ -247,7 +256,9 @@ def fit_case(
     plain = problem_of(name, rig, seed, replace(options, nuisances=False), answer)
     alone = refine(plain, all_free(plain), truth)
     problem = problem_of(name, rig, seed, options, answer)
-    found = NuisanceModel(problem, options, responses).settle(np.vstack([truth, alone.parameters]))
+    population = PopulationGeometry.like(model()) if options.lengths() else None
+    nuisances = NuisanceModel(problem, options, population=population)
+    found = nuisances.settle(np.vstack([truth, alone.parameters]))
     fit, known = found.fit, covariance(problem, found.fit.parameters)
     out |= {
         "J_power_law": fit_power_law(plain).cost * MM4,

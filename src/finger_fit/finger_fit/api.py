@@ -174,11 +174,22 @@ class Fit:
     def intervals(self) -> ByCondition:
         """Condition → quantity → 95 % interval (low, high) by profile likelihood, else bootstrap.
 
-        An end at the bound of the search box means that the data do not limit it.
+        They hold all that is unknown, also the assumed lengths of the finger and the gain of all
+        areas. An end at the bound of the search box means that the data do not limit it.
         """
         found = ByCondition()
         for name, condition in self.result.fits.items():
             ends = {q: _interval(condition, q) for q in condition.space.quantity_names}
+            found[name] = {q: interval for q, interval in ends.items() if interval is not None}
+        return found
+
+    @property
+    def data_intervals(self) -> ByCondition:
+        """Condition → quantity → 95 % interval (low, high) from the data alone: if the lengths of
+        the finger and the gain of all areas were as assumed."""
+        found = ByCondition()
+        for name, condition in self.result.fits.items():
+            ends = {q: condition.data_interval(q) for q in condition.space.quantity_names}
             found[name] = {q: interval for q, interval in ends.items() if interval is not None}
         return found
 
@@ -241,14 +252,17 @@ class Fit:
         return {name: np.array([row[name] for row in rows]) for name in rows[0]}
 
     def summary(self) -> str:
-        """A table of the parameters with their intervals, as text."""
-        lines = []
+        """A table of the parameters as text: 95 % intervals, and those from the data alone."""
+        lines = ["95 % intervals; data: from the data alone, lengths and gain as assumed"]
         for name, found in self.result.fits.items():
             lines.append(f"{name or 'all'} ({len(found.problem)} presses): {found.status}")
             for quantity in map(found.space.describe, found.space.quantity_names):
                 ends = _interval(found, quantity.name)
                 text = quantity.text(found.quantity(quantity.name))
                 span = f"  [{quantity.text(ends[0])}, {quantity.text(ends[1])}]" if ends else ""
+                alone = found.data_interval(quantity.name)
+                if alone is not None:
+                    span += f"  data [{quantity.text(alone[0])}, {quantity.text(alone[1])}]"
                 lines.append(f"  {quantity.name:12} {text:>9}{span} {quantity.display_unit}")
         return "\n".join(lines)
 

@@ -141,6 +141,14 @@ def command(argv: Sequence[str] | None = None) -> int:
     for exclusion in result.exclusions:
         print(f"excluded: {plain(exclusion.label)}: {plain(exclusion.reason)}")
     for name, fit in result.fits.items():
+        headline = fit.space.describe(fit.space.headline)
+        ends, alone = fit.profiles.get(headline.name), fit.data_interval(headline.name)
+        if ends is not None and alone is not None:
+            whole, part = (" to ".join(map(headline.text, e)) for e in (ends.interval, alone))
+            print(
+                f"{plain(name)}: {headline.symbol} {whole} {headline.display_unit} (95 %); from "
+                f"the data alone, with lengths and gain as assumed, {part}"
+            )
         if fit.nuisance is not None and fit.nuisance.unknown:
             names = ", ".join(map(name_of, fit.nuisance.unknown))
             print(f"{plain(name)}: not estimated by these data: {names}; see the report")

@@ -7,14 +7,21 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.optimize import minimize
 
 from finger_common.errors import InputError
+from finger_fit.full_order import FullOrder
 from finger_fit.nuisance.estimate import NuisanceModel
-from finger_fit.nuisance.geometry import Response, geometry_responses
+from finger_fit.nuisance.geometry import (
+    FullOrderGeometry,
+    PopulationGeometry,
+    Response,
+    geometry_responses,
+)
 from finger_fit.nuisance.names import COLLAPSE, LAG, TARE
 from finger_fit.options import FitOptions
 from finger_fit.problem import MM4, FitProblem, Goal, Nuisances, prepare_all, unloaded_tare
@@ -23,6 +30,7 @@ from finger_fit.search import all_free, refine
 from finger_fit.study import fit_records
 from finger_fit.uncertainty import bias_pair, covariance, in_interval
 from finger_model.geometry import Geometry
+from finger_model.reduced import ReducedModel
 
 NOISE = 1e-6
 """m², of the areas of these presses."""
@@ -293,6 +301,61 @@ def test_lengths_enter_by_the_answer_of_the_areas(double) -> None:
     best = result.fit.parameters
     assert in_interval(problem, "composite_E", truth, best, result.fit.cost, known)
     assert known.budget("composite_E")["epidermis_thickness"] > 0
+
+
+def test_the_population_model_answers_as_the_full_order_does(double) -> None:
+    """One deviation of each length, at every frame of three presses."""
+    model = ReducedModel.load()
+    options = FitOptions()
+    problem = FitProblem(double.make_problem(trials=3).trials, model, options)
+    population = PopulationGeometry.like(model)
+    assert population is not None
+    found = population.responses(problem, model.space.default, options.lengths())
+    full = FullOrderGeometry(FullOrder.like(model))
+    lengths = {n: sd for n, sd in options.lengths().items() if n != "bone_semi_axis_axial"}
+    exact = geometry_responses(problem, model.space.default, full, lengths)
+    assert set(found) == set(options.lengths())
+    for name, deviation in lengths.items():
+        error = deviation * (found[name][0] - exact[name].on(problem)[0])
+        assert np.sqrt(np.mean(error**2)) < 0.006, name
+    # A thick pad on a small bone lies outside the box, and no model of the test has lengths.
+    outside = replace(model.geometry, pad_semi_axis_radial=14e-3, nail_radius=7e-3)
+    assert PopulationGeometry.like(SimpleNamespace(geometry=outside)) is None
+    assert PopulationGeometry.like(double.HereditaryModel()) is None
+
+
+def test_lengths_widen_the_interval_but_not_that_from_the_data(double) -> None:
+    """Conditions share their finger: a contrast is told apart that two fingers would not be."""
+    records = []
+    for name, E1 in (("dry", 40e3), ("natural", 22e3)):
+        truth = np.array([120e3, E1, 0.2, 1500e3])
+        for i in range(4):
+            record = double.make_record(i, 0.7 + 0.3 * i, NOISE, condition=name, truth=truth)
+            records.append(record)
+    quick = {"grid": 3, "rounds": 5, "full_order": False, "bootstrap": 0, "bias_pairs": 0}
+    wide = {}
+    for gain in (0.02, 0.15):
+        options = FitOptions(area_gain_sd=gain, **quick)
+        wide[gain] = fit_records(records, double.HereditaryModel(), options)
+    fits = {gain: found.fits["dry"] for gain, found in wide.items()}
+    narrow, broad = (fits[g].data_deviation("composite_E") for g in (0.02, 0.15))
+    assert broad == pytest.approx(narrow, rel=0.1)
+    assert fits[0.15].assumed_deviation("composite_E") > 0.15
+    low, high = fits[0.15].data_interval("composite_E")
+    profile = fits[0.15].profiles["composite_E"].interval
+    assert profile[0] < low < fits[0.15].quantity("composite_E") < high < profile[1]
+    entry = fit_dict(wide[0.15])["conditions"]["dry"]["from_data"]["composite_E"]
+    assert entry["sd_log_assumed"] == pytest.approx(fits[0.15].assumed_deviation("composite_E"))
+    (ratio,) = (c for c in wide[0.15].contrasts if c.quantity == "composite_E")
+    alone = np.hypot(*(f.covariance.deviation("composite_E") for f in wide[0.15].fits.values()))
+    shown = np.log(ratio.ratio_95[1] / ratio.ratio_95[0]) / 3.92
+    assert shown < 0.75 * alone, "what both conditions share cancels"
+    assert (
+        ratio.ratio_95[0]
+        < double.composite(np.array([120e3, 40e3, 0.2, 1500e3]))
+        / (double.composite(np.array([120e3, 22e3, 0.2, 1500e3])))
+        < ratio.ratio_95[1]
+    )
 
 
 def test_a_fit_names_what_it_cannot_estimate(double, tmp_path) -> None:

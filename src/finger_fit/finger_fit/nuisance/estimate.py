@@ -20,7 +20,7 @@ import numpy as np
 from ..options import FitOptions
 from ..problem import PRESS_GAIN, FitProblem, FitTrial, Nuisances, fit_power_law
 from ..search import LocalFit, all_free, refine
-from .geometry import Response
+from .geometry import PopulationGeometry, Response
 from .names import AREA_GAIN, COLLAPSE, LAG, TARE, TRIAL_TARE
 
 TRIAL_SHARE = 0.25
@@ -69,7 +69,8 @@ class _State:
 class NuisanceModel:
     """The nuisances of one problem and their priors.
 
-    responses: to the finger's lengths, with their deviations; none are allowed for without.
+    responses: to the finger's lengths, with their deviations; population: gives them anew at each
+    estimate. Lengths are allowed for with one of the two.
     """
 
     def __init__(
@@ -77,10 +78,14 @@ class NuisanceModel:
         problem: FitProblem,
         options: FitOptions,
         responses: Mapping[str, Response] | None = None,
+        population: PopulationGeometry | None = None,
     ) -> None:
-        self.problem, self.options = problem, options
+        self.problem, self.options, self.population = problem, options, population
         self.responses = {name: found.on(problem) for name, found in (responses or {}).items()}
-        self.lengths = {n: sd for n, sd in options.lengths().items() if n in self.responses}
+        wanted = {n: sd for n, sd in options.lengths().items() if n != options.extra}
+        if population is not None:
+            self.responses = population.responses(problem, problem.space.default, wanted)
+        self.lengths = {n: sd for n, sd in wanted.items() if n in self.responses}
         self.redrivable = all(t.recording is not None for t in problem.trials)
         number = len(problem)
         self.rests = np.array([t.rest.force if t.rest else np.nan for t in problem.trials])
@@ -162,6 +167,8 @@ class NuisanceModel:
                     rows.append(problem.areas(parameters)[0])
                 slopes[name] = (rows[0] - rows[1]) / (2.0 * step)
             problem.redrive(self._drives(0.0, 0.0))
+        if self.population is not None:
+            self.responses = self.population.responses(problem, parameters, self.lengths)
         factor = self._factor()
         areas = problem.areas(parameters)[0] * factor
         names: list[str] = []

@@ -1,23 +1,31 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""How the areas of a fit answer to the finger's lengths."""
+"""How the areas of a fit answer to the finger's lengths.
+
+Inside the population box by the reduced model of all fingers, at every frame and wherever the fit
+goes. Elsewhere by full-order runs of three presses at one set of parameters.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import functools
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from finger_common.errors import InputError
 from finger_model.geometry import Geometry
+from finger_model.laws import ConstitutiveLaw, MaxwellLaw
+from finger_model.reduced import ReducedModel
+from finger_model.reduced.model import load_population
 
 from ..engine import Done
 from ..full_order import FullOrder
 from ..full_order.areas import trial_areas
-from ..problem import FitProblem, FitTrial
+from ..problem import FitProblem, FitTrial, batch_areas, material_of
 
 REFINEMENT = 0.5
 """Of the mesh of the full-order runs. It errs by 1 % of the area, nearly the same in both runs of a
@@ -90,6 +98,85 @@ class FullOrderGeometry:
         return self.full_order.engine.map(trial_areas, shared, items, self.done)
 
 
+@functools.lru_cache(maxsize=64)
+def _population(geometry: Geometry, material: ConstitutiveLaw) -> ReducedModel:
+    return load_population(geometry).for_material(material)
+
+
+@dataclass(frozen=True)
+class PopulationGeometry:
+    """By the reduced model of the population box: milliseconds for all presses.
+
+    Both sides of a difference come from the same model: beside full-order runs on a coarse mesh
+    the answers of the default finger agree to 0.3 % of the area for one deviation of each length.
+    """
+
+    geometry: Geometry
+    material: ConstitutiveLaw
+
+    @classmethod
+    def like(cls, model: Any) -> PopulationGeometry | None:
+        """For the finger of a model; None where no reduced model serves it."""
+        geometry, material = getattr(model, "geometry", None), material_of(model)
+        if geometry is None or not isinstance(material, MaxwellLaw):
+            return None
+        try:
+            _population(geometry, material)
+        except InputError:
+            return None
+        return cls(geometry, material)
+
+    def areas(
+        self, parameters: np.ndarray, geometry: Geometry, trials: Sequence[FitTrial]
+    ) -> list[np.ndarray]:
+        """Areas (k,) in m² at the frames of each trial for parameters (N,); raises InputError for
+        a finger outside the box."""
+        drives = [(t.time, t.force, t.frames) for t in trials]
+        model = _population(geometry, self.material)
+        return [found[0] for found in batch_areas(model, parameters[None], drives)]
+
+    def responses(
+        self, problem: FitProblem, parameters: np.ndarray, lengths: Mapping[str, float]
+    ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Slope and bend (n,) at all frames, as of `Response.on`, at parameters (N,)."""
+        base = np.concatenate(self.areas(parameters, self.geometry, problem.trials))
+
+        def change(name: str, x: float) -> np.ndarray | None:
+            try:
+                changed = _with_length(self.geometry, name, x)
+                areas = np.concatenate(self.areas(parameters, changed, problem.trials))
+            except InputError:
+                return None
+            usable = (base > 0) & (areas > 0)
+            return np.log(np.where(usable, areas, 1.0) / np.where(usable, base, 1.0))
+
+        return _slopes(change, lengths)
+
+
+def _with_length(geometry: Geometry, name: str, x: float) -> Geometry:
+    """A geometry with one length multiplied by exp(x); raises InputError where it is no finger."""
+    return replace(geometry, **{name: getattr(geometry, name) * float(np.exp(x))})
+
+
+def _slopes(
+    change: Callable[[str, float], np.ndarray | None], lengths: Mapping[str, float]
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Slope and bend of a change ln A(x) − ln A(0), by differences of one deviation.
+
+    change(name, x): None where there is no such finger; one side is enough for a slope.
+    """
+    found = {}
+    for name, deviation in lengths.items():
+        high, low = change(name, deviation), change(name, -deviation)
+        if high is not None and low is not None:
+            found[name] = (high - low) / (2 * deviation), (high + low) / (2 * deviation**2)
+        elif high is not None:
+            found[name] = high / deviation, np.zeros_like(high)
+        elif low is not None:
+            found[name] = -low / deviation, np.zeros_like(low)
+    return found
+
+
 def geometry_responses(
     problem: FitProblem,
     parameters: np.ndarray,
@@ -109,9 +196,8 @@ def geometry_responses(
 
     def change(name: str, x: float) -> np.ndarray | None:
         """ln A(x) − ln A(0) of the sample, as parabolas (S, 3)."""
-        value = getattr(model.geometry, name)
         try:
-            changed = replace(model.geometry, **{name: value * float(np.exp(x))})
+            changed = _with_length(model.geometry, name, x)
         except InputError:
             return None
         coefficients = []
@@ -125,19 +211,8 @@ def geometry_responses(
             coefficients.append(np.concatenate([np.zeros(2 - degree), found]))
         return np.array(coefficients)
 
-    out = {}
-    for name, deviation in lengths.items():
-        high, low = change(name, deviation), change(name, -deviation)
-        if high is not None and low is not None:
-            slope, bend = (high - low) / (2 * deviation), (high + low) / (2 * deviation**2)
-        elif high is not None:
-            slope, bend = high / deviation, np.zeros_like(high)
-        elif low is not None:
-            slope, bend = -low / deviation, np.zeros_like(low)
-        else:
-            continue
-        out[name] = Response(durations[picks], slope, bend)
-    return out
+    found = _slopes(change, lengths)
+    return {name: Response(durations[picks], *parts) for name, parts in found.items()}
 
 
 def _place(trial: FitTrial) -> np.ndarray:

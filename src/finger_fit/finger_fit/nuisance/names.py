@@ -5,12 +5,24 @@
 
 from __future__ import annotations
 
+from finger_model.geometry import LENGTHS
+
 TARE, TRIAL_TARE, LAG = "tare", "trial_tare", "lag"
 AREA_GAIN, COLLAPSE = "area_gain", "collapse"
 """Beside the lengths of the finger, by their keys in geometry.yaml, and `problem.PRESS_GAIN`."""
 
 UNITS = {TARE: "N", TRIAL_TARE: "N", LAG: "s"}
 """The others are shares (logarithms of factors)."""
+
+
+def is_assumed(nuisance: str) -> bool:
+    """Whether a nuisance is the same in all presses and conditions of a finger on its plate.
+
+    These are the lengths of the finger and the gain of all areas. More presses do not lower what
+    they add to an interval; only a better measurement of them does.
+    """
+    return nuisance == AREA_GAIN or nuisance in LENGTHS
+
 
 WORDS = {
     LAG: "lag of the images",

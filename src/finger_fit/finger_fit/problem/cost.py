@@ -43,6 +43,14 @@ class AreaModel(Protocol):
         ...
 
 
+def batch_areas(
+    model: Any, parameters: np.ndarray, drives: Sequence[tuple[np.ndarray, ...]]
+) -> list[np.ndarray]:
+    """`AreaModel.batch` of a model, one call at a time."""
+    with _batch_lock:
+        return model.batch(parameters, drives)
+
+
 def material_of(model: Any) -> ConstitutiveLaw:
     """Law and fixed properties of a model; the default law where the model states none."""
     return getattr(model, "material", None) or StandardLinearSolid()
@@ -111,9 +119,7 @@ class FitProblem:
     def raw_areas(self, parameters: np.ndarray) -> np.ndarray:
         """As `areas`, without the correction."""
         parameters = np.atleast_2d(np.asarray(parameters, dtype=float))
-        with _batch_lock:
-            parts = self.model.batch(parameters, self._drives)
-        return np.concatenate(parts, axis=1)
+        return np.concatenate(batch_areas(self.model, parameters, self._drives), axis=1)
 
     def uncorrected(self) -> FitProblem:
         """The same problem without correction and nuisances, which a fit sets."""

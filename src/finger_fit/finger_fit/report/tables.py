@@ -14,6 +14,7 @@ import numpy as np
 
 from finger_model.laws import ParameterSpace
 
+from ..nuisance.names import is_assumed
 from ..problem.report_units import MM2, MM4, three_digits
 from ..results import ConditionFit, FitResult
 from ..uncertainty import shifted_interval
@@ -99,6 +100,9 @@ def parameters(result: FitResult) -> str:
                 area_cost(fit.power_law.cost - fit.cost),
             ]
         )
+        if _has_assumed(fit):
+            cells = [_from_data(fit, name) for name in names]
+            rows.append(["<i>from the data alone</i>", "", *cells, "", "", ""])
         if fit.bias_corrected:
             cells = [_corrected(fit, name) for name in names]
             rows.append(["<i class=corrected>bias-corrected</i>", "", *cells, "", "", ""])
@@ -107,6 +111,14 @@ def parameters(result: FitResult) -> str:
         "bound of the search box. ≤: the interval extends to the bound. <i>J</i>: cost of the fit; "
         "Δ<i>J</i>: cost of the power law less that of the model; above 0, the model fits better."
     )
+    if any(_has_assumed(fit) for fit in result.fits.values()):
+        note += (
+            " These intervals hold all that is unknown, also the assumed lengths of the finger and "
+            "the assumed gain of all areas: use them to compare with other fingers and rigs. "
+            "<i>From the data alone</i>: the interval if those were exactly as assumed, and the "
+            "standard deviation of the logarithm that they add to it (as squares). More presses "
+            "narrow the first; only measuring the finger and the plate narrows the second."
+        )
     if any(fit.bias_corrected for fit in result.fits.values()):
         note += (
             " <i class=corrected>Bias-corrected</i>: estimate and interval less the bias of the "
@@ -126,6 +138,21 @@ def _interval(fit: ConditionFit, name: str) -> str:
     low, high = (show(fit.space, name, v) for v in profile.interval)
     before, after = "≤ " * profile.open_low, " ≤" * profile.open_high
     return f"<small>{before}{low} – {high}{after}</small>"
+
+
+def _has_assumed(fit: ConditionFit) -> bool:
+    """Whether the intervals hold assumed lengths or an assumed gain."""
+    return fit.covariance is not None and any(map(is_assumed, fit.covariance.nuisances))
+
+
+def _from_data(fit: ConditionFit, name: str) -> str:
+    """The interval from the data alone, and what the assumptions add."""
+    profile, ends = fit.profiles.get(name), fit.data_interval(name)
+    if ends is None or (profile is not None and not profile.identifiable):
+        return "<i>–</i>"
+    low, high = (show(fit.space, name, v) for v in ends)
+    assumed = 100.0 * fit.assumed_deviation(name)
+    return f"<i>{low} – {high}</i><small>assumed: ± {assumed:.0f} %</small>"
 
 
 def _corrected(fit: ConditionFit, name: str) -> str:
@@ -191,8 +218,8 @@ def contrast_table(result: FitResult) -> str:
         "<h2>Contrasts</h2>"
         + table(["subject", *header] if several else header, rows, (0, 1))
         + f"<p class=lead>First condition over and less the second, with 95 % intervals ({source}; "
-        "the errors of two conditions are taken as independent). Not separated: the interval of "
-        "the ratio holds 1, so these data do not tell the two apart.</p>"
+        "the assumed lengths and gain are the same in both, their other errors independent). Not "
+        "separated: the interval of the ratio holds 1, so these data do not tell the two apart.</p>"
     )
 
 

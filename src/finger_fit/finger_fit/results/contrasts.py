@@ -12,13 +12,16 @@ from typing import Any
 
 import numpy as np
 
+from finger_model.geometry import LENGTHS
+
+from ..nuisance.names import AREA_GAIN, is_assumed
 from .fits import ConditionFit
 
 FEWEST_SAMPLES = 40
 """Bootstrap samples below which the covariance is sampled instead."""
 
-DRAWS = 400
-"""Samples of a condition that are drawn from its covariance."""
+DRAWS = 4000
+"""Samples of a condition, drawn from its bootstrap or covariance."""
 
 
 @dataclass(frozen=True)
@@ -44,10 +47,11 @@ class Contrast:
 
 
 def contrasts(fits: Mapping[str, ConditionFit], subject: str = "") -> list[Contrast]:
-    """Every pair of conditions of one subject, for every quantity; the conditions' errors are
-    taken as independent.
+    """Every pair of conditions of one subject, for every quantity.
 
-    Nothing for conditions without bootstrap and covariance.
+    The conditions share the errors of the finger's lengths and of the gain of all areas, which
+    cancel for the larger part; their other errors are taken as independent. Nothing for conditions
+    without bootstrap and covariance.
     """
     drawn = {name: _samples(fit) for name, fit in fits.items()}
     found = []
@@ -57,9 +61,7 @@ def contrasts(fits: Mapping[str, ConditionFit], subject: str = "") -> list[Contr
         (a, source_a), (b, source_b) = drawn[first], drawn[second]
         space = fits[first].space
         for name in space.quantity_names:
-            # Every sample of one with every sample of the other.
-            x = space.quantity(name, a)[:, None]
-            y = space.quantity(name, b)[None, :]
+            x, y = space.quantity(name, a), space.quantity(name, b)
             ratio, difference = _ends(x / y), _ends(x - y)
             one, other = fits[first].quantity(name), fits[second].quantity(name)
             found.append(
@@ -86,15 +88,31 @@ def _ends(values: np.ndarray) -> tuple[float, float]:
 
 
 def _samples(fit: ConditionFit) -> Any:
-    """Parameters (S, N) of a condition and where they come from; None without either."""
+    """Parameters (`DRAWS`, N) of a condition and where they come from; None without either.
+
+    Row k of two conditions has the same errors of what they share: the lengths of the finger and
+    the gain of all areas.
+    """
+    own = np.random.default_rng([fit.problem.options.seed, *fit.condition.encode()])
     # No resampling of the presses shows what they share: with nuisances, the covariance does.
-    resampled = fit.samples is not None and len(fit.samples) >= FEWEST_SAMPLES
-    if resampled and fit.nuisance is None:
-        return fit.samples, "bootstrap"
-    if fit.covariance is None:
+    samples = fit.samples
+    if samples is not None and len(samples) >= FEWEST_SAMPLES and fit.nuisance is None:
+        return samples[own.integers(len(samples), size=DRAWS)], "bootstrap"
+    known = fit.covariance
+    if known is None:
         return None
-    rng = np.random.default_rng([fit.problem.options.seed, len(fit.problem)])
-    centre = fit.space.to_log(fit.parameters)
-    drawn = rng.multivariate_normal(centre, fit.covariance.covariance, DRAWS, method="eigh")
+    free = [i for i, n in enumerate(fit.space.names) if n not in known.active]
+    moves = known.responses(free)
+    assumed = np.array([is_assumed(n) for n in known.nuisances], dtype=bool)
+    shared = np.random.default_rng(fit.problem.options.seed).normal(size=(len(LENGTHS) + 1, DRAWS))
+    place = dict(zip((AREA_GAIN, *LENGTHS), shared))
+    drawn = fit.space.to_log(fit.parameters) + np.zeros((DRAWS, 1))
+    left = known.covariance.copy()
+    for name, move in zip(np.array(known.nuisances)[assumed], moves[assumed]):
+        drawn = drawn + place[str(name)][:, None] * move
+        left -= np.outer(move, move)
+    values, vectors = np.linalg.eigh(left)
+    spread = vectors * np.sqrt(np.maximum(values, 0.0))
+    drawn = drawn + own.normal(size=(DRAWS, len(values))) @ spread.T
     low, high = fit.space.to_log(fit.problem.box.T)
     return fit.space.from_log(np.clip(drawn, low, high)), "covariance"

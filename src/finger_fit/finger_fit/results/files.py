@@ -106,6 +106,19 @@ def condition_dict(fit: ConditionFit) -> dict[str, Any]:
         for first, second in itertools.combinations(space.names, 2):
             out[f"correlation_{first}_{second}"] = c.correlation(first, second)
         out["sd_log"] = {name: c.deviation(name) for name in space.quantity_names}
+        out["from_data"] = {
+            name: dict(
+                zip(
+                    ("low", "high", "sd_log", "sd_log_assumed"),
+                    (
+                        *(fit.data_interval(name) or ()),
+                        fit.data_deviation(name),
+                        fit.assumed_deviation(name),
+                    ),
+                )
+            )
+            for name in space.quantity_names
+        }
     if fit.profiles:
         out["interval_95"] = {
             name: {

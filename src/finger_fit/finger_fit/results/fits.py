@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.stats import t as student
 
+from ..nuisance.names import is_assumed
 from ..uncertainty import BiasCorrected, Covariance, Goodness, Profile
 
 if TYPE_CHECKING:
@@ -103,6 +105,35 @@ class ConditionFit:
             return None
         low, high = np.quantile(self.space.quantity(name, self.samples), [0.025, 0.975])
         return float(low), float(high)
+
+    def data_deviation(self, name: str) -> float:
+        """Standard deviation of a quantity's logarithm from the data alone, with the lengths of the
+        finger and the gain of all areas as assumed; NaN without covariance."""
+        if self.covariance is None:
+            return float("nan")
+        assumed = [n for n in self.covariance.nuisances if is_assumed(n)]
+        return self.covariance.without(name, assumed)
+
+    def assumed_deviation(self, name: str) -> float:
+        """Standard deviation of a quantity's logarithm that the assumed lengths and the gain of all
+        areas add (as squares) to that from the data; NaN without covariance."""
+        if self.covariance is None:
+            return float("nan")
+        total, _ = self.covariance.interval_deviation(name)
+        return float(np.sqrt(max(total**2 - self.data_deviation(name) ** 2, 0.0)))
+
+    def data_interval(self, name: str) -> tuple[float, float] | None:
+        """95 % interval of a quantity from the data alone (`data_deviation`), inside the search
+        box; None without covariance.
+
+        Of the logarithm, symmetric, with Student's t for one degree of freedom less than trials.
+        """
+        if self.covariance is None:
+            return None
+        reach = student.ppf(0.975, max(len(self.problem) - 1, 1)) * self.data_deviation(name)
+        low, high = self.space.quantity_bounds(name, self.problem.box)
+        ends = self.quantity(name) * np.exp(np.array([-reach, reach]))
+        return float(max(ends[0], low)), float(min(ends[1], high))
 
     def covariance_log(self) -> np.ndarray:
         """Covariance (N, N) of the coordinates: of the bootstrap if there is one, else of J.

@@ -46,7 +46,10 @@ def write_tables(result: FitResult, folder: Path) -> None:
 
 
 def parameter_rows(result: FitResult) -> Rows:
-    """One row per condition and quantity: value, standard deviation of its logarithm, intervals."""
+    """One row per condition and quantity: value, standard deviation of its logarithm, intervals.
+
+    low_95, high_95: with all that is unknown; data_…: from the data alone.
+    """
     rows = []
     for subject, condition, fit in named(result):
         for name in fit.space.quantity_names:
@@ -55,6 +58,7 @@ def parameter_rows(result: FitResult) -> Rows:
             factor, unit = quantity.display_factor, quantity.display_unit
             ends = profile.interval if profile else (np.nan, np.nan)
             resampled = fit.bootstrap_interval(name) or (np.nan, np.nan)
+            alone = fit.data_interval(name) or (np.nan, np.nan)
             rows.append(
                 {
                     "subject": subject,
@@ -66,6 +70,10 @@ def parameter_rows(result: FitResult) -> Rows:
                     "high_95": factor * ends[1],
                     "identifiable": profile.identifiable if profile else "",
                     "sd_log": fit.covariance.deviation(name) if fit.covariance else np.nan,
+                    "data_low_95": factor * alone[0],
+                    "data_high_95": factor * alone[1],
+                    "sd_log_data": fit.data_deviation(name),
+                    "sd_log_assumed": fit.assumed_deviation(name),
                     "bootstrap_low_95": factor * resampled[0],
                     "bootstrap_high_95": factor * resampled[1],
                     "bias_corrected": factor * found.value if found else np.nan,

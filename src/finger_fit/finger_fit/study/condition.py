@@ -15,7 +15,7 @@ from finger_model.fem.area_model import FullOrderAreas
 from ..engine import Engine, LocalEngine
 from ..full_order import BetterModel, FullOrder, check, correct
 from ..nuisance.estimate import ROUNDS, NuisanceModel
-from ..nuisance.geometry import FullOrderGeometry, geometry_responses
+from ..nuisance.geometry import FullOrderGeometry, PopulationGeometry, geometry_responses
 from ..nuisance.result import nuisance_result
 from ..options import FitOptions
 from ..problem import FitProblem, fit_power_law
@@ -201,18 +201,19 @@ class _Stages:
             fit.samples = np.array(samples)
 
     def nuisance_model(self, fit: ConditionFit) -> NuisanceModel:
-        """The nuisances of the problem; the finger's lengths where the full order is asked for."""
+        """The nuisances of the problem; the finger's lengths by the population's model or, where
+        the full order is asked for, by that."""
+        problem, options, better = self.problem, self.options, self.better
+        lengths = {n: sd for n, sd in options.lengths().items() if n != options.extra}
+        population = PopulationGeometry.like(problem.model) if lengths and self.reduced else None
         responses = {}
-        better, lengths = self.better, self.options.lengths()
-        if self.options.extra in lengths:
-            del lengths[self.options.extra]  # fitted
-        if self.options.full_order and lengths and isinstance(better, FullOrder):
+        if population is None and options.full_order and lengths and isinstance(better, FullOrder):
             with self.progress.timed("geometry"):
                 count = self.progress.count("geometry")
                 responses = geometry_responses(
-                    self.problem, fit.parameters, FullOrderGeometry(better, count), lengths
+                    problem, fit.parameters, FullOrderGeometry(better, count), lengths
                 )
-        return NuisanceModel(self.problem, self.options, responses)
+        return NuisanceModel(problem, options, responses, population)
 
     def map(self, stage: str, function: Any, shared: Any, items: Any) -> list[Any]:
         """Independent pieces of a stage, on the engine."""

@@ -16,7 +16,7 @@ covariance holds what a prior leaves open too.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,21 +75,24 @@ class Covariance:
         A parameter on a bound is freed for its own interval only. Where a derived quantity depends
         on bounded parameters alone, the one that it is solved for is freed.
         """
+        gradient = self.space.log_gradient(name, self.parameters)
+        free = self._freed(name)
+        index, part = self._with_nuisances(free, gradient)
+        variance = float(part @ self._sandwich(index) @ part)
+        inverse = inverse_of(self.curvature[np.ix_(index, index)])
+        rise = variance / max(float(part @ inverse @ part), 1e-300)
+        return float(np.sqrt(variance)), rise
+
+    def _freed(self, name: str) -> list[int]:
+        """Parameters that are free for the interval of a quantity."""
         space = self.space
-        gradient = space.log_gradient(name, self.parameters)
         unbounded = set(space.names) - set(self.active)
         if name in space.derived:
             derived = space.derived[name]
             freed = set() if unbounded & set(derived.of) else {derived.solves_for}
         else:
             freed = {name}
-        free = [i for i, n in enumerate(space.names) if n in unbounded | freed]
-        free, part = self._with_nuisances(free, gradient)
-        full = self._sandwich(free)
-        inverse = inverse_of(self.curvature[np.ix_(free, free)])
-        variance = float(part @ full @ part)
-        rise = variance / max(float(part @ inverse @ part), 1e-300)
-        return float(np.sqrt(variance)), rise
+        return [i for i, n in enumerate(space.names) if n in unbounded | freed]
 
     def _with_nuisances(
         self, free: Sequence[int], gradient: np.ndarray
@@ -99,21 +102,38 @@ class Covariance:
         index = [*free, *range(number, number + len(self.nuisances))]
         return index, np.concatenate([gradient[list(free)], np.zeros(len(self.nuisances))])
 
+    def responses(self, free: Sequence[int]) -> np.ndarray:
+        """Change (K, N) of the coordinates by one prior deviation of each shared nuisance, with
+        only the parameters `free` moving."""
+        number, shared = len(self.space), len(self.nuisances)
+        index = [*free, *range(number, number + shared)]
+        inverse = inverse_of(self.curvature[np.ix_(index, index)])
+        found = np.zeros((shared, number))
+        own = np.sqrt(self.prior[number:] * self.variance)
+        found[:, list(free)] = inverse[len(free) :, : len(free)] * own[:, None]
+        return found
+
     def budget(self, name: str) -> dict[str, float]:
         """What the standard deviation of a quantity's logarithm is made of.
 
         By the prior of each shared nuisance, and the rest, "data"; their squares add up.
         """
-        gradient = self.space.log_gradient(name, self.parameters)
         free = [i for i, n in enumerate(self.space.names) if n not in self.active]
+        return self._parts(name, free)
+
+    def _parts(self, name: str, free: Sequence[int]) -> dict[str, float]:
+        gradient = self.space.log_gradient(name, self.parameters)
         index, part = self._with_nuisances(free, gradient)
-        inverse = inverse_of(self.curvature[np.ix_(index, index)])
-        weights = (part @ inverse)[len(free) :]
-        prior = self.prior[len(self.space) :]
-        parts = weights**2 * prior * self.variance
+        parts = np.abs(self.responses(free) @ gradient)
         total = float(part @ self._sandwich(index) @ part)
-        data = np.sqrt(max(total - float(parts.sum()), 0.0))
-        return {"data": float(data), **dict(zip(self.nuisances, map(float, np.sqrt(parts))))}
+        data = np.sqrt(max(total - float((parts**2).sum()), 0.0))
+        return {"data": float(data), **dict(zip(self.nuisances, map(float, parts)))}
+
+    def without(self, name: str, nuisances: Collection[str]) -> float:
+        """Standard deviation of a quantity's logarithm for its interval, less the part of some
+        shared nuisances: as if these had the values that the fit assumes."""
+        parts = self._parts(name, self._freed(name))
+        return float(np.sqrt(sum(p**2 for n, p in parts.items() if n not in nuisances)))
 
     def nuisance_deviations(self) -> dict[str, float]:
         """Standard deviation of each shared nuisance after the fit."""
