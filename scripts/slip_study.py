@@ -1,0 +1,229 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""How well slip is foretold: simulated pulls of random fingers on a plate, friction not known.
+
+    python scripts/slip_study.py --fingers 120 [-o slip.json]
+
+A finger presses, the plate moves sideways at a constant speed until the finger slips after 0.1 to
+2 s, or it stops
+before and is held; then it goes back and the finger lifts off; six such pulls for each finger. Truth
+differs from what the estimator assumes: its stick ratio runs at another |Q|/(μP) (up to 15 %), the
+tissue creeps under the tangential load, the normal force trembles, friction wanders by 2 % from
+pull to pull and by 1 % while sliding.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from finger_model.slip import SlipEstimator, SlipSettings
+from finger_model.slip import backbone
+
+RATE = 500.0
+FRAMES = 30.0
+CAMERA_LATENCY = 0.06
+STICK_NOISE = 0.05
+ALARM = 0.15
+AHEAD = 0.02
+FALSE_TIME, FALSE_RATIO = 0.25, 0.85
+"""An alarm is false when, were the pull to go on as it does, slip would be further away (s), and
+less of the friction is used; and so it would have been FORGIVEN (s) before."""
+FORGIVEN = 0.03
+PULLS = 6
+DEBUG = False
+
+
+@dataclass(frozen=True)
+class Finger:
+    """friction μ; stiffness (N/m) of the tissue to tangential load; bend: exponent of r in s(r);
+    creep: share by which Q falls while a pull is held."""
+
+    friction: float
+    stiffness: float
+    bend: float
+    creep: float
+
+
+@dataclass(frozen=True)
+class Pull:
+    """Samples (n,) of a pull: time (s), normal (N), lateral (n, 2) in N with noise, stick ratio;
+        ratio |Q|/(μP); left: time (s) until the slip if the plate went on as it does; slip: time of the
+    gross slip (s), NaN without one."""
+
+    time: np.ndarray
+    normal: np.ndarray
+    lateral: np.ndarray
+    ratio: np.ndarray
+    stick: np.ndarray
+    left: np.ndarray
+    slip: float
+
+
+def random_finger(rng: np.random.Generator) -> Finger:
+    """A finger with friction 0.15 … 1.2."""
+    return Finger(
+        math.exp(rng.uniform(math.log(0.15), math.log(1.2))),
+        math.exp(rng.uniform(math.log(250.0), math.log(1200.0))),
+        rng.uniform(0.85, 1.15),
+        rng.uniform(0.02, 0.08),
+    )
+
+
+def pull(rng: np.random.Generator, finger: Finger, slips: bool) -> Pull:
+    """One press, pull and lift-off."""
+    load = rng.uniform(0.3, 3.0)
+    friction = finger.friction * math.exp(rng.normal(0.0, 0.02))
+    reach = friction * load / finger.stiffness
+    begin = 0.6 + rng.uniform(0.0, 0.3)
+    rise = math.exp(rng.uniform(math.log(0.1), math.log(2.0)))
+    speed = reach / rise
+    goal = rise + rng.uniform(0.15, 0.5) if slips else rise * rng.uniform(0.2, 0.85)
+    hold = rng.uniform(0.1, 0.5)
+    back = 0.2
+    end = begin + goal + hold + back + 0.4
+    time = np.arange(0.0, end, 1.0 / RATE)
+    phase = rng.uniform(0.0, 2.0 * math.pi, 2)
+    tremor = 1.0 + 0.015 * np.sin(2 * math.pi * 8.5 * time + phase[0])
+    tremor += 0.03 * np.sin(2 * math.pi * 1.1 * time + phase[1])
+    press = np.interp(time, [0.0, 0.3, end - 0.2, end - 0.02, end], [0.0, 1.0, 1.0, 0.0, 0.0])
+    normal = load * press * tremor
+    # The plate against the bone; after a slip the skin lags behind by what it slid.
+    plate = np.interp(time, [0, begin, begin + goal, begin + goal + hold, end - 0.4, end],
+                      [0, 0, speed * goal, speed * goal, 0.0, 0.0])
+    tangential = np.zeros(len(time))
+    slid, crept = 0.0, 0.0
+    slip_at = math.nan
+    scatter = 0.0
+    for i in range(1, len(time)):
+        scatter = 0.98 * scatter + rng.normal(0.0, 0.01 * 0.2)
+        most = friction * (1.0 + scatter) * normal[i]
+        crept += (finger.creep * (plate[i] - slid) - crept) / RATE / 0.15
+        force = finger.stiffness * (plate[i] - slid - crept)
+        if abs(force) > most:
+            slid = plate[i] - crept - math.copysign(most, force) / finger.stiffness
+            force = math.copysign(most, force)
+            if math.isnan(slip_at) and begin < time[i] < begin + goal and normal[i] > 0.2:
+                slip_at = float(time[i])
+        tangential[i] = force
+    ratio = np.abs(tangential) / np.maximum(friction * normal, 1e-6)
+    stick = backbone.stick_ratio(np.clip(ratio, 0.0, 1.0) ** finger.bend)
+    angle = rng.uniform(0.0, 2.0 * math.pi)
+    noise = rng.normal(0.0, 0.005, (len(time), 3))
+    lateral = tangential[:, None] * [math.cos(angle), math.sin(angle)] + noise[:, :2]
+    pulled = (time > begin) & (time < begin + goal)
+    if not slips:
+        slip_at = math.nan
+    stick = np.where(pulled, stick, np.nan)
+    left = np.where(pulled, (1.0 - ratio) * friction * normal / finger.stiffness / speed, np.inf)
+    # A plate that has just stopped is forgiven.
+    left = np.min([np.concatenate([np.full(k, np.inf), left[: len(left) - k]])
+                   for k in range(int(FORGIVEN * RATE))], axis=0)
+    return Pull(time, normal + noise[:, 2], lateral, ratio, stick, left, slip_at)
+
+
+def study(fingers: int, seed: int, camera: bool, alarm_at: float = ALARM) -> dict[str, float]:
+    """Figures over fingers of PULLS pulls each; `camera`: stick ratios at FRAMES come in late."""
+    announced = {"first": [], "later": []}
+    false_alarms = []
+    leads = []
+    errors = []
+    friction_errors = []
+    covered = []
+    for number in range(fingers):
+        rng = np.random.default_rng([seed, number])
+        finger = random_finger(rng)
+        estimator = SlipEstimator(SlipSettings(tangential_noise=0.005))
+        start = 0
+        slips = 0
+        for _ in range(PULLS):
+            one = pull(rng, finger, bool(rng.random() < 0.6))
+            stamps = start + (one.time * 1e9).astype(np.int64)
+            start = int(stamps[-1]) + 500_000_000
+            touching = one.normal > 0.03
+            depth = np.maximum(one.normal, 0.0) ** 0.5 * 1.2e-3
+            if camera:
+                rows = with_camera(rng, estimator, one, stamps, touching, depth)
+            else:
+                rows = estimator.add_many(stamps, one.normal, one.lateral, touching, depth)
+            alarm = (rows["slip_probability"] >= alarm_at) & (one.time > 0.45)
+            pulled = ~np.isnan(one.stick)
+            alarm &= pulled
+            first = float(one.time[np.argmax(alarm)]) if alarm.any() else math.inf
+            early = alarm & (one.left > FALSE_TIME) & (one.ratio < FALSE_RATIO)
+            false_alarms.append(early.any())
+            if DEBUG and early.any():
+                i = int(np.argmax(early)); print(number, "slips", slips, "P %.2f ratio %.2f left %.2f prob %.2f slipping %s mu %.3f est %.3f±%.3f" % (one.normal[i], one.ratio[i], one.left[i], rows["slip_probability"][i], rows["slipping"][i], finger.friction, rows["friction"][i], rows["friction_stddev"][i]))
+            if not math.isnan(one.slip):
+                kind = "first" if slips == 0 else "later"
+                announced[kind].append(first <= one.slip - AHEAD)
+                leads.append(one.slip - first)
+                slips += 1
+                if slips >= 2:
+                    last = rows["friction"][np.searchsorted(one.time, one.time[pulled][-1])]
+                    friction_errors.append(last / finger.friction - 1.0)
+            before = pulled & ~(one.time >= one.slip)
+            found = rows["stick_ratio"][before] - one.stick[before]
+            errors.append(np.sqrt(np.mean(found**2)))
+            covered.append(np.mean(np.abs(found) < 1.96 * rows["stick_ratio_stddev"][before]))
+    both = announced["first"] + announced["later"]
+    return {
+        "slips": len(both),
+        "announced_percent": 100.0 * float(np.mean(both)),
+        "announced_first_percent": 100.0 * float(np.mean(announced["first"])),
+        "announced_later_percent": 100.0 * float(np.mean(announced["later"])),
+        "false_alarms_percent": 100.0 * float(np.mean(false_alarms)),
+        "lead_median_ms": 1e3 * float(np.median(leads)),
+        "stick_ratio_rms": float(np.sqrt(np.mean(np.square(errors)))),
+        "stick_ratio_coverage_percent": 100.0 * float(np.mean(covered)),
+        "friction_within_10_percent": 100.0 * float(np.mean(np.abs(friction_errors) < 0.1)),
+    }
+
+
+def with_camera(rng, estimator, one, stamps, touching, depth) -> np.ndarray:
+    """Rows of a pull with stick ratios of frames, each known CAMERA_LATENCY after its exposure."""
+    rows = []
+    frames = np.arange(0.0, one.time[-1], 1.0 / FRAMES)
+    ends = np.searchsorted(one.time, frames + CAMERA_LATENCY)
+    at = 0
+    for frame, end in zip(frames, ends):
+        rows.append(estimator.add_many(stamps[at:end], one.normal[at:end], one.lateral[at:end],
+                                       touching[at:end], depth[at:end]))
+        at = end
+        index = min(int(np.searchsorted(one.time, frame)), len(one.time) - 1)
+        if end < len(one.time) and not np.isnan(one.stick[index]):
+            seen = float(np.clip(one.stick[index] + rng.normal(0.0, STICK_NOISE), 0.0, 1.0))
+            estimator.add_stick_ratio(int(stamps[index]), seen, STICK_NOISE)
+    rows.append(estimator.add_many(stamps[at:], one.normal[at:], one.lateral[at:], touching[at:],
+                                   depth[at:]))
+    return np.concatenate(rows)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--fingers", type=int, default=120, help="fingers, of six pulls each")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--alarm", type=float, default=ALARM, help="probability that alarms")
+    parser.add_argument("-o", "--output", type=Path, help="JSON file of the figures")
+    values = parser.parse_args()
+    found = {
+        name: study(values.fingers, values.seed, camera, values.alarm)
+        for name, camera in (("force alone", False), ("with camera", True))
+    }
+    for name, figures in found.items():
+        print(name)
+        for key, value in figures.items():
+            print(f"  {key:32s} {value:8.3g}")
+    if values.output:
+        values.output.write_text(json.dumps(found, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,493 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Compiled core of the slip estimator.
+
+**Friction** is a distribution over a grid of ln μ: a prior, widened a little at every contact;
+nothing below the largest ratio r = |Q|/P that was carried (a soft edge); and two kinds of evidence:
+
+- *A plateau of r.* The ratio stands still: the skin slips, so r = μ, or a pull is held, at any r
+  below μ. Two forecasts over LAG are compared: in slip Q follows P, Q = r P; while the skin sticks Q
+  goes on at its own rate, whatever P does. The likelihood is a mixture of both.
+- *A stick ratio seen by a camera*, s ± σ at a known r of a first pull: μ = r/ρ with s = s(ρ).
+
+**Elements** (see `backbone`) give the stick ratio of any history of P and Q at the mean friction.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..compiled import njit
+from . import backbone
+
+ELEMENTS = 40
+GRID = 96
+LOG_FRICTION = np.linspace(math.log(0.08), math.log(2.5), GRID)
+LIMITS = backbone.limits(ELEMENTS)
+CURVE = np.interp(np.linspace(0.0, 1.0, 101), *backbone.STICK_CURVE.T)
+"""Stick ratio of a first pull at r = 0, 0.01 … 1."""
+REMEMBERED = 1024
+"""Samples remembered, for stick ratios that come late."""
+
+STIFFNESS, COMPLIANCE = backbone.SHEAR_STIFFNESS, backbone.SLIP_COMPLIANCE
+
+FAST, SLOW = 0.008, 0.03
+"""s, time constants of the filters of the present forces and of their rates."""
+LAG, EVERY, MEMORY = 0.04, 0.01, 0.1
+"""s: over which forces are forecast, how often, and how long the comparison is remembered."""
+LAGS = 4
+STILL = -1.0
+"""Log of the odds of slip and holding against pulling above which r stands still."""
+PLATEAU_AFTER = 0.02
+"""s that r must stand still."""
+TURNED = 0.85
+"""Share of the largest ratio of a pull below which it counts as reversed."""
+EDGE = 0.03
+"""Of ln μ: softness of the edge at the largest ratio carried, and scatter of r in slip."""
+FRAME_SHARE = 0.3
+"""Share of a frame's evidence that counts: frames of one pull err alike where s(r) is not exact."""
+SMALLEST_FORCE = 0.05
+"""N; below it ratios are not judged."""
+
+CONFIGURATION = np.dtype(
+    [
+        ("prior_mean", "f8"),  # of ln μ
+        ("prior_sd", "f8"),
+        ("drift", "f8"),
+        ("horizon", "f8"),  # s
+        ("noise", "f8"),  # N
+    ]
+)
+_TRACK = np.dtype([("value", "f8", (3,)), ("rate", "f8", (3,))])
+STATE = np.dtype(
+    [
+        ("started", "?"),
+        ("touching", "?"),
+        ("stamp", "i8"),
+        ("fast", _TRACK),  # P, Qx, Qy
+        ("slow", _TRACK),
+        ("log_weight", "f8", (GRID,)),  # prior and evidence, without edge and present plateau
+        ("largest", "f8"),  # ratio carried in this contact or before
+        ("judged_at", "i8"),  # ns, last comparison of forecasts
+        ("forecast", "f8", (LAGS, 5)),  # stamp (s), r, Q, its rate, P
+        ("forecasts", "i8"),
+        ("odds", "f8"),  # log, of standing still against pulling
+        ("slip_odds", "f8"),  # log, of slip against holding
+        ("turned", "?"),  # r has fallen since the pull began: s(r) does not hold
+        ("pull_largest", "f8"),
+        ("plateau", "?"),
+        ("plateau_begin", "i8"),
+        ("plateau_count", "f8"),
+        ("plateau_sum", "f8"),  # of ln r
+        ("plateau_odds", "f8"),  # largest log of the odds of slip in it
+        ("slips", "i8"),
+        ("force", "f8", (ELEMENTS, 2)),  # of the elements, over the share of one
+        ("moved", "f8", (2,)),  # displacement of the elements, N
+        ("next", "i8"),
+        ("past_stamp", "i8", (REMEMBERED,)),
+        ("past_ratio", "f8", (REMEMBERED,)),  # NaN where s(r) does not hold
+    ],
+    align=True,
+)
+
+OUTPUT = np.dtype(
+    [
+        ("stamp", "i8"),
+        ("normal_force", "f8"),
+        ("tangential_force", "f8", (2,)),
+        ("stick_ratio", "f8"),
+        ("stick_ratio_stddev", "f8"),
+        ("slip_margin", "f8"),
+        ("slip_margin_stddev", "f8"),
+        ("slip_probability", "f8"),
+        ("friction", "f8"),
+        ("friction_stddev", "f8"),
+        ("tangential_displacement", "f8", (2,)),
+        ("tangential_stiffness", "f8"),
+        ("slips", "i8"),
+        ("slipping", "?"),
+    ]
+)
+
+
+@njit(cache=True)
+def _normal(x):
+    """Distribution function of the normal distribution."""
+    return 0.5 * math.erfc(-x * 0.7071067811865476)
+
+
+@njit(cache=True)
+def _curve(ratio):
+    """Stick ratio of a first pull."""
+    if ratio >= 1.0:
+        return 0.0
+    at = 100.0 * max(ratio, 0.0)
+    low = min(int(at), 99)
+    return CURVE[low] + (at - low) * (CURVE[low + 1] - CURVE[low])
+
+
+@njit(cache=True)
+def set_prior(config, state):
+    """Forget all evidence: the prior alone."""
+    for g in range(GRID):
+        z = (LOG_FRICTION[g] - config.prior_mean) / config.prior_sd
+        state.log_weight[g] = -0.5 * z * z
+    state.largest = 0.0
+    state.slips = 0
+
+
+@njit(cache=True)
+def _track(track, tau, dt, values):
+    """Critically damped filter of value and rate (fading memory of degree 1)."""
+    beta = math.exp(-dt / tau)
+    for i in range(3):
+        ahead = track.value[i] + track.rate[i] * dt
+        miss = values[i] - ahead
+        track.value[i] = ahead + (1.0 - beta * beta) * miss
+        track.rate[i] += (1.0 - beta) ** 2 / dt * miss
+
+
+@njit(cache=True)
+def _ratio_rate(track):
+    """r = |Q|/P of a track, and its rate (1/s)."""
+    p = max(track.value[0], 1e-6)
+    q = math.hypot(track.value[1], track.value[2])
+    rise = 0.0
+    if q > 1e-9:
+        rise = (track.value[1] * track.rate[1] + track.value[2] * track.rate[2]) / q
+    return q / p, (rise * p - q * track.rate[0]) / (p * p)
+
+
+@njit(cache=True)
+def _slip_share(state):
+    """Probability, before friction is asked, that the plateau is slip."""
+    return 1.0 / (1.0 + math.exp(-state.plateau_odds))
+
+
+@njit(cache=True)
+def _plateau_likelihood(state, share, log_ratio, log_friction):
+    """Likelihood of the plateau under a friction, and the part of it that is slip."""
+    z = (log_ratio - log_friction) / EDGE
+    slip = share * math.exp(-0.5 * z * z) / (EDGE * 2.5066282746)
+    hold = (1.0 - share) * math.exp(log_ratio - log_friction) * _normal(-z)
+    return slip + hold + 1e-9, slip
+
+
+@njit(cache=True)
+def _commit(state, share):
+    """Keep what the plateau that ends has told."""
+    log_ratio = state.plateau_sum / state.plateau_count
+    total, slip_total = 0.0, 0.0
+    top = state.log_weight.max()
+    for g in range(GRID):
+        likelihood, slip = _plateau_likelihood(state, share, log_ratio, LOG_FRICTION[g])
+        weight = math.exp(state.log_weight[g] - top)
+        total += weight * likelihood
+        slip_total += weight * slip
+        state.log_weight[g] += math.log(likelihood)
+    if slip_total > 0.5 * total:
+        state.slips += 1
+
+
+@njit(cache=True)
+def _end_contact(config, state, stamp):
+    """Fold the edge into the weights; friction may differ in the next contact."""
+    if state.plateau and (stamp - state.plateau_begin) * 1e-9 >= PLATEAU_AFTER:
+        _commit(state, _slip_share(state))
+    state.plateau = False
+    if state.largest > 0.0:
+        for g in range(GRID):
+            edge = _normal((LOG_FRICTION[g] - math.log(state.largest)) / EDGE)
+            state.log_weight[g] += math.log(edge + 1e-6)
+    top = state.log_weight.max()
+    step = LOG_FRICTION[1] - LOG_FRICTION[0]
+    # Widen by a Gaussian of the drift.
+    width = config.drift / step
+    reach = int(3.0 * width) + 1
+    weight = np.exp(state.log_weight - top)
+    for g in range(GRID):
+        total, norm = 0.0, 0.0
+        for k in range(max(g - reach, 0), min(g + reach + 1, GRID)):
+            share = math.exp(-0.5 * ((k - g) / max(width, 1e-3)) ** 2)
+            total += share * weight[k]
+            norm += share
+        state.log_weight[g] = math.log(total / norm + 1e-9)
+    state.largest = 0.0
+    state.force[:, :] = 0.0
+    state.moved[:] = 0.0
+    state.touching = False
+
+
+@njit(cache=True)
+def _pull(state, load, q0, q1):
+    """Move the elements until their forces sum to Q at limits of `load` = μP; the stick ratio."""
+    total = math.hypot(q0, q1)
+    if total >= 0.999 * load:
+        for i in range(ELEMENTS):
+            state.force[i, 0] = q0 / max(total, 1e-12) * load * LIMITS[i]
+            state.force[i, 1] = q1 / max(total, 1e-12) * load * LIMITS[i]
+        return 0.0
+    d0, d1 = 0.0, 0.0
+    stuck = 0.0
+    for _ in range(25):
+        f0, f1, a, b, c = 0.0, 0.0, 0.0, 0.0, 0.0
+        stuck = 0.0
+        for i in range(ELEMENTS):
+            t0, t1 = state.force[i, 0] + d0, state.force[i, 1] + d1
+            size, limit = math.hypot(t0, t1), load * LIMITS[i]
+            if size > limit:
+                k = limit / size
+                n0, n1 = t0 / size, t1 / size
+                f0 += k * t0
+                f1 += k * t1
+                a += k * (1.0 - n0 * n0)
+                b -= k * n0 * n1
+                c += k * (1.0 - n1 * n1)
+                # Of the element whose limit is just reached a part still sticks.
+                stuck += max(0.0, 1.0 - (size - limit) / (0.05 * limit + 1e-12)) * 0.5
+            else:
+                f0 += t0
+                f1 += t1
+                a += 1.0
+                c += 1.0
+                stuck += 1.0
+        e0, e1 = q0 - f0 / ELEMENTS, q1 - f1 / ELEMENTS
+        if math.hypot(e0, e1) < 1e-6 * load:
+            break
+        a, b, c = a / ELEMENTS + 1e-3, b / ELEMENTS, c / ELEMENTS + 1e-3
+        det = a * c - b * b
+        d0 += (c * e0 - b * e1) / det
+        d1 += (a * e1 - b * e0) / det
+    for i in range(ELEMENTS):
+        t0, t1 = state.force[i, 0] + d0, state.force[i, 1] + d1
+        k = min(1.0, load * LIMITS[i] / max(math.hypot(t0, t1), 1e-12))
+        state.force[i, 0] = k * t0
+        state.force[i, 1] = k * t1
+    state.moved[0] += d0
+    state.moved[1] += d1
+    return stuck / ELEMENTS
+
+
+@njit(cache=True)
+def _compare(config, state, stamp):
+    """Compare what was forecast LAG ago with what came."""
+    p = state.fast.value[0]
+    q = math.hypot(state.fast.value[1], state.fast.value[2])
+    slow = math.hypot(state.slow.value[1], state.slow.value[2])
+    rise = 0.0
+    if slow > 1e-9:
+        rise = state.slow.value[1] * state.slow.rate[1] + state.slow.value[2] * state.slow.rate[2]
+        rise /= slow
+    if state.forecasts >= LAGS:
+        past = state.forecast[state.forecasts % LAGS]
+        lag = stamp * 1e-9 - past[0]
+        if 0.5 * LAG < lag < 2.0 * LAG:
+            # Noise of the filtered forces, and what a slip's friction and a pull's rate vary.
+            noise = (0.6 * config.noise) ** 2
+            ratio = past[1]
+            slip = q - ratio * p
+            hold = q - past[2]
+            pull = q - past[2] - past[3] * lag
+            slip_variance = 2.0 * noise * (1.0 + ratio * ratio) + (0.008 * q) ** 2
+            hold_variance = 2.0 * noise + (0.008 * q) ** 2
+            pull_variance = 4.0 * noise + (0.3 * past[3] * lag) ** 2 + (0.004 * q) ** 2
+            log_slip = -0.5 * (slip * slip / slip_variance + math.log(slip_variance))
+            log_hold = -0.5 * (hold * hold / hold_variance + math.log(hold_variance))
+            log_pull = -0.5 * (pull * pull / pull_variance + math.log(pull_variance))
+            keep = math.exp(-EVERY / MEMORY)
+            gain = max(log_slip, log_hold) - log_pull
+            state.odds = keep * state.odds + min(max(gain, -3.0), 3.0)
+            gain = log_slip - log_hold
+            state.slip_odds = keep * state.slip_odds + min(max(gain, -2.0), 2.0)
+    now = state.forecast[state.forecasts % LAGS]
+    now[0], now[1], now[2], now[3], now[4] = stamp * 1e-9, q / max(p, 1e-6), q, rise, p
+    state.forecasts += 1
+
+
+@njit(cache=True)
+def _judge_plateau(config, state, stamp, ratio):
+    """Whether r stands still, and since when."""
+    if (stamp - state.judged_at) * 1e-9 < EVERY:
+        return
+    state.judged_at = stamp
+    _compare(config, state, stamp)
+    q = math.hypot(state.fast.value[1], state.fast.value[2])
+    still = state.odds > STILL and ratio > 0.05 and q > 6.0 * config.noise
+    still = still and state.forecasts > 2 * LAGS
+    if state.plateau and not still:
+        if (stamp - state.plateau_begin) * 1e-9 >= PLATEAU_AFTER:
+            _commit(state, _slip_share(state))
+        state.plateau = False
+    elif still and not state.plateau:
+        state.plateau = True
+        state.plateau_begin = stamp
+        state.plateau_count = 0.0
+        state.plateau_sum = 0.0
+        state.plateau_odds = state.slip_odds = 0.0
+    if state.plateau:
+        # The ratio of the time in which it looked most like slip.
+        if state.slip_odds > state.plateau_odds + 0.5:
+            keep = 0.5
+            state.plateau_sum *= keep
+            state.plateau_count *= keep
+        if state.slip_odds > state.plateau_odds - 0.5 or state.plateau_count == 0.0:
+            state.plateau_sum += math.log(max(ratio, 1e-6))
+            state.plateau_count += 1.0
+        state.plateau_odds = max(state.plateau_odds, state.slip_odds)
+
+
+@njit(cache=True)
+def follow(config, state, stamp, normal, q0, q1, touching, indentation, out):
+    """One sample: stamp (ns), P and Q (N), whether in contact, indentation (m)."""
+    out.stamp = stamp
+    out.normal_force = normal
+    out.tangential_force[0], out.tangential_force[1] = q0, q1
+    dt = (stamp - state.stamp) * 1e-9
+    if touching and not state.touching:
+        state.touching = True
+        for i in range(3):
+            value = normal if i == 0 else (q0 if i == 1 else q1)
+            state.fast.value[i] = state.slow.value[i] = value
+            state.fast.rate[i] = state.slow.rate[i] = 0.0
+        state.pull_largest = 0.0
+        state.turned = False
+        state.forecasts = 0
+        state.odds, state.slip_odds = -3.0, 0.0
+    elif state.touching and not touching:
+        _end_contact(config, state, stamp)
+    elif touching and dt > 0.0:
+        values = (normal, q0, q1)
+        _track(state.fast, FAST, dt, values)
+        _track(state.slow, SLOW, dt, values)
+    state.stamp = stamp
+    state.started = True
+    out.slips = state.slips
+    out.slipping = False
+    out.slip_probability = 0.0
+    judged = touching and normal >= SMALLEST_FORCE and state.fast.value[0] >= SMALLEST_FORCE
+    ratio = 0.0
+    if judged:
+        ratio, rate = _ratio_rate(state.fast)
+        slow, _ = _ratio_rate(state.slow)
+        # Noise of the force is no pull.
+        held = min(ratio, slow) - 2.0 * config.noise / state.fast.value[0]
+        state.largest = max(state.largest, held)
+        state.pull_largest = max(state.pull_largest, held)
+        if ratio < TURNED * state.pull_largest - 0.02:
+            state.turned = True
+        _judge_plateau(config, state, stamp, slow)
+    at = state.next % REMEMBERED
+    state.past_stamp[at] = stamp
+    state.past_ratio[at] = ratio if judged and not state.turned else math.nan
+    state.next += 1
+
+    # Friction.
+    plateau = state.plateau and (stamp - state.plateau_begin) * 1e-9 >= PLATEAU_AFTER
+    share, log_ratio = 0.0, 0.0
+    if plateau:
+        share = _slip_share(state)
+        log_ratio = state.plateau_sum / state.plateau_count
+    top = state.log_weight.max()
+    edge_at = math.log(max(state.largest, 1e-3))
+    ahead, spread = 0.0, EDGE
+    if judged:
+        p = max(state.fast.value[0] + config.horizon * state.fast.rate[0], 1e-3)
+        a0 = state.fast.value[1] + config.horizon * state.fast.rate[1]
+        a1 = state.fast.value[2] + config.horizon * state.fast.rate[2]
+        ahead = max(math.hypot(a0, a1) / p, ratio)
+        if plateau:
+            ahead = ratio
+        spread = math.hypot(EDGE, 0.6 * config.noise / max(ahead * p, 1e-3))
+    total, mean, square, slip_total, probability = 0.0, 0.0, 0.0, 0.0, 0.0
+    stick_mean, stick_square = 0.0, 0.0
+    log_ahead = math.log(max(ahead, 1e-6))
+    for g in range(GRID):
+        x = LOG_FRICTION[g]
+        weight = math.exp(state.log_weight[g] - top) * _normal((x - edge_at) / EDGE)
+        slip = 0.0
+        if plateau:
+            likelihood, slip_part = _plateau_likelihood(state, share, log_ratio, x)
+            slip = slip_part / likelihood
+            weight *= likelihood
+        mu = math.exp(x)
+        total += weight
+        mean += weight * mu
+        square += weight * mu * mu
+        slip_total += weight * slip
+        if judged:
+            coming = _normal((log_ahead - x) / spread)
+            probability += weight * max(slip, coming)
+            s = (1.0 - slip) * _curve(ratio / mu)
+            stick_mean += weight * s
+            stick_square += weight * s * s
+    mean /= total
+    out.friction = mean
+    out.friction_stddev = math.sqrt(max(square / total - mean * mean, 0.0))
+    if not judged:
+        out.stick_ratio = out.stick_ratio_stddev = math.nan
+        out.slip_margin = out.slip_margin_stddev = math.nan
+        out.tangential_displacement[0] = out.tangential_displacement[1] = math.nan
+        out.tangential_stiffness = math.nan
+        if touching:
+            _pull(state, mean * max(normal, 1e-6), 0.0, 0.0)
+        return
+    stick_mean /= total
+    spread = math.sqrt(max(stick_square / total - stick_mean * stick_mean, 0.0))
+    slipping = slip_total > 0.5 * total
+    out.slipping = slipping
+    out.slip_probability = min(probability / total, 1.0)
+    stick = _pull(
+        state, mean * state.fast.value[0], state.fast.value[1], state.fast.value[2]
+    )
+    if not state.turned and not slipping:
+        # A first pull: the mean over frictions, which the elements follow at the mean one only.
+        stick = stick_mean
+    out.stick_ratio = 0.0 if slipping else stick
+    out.stick_ratio_stddev = math.hypot(spread, 0.03)
+    out.slip_margin = 0.0 if slipping else max(0.0, 1.0 - ratio / mean)
+    out.slip_margin_stddev = ratio / mean * math.hypot(out.friction_stddev / mean, EDGE)
+    stiffness = math.nan
+    if indentation > 0.0:
+        stiffness = STIFFNESS * normal / indentation
+    out.tangential_stiffness = stiffness
+    for i in range(2):
+        q = state.fast.value[1 + i]
+        out.tangential_displacement[i] = (q + COMPLIANCE * (state.moved[i] - q)) / stiffness
+
+
+@njit(cache=True)
+def see_stick(config, state, stamp, stick, sd):
+    """A stick ratio seen at a stamp; whether it told something."""
+    count = min(state.next, REMEMBERED)
+    for back in range(count):
+        at = (state.next - 1 - back) % REMEMBERED
+        if state.past_stamp[at] <= stamp:
+            ratio = state.past_ratio[at]
+            if not ratio > 0.03:
+                return False
+            spread = math.hypot(sd, 0.04)
+            for g in range(GRID):
+                z = (_curve(ratio / math.exp(LOG_FRICTION[g])) - stick) / spread
+                state.log_weight[g] += FRAME_SHARE * math.log(math.exp(-0.5 * z * z) + 1e-3)
+            return True
+    return False
+
+
+@njit(cache=True)
+def follow_many(config, state, stamps, normal, lateral, touching, indentation, out):
+    """Many samples: stamps (n,), normal (n,), lateral (n, 2), touching (n,), indentation (n,)."""
+    for i in range(len(stamps)):
+        follow(
+            config[0],
+            state[0],
+            stamps[i],
+            normal[i],
+            lateral[i, 0],
+            lateral[i, 1],
+            touching[i],
+            indentation[i],
+            out[i],
+        )
