@@ -77,9 +77,9 @@ class SlipEstimator:
         self.reset()
 
     def configure(self, settings: SlipSettings, moisture: float = math.nan) -> None:
-        """Take over settings; the prior enters at the next reset.
+        """Take over settings. moisture (a.u.) shifts the prior's friction; NaN: it is not known.
 
-        moisture (a.u.): shifts the prior's friction; NaN where it is not known.
+        The prior enters at the next reset, or at once where nothing was learned yet.
         """
         self.settings = settings
         shift = 0.0
@@ -91,6 +91,8 @@ class SlipEstimator:
         self._config["drift"] = settings.friction_drift
         self._config["horizon"] = settings.slip_horizon
         self._config["noise"] = settings.tangential_noise
+        if not self._state["told"][0]:
+            kernels.set_prior(self._config[0], self._state[0])
 
     def reset(self) -> None:
         """A finger and a plate that were not seen before."""
@@ -155,6 +157,4 @@ class SlipEstimator:
         """
         if not (math.isfinite(stick_ratio) and sd > 0.0):
             return False
-        return bool(
-            kernels.see_stick(self._config[0], self._state[0], stamp, stick_ratio, float(sd))
-        )
+        return bool(kernels.see_stick(self._state[0], stamp, float(stick_ratio), float(sd)))

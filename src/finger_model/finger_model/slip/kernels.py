@@ -7,8 +7,8 @@
 nothing below the largest ratio r = |Q|/P that was carried (a soft edge); and two kinds of evidence:
 
 - *A plateau of r.* The ratio stands still: the skin slips, so r = μ, or a pull is held, at any r
-  below μ. Two forecasts over LAG are compared: in slip Q follows P, Q = r P; while the skin sticks Q
-  goes on at its own rate, whatever P does. The likelihood is a mixture of both.
+  below μ. Forecasts over LAG are compared: in slip Q follows P, Q = r P; while the skin sticks Q
+  goes on at its own rate, whatever P does. The likelihood is a mixture of slip and holding.
 - *A stick ratio seen by a camera*, s ± σ at a known r of a first pull: μ = r/ρ with s = s(ρ).
 
 **Elements** (see `backbone`) give the stick ratio of any history of P and Q at the mean friction.
@@ -41,6 +41,8 @@ LAG, EVERY, MEMORY = 0.04, 0.01, 0.1
 LAGS = 4
 STILL = -1.0
 """Log of the odds of slip and holding against pulling above which r stands still."""
+SLIP_ODDS = -1.5
+"""Log of the odds of slip against holding of a plateau that shows neither: held things are more."""
 PLATEAU_AFTER = 0.02
 """s that r must stand still."""
 TURNED = 0.85
@@ -64,7 +66,6 @@ CONFIGURATION = np.dtype(
 _TRACK = np.dtype([("value", "f8", (3,)), ("rate", "f8", (3,))])
 STATE = np.dtype(
     [
-        ("started", "?"),
         ("touching", "?"),
         ("stamp", "i8"),
         ("fast", _TRACK),  # P, Qx, Qy
@@ -72,7 +73,7 @@ STATE = np.dtype(
         ("log_weight", "f8", (GRID,)),  # prior and evidence, without edge and present plateau
         ("largest", "f8"),  # ratio carried in this contact or before
         ("judged_at", "i8"),  # ns, last comparison of forecasts
-        ("forecast", "f8", (LAGS, 5)),  # stamp (s), r, Q, its rate, P
+        ("forecast", "f8", (LAGS, 4)),  # stamp (s), r, Q, its rate
         ("forecasts", "i8"),
         ("odds", "f8"),  # log, of standing still against pulling
         ("slip_odds", "f8"),  # log, of slip against holding
@@ -83,7 +84,10 @@ STATE = np.dtype(
         ("plateau_count", "f8"),
         ("plateau_sum", "f8"),  # of ln r
         ("plateau_odds", "f8"),  # largest log of the odds of slip in it
+        ("friction", "f8", (2,)),  # mean and standard deviation, as last given
         ("slips", "i8"),
+        ("counted", "?"),  # the slip of this pull
+        ("told", "?"),  # the weights hold more than the prior
         ("force", "f8", (ELEMENTS, 2)),  # of the elements, over the share of one
         ("moved", "f8", (2,)),  # displacement of the elements, N
         ("next", "i8"),
@@ -137,6 +141,7 @@ def set_prior(config, state):
         state.log_weight[g] = -0.5 * z * z
     state.largest = 0.0
     state.slips = 0
+    state.friction[:] = math.nan
 
 
 @njit(cache=True)
@@ -164,7 +169,7 @@ def _ratio_rate(track):
 @njit(cache=True)
 def _slip_share(state):
     """Probability, before friction is asked, that the plateau is slip."""
-    return 1.0 / (1.0 + math.exp(-state.plateau_odds))
+    return 1.0 / (1.0 + math.exp(-SLIP_ODDS - state.plateau_odds))
 
 
 @njit(cache=True)
@@ -179,6 +184,7 @@ def _plateau_likelihood(state, share, log_ratio, log_friction):
 @njit(cache=True)
 def _commit(state, share):
     """Keep what the plateau that ends has told."""
+    state.told = True
     log_ratio = state.plateau_sum / state.plateau_count
     total, slip_total = 0.0, 0.0
     top = state.log_weight.max()
@@ -188,7 +194,8 @@ def _commit(state, share):
         total += weight * likelihood
         slip_total += weight * slip
         state.log_weight[g] += math.log(likelihood)
-    if slip_total > 0.5 * total:
+    if slip_total > 0.5 * total and not state.counted:
+        state.counted = True
         state.slips += 1
 
 
@@ -199,6 +206,7 @@ def _end_contact(config, state, stamp):
         _commit(state, _slip_share(state))
     state.plateau = False
     if state.largest > 0.0:
+        state.told = True
         for g in range(GRID):
             edge = _normal((LOG_FRICTION[g] - math.log(state.largest)) / EDGE)
             state.log_weight[g] += math.log(edge + 1e-6)
@@ -303,7 +311,7 @@ def _compare(config, state, stamp):
             gain = log_slip - log_hold
             state.slip_odds = keep * state.slip_odds + min(max(gain, -2.0), 2.0)
     now = state.forecast[state.forecasts % LAGS]
-    now[0], now[1], now[2], now[3], now[4] = stamp * 1e-9, q / max(p, 1e-6), q, rise, p
+    now[0], now[1], now[2], now[3] = stamp * 1e-9, q / max(p, 1e-6), q, rise
     state.forecasts += 1
 
 
@@ -340,11 +348,27 @@ def _judge_plateau(config, state, stamp, ratio):
 
 
 @njit(cache=True)
+def _say_nothing(out):
+    """All NaN but what is known anyway."""
+    out.stick_ratio = out.stick_ratio_stddev = math.nan
+    out.slip_margin = out.slip_margin_stddev = math.nan
+    out.slip_probability = 0.0
+    out.tangential_displacement[0] = out.tangential_displacement[1] = math.nan
+    out.tangential_stiffness = math.nan
+    out.slipping = False
+
+
+@njit(cache=True)
 def follow(config, state, stamp, normal, q0, q1, touching, indentation, out):
     """One sample: stamp (ns), P and Q (N), whether in contact, indentation (m)."""
     out.stamp = stamp
     out.normal_force = normal
     out.tangential_force[0], out.tangential_force[1] = q0, q1
+    if not math.isfinite(normal + q0 + q1):
+        _say_nothing(out)
+        out.friction, out.friction_stddev = state.friction[0], state.friction[1]
+        out.slips = state.slips
+        return
     dt = (stamp - state.stamp) * 1e-9
     if touching and not state.touching:
         state.touching = True
@@ -353,7 +377,7 @@ def follow(config, state, stamp, normal, q0, q1, touching, indentation, out):
             state.fast.value[i] = state.slow.value[i] = value
             state.fast.rate[i] = state.slow.rate[i] = 0.0
         state.pull_largest = 0.0
-        state.turned = False
+        state.turned = state.counted = False
         state.forecasts = 0
         state.odds, state.slip_odds = -3.0, 0.0
     elif state.touching and not touching:
@@ -363,14 +387,11 @@ def follow(config, state, stamp, normal, q0, q1, touching, indentation, out):
         _track(state.fast, FAST, dt, values)
         _track(state.slow, SLOW, dt, values)
     state.stamp = stamp
-    state.started = True
     out.slips = state.slips
-    out.slipping = False
-    out.slip_probability = 0.0
     judged = touching and normal >= SMALLEST_FORCE and state.fast.value[0] >= SMALLEST_FORCE
     ratio = 0.0
     if judged:
-        ratio, rate = _ratio_rate(state.fast)
+        ratio, _ = _ratio_rate(state.fast)
         slow, _ = _ratio_rate(state.slow)
         # Noise of the force is no pull.
         held = min(ratio, slow) - 2.0 * config.noise / state.fast.value[0]
@@ -378,6 +399,8 @@ def follow(config, state, stamp, normal, q0, q1, touching, indentation, out):
         state.pull_largest = max(state.pull_largest, held)
         if ratio < TURNED * state.pull_largest - 0.02:
             state.turned = True
+        if ratio < 0.5 * state.pull_largest:
+            state.counted = False
         _judge_plateau(config, state, stamp, slow)
     at = state.next % REMEMBERED
     state.past_stamp[at] = stamp
@@ -426,11 +449,9 @@ def follow(config, state, stamp, normal, q0, q1, touching, indentation, out):
     mean /= total
     out.friction = mean
     out.friction_stddev = math.sqrt(max(square / total - mean * mean, 0.0))
+    state.friction[0], state.friction[1] = out.friction, out.friction_stddev
     if not judged:
-        out.stick_ratio = out.stick_ratio_stddev = math.nan
-        out.slip_margin = out.slip_margin_stddev = math.nan
-        out.tangential_displacement[0] = out.tangential_displacement[1] = math.nan
-        out.tangential_stiffness = math.nan
+        _say_nothing(out)
         if touching:
             _pull(state, mean * max(normal, 1e-6), 0.0, 0.0)
         return
@@ -439,9 +460,7 @@ def follow(config, state, stamp, normal, q0, q1, touching, indentation, out):
     slipping = slip_total > 0.5 * total
     out.slipping = slipping
     out.slip_probability = min(probability / total, 1.0)
-    stick = _pull(
-        state, mean * state.fast.value[0], state.fast.value[1], state.fast.value[2]
-    )
+    stick = _pull(state, mean * state.fast.value[0], state.fast.value[1], state.fast.value[2])
     if not state.turned and not slipping:
         # A first pull: the mean over frictions, which the elements follow at the mean one only.
         stick = stick_mean
@@ -459,7 +478,7 @@ def follow(config, state, stamp, normal, q0, q1, touching, indentation, out):
 
 
 @njit(cache=True)
-def see_stick(config, state, stamp, stick, sd):
+def see_stick(state, stamp, stick, sd):
     """A stick ratio seen at a stamp; whether it told something."""
     count = min(state.next, REMEMBERED)
     for back in range(count):
@@ -469,6 +488,7 @@ def see_stick(config, state, stamp, stick, sd):
             if not ratio > 0.03:
                 return False
             spread = math.hypot(sd, 0.04)
+            state.told = True
             for g in range(GRID):
                 z = (_curve(ratio / math.exp(LOG_FRICTION[g])) - stick) / spread
                 state.log_weight[g] += FRAME_SHARE * math.log(math.exp(-0.5 * z * z) + 1e-3)

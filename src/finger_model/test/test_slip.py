@@ -1,0 +1,186 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Slip estimator: law of the elements, friction learned, slips foretold."""
+
+import importlib.util
+import math
+import sys
+
+import numpy as np
+import pytest
+
+from finger_common.errors import InputError
+from finger_model.slip import SlipEstimator, SlipSettings, backbone, kernels
+
+RATE = 500.0
+KNOWN = {"friction_prior_sd": 0.01, "tangential_noise": 0.0002}
+
+
+def run(estimator, normal, lateral, start=0):
+    """Rows of samples at 500 Hz: normal (n,), lateral (n,) along a fixed direction."""
+    stamps = start + (np.arange(len(normal)) * 1e9 / RATE).astype(np.int64)
+    along = np.outer(lateral, [0.6, 0.8])
+    return estimator.add_many(stamps, normal, along, normal > 0.03, np.full(len(normal), 1e-3))
+
+
+def ramp(*corners):
+    """Piecewise linear values at 500 Hz; corners are (time, value)."""
+    times, values = np.transpose(corners)
+    return np.interp(np.arange(0.0, times[-1], 1.0 / RATE), times, values)
+
+
+def test_elements_follow_the_backbone_and_turn_by_masings_rule():
+    states = np.zeros(1, kernels.STATE)
+    state = states[0]
+    load = 2.0
+    found = {}
+    for ratio in np.linspace(0.0, 0.9, 91):
+        stick = kernels._pull(state, load, ratio * load, 0.0)
+        found[round(float(ratio), 2)] = stick, states["moved"][0, 0]
+    for ratio, (stick, _) in found.items():
+        assert stick == pytest.approx(float(backbone.stick_ratio(ratio)), abs=0.05), ratio
+    # Back from r = 0.9 the path is the first one, twice as large (Masing 1926).
+    turn = found[0.9][1]
+    for change in (0.2, 0.6, 1.0, 1.4):
+        stick = kernels._pull(state, load, (0.9 - change) * load, 0.0)
+        first = found[round(change / 2, 2)]
+        assert turn - states["moved"][0, 0] == pytest.approx(2.0 * first[1], rel=0.03)
+        assert stick == pytest.approx(first[0], abs=0.05)
+
+
+def test_a_stuck_contact_has_all_margin_and_a_slipping_one_none():
+    estimator = SlipEstimator(SlipSettings(friction_prior=0.5, **KNOWN))
+    normal = 1.0 + 0.02 * np.sin(2 * np.pi * 1.5 * np.arange(1000) / RATE)
+    lateral = np.minimum(ramp((0.0, 0.0), (0.4, 0.0), (1.2, 0.6), (2.0, 0.6)), 0.5 * normal)
+    rows = run(estimator, normal, lateral)
+    assert rows["stick_ratio"][150] == pytest.approx(1.0)
+    assert rows["slip_margin"][150] == pytest.approx(1.0, abs=0.01)
+    middle = np.searchsorted(lateral, 0.3)
+    assert rows["slip_margin"][middle] == pytest.approx(0.4, abs=0.03)
+    assert rows["stick_ratio"][middle] == pytest.approx(float(backbone.stick_ratio(0.6)), abs=0.05)
+    assert rows["slip_probability"][middle] < 0.05
+    assert rows["slip_probability"][-1] > 0.9
+    assert rows["stick_ratio"][-1] < 0.05 and rows["slip_margin"][-1] < 0.05
+    assert np.all(np.diff(rows["slip_margin"][250:520]) < 0.01)
+
+
+def test_friction_is_learned_from_slips_and_kept_from_contact_to_contact():
+    rng = np.random.default_rng(3)
+    estimator = SlipEstimator(SlipSettings(tangential_noise=0.005))
+    friction = 0.8
+    for number in range(2):
+        wobble = ramp((0, 0), (0.3, 1.0), (2.2, 1.0), (2.3, 0.0), (2.6, 0.0))
+        time = np.arange(len(wobble)) / RATE
+        normal = 1.5 * wobble * (1.0 + 0.03 * np.sin(2 * np.pi * 1.3 * time))
+        pull = ramp((0, 0), (0.5, 0.0), (1.7, 1.5), (2.2, 1.5), (2.25, 0.0), (2.6, 0.0))
+        lateral = np.minimum(pull, friction * normal)
+        noise = rng.normal(0.0, 0.005, (2, len(normal)))
+        rows = run(estimator, normal + noise[0], lateral + noise[1], number * 10**10)
+        assert rows["slips"][-1] == number + 1
+    assert rows["friction"][-1] == pytest.approx(friction, rel=0.05)
+    assert rows["friction_stddev"][-1] < 0.1 * friction
+    announced = np.argmax(rows["slip_probability"] > 0.15)
+    slipped = np.argmax(pull > friction * normal + (time < 0.5))
+    assert 10 <= slipped - announced < 100
+
+
+def test_a_pull_that_is_held_is_no_slip():
+    estimator = SlipEstimator(SlipSettings(friction_prior=0.6, tangential_noise=0.002))
+    time = np.arange(1500) / RATE
+    normal = 1.0 + 0.05 * np.sin(2 * np.pi * 2.0 * time)
+    lateral = ramp((0, 0), (0.5, 0), (1.0, 0.25), (3.0, 0.24))
+    rows = run(estimator, normal, lateral)
+    assert rows["slips"][-1] == 0
+    assert not rows["slipping"].any()
+    assert rows["slip_probability"][600:].max() < 0.1
+
+
+def test_a_camera_tells_the_friction_before_the_first_slip():
+    def friction(camera):
+        estimator = SlipEstimator(SlipSettings(tangential_noise=0.002))
+        found = 0.3 * np.ones(1)
+        lateral = ramp((0, 0), (0.3, 0.0), (1.3, 0.18))
+        for begin in range(0, len(lateral), 50):
+            part = slice(begin, begin + 50)
+            stamps = (np.arange(begin, begin + len(lateral[part])) * 2_000_000).astype(np.int64)
+            along = np.outer(lateral[part], [1.0, 0.0])
+            n = len(stamps)
+            rows = estimator.add_many(stamps, np.ones(n), along, np.ones(n, bool), np.ones(n))
+            found = rows["friction"], rows["friction_stddev"]
+            if camera and begin > 200:
+                seen = float(backbone.stick_ratio(lateral[begin] / 0.25))
+                assert estimator.add_stick_ratio(int(stamps[0]), seen, 0.05)
+        return found[0][-1], found[1][-1]
+
+    blind, wide = friction(False)
+    seen, narrow = friction(True)
+    assert seen == pytest.approx(0.25, rel=0.1)
+    assert abs(blind - 0.25) > 0.1 and narrow < 0.5 * wide
+
+
+def test_one_by_one_and_many_at_once_agree_to_the_bit():
+    rng = np.random.default_rng(1)
+    n = 400
+    normal = np.abs(rng.normal(0.8, 0.1, n)) * ramp((0, 0), (0.2, 1), (0.7, 1), (0.8, 0))
+    lateral = rng.normal(0.2, 0.05, (n, 2))
+    stamps = np.cumsum(rng.integers(1_500_000, 2_500_000, n))
+    touching, depth = normal > 0.05, np.full(n, 1e-3)
+    rows = SlipEstimator().add_many(stamps, normal, lateral, touching, depth)
+    single = SlipEstimator()
+    for i in range(n):
+        found = single.add(int(stamps[i]), normal[i], tuple(lateral[i]), bool(touching[i]), 1e-3)
+        for name in ("stick_ratio", "slip_probability", "friction", "slip_margin_stddev"):
+            a, b = getattr(found, name), rows[name][i]
+            assert a == b or (math.isnan(a) and math.isnan(b))
+
+
+def test_without_contact_nothing_is_claimed():
+    rows = run(SlipEstimator(), np.zeros(50), np.full(50, 0.02))
+    for name in ("stick_ratio", "slip_margin", "tangential_stiffness"):
+        assert np.isnan(rows[name]).all()
+    assert (rows["slip_probability"] == 0.0).all()
+    assert np.isfinite(rows["friction"]).all()
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_a_force_that_is_not_finite_leaves_no_trace(bad):
+    normal, lateral = np.full(600, 1.0), np.full(600, 0.1)
+    clean = run(SlipEstimator(), normal, lateral)
+    for broken in ((300, "normal"), (300, "lateral")):
+        n, q = normal.copy(), lateral.copy()
+        (n if broken[1] == "normal" else q)[broken[0]] = bad
+        rows = run(SlipEstimator(), n, q)
+        assert rows["friction"][-1] == pytest.approx(clean["friction"][-1], rel=1e-3)
+        assert rows["stick_ratio"][-1] == pytest.approx(clean["stick_ratio"][-1], abs=1e-3)
+
+
+def test_moisture_shifts_the_prior_until_something_was_learned():
+    estimator = SlipEstimator()
+    dry = SlipEstimator()
+    dry.configure(SlipSettings(), moisture=37.0)
+    still = np.full(10, 1.0), np.zeros(10)
+    assert run(dry, *still)["friction"][-1] < 0.8 * run(estimator, *still)["friction"][-1]
+
+
+def test_bad_values_are_refused():
+    with pytest.raises(InputError, match="friction_prior"):
+        SlipSettings(friction_prior=0.0)
+    with pytest.raises(InputError, match=r"\(3, 2\) is needed"):
+        SlipEstimator().add_many(np.arange(3), np.ones(3), np.ones((3, 3)), np.ones(3), np.ones(3))
+    assert not SlipEstimator().add_stick_ratio(5, math.nan, 0.05)
+
+
+def test_slips_are_announced_and_alarms_are_true(project_root):
+    path = project_root / "scripts" / "slip_study.py"
+    spec = importlib.util.spec_from_file_location("slip_study", path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    study = module.study
+    found = study(fingers=12, seed=2, camera=True)
+    assert found["announced_percent"] >= 95
+    assert found["false_alarms_percent"] <= 6
+    assert found["friction_within_10_percent"] >= 95
+    blind = study(fingers=12, seed=2, camera=False)
+    assert blind["announced_later_percent"] >= 92
