@@ -22,6 +22,7 @@ from finger_model.reduced.population_build import held_out_runs
 from finger_model.reduced.population_runs import random_geometry
 from finger_model.reduced.population_training import measured_error
 from finger_model.reduced.training_runs import held_out_case, pool, run_all
+from finger_model.slip import SlipEstimator
 
 SETS, TRIALS, FRAMES = 900, 15, 20
 """The paper's optimisation: five candidates and 60 rounds for three conditions, 15 trials each."""
@@ -57,6 +58,24 @@ def sample_times(number: int = 20000) -> np.ndarray:
     for i in range(number):
         start = time.perf_counter()
         estimator.add_wrench(10**18 + 2_000_000 * i, (0.0, 0.0, -force[i]))
+        times[i] = time.perf_counter() - start
+    gc.enable()
+    return times
+
+
+def slip_sample_times(number: int = 20000) -> np.ndarray:
+    """Times (number,) in s of a sample through `ContactEstimator` and `SlipEstimator`."""
+    estimator, slip = ContactEstimator(ReducedModel.load()), SlipEstimator()
+    phase = np.arange(number) * 0.01
+    normal, lateral = 0.7 + 0.6 * np.sin(phase), 0.2 + 0.15 * np.sin(0.7 * phase)
+    times = np.empty(number)
+    gc.collect()
+    gc.disable()
+    for i in range(number):
+        force = (lateral[i], 0.0, -normal[i])
+        start = time.perf_counter()
+        for estimate in estimator.add_wrench(10**18 + 2_000_000 * i, force):
+            slip.add(estimate, force)
         times[i] = time.perf_counter() - start
     gc.enable()
     return times
@@ -114,6 +133,9 @@ def run(report: Any) -> None:
     times = sample_times() * 1e6
     report.add("estimator_sample_p99", np.percentile(times, 99), "µs")
     report.note(f"one sample through the estimator: median {np.median(times):.1f} µs")
+    times = slip_sample_times() * 1e6
+    report.add("slip_sample_p99", np.percentile(times, 99), "µs", 50)
+    report.note(f"one sample with slip: median {np.median(times):.1f} µs")
     report.add("reduced_paper_batch", batch_seconds(False), "s", 2)
     report.add("reduced_full_rate_batch", batch_seconds(True), "s")
     report.add("new_finger_ms", 1e3 * np.median(new_finger_times()), "ms", 50)

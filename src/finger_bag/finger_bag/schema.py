@@ -86,6 +86,12 @@ TOPICS: dict[str, TopicSpec] = {
             meaning="the estimate, one per wrench",
         ),
         TopicSpec(
+            "contact_slip",
+            "finger_msgs/msg/ContactSlip",
+            500.0,
+            meaning="stick, slip and friction, one per wrench",
+        ),
+        TopicSpec(
             "model_events",
             "finger_msgs/msg/ModelEvent",
             None,

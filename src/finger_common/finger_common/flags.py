@@ -1,8 +1,9 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Bits of `flags` in ContactState and ContactArea, as in the message definitions (a test keeps them
-equal).
+"""Bits of `flags` in ContactState, ContactArea and ContactSlip, as in the message definitions.
+
+A test keeps them equal.
 """
 
 from __future__ import annotations
@@ -42,6 +43,15 @@ class AreaFlag(IntFlag):
     UNCALIBRATED = 32
     MULTIPLE_REGIONS = 64
     NO_BACKGROUND = 128
+
+
+class SlipFlag(IntFlag):
+    """Flags of an estimated slip state; 0 means: a contact that sticks, its friction learned."""
+
+    NO_CONTACT = 1
+    SLIPPING = 2
+    FRICTION_ASSUMED = 4
+    FORCE_INVALID = 8
 
 
 def flag_names(flags: StateFlag | AreaFlag) -> str:

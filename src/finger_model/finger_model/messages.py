@@ -16,6 +16,7 @@ from finger_common.files import parse_json
 from finger_common.stamps import NANOSECONDS, header_stamp, time_fields
 
 from .estimator import ContactEstimate, EstimatorEvent, EventType
+from .slip import SlipEstimate
 
 
 def wrench_of(message: Any) -> tuple[int, tuple[float, float, float]]:
@@ -86,3 +87,25 @@ def state_numbers(estimate: ContactEstimate) -> tuple[float, ...]:
         *others,
         flags,
     )
+
+
+def slip_numbers(estimate: SlipEstimate, lateral_axes: tuple[int, int]) -> tuple[float, ...]:
+    """Numbers of a finger_msgs/ContactSlip in the order of its fields, without its text."""
+    stamp, normal_force, force, *middle, moved, stiffness, slips, flags = estimate
+    return (
+        *divmod(stamp, NANOSECONDS),
+        normal_force,
+        *in_space(force, lateral_axes),
+        *middle,
+        *in_space(moved, lateral_axes),
+        stiffness,
+        slips,
+        flags,
+    )
+
+
+def in_space(vector: tuple[float, float], lateral_axes: tuple[int, int]) -> list[float]:
+    """Vector (3,) in sensor axes of one (2,) along the two lateral axes."""
+    found = [0.0, 0.0, 0.0]
+    found[lateral_axes[0]], found[lateral_axes[1]] = vector
+    return found

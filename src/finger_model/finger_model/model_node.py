@@ -1,7 +1,8 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Node `model`: publishes `contact_state` for every wrench sample.
+"""Node `model`: publishes `contact_state` for every wrench sample, and `contact_slip` where
+somebody listens.
 
 The estimate is corrected by `contact_area`; its parameters follow `moisture`.
 """
@@ -38,15 +39,23 @@ from finger_common.node import (
 )
 from finger_common.settings import Settings, setting
 from finger_common.stamps import fill_time, seconds
-from finger_msgs.msg import ContactArea, ContactState, ModelEvent, Moisture
+from finger_msgs.msg import ContactArea, ContactSlip, ContactState, ModelEvent, Moisture
 from finger_msgs.srv import ForceForArea, PredictContact
 
 from .estimator import ContactEstimate, ContactEstimator, EstimatorEvent, EstimatorSettings
 from .estimator.parameter_selection import check_sets
 from .finger import load_reduced
-from .messages import area_of, event_fields, moisture_of, state_numbers, wrench_of
+from .messages import (
+    area_of,
+    event_fields,
+    moisture_of,
+    slip_numbers,
+    state_numbers,
+    wrench_of,
+)
 from .parameter_sets import ParameterSets
 from .reduced.model import ReducedModel
+from .slip import SlipEstimator, SlipSettings
 
 
 @dataclass(frozen=True)
@@ -127,7 +136,7 @@ class ModelNode(ManagedNode):
     through DDS. `_lock` is held by whoever uses the estimator.
     """
 
-    SETTINGS = (EstimatorSettings, ModelSettings)
+    SETTINGS = (EstimatorSettings, SlipSettings, ModelSettings)
     NAME = "model"
 
     def __init__(self, **options: Any) -> None:
@@ -147,6 +156,8 @@ class ModelNode(ManagedNode):
         self._area_received = False
         self._lock = threading.RLock()
         self._serializer: tuple[tuple[str, str], FixedMessage] | None = None
+        self._slip: SlipEstimator | None = None
+        self._slip_serializer: tuple[str, FixedMessage] | None = None
         self._wrench: Any = None
         self._local: LocalSubscription | None = None
         self._latency, self._age = LatencyHistogram(), LatencyHistogram()
@@ -169,6 +180,9 @@ class ModelNode(ManagedNode):
         self._state_publisher = self.create_stream_publisher(
             ContactState, "contact_state", self.stream_qos(publisher=True)
         )
+        self._slip_publisher = self.create_stream_publisher(
+            ContactSlip, "contact_slip", self.stream_qos(publisher=True)
+        )
         self._event_publisher = self.create_publisher(ModelEvent, "model_events", EVENTS_QOS)
         self._local = LocalSubscription(self, values["wrench_topic"], self._on_sample, self.fail)
         self._follow_wrench()
@@ -181,6 +195,7 @@ class ModelNode(ManagedNode):
         )
         self._entities = [
             (self.destroy_publisher, self._state_publisher),
+            (self.destroy_publisher, self._slip_publisher),
             (self.destroy_publisher, self._event_publisher),
             (self.destroy_subscription, area),
             (self.destroy_subscription, moisture),
@@ -205,6 +220,7 @@ class ModelNode(ManagedNode):
         assert self._model is not None
         self._follow_wrench()
         self.estimator = ContactEstimator(self._model, self._sets, self.settings(EstimatorSettings))
+        self._slip = self._new_slip_estimator()
         self._started = False
         self._jumped = False
         self._last = None
@@ -248,10 +264,17 @@ class ModelNode(ManagedNode):
             if changed:
                 reason = f"parameter {', '.join(changed)} set"
                 self._publish_event(self.estimator.change_settings(settings, reason))
+            if "normal_axis" in changes:
+                self._slip = self._new_slip_estimator(settings.normal_axis)
+            elif self._slip is not None:
+                self._slip.configure(SlipSettings.select(merged))
             if sets is not None:
                 self._sets = sets
                 reason = f"parameter file {changes['parameter_file'] or 'unset, shipped sets'}"
                 self._publish_event(self.estimator.change_parameters(sets, reason))
+
+    def _new_slip_estimator(self, normal_axis: str = "") -> SlipEstimator:
+        return SlipEstimator(self.settings(SlipSettings), normal_axis or self.values["normal_axis"])
 
     def _load_sets(self, path: str) -> ParameterSets:
         assert self._model is not None
@@ -315,6 +338,21 @@ class ModelNode(ManagedNode):
                 self._age.add(now - stamp)
                 self._last = estimate
                 self.health.sample()
+                self._publish_slip(estimate, force, frame)
+
+    def _publish_slip(
+        self, estimate: ContactEstimate, force: tuple[float, float, float], frame: str
+    ) -> None:
+        """Slip of the sample; after the state, which nothing shall delay."""
+        assert self._slip is not None
+        found = self._slip.add(estimate, force)
+        if not self._slip_publisher.get_subscription_count():
+            return
+        if self._slip_serializer is None or self._slip_serializer[0] != frame:
+            prototype = ContactSlip(header=Header(frame_id=frame))
+            self._slip_serializer = frame, FixedMessage(prototype)
+        numbers = slip_numbers(found, self._slip.lateral_axes)
+        self._slip_publisher.publish(self._slip_serializer[1].pack(*numbers))
 
     def _serialized(self, estimate: ContactEstimate, frame: str) -> bytes:
         """The estimate as a ContactState."""
@@ -379,6 +417,8 @@ class ModelNode(ManagedNode):
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         def reset(estimator: ContactEstimator) -> None:
             self._publish_event(estimator.reset("service ~/reset"))
+            if self._slip is not None:
+                self._slip.reset()
             response.message = "reset to a finger at rest that was not seen before"
 
         return self._answer(response, reset)
@@ -453,7 +493,8 @@ def _sample_of(
 
 def _compile(estimator: ContactEstimator) -> None:
     """Compile all that streams and services use, so that none of them waits for it later."""
-    estimator.add_wrench(1, (0.0, 0.0, 0.0))
+    for estimate in estimator.add_wrench(1, (0.0, 0.0, 0.0)):
+        SlipEstimator().add(estimate, (0.0, 0.0, 0.0))
     estimator.predict(np.array([0.1]), np.array([0.01]))
     estimator.force_for_area(1e-6)
 

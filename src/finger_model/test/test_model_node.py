@@ -432,3 +432,40 @@ def test_flags_are_those_of_the_messages() -> None:
         assert getattr(ContactState, f"FLAG_{flag.name}") == flag
     for area_flag in AreaFlag:
         assert getattr(ContactArea, f"FLAG_{area_flag.name}") == area_flag
+
+
+def test_slip_goes_out_where_somebody_listens_as_the_core_has_it(
+    bench: Bench, process: Callable[..., Any]
+) -> None:
+    from finger_model.messages import slip_numbers
+    from finger_model.slip import SlipEstimator
+    from finger_msgs.msg import ContactSlip
+
+    start(process)
+    slips: list[ContactSlip] = []
+    bench.node.create_subscription(ContactSlip, "/finger/contact_slip", slips.append, RELIABLE)
+    bench.connected()
+    bench.until(lambda: bench.node.count_publishers("/finger/contact_slip") > 0)
+    bench.settle()
+    estimator, core = ContactEstimator(ReducedModel.load()), SlipEstimator()
+    layout = FixedMessage(ContactSlip(header=bench.press(T0, 0.0).header))
+    wanted = []
+    for n in range(500):
+        message = WrenchStamped()
+        message.header.frame_id = "sensor"
+        stamp = T0 + (n + 1) * 2 * MS
+        message.header.stamp = to_time(stamp)
+        message.wrench.force.z = -min(1.0, n / 100)
+        message.wrench.force.y = 0.3 * max(0.0, n / 250 - 1.0)
+        bench.wrench.publish(message)
+    forces = [(0.0, 0.0, -0.0)]
+    forces += [(0.0, 0.3 * max(0.0, n / 250 - 1.0), -min(1.0, n / 100)) for n in range(500)]
+    for n, force in enumerate(forces):
+        for estimate in estimator.add_wrench(T0 + n * 2 * MS, force):
+            wanted.append(slip_numbers(core.add(estimate, force), core.lateral_axes))
+    bench.until(lambda: len(slips) >= len(wanted))
+    for found, values in zip(slips, wanted):
+        assert repr(found) == repr(deserialize_message(layout.pack(*values), ContactSlip))
+    assert slips[-1].tangential_force.y == pytest.approx(0.2988)
+    assert 0.1 < slips[-1].slip_margin < 0.8
+    assert bench.set("friction_prior", 0.9).successful

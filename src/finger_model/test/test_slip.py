@@ -11,7 +11,11 @@ import numpy as np
 import pytest
 
 from finger_common.errors import InputError
+from finger_common.flags import SlipFlag
+from finger_model.estimator import ContactEstimator
+from finger_model.reduced import ReducedModel
 from finger_model.slip import SlipEstimator, SlipSettings, backbone, kernels
+from finger_model.slip.estimator import slip_estimates
 
 RATE = 500.0
 KNOWN = {"friction_prior_sd": 0.01, "tangential_noise": 0.0002}
@@ -92,7 +96,7 @@ def test_a_pull_that_is_held_is_no_slip():
     lateral = ramp((0, 0), (0.5, 0), (1.0, 0.25), (3.0, 0.24))
     rows = run(estimator, normal, lateral)
     assert rows["slips"][-1] == 0
-    assert not rows["slipping"].any()
+    assert not (rows["flags"] & SlipFlag.SLIPPING).any()
     assert rows["slip_probability"][600:].max() < 0.1
 
 
@@ -129,7 +133,11 @@ def test_one_by_one_and_many_at_once_agree_to_the_bit():
     rows = SlipEstimator().add_many(stamps, normal, lateral, touching, depth)
     single = SlipEstimator()
     for i in range(n):
-        found = single.add(int(stamps[i]), normal[i], tuple(lateral[i]), bool(touching[i]), 1e-3)
+        part = slice(i, i + 1)
+        row = single.add_many(
+            stamps[part], normal[part], lateral[part], touching[part], depth[part]
+        )
+        found = slip_estimates(row)[0]
         for name in ("stick_ratio", "slip_probability", "friction", "slip_margin_stddev"):
             a, b = getattr(found, name), rows[name][i]
             assert a == b or (math.isnan(a) and math.isnan(b))
@@ -140,6 +148,7 @@ def test_without_contact_nothing_is_claimed():
     for name in ("stick_ratio", "slip_margin", "tangential_stiffness"):
         assert np.isnan(rows[name]).all()
     assert (rows["slip_probability"] == 0.0).all()
+    assert (rows["flags"] & SlipFlag.NO_CONTACT).all()
     assert np.isfinite(rows["friction"]).all()
 
 
@@ -156,11 +165,38 @@ def test_a_force_that_is_not_finite_leaves_no_trace(bad):
 
 
 def test_moisture_shifts_the_prior_until_something_was_learned():
-    estimator = SlipEstimator()
-    dry = SlipEstimator()
-    dry.configure(SlipSettings(), moisture=37.0)
-    still = np.full(10, 1.0), np.zeros(10)
-    assert run(dry, *still)["friction"][-1] < 0.8 * run(estimator, *still)["friction"][-1]
+    n = 10
+    still = np.arange(n) * 2_000_000, np.ones(n), np.zeros((n, 2)), np.ones(n, bool), np.ones(n)
+
+    def friction(estimator, moisture):
+        return estimator.add_many(*still, np.full(n, moisture))["friction"][-1]
+
+    dry = friction(SlipEstimator(), 37.0)
+    assert dry < 0.8 * friction(SlipEstimator(), 69.0) < 0.7 * friction(SlipEstimator(), 105.0)
+    assert friction(SlipEstimator(), math.nan) == friction(SlipEstimator(), 69.0)
+
+
+def test_live_samples_and_blocks_of_estimates_agree_to_the_bit():
+    model = ReducedModel.load()
+    rng = np.random.default_rng(4)
+    n = 600
+    stamps = 10**18 + np.cumsum(rng.integers(1_800_000, 2_200_000, n))
+    stamps[400:] -= 10**12  # time jumps back: everything begins anew
+    normal = ramp((0, 0), (0.3, 1.0), (1.0, 1.0), (1.2, 0.0))[:n]
+    pull = ramp((0, 0), (0.4, 0.0), (1.0, 0.4), (1.2, 0.4))[:n]
+    forces = np.column_stack([pull, rng.normal(0, 0.01, n), -normal])
+    contact, slip = ContactEstimator(model), SlipEstimator()
+    single = [
+        slip.add(estimate, force)
+        for stamp, force in zip(stamps.tolist(), forces)
+        for estimate in contact.add_wrench(stamp, force)
+    ]
+    block = ContactEstimator(model).add_wrenches(stamps, forces)
+    many = slip_estimates(SlipEstimator().add_block(block, forces))
+    assert len(single) == len(many) == n
+    assert repr(single) == repr(many)
+    later = SlipEstimator().add_block(type(block)(block.rows[400:]), forces[400:])
+    assert repr(single[400:]) == repr(slip_estimates(later))
 
 
 def test_bad_values_are_refused():

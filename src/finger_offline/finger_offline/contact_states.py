@@ -1,7 +1,7 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Many contact estimates at once: to serialized ContactState messages, CSV and Parquet."""
+"""Many estimates at once: to serialized ContactState and ContactSlip, CSV and Parquet."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from finger_model.estimator import EstimateBlock
 from finger_model.estimator.estimate import CSV_FIELDS, ESTIMATE_FIELDS
 
 STATE_TYPE = TOPICS["contact_state"].type
+SLIP_TYPE = TOPICS["contact_slip"].type
 
 _COLUMN_FIELDS = {f.column: f for name in CSV_FIELDS for f in ESTIMATE_FIELDS if f.name == name}
 
@@ -45,6 +46,20 @@ def serialize(block: EstimateBlock, frame_id: str = "") -> list[bytes]:
         for place, message in zip(places.tolist(), serialized(table)):
             out[place] = message
     return out
+
+
+def serialize_slips(rows: np.ndarray, axes: tuple[int, int], frame_id: str = "") -> list[bytes]:
+    """Rows (n,) of the slip estimator as serialized ContactSlip; axes: its `lateral_axes`."""
+    table = zero_messages(SLIP_TYPE, len(rows), {"header.frame_id": frame_id})
+    for name in rows.dtype.names or ():
+        if name == "stamp":
+            set_stamps(table, "header.stamp", rows[name])
+        elif rows.dtype[name].shape:
+            for k, axis in enumerate(axes):
+                table[f"{name}.{'xyz'[axis]}"] = rows[name][:, k]
+        else:
+            table[name] = rows[name]
+    return serialized(table)
 
 
 def columns(block: EstimateBlock, start_ns: int) -> dict[str, np.ndarray]:

@@ -41,6 +41,8 @@ class InputTopics:
         recorded = find_topic(reader, "model_events", options)
         follow = find_used(reader, "model_events", options) and not options.is_own()
         replaced = {sibling(wrench, "contact_state")}
+        if options.slip:
+            replaced.add(sibling(wrench, "contact_slip"))
         if from_images:
             replaced |= {sibling(wrench, "contact_area"), area or ""}
         if not follow:

@@ -50,6 +50,7 @@ class OutputBag:
         }
         self._reader, self._options = reader, options
         self._state_topic = sibling(topics.wrench, "contact_state")
+        self._slip_topic = sibling(topics.wrench, "contact_slip")
         self._area_topic = sibling(topics.wrench, "contact_area")
         self._event_topic = sibling(topics.wrench, "model_events")
         self._skipped = set(topics.replaced)
@@ -65,6 +66,8 @@ class OutputBag:
             data = read_bytes(self._options.parameter_file, "parameter file")
             writer.attach(PARAMETERS_ATTACHMENT, data)
         writer.add_topic(self._state_topic)
+        if self._options.slip:
+            writer.add_topic(self._slip_topic)
         return self
 
     def __exit__(
@@ -100,11 +103,17 @@ class OutputBag:
         self._writer.write(self._event_topic, event_fields(event, 0), log_ns)
 
     def write_states(
-        self, block: EstimateBlock, stamps: np.ndarray, logs: np.ndarray, wrench: bytes
+        self,
+        block: EstimateBlock,
+        stamps: np.ndarray,
+        logs: np.ndarray,
+        wrench: bytes,
+        slips: list[bytes],
     ) -> None:
         """Write estimates, each logged with its wrench.
 
-        stamps, logs (n,): of all wrenches, ns. wrench: one of them, serialized.
+        stamps, logs (n,): of all wrenches, ns. wrench: one of them, serialized; slips: serialized
+        ContactSlips of the estimates, or none.
         """
         own = block.column("stamp_ns")
         if len(block) == len(stamps):
@@ -115,6 +124,8 @@ class OutputBag:
             times = [log_of[stamp] for stamp in own.tolist()]
         states = serialize(block, frame_id_of_cdr(wrench))
         self._writer.write_many(self._state_topic, states, times)
+        if slips:
+            self._writer.write_many(self._slip_topic, slips, times)
 
 
 def _is_image(item: BagMessage) -> bool:

@@ -18,7 +18,12 @@ from pathlib import Path
 
 import numpy as np
 
-from finger_bag.cdr_layout import WRENCH_TYPE, stamp_of_cdr, stamps_and_wrenches
+from finger_bag.cdr_layout import (
+    WRENCH_TYPE,
+    frame_id_of_cdr,
+    stamp_of_cdr,
+    stamps_and_wrenches,
+)
 from finger_bag.reader import BagMessage, BagReader, open_bag
 from finger_bag.streams import Malformed, stamp_and_value, wrong_type
 from finger_common.errors import FingerError, InputError
@@ -27,8 +32,9 @@ from finger_model.estimator import ContactEstimator, EstimateBlock, EstimatorSet
 from finger_model.finger import load_reduced
 from finger_model.messages import area_of, event_of, moisture_of
 from finger_model.parameter_sets import ParameterSets
+from finger_model.slip import SlipEstimator
 
-from .contact_states import open_table
+from .contact_states import open_table, serialize_slips
 from .image_areas import ImageAreas, MeasuringThread
 from .input_order import HEAD_START_NS, InputOrder
 from .input_topics import InputTopics
@@ -123,6 +129,8 @@ class _Run:
         self.reader, self.mapping, self.topics = reader, options.mapping, topics
         self.estimator, self.images, self.output, self.sinks = estimator, images, output, sinks
         # Images are not held for so long: they need memory.
+        axis = estimator.settings.normal_axis
+        self.slip = SlipEstimator(normal_axis=axis) if options.slip else None
         self.queue = InputOrder(topics.events is not None and topics.image is None)
         self.malformed = Malformed()
         self.decode = reader.decoder(topics.wrench, reader.info.topics[topics.wrench].type)
@@ -262,10 +270,30 @@ class _Run:
             event = self.estimator.start_event(int(stamps[0]), "processed offline")
             if self.output is not None:
                 self.output.write_event(event, int(logs[0]))
-        block = self.estimator.add_wrenches(stamps, forces * mapped.scale)
+        forces = forces * mapped.scale
+        block = self.estimator.add_wrenches(stamps, forces)
         self.states += len(block)
         if self.output is not None and len(block):
             wrench = items[int(np.argmax(good))].raw
-            self.output.write_states(block, stamps, logs, wrench)
+            slips = (
+                [] if self.slip is None else self._slips(self.slip, block, stamps, forces, wrench)
+            )
+            self.output.write_states(block, stamps, logs, wrench, slips)
         for sink in self.sinks:
             sink(block)
+
+    def _slips(
+        self,
+        slip: SlipEstimator,
+        block: EstimateBlock,
+        stamps: np.ndarray,
+        forces: np.ndarray,
+        wrench: bytes,
+    ) -> list[bytes]:
+        """Serialized ContactSlips of a block; stamps (n,), forces (n, 3) of all its wrenches."""
+        if len(block) != len(stamps):
+            # Samples that the estimator dropped; the first of a stamp has counted.
+            place = {stamp: i for i, stamp in reversed(list(enumerate(stamps.tolist())))}
+            forces = forces[[place[stamp] for stamp in block.column("stamp_ns").tolist()]]
+        rows = slip.add_block(block, forces)
+        return serialize_slips(rows, slip.lateral_axes, frame_id_of_cdr(wrench))

@@ -36,6 +36,7 @@ class ProcessOptions(ReadSettings):
         AREA_SENSORS.default, "Area sensor that measures the contact in the images."
     )
     keep_images: bool = setting(False, "Copy images to the new bag.")
+    slip: bool = setting(False, "Estimate stick, slip and friction: writes contact_slip.")
     estimator: Mapping[str, Any] = field(default_factory=dict)
     parameter_file: str = ""
     model_file: str = ""

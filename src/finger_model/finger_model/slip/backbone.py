@@ -58,6 +58,6 @@ def limits(count: int) -> np.ndarray:
     stick = np.interp(r, *STICK_CURVE.T)
     middle = 0.5 * (r[1:] + r[:-1])
     moved = np.concatenate([[0.0], np.cumsum(np.diff(r) / np.interp(middle, *STICK_CURVE.T))])
-    share = (np.arange(count) + 0.5) / count
-    found = np.interp(share, 1.0 - stick, moved)
+    share = (np.arange(100 * count) + 0.5) / (100 * count)
+    found = np.interp(share, 1.0 - stick, moved).reshape(count, 100).mean(axis=1)
     return found / found.mean()

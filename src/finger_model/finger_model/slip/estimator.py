@@ -3,48 +3,47 @@
 
 """Will it slip? Stick ratio, margin and probability of slip, and friction, sample by sample.
 
-    slip = SlipEstimator()
-    for estimate, force in zip(estimates, lateral_forces):
-        found = slip.add(estimate.stamp, estimate.normal_force, force, estimate.in_contact,
-                         estimate.indentation)
-        if found.slip_probability > 0.5:
-            grip_harder()
+    contact, slip = ContactEstimator(model), SlipEstimator()
+    for stamp_ns, force in wrenches:
+        for estimate in contact.add_wrench(stamp_ns, force):
+            if slip.add(estimate, force).slip_probability > 0.15:
+                grip_harder()
 
 Coulomb friction with one coefficient that is estimated while running, quasi-static, independent of
-rate. The output is a function of the stamped inputs in their order.
+rate. The output is a function of the inputs in their order.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from finger_common.axes import DEFAULT_NORMAL_AXIS, axis_of
 from finger_common.errors import InputError
+from finger_common.flags import StateFlag
 
+from ..estimator import ContactEstimate, EstimateBlock
 from . import kernels
 from .settings import SlipSettings
-
-NATURAL_MOISTURE = 69.0
-"""Moisture (a.u.) at which the prior's median friction holds."""
-SHIFT_LIMIT = 1.0
-"""Largest change of ln μ that moisture makes."""
 
 
 class SlipEstimate(NamedTuple):
     """Tangential state of the contact at one instant (SI).
 
-    stamp (ns); normal_force P (N); tangential_force Q (2,) in N, of the plate on the skin in the
-    sensor's axes that span the plate; stick_ratio: share of the contact's area that sticks;
-    slip_margin: 1 − |Q|/(μP); each with its standard deviation; slip_probability: that the whole
-    contact slips now or within the horizon; friction μ and its standard deviation;
-    tangential_displacement (2,) in m: of the plate against the bone since the contact began, as far
-    as the skin sticks; tangential_stiffness (N/m); slips: slips seen so far; slipping: the contact
-    slips now. Without contact all but forces and friction are NaN and the probability is 0.
+    stamp_ns; normal_force P (N); tangential_force Q (2,) in N: the wrench's components along the
+    two sensor axes that follow the normal one (x, y, z in a circle); stick_ratio: share of the
+    contact's area that sticks; slip_margin: 1 − |Q|/(μP); each with its standard deviation;
+    slip_probability: that the whole contact slips now or within the horizon; friction μ and its
+    standard deviation; tangential_displacement (2,) in m: of the plate against the bone since the
+    contact began, as far as the skin sticks; tangential_stiffness (N/m); slips: slips seen so far;
+    flags: bits of SlipFlag. Without contact all but forces and friction are NaN and the
+    probability is 0.
     """
 
-    stamp: int
+    stamp_ns: int
     normal_force: float
     tangential_force: tuple[float, float]
     stick_ratio: float
@@ -57,104 +56,136 @@ class SlipEstimate(NamedTuple):
     tangential_displacement: tuple[float, float]
     tangential_stiffness: float
     slips: int
-    slipping: bool
+    flags: int
 
 
 class SlipEstimator:
-    """Slip of one finger's contact; see the module. settings: None for the defaults."""
+    """Slip of one finger's contact; see the module.
 
-    def __init__(self, settings: SlipSettings | None = None) -> None:
-        self.settings = settings or SlipSettings()
+    settings: None for the defaults; normal_axis: as in EstimatorSettings. Raises InputError for
+    another axis.
+    """
+
+    def __init__(
+        self, settings: SlipSettings | None = None, normal_axis: str = DEFAULT_NORMAL_AXIS
+    ) -> None:
+        axis, _ = axis_of(normal_axis)
+        self.lateral_axes = (axis + 1) % 3, (axis + 2) % 3
         self._config = np.zeros(1, kernels.CONFIGURATION)
         self._state = np.zeros(1, kernels.STATE)
-        self._stamps = np.zeros(1, np.int64)
-        self._normal = np.zeros(1)
-        self._lateral = np.zeros((1, 2))
-        self._touching = np.zeros(1, bool)
-        self._indentation = np.zeros(1)
+        self._samples = (
+            np.zeros(1, np.int64),
+            np.zeros(1),
+            np.zeros((1, 2)),
+            np.zeros(1, bool),
+            np.zeros(1),
+            np.zeros(1),
+        )
         self._row = np.zeros(1, kernels.OUTPUT)
-        self.configure(self.settings)
+        self.configure(settings or SlipSettings())
         self.reset()
 
-    def configure(self, settings: SlipSettings, moisture: float = math.nan) -> None:
-        """Take over settings. moisture (a.u.) shifts the prior's friction; NaN: it is not known.
-
-        The prior enters at the next reset, or at once where nothing was learned yet.
-        """
+    def configure(self, settings: SlipSettings) -> None:
+        """Take over settings; their prior enters at the next reset, or now if none was learned."""
         self.settings = settings
-        shift = 0.0
-        if math.isfinite(moisture):
-            shift = settings.friction_moisture_slope * (moisture - NATURAL_MOISTURE)
-            shift = min(max(shift, -SHIFT_LIMIT), SHIFT_LIMIT)
-        self._config["prior_mean"] = math.log(settings.friction_prior) + shift
-        self._config["prior_sd"] = settings.friction_prior_sd
-        self._config["drift"] = settings.friction_drift
-        self._config["horizon"] = settings.slip_horizon
-        self._config["noise"] = settings.tangential_noise
+        config = self._config
+        config["prior_mean"] = math.log(settings.friction_prior)
+        config["prior_sd"] = settings.friction_prior_sd
+        config["moisture_slope"] = settings.friction_moisture_slope
+        config["drift"] = settings.friction_drift
+        config["horizon"] = settings.slip_horizon
+        config["noise"] = settings.tangential_noise
         if not self._state["told"][0]:
-            kernels.set_prior(self._config[0], self._state[0])
+            kernels.set_prior(config[0], self._state[0], float(self._state["moisture"][0]))
 
     def reset(self) -> None:
         """A finger and a plate that were not seen before."""
         self._state[:] = np.zeros(1, kernels.STATE)
-        kernels.set_prior(self._config[0], self._state[0])
+        kernels.set_prior(self._config[0], self._state[0], math.nan)
 
-    def add(
-        self,
-        stamp: int,
-        normal_force: float,
-        lateral: tuple[float, float],
-        touching: bool,
-        indentation: float = math.nan,
-    ) -> SlipEstimate:
-        """One sample: stamp (ns), P (N), Q (2,) in N, whether in contact, indentation (m)."""
-        self._stamps[0] = stamp
-        self._normal[0] = normal_force
-        self._lateral[0, 0], self._lateral[0, 1] = lateral
-        self._touching[0] = touching
-        self._indentation[0] = indentation
-        self._follow(
-            self._stamps,
-            self._normal,
-            self._lateral,
-            self._touching,
-            self._indentation,
-            self._row,
-        )
-        values = list(self._row.item())
-        values[2], values[10] = tuple(values[2]), tuple(values[10])
-        return SlipEstimate._make(values)
+    def add(self, estimate: ContactEstimate, force: Sequence[float]) -> SlipEstimate:
+        """One sample: the contact's estimate and the force (3,) in N that it came from."""
+        if estimate.flags & StateFlag.TIME_RESET:
+            self.reset()
+        first, second = self.lateral_axes
+        stamps, normal, lateral, touching, indentation, moisture = self._samples
+        stamps[0] = estimate.stamp_ns
+        normal[0] = estimate.normal_force
+        lateral[0, 0], lateral[0, 1] = force[first], force[second]
+        touching[0] = estimate.in_contact
+        indentation[0] = estimate.indentation
+        moisture[0] = estimate.moisture
+        kernels.follow_many(self._config, self._state, *self._samples, self._row)
+        return slip_estimates(self._row)[0]
+
+    def add_block(self, block: EstimateBlock, forces: np.ndarray) -> np.ndarray:
+        """As `add` for a block of n estimates and their forces (n, 3); rows (n,) of OUTPUT."""
+        resets = np.flatnonzero(block.column("flags") & int(StateFlag.TIME_RESET))
+        found = []
+        for begin, end in zip([0, *resets], [*resets, len(block)]):
+            if begin in resets:
+                self.reset()
+            rows = block.rows[begin:end]
+            found.append(
+                self.add_many(
+                    rows["stamp_ns"],
+                    rows["normal_force"],
+                    forces[begin:end][:, self.lateral_axes],
+                    rows["in_contact"],
+                    rows["indentation"],
+                    rows["moisture"],
+                )
+            )
+        return np.concatenate(found)
 
     def add_many(
         self,
-        stamps: np.ndarray,
+        stamps_ns: np.ndarray,
         normal_force: np.ndarray,
         lateral: np.ndarray,
         touching: np.ndarray,
         indentation: np.ndarray,
+        moisture: np.ndarray | None = None,
     ) -> np.ndarray:
-        """As `add` for n samples; rows (n,) of `kernels.OUTPUT`. lateral is (n, 2)."""
-        rows = np.zeros(len(stamps), kernels.OUTPUT)
-        if lateral.shape != (len(stamps), 2):
-            raise InputError(f"lateral has shape {lateral.shape}, ({len(stamps)}, 2) is needed")
-        self._follow(
-            np.ascontiguousarray(stamps, np.int64),
+        """Rows (n,) of `kernels.OUTPUT` for n samples.
+
+        normal_force, indentation, moisture (n,), lateral (n, 2) in SI; touching (n,): whether in
+        contact. Raises InputError for other shapes.
+        """
+        n = len(stamps_ns)
+        if lateral.shape != (n, 2):
+            raise InputError(f"lateral has shape {lateral.shape}, ({n}, 2) is needed")
+        rows = np.zeros(n, kernels.OUTPUT)
+        if moisture is None:
+            moisture = np.full(n, math.nan)
+        kernels.follow_many(
+            self._config,
+            self._state,
+            np.ascontiguousarray(stamps_ns, np.int64),
             np.ascontiguousarray(normal_force, float),
             np.ascontiguousarray(lateral, float),
             np.ascontiguousarray(touching, bool),
             np.ascontiguousarray(indentation, float),
+            np.ascontiguousarray(moisture, float),
             rows,
         )
         return rows
 
-    def _follow(self, *arrays: np.ndarray) -> None:
-        kernels.follow_many(self._config, self._state, *arrays)
-
-    def add_stick_ratio(self, stamp: int, stick_ratio: float, sd: float) -> bool:
-        """A stick ratio seen by a camera at `stamp` (ns) with its standard deviation.
+    def add_stick_ratio(self, stamp_ns: int, stick_ratio: float, sd: float) -> bool:
+        """A stick ratio seen by a camera at `stamp_ns`, with its standard deviation.
 
         False when it tells nothing: no contact then, no tangential load, or after a reversal.
         """
         if not (math.isfinite(stick_ratio) and sd > 0.0):
             return False
-        return bool(kernels.see_stick(self._state[0], stamp, float(stick_ratio), float(sd)))
+        return bool(kernels.see_stick(self._state[0], stamp_ns, float(stick_ratio), float(sd)))
+
+
+def slip_estimates(rows: np.ndarray) -> list[SlipEstimate]:
+    """Rows (n,) of `kernels.OUTPUT` as SlipEstimates."""
+    found = []
+    for row in rows.tolist():
+        values = list(row)
+        values[2], values[10] = tuple(values[2]), tuple(values[10])
+        found.append(SlipEstimate._make(values))
+    return found

@@ -20,8 +20,12 @@ import math
 
 import numpy as np
 
+from finger_common.flags import SlipFlag
+
 from ..compiled import njit
 from . import backbone
+
+NO_CONTACT, SLIPPING, ASSUMED, INVALID = (int(flag) for flag in SlipFlag)
 
 ELEMENTS = 40
 GRID = 96
@@ -41,6 +45,10 @@ LAG, EVERY, MEMORY = 0.04, 0.01, 0.1
 LAGS = 4
 STILL = -1.0
 """Log of the odds of slip and holding against pulling above which r stands still."""
+NATURAL_MOISTURE = 69.0
+"""Moisture (a.u.) at which the prior's median friction holds."""
+LARGEST_SHIFT = 1.0
+"""Largest change of the prior's ln μ by moisture."""
 SLIP_ODDS = -1.5
 """Log of the odds of slip against holding of a plateau that shows neither: held things are more."""
 PLATEAU_AFTER = 0.02
@@ -56,7 +64,8 @@ SMALLEST_FORCE = 0.05
 
 CONFIGURATION = np.dtype(
     [
-        ("prior_mean", "f8"),  # of ln μ
+        ("prior_mean", "f8"),  # of ln μ, at natural moisture
+        ("moisture_slope", "f8"),  # of ln μ
         ("prior_sd", "f8"),
         ("drift", "f8"),
         ("horizon", "f8"),  # s
@@ -88,6 +97,7 @@ STATE = np.dtype(
         ("slips", "i8"),
         ("counted", "?"),  # the slip of this pull
         ("told", "?"),  # the weights hold more than the prior
+        ("moisture", "f8"),  # of the prior
         ("force", "f8", (ELEMENTS, 2)),  # of the elements, over the share of one
         ("moved", "f8", (2,)),  # displacement of the elements, N
         ("next", "i8"),
@@ -111,8 +121,8 @@ OUTPUT = np.dtype(
         ("friction_stddev", "f8"),
         ("tangential_displacement", "f8", (2,)),
         ("tangential_stiffness", "f8"),
-        ("slips", "i8"),
-        ("slipping", "?"),
+        ("slips", "u4"),
+        ("flags", "u4"),
     ]
 )
 
@@ -134,10 +144,15 @@ def _curve(ratio):
 
 
 @njit(cache=True)
-def set_prior(config, state):
-    """Forget all evidence: the prior alone."""
+def set_prior(config, state, moisture):
+    """Forget all evidence: the prior of a moisture (a.u., NaN where it is not known) alone."""
+    shift = 0.0
+    if math.isfinite(moisture):
+        shift = config.moisture_slope * (moisture - NATURAL_MOISTURE)
+        shift = min(max(shift, -LARGEST_SHIFT), LARGEST_SHIFT)
+    state.moisture = moisture
     for g in range(GRID):
-        z = (LOG_FRICTION[g] - config.prior_mean) / config.prior_sd
+        z = (LOG_FRICTION[g] - config.prior_mean - shift) / config.prior_sd
         state.log_weight[g] = -0.5 * z * z
     state.largest = 0.0
     state.slips = 0
@@ -254,8 +269,6 @@ def _pull(state, load, q0, q1):
                 a += k * (1.0 - n0 * n0)
                 b -= k * n0 * n1
                 c += k * (1.0 - n1 * n1)
-                # Of the element whose limit is just reached a part still sticks.
-                stuck += max(0.0, 1.0 - (size - limit) / (0.05 * limit + 1e-12)) * 0.5
             else:
                 f0 += t0
                 f1 += t1
@@ -355,12 +368,11 @@ def _say_nothing(out):
     out.slip_probability = 0.0
     out.tangential_displacement[0] = out.tangential_displacement[1] = math.nan
     out.tangential_stiffness = math.nan
-    out.slipping = False
 
 
 @njit(cache=True)
-def follow(config, state, stamp, normal, q0, q1, touching, indentation, out):
-    """One sample: stamp (ns), P and Q (N), whether in contact, indentation (m)."""
+def follow(config, state, stamp, normal, q0, q1, touching, indentation, moisture, out):
+    """One sample: stamp (ns), P and Q (N), whether in contact, indentation (m), moisture (a.u.)."""
     out.stamp = stamp
     out.normal_force = normal
     out.tangential_force[0], out.tangential_force[1] = q0, q1
@@ -368,7 +380,10 @@ def follow(config, state, stamp, normal, q0, q1, touching, indentation, out):
         _say_nothing(out)
         out.friction, out.friction_stddev = state.friction[0], state.friction[1]
         out.slips = state.slips
+        out.flags = INVALID | (ASSUMED if state.slips == 0 else 0)
         return
+    if not state.told and moisture != state.moisture and math.isfinite(moisture):
+        set_prior(config, state, moisture)
     dt = (stamp - state.stamp) * 1e-9
     if touching and not state.touching:
         state.touching = True
@@ -388,6 +403,7 @@ def follow(config, state, stamp, normal, q0, q1, touching, indentation, out):
         _track(state.slow, SLOW, dt, values)
     state.stamp = stamp
     out.slips = state.slips
+    out.flags = ASSUMED if state.slips == 0 else 0
     judged = touching and normal >= SMALLEST_FORCE and state.fast.value[0] >= SMALLEST_FORCE
     ratio = 0.0
     if judged:
@@ -452,13 +468,15 @@ def follow(config, state, stamp, normal, q0, q1, touching, indentation, out):
     state.friction[0], state.friction[1] = out.friction, out.friction_stddev
     if not judged:
         _say_nothing(out)
+        out.flags |= NO_CONTACT
         if touching:
             _pull(state, mean * max(normal, 1e-6), 0.0, 0.0)
         return
     stick_mean /= total
     spread = math.sqrt(max(stick_square / total - stick_mean * stick_mean, 0.0))
     slipping = slip_total > 0.5 * total
-    out.slipping = slipping
+    if slipping:
+        out.flags |= SLIPPING
     out.slip_probability = min(probability / total, 1.0)
     stick = _pull(state, mean * state.fast.value[0], state.fast.value[1], state.fast.value[2])
     if not state.turned and not slipping:
@@ -497,8 +515,8 @@ def see_stick(state, stamp, stick, sd):
 
 
 @njit(cache=True)
-def follow_many(config, state, stamps, normal, lateral, touching, indentation, out):
-    """Many samples: stamps (n,), normal (n,), lateral (n, 2), touching (n,), indentation (n,)."""
+def follow_many(config, state, stamps, normal, lateral, touching, indentation, moisture, out):
+    """Many samples: arrays (n,) of what `follow` takes, lateral (n, 2)."""
     for i in range(len(stamps)):
         follow(
             config[0],
@@ -509,5 +527,6 @@ def follow_many(config, state, stamps, normal, lateral, touching, indentation, o
             lateral[i, 1],
             touching[i],
             indentation[i],
+            moisture[i],
             out[i],
         )

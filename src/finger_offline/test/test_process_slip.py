@@ -1,0 +1,60 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""`finger-bag process --slip` writes what the slip estimator says, and only when asked to."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from finger_bag.cli import command
+from finger_bag.reader import open_bag
+from finger_bag.writer import BagWriter
+from finger_common.cli import run
+from finger_model.estimator import ContactEstimator
+from finger_model.messages import slip_numbers, wrench_of
+from finger_model.reduced import ReducedModel
+from finger_model.slip import SlipEstimator
+
+
+def pulled(path: Path) -> Path:
+    """A bag of a press that is pulled sideways; one stamp comes twice."""
+    time = np.arange(0.0, 2.0, 0.002)
+    normal = np.interp(time, [0.1, 0.5, 1.8, 1.9], [0.0, 1.0, 1.0, 0.0])
+    pull = np.interp(time, [0.6, 1.6, 1.8, 1.9], [0.0, 0.5, 0.5, 0.0])
+    with BagWriter(path, {"subject": "S01", "condition": "natural"}) as writer:
+        for i in [*range(400), 399, *range(400, len(time))]:
+            stamp = 10**18 + round(time[i] * 1e9)
+            sec, nanosec = divmod(stamp, 10**9)
+            header = {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": "sensor"}
+            force = {"x": pull[i], "y": 0.0, "z": -normal[i]}
+            torque = {"x": 0.0, "y": 0.0, "z": 0.0}
+            fields = {"header": header, "wrench": {"force": force, "torque": torque}}
+            writer.write("/finger/wrench", fields, stamp)
+    return path
+
+
+def test_slip_of_a_bag_is_that_of_its_samples(tmp_path: Path) -> None:
+    bag = pulled(tmp_path / "bag")
+    assert run(command, ["process", str(bag), "-o", str(tmp_path / "plain")]) == 0
+    assert run(command, ["process", str(bag), "-o", str(tmp_path / "slip"), "--slip"]) == 0
+    with open_bag(tmp_path / "plain") as reader:
+        assert "/finger/contact_slip" not in reader.info.topics
+        forces = [wrench_of(m.message) for m in reader.messages(["/finger/wrench"])]
+    contact, slip = ContactEstimator(ReducedModel.load()), SlipEstimator()
+    wanted = [
+        slip_numbers(slip.add(estimate, force), slip.lateral_axes)
+        for stamp, force in forces
+        for estimate in contact.add_wrench(stamp, force)
+    ]
+    with open_bag(tmp_path / "slip") as reader:
+        found = [m.message for m in reader.messages(["/finger/contact_slip"])]
+    assert len(found) == len(wanted) == 1000
+    for message, values in zip(found, wanted):
+        assert message.header.frame_id == "sensor"
+        assert repr(message.slip_margin) == repr(values[8])
+        assert repr(message.friction) == repr(values[11])
+        assert message.tangential_force.x == values[3] and message.flags == values[-1]
+    assert 0.0 < min(m.slip_margin for m in found[400:800]) < 0.4
