@@ -158,7 +158,7 @@ def test_every_field_has_a_meaning(project_root: Path) -> None:
 
 
 def test_every_physical_number_carries_its_unit(project_root: Path) -> None:
-    unit = re.compile(r"(m\^2|m\^4|\bm\b|\bN\b|\bPa\b|\bs\b|\brad\b|a\.u\.)")
+    unit = re.compile(r"(m\^2|m\^4|\bm\b|\bN\b|\bPa\b|\bs\b|\brad\b|a\.u\.|0\.\.1|dimensionless)")
     bare = [
         f"{file.name}:{number} {code}"
         for file, number, code, comment in interface_lines(project_root)
