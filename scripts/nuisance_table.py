@@ -1,6 +1,6 @@
 """What the errors of a rig do to a fit, with nuisance parameters and without.
 
-    python scripts/nuisance_table.py [--seeds 20] [--cases tare,lag] [--processes 2]
+    python scripts/nuisance_table.py [--seeds 20] [--cases "lag +80 ms;none"] [--processes 2]
         [--output DIR] [--write]
 
 Simulated presses with known truth: the reduced model makes the areas and fits them, so that the
@@ -291,9 +291,9 @@ def _job(job: tuple[str, int, Path | None]) -> dict[str, Any]:
 
 
 def run(folder: Path, seeds: int, wanted: Sequence[str], processes: int) -> list[dict[str, Any]]:
-    """All cases whose name begins with one of `wanted` (all for none), seed after seed."""
+    """The cases `wanted` (all for none), seed after seed."""
     folder.mkdir(parents=True, exist_ok=True)
-    cases = [c for c in CASES if not wanted or any(c.startswith(w) for w in wanted)]
+    cases = [c for c in CASES if not wanted or c in wanted]
     for name in {CASES[c][0] for c in cases}:
         responses_of(name, folder)
     path = folder / "nuisances.json"
@@ -359,12 +359,12 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--cases", default="", help="beginnings of names, separated by commas")
+    parser.add_argument("--cases", default="", help="names, separated by semicolons")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--output", type=Path, default=Path("out/nuisances"))
     parser.add_argument("--write", action="store_true", help=f"put the table into {PAGE.name}")
     args = parser.parse_args()
-    wanted = [word for word in args.cases.split(",") if word]
+    wanted = [word for word in args.cases.split(";") if word]
     text = table(run(args.output, args.seeds, wanted, args.processes))
     print(text)
     if args.write:

@@ -22,6 +22,7 @@ from finger_common.errors import InputError
 from finger_common.progress import Stages
 from finger_model.finger import load_areas
 
+from .design.command import command as design_command
 from .nuisance.names import name_of
 from .options import FitOptions
 from .problem import MM4, three_digits
@@ -39,7 +40,7 @@ def parser() -> argparse.ArgumentParser:
     p = Parser(
         prog="finger-fit",
         description="Fit the finger model's parameters to recorded bags; writes fit.json, "
-        "parameters.yaml and report.html.",
+        "parameters.yaml and report.html. 'finger-fit design' plans a study before it is made.",
         example=EXAMPLE,
     )
     p.add_argument(
@@ -120,7 +121,10 @@ def summary(result: FitResult) -> Table:
 
 def command(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns the exit code."""
-    args = parser().parse_args(argv)
+    given = list(sys.argv[1:] if argv is None else argv)
+    if given[:1] == ["design"]:
+        return design_command(given[1:])
+    args = parser().parse_args(given)
     options = settings_from(args, FitOptions)
     for bag in args.bags:
         if not Path(bag).exists():
@@ -132,7 +136,7 @@ def command(argv: Sequence[str] | None = None) -> int:
         result = fit_bags(
             args.bags, options, args.output, args.condition, model, screen,
             args.normal_axis, args.calibration, args.mapping, args.area_per_pixel,
-            shlex.join(["finger-fit", *(sys.argv[1:] if argv is None else argv)]),
+            shlex.join(["finger-fit", *given]),
         )  # fmt: skip
     console = Console(width=None if sys.stdout.isatty() else 160)
     console.print(summary(result))

@@ -107,8 +107,8 @@ class ConditionFit:
         return float(low), float(high)
 
     def data_deviation(self, name: str) -> float:
-        """Standard deviation of a quantity's logarithm from the data alone, with the lengths of the
-        finger and the gain of all areas as assumed; NaN without covariance."""
+        """Standard deviation of a quantity's logarithm from the data alone, as if the lengths of
+        the finger and the gain of all areas were those of this fit; NaN without covariance."""
         if self.covariance is None:
             return float("nan")
         assumed = [n for n in self.covariance.nuisances if is_assumed(n)]

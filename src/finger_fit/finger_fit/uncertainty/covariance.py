@@ -17,7 +17,7 @@ covariance holds what a prior leaves open too.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -119,9 +119,6 @@ class Covariance:
         By the prior of each shared nuisance, and the rest, "data"; their squares add up.
         """
         free = [i for i, n in enumerate(self.space.names) if n not in self.active]
-        return self._parts(name, free)
-
-    def _parts(self, name: str, free: Sequence[int]) -> dict[str, float]:
         gradient = self.space.log_gradient(name, self.parameters)
         index, part = self._with_nuisances(free, gradient)
         parts = np.abs(self.responses(free) @ gradient)
@@ -130,10 +127,23 @@ class Covariance:
         return {"data": float(data), **dict(zip(self.nuisances, map(float, parts)))}
 
     def without(self, name: str, nuisances: Collection[str]) -> float:
-        """Standard deviation of a quantity's logarithm for its interval, less the part of some
-        shared nuisances: as if these had the values that the fit assumes."""
-        parts = self._parts(name, self._freed(name))
-        return float(np.sqrt(sum(p**2 for n, p in parts.items() if n not in nuisances)))
+        """Standard deviation of a quantity's logarithm for its interval, with some of the shared
+        nuisances known exactly."""
+        number = len(self.space)
+        free = self._freed(name)
+        kept = [number + k for k, n in enumerate(self.nuisances) if n not in nuisances]
+        part = np.zeros(len(free) + len(kept))
+        part[: len(free)] = self.space.log_gradient(name, self.parameters)[free]
+        return float(np.sqrt(part @ self._sandwich([*free, *kept]) @ part))
+
+    def with_presses(self, factor: float) -> Covariance:
+        """As of `factor` times as many presses of the same kind; `covariance` stays as it is."""
+        prior = np.diag(self.prior)
+        return replace(
+            self,
+            curvature=(self.curvature - prior) * factor + prior,
+            frame_information=self.frame_information * factor,
+        )
 
     def nuisance_deviations(self) -> dict[str, float]:
         """Standard deviation of each shared nuisance after the fit."""
@@ -180,14 +190,21 @@ def active_bounds(space: ParameterSpace, parameters: np.ndarray, box: np.ndarray
     return found
 
 
-def covariance(problem: FitProblem, parameters: np.ndarray) -> Covariance:
-    """Curvature and covariance at parameters (N,), the best ones."""
+def covariance(
+    problem: FitProblem, parameters: np.ndarray, expected_noise: float | None = None
+) -> Covariance:
+    """Curvature and covariance at parameters (N,), the best ones.
+
+    expected_noise: m² of a frame, in place of the residuals of a fit: the covariance that data of
+    this noise will have, without any bound.
+    """
     space, weight = problem.space, problem.weight
     number = len(space)
     goal = problem.goal()
     slope = sensitivities(problem, parameters)
     residual = goal.residuals(problem.areas(parameters)[0])
-    active = active_bounds(space, parameters, problem.box)
+    planned = expected_noise is not None
+    active = {} if planned else active_bounds(space, parameters, problem.box)
     free = [i for i, name in enumerate(space.names) if name not in active]
     degrees = float(len(weight) - len(free))
     shared = problem.nuisances
@@ -211,6 +228,8 @@ def covariance(problem: FitProblem, parameters: np.ndarray) -> Covariance:
     curvature = filtered @ slope.T + np.diag(prior)
     # Equal noise in every frame; the residuals of the fit are smaller by the fitted parameters.
     noise = float(np.sqrt((residual**2).sum() / max(degrees, 0.2 * len(weight), 1.0)))
+    if expected_noise is not None:
+        noise, residual = expected_noise, np.zeros_like(residual)
     spread = np.hstack([filtered * noise, (filtered @ own) * own_sd])
     information = spread @ spread.T
     scores = np.add.reduceat(weight * residual * slope, problem.starts[:-1], axis=1)

@@ -1,0 +1,130 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""A plan of presses, and the trials that it would record."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from finger_common.errors import InputError
+from finger_common.settings import Settings, setting
+from finger_model.paper import PRESS_DURATION, TARGET_FORCE, TRIALS_PER_CONDITION
+
+from ..api import Trial
+from ..options import FitOptions
+from ..problem import FitProblem, batch_areas, prepare_all
+
+REST, REST_AFTER = 0.6, 0.3
+"""s of unloaded plate before and after a planned press."""
+
+FORCE_RATE = 500.0
+"""Hz of the planned force."""
+
+_GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+
+
+@dataclass(frozen=True)
+class Plan(Settings):
+    """One plan; raises InputError for a bad value."""
+
+    presses: int = setting(
+        TRIALS_PER_CONDITION, "Presses of one finger in one condition.", "", 3, 500
+    )
+    shortest: float = setting(PRESS_DURATION[0], "Shortest loading.", "s", 0.1, 60.0)
+    longest: float = setting(
+        PRESS_DURATION[1], "Longest loading; the others lie between, evenly in the logarithm.",
+        "s", 0.1, 60.0,
+    )  # fmt: skip
+    peak: float = setting(TARGET_FORCE, "Force at the end of the loading.", "N", 0.2, 10.0)
+    hold: float = setting(0.0, "Time at that force.", "s", 0.0, 60.0)
+    release: float = setting(0.3, "Duration of the release.", "s", 0.05, 60.0)
+    window: str = setting(
+        "loading", "Frames that count, as in a fit.", choices=("loading", "contact")
+    )
+    frame_rate: float = setting(10.0, "Images.", "Hz", 1.0, 1000.0)
+    area_noise: float = setting(1.5e-6, "Noise of a frame's area.", "m^2", 1e-8, 1e-4)
+    scatter: float = setting(0.03, "Scatter of whole presses' areas (logarithm).", "", 0.0, 1.0)
+
+    def validate(self) -> None:
+        """The shortest loading is no longer than the longest."""
+        if self.shortest > self.longest:
+            raise InputError(
+                f"plan: shortest is {self.shortest:g} s, longer than longest ({self.longest:g} s); "
+                "exchange them"
+            )
+
+    def force(self, index: int) -> tuple[np.ndarray, np.ndarray]:
+        """Time (n,) in s and force (n,) in N of one press, with the unloaded plate on both
+        sides."""
+        place = index / max(self.presses - 1, 1)
+        rise = self.shortest * (self.longest / self.shortest) ** place
+        length = REST + rise + self.hold + self.release + REST_AFTER
+        time = np.arange(0.0, length, 1.0 / FORCE_RATE)
+        up = np.clip((time - REST) / rise, 0.0, 1.0)
+        down = np.clip(1.0 - (time - REST - rise - self.hold) / self.release, 0.0, 1.0)
+        return time, self.peak * np.minimum(up, down)
+
+    def frames(self, index: int, end: float) -> np.ndarray:
+        """Times (k,) in s of the images of one press; their phase differs from press to press."""
+        return np.arange((index * _GOLDEN) % 1.0 / self.frame_rate, end, 1.0 / self.frame_rate)
+
+    def problem(
+        self,
+        model: Any,
+        parameters: np.ndarray,
+        options: FitOptions,
+        noise: np.random.Generator | None = None,
+    ) -> FitProblem:
+        """The fit's problem of these presses by a finger of parameters (N,).
+
+        noise: draws the noise of frames and the gains of presses; none without.
+        """
+        records = []
+        for index in range(self.presses):
+            time, force = self.force(index)
+            frames = self.frames(index, float(time[-1]))
+            knots = np.union1d(time[::5], frames)
+            drive = (knots, np.interp(knots, time, force), np.searchsorted(knots, frames))
+            area = batch_areas(model, parameters[None], [drive])[0][0]
+            touched = np.interp(frames, time, force) > 0
+            if noise is not None:
+                area = area * np.exp(self.scatter * noise.normal())
+                area = area + self.area_noise * noise.normal(size=len(area))
+            area = np.where(touched, np.maximum(area, 1e-9), 0.0)
+            trial = Trial(time, force, area, frames, "plan", target_force=0.98 * self.peak)
+            records.append(trial.record(index))
+        chosen = replace(options, window=self.window)
+        trials, excluded = prepare_all(records, chosen)
+        if len(trials) < self.presses:
+            raise InputError(
+                f"plan: {excluded[0].reason}; give longer presses, a higher peak or more images"
+            )
+        return FitProblem(trials, model, chosen)
+
+
+def plan_of(text: str) -> tuple[str, Plan]:
+    """Name and plan of NAME:SETTING=VALUE,…; raises InputError that quotes it."""
+    name, colon, rest = text.partition(":")
+    values: dict[str, Any] = {}
+    known = {p.name: p for p in Plan.parameters()}
+    for part in filter(None, rest.split(",")) if colon else ():
+        key, _, value = part.partition("=")
+        found = known.get(key.strip())
+        if found is None:
+            raise InputError(
+                f"plan '{text}': '{key.strip()}' is no setting of a plan; there are "
+                f"{', '.join(known)}"
+            )
+        try:
+            values[found.name] = type(found.default)(value.strip())
+        except ValueError:
+            raise InputError(
+                f"plan '{text}': {found.name} is '{value.strip()}', a number is needed"
+            ) from None
+    if not name.strip():
+        raise InputError(f"plan '{text}': a name is needed, as in slow:shortest=2,longest=8")
+    return name.strip(), Plan(**values)

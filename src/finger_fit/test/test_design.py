@@ -1,0 +1,150 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""`finger-fit design`: expected deviations against recovery, power against simulated studies."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import ttest_1samp
+
+from finger_common.cli import run
+from finger_common.errors import InputError
+from finger_fit.cli import command
+from finger_fit.design import Plan, expected, plan_of, power, presses_for, subjects_for
+from finger_fit.design.expected import expected_of
+from finger_fit.design.power import contrast_deviation
+from finger_fit.nuisance.estimate import NuisanceModel
+from finger_fit.options import FitOptions
+from finger_fit.search import all_free, refine
+
+
+def with_box(problem) -> None:
+    problem.box = np.array([[10e3, 2e6], [5e3, 200e3], [0.02, 2.0], [200e3, 6e6]])
+
+
+@pytest.mark.parametrize("nuisances", [False, True])
+def test_the_expected_deviation_is_that_of_repeated_fits(double, nuisances: bool) -> None:
+    """60 data sets give a deviation to 9 %; both deviations must agree within 20 %."""
+    model, truth = double.HereditaryModel(), double.TRUTH
+    plan = Plan(presses=8, hold=0.6, window="contact", area_noise=0.5e-6, scatter=0.02)
+    if not nuisances:
+        plan = replace(plan, scatter=0.0)
+    options = FitOptions(
+        nuisances=nuisances, area_gain_sd=0.0, collapse_sd=0.0, geometry_sd=[], tare_sd=0.0
+    )
+    predicted = expected(plan, model, truth, options)
+    found = []
+    for seed in range(60):
+        problem = plan.problem(model, truth, options, np.random.default_rng(seed))
+        with_box(problem)
+        if nuisances:
+            at = NuisanceModel(problem, options)
+            at.noise, at.scatter = plan.area_noise, plan.scatter
+            problem.nuisances = at.linearise(truth)
+        fit = refine(problem, all_free(problem), truth)
+        found.append([problem.space.quantity(n, fit.parameters) for n in predicted.total])
+    spread = dict(zip(predicted.total, np.log(found).std(axis=0, ddof=1)))
+    for name in ("composite_E", "E2", "tau1", "E1"):
+        assert predicted.data[name] == pytest.approx(spread[name], rel=0.2), name
+
+
+def test_more_presses_narrow_what_they_can(double) -> None:
+    model = double.HereditaryModel()
+    options = FitOptions(area_gain_sd=0.05)
+    few = expected(Plan(presses=10, hold=1.0, window="contact"), model, double.TRUTH, options)
+    many = expected(Plan(presses=40, hold=1.0, window="contact"), model, double.TRUTH, options)
+    name = "composite_E"
+    assert few.data[name] / many.data[name] == pytest.approx(2.0, rel=0.2)
+    assert many.total[name] > 0.9 * np.hypot(many.parts[name]["area_gain"], 0.0)
+    assert many.total[name] > 2.0 * many.data[name], "the gain of all areas stays"
+    # The number of presses for the deviation that 40 presses have.
+    assert presses_for(few, name, many.data[name]) == pytest.approx(40, rel=0.15)
+    assert presses_for(few, name, 0.2 * many.total[name], total=True) is None
+
+
+def test_a_plan_whose_residuals_are_zero_has_the_noise_that_it_names(double) -> None:
+    options = FitOptions(nuisances=False)
+    plans = [Plan(presses=5, area_noise=noise) for noise in (1e-6, 3e-6)]
+    one, three = (
+        expected_of(p.problem(double.HereditaryModel(), double.TRUTH, options), p, double.TRUTH)
+        for p in plans
+    )
+    for name in one.total:
+        assert three.total[name] == pytest.approx(3.0 * one.total[name], rel=1e-6)
+
+
+def test_power_is_the_share_of_simulated_studies_that_find_it() -> None:
+    rng = np.random.default_rng(0)
+    for difference, within, between, subjects in ((0.2, 0.15, 0.2, 8), (0.1, 0.3, 0.1, 20)):
+        scatter = np.hypot(within, between)
+        draws = difference + scatter * rng.normal(size=(4000, subjects))
+        share = float((ttest_1samp(draws, 0.0, axis=1).pvalue < 0.05).mean())
+        assert power(difference, within, between, subjects) == pytest.approx(share, abs=0.03)
+    assert power(0.0, 0.1, 0.1, 10) == pytest.approx(0.05, abs=1e-6)
+    number = subjects_for(0.8, 0.2, 0.15, 0.2)
+    assert number is not None
+    assert power(0.2, 0.15, 0.2, number) >= 0.8 > power(0.2, 0.15, 0.2, number - 1)
+    assert subjects_for(0.9, 0.001, 1.0, 1.0) is None
+
+
+def test_what_both_conditions_share_cancels(double) -> None:
+    model = double.HereditaryModel()
+    plan = Plan(presses=20, hold=1.0, window="contact", area_noise=0.3e-6, scatter=0.01)
+    options = FitOptions(area_gain_sd=0.1)
+    first = expected(plan, model, double.TRUTH, options)
+    other = expected(plan, model, double.TRUTH * [1.0, 1.5, 1.0, 1.0], options)
+    apart = np.hypot(first.total["composite_E"], other.total["composite_E"])
+    assert contrast_deviation(first, other, "composite_E") < 0.5 * apart
+
+
+def test_the_command_compares_plans(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "design.json"
+    arguments = [
+        "design", "--plan", "short:presses=4", "--plan", "hold:presses=4,hold=1,window=contact",
+        "--wanted", "composite_E=0.3", "--against", "dry", "--subjects", "12", "-o", str(out),
+    ]  # fmt: skip
+    assert run(command, arguments) == 0
+    text = capsys.readouterr().out
+    assert "short" in text and "hold" in text and "power" in text
+    data = json.loads(out.read_text())
+    short, hold = data["plans"]["short"], data["plans"]["hold"]
+    assert hold["sd_log"]["E0"] < short["sd_log"]["E0"], "a hold tells E0"
+    assert short["sd_log_parts"]["composite_E"]["pad_semi_axis_radial"] > 0.05
+    assert short["sd_log_data"]["composite_E"] < short["sd_log"]["composite_E"]
+    found = data["contrast"]["plans"]["hold"]["composite_E"]
+    assert found["difference_log"] == pytest.approx(np.log(19.27 / 30.23), abs=0.01)
+    assert 0.0 < found["power"] <= 1.0 and found["subjects_for_80"] <= found["subjects_for_90"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--plan", "a:press=3"], "'press' is no setting"),
+        (["--plan", "a:presses=many"], "a number is needed"),
+        (["--plan", ":presses=5"], "a name is needed"),
+        (["--plan", "a:shortest=3,longest=1"], "exchange them"),
+        (["--guess", "wet"], "give one of dry"),
+        (["--guess", "E0=1e5"], "all of E0"),
+        (["--wanted", "E=0.1"], "QUANTITY=DEVIATION"),
+        (["--subjects", "1"], "at least 2 subjects"),
+    ],
+)
+def test_bad_input_is_one_sentence(
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(command, ["design", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert words in error and len(error.strip().splitlines()) == 1
+
+
+def test_a_press_that_shows_no_frame_is_refused(double) -> None:
+    with pytest.raises(InputError, match="longer presses"):
+        name, plan = plan_of("quick:shortest=0.1,longest=0.1,frame_rate=4")
+        assert name == "quick"
+        expected(plan, double.HereditaryModel(), double.TRUTH)
