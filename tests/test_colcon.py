@@ -12,6 +12,9 @@ import pytest
 
 pytest.importorskip("colcon_core", reason="colcon is not installed")
 
+# It compiles finger_msgs: minutes on a busy machine.
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(3600)]
+
 
 @pytest.fixture(scope="module")
 def workspace(tmp_path_factory: pytest.TempPathFactory, project_root: Path) -> Path:
@@ -25,6 +28,8 @@ def workspace(tmp_path_factory: pytest.TempPathFactory, project_root: Path) -> P
         "CMAKE_PREFIX_PATH": str(prefix),
         "COLCON_DEFAULTS_FILE": os.devnull,
         "COLCON_HOME": str(folder / "home"),
+        # Of its own accord colcon lets ninja start no job while the load is above the cores.
+        "MAKEFLAGS": "-j2",
     }
     command = [sys.executable, "-m", "colcon", "--log-base", str(folder / "log"), "build"]
     command += ["--base-paths", str(project_root / "src"), "--build-base", str(folder / "build")]

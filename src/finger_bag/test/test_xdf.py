@@ -11,33 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from xdf_files import number_header, stream_chunks, write_xdf
 
 from finger_bag.xdf import read_xdf
 from finger_common.errors import InputError
 
 DRIFT, DELAY, JITTER = 2e-5, 3.0, 1e-4
 """Of the simulated second computer's clock: relative, in s, and of single measurements in s."""
-
-
-def chunk(tag: int, content: bytes) -> bytes:
-    return struct.pack("<BIH", 4, len(content) + 2, tag) + content
-
-
-def stream_chunks(
-    number: int, header: str, times: np.ndarray, values: list[bytes], offsets: list[float]
-) -> bytes:
-    """Header, samples each with its time, clock offsets one a second, and the footer."""
-    identity = struct.pack("<I", number)
-    samples = b"".join(
-        struct.pack("<Bd", 8, time) + value for time, value in zip(times, values, strict=True)
-    )
-    clock = b"".join(
-        chunk(4, identity + struct.pack("<dd", times[0] + second, offset))
-        for second, offset in enumerate(offsets)
-    )
-    body = identity + struct.pack("<BI", 4, len(times)) + samples
-    footer = identity + b"<?xml version='1.0'?><info></info>"
-    return chunk(2, identity + header.encode()) + chunk(3, body) + clock + chunk(6, footer)
 
 
 @pytest.fixture
@@ -50,15 +30,7 @@ def recording(tmp_path: Path) -> Path:
     seconds = remote[0] + np.arange(10)
     # What is to be added to the remote clock; the first and last measurement as exact as the rest.
     offsets = (seconds + DELAY) / (1 + DRIFT) - seconds + generator.normal(0, JITTER, 10)
-    channels = "".join(
-        f"<channel><label>{label}</label><unit>N</unit></channel>" for label in ("fx", "fz")
-    )
-    force = (
-        "<?xml version='1.0'?><info><name>plate</name><type>Force</type>"
-        "<channel_count>2</channel_count><nominal_srate>0</nominal_srate>"
-        "<channel_format>double64</channel_format>"
-        f"<desc><channels>{channels}</channels></desc></info>"
-    )
+    force = number_header("plate", "Force", {"fx": "N", "fz": "N"})
     marker = (
         "<?xml version='1.0'?><info><name>task</name><type>Markers</type>"
         "<channel_count>1</channel_count><nominal_srate>0</nominal_srate>"
@@ -66,15 +38,11 @@ def recording(tmp_path: Path) -> Path:
     )
     values = [struct.pack("<dd", 0.0, -t) for t in true]
     texts = [struct.pack("<BB", 1, len(text)) + text for text in (b"press", b"lift")]
-    file = tmp_path / "session.xdf"
-    header = b"<?xml version='1.0'?><info><datetime>2026-11-22T12:00:00+0000</datetime></info>"
-    file.write_bytes(
-        b"XDF:"
-        + chunk(1, header)
-        + stream_chunks(1, force, remote, values, list(offsets))
-        + stream_chunks(2, marker, np.array([101.0, 103.5]), texts, [])
+    return write_xdf(
+        tmp_path / "session.xdf",
+        stream_chunks(1, force, remote, values, list(offsets)),
+        stream_chunks(2, marker, np.array([101.0, 103.5]), texts, []),
     )
-    return file
 
 
 def test_streams_of_two_computers_are_on_one_clock_with_the_error_of_that(

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import re
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from xdf_files import number_header, stream_chunks, write_xdf
 
 from finger_bag.cli import command
 from finger_bag.reader import open_bag
@@ -347,3 +349,44 @@ def test_numbers_of_other_countries() -> None:
     assert table.numbers("b", gaps=True)[0] == 1234.5
     with pytest.raises(InputError, match="row 3"):
         table.numbers("b")
+
+
+def test_streams_of_the_lab_streaming_layer_make_a_bag_fit_for_use(tmp_path: Path) -> None:
+    """Force from a second computer whose clock is 3 s behind, areas from this one, and markers."""
+    pytest.importorskip("pyxdf", reason="pyxdf is not installed")
+    behind = 3.0
+
+    def stream(number: int, name: str, labels: dict[str, str], *data: np.ndarray) -> bytes:
+        time, *columns = data
+        values = [struct.pack(f"<{len(row)}d", *row) for row in np.column_stack(columns)]
+        offset = behind if name == "plate" else 0.0
+        header = number_header(name, "Force", labels)
+        return stream_chunks(number, header, time - offset, values, [offset] * 9)
+
+    zero = np.zeros_like(TIME)
+    file = write_xdf(
+        tmp_path / "session.xdf",
+        stream(
+            1,
+            "plate",
+            {"Fx": "mN", "Fy": "mN", "Fz": "mN"},
+            *(100.0 + TIME, zero, zero, -1e3 * force_at(TIME)),
+        ),
+        stream(2, "area", {"gross": "mm²"}, 100.0 + FRAMES, area_at(FRAMES)),
+    )
+    with pytest.raises(InputError, match=r"holds 2 streams of numbers.*::STREAM \(plate, area\)"):
+        read_table(str(file))
+    with pytest.raises(InputError, match="no stream is called 'plat'; did you mean 'plate'"):
+        read_table(f"{file}::plat")
+    settings = ImportSettings(
+        force=f"{file}::plate",
+        force_column="Fx,Fy,Fz",
+        area=f"{file}::area",
+        area_column="gross",
+        **ABOUT,
+    )
+    bag = tmp_path / "bag"
+    import_trial(settings, bag)
+    check_trials(bag, 1e-4)
+    # The clock of the file, not that of the import.
+    assert load_start(bag) == pytest.approx(1795348800 * 10**9, abs=10**9)

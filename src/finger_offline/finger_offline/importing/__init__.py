@@ -3,6 +3,6 @@
 
 """Session bags from a laboratory's own files: `finger-bag import`.
 
-`settings` (what to import), `tables` (columns of CSV, Parquet, Excel, HDF5, MATLAB and NumPy
+`settings` (what to import), `tables` (columns of CSV, Parquet, Excel, HDF5, MATLAB, NumPy and XDF
 files), `pictures` (videos and folders of images), `trial` (one recording → one bag), `command`.
 """

@@ -30,8 +30,8 @@ PATHS = ("force", "area", "video", "images", "image_times", "calibration")
 class ImportSettings(Settings):
     """One recording: force, and areas from a table, a video or images.
 
-    A table file is FILE or FILE::PART, where PART is the sheet of a workbook or the group or
-    dataset of an HDF5 or MATLAB file.
+    A table file is FILE or FILE::PART, where PART is the sheet of a workbook, the group or
+    dataset of an HDF5 or MATLAB file, or the stream of an XDF file.
     """
 
     force: str = setting("", "Table with time and force.", group=FILES)

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from finger_bag.xdf import read_xdf
 from finger_common.errors import InputError, known_names
 from finger_common.files import exists, parse_npz, read_bytes, read_text
 from finger_common.stamps import NANOSECONDS
@@ -383,6 +384,32 @@ def _read_matlab(path: Path, part: str) -> Table:
     return _of_arrays(f"{path}::{part}" if part else str(path), arrays)
 
 
+def _read_xdf(path: Path, part: str) -> Table:
+    """A stream by its name or type: `time_s`, and its channels by label or number."""
+    file = read_xdf(path)
+    if not part:
+        numbers = [s for s in file.streams if s.values.dtype.kind in "iuf"]
+        if len(numbers) != 1:
+            names = ", ".join(s.name for s in file.streams)
+            raise InputError(
+                f"{path}: holds {len(numbers)} streams of numbers; name one as {path}::STREAM "
+                f"({names})"
+            )
+        part = numbers[0].name
+    stream = file.stream(part)
+    # All streams count from the same moment: which one that was is known to the second.
+    first = min((s.time[0] for s in file.streams if len(s.time)), default=0.0)
+    since = np.round((stream.time - first) * NANOSECONDS).astype(np.int64)
+    times = since * 1e-9 if file.begun_ns is None else _datetime(since + file.begun_ns)
+    headings = [label or str(i) for i, label in enumerate(stream.labels, 1)]
+    columns = {"time_s": times, **dict(zip(headings, stream.values.T))}
+    return Table(f"{path}::{part}", columns, dict(zip(headings, stream.units)))
+
+
+def _datetime(stamps_ns: np.ndarray) -> np.ndarray:
+    return stamps_ns.astype("datetime64[ns]")
+
+
 def _of_arrays(where: str, arrays: Mapping[str, Any]) -> Table:
     """Table of the arrays that are columns: one dimension of more than one value."""
     columns = {}
@@ -404,5 +431,6 @@ READERS: dict[str, Callable[[Path, str], Table]] = {
     ".hdf5": _read_hdf5,
     ".mat": _read_matlab,
     ".npz": _read_npz,
+    ".xdf": _read_xdf,
 }
 """Ending of a file -> what reads it."""
