@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 import zstandard
 
+import finger_model
 from finger_bag.definitions import definition_text, encode
 from finger_bag.mcap_writer import MAGIC
 from finger_bag.reader import open_bag
@@ -27,6 +28,7 @@ from finger_fit.study.bags import bag_hash
 
 ROOT = Path(__file__).parent.parent
 CORPUS = ROOT / "tests" / "fuzz" / "corpus"
+MODELS = Path(finger_model.__file__).parent / "data"
 
 ALIASES = "a0: &a0 [1, 2, 3, 4, 5, 6, 7, 8, 9, 10]\n" + "".join(
     f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]\n" for i in range(1, 10)
@@ -92,7 +94,7 @@ def png(size: int) -> bytes:
 def npz(header: str) -> bytes:
     """Arrays of a shipped model, one of which claims another size."""
     out = io.BytesIO()
-    with zipfile.ZipFile(CORPUS / "model.npz") as old, zipfile.ZipFile(out, "w") as new:
+    with zipfile.ZipFile(MODELS / "reduced_default.npz") as old, zipfile.ZipFile(out, "w") as new:
         for name in old.namelist():
             data = old.read(name)
             if name == "betas.npy":

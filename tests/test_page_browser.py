@@ -102,6 +102,41 @@ def test_the_page_fits_every_size_and_what_is_far_away_can_be_read(
     assert page.evaluate(OVERFLOW) == []
 
 
+LONG = Problem(
+    "moisture",
+    "The moisture probe has a fault.",
+    "Check its power and its cable; the driver connects again by itself.",
+    None,
+    "serial port '/dev/serial/by-id/usb-corneometer-if00-port0' does not open ([Errno 2] could not "
+    "open port: No such file or directory); check cable, name and the group 'dialout'",
+)
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES)
+def test_long_texts_fit_every_size(rig: StandIn, page: Any, width: int, height: int) -> None:
+    page.set_viewport_size({"width": width, "height": height})
+    text = "Restarted. Trial 3 will begin again: press Space."
+    warning = "The disk has room for 3 more trials only; make room, or end the session before."
+    for step, paused, problems in (
+        ("prepare", True, [LONG]),
+        ("moisture_before", False, [NO_FORCE, LONG]),
+        ("lift", False, [LONG]),
+        ("finished", False, []),
+    ):
+        rig.problems = problems
+        rig.cue(step if step in ("prepare", "lift") else "idle", preparation=PREPARATIONS["dry"])
+        ended = "ended by the operator" if step == "finished" else ""
+        status = session(step, paused=paused, instruction=text, warnings=[warning], ended=ended)
+        rig.status(**status)
+        look = "paused" if paused else "idle" if step == "moisture_before" else step
+        page.wait_for_selector(f"#cue[data-look={look}]")
+        page.wait_for_selector("#banner", state="visible" if problems else "hidden")
+        if problems and step == "prepare":
+            page.keyboard.press("Space")
+        page.wait_for_timeout(300)
+        assert page.evaluate(OVERFLOW) == [], step
+
+
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_axe_finds_nothing(rig: StandIn, page: Any, browser: Any, scheme: str) -> None:

@@ -6,6 +6,7 @@ and of the page, an early end. Pictures at five sizes go to out/page (PAGE_SHOTS
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import re
@@ -56,7 +57,7 @@ class Rig:
                 "width": 640,
                 "height": 512,
                 "refinement": 0.5,
-                "reading_time": 0.5,
+                "reading_time": 1.0,
                 "upcoming": ["dry:4", "natural:4"],
             },
             "protocol": BUSY,
@@ -268,7 +269,9 @@ def watched(page: Any) -> Iterator[None]:
     page.wait_for_selector("#cue-word")
     page.evaluate(HISTORY)
     yield
-    cues = page.evaluate("window.cues")
+    # A busy machine may lose the link for a moment; the cue stands there again.
+    found = [word for word in page.evaluate("window.cues") if word != "Not connected"]
+    cues = [word for word, _ in itertools.groupby(found)]
     before = [cues[i - 1] for i, word in enumerate(cues) if word == "Lift"]
     assert set(before) == {"Press"}, cues
 
@@ -331,11 +334,20 @@ def test_a_guided_session_with_a_fault_of_each_device(
         assert re.search(r"×[2-9]", operator.row(1))
 
         # Trial 2: the camera falls silent before the press, which waits until it is back.
-        operator.reach(2, "moisture_before")
-        devices.show("camera silent")
-        operator.see("clear")
         waits = re.compile("camera|contact area")
-        operator.until(lambda: waits.search(operator.text("#cue-text")), "what it waits for")
+
+        def held() -> bool:
+            return operator.look == "clear" and bool(waits.search(operator.text("#cue-text")))
+
+        while True:
+            operator.reach(2, "moisture_before")
+            devices.show("camera silent")
+            operator.until(lambda: held() or operator.look == "failed", "the wait for the camera")
+            if held():
+                break
+            # The readings were over before the silence counted: the attempt failed, rightly.
+            devices.show()
+            operator.all_well()
         operator.refused("No contact area")
         operator.picture("waits", *SIZES[1])
         devices.show()
@@ -353,7 +365,7 @@ def test_a_guided_session_with_a_fault_of_each_device(
         # Trial 3: the probe is unplugged while it is read; the readings go on when it is back.
         operator.reach(3, "moisture_before")
         devices.show("moisture unplugged")
-        operator.refused("Moisture probe")
+        operator.refused("moisture probe")
         operator.picture("probe", *SIZES[3])
         devices.show()
         operator.all_well()

@@ -25,10 +25,13 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+# A forked process may not use threads of GNU OpenMP, once its parent did.
+os.environ["NUMBA_THREADING_LAYER"] = "workqueue"
+
 import cv2
 import mutate
 import numpy as np
-from readers import CORPUS, READERS, Reader, kind_of
+from readers import READERS, Reader, corpus, kind_of
 
 from finger_common.cli import one_line
 from finger_common.errors import FingerError
@@ -126,12 +129,12 @@ def run_jobs(jobs: list[Job]) -> list[dict[str, Any]]:
 def warm_up(kinds: set[str]) -> None:
     """Import and compile once what the forked processes need."""
     cv2.setNumThreads(1)
-    for path in sorted(CORPUS.iterdir()):
-        kind = path.name.split(".")[0].split("-")[0]
+    for file, path in corpus().items():
+        kind = kind_of(Path(file))
         if kind not in kinds:
             continue
         with tempfile.TemporaryDirectory() as folder:
-            copy = Path(shutil.copy(path, folder))
+            copy = Path(shutil.copy(path, Path(folder, file)))
             for name, reader in READERS[kind].items():
                 kept = [os.dup(1), os.dup(2)]
                 null = os.open(os.devnull, os.O_WRONLY)
@@ -142,8 +145,8 @@ def warm_up(kinds: set[str]) -> None:
                     os.dup2(handle, number)
                     os.close(handle)
                 os.close(null)
-                if result != "success" and "-" not in path.name:
-                    raise SystemExit(f"{path.name}, {name}: {result}: {text}")
+                if result != "success":
+                    raise SystemExit(f"{file}, {name}: {result}: {text}")
                 shutil.rmtree(copy.parent / "out", ignore_errors=True)
 
 
@@ -155,12 +158,15 @@ def mutated(path: Path, seed: int) -> tuple[str, bytes]:
     return change.__name__, change(path.read_bytes(), rng)
 
 
-def cases(number: int, seed: int) -> list[tuple[Path, int]]:
-    """Files of the corpus with the seeds of their mutations, in turn; a seventh of them bags."""
-    found = sorted(CORPUS.iterdir())
-    bags = [path for path in found if path.suffix == ".mcap"]
+def cases(number: int, seed: int) -> list[tuple[str, Path, int]]:
+    """Names and files of the corpus, in turn, with the seeds of their mutations.
+
+    A seventh of them are bags.
+    """
+    found = list(corpus().items())
+    bags = [(name, path) for name, path in found if path.suffix == ".mcap"]
     turns = found + bags * (len(found) // (6 * len(bags)) - 1)
-    return [(turns[i % len(turns)], seed * 1_000_000 + i) for i in range(number)]
+    return [(*turns[i % len(turns)], seed * 1_000_000 + i) for i in range(number)]
 
 
 def main() -> int:
@@ -176,14 +182,15 @@ def main() -> int:
     began = time.time()
     results: list[dict[str, Any]] = []
     warm_up({kind_of(f) for f in args.files} or set(READERS))
-    chosen = [(path, None) for path in args.files] or cases(args.cases, args.seed)
+    chosen: list[tuple[str, Path, int | None]] = [(f.name, f, None) for f in args.files]
+    chosen = chosen or [*cases(args.cases, args.seed)]
     with tempfile.TemporaryDirectory(prefix="fuzz") as folder:
         for begin in range(0, len(chosen), BATCH):
             jobs: list[Job] = []
-            for number, (path, seed) in enumerate(chosen[begin : begin + BATCH]):
+            for number, (name, path, seed) in enumerate(chosen[begin : begin + BATCH]):
                 if args.only and seed != args.only:
                     continue
-                case = Path(folder) / str(number) / path.name
+                case = Path(folder) / str(number) / name
                 case.parent.mkdir()
                 more: dict[str, Any] = {}
                 if seed is None:
@@ -192,7 +199,7 @@ def main() -> int:
                     change, content = mutated(path, seed)
                     case.write_bytes(content)
                     more = {"case": seed, "change": change}
-                names = list(READERS[kind_of(path)])
+                names = list(READERS[kind_of(case)])
                 if seed is not None and args.few:
                     names = [names[(seed + k) % len(names)] for k in range(min(2, len(names)))]
                 jobs += [(case, name, more) for name in names]

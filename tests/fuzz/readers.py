@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 import finger_driver
+import finger_model
 from finger_bag.cli import command as bag_command
 from finger_bag.mapping import TopicMapping
 from finger_bringup.nodes import read_parameter_file
@@ -138,6 +139,16 @@ def _sensor(path: Path, out: Path) -> None:
 
 CORPUS = Path(__file__).parent / "corpus"
 SHIPPED = Path(finger_driver.__file__).parent / "data"
+MODELS = Path(finger_model.__file__).parent / "data"
+
+
+def corpus() -> dict[str, Path]:
+    """Valid files by the name they are read under: the saved ones, and the shipped models."""
+    saved = {path.name: path for path in CORPUS.iterdir()}
+    models = {"default": "model.npz", "population": "model-population.npz"}
+    shipped = {name: MODELS / f"reduced_{of}.npz" for of, name in models.items()}
+    return dict(sorted({**saved, **shipped}.items()))
+
 
 READERS: dict[str, dict[str, Reader]] = {
     "bag": {

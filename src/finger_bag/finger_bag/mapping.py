@@ -112,7 +112,7 @@ def _entry(name: str, value: Any, where: str) -> MappedTopic:
         )
     unit = value.get("unit")
     allowed = _UNITS.get(name, {})
-    if unit is not None and unit not in allowed:
+    if unit is not None and not (isinstance(unit, str) and unit in allowed):
         raise InputError(
             f"{where}: topics.{name}.unit is {unit!r}, choose one of {', '.join(allowed) or 'none'}"
         )

@@ -77,12 +77,13 @@ def calibration_of(
 class ImageAreas:
     """Collects the areas of images; `add` one image message after the other, in order.
 
-    pixels: of all images together; those behind them are not measured.
+    pixels: of all images together; those behind them are not measured, and counted in `left_out`.
     """
 
     def __init__(self, sensor: AreaSensor, pixels: float = math.inf) -> None:
         self._sensor = sensor
         self._pixels = pixels
+        self.left_out = 0
         self._rows: list[tuple[int, int, float, float, float, int]] = []
 
     @classmethod
@@ -101,6 +102,7 @@ class ImageAreas:
     def measure(self, message: Any) -> ContactMeasurement:
         """Measure one image; raises InputError when it is no usable image."""
         if self._pixels <= 0:
+            self.left_out += 1
             raise InputError("more pixels than a bag of this size can hold; not measured")
         image = grey_image(message)
         self._pixels -= image.size
@@ -137,7 +139,7 @@ class MeasuringThread:
     """Measures images in a thread of its own, in order; a context manager."""
 
     def __init__(self, areas: ImageAreas) -> None:
-        self._areas = areas
+        self.areas = areas
         self._pool = ThreadPoolExecutor(1, "vision")
         self._pending: deque[tuple[BagMessage, Future[ContactMeasurement]]] = deque()
 
@@ -149,7 +151,7 @@ class MeasuringThread:
 
     def add(self, item: BagMessage) -> None:
         """Measure an image, later."""
-        self._pending.append((item, self._pool.submit(lambda: self._areas.measure(item.message))))
+        self._pending.append((item, self._pool.submit(lambda: self.areas.measure(item.message))))
 
     def results(
         self, until_ns: int

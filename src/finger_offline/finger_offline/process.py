@@ -65,7 +65,7 @@ class ProcessResult:
     counters: dict[str, int] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
     lost: bool = False
-    """Whether something that the bag holds could not be read."""
+    """Whether something that the bag holds could not be read, or was not, by a limit."""
 
 
 def process(
@@ -186,7 +186,7 @@ class _Run:
             replayed,
             counters,
             problems,
-            self.reader.lost,
+            self.reader.lost or (self.images is not None and self.images.areas.left_out > 0),
         )
 
     # Into the queue --------------------------------------------------------------------------

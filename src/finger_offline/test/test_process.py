@@ -16,6 +16,7 @@ from session_bags import START, wrench
 from finger_bag.definitions import encode
 from finger_bag.reader import open_bag
 from finger_bag.writer import BagWriter
+from finger_common.cli import run
 from finger_common.errors import InputError
 from finger_common.stamps import time_fields
 from finger_model.estimator import (
@@ -233,6 +234,26 @@ def test_areas_from_images_are_those_of_the_segmenter(
     for area, measurement in zip(found, expected):
         hull = np.array([[p.x, p.y] for p in area.hull]).reshape(-1, 2)
         assert np.allclose(hull, measurement.hull, atol=1e-9)
+
+
+def test_images_left_out_by_the_limit_are_counted_as_lost(
+    session: Callable[..., Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    from finger_bag.cli import command
+
+    path = session(trials=1, images=True)
+    arguments = ["process", str(path), "--images", "yes", "--area-per-pixel", "4e-8", "-o"]
+    assert run(command, [*arguments, str(tmp_path / "all")]) == 0
+    monkeypatch.setattr("finger_offline.image_areas.BAG_PIXELS", 100_000)
+    monkeypatch.setattr("finger_offline.image_areas.BAG_PIXELS_PER_BYTE", 0)
+    capsys.readouterr()
+    assert run(command, [*arguments, str(tmp_path / "some")]) == 1
+    assert "more pixels than a bag of this size can hold" in capsys.readouterr().err
+    with open_bag(tmp_path / "some") as made:
+        assert 0 < made.info.topics["/finger/contact_area"].count < 35
 
 
 def test_csv_holds_the_estimates(session: Callable[..., Path], tmp_path: Path) -> None:

@@ -276,11 +276,11 @@ class ProtocolNode(ManagedNode):
 
     def _redo(self) -> str:
         self._open().redo(self._now())
-        return f"trial {self._open().current} begins again"
+        return f"trial {self._open().current + 1} will begin again"
 
     def _repeat(self) -> str:
         self._open().repeat(self.values["selected_trial"], self._now())
-        return f"trial {self._open().current} begins again"
+        return f"trial {self._open().current + 1} will begin again"
 
     def _skip(self) -> str:
         self._open().skip(self._now())

@@ -17,7 +17,7 @@ import numpy as np
 from ..geometry import Geometry
 from ..laws import MaxwellLaw
 from . import kernels as rk
-from .population import context_of
+from .population import CONTEXT, context_of
 from .training import sigmoid
 
 NETWORKS = ("drive", "contact")
@@ -62,6 +62,14 @@ class Maps:
             record["amplitude"] = one[rk.LOAD_INPUTS : inputs["drive"]]
             record["weights_2"], record["weights_3"] = two, three
         self.networks["contact"]["friction"] = first["contact"][inputs["drive"] :]
+
+    def _check(self, finger: np.ndarray) -> None:
+        """Raise ValueError for gains and biases of a finger that do not fit the networks."""
+        record = np.zeros(1, self.types.parameters)
+        for name in NETWORKS:
+            for key, value in self.modulation(name, finger)._asdict().items():
+                if value.shape != record[name][key][0].shape or not np.isfinite(value).all():
+                    raise ValueError(f"{key} of the {name} network does not fit")
 
     def modulation(self, name: str, finger: np.ndarray) -> Modulation:
         """Gains and biases of a network for a finger, as `finger_of` describes it."""
@@ -132,6 +140,7 @@ class GeometryMaps(Maps):
             self._first[name] = (a["bias_1"] - a["input_mean"] @ first, first[-1])
             self._later[name] = (a["bias_2"], a["bias_3"] * a["output_scale"] + a["output_mean"])
         super().__init__(layers, arrays["betas"])
+        self._check(np.zeros(1))
         self._limit = arrays["force_limit"]
         if self._limit.shape != (3,) or np.abs(self._limit).max() > 20.0:
             raise ValueError("force_limit is no fit of three exponents")
@@ -166,6 +175,7 @@ class PopulationMaps(Maps):
             layers[name] = (first, a["W2"], a["W3"] * a["output_scale"])
             self._context[name] = {**a, "shift": a["input_mean"] @ first}
         super().__init__(layers, arrays["betas"])
+        self._check(np.zeros(len(CONTEXT)))
         self._load = arrays["largest_load"]
         if self._load.shape != (2,) or not (self._load >= 0).all():
             raise ValueError("largest_load is no pair of coefficients")

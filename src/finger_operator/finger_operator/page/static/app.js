@@ -60,11 +60,11 @@ function primary() {
   return command("start");
 }
 
-// What Space does when the button may not be pressed: it says why.
+// What Space does when the button may not be pressed: it says why; the banner says what to do.
 function whyNot() {
   const [first] = state.alive.problems;
   if (state.away) return notify("Not connected to the rig.", false);
-  if (first && blocked()) notify(`Not ready: ${first.text} ${first.remedy}`, false);
+  if (first && blocked()) notify(`Not ready: ${first.text}`, false);
 }
 
 const resumable = () => state.status.paused
@@ -189,7 +189,22 @@ function drawCue() {
   set($("prompt"), name === "prepare" ? state.status.prompt || "" : "");
   // One sentence for a screen reader, when it changes: no numbers that jitter.
   set($("say"), `${$("cue-word").textContent}. ${text}`);
+  const banner = $("banner").hidden ? "" : $("banner").textContent.length;
+  const content = [name, text, $("cue-trial").textContent, banner].join();
+  if (content !== fitted) fit(content);
 }
+
+// What the cue's panel held when it was last made to fit.
+let fitted = "";
+function fit(content) {
+  const cue = $("cue");
+  fitted = content;
+  for (const level of [0, 1, 2, 3]) {
+    cue.dataset.fit = level;
+    if (cue.scrollHeight <= cue.clientHeight + 1) return;
+  }
+}
+new ResizeObserver(() => fit(fitted)).observe($("cue"));
 
 // Status --------------------------------------------------------------------------------------
 
@@ -532,12 +547,14 @@ const KEYS = {
 document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.altKey || event.metaKey) return;
   if (document.querySelector("dialog[open]")) return;
-  if (event.target.closest("input, textarea, select")) {
-    if (event.key === "Escape") event.target.blur();
+  // Until the next frame the focus may still be in a dialog that has just closed.
+  const at = event.target.closest("dialog") ? document.body : event.target;
+  if (at.closest("input, textarea, select")) {
+    if (event.key === "Escape") at.blur();
     return;
   }
   // A focused button, link or row takes Space itself.
-  if (event.key === " " && event.target.closest("button, a, summary")) return;
+  if (event.key === " " && at.closest("button, a, summary")) return;
   const action = KEYS[event.key.length === 1 ? event.key.toLowerCase() : event.key];
   if (!action || event.repeat) return;
   event.preventDefault();
