@@ -142,17 +142,3 @@ def process(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
         # pytest shows this for tests that fail.
         said = child.output.read_text(errors="replace")[-3000:]  # type: ignore[attr-defined]
         print(f"--- {' '.join(child.args[1:])}\n{said}")  # type: ignore[index]
-
-
-OPEN_FAILURES = (
-    "test_bombs_end_with_one_sentence",
-    "test_300_mutated_files_end_with_success_or_one_sentence",
-    "test_the_page_fits_every_size_and_what_is_far_away_can_be_read[1920-1080-light]",
-)
-"""Tests that failed when the parts of 0.1.0 were first run together; to be mended and removed."""
-
-
-def pytest_itemcollected(item) -> None:
-    """Show the open failures as such."""
-    if item.name.startswith(OPEN_FAILURES):
-        item.add_marker(pytest.mark.xfail(reason="open failure, see conftest.py", strict=False))

@@ -8,9 +8,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from statistics import median
 from typing import Any
 
+import numpy as np
 import pytest
 from page_looks import OVERFLOW, SIZES, shots, violations
 from page_stand_in import CLOSED, TARE_NEEDED, ForwardedPort, StandIn, session
@@ -318,7 +318,12 @@ window.WebSocket = class extends Real {
 
 
 def test_a_slow_link_drops_frames_and_lags_less_than_a_second(browser: Any) -> None:
-    """60 kB/s through a forwarded port, with the right token; pictures alone would be 2 MB/s."""
+    """60 kB/s through a forwarded port, with the right token; pictures alone would be 2 MB/s.
+
+    95 of 100 messages of every kind are younger than a second (0.6 s on a machine that is busy with
+    other things). A machine that stands still delays them too: a second and a third window of time
+    are measured then; with a queue in the link the lag would grow from one to the next.
+    """
     page = browser.new_page()
     page.add_init_script(LAGS)
     with StandIn(share_images=True) as rig, ForwardedPort(rig.server.port, rate=60e3) as link:
@@ -329,17 +334,19 @@ def test_a_slow_link_drops_frames_and_lags_less_than_a_second(browser: Any) -> N
         page.wait_for_selector("#link.good", timeout=30000)
         until(lambda: page.is_visible("#image"), page)
         page.wait_for_timeout(3000)
-        page.evaluate("window.lags = {}")
-        for phase in ("press", "lift", "done") * 3:
-            rig.cue(phase)
-            page.wait_for_timeout(700)
-        lags = page.evaluate("window.lags")
+        for _ in range(3):
+            page.evaluate("window.lags = {}")
+            for phase in ("press", "lift", "done") * 3:
+                rig.cue(phase)
+                page.wait_for_timeout(700)
+            lags = page.evaluate("window.lags")
+            assert set(lags) == {"image", "force", "alive", "cue"}
+            assert len(lags["cue"]) == 9 and len(lags["image"]) >= 5, lags
+            late = {kind: float(np.percentile(values, 95)) for kind, values in lags.items()}
+            if max(late.values()) < 1.0:
+                break
         assert link.bytes > 100e3
-    assert set(lags) == {"image", "force", "alive", "cue"}
-    assert len(lags["cue"]) == 9 and len(lags["image"]) >= 5, lags
-    for kind, values in lags.items():
-        # A busy machine delays single ones; without rounds the lag would grow all the time.
-        assert median(values) < 1.0, (kind, values)
+    assert max(late.values()) < 1.0, late
 
 
 # Session -------------------------------------------------------------------------------------

@@ -222,7 +222,7 @@ function showStatus(s) {
   state.status = s;
   charts.target = s.target_force ?? s.plan?.target_force ?? charts.target;
   const open = s.step !== "closed";
-  set($("session"), open ? `${s.subject} · ${s.session}` : "no session");
+  set($("session"), open ? s.session : "no session");
   const attempt = s.attempt ? ` · attempt ${s.attempt + 1}` : "";
   set($("cue-trial"), open && s.step !== "finished"
     ? `Trial ${s.index + 1} of ${s.trials.length} · ${s.condition}${attempt}` : "");
