@@ -1,0 +1,213 @@
+"""Hold an object that gets heavier, without a drop and without crushing it: an example of using
+`contact_slip`.
+
+    python examples/slip_grip.py                # the simulation: fixed grip against slip margin
+    python examples/slip_grip.py --node --ros-args -r __ns:=/finger
+
+The node answers every `contact_slip` with the force to grip with, on `grip_force`
+(std_msgs/Float64, N). The controller itself, `SlipGrip`, uses no ROS and needs no camera.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from finger_common.flags import SlipFlag
+
+GRAVITY = 9.81
+
+
+@dataclass
+class SlipGrip:
+    """Normal force that keeps a part of the friction unused.
+
+    margin: slip margin to hold; alarm: slip probability at which it grips harder at once, `reflex`
+    times as hard, and again after `patience` (s) if that was not enough; smallest, largest: force
+    (N); rise, fall: of the force (N/s); cautious: standard deviations by which friction is taken
+    lower than estimated; dither: share by which the force swings, `dither_rate` times a second, as
+    long as friction is a guess. As long as no slip was seen the friction is a guess: the
+    force falls slowly until a slip begins, which tells it. `force` is the force to grip with (N).
+    """
+
+    margin: float = 0.2
+    alarm: float = 0.15
+    smallest: float = 0.3
+    largest: float = 10.0
+    rise: float = 40.0
+    fall: float = 0.4
+    cautious: float = 2.0
+    reflex: float = 1.3
+    patience: float = 0.15
+    dither: float = 0.06
+    dither_rate: float = 6.0
+    largest_step: float = 0.02
+    force: float = 0.0
+    _stamp: float = -math.inf
+    _alarmed: float = -math.inf
+    _reflex: float = 0.0
+
+    def on_slip(
+        self,
+        stamp: float,
+        normal: float,
+        tangential: float,
+        friction: float,
+        friction_sd: float,
+        probability: float,
+        flags: int,
+    ) -> float:
+        """Force to grip with (N) after a ContactSlip.
+
+        stamp: of its header (s); normal, tangential: magnitudes P and |Q| (N); friction with its
+        standard deviation; flags: bits of SlipFlag.
+        """
+        elapsed = min(max(stamp - self._stamp, 0.0), self.largest_step)
+        self._stamp = stamp
+        if flags & SlipFlag.FORCE_INVALID:
+            return self.force
+        guess = bool(flags & SlipFlag.FRICTION_ASSUMED)
+        friction = max(friction - (0.0 if guess else self.cautious * friction_sd), 0.05)
+        wanted = tangential / ((1.0 - self.margin) * friction)
+        if flags & SlipFlag.SLIPPING or probability > (0.4 if guess else self.alarm):
+            if stamp - self._alarmed > self.patience:
+                self._alarmed, self._reflex = stamp, self.reflex * normal
+            wanted = max(wanted, self._reflex)
+        wanted = min(max(wanted, self.smallest), self.largest)
+        fall = self.fall if guess else 4.0 * self.fall
+        change = min(max(wanted - self.force, -fall * elapsed), self.rise * elapsed)
+        self.force += change
+        # In slip the tangential force follows the grip, in a hold it does not: asking tells which.
+        ask = self.dither * math.sin(2.0 * math.pi * self.dither_rate * stamp) if guess else 0.0
+        return self.force * (1.0 + ask)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Of a simulated hold: whether it was dropped, how far it slid (m), mean force over the least
+    that holds it, in the last second."""
+
+    dropped: bool
+    slid: float
+    force_ratio: float
+
+
+def hold(
+    controller: SlipGrip | None, friction: float, seed: int = 0, fixed: float = 2.0
+) -> Outcome:
+    """Two fingers hold an object of 50 g that is filled to 350 g between 2 and 8 s.
+
+    controller: None for a grip with the fixed force (N); friction: of skin on the object, which the
+    controller does not know. The gripper follows its command within 30 ms; the force has 5 mN of
+    noise. A slide of 20 mm is a drop.
+    """
+    from finger_model.estimator import ContactEstimator
+    from finger_model.reduced import ReducedModel
+    from finger_model.slip import SlipEstimator, SlipSettings
+
+    rng = np.random.default_rng(seed)
+    contact = ContactEstimator(ReducedModel.load())
+    slip = SlipEstimator(SlipSettings(tangential_noise=0.005))
+    step = 0.002
+    force = command = 2.0
+    speed = slid = 0.0
+    ratios = []
+    for i in range(int(10.0 / step)):
+        time = i * step
+        mass = float(np.interp(time, [0.5, 1.0, 2.0, 8.0], [1e-3, 0.05, 0.05, 0.35]))
+        force += (command - force) * step / 0.03
+        load = mass * GRAVITY / 2.0
+        most = friction * force
+        sliding = load > most or speed > 0.0
+        carried = most if sliding else load
+        speed = max(0.0, speed + (mass * GRAVITY - 2.0 * carried) / mass * step) if sliding else 0.0
+        slid += speed * step
+        if slid > 0.02:
+            return Outcome(True, slid, math.nan)
+        noise = rng.normal(0.0, 0.005, 3)
+        wrench = (carried + noise[0], noise[1], -(force + noise[2]))
+        for estimate in contact.add_wrench(i * 2_000_000, wrench):
+            found = slip.add(estimate, wrench)
+            if controller is None:
+                command = fixed
+            else:
+                command = controller.on_slip(
+                    time,
+                    found.normal_force,
+                    math.hypot(*found.tangential_force),
+                    found.friction,
+                    found.friction_stddev,
+                    found.slip_probability,
+                    found.flags,
+                )
+        if time > 9.0:
+            ratios.append(force * friction / load)
+    return Outcome(False, slid, float(np.mean(ratios)))
+
+
+def simulate() -> None:
+    """Print how a fixed grip and ours hold the object, for some frictions."""
+    print("friction  fixed 2 N      slip margin held: slid (mm), force over the least that holds")
+    for friction in (0.25, 0.35, 0.5, 0.7, 1.0):
+        fixed = hold(None, friction)
+        ours = hold(SlipGrip(force=2.0), friction)
+        text = "dropped" if fixed.dropped else f"{fixed.force_ratio:.2f}"
+        found = "dropped" if ours.dropped else f"{1e3 * ours.slid:.1f} mm   {ours.force_ratio:.2f}"
+        print(f"{friction:8.2f}  {text:13s}  {found}")
+
+
+def run_node(arguments: list[str]) -> None:
+    """Answer contact_slip with grip_force until Ctrl-C."""
+    import rclpy
+    from rclpy.executors import ExternalShutdownException
+    from rclpy.qos import QoSProfile, ReliabilityPolicy
+    from std_msgs.msg import Float64
+
+    from finger_common.stamps import header_stamp, seconds
+    from finger_msgs.msg import ContactSlip
+
+    rclpy.init(args=arguments)
+    node = rclpy.create_node("slip_grip")
+    controller = SlipGrip()
+    publisher = node.create_publisher(Float64, "grip_force", 1)
+
+    def on_slip(state: ContactSlip) -> None:
+        q = state.tangential_force
+        force = controller.on_slip(
+            seconds(header_stamp(state)),
+            state.normal_force,
+            math.sqrt(q.x**2 + q.y**2 + q.z**2),
+            state.friction,
+            state.friction_stddev,
+            state.slip_probability,
+            state.flags,
+        )
+        publisher.publish(Float64(data=force))
+
+    qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+    node.create_subscription(ContactSlip, "contact_slip", on_slip, qos)
+    try:
+        rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def main() -> None:
+    """Run the simulation or the node."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("--node", action="store_true", help="run the ROS node")
+    values, others = parser.parse_known_args()
+    if values.node:
+        run_node(others)
+    else:
+        simulate()
+
+
+if __name__ == "__main__":
+    main()

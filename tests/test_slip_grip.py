@@ -1,0 +1,50 @@
+"""The example that holds an object which gets heavier: where a fixed grip drops it, ours does not,
+and it grips little harder than it must."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from finger_common.flags import SlipFlag
+
+
+@pytest.fixture(scope="module")
+def example(project_root: Path) -> Any:
+    path = project_root / "examples" / "slip_grip.py"
+    spec = importlib.util.spec_from_file_location("slip_grip", path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["slip_grip"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_an_object_that_gets_heavier_is_held_whatever_its_friction(example: Any) -> None:
+    found = {}
+    for seed, friction in enumerate((0.22, 0.3, 0.4, 0.55, 0.75, 1.0)):
+        if friction < 0.8:
+            assert example.hold(None, friction, seed).dropped
+        found[friction] = example.hold(example.SlipGrip(force=2.0), friction, seed)
+    assert not any(outcome.dropped for outcome in found.values()), found
+    assert np.median([outcome.slid for outcome in found.values()]) < 0.004
+    assert np.median([outcome.force_ratio for outcome in found.values()]) < 1.8
+    assert all(outcome.force_ratio > 1.0 for outcome in found.values())
+
+
+def test_grip_answers_slip_at_once_and_lets_go_slowly(example: Any) -> None:
+    grip = example.SlipGrip(force=2.0)
+    grip.on_slip(0.0, 2.0, 0.5, 0.5, 0.02, 0.0, 0)
+    for i in range(1, 26):
+        slipping = grip.on_slip(i * 0.002, 2.0, 1.0, 0.5, 0.02, 1.0, int(SlipFlag.SLIPPING))
+    assert slipping >= 1.3 * 2.0
+    before = grip.force
+    for i in range(26, 51):
+        after = grip.on_slip(i * 0.002, 2.6, 0.2, 0.5, 0.02, 0.0, 0)
+    assert before - 0.15 < after < before
+    assert grip.on_slip(1.0, float("nan"), 0.2, 0.5, 0.0, 0.0, 8) == after
