@@ -10,8 +10,10 @@ import sys
 import numpy as np
 import pytest
 
+from finger_common.cli import run as run_command
 from finger_common.errors import InputError
 from finger_common.flags import SlipFlag
+from finger_model.cli import _main
 from finger_model.estimator import ContactEstimator
 from finger_model.reduced import ReducedModel
 from finger_model.slip import SlipEstimator, SlipSettings, backbone, kernels
@@ -220,3 +222,35 @@ def test_slips_are_announced_and_alarms_are_true(project_root):
     assert found["friction_within_10_percent"] >= 95
     blind = study(fingers=12, seed=2, camera=False)
     assert blind["announced_later_percent"] >= 92
+
+
+def test_simulate_gives_stick_and_slip_of_a_long_history_at_once(tmp_path, capsys):
+    time = np.arange(0.0, 3.0, 0.002)
+    normal = np.interp(time, [0, 0.5, 2.6, 2.8], [0.0, 0.52, 0.52, 0.0])
+    pull = np.interp(time, [0.6, 1.2, 1.6, 2.2, 2.5], [0.0, 0.2, -0.1, 0.3, 0.3])
+    rows = np.column_stack([time, normal, pull])
+    header = "time_s,force_n,tangential_force_n"
+    np.savetxt(tmp_path / "pull.csv", rows, delimiter=",", header=header, comments="")
+    (tmp_path / "skin.yaml").write_text("E0: 60.46e3\nE1: 60.46e3\ntau1: 0.01\nfriction: 0.5\n")
+    force, skin = str(tmp_path / "pull.csv"), str(tmp_path / "skin.yaml")
+    arguments = ["simulate", "--force", force, "--material", skin, "--solver", "reduced"]
+    assert run_command(_main, [*arguments, "-o", str(tmp_path / "out.csv")]) == 0
+    table = np.genfromtxt(tmp_path / "out.csv", delimiter=",", names=True)
+
+    def at(seconds):
+        return round(seconds / 0.002)
+
+    assert np.isnan(table["stick_ratio"][0]) and table["stick_ratio"][at(0.55)] == 1.0
+    assert table["slip_margin"][at(1.2)] == pytest.approx(1 - 0.2 / 0.26, abs=0.01)
+    first = float(backbone.stick_ratio(0.2 / 0.26))
+    assert table["stick_ratio"][at(1.2) - 1] == pytest.approx(first, abs=0.06)
+    assert table["stick_ratio"][at(1.25)] == 1.0  # after the turn all sticks again
+    assert table["slip_margin"][at(2.2)] == 0.0 and table["stick_ratio"][at(2.3)] == 0.0
+    moved = table["tangential_displacement_mm"]
+    assert 0.2 < moved[at(1.2)] < 1.5 and np.isnan(moved[at(2.3)])
+    # The way back is another one than the way there.
+    there = int(np.argmax(pull > 0.1))
+    back = at(1.2) + int(np.argmax(pull[at(1.2) :] < 0.1))
+    assert moved[back] > moved[there] + 0.005
+    assert run_command(_main, [*arguments, "--tilt-deg", "10"]) == 2
+    assert "use --solver full" in capsys.readouterr().err

@@ -20,6 +20,7 @@ from ..fem.elasticity import ELASTICITIES, NEO_HOOKE
 from ..geometry import Geometry
 from ..history import ContactHistory, read_load_csv
 from ..laws import ConstitutiveLaw, StandardLinearSolid, load_material
+from ..slip.pull import PullHistory, pull_history
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
@@ -36,7 +37,9 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
             "--pad-aspect and --tilt-deg call for the full-order model in three dimensions "
             "(seconds a row); its output has the columns semi_axis_a_mm,semi_axis_b_mm,"
             "stick_ratio,slip_margin,tangential_displacement_mm,orientation_deg,center_x_mm,"
-            "center_y_mm besides (docs/third_dimension.md)."
+            "center_y_mm besides (docs/third_dimension.md). With --solver reduced a column "
+            "tangential_force_n gives stick_ratio,slip_margin,tangential_displacement_mm at once, "
+            "by the law of the live estimate (docs/slip.md)."
         ),
         example=(
             "finger-model simulate --force force.csv -o contact.csv\n"
@@ -103,7 +106,14 @@ def run(arguments: argparse.Namespace) -> int:
     geometry = Geometry.load(arguments.geometry) if arguments.geometry else Geometry()
     material = load_material(arguments.material) if arguments.material else StandardLinearSolid()
     time, force, pull = read_load_csv(arguments.force)
-    if pull is not None or arguments.pad_aspect is not None or arguments.tilt_deg is not None:
+    if pull is not None and material.friction == 0.0 and np.any(pull != 0.0):
+        raise InputError(
+            f"{arguments.force}: 'tangential_force_n' needs friction, and the material has none; "
+            "set 'friction' in the material file"
+        )
+    reduced = arguments.solver == "reduced" or bool(arguments.reduced_model)
+    upright = arguments.pad_aspect is None and arguments.tilt_deg is None
+    if not (upright and (pull is None or reduced)):
         return _solid(arguments, geometry, material, time, force, pull)
     wants_fields = bool(arguments.plot or arguments.vtu)
     if arguments.solver == "reduced" and wants_fields:
@@ -120,10 +130,13 @@ def run(arguments: argparse.Namespace) -> int:
                 "--refinement and --elasticity are of the full-order model: use --solver full"
             )
         history = _full(arguments, geometry, material, time, force)
+    found: ContactHistory | PullHistory = history
+    if pull is not None:
+        found = pull_history(history, pull, material.friction)
     if arguments.output:
-        history.to_csv(arguments.output)
+        found.to_csv(arguments.output)
     else:
-        sys.stdout.write(history.csv_text())
+        sys.stdout.write(found.csv_text())
     return 0
 
 
@@ -141,8 +154,8 @@ def _solid(
 
     if arguments.solver == "reduced" or arguments.reduced_model:
         raise InputError(
-            "tangential_force_n, --pad-aspect and --tilt-deg need three dimensions, and the "
-            "reduced model is axisymmetric: use --solver full"
+            "--pad-aspect and --tilt-deg need three dimensions, and the reduced model is "
+            "axisymmetric: use --solver full"
         )
     if arguments.elasticity != NEO_HOOKE:
         raise InputError("--elasticity is of the axisymmetric model: leave it out")
@@ -151,11 +164,6 @@ def _solid(
     tilt = arguments.tilt_deg or [0.0]
     if len(tilt) > 2:
         raise InputError(f"--tilt-deg has {len(tilt)} values; give PITCH or PITCH ROLL")
-    if pull is not None and material.friction == 0.0 and np.any(pull != 0.0):
-        raise InputError(
-            f"{arguments.force}: 'tangential_force_n' needs friction, and the material has none; "
-            "set 'friction' in the material file"
-        )
     aspect = 1.0 if arguments.pad_aspect is None else arguments.pad_aspect
     pose = Pose(aspect, *(math.radians(angle) for angle in tilt))
     _check_output(arguments.output)

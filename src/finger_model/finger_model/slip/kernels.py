@@ -530,3 +530,27 @@ def follow_many(config, state, stamps, normal, lateral, touching, indentation, m
             moisture[i],
             out[i],
         )
+
+
+@njit(cache=True)
+def pull_along(normal, area, indentation, tangential, friction, table):
+    """Stick ratio, slip margin and displacement (m), rows (n, 3) of `table`, at a known friction.
+
+    normal, tangential (n,) in N, area (n,) in m², indentation (n,) in m. Rows without contact stay.
+    """
+    state = np.zeros(1, STATE)[0]
+    slid = False
+    for i in range(len(normal)):
+        load = friction * normal[i]
+        if not (area[i] > 0.0 and load > 0.0):
+            state.force[:, :] = 0.0
+            state.moved[:] = 0.0
+            slid = False
+            continue
+        q = tangential[i]
+        table[i, 0] = _pull(state, load, q, 0.0)
+        table[i, 1] = max(0.0, 1.0 - abs(q) / load)
+        slid = slid or abs(q) >= load
+        if not slid and indentation[i] > 0.0:
+            stiffness = STIFFNESS * normal[i] / indentation[i]
+            table[i, 2] = (q + COMPLIANCE * (state.moved[0] - q)) / stiffness

@@ -1,0 +1,49 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Stick and slip along a given history of P and Q at a known friction, by the elements alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from finger_common.files import atomic_write
+
+from ..history import CSV_HEADER, ContactHistory
+from . import kernels
+
+PULL_CSV_HEADER = CSV_HEADER + ",stick_ratio,slip_margin,tangential_displacement_mm"
+
+
+@dataclass(frozen=True)
+class PullHistory:
+    """A contact history with stick_ratio, slip_margin (n,), NaN without contact, and
+    tangential_displacement (n,) in m, NaN without contact and from the first slip on."""
+
+    contact: ContactHistory
+    stick_ratio: np.ndarray
+    slip_margin: np.ndarray
+    tangential_displacement: np.ndarray
+
+    def csv_text(self) -> str:
+        """The header PULL_CSV_HEADER and one line per instant."""
+        _, *rows = self.contact.csv_text().splitlines()
+        own = zip(self.stick_ratio, self.slip_margin, 1e3 * self.tangential_displacement)
+        lines = [f"{row},{s:.6g},{m:.6g},{d:.6g}" for row, (s, m, d) in zip(rows, own)]
+        return "\n".join([PULL_CSV_HEADER, *lines]) + "\n"
+
+    def to_csv(self, path: str) -> None:
+        """Write `csv_text` to a file."""
+        with atomic_write(path) as file:
+            file.write(self.csv_text())
+
+
+def pull_history(contact: ContactHistory, tangential: np.ndarray, friction: float) -> PullHistory:
+    """Stick and slip under tangential forces (n,) in N along x; friction > 0."""
+    table = np.full((len(tangential), 3), np.nan)
+    kernels.pull_along(
+        contact.force, contact.area, contact.indentation, tangential, float(friction), table
+    )
+    return PullHistory(contact, *table.T)
