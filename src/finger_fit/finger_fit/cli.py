@@ -23,6 +23,7 @@ from finger_common.progress import Stages
 from finger_model.finger import load_areas
 
 from .design.command import command as design_command
+from .hierarchy.command import command as population_command
 from .nuisance.names import name_of
 from .options import FitOptions
 from .problem import MM4, three_digits
@@ -40,7 +41,8 @@ def parser() -> argparse.ArgumentParser:
     p = Parser(
         prog="finger-fit",
         description="Fit the finger model's parameters to recorded bags; writes fit.json, "
-        "parameters.yaml and report.html. 'finger-fit design' plans a study before it is made.",
+        "parameters.yaml and report.html. 'finger-fit design' plans a study before it is made; "
+        "'finger-fit population' joins the fits of many subjects.",
         example=EXAMPLE,
     )
     p.add_argument(
@@ -122,8 +124,8 @@ def summary(result: FitResult) -> Table:
 def command(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns the exit code."""
     given = list(sys.argv[1:] if argv is None else argv)
-    if given[:1] == ["design"]:
-        return design_command(given[1:])
+    if given[:1] in (["design"], ["population"]):
+        return {"design": design_command, "population": population_command}[given[0]](given[1:])
     args = parser().parse_args(given)
     options = settings_from(args, FitOptions)
     for bag in args.bags:

@@ -106,19 +106,7 @@ def condition_dict(fit: ConditionFit) -> dict[str, Any]:
         for first, second in itertools.combinations(space.names, 2):
             out[f"correlation_{first}_{second}"] = c.correlation(first, second)
         out["sd_log"] = {name: c.deviation(name) for name in space.quantity_names}
-        out["from_data"] = {
-            name: dict(
-                zip(
-                    ("low", "high", "sd_log", "sd_log_assumed"),
-                    (
-                        *(fit.data_interval(name) or ()),
-                        fit.data_deviation(name),
-                        fit.assumed_deviation(name),
-                    ),
-                )
-            )
-            for name in space.quantity_names
-        }
+        out["from_data"] = {name: _from_data(fit, name) for name in space.quantity_names}
     if fit.profiles:
         out["interval_95"] = {
             name: {
@@ -151,6 +139,18 @@ def _shifted(fit: ConditionFit, name: str, bias: float) -> dict[str, float]:
         return {}
     low, high = shifted_interval(fit.profiles[name], bias)
     return {"low": low, "high": high}
+
+
+def _from_data(fit: ConditionFit, name: str) -> dict[str, Any]:
+    """Interval and deviation from the data alone, and what the assumptions add."""
+    low, high = fit.data_interval(name) or (math.nan, math.nan)
+    return {
+        "low": low,
+        "high": high,
+        "sd_log": fit.data_deviation(name),
+        "sd_log_assumed": fit.assumed_deviation(name),
+        "assumed": fit.assumed_moves(name),
+    }
 
 
 def fit_dict(result: FitResult) -> dict[str, Any]:

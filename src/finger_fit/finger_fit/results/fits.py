@@ -122,6 +122,16 @@ class ConditionFit:
         total, _ = self.covariance.interval_deviation(name)
         return float(np.sqrt(max(total**2 - self.data_deviation(name) ** 2, 0.0)))
 
+    def assumed_moves(self, name: str) -> dict[str, float]:
+        """Change of a quantity's logarithm by one prior deviation of each assumed length and of the
+        gain of all areas, as this fit answers to them."""
+        known = self.covariance
+        if known is None:
+            return {}
+        free = [i for i, n in enumerate(self.space.names) if n not in known.active]
+        moves = known.responses(free) @ self.space.log_gradient(name, self.parameters)
+        return {n: float(m) for n, m in zip(known.nuisances, moves) if is_assumed(n)}
+
     def data_interval(self, name: str) -> tuple[float, float] | None:
         """95 % interval of a quantity from the data alone (`data_deviation`), inside the search
         box; None without covariance.

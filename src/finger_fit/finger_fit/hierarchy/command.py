@@ -1,0 +1,248 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""`finger-fit population`: what fits of many subjects say about people."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from finger_common.cli import Parser, plain
+from finger_common.errors import InputError
+from finger_common.files import atomic_write, parse_json
+from finger_model.laws import ParameterSpace, StandardLinearSolid
+
+from ..nuisance.names import AREA_GAIN
+from .model import Estimates, HierarchyPriors, Posterior, ends, posterior
+
+MOISTURE_UNIT = 10.0
+"""a.u. of moisture per unit of the slope."""
+
+CLEAR = 0.975
+"""Probability from which a difference of two conditions is called told apart."""
+
+
+def parser() -> Parser:
+    """Arguments."""
+    p = Parser(
+        prog="finger-fit population",
+        description="Population means of the conditions, spread between subjects and slope over "
+        "moisture, from the fit.json of finger-fit; writes population.json.",
+        example="finger-fit out/bags/* -o out/fit\nfinger-fit population out/fit -o out/fit",
+    )
+    p.add_argument(
+        "fits", nargs="+", metavar="FIT", help="fit.json, or the folder that holds it; one of "
+        "several subjects, or one per subject"
+    )  # fmt: skip
+    p.add_argument(
+        "-o", "--output", default=".", metavar="DIR", help="folder to write to (default: here)"
+    )
+    p.add_argument(
+        "--quantity", action="append", default=[], metavar="Q",
+        help="a fitted quantity; repeatable (default: composite_E, E2, tau1)",
+    )  # fmt: skip
+    p.add_argument("--seed", type=int, default=0, metavar="N", help="of the draws (default: 0)")
+    return p
+
+
+def command(argv: Sequence[str]) -> int:
+    """Run the command; returns the exit code."""
+    args = parser().parse_args(argv)
+    space = StandardLinearSolid.PARAMETERS
+    quantities = args.quantity or ["composite_E", "E2", "tau1"]
+    for name in quantities:
+        if name not in space.quantity_names:
+            raise InputError(f"--quantity '{name}': choose from {', '.join(space.quantity_names)}")
+    subjects = read_subjects(args.fits)
+    data = population(subjects, quantities, space, args.seed)
+    console = Console(width=None if Console().is_terminal else 160)
+    console.print(_table(space, data))
+    for name, found in data["quantities"].items():
+        for words in found["words"]:
+            print(f"{plain(name)}: {plain(words)}")
+    path = Path(args.output) / "population.json"
+    with atomic_write(path) as file:
+        json.dump(data, file, indent=1, ensure_ascii=False)
+        file.write("\n")
+    print(f"written: {plain(path)}")
+    return 0
+
+
+def read_subjects(paths: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Subject → condition → entry of fit.json; raises InputError."""
+    found: dict[str, dict[str, Any]] = {}
+    for text in paths:
+        path = Path(text)
+        path = path / "fit.json" if path.is_dir() else path
+        if not path.is_file():
+            raise InputError(f"{text}: no fit.json there; run finger-fit first")
+        data = parse_json(path.read_text(encoding="utf-8"), str(path))
+        for name, part in _parts(data, path):
+            if name in found:
+                raise InputError(f"{path}: subject '{name}' is there twice; give each once")
+            found[name] = part
+    return found
+
+
+def _parts(data: Any, path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+    if not isinstance(data, dict) or not ({"subjects", "conditions"} & set(data)):
+        raise InputError(f"{path}: not a fit.json of finger-fit")
+    if "subjects" in data:
+        for name, part in data["subjects"].items():
+            yield name, part["conditions"]
+    else:
+        yield path.parent.name, data["conditions"]
+
+
+def population(
+    subjects: Mapping[str, Mapping[str, Any]],
+    quantities: Sequence[str],
+    space: ParameterSpace,
+    seed: int = 0,
+) -> dict[str, Any]:
+    """What population.json holds, of the entries of fit.json."""
+    conditions = list(dict.fromkeys(c for part in subjects.values() for c in part))
+    out: dict[str, Any] = {"subjects": list(subjects), "conditions": conditions, "quantities": {}}
+    moisture = np.array(
+        [[_number(part.get(c), "moisture_mean") for c in conditions] for part in subjects.values()]
+    )
+    for name in quantities:
+        arrays = _arrays(subjects, conditions, name)
+        low, high = space.quantity_bounds(name)
+        priors = HierarchyPriors(level=0.5 * math.log(low * high))
+        found = posterior(Estimates.of_conditions(*arrays), priors, seed=seed)
+        entry = _entry(found, conditions, list(subjects))
+        centre = np.nanmean(moisture) if np.isfinite(moisture).any() else math.nan
+        if np.isfinite(moisture).sum() > 3 and np.nanstd(moisture) > 1.0:
+            scaled = (moisture - centre) / MOISTURE_UNIT
+            slope = posterior(Estimates.of_covariate(*arrays, scaled), priors, seed=seed)
+            entry["moisture_slope_log_per_10"] = ends(slope.beta[:, 1])
+            entry["probability_slope_negative"] = float((slope.beta[:, 1] < 0).mean())
+        bounded = [
+            f"{s} {c}" for s, part in subjects.items() for c in part
+            if part[c].get("active_bounds")
+        ]  # fmt: skip
+        entry["words"] = [*found.problems, *_words(entry)]
+        if bounded:
+            entry["words"].append(
+                f"{len(bounded)} of the fits lie on a bound of the search box, which pulls them "
+                f"inwards: {', '.join(bounded[:3])}"
+            )
+        out["quantities"][name] = entry
+    out["priors"] = {k: v for k, v in vars(HierarchyPriors()).items() if k != "level"}
+    return out
+
+
+def _number(entry: Any, key: str) -> float:
+    value = entry.get(key) if isinstance(entry, Mapping) else None
+    return float(value) if isinstance(value, (int, float)) else math.nan
+
+
+def _arrays(
+    subjects: Mapping[str, Mapping[str, Any]], conditions: Sequence[str], name: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Value, deviation, moves by the lengths and by the gain, as of `Estimates`."""
+    lengths: dict[str, int] = {}
+    shape = (len(subjects), len(conditions))
+    value, sd, common = np.full(shape, math.nan), np.zeros(shape), np.zeros(shape)
+    moves: list[tuple[int, int, str, float]] = []
+    for i, (subject, part) in enumerate(subjects.items()):
+        for j, condition in enumerate(conditions):
+            entry = part.get(condition)
+            if entry is None:
+                continue
+            try:
+                known = entry["from_data"][name]
+                value[i, j] = math.log(entry[name])
+                assumed = dict(known["assumed"])
+                total = known["sd_log"] ** 2 + known["sd_log_assumed"] ** 2
+            except (KeyError, TypeError, ValueError):
+                raise InputError(
+                    f"{subject} {condition}: fit.json holds no deviation of {name}; fit again with "
+                    "this version"
+                ) from None
+            common[i, j] = assumed.pop(AREA_GAIN, 0.0)
+            left = total - common[i, j] ** 2 - sum(move**2 for move in assumed.values())
+            sd[i, j] = math.sqrt(max(left, known["sd_log"] ** 2, 1e-8))
+            for length, move in assumed.items():
+                lengths.setdefault(length, len(lengths))
+                moves.append((i, j, length, move))
+    shared = np.zeros((*shape, len(lengths)))
+    for i, j, length, move in moves:
+        shared[i, j, lengths[length]] = move
+    return value, sd, shared, common
+
+
+def _entry(found: Posterior, conditions: Sequence[str], subjects: Sequence[str]) -> dict[str, Any]:
+    """Means (SI), spreads and contrasts of one quantity."""
+    pairs = {}
+    for (i, first), (j, second) in itertools.combinations(enumerate(conditions), 2):
+        difference = found.beta[:, i] - found.beta[:, j]
+        pairs[f"{first} / {second}"] = {
+            **ends(np.exp(difference)),
+            "probability_greater": float((difference > 0).mean()),
+        }
+    level = found.beta.mean(axis=1)
+    return {
+        "mean": {c: ends(np.exp(found.beta[:, j])) for j, c in enumerate(conditions)},
+        "sd_between_subjects_log": ends(found.subject_sd),
+        "sd_subject_by_condition_log": ends(found.condition_sd),
+        "ratios": pairs,
+        "subjects": {s: ends(np.exp(level + found.effect[:, i])) for i, s in enumerate(subjects)},
+        "grid_cells": found.cells,
+        "grid_edge": found.edge,
+    }
+
+
+def _words(entry: Mapping[str, Any]) -> list[str]:
+    """Which conditions the data tell apart, in words."""
+    words = []
+    for pair, ratio in entry["ratios"].items():
+        chance = ratio["probability_greater"]
+        text = f"{pair} {ratio['median']:.2f} ({ratio['low']:.2f}–{ratio['high']:.2f})"
+        if max(chance, 1.0 - chance) >= CLEAR:
+            words.append(f"{text}: told apart in the population")
+        else:
+            words.append(
+                f"{text}: not told apart in the population (probability that the first is greater "
+                f"{chance:.2f})"
+            )
+    return words
+
+
+def _table(space: ParameterSpace, data: Mapping[str, Any]) -> Table:
+    table = Table(
+        "quantity", *(escape(plain(c)) for c in data["conditions"]), "between subjects",
+        "slope per 10 a.u.", title=f"population of {len(data['subjects'])} subjects, 95 %",
+    )  # fmt: skip
+    for name, entry in data["quantities"].items():
+        quantity = space.describe(name)
+        cells = [
+            f"{quantity.text(m['median'])} ({quantity.text(m['low'])}–{quantity.text(m['high'])})"
+            for m in entry["mean"].values()
+        ]
+        table.add_row(
+            f"{quantity.symbol} {quantity.display_unit}",
+            *cells,
+            _percent(entry["sd_between_subjects_log"]),
+            _percent(entry.get("moisture_slope_log_per_10")),
+        )
+    return table
+
+
+def _percent(found: Mapping[str, float] | None) -> str:
+    """A logarithm with its interval in percent; a dash for none."""
+    if found is None:
+        return "–"
+    middle, low, high = (f"{100 * found[key]:.0f}" for key in ("median", "low", "high"))
+    return f"{middle} % ({low} … {high})".replace("-", "−")
