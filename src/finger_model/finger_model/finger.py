@@ -6,16 +6,19 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from finger_common.errors import InputError
 
-from .fem.area_model import FullOrderAreas
 from .geometry import Geometry
 from .history import ContactHistory
 from .laws import ConstitutiveLaw, MaxwellLaw, law_of
 from .reduced.model import ReducedModel, load_population
+
+if TYPE_CHECKING:
+    from .fem.area_model import FullOrderAreas
 
 
 def load_reduced(
@@ -72,4 +75,6 @@ def load_areas(
         raise InputError(
             f"law '{law}' has no reduced model: leave the model file out, or fit another law"
         )
+    from .fem.area_model import FullOrderAreas  # finite elements take a second to import
+
     return FullOrderAreas(law_of(law)(), _geometry(geometry_file))

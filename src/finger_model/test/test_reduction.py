@@ -17,12 +17,12 @@ from finger_model.reduced import ReducedModel
 from finger_model.reduced.build import build
 from finger_model.reduced.build_settings import BuildSettings
 from finger_model.reduced.force_histories import KINDS, random_history
+from finger_model.reduced.maps import sigmoid
 from finger_model.reduced.training import (
     Network,
     drive_samples,
     features,
     fit,
-    sigmoid,
     stack,
     strain_scales,
 )

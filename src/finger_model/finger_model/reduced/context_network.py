@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .training import sigmoid
+from .maps import sigmoid
 
 
 @dataclass

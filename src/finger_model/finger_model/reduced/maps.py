@@ -18,7 +18,6 @@ from ..geometry import Geometry
 from ..laws import MaxwellLaw
 from . import kernels as rk
 from .population import CONTEXT, context_of
-from .training import sigmoid
 
 NETWORKS = ("drive", "contact")
 
@@ -196,3 +195,9 @@ class PopulationMaps(Maps):
     def largest_load(self, material: MaxwellLaw) -> float:
         soft, stiffening = self._load
         return material.long_term_fraction * soft * (1.0 + stiffening * material.stiffening)
+
+
+def sigmoid(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """v/√(1 + v²) and its slope."""
+    root = 1.0 / np.sqrt(1.0 + v * v)
+    return v * root, root**3

@@ -19,6 +19,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from . import kernels as rk
+from .maps import sigmoid
 from .training_runs import Run
 
 FIRST_FORCE = 0.04
@@ -171,12 +172,6 @@ class Network:
             "output_scale": self.output_scale,
         }
         return {f"{name}_{key}": value for key, value in found.items()}
-
-
-def sigmoid(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """v/√(1 + v²) and its slope."""
-    root = 1.0 / np.sqrt(1.0 + v * v)
-    return v * root, root**3
 
 
 def fit(
