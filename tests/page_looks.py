@@ -21,6 +21,9 @@ OVERFLOW = """() => {
     }
     if (e.tagName === "BUTTON" && e.scrollWidth > e.clientWidth + 1) found.push(`${e.id} cut`);
   }
+  for (const e of document.querySelectorAll(".legend")) {
+    if (e.scrollWidth > e.clientWidth + 1) found.push(`${e.parentElement.textContent} cut`);
+  }
   for (const e of document.querySelectorAll("#controls, #moisture, #cue")) {
     if (e.scrollHeight > e.clientHeight + 1) found.push(`${e.id} does not fit`);
   }

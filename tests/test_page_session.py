@@ -193,7 +193,8 @@ class Operator:
             self.press("Space")
         else:
             return
-        self.page.wait_for_timeout(500)
+        # What was asked for shows before it is asked for again.
+        self.page.wait_for_timeout(300)
 
     def trial(self, index: int) -> None:
         """A trial until it is kept, in as many attempts as a busy machine needs."""
@@ -205,13 +206,24 @@ class Operator:
         self.until(kept, f"trial {index} kept", 400.0)
 
     def reach(self, index: int, *looks: str) -> None:
-        """Begin a trial and wait for one of these looks of it."""
+        """Begin a trial and wait for one of these looks of it.
 
-        def reached() -> bool:
+        The browser itself watches for it: it may be over before this process has asked.
+        """
+        shown = """([looks, trial]) => {
+          const look = document.getElementById("cue").dataset.look;
+          if (!document.getElementById("cue-trial").textContent.startsWith(trial)) return "";
+          if (looks.includes(look)) return "reached";
+          const ready = look === "prepare" && !document.getElementById("start").disabled;
+          return look === "paused" || ready ? "step" : "";
+        }"""
+        argument = [list(looks), f"Trial {index + 1} of"]
+        for _ in range(40):
+            found = self.page.wait_for_function(shown, arg=argument, timeout=400e3).json_value()
+            if found == "reached":
+                return
             self.step(index)
-            return self.look in looks and f"Trial {index + 1} of" in self.text("#cue-trial")
-
-        self.until(reached, f"{' or '.join(looks)} of trial {index}", 400.0)
+        raise AssertionError(f"no {' or '.join(looks)} of trial {index}")
 
     def refused(self, text: str) -> None:
         """The banner says this, and Ready is refused with the reason."""

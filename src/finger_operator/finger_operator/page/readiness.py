@@ -21,6 +21,9 @@ NODE_SILENT = 0.9
 """s without a heartbeat until a node counts as not running; it beats every 0.25 s."""
 
 
+SILENCE = "no sample for "
+"""What a node's own report of silence begins with; the age of its stream says that already."""
+
 SHORT = 60
 """Characters of a device's own words that stand in the banner's large line."""
 
@@ -167,7 +170,7 @@ class Readiness:
                 report.message
                 for node in device.nodes
                 for report in self._reports.get(node, {}).values()
-                if report.level == ERROR
+                if report.level == ERROR and not report.message.startswith(SILENCE)
             ),
             "",
         )

@@ -252,7 +252,10 @@ export class Charts {
     const c = this.colour;
     const text = (v) => String(Number(v.toPrecision(6))).replace("-", "−");
     return {
-      side, stroke: c("axis"), font: "12px system-ui", size: side === 3 ? 54 : 22, gap: 4,
+      side, stroke: c("axis"), font: "12px system-ui", gap: 4,
+      // Wide enough for the longest number with its unit.
+      size: side === 3 ? (u, all) => Math.max(54, ...(all || []).map((v) => 7 * v.length + 12))
+        : 22,
       grid: { stroke: c("grid"), width: 1 }, ticks: { show: false },
       values: (u, all) => all.map((v, i) => text(v) + (i === all.length - 1 ? ` ${unit}` : "")),
     };
