@@ -21,7 +21,7 @@ from finger_common.diagnostics import ERROR, WARN, Health
 from finger_common.node import ManagedNode, main_of
 from finger_common.settings import Settings, setting
 
-from .bring_up import ALL_ACTIVE, BringUp
+from .bring_up import ACTIVE, ALL_ACTIVE, CONFIGURE, INACTIVE, BringUp
 
 STATE_TIMEOUT = 5.0
 """s without an answer after which a node's state is unknown: it was killed, or is not there."""
@@ -78,6 +78,7 @@ class BringUpNode(ManagedNode):
         self._last_answer: dict[str, float] = {}
         self._requested: dict[str, tuple[float, Any]] = {}
         self._changing: dict[str, tuple[float, Any]] = {}
+        self._target: dict[str, int] = {}
         self._complete = False
         self._told = time.monotonic()
 
@@ -91,15 +92,16 @@ class BringUpNode(ManagedNode):
     def _step(self) -> None:
         now = time.monotonic()
         for node, client in self._state_clients.items():
-            if node not in self._changing:
+            begun = self._changing.get(node)
+            # A node that does not answer may have changed: on a busy machine replies get lost.
+            if begun is None or now - begun[0] > STATE_TIMEOUT:
                 self._request_state(node, client, now)
         for node, transition in self._bring_up.steps(self._states, now):
             if node not in self._changing:
                 self._change(node, transition, now)
-        for node, (since, future) in list(self._changing.items()):
+        for node, (since, _) in list(self._changing.items()):
             if now - since > self._answer_timeout:
-                future.cancel()
-                del self._changing[node]
+                self._forget_change(node)
         self._report()
         self._report_silent(now)
 
@@ -121,7 +123,9 @@ class BringUpNode(ManagedNode):
             if not done.cancelled():
                 self._requested.pop(node, None)
                 self._last_answer[node] = time.monotonic()
-                self._states[node] = done.result().current_state.id
+                self._states[node] = state = done.result().current_state.id
+                if state in (INACTIVE, ACTIVE) and state == self._target.get(node):
+                    self._forget_change(node)
 
         future.add_done_callback(answered)
 
@@ -130,6 +134,7 @@ class BringUpNode(ManagedNode):
             ChangeState.Request(transition=Transition(id=transition))
         )
         self._changing[node] = (now, future)
+        self._target[node] = INACTIVE if transition == CONFIGURE else ACTIVE
         # An answer from before the change is no state of the time after it.
         del self._states[node]
         requested = self._requested.pop(node, None)
@@ -145,6 +150,12 @@ class BringUpNode(ManagedNode):
                 self._bring_up.failed(node, time.monotonic())
 
         future.add_done_callback(answered)
+
+    def _forget_change(self, node: str) -> None:
+        """Wait no longer for the answer to a transition."""
+        change = self._changing.pop(node, None)
+        if change is not None:
+            change[1].cancel()
 
     def _report(self) -> None:
         missing = self._bring_up.missing(self._states)
