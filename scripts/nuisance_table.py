@@ -384,13 +384,18 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
         lines.append(
             f"| {case} | {100 * found['bias_without']:+.0f} % | "
             f"{100 * found['coverage_without']:.0f} % | "
-            f"{100 * found['bias']:+.1f} ± {100 * found['bias_error']:.1f} % | "
-            f"{100 * found['spread']:.0f} % | {100 * found['deviation']:.0f} % | "
+            f"{100 * found['bias']:+.1f}{_or_none(found['bias_error'], ' ± {:.1f}')} % | "
+            f"{_or_none(found['spread'], '{:.0f} %')} | {100 * found['deviation']:.0f} % | "
             f"{found['bias'] / found['deviation']:+.2f} | "
             f"{100 * found['coverage']:.0f} % | {others[0]} | {others[1]} | {met} |"
         )
     seeds = len({row["seed"] for row in rows})
     return "\n".join([*lines, "", f"{seeds} seeds, {len(rows)} fits."])
+
+
+def _or_none(value: float, form: str) -> str:
+    """A share in percent; nothing where one seed gives none."""
+    return form.format(100 * value) if np.isfinite(value) else ""
 
 
 def main() -> None:
