@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import importlib.util
 import itertools
-import json
 import os
 import random
 import shutil
@@ -69,10 +68,9 @@ class StandIn(threading.Thread):
         import rclpy
         from geometry_msgs.msg import WrenchStamped
         from rclpy.qos import qos_profile_sensor_data as stream
-        from std_msgs.msg import String
 
         from finger_common.node import LATCHED_QOS
-        from finger_msgs.msg import ContactArea, Trial
+        from finger_msgs.msg import ContactArea, SessionStatus, Trial
 
         context = rclpy.Context()
         rclpy.init(context=context, domain_id=self.domain)
@@ -83,13 +81,13 @@ class StandIn(threading.Thread):
         areas = node.create_publisher(ContactArea, "contact_area", stream)
         phase = [0]
 
-        def on_status(message: String) -> None:
-            self.step = json.loads(message.data)["step"]
+        def on_status(message: SessionStatus) -> None:
+            self.step = message.step
 
         node.create_subscription(
             Trial, "trial", lambda m: phase.__setitem__(0, m.phase), LATCHED_QOS
         )
-        node.create_subscription(String, "protocol/status", on_status, LATCHED_QOS)
+        node.create_subscription(SessionStatus, "protocol/status", on_status, LATCHED_QOS)
         force, lifting, rising = 0.0, 0.0, True
         next_time = time.time()
         count = 0

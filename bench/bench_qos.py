@@ -116,7 +116,7 @@ def measure(case: str, reliability: str, bystander: str, seconds: float, report:
 def run(report: Any) -> None:
     """Called by bench/run.py."""
     for case, reliability, bystander in CASES:
-        measure(case, reliability, bystander, 4.0 if report.quick else 30.0, report)
+        measure(case, reliability, bystander, 4.0 if report.quick else 20.0, report)
 
 
 if __name__ == "__main__":

@@ -14,13 +14,13 @@ from typing import Any
 import rclpy
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import CameraInfo
-from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from finger_common.errors import FingerError
 from finger_common.node import STATE_QOS, ManagedNode, main_of
 from finger_common.settings import Settings, setting
-from finger_msgs.msg import ContactArea, ContactState
+from finger_msgs.msg import ContactArea, ContactState, SessionStatus
+from finger_operator.status_message import status_of
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class UnattendedNode(ManagedNode):
             for topic, kind in STREAMS.items()
         }
         self._clients_by_name = {name: self.create_client(Trigger, name) for name in SERVICES}
-        self.create_subscription(String, "protocol/status", self._on_status, STATE_QOS)
+        self.create_subscription(SessionStatus, "protocol/status", self._on_status, STATE_QOS)
         self._emit("waiting")
         self._timer = self.create_timer(0.1, self._await_suite)
 
@@ -120,8 +120,8 @@ class UnattendedNode(ManagedNode):
 
     # Study -------------------------------------------------------------------------------------
 
-    def _on_status(self, message: String) -> None:
-        status = json.loads(message.data)
+    def _on_status(self, message: SessionStatus) -> None:
+        status = status_of(message)
         if "trials" not in status or self._finished:
             return
         self._since = time.monotonic()

@@ -63,6 +63,13 @@ class FoxgloveClient:
             self.channels.update({channel["topic"]: channel for channel in data["channels"]})
         elif data["op"] == "advertiseServices":
             self.services.update({service["name"]: service for service in data["services"]})
+        elif "Unknown channel ID" in data.get("message", ""):
+            # The server announces a channel a moment before it takes subscriptions to it.
+            await asyncio.sleep(0.1)
+            wanted = int(data["message"].rpartition(" ")[2].rstrip("."))
+            for number, topic in self._subscribed.items():
+                if self.channels[topic]["id"] == wanted:
+                    await self._show(number, topic)
         elif data["op"] == "serviceCallFailure":
             self._answers[data["callId"]] = data["message"]
         else:
@@ -87,9 +94,12 @@ class FoxgloveClient:
         await self.until(lambda: topic in self.channels)
         number = next(self._numbers)
         self._subscribed[number] = topic
+        await self._show(number, topic)
+        return number
+
+    async def _show(self, number: int, topic: str) -> None:
         entry = {"id": number, "channelId": self.channels[topic]["id"]}
         await self._socket.send_json({"op": "subscribe", "subscriptions": [entry]})
-        return number
 
     async def unsubscribe(self, number: int) -> None:
         await self._socket.send_json({"op": "unsubscribe", "subscriptionIds": [number]})

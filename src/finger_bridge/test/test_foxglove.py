@@ -8,7 +8,6 @@ services of nodes in other processes.
 from __future__ import annotations
 
 import asyncio
-import json
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -117,7 +116,7 @@ def test_a_client_sees_topics_sets_parameters_and_calls_services(
 
         # A latched topic reaches each client, also after another one.
         await client.subscribe("/protocol/status")
-        assert json.loads((await client.next_of("/protocol/status")).data)["step"] == "closed"
+        assert (await client.next_of("/protocol/status")).step == "closed"
 
         async def second_client(other: FoxgloveClient) -> None:
             await other.subscribe("/protocol/status")
@@ -151,7 +150,7 @@ def test_a_client_sees_topics_sets_parameters_and_calls_services(
         assert started.success, started
         await client.until(
             lambda: any(
-                topic == "/protocol/status" and json.loads(message.data)["step"] == "prepare"
+                topic == "/protocol/status" and message.step == "prepare"
                 for topic, _, message in client.received
             )
         )

@@ -17,7 +17,9 @@ from rclpy.action import ActionClient
 
 from finger_common.diagnostics import Health
 from finger_common.errors import FingerError, InputError
-from finger_common.node import ManagedNode, main_of
+from finger_common.files import parse_json
+from finger_common.node import ManagedNode, main_of, message_of
+from finger_common.parameter_values import parameter_fields
 from finger_common.settings import Settings, setting
 from finger_msgs.action import FitParameters
 
@@ -51,6 +53,10 @@ class FitRequestNode(ManagedNode):
         self._bags = [bag for bag in self.values["bags"] if bag]
         if not self._bags:
             raise InputError("parameter 'bags' is empty; name the bags to fit")
+        text = self.values["options"].strip()
+        self._options = parse_json(text, "parameter 'options'") if text else {}
+        if not isinstance(self._options, dict):
+            raise InputError("parameter 'options' is no JSON object, such as {\"rounds\": 100}")
         self._client = ActionClient(self, FitParameters, "fit/fit")
         self._state_client = self.create_client(GetState, "fit/get_state")
 
@@ -85,11 +91,14 @@ class FitRequestNode(ManagedNode):
 
     def _send(self) -> None:
         self._sent = True
-        goal = FitParameters.Goal(
-            bags=self._bags,
-            conditions=[c for c in self.values["conditions"] if c],
-            output=self.values["output"],
-            options=self.values["options"],
+        goal = message_of(
+            FitParameters.Goal,
+            {
+                "bags": self._bags,
+                "conditions": [c for c in self.values["conditions"] if c],
+                "output": self.values["output"],
+                "fit_options": parameter_fields(self._options),
+            },
         )
         sent = self._client.send_goal_async(goal, feedback_callback=self._show)
         sent.add_done_callback(self._accepted)

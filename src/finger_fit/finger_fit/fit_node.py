@@ -26,6 +26,7 @@ from finger_common.cli import one_line
 from finger_common.diagnostics import WARN, Health
 from finger_common.errors import FingerError, InputError
 from finger_common.node import ManagedNode, main_of
+from finger_common.parameter_values import parameter_values
 from finger_common.settings import Settings, setting
 from finger_model.finger import load_reduced
 from finger_model.reduced import ReducedModel
@@ -60,7 +61,11 @@ def checked_options(goal: Any) -> FitOptions:
     for bag in goal.bags:
         if not Path(bag).expanduser().exists():
             raise InputError(f"goal: 'bags': {bag}: no such bag or folder; correct the path")
-    return FitOptions.from_json(goal.options, "goal: 'options'")
+    if not goal.fit_options:
+        return FitOptions.from_json(goal.options, "goal: 'options'")
+    if goal.options:
+        raise InputError("goal: 'fit_options' and 'options' are both given; leave one out")
+    return FitOptions.from_mapping(parameter_values(goal.fit_options), "goal: 'fit_options'")
 
 
 class _Job:

@@ -13,7 +13,8 @@ from typing import Any
 
 from finger_common.errors import InputError
 from finger_common.files import parse_json
-from finger_common.stamps import NANOSECONDS, header_stamp, time_fields
+from finger_common.parameter_values import parameter_fields, parameter_values
+from finger_common.stamps import NANOSECONDS, header_stamp, stamp_of, time_fields
 
 from .estimator import ContactEstimate, EstimatorEvent, EventType
 from .slip import SlipEstimate
@@ -38,40 +39,49 @@ def moisture_of(message: Any) -> tuple[int, float]:
 
 def event_of(message: Any) -> EstimatorEvent:
     """Argument of `apply_event` from a finger_msgs/ModelEvent."""
-    late = {}
-    try:
-        late = dict(parse_json(message.settings, "settings").get("late", {}))
-    except (InputError, ValueError, TypeError, AttributeError):
-        pass
+    if hasattr(message, "estimator_settings"):
+        settings = json.dumps(parameter_values(message.estimator_settings), sort_keys=True)
+        late = tuple(
+            tuple(stamp_of(time) for time in times)
+            for times in (message.late_areas, message.late_moistures)
+        )
+    else:
+        settings, late = str(message.settings), _late_of_text(message.settings)
     return EstimatorEvent(
         header_stamp(message),
         EventType(int(message.type)),
-        str(message.settings),
+        settings,
         str(message.parameter_sets),
         str(message.model_hash),
         str(message.reason),
-        tuple(int(s) for s in late.get("areas", ())),
-        tuple(int(s) for s in late.get("moistures", ())),
+        *late,
     )
+
+
+def _late_of_text(settings: str) -> tuple[tuple[int, ...], ...]:
+    """Stamps of late areas and readings in the JSON text that older recordings have.
+
+    Empty without any, and for text that is none.
+    """
+    try:
+        late = parse_json(settings, "settings").get("late", {})
+        return tuple(tuple(int(s) for s in late.get(k, ())) for k in ("areas", "moistures"))
+    except (InputError, ValueError, TypeError, AttributeError):
+        return (), ()
 
 
 def event_fields(event: EstimatorEvent, sequence: int) -> dict[str, Any]:
     """Fields of a ModelEvent; header and stamp are dicts of their own fields."""
-    settings = json.loads(event.settings)
-    if event.late_areas or event.late_moistures:
-        # Inputs that came too late and were not used: a replay leaves them out too.
-        settings["late"] = {
-            "areas": list(event.late_areas),
-            "moistures": list(event.late_moistures),
-        }
     return {
         "header": {"stamp": time_fields(event.stamp_ns)},
         "type": int(event.type),
         "sequence": sequence,
-        "settings": json.dumps(settings, sort_keys=True),
         "parameter_sets": event.parameter_sets,
         "model_hash": event.model_hash,
         "reason": event.reason,
+        "estimator_settings": parameter_fields(json.loads(event.settings)),
+        "late_areas": [time_fields(stamp) for stamp in event.late_areas],
+        "late_moistures": [time_fields(stamp) for stamp in event.late_moistures],
     }
 
 

@@ -36,9 +36,10 @@ from finger_common.node import (
     LocalSubscription,
     ManagedNode,
     main_of,
+    message_of,
 )
 from finger_common.settings import Settings, setting
-from finger_common.stamps import fill_time, seconds
+from finger_common.stamps import seconds
 from finger_msgs.msg import ContactArea, ContactSlip, ContactState, ModelEvent, Moisture
 from finger_msgs.srv import ForceForArea, PredictContact
 
@@ -393,11 +394,7 @@ class ModelNode(ManagedNode):
     def _publish_event(self, event: EstimatorEvent) -> None:
         fields = event_fields(event, self._sequence)
         self._sequence += 1
-        message = ModelEvent()
-        fill_time(message.header.stamp, event.stamp_ns)
-        for name in ("type", "sequence", "settings", "parameter_sets", "model_hash", "reason"):
-            setattr(message, name, fields[name])
-        self._event_publisher.publish(message)
+        self._event_publisher.publish(message_of(ModelEvent, fields))
 
     # Services --------------------------------------------------------------------------------
 

@@ -78,7 +78,7 @@ class Bench:
             self.diagnostics[name] = {v.key: v.value for v in status.values}
             self.diagnostics[name]["message"] = status.message
 
-    def until(self, condition: Callable[[], Any], seconds: float = 90.0) -> None:
+    def until(self, condition: Callable[[], Any], seconds: float = 250.0) -> None:
         """Spin until the condition holds."""
         end = time.monotonic() + seconds
         while not condition():

@@ -10,7 +10,6 @@ the protocol, the force driver and the moisture driver.
 from __future__ import annotations
 
 import asyncio
-import json
 import math
 import queue
 import sys
@@ -41,7 +40,7 @@ from finger_common.node import (
 )
 from finger_common.stamps import NANOSECONDS, header_stamp, seconds
 from finger_common.trial_phases import TrialPhase
-from finger_msgs.msg import ContactArea, ContactState, Moisture, Trial
+from finger_msgs.msg import ContactArea, ContactState, Moisture, SessionStatus, Trial
 from finger_msgs.srv import SetMoisture
 
 from .normal_force import NormalForce
@@ -58,6 +57,7 @@ from .page.feed import (
 from .page.readiness import Readiness, refusal
 from .page.server import PageServer
 from .page.settings import PageSettings
+from .status_message import status_of
 
 POLL = 0.04
 """s between readings of force samples and estimates."""
@@ -129,7 +129,9 @@ class PageNode(ManagedNode):
             self.create_stream_subscription(ContactArea, "contact_area", self._on_area, qos),
             self.create_stream_subscription(Moisture, "moisture", self._on_moisture, qos),
             self.create_subscription(Trial, "trial", self._on_trial, LATCHED_QOS),
-            self.create_subscription(String, "protocol/status", self._on_status, LATCHED_QOS),
+            self.create_subscription(
+                SessionStatus, "protocol/status", self._on_status, LATCHED_QOS
+            ),
             self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50),
             self.create_subscription(String, "heartbeat", self._on_heartbeat, 50),
         ]
@@ -246,8 +248,8 @@ class PageNode(ManagedNode):
             },
         )
 
-    def _on_status(self, message: String) -> None:
-        self._status = json.loads(message.data)
+    def _on_status(self, message: SessionStatus) -> None:
+        self._status = status_of(message)
         self._server.publish("status", self._status)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:

@@ -9,7 +9,7 @@ operator's page on `~/status` (JSON, latched). Its services are the commands of 
 
 from __future__ import annotations
 
-import json
+import copy
 import math
 import time
 from collections.abc import Callable
@@ -23,7 +23,6 @@ from geometry_msgs.msg import WrenchStamped
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.serialization import deserialize_message
-from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from finger_bag.streams import TrialEvent
@@ -33,11 +32,18 @@ from finger_common.diagnostics import WARN, Health, full_node_name, status_node
 from finger_common.errors import FingerError, InputError
 from finger_common.files import atomic_write, read_text
 from finger_common.folder_lock import lock_folder
-from finger_common.node import POLLED_DEPTH, STATE_QOS, ManagedNode, PolledSubscription, main_of
+from finger_common.node import (
+    POLLED_DEPTH,
+    STATE_QOS,
+    ManagedNode,
+    PolledSubscription,
+    main_of,
+    message_of,
+)
 from finger_common.settings import Settings, setting
 from finger_common.stamps import fill_time, header_stamp
 from finger_common.trial_phases import TrialPhase
-from finger_msgs.msg import ContactArea, Moisture, Trial
+from finger_msgs.msg import ContactArea, Moisture, SessionStatus, Trial
 from finger_msgs.srv import Record
 
 from .limits import Limits
@@ -46,6 +52,7 @@ from .protocol import Effect, Protocol, StartRecording, Step
 from .recorder_requests import RecorderRequests
 from .session_store import STATE_FILE, free_space, further_files, sessions_by_subject
 from .status import closed_status, session_status
+from .status_message import status_fields
 from .study_plan import NAME, PREPARATIONS, PlanSettings, StudyPlan, parse_preparations
 
 POINTER = "current_session"
@@ -137,7 +144,7 @@ class ProtocolNode(ManagedNode):
         self._health = Health("protocol", stale_after=None)
         self.healths = [self._health]
         self._protocol: Protocol | None = None
-        self._status = ""
+        self._status: dict[str, Any] = {}
         self._limits = self.settings(Limits)
         settings = self.settings(ProtocolSettings)
         self._normal_force = NormalForce(settings.normal_axis)
@@ -150,7 +157,7 @@ class ProtocolNode(ManagedNode):
         self._free: int | None = None
         self._free_read = -math.inf
         self._trial_publisher = self.create_publisher(Trial, "trial", STATE_QOS)
-        self._status_publisher = self.create_publisher(String, "~/status", STATE_QOS)
+        self._status_publisher = self.create_publisher(SessionStatus, "~/status", STATE_QOS)
         recorder = self.create_client(Record, self.values["recorder_service"])
         self._recorder = RecorderRequests(recorder, self._recorded)
         self._command_services = [
@@ -426,10 +433,9 @@ class ProtocolNode(ManagedNode):
                 self._used_subjects,
                 self._free,
             )
-        text = json.dumps(status)
-        if text != self._status:
-            self._status = text
-            self._status_publisher.publish(String(data=text))
+        if status != self._status:
+            self._status = copy.deepcopy(status)
+            self._status_publisher.publish(message_of(SessionStatus, status_fields(status)))
 
 
 main = main_of(ProtocolNode)

@@ -1,7 +1,7 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Everything that the operator's page shows of a session, as plain data (JSON on `~/status`).
+"""Everything that the operator's page shows of a session, as plain data.
 
 Without an open session, `step` is "closed" and only `plan`, `preparations`, `instruction`,
 `used_subjects` and `disk` are there.
@@ -82,7 +82,7 @@ def session_status(
         "moisture_after": attempt.moisture_after if attempt else [],
         "recording": protocol.recording,
         "conditions": list(plan.conditions),
-        "plan": plan.to_dict(),
+        "plan": PlanSettings.to_dict(plan),
         "folder": str(protocol.folder),
         "trials": [_row(protocol, trial) for trial in protocol.trials],
         "notes": [_remark(e) for e in protocol.log.of("note")],

@@ -14,6 +14,8 @@ from typing import Any
 
 import pytest
 
+from finger_operator.status_message import status_of
+
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 
@@ -24,10 +26,9 @@ class Suite:
         from diagnostic_msgs.msg import DiagnosticArray
         from geometry_msgs.msg import WrenchStamped
         from rclpy.qos import QoSProfile
-        from std_msgs.msg import String
 
         from finger_common.node import LATCHED_QOS
-        from finger_msgs.msg import ContactArea, Moisture, Trial
+        from finger_msgs.msg import ContactArea, Moisture, SessionStatus, Trial
         from finger_msgs.srv import Record
 
         # Nothing may be lost, however busy the machine is.
@@ -46,13 +47,15 @@ class Suite:
         self.moisture = self.node.create_publisher(Moisture, "moisture", stream)
         self.diagnostics = self.node.create_publisher(DiagnosticArray, "/diagnostics", stream)
         self.node.create_subscription(Trial, "trial", self.trials.append, LATCHED_QOS)
-        self.node.create_subscription(String, "protocol/status", self._take_status, LATCHED_QOS)
+        self.node.create_subscription(
+            SessionStatus, "protocol/status", self._take_status, LATCHED_QOS
+        )
         self.node.create_service(Record, "recorder/record", self._record)
         self.node.create_timer(0.01, self._publish_force)
         self.node.create_timer(0.1, self._publish_area)
 
     def _take_status(self, message: Any) -> None:
-        self.status = json.loads(message.data)
+        self.status = status_of(message)
 
     def _record(self, request: Any, response: Any) -> Any:
         self.requests.append(request)

@@ -9,6 +9,7 @@ streams that a node reads when it needs them. `local`: samples between nodes of 
 process.
 """
 
+from .fields import message_of
 from .local import LocalPublisher, LocalSubscription
 from .managed import FrameSettings, ManagedNode, NodeSettings
 from .polling import POLLED_DEPTH, PolledSubscription
@@ -29,6 +30,7 @@ __all__ = [
     "NodeSettings",
     "PolledSubscription",
     "main_of",
+    "message_of",
     "run_node",
     "use_large_shared_memory",
 ]
