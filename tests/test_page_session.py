@@ -418,7 +418,7 @@ def test_a_guided_session_with_a_fault_of_each_device(
         rig.kill("page")
         operator.see("offline")
         assert page.is_disabled("#start") and page.is_disabled("#tare")
-        page.wait_for_function("window.same === undefined", timeout=120e3)
+        page.wait_for_function("() => window.same === undefined", timeout=120e3)
         operator.see("prepare", "paused")
         # The force driver loses its zero.
         rig.kill("force")
