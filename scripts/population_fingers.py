@@ -1,0 +1,267 @@
+"""The live estimate on fingers that nobody measured: drawn from the population, pressed ten times.
+
+    python scripts/population_fingers.py [--fingers 200] [--seed 1] [--full-order 8] [-o t.json]
+
+Truth: the reduced model of the population box with the finger's own lengths, branches, stiffening
+and friction, and a factor on the area of each press. The estimator has none of these: it runs the
+default finger. With --full-order the truth of so many fingers is the full-order model, as control.
+Areas have noise of 1.5 mm² at 10 Hz, forces that of the simulated study. Every second finger has no
+moisture reading. Presses are taps, holds and slow presses.
+
+Three runs of each finger: with camera; without; with camera for five presses and then without.
+The camera's own error is that of its newest area that the estimator may use (stamp + fusion delay),
+held to the instants of the estimate.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numba
+import numpy as np
+
+from finger_common.files import atomic_write
+from finger_common.flags import StateFlag
+from finger_model.estimator import ContactEstimator, EstimatorSettings
+from finger_model.fem.full_order import FullOrderModel
+from finger_model.people import People, Person
+from finger_model.reduced import ReducedModel
+from finger_model.reduced.model import load_population
+from finger_sim.study_trial import AREA_NOISE, FORCE_NOISE
+
+KINDS = ("hold", "tap", "slow", "tap", "hold", "slow", "tap", "hold", "slow", "tap")
+FRAME, SAMPLE, KNOT = 0.1, 0.002, 0.01
+"""s between camera frames, force samples, and the samples of the truth."""
+START = 10**18
+COUNTED_FORCE = 0.1
+"""N; below it relative errors of the area are not counted."""
+
+
+@dataclass(frozen=True)
+class Press:
+    """Truth of one press: time since the session's start (n,) in s, force (n,) in N, area (n,) in
+    m²."""
+
+    kind: str
+    time: np.ndarray
+    force: np.ndarray
+    area: np.ndarray
+
+
+@dataclass(frozen=True)
+class Session:
+    """Ten presses of one finger, and the reading of its moisture (NaN for none)."""
+
+    person: Person
+    presses: tuple[Press, ...]
+    reading: float
+    seed: int
+
+
+def force_of(rng: np.random.Generator, kind: str) -> tuple[np.ndarray, np.ndarray]:
+    """Time (n,) in s and force (n,) in N of a press: linear rise, hold, smooth release."""
+    peak = rng.uniform(0.5, 1.35)
+    spans = {
+        "tap": ((0.05, 0.15), (0.0, 0.05), (0.05, 0.15)),
+        "hold": ((0.3, 1.0), (1.5, 4.0), (0.15, 0.4)),
+        "slow": ((1.5, 3.0), (0.0, 0.5), (0.5, 1.5)),
+    }[kind]
+    rise, hold, fall = (rng.uniform(*span) for span in spans)
+    time = np.arange(0.0, rise + hold + fall + 2 * KNOT, KNOT)
+    falling = np.clip((time - rise - hold) / fall, 0.0, 1.0)
+    return time, peak * np.minimum(time / rise, 1.0) * 0.5 * (1.0 + np.cos(np.pi * falling))
+
+
+def session_of(seed: int, index: int, full_order: bool = False) -> Session:
+    """The index-th finger of a seed and its presses; the same for equal arguments."""
+    rng = np.random.default_rng([seed, index])
+    people = People.default()
+    person = people.draw(rng)
+    gains = np.exp(people.press_gain * rng.normal(size=len(KINDS)))
+    times, forces, at = [], [], 0.0
+    for kind in KINDS:
+        time, force = force_of(rng, kind)
+        at += rng.uniform(0.8, 3.0)
+        times.append(at + time)
+        forces.append(force)
+        at = times[-1][-1]
+    if full_order:
+        areas = _full_order(person, times, forces)
+    else:
+        model = load_population(person.geometry).for_material(person.material)
+        constants = model.constants(person.material)
+        state, areas, before = model.state_at_rest(constants), [], 0.0
+        for time, force in zip(times, forces):
+            areas.append(model.follow(constants, state, time, force, before)[:, 0])
+            before = time[-1]
+    presses = [Press(k, t, f, g * a) for k, t, f, a, g in zip(KINDS, times, forces, areas, gains)]
+    return Session(person, tuple(presses), np.nan if index % 2 else person.reading, 7919 * seed + index)
+
+
+def _full_order(
+    person: Person, times: list[np.ndarray], forces: list[np.ndarray]
+) -> list[np.ndarray]:
+    """Areas of the presses by the full-order model, in steps of 20 ms."""
+    stepper = FullOrderModel(person.geometry).start(person.material, 0.0)
+    areas = []
+    for time, force in zip(times, forces):
+        knots = np.unique(np.append(np.arange(0, len(time), 2), len(time) - 1))
+        found = [stepper.step(float(time[i]), float(force[i])).area for i in knots]
+        areas.append(np.interp(time, time[knots], found))
+    return areas
+
+
+def run_session(
+    session: Session, cameras: range, settings: EstimatorSettings | None = None
+) -> Iterator[dict[str, np.ndarray]]:
+    """Estimates of each press whose area a camera sees for the presses in `cameras`.
+
+    Columns (n,) of the samples in contact: truth, area, area_stddev, model_area, force, held (the
+    camera's newest usable area, NaN before the first), flags.
+    """
+    rng = np.random.default_rng(session.seed)
+    estimator = ContactEstimator(ReducedModel.load(), settings=settings)
+    if np.isfinite(session.reading):
+        estimator.add_moisture(START - 10**9, session.reading)
+    delay = estimator.settings.fusion_delay
+    for number, press in enumerate(session.presses):
+        noise = rng.normal(size=2 * len(press.time))
+        frames = np.arange(press.time[0] + FRAME * rng.random(), press.time[-1], FRAME)
+        truth = np.interp(frames, press.time, press.area)
+        measured = np.maximum(truth + AREA_NOISE * noise[: len(frames)], 0.1e-6)
+        frames, measured = frames[truth > 0], measured[truth > 0]
+        if number in cameras:
+            for instant, area in zip(frames, measured):
+                estimator.add_area(START + round(instant * 1e9), area, AREA_NOISE)
+        time = np.arange(press.time[0] - 0.3, press.time[-1] + 0.3, SAMPLE)
+        force = np.interp(time, press.time, press.force, 0.0, 0.0)
+        noisy = force + FORCE_NOISE * rng.normal(size=len(time))
+        stamps = START + np.round(time * 1e9).astype(np.int64)
+        block = estimator.add_wrenches(stamps, np.column_stack([0 * noisy, 0 * noisy, -noisy]))
+        newest = np.searchsorted(frames, time - delay, side="right") - 1
+        held = np.where(newest >= 0, np.append(measured, np.nan)[newest], np.nan)
+        area = np.interp(time, press.time, press.area, 0.0, 0.0)
+        use = block.column("in_contact") & (area > 0)
+        columns = {n: block.column(n)[use] for n in ("area", "area_stddev", "model_area", "flags")}
+        yield {**columns, "truth": area[use], "force": force[use], "held": held[use]}
+
+
+def rms(values: np.ndarray) -> float:
+    """Root mean square of the values (n,); NaN for none."""
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")
+
+
+def covered(press: dict[str, np.ndarray]) -> np.ndarray:
+    """Whether the 95 % interval of each sample (n,) holds the true area."""
+    return np.abs(press["area"] - press["truth"]) <= 1.96 * press["area_stddev"]
+
+
+def score(seed: int, full_order: bool, index: int) -> dict[str, list]:
+    """Figures of one finger."""
+    numba.set_num_threads(1)
+    session = session_of(seed, index, full_order)
+    found: dict[str, list] = {"index": [index]}
+    for name, cameras in (("camera", range(10)), ("none", range(0)), ("five", range(5))):
+        presses = list(run_session(session, cameras))
+        inside = [covered(p) for p in presses]
+        if name == "camera":
+            # Relative to the camera: from its first usable area of the press on.
+            ratio = []
+            for press in presses:
+                seen = np.isfinite(press["held"])
+                own = rms((press["held"] - press["truth"])[seen])
+                ratio.append(rms((press["area"] - press["truth"])[seen]) / own if own else np.nan)
+            found["ratio"] = ratio
+            found["rms_mm2"] = [1e6 * rms(p["area"] - p["truth"]) for p in presses]
+            found["first_covered"] = [float(inside[0].sum()), len(inside[0])]
+            found["flagged"] = [
+                float(np.mean(p["flags"] & getattr(StateFlag, "MODEL_MISMATCH", 0) > 0))
+                for p in presses
+            ]
+        if name == "five":
+            presses, inside = presses[5:], inside[5:]
+            error = np.concatenate([p["area"] - p["truth"] for p in presses])
+            truth = np.concatenate([p["truth"] for p in presses])
+            found["five_relative_rms"] = [rms(error) / rms(truth)]
+        found[name + "_rms_mm2"] = [1e6 * rms(np.concatenate([p["area"] - p["truth"] for p in presses]))]
+        found[name + "_covered"] = [float(sum(i.sum() for i in inside)), sum(map(len, inside))]
+    return found
+
+
+def table(scores: list[dict[str, list]]) -> dict[str, float]:
+    """The figures of all fingers, by name; shares and coverages in %."""
+    ratio = np.array([s["ratio"] for s in scores])
+    later = ratio[:, 2:]
+
+    def share(condition: np.ndarray) -> float:
+        return float(100.0 * np.mean(condition))
+
+    def coverage(name: str) -> np.ndarray:
+        return np.array([s[name] for s in scores])
+
+    figures = {
+        "camera: presses with RMS <= 1.05 x the camera's (%)": share(
+            ratio[np.isfinite(ratio)] <= 1.05
+        ),
+        "camera: median RMS over the camera's, from press 3": float(np.nanmedian(later)),
+        "camera: worst press, RMS over the camera's": float(np.nanmax(ratio)),
+    }
+    for name in ("camera", "first", "none", "five"):
+        counts = coverage(name + "_covered")
+        own = counts[:, 0] / counts[:, 1]
+        label = {"first": "camera, press 1", "five": "five, then force alone"}.get(name, name)
+        figures[f"{label}: 95 % interval covers (%)"] = float(
+            100.0 * counts[:, 0].sum() / counts[:, 1].sum()
+        )
+        figures[f"{label}: fingers with coverage >= 80 % (%)"] = share(own >= 0.8)
+    relative = np.array([s["five_relative_rms"][0] for s in scores])
+    figures["five, then force alone: fingers with RMS <= 5 % (%)"] = share(relative <= 0.05)
+    figures["five, then force alone: RMS, 90 % of fingers (%)"] = float(
+        100.0 * np.percentile(relative, 90)
+    )
+    for name in ("camera", "none", "five"):
+        values = [s[name + "_rms_mm2"][0] for s in scores]
+        figures[f"{name}: RMS, median of fingers (mm²)"] = float(np.median(values))
+    return figures
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--fingers", type=int, default=200)
+    parser.add_argument("--full-order", type=int, default=0, help="fingers of the control")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("-o", "--output", default="")
+    args = parser.parse_args()
+    results = {}
+    spawn = multiprocessing.get_context("spawn")
+    for name, number, full in (
+        ("population", args.fingers, False),
+        ("full order", args.full_order, True),
+    ):
+        if not number:
+            continue
+        if args.workers > 1:
+            with ProcessPoolExecutor(args.workers, spawn) as pool:
+                scores = list(pool.map(partial(score, args.seed, full), range(number)))
+        else:
+            scores = [score(args.seed, full, index) for index in range(number)]
+        results[name] = {"figures": table(scores), "fingers": scores}
+        print(f"{number} fingers, truth: {name}")
+        for label, value in results[name]["figures"].items():
+            print(f"  {label:62s} {value:8.3g}")
+    if args.output:
+        with atomic_write(args.output) as file:
+            json.dump(results, file)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
