@@ -87,15 +87,14 @@ def event_fields(event: EstimatorEvent, sequence: int) -> dict[str, Any]:
 
 def state_numbers(estimate: ContactEstimate) -> tuple[float, ...]:
     """Numbers of a finger_msgs/ContactState in the order of its fields, without its texts."""
-    stamp, normal_force, lateral_force, in_contact, onset, *others, _, flags = estimate
+    stamp, normal_force, lateral_force, in_contact, onset, *others = estimate
     return (
         *divmod(stamp, NANOSECONDS),
         normal_force,
         lateral_force,
         in_contact,
         *divmod(onset, NANOSECONDS),
-        *others,
-        flags,
+        *(value for value in others if not isinstance(value, str)),
     )
 
 

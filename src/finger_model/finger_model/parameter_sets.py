@@ -18,6 +18,8 @@
           - [0.09, 0.0, 0.0, 0.0]
           - …
 
+A key `prior` says how fingers differ from the sets, see `finger_prior`; the shipped file has one.
+
 Between two sets the logarithms of the parameters and the covariance are interpolated linearly over
 moisture. Beyond the driest and the wettest set the end set holds, and the result is marked.
 """
@@ -39,6 +41,7 @@ from finger_common.errors import InputError
 from finger_common.files import atomic_write, number, parse_yaml, read_text, sha256_of
 from finger_common.moisture import MOISTURE_TEXT, is_moisture
 
+from .finger_prior import FingerPrior
 from .laws import ConstitutiveLaw, ParameterSpace, StandardLinearSolid, law_of
 
 
@@ -102,12 +105,14 @@ class ParameterSets:
         reduced_model_hash: str = "",
         where: str = "parameter sets",
         law: type[ConstitutiveLaw] = StandardLinearSolid,
+        prior: FingerPrior | None = None,
     ) -> None:
         if not sets:
             raise InputError(f"{where}: 'sets' is empty; give at least one parameter set")
         self.law = law
         self.space = law.PARAMETERS
         self.sets = tuple(sorted(sets, key=lambda s: s.moisture))
+        self.prior = prior
         self.geometry_hash = geometry_hash
         self.reduced_model_hash = reduced_model_hash
         self._moisture = np.array([s.moisture for s in self.sets])
@@ -116,11 +121,17 @@ class ParameterSets:
         vectors = [self.space.checked(s.parameters, where) for s in self.sets]
         self._log = self.space.to_log(np.array(vectors))
         self._covariance = np.array([s.covariance_log for s in self.sets])
-        self.hash = sha256_of([*self._law_key().values(), *self._entries()])
+        self.hash = sha256_of(
+            [*self._law_key().values(), *self._entries(), *self._prior_key().values()]
+        )
 
     def _law_key(self) -> dict[str, str]:
         """The key `law`, which files of the default law do not have."""
         return {} if self.law is StandardLinearSolid else {"law": self.law.name}
+
+    def _prior_key(self) -> dict[str, Any]:
+        """The key `prior`, which files without one do not have."""
+        return {"prior": self.prior.to_dict()} if self.prior else {}
 
     def _entries(self) -> list[dict[str, Any]]:
         return [s.to_dict(self.space) for s in self.sets]
@@ -146,6 +157,7 @@ class ParameterSets:
             str(data.get("reduced_model_hash") or ""),
             where,
             law,
+            FingerPrior.parse(data["prior"], where) if data.get("prior") else None,
         )
 
     @classmethod
@@ -171,6 +183,7 @@ class ParameterSets:
                 **self._law_key(),
                 "geometry_hash": self.geometry_hash,
                 "reduced_model_hash": self.reduced_model_hash,
+                **self._prior_key(),
                 "sets": self._entries(),
             },
             sort_keys=False,

@@ -1,20 +1,27 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Compiled Kalman filters of the model's error in area, corrected by measured areas.
+"""Compiled Kalman filters of what is not known of a finger, corrected by measured areas.
 
-With φ = ln(F / 1 N) the error is
+With φ = ln(F / 1 N) the error of the model is
 
-    ln A_true − ln A_model = h x,    h = (1, φ, 1, φ),    x = (m, g, d, e)
+    ln A_true − ln A_model = h x − s w₀,    x = (gain, slope, w, moisture, d, e)
+    h = (1, φ, s, u · (1, φ, s), 1, φ)
 
-where m and g belong to the finger (they last over contacts), d and e to the contact (drawn anew at
-each onset), and d drifts within a contact.
+gain, slope and w = (stiffness, creep time, creep) belong to the finger and last over contacts; s =
+∂ln A/∂w are sensitivities of the reduced model along the present history (`members`), which runs at
+the shift w₀. moisture is the error of the reading in standard deviations of the population, u what
+it does to the other coordinates. d and e belong to the contact (drawn anew at each onset), and d
+drifts within a contact.
 
 How much contacts of one finger differ is not known beforehand: presses of a simulated finger are
 all alike, real ones scatter by 5 %. So a bank of such filters runs side by side, with SCALES times
 the deviations of d and e and DRIFT_SCALES times the drift that the settings name. Each is weighted
 by how well it predicted the areas measured so far (Bayesian model averaging: Hoeting et al., Stat.
 Sci. 14(4), 1999); the estimate is the mixture's mean and variance.
+
+An update finds the most probable error of the model given one area (iterated Kalman filter), which
+lies between prediction and measurement whatever their ratio.
 """
 
 from __future__ import annotations
@@ -24,6 +31,7 @@ import math
 import numpy as np
 
 from ..compiled import njit
+from .members import DIRECTIONS
 
 SCALES = (0.1, 0.4, 1.5, 0.1, 0.4, 1.5)
 """Of the deviations of d and e, one for each filter."""
@@ -38,21 +46,46 @@ ACCEPTED_OUTLIERS = 3
 
 FILTERS = len(SCALES)
 
+FINGER_STATES = 2 + DIRECTIONS
+MOISTURE = FINGER_STATES
+CONTACT = MOISTURE + 1
+STATES = CONTACT + 2
+"""Places in x: finger 0 … 4, moisture 5, contact 6 and 7."""
+
+GAIN_OF_INDENTATION = 0.5
+"""ln δ answers to gains of the area by this: a larger finger has A ∝ L², δ ∝ L."""
+
+HULL = 3.0
+"""Standard deviations of the newest area by which an estimate may leave the span of prediction
+and measurement."""
+
+_ITERATIONS = 20
+
 FILTER_BANK = np.dtype(
     [
-        ("mean", "f8", (FILTERS, 4)),  # of x
-        ("covariance", "f8", (FILTERS, 4, 4)),
+        ("mean", "f8", (FILTERS, STATES)),  # of x
+        ("covariance", "f8", (FILTERS, STATES, STATES)),
         ("log_weight", "f8", (FILTERS,)),
+        ("start", "f8", (STATES,)),  # mixture's mean at the onset: the prediction
+        ("measured", "?"),  # an area was fused in this contact
+        ("newest", "f8"),  # ln of the newest fused area over the model's
+        ("tolerance", "f8"),  # HULL deviations of it
         ("stamp", "i8"),  # ns, time of mean and covariance
         ("outliers", "i8"),  # in a row
-    ]
+        ("surprise", "f8"),  # running mean of squared normalised innovations, 1 when consistent
+    ],
+    align=True,
 )
 """State of the filters."""
 
 FILTER_NOISE = np.dtype(
     [
-        ("prior_variance", "f8"),  # of m
-        ("slope_variance", "f8"),  # of g and e
+        ("prior_mean", "f8", (FINGER_STATES,)),
+        ("prior_covariance", "f8", (FINGER_STATES, FINGER_STATES)),
+        ("moisture_direction", "f8", (FINGER_STATES,)),  # u
+        ("moisture_variance", "f8"),  # of the reading's error in population variances
+        ("moisture_wander", "f8"),  # its growth in 1 s
+        ("slope_variance", "f8"),  # of e
         ("contact_variance", "f8"),  # of d
         ("drift_variance", "f8"),  # of d within 1 s
         ("model_variance", "f8"),  # of ln A by the reduced model itself
@@ -60,6 +93,11 @@ FILTER_NOISE = np.dtype(
     ]
 )
 """Variances that the filters assume."""
+
+SURPRISE_MEMORY = 0.85
+"""Share of the running mean of squared innovations kept from one area to the next."""
+MOST_SURPRISE = 25.0
+"""One innovation counts for this at most, so that one wild area is soon forgotten."""
 
 
 @njit(cache=True)
@@ -69,15 +107,39 @@ def log_force(force):
 
 
 @njit(cache=True)
+def regressors(noise, phi, sensitivity, gain, h):
+    """Fill h (8,): answer of ln A (gain 1) or ln δ (its gain) with sensitivities (3,) to x."""
+    h[0] = gain
+    h[1] = gain * phi
+    moisture = gain * (noise.moisture_direction[0] + noise.moisture_direction[1] * phi)
+    for j in range(DIRECTIONS):
+        h[2 + j] = sensitivity[j]
+        moisture += noise.moisture_direction[2 + j] * sensitivity[j]
+    h[MOISTURE] = moisture
+    h[CONTACT] = gain
+    h[CONTACT + 1] = gain * phi
+
+
+@njit(cache=True)
+def _draw_contact(bank, noise, k):
+    """Covariance of d and e of filter k as at an onset."""
+    square = SCALES[k] * SCALES[k]
+    bank.covariance[k, CONTACT:, :] = 0.0
+    bank.covariance[k, :, CONTACT:] = 0.0
+    bank.covariance[k, CONTACT, CONTACT] = square * noise.contact_variance
+    bank.covariance[k, CONTACT + 1, CONTACT + 1] = square * noise.slope_variance
+
+
+@njit(cache=True)
 def _widen(bank, noise):
     """Covariances as for a finger not seen before, all filters equally probable."""
     for k in range(FILTERS):
-        square = SCALES[k] * SCALES[k]
         bank.covariance[k] = 0.0
-        bank.covariance[k, 0, 0] = noise.prior_variance
-        bank.covariance[k, 1, 1] = noise.slope_variance
-        bank.covariance[k, 2, 2] = square * noise.contact_variance
-        bank.covariance[k, 3, 3] = square * noise.slope_variance
+        for i in range(FINGER_STATES):
+            for j in range(FINGER_STATES):
+                bank.covariance[k, i, j] = noise.prior_covariance[i, j]
+        bank.covariance[k, MOISTURE, MOISTURE] = noise.moisture_variance
+        _draw_contact(bank, noise, k)
         bank.log_weight[k] = 0.0
 
 
@@ -86,68 +148,118 @@ def initialise(bank, noise):
     """Filters as for a finger not seen before."""
     for k in range(FILTERS):
         bank.mean[k] = 0.0
+        for i in range(FINGER_STATES):
+            bank.mean[k, i] = noise.prior_mean[i]
     _widen(bank, noise)
+    bank.surprise = 1.0
+    bank.measured = False
+    mixture_mean(bank, bank.start)
+
+
+@njit(cache=True)
+def new_reading(bank, noise):
+    """The moisture's error as after a new reading, or without one."""
+    for k in range(FILTERS):
+        bank.mean[k, MOISTURE] = 0.0
+        bank.covariance[k, MOISTURE, :] = 0.0
+        bank.covariance[k, :, MOISTURE] = 0.0
+        bank.covariance[k, MOISTURE, MOISTURE] = noise.moisture_variance
+    mixture_mean(bank, bank.start)
+
+
+@njit(cache=True)
+def mixture_mean(bank, out):
+    """Mean of x (8,) over the filters."""
+    total = 0.0
+    out[:] = 0.0
+    for k in range(FILTERS):
+        w = math.exp(bank.log_weight[k])
+        total += w
+        for i in range(STATES):
+            out[i] += w * bank.mean[k, i]
+    for i in range(STATES):
+        out[i] /= total
 
 
 @njit(cache=True)
 def begin_contact(bank, noise, stamp):
-    """Draw the contact's own errors d and e again."""
+    """Draw the contact's own errors d and e again; the reading of the moisture has aged."""
+    aged = noise.moisture_wander * max((stamp - bank.stamp) * 1e-9, 0.0)
     for k in range(FILTERS):
-        square = SCALES[k] * SCALES[k]
-        bank.mean[k, 2:] = 0.0
-        bank.covariance[k, 2:, :] = 0.0
-        bank.covariance[k, :, 2:] = 0.0
-        bank.covariance[k, 2, 2] = square * noise.contact_variance
-        bank.covariance[k, 3, 3] = square * noise.slope_variance
+        bank.mean[k, CONTACT:] = 0.0
+        _draw_contact(bank, noise, k)
+        bank.covariance[k, MOISTURE, MOISTURE] += min(
+            aged, max(1.0 - bank.covariance[k, MOISTURE, MOISTURE], 0.0)
+        )
         bank.log_weight[k] *= MEMORY_BETWEEN_CONTACTS
     bank.stamp = stamp
     bank.outliers = 0
+    bank.measured = False
+    mixture_mean(bank, bank.start)
 
 
 @njit(cache=True)
-def _expected_error(mean, phi):
-    """h x with the filter's mean (4,)."""
-    return mean[0] + mean[2] + (mean[1] + mean[3]) * phi
-
-
-@njit(cache=True)
-def _variance(covariance, phi):
-    """h P hᵀ with the filter's covariance P (4, 4)."""
+def _product(h, x):
     total = 0.0
-    for i in range(4):
-        hi = 1.0 if i % 2 == 0 else phi
-        for j in range(4):
-            hj = 1.0 if j % 2 == 0 else phi
-            total += hi * hj * covariance[i, j]
+    for i in range(STATES):
+        total += h[i] * x[i]
     return total
 
 
 @njit(cache=True)
-def _innovation(bank, k, noise, phi, model_area, area, sd):
-    """Relative innovation of a measured area and its variance in filter k.
-
-    ln(area / predicted) to first order: unbiased for noise that adds to the area.
-    """
-    predicted = model_area * math.exp(_expected_error(bank.mean[k], phi))
-    measurement_variance = (sd / predicted) ** 2 + noise.model_variance
-    return area / predicted - 1.0, _variance(bank.covariance[k], phi) + measurement_variance
+def _variance(covariance, h):
+    """h P hᵀ with the filter's covariance P (8, 8)."""
+    total = 0.0
+    for i in range(STATES):
+        row = 0.0
+        for j in range(STATES):
+            row += h[j] * covariance[i, j]
+        total += h[i] * row
+    return total
 
 
 @njit(cache=True)
-def _is_outlier(bank, noise, phi, model_area, area, sd):
-    """Whether no filter of the bank explains the measured area."""
-    for k in range(FILTERS):
-        innovation, total = _innovation(bank, k, noise, phi, model_area, area, sd)
-        if innovation * innovation <= noise.outlier_limit**2 * total:
-            return False
-    return True
+def _most_probable(area, sd, predicted, variance):
+    """Error v of ln `predicted` of prior variance `variance`, given a measured area (m²).
+
+    Minimises ((area − predicted eᵛ)/sd)² + v²/variance by Newton's method within the bracket of
+    prediction (0) and measurement. Returns v and its variance after the measurement.
+    """
+    low, high = 0.0, math.log(area / predicted)
+    if low > high:
+        low, high = high, low
+    v = 0.5 * (low + high)
+    curvature = 1.0
+    for _ in range(_ITERATIONS):
+        expected = predicted * math.exp(v)
+        slope = (expected - area) * expected / (sd * sd) + v / variance
+        curvature = expected * expected / (sd * sd) + 1.0 / variance
+        if slope > 0.0:
+            high = v
+        else:
+            low = v
+        v -= slope / curvature
+        if not low <= v <= high:
+            v = 0.5 * (low + high)
+    return v, 1.0 / curvature
+
+
+@njit(cache=True)
+def _normalised(bank, k, noise, h, offset, model_area, area, sd):
+    """Square of the innovation over its deviation in filter k."""
+    predicted = model_area * math.exp(_product(h, bank.mean[k]) - offset)
+    variance = _variance(bank.covariance[k], h) + noise.model_variance
+    # In the logarithm the deviation of an area that is much smaller than predicted is its own.
+    relative = sd / math.sqrt(max(area, 0.1 * sd) * predicted)
+    innovation = math.log(max(area, 0.1 * sd) / predicted)
+    return innovation * innovation / (variance + relative * relative)
 
 
 @njit(cache=True)
 def _add_drift(bank, drift):
     """Add `drift`, scaled for each filter, to the variance of d."""
     for k in range(FILTERS):
-        bank.covariance[k, 2, 2] += DRIFT_SCALES[k] ** 2 * drift
+        bank.covariance[k, CONTACT, CONTACT] += DRIFT_SCALES[k] ** 2 * drift
 
 
 @njit(cache=True)
@@ -157,36 +269,45 @@ def _drift_until(bank, noise, stamp):
 
 
 @njit(cache=True)
-def _update(bank, noise, phi, model_area, area, sd):
-    """Kalman update of all filters, and of their weights by the likelihood of the innovation."""
-    gain = np.empty(4)
+def _update(bank, noise, h, offset, model_area, area, sd):
+    """Iterated Kalman update of all filters, and of their weights by the likelihood."""
+    gain = np.empty(STATES)
     largest = -math.inf
     for k in range(FILTERS):
-        innovation, total = _innovation(bank, k, noise, phi, model_area, area, sd)
-        for i in range(4):
+        predicted = model_area * math.exp(_product(h, bank.mean[k]) - offset)
+        for i in range(STATES):
             gain[i] = 0.0
-            for j in range(4):
-                gain[i] += bank.covariance[k, i, j] * (1.0 if j % 2 == 0 else phi)
-        for i in range(4):
-            bank.mean[k, i] += gain[i] / total * innovation
-            for j in range(4):
-                bank.covariance[k, i, j] -= gain[i] * gain[j] / total
-        bank.log_weight[k] -= 0.5 * (math.log(total) + innovation * innovation / total)
+            for j in range(STATES):
+                gain[i] += bank.covariance[k, i, j] * h[j]
+        total = _product(h, gain) + noise.model_variance
+        v, after = _most_probable(area, sd, predicted, total)
+        misfit = (area - predicted * math.exp(v)) / sd
+        for i in range(STATES):
+            bank.mean[k, i] += gain[i] / total * v
+            for j in range(STATES):
+                bank.covariance[k, i, j] -= gain[i] * gain[j] / total * (1.0 - after / total)
+        # Laplace's approximation of the evidence.
+        bank.log_weight[k] -= 0.5 * (misfit * misfit + v * v / total - math.log(after / total))
         largest = max(largest, bank.log_weight[k])
     for k in range(FILTERS):
         bank.log_weight[k] -= largest
 
 
 @njit(cache=True)
-def correct(bank, noise, stamp, force, model_area, area, sd):
+def correct(bank, noise, stamp, h, offset, model_area, area, sd):
     """Predict to `stamp` and update with an area measured then; false when it is an outlier.
 
-    force (N) and model_area (m²) are those of the stamp; area, sd in m².
+    h (8,), offset = s w₀ and model_area (m²) are those of the stamp; area, sd in m².
     """
-    phi = log_force(force)
     drift = _drift_until(bank, noise, stamp)
     _add_drift(bank, drift)
-    if _is_outlier(bank, noise, phi, model_area, area, sd):
+    least = math.inf
+    for k in range(FILTERS):
+        least = min(least, _normalised(bank, k, noise, h, offset, model_area, area, sd))
+    bank.surprise = SURPRISE_MEMORY * bank.surprise + (1.0 - SURPRISE_MEMORY) * min(
+        least, MOST_SURPRISE
+    )
+    if least > noise.outlier_limit**2:
         bank.outliers += 1
         if bank.outliers < ACCEPTED_OUTLIERS:
             _add_drift(bank, -drift)
@@ -194,28 +315,49 @@ def correct(bank, noise, stamp, force, model_area, area, sd):
         # The filters were too confident.
         _widen(bank, noise)
     bank.outliers = 0
-    _update(bank, noise, phi, model_area, area, sd)
+    _update(bank, noise, h, offset, model_area, area, sd)
+    bank.measured = True
+    bank.newest = math.log(area / model_area)
+    bank.tolerance = math.log1p(HULL * sd / area)
     bank.stamp = max(stamp, bank.stamp)
     return True
 
 
 @njit(cache=True)
-def fused_area(bank, noise, force, model_area, stamp):
-    """Best estimate of the area (m²) and its standard deviation at `stamp`."""
-    phi = log_force(force)
-    drift = _drift_until(bank, noise, stamp)
+def estimate(bank, noise, h, offset, stamp, bounded):
+    """Mean and variance of the error h x − offset at `stamp`, of the mixture.
+
+    bounded: keep the mean within prediction and newest measurement.
+    """
+    drift = _drift_until(bank, noise, stamp) * h[CONTACT] * h[CONTACT]
     weight = 0.0
     mean = 0.0
     square = 0.0
     for k in range(FILTERS):
         w = math.exp(bank.log_weight[k])
-        error = _expected_error(bank.mean[k], phi)
+        if w < 1e-6:
+            continue
+        error = _product(h, bank.mean[k]) - offset
         weight += w
         mean += w * error
         square += w * (
-            _variance(bank.covariance[k], phi) + DRIFT_SCALES[k] ** 2 * drift + error * error
+            _variance(bank.covariance[k], h) + DRIFT_SCALES[k] ** 2 * drift + error * error
         )
     mean /= weight
     variance = max(square / weight - mean * mean, 0.0) + noise.model_variance
-    area = model_area * math.exp(mean)
-    return area, area * math.sqrt(variance)
+    if bounded and bank.measured:
+        predicted = _product(h, bank.start) - offset
+        low = min(predicted, bank.newest - bank.tolerance)
+        high = max(predicted, bank.newest + bank.tolerance)
+        held = min(max(mean, low), high)
+        variance += (mean - held) ** 2
+        mean = held
+    return mean, variance
+
+
+@njit(cache=True)
+def deviation_of(variance):
+    """Relative standard deviation about the median of a quantity whose logarithm has `variance`."""
+    if variance > 4.0:
+        variance = 4.0
+    return math.sqrt(math.exp(2.0 * variance) - 2.0 * math.exp(0.5 * variance) + 1.0)

@@ -71,6 +71,10 @@ class ContactEstimate(NamedTuple):
     moisture_age: Annotated[float, Field("float64", "s")]
     parameter_set: Annotated[str, Field("string", "", "parameter_set")]
     flags: Annotated[int, Field("uint32", "", "flags")]
+    radius_stddev: Annotated[float, Field("float64", "m", "radius_sd_mm", 1e3)]
+    indentation_stddev: Annotated[float, Field("float64", "m", "indentation_sd_mm", 1e3)]
+    mean_pressure_stddev: Annotated[float, Field("float64", "Pa", "mean_pressure_sd_kpa", 1e-3)]
+    peak_pressure_stddev: Annotated[float, Field("float64", "Pa", "peak_pressure_sd_kpa", 1e-3)]
 
 
 def _described() -> Iterator[Field]:
@@ -100,6 +104,10 @@ CSV_FIELDS = (
     "flags",
     "stamp_ns",
     "parameter_set",
+    "radius_stddev",
+    "indentation_stddev",
+    "mean_pressure_stddev",
+    "peak_pressure_stddev",
 )
 """Order of the CSV columns, after `time_s`. The first five are those of `finger-model simulate`."""
 

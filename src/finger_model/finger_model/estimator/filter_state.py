@@ -10,9 +10,8 @@ import numpy as np
 from finger_common.axes import axis_of
 from finger_common.stamps import nanoseconds
 
-from ..reduced import kernels as rk
 from ..reduced.model import ReducedModel
-from . import stream
+from . import members, stream
 from .estimate import ESTIMATE_DTYPE
 from .parameter_selection import SelectedParameters
 from .settings import EstimatorSettings
@@ -25,8 +24,9 @@ class FilterState:
         self.model = model
         self.configuration = np.zeros(1, stream.CONFIGURATION)
         self.state = np.zeros(1, stream.STATE)
-        self.finger: np.ndarray = np.zeros(0)
+        self.base: np.ndarray = np.zeros(0)
         self.constants: np.ndarray = np.zeros(0)
+        self.finger: np.ndarray = np.zeros(0)
         self._stream = self.state["stream"]
 
     # Configuration ---------------------------------------------------------------------------
@@ -49,7 +49,6 @@ class FilterState:
         noise["slope_variance"] = settings.slope_sd**2
         noise["contact_variance"] = settings.contact_area_sd**2
         noise["drift_variance"] = settings.drift_sd**2
-        noise["model_variance"] = self.model.rms_error**2
         noise["outlier_limit"] = settings.outlier_limit
 
     def use_parameters(
@@ -57,13 +56,30 @@ class FilterState:
     ) -> None:
         """Take over parameters, and the moisture reading (stamp, value) that they are for."""
         config = self.configuration
+        new = not len(self.finger) or config["moisture_stamp"][0] != (moisture or (0, np.nan))[0]
         config["moisture_stamp"], config["moisture"] = moisture or (0, np.nan)
         config["flags"] = selected.flags
-        config["noise"]["prior_variance"] = selected.prior_variance
-        self.constants = selected.constants
+        noise, prior = config["noise"], selected.prior
+        noise["prior_mean"], noise["prior_covariance"] = prior.mean, prior.covariance
+        noise["moisture_direction"] = prior.moisture_direction
+        noise["moisture_variance"] = prior.moisture_variance
+        noise["moisture_wander"] = prior.moisture_wander
+        noise["model_variance"] = self.model.rms_error**2 + prior.misfit_sd**2
+        self.base = selected.constants
+        self.constants = np.repeat(self.base, 1 + members.DIRECTIONS)
         if not len(self.finger):
-            self.finger = self.model.state_at_rest(self.constants)
-        rk.refresh(self.model.networks, self.constants, self.finger, self.model.work)
+            self.finger = self._at_rest()
+        stream.place_members(*self._model_records(), self.state)
+        if new:
+            stream.new_reading(config, self.state)
+
+    def _at_rest(self) -> np.ndarray:
+        """States (4,) of the finger and its members at rest."""
+        return np.concatenate([self.model.state_at_rest(c[None]) for c in self.constants])
+
+    def _model_records(self) -> tuple[np.ndarray, ...]:
+        model = self.model
+        return model.networks, self.base, self.constants, self.finger, model.work
 
     # State -----------------------------------------------------------------------------------
 
@@ -89,12 +105,16 @@ class FilterState:
         self._stream["pending_flags"] = kept["pending_flags"]
         if keep_stream:
             self._stream[:] = kept
-        self.finger = self.model.state_at_rest(self.constants)
-        stream.initialise_filters(self.configuration, self.state)
+            self.state["members"]["stamp"] = kept["model_stamp"]
+        self.finger = self._at_rest()
+        self._initialise()
+
+    def _initialise(self) -> None:
+        stream.initialise_filters(*self._model_records(), self.configuration, self.state)
 
     def initialise_filters(self) -> None:
         """Filters as for a finger not seen before, within the present contact."""
-        stream.initialise_filters(self.configuration, self.state)
+        self._initialise()
         if self.state["contact"]["touching"][0]:
             self.state["filters"]["stamp"] = self._stream["last_stamp"]
 
@@ -103,10 +123,7 @@ class FilterState:
     ) -> int:
         """Process samples as `stream.process` does; returns the number of areas used up."""
         return stream.process(
-            self.model.networks,
-            self.constants,
-            self.finger,
-            self.model.work,
+            *self._model_records(),
             self.configuration,
             self.state,
             stamps,
@@ -115,11 +132,24 @@ class FilterState:
             rows,
         )
 
-    def fused_areas(self, forces: np.ndarray, model_areas: np.ndarray) -> np.ndarray:
-        """Areas (n,) in m² under forces (n,) in N: the model's with the error known so far."""
-        areas = np.empty(len(forces))
-        stream.fused_areas(self.configuration, self.state, forces, model_areas, areas)
-        return areas
+    def predicted(self, time: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """Fused area (m²), indentation (m), peak pressure (Pa) (n, 3) under a future force.
+
+        time (n,) in s from now, force (n,) in N; the state stays as it is.
+        """
+        table = np.empty((len(time), 3))
+        stream.predicted(
+            self.model.networks,
+            self.constants,
+            self.finger.copy(),
+            self.model.work,
+            self.configuration,
+            self.state,
+            time,
+            force,
+            table,
+        )
+        return table
 
 
 def new_rows(number: int, parameter_set: str) -> np.ndarray:

@@ -11,15 +11,37 @@ import numpy as np
 
 from finger_common.errors import InputError
 from finger_common.flags import StateFlag
+from finger_common.moisture import MOISTURE_RANGE
 
 from ..parameter_sets import InterpolatedParameters, ParameterSets
 from ..reduced.model import ReducedModel
+from . import area_filter, members
 from .settings import EstimatorSettings
 
-_RAMP = np.linspace(0.05, 1.0, 20)
-"""s and N: 1 N reached in 1 s."""
+_TIME = np.concatenate([np.linspace(0.0, 1.0, 21), np.linspace(1.1, 3.0, 20), [3.05, 3.1, 3.15]])
+_FORCE = np.interp(_TIME, [0.0, 1.0, 3.0, 3.2], [0.05, 1.0, 1.0, 0.1])
+"""s and N: the press in which parameters are compared with the states of the filters."""
 
 _LOG_STEP = 0.05
+_RIDGE = np.array([1e-4, 1e-3, 1e-3, 1e-3, 1e-3])
+"""Inverse variances that settle what the press leaves open."""
+
+
+@dataclass(frozen=True)
+class SelectedPrior:
+    """Distribution of the filters' states for a finger not seen before.
+
+    mean (5,), covariance (5, 5) of the finger states; moisture_direction (5,): what one standard
+    deviation of the population in moisture does to them; moisture_variance: of the reading in use,
+    over the population's; moisture_wander: its growth in 1/s; misfit_sd: of ln A.
+    """
+
+    mean: np.ndarray
+    covariance: np.ndarray
+    moisture_direction: np.ndarray
+    moisture_variance: float
+    moisture_wander: float
+    misfit_sd: float
 
 
 @dataclass(frozen=True)
@@ -27,15 +49,14 @@ class SelectedParameters:
     """Parameters in use.
 
     parameters (n,): in the order of the sets' space; constants: the reduced model's record of them;
-    name: of the parameter set; flags: of StateFlag; prior_variance: of ln A for a finger not seen
-    before.
+    name: of the parameter set; flags: of StateFlag; prior: of the finger.
     """
 
     parameters: np.ndarray
     constants: np.ndarray
     name: str
     flags: StateFlag
-    prior_variance: float
+    prior: SelectedPrior
 
 
 def select_parameters(
@@ -58,7 +79,7 @@ def select_parameters(
         model.constants(found.parameters),
         found.name,
         flags,
-        settings.prior_area_sd**2 + _area_variance(model, found),
+        _prior(model, sets, settings, moisture, found),
     )
 
 
@@ -76,13 +97,59 @@ def check_sets(sets: ParameterSets, model: ReducedModel, where: str = "the param
         )
 
 
-def _area_variance(model: ReducedModel, found: InterpolatedParameters) -> float:
-    """Variance of ln A that the covariance of the parameters brings, for 1 N reached in 1 s."""
-    if not np.any(found.covariance_log):
-        return 0.0
-    space, n = model.space, len(found.parameters)
-    shifts = _LOG_STEP * np.vstack([np.eye(n), -np.eye(n)])
-    shifted = space.from_log(space.to_log(found.parameters) + shifts)
-    areas = np.log(model.batch(shifted, [(_RAMP, _RAMP)])[0][:, -1])
-    slope = (areas[:n] - areas[n:]) / (2 * _LOG_STEP)
-    return float(max(slope @ found.covariance_log @ slope, 0.0))
+def _prior(
+    model: ReducedModel,
+    sets: ParameterSets,
+    settings: EstimatorSettings,
+    moisture: float | None,
+    found: InterpolatedParameters,
+) -> SelectedPrior:
+    """What is known of the finger: by the sets' own prior, or by covariances and settings."""
+    none = np.zeros(area_filter.FINGER_STATES)
+    known = sets.prior
+    if known is None:
+        covariance = np.diag([settings.prior_area_sd**2, settings.slope_sd**2, 0.0, 0.0, 0.0])
+        if np.any(found.covariance_log):
+            answers = _answers(model, found.parameters)
+            covariance = covariance + answers @ found.covariance_log @ answers.T
+        return SelectedPrior(none, covariance, none, 0.0, 0.0, 0.0)
+    direction, variance, wander = none, 0.0, 0.0
+    if known.moisture_sd > 0 and len(sets.sets) > 1:
+        here = settings.default_moisture if moisture is None else moisture
+        ends = [
+            sets.interpolate(float(np.clip(here + d * known.moisture_sd, *MOISTURE_RANGE)))
+            for d in (-1.0, 1.0)
+        ]
+        change = np.diff([sets.space.to_log(end.parameters) for end in ends], axis=0)[0] / 2
+        direction = _answers(model, found.parameters) @ change
+        variance = 1.0 if moisture is None else (known.reading_sd / known.moisture_sd) ** 2
+        # At the age from which it is stale, a reading has lost half of what it told.
+        wander = 0.5 / settings.moisture_stale_after
+    return SelectedPrior(
+        np.array(known.mean),
+        np.array(known.covariance),
+        direction,
+        variance,
+        wander,
+        known.misfit_sd,
+    )
+
+
+def _answers(model: ReducedModel, parameters: np.ndarray) -> np.ndarray:
+    """How the finger states (5, n) answer to the logarithms of the n parameters, in one press."""
+    space, n = model.space, len(parameters)
+    shifts = _LOG_STEP * np.vstack([np.zeros(n), np.eye(n)])
+    shifted = space.from_log(space.to_log(parameters) + shifts)
+    areas = np.log(model.batch(shifted, [(_TIME, _FORCE)])[0])
+    base = model.constants(parameters)
+    constants = np.repeat(base, 1 + members.DIRECTIONS)
+    finger = np.concatenate([model.state_at_rest(base)] * len(constants))
+    near = np.zeros(1, members.MEMBERS)
+    members.place_all(model.networks, base, constants, finger, model.work, near)
+    table = np.empty((len(_TIME), 3 + 2 * members.DIRECTIONS))
+    members.follow(model.networks, constants, finger, model.work, 0.0, _TIME, _FORCE, table)
+    h = np.column_stack(
+        [np.ones(len(_TIME)), np.log(_FORCE), table[:, 3 : 3 + members.DIRECTIONS]]
+    )
+    changes = (areas[1:] - areas[0]).T / _LOG_STEP
+    return np.linalg.solve(h.T @ h + np.diag(_RIDGE), h.T @ changes)

@@ -12,7 +12,6 @@ import numpy as np
 from finger_common.errors import InputError
 
 from ..history import ContactHistory, check_force_history
-from ..reduced import kernels as rk
 from ..reduced.model import history_of
 from .filter_state import FilterState
 
@@ -40,9 +39,7 @@ def predict(state: FilterState, time: np.ndarray, force: np.ndarray) -> ContactH
             f"force {force.max():.2f} N is beyond the model's limit of {limit:.2f} N for these "
             "parameters; ask for less"
         )
-    table = state.model.follow(state.constants, state.finger.copy(), time, force, before=0.0)
-    table[:, 0] = state.fused_areas(force, table[:, 0].copy())
-    return history_of(time, force, table)
+    return history_of(time, force, state.predicted(time, force))
 
 
 def force_for_area(state: FilterState, area: float, horizon: float) -> float:
@@ -55,13 +52,11 @@ def force_for_area(state: FilterState, area: float, horizon: float) -> float:
         raise InputError(f"area is {area} m², a positive area is needed")
     if not (math.isfinite(horizon) and 0 <= horizon <= LONGEST_HORIZON):
         raise InputError(f"horizon is {horizon} s, 0 to {LONGEST_HORIZON:g} s is needed")
-    model, steps = state.model, _HORIZON_STEPS if horizon > 0 else 0
+    steps = _HORIZON_STEPS if horizon > 0 else 0
+    time = np.linspace(0.0, horizon, 1 + steps)
 
     def area_at(force: float) -> float:
-        finger = state.finger.copy()
-        for dt in [0.0] + steps * [horizon / _HORIZON_STEPS]:
-            rk.step(model.networks, state.constants, finger, model.work, dt, force)
-        return float(state.fused_areas(np.array([force]), finger["area"])[0])
+        return float(state.predicted(time, np.full(len(time), force))[-1, 0])
 
     low, high = 0.0, float(state.constants["force_limit"][0])
     if area_at(high) < area:

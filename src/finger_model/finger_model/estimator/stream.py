@@ -21,7 +21,7 @@ from finger_common.flags import StateFlag
 
 from ..compiled import njit
 from ..reduced import kernels as rk
-from . import area_filter
+from . import area_filter, members
 
 _names: Any = namedtuple("FLAG", StateFlag.__members__)  # type: ignore[misc]
 FLAG: Any = _names(*map(int, StateFlag))
@@ -29,6 +29,10 @@ FLAG: Any = _names(*map(int, StateFlag))
 
 REMEMBERED = 8192
 """Samples remembered: fusion_delay may be 1 s at up to 8 kHz."""
+
+INDENTATION_DEVIATION = 0.01
+PEAK_DEVIATION = 0.03
+"""Relative errors of the reduced model's indentation and peak pressure themselves."""
 
 SMALLEST_AREA = 5e-6
 """m²; below it a measured area is not compared with the model's."""
@@ -87,6 +91,7 @@ MEMORY = np.dtype(
         ("stamp", "i8", (REMEMBERED,)),  # ns
         ("force", "f8", (REMEMBERED,)),  # N
         ("area", "f8", (REMEMBERED,)),  # m², of the model
+        ("sensitivity", "f8", (REMEMBERED, members.DIRECTIONS)),  # of ln area
     ]
 )
 """Ring of past samples."""
@@ -97,6 +102,7 @@ STATE = np.dtype(
         ("contact", CONTACT),
         ("counters", COUNTERS),
         ("filters", area_filter.FILTER_BANK),
+        ("members", members.MEMBERS),
         ("memory", MEMORY),
     ],
     align=True,
@@ -111,10 +117,11 @@ _in_contact = njit(cache=True)(contact_threshold.in_contact)
 
 @njit(cache=True)
 def _follow_contact(config, state, normal_force, stamp):
-    """Onset and lift-off by threshold with hysteresis."""
+    """Onset and lift-off by threshold with hysteresis; true at an onset."""
     contact = state.contact
     touching = _in_contact(contact.touching, normal_force, config.onset_force, config.liftoff_force)
-    if touching and not contact.touching:
+    begins = touching and not contact.touching
+    if begins:
         area_filter.begin_contact(state.filters, config.noise, stamp)
         contact.onset = stamp
         contact.has_fused = False
@@ -122,21 +129,27 @@ def _follow_contact(config, state, normal_force, stamp):
     elif contact.touching and not touching:
         contact.liftoff = stamp
     contact.touching = touching
+    return begins
 
 
 @njit(cache=True)
-def _remember(memory, stamp, force, area):
+def _remember(memory, stamp, force, area, sensitivity):
     """Keep a sample in the ring."""
     at = memory.next % REMEMBERED
     memory.stamp[at] = stamp
     memory.force[at] = force
     memory.area[at] = area
+    for j in range(members.DIRECTIONS):
+        memory.sensitivity[at, j] = sensitivity[j]
     memory.next += 1
 
 
 @njit(cache=True)
-def _recall(memory, stamp):
-    """Force (N) and model area (m²) at a past stamp; area NaN when it is no longer remembered."""
+def _recall(memory, stamp, sensitivity):
+    """Force (N) and model area (m²) at a past stamp; area NaN when it is no longer remembered.
+
+    Fills sensitivity (3,), that of the area.
+    """
     count = min(memory.next, REMEMBERED)
     back = 0
     while back < count and memory.stamp[(memory.next - 1 - back) % REMEMBERED] > stamp:
@@ -145,12 +158,25 @@ def _recall(memory, stamp):
         return math.nan, math.nan
     at = (memory.next - 1 - back) % REMEMBERED
     force, area = memory.force[at], memory.area[at]
+    for j in range(members.DIRECTIONS):
+        sensitivity[j] = memory.sensitivity[at, j]
     if back > 0 and memory.stamp[at] < stamp:
         after = (at + 1) % REMEMBERED
         weight = (stamp - memory.stamp[at]) / (memory.stamp[after] - memory.stamp[at])
         force += weight * (memory.force[after] - force)
         area += weight * (memory.area[after] - area)
+        for j in range(members.DIRECTIONS):
+            sensitivity[j] += weight * (memory.sensitivity[after, j] - sensitivity[j])
     return force, area
+
+
+@njit(cache=True)
+def _offset(state, sensitivity):
+    """s w₀: what the shift of the model has already taken of its error."""
+    total = 0.0
+    for j in range(members.DIRECTIONS):
+        total += sensitivity[j] * state.members.shift[j]
+    return total
 
 
 @njit(cache=True)
@@ -161,10 +187,16 @@ def _fuse(config, state, stamp, area, sd):
         return False
     if not contact.touching and stamp > contact.liftoff:
         return False
-    force, model_area = _recall(state.memory, stamp)
-    if not model_area >= SMALLEST_AREA or not area > 0.0 or not sd > 0.0:
+    sensitivity = np.zeros(members.DIRECTIONS)
+    force, model_area = _recall(state.memory, stamp, sensitivity)
+    if not model_area >= SMALLEST_AREA or not area > 0.0 or not 0.0 < sd < math.inf:
         return False
-    if not area_filter.correct(state.filters, config.noise, stamp, force, model_area, area, sd):
+    h = np.empty(area_filter.STATES)
+    area_filter.regressors(config.noise, area_filter.log_force(force), sensitivity, 1.0, h)
+    offset = _offset(state, sensitivity)
+    if not area_filter.correct(
+        state.filters, config.noise, stamp, h, offset, model_area, area, sd
+    ):
         return False
     contact.fused_stamp = stamp
     contact.fused_area = area
@@ -174,18 +206,36 @@ def _fuse(config, state, stamp, area, sd):
 
 
 @njit(cache=True)
-def _advance_model(net, par, finger, work, config, state, stamp, normal_force):
+def _advance_model(net, base, par, finger, work, config, state, stamp, normal_force):
     """Reduced model to a valid sample; the contact and the remembered samples follow."""
-    stream = state.stream
-    dt = (stamp - stream.model_stamp) * 1e-9 if stream.started else 0.0
+    stream, near = state.stream, state.members
+    dt = 0.0
+    if stream.started:
+        dt = (stamp - stream.model_stamp) * 1e-9
+    else:
+        near.stamp[:] = stamp - 1
     stream.model_stamp = stamp
     stream.started = True
     rk.step(net, par, finger, work, dt, normal_force)
     if normal_force < config.liftoff_force and not math.isfinite(finger[0].indentation):
         # A model that could not follow a contact starts again from rest in the air.
-        rk.rest(net, par, finger, work)
-    _follow_contact(config, state, normal_force, stamp)
-    _remember(state.memory, stamp, normal_force, finger[0].area)
+        members.rest(net, par, finger, work)
+        near.stamp[:] = stamp
+    begins = _follow_contact(config, state, normal_force, stamp)
+    if begins:
+        # What the last contacts told of the finger moves the model itself, so that sensitivities
+        # are those of this finger.
+        members.advance(net, par, finger, work, near, stamp, normal_force, True)
+        members.shift_to(near, state.filters.start[2:])
+        members.place(net, base, par, finger, work, near)
+        for j in range(1 + members.DIRECTIONS):
+            one = slice(j, j + 1)
+            rk.step(net, par[one], finger[one], work, 0.0, normal_force)
+        for j in range(members.DIRECTIONS):
+            members.differ(finger, near, j)
+    else:
+        members.advance(net, par, finger, work, near, stamp, normal_force, False)
+    _remember(state.memory, stamp, normal_force, finger[0].area, near.area)
 
 
 @njit(cache=True)
@@ -194,17 +244,44 @@ def _write_contact(config, state, finger, normal_force, stamp, row):
     row.indentation = finger.indentation
     row.model_area = row.area = row.area_stddev = row.area_force_slope = 0.0
     row.radius = row.mean_pressure = row.peak_pressure = 0.0
-    if state.contact.touching:
-        area, sd = area_filter.fused_area(
-            state.filters, config.noise, normal_force, finger.area, stamp
-        )
-        row.model_area = finger.area
-        row.area = area
-        row.area_stddev = sd
-        row.area_force_slope = finger.area_force_slope
-        row.radius = math.sqrt(finger.area / math.pi)
-        row.mean_pressure = normal_force / area if area > 0.0 else 0.0
-        row.peak_pressure = finger.peak_pressure
+    row.radius_stddev = row.mean_pressure_stddev = row.peak_pressure_stddev = 0.0
+    row.indentation_stddev = INDENTATION_DEVIATION * abs(finger.indentation)
+    if not state.contact.touching or not finger.area > 0.0:
+        return
+    noise, filters, near = config.noise, state.filters, state.members
+    phi = area_filter.log_force(normal_force)
+    h = np.empty(area_filter.STATES)
+    area_filter.regressors(noise, phi, near.area, 1.0, h)
+    offset = _offset(state, near.area)
+    error, variance = area_filter.estimate(filters, noise, h, offset, stamp, True)
+    deviation = area_filter.deviation_of(variance)
+    area = finger.area * math.exp(error)
+    row.model_area = finger.area
+    row.area = area
+    row.area_stddev = area * deviation
+    row.area_force_slope = finger.area_force_slope * math.exp(error)
+    row.radius = math.sqrt(area / math.pi)
+    row.radius_stddev = row.radius * area_filter.deviation_of(0.25 * variance)
+    pressure = normal_force / area
+    row.mean_pressure = pressure
+    row.mean_pressure_stddev = pressure * deviation
+    row.peak_pressure = finger.peak_pressure * math.exp(-error)
+    row.peak_pressure_stddev = row.peak_pressure * area_filter.deviation_of(
+        variance + PEAK_DEVIATION * PEAK_DEVIATION
+    )
+    # Gains and the contact's own error: half in length (see GAIN_OF_INDENTATION), and that half
+    # uncertain.
+    gain = area_filter.GAIN_OF_INDENTATION
+    area_filter.regressors(noise, phi, near.indentation, gain, h)
+    offset = _offset(state, near.indentation)
+    deeper, spread = area_filter.estimate(filters, noise, h, offset, stamp, False)
+    for i in range(area_filter.STATES):
+        if 2 <= i <= area_filter.MOISTURE:
+            h[i] = 0.0
+    shared, _ = area_filter.estimate(filters, noise, h, 0.0, stamp, False)
+    spread += shared * shared + INDENTATION_DEVIATION * INDENTATION_DEVIATION
+    row.indentation = finger.indentation * math.exp(deeper)
+    row.indentation_stddev = row.indentation * area_filter.deviation_of(spread)
 
 
 @njit(cache=True)
@@ -213,6 +290,8 @@ def _write_unknown(row):
     row.indentation = math.nan
     row.model_area = row.area = row.area_stddev = row.area_force_slope = math.nan
     row.radius = row.mean_pressure = row.peak_pressure = math.nan
+    row.radius_stddev = row.indentation_stddev = math.nan
+    row.mean_pressure_stddev = row.peak_pressure_stddev = math.nan
 
 
 @njit(cache=True)
@@ -241,12 +320,12 @@ def _write_moisture(config, stamp, row):
 
 
 @njit(cache=True)
-def process(net, par, finger, work, configuration, states, stamps, forces, areas, rows):
+def process(net, base, par, finger, work, configuration, states, stamps, forces, areas, rows):
     """Process wrench samples of increasing stamps, and the measured areas that come due.
 
-    net, par, finger, work: records of the reduced model; configuration (1,), states (1,):
-    CONFIGURATION, STATE; stamps (n,), forces (n, 3): ns, N; areas (k,): AREA in the order of their
-    stamps. Fills rows (n,) of
+    net, base (1,), par (4,), finger (4,), work: records of the reduced model, par and finger those
+    of `members`; configuration (1,), states (1,): CONFIGURATION, STATE; stamps (n,), forces (n, 3):
+    ns, N; areas (k,): AREA in the order of their stamps. Fills rows (n,) of
     ESTIMATE_DTYPE but for `parameter_set`; returns the number of areas used up.
     """
     config, state = configuration[0], states[0]
@@ -266,7 +345,7 @@ def process(net, par, finger, work, configuration, states, stamps, forces, areas
             state.counters.gaps += 1
         stream.last_stamp = stamp
         if valid:
-            _advance_model(net, par, finger, work, config, state, stamp, normal_force)
+            _advance_model(net, base, par, finger, work, config, state, stamp, normal_force)
             if normal_force > par[0].force_limit:
                 flags |= FLAG.FORCE_OUT_OF_RANGE
             if (
@@ -300,20 +379,51 @@ def process(net, par, finger, work, configuration, states, stamps, forces, areas
 
 
 @njit(cache=True)
-def initialise_filters(configuration, states):
-    """Filters as for a finger not seen before, with no area fused."""
-    area_filter.initialise(states[0].filters, configuration[0].noise)
-    states[0].contact.has_fused = False
+def initialise_filters(net, base, par, finger, work, configuration, states):
+    """Filters and members as for a finger not seen before, with no area fused."""
+    state = states[0]
+    area_filter.initialise(state.filters, configuration[0].noise)
+    state.contact.has_fused = False
+    members.shift_to(state.members, state.filters.start[2:])
+    members.place(net, base, par, finger, work, state.members)
 
 
 @njit(cache=True)
-def fused_areas(configuration, states, forces, model_areas, out):
-    """Best estimate of areas (n,) under forces (n,), with the error of the model known so far."""
-    filters, noise = states[0].filters, configuration[0].noise
-    for i in range(len(forces)):
-        out[i] = 0.0
-        if model_areas[i] > 0.0:
-            area, _ = area_filter.fused_area(
-                filters, noise, forces[i], model_areas[i], filters.stamp
-            )
-            out[i] = area
+def new_reading(configuration, states):
+    """The filters' error of the moisture as after a new reading."""
+    area_filter.new_reading(states[0].filters, configuration[0].noise)
+
+
+@njit(cache=True)
+def place_members(net, base, par, finger, work, states):
+    """Constants of the finger and its members after `base` changed."""
+    members.place(net, base, par, finger, work, states[0].members)
+
+
+@njit(cache=True)
+def predicted(net, par, finger, work, configuration, states, time, force, table):
+    """Fused area (m²), indentation (m) and peak pressure (Pa) (n, 3) under a future force.
+
+    finger (4,) goes along; time (n,) in s from now, force (n,) in N.
+    """
+    config, state = configuration[0], states[0]
+    filters, noise = state.filters, config.noise
+    found = np.empty((len(time), 3 + 2 * members.DIRECTIONS))
+    members.follow(net, par, finger, work, 0.0, time, force, found)
+    h = np.empty(area_filter.STATES)
+    gain = area_filter.GAIN_OF_INDENTATION
+    for i in range(len(time)):
+        table[i] = found[i, :3]
+        if found[i, 0] > 0.0:
+            phi = area_filter.log_force(force[i])
+            sensitivity = found[i, 3 : 3 + members.DIRECTIONS]
+            area_filter.regressors(noise, phi, sensitivity, 1.0, h)
+            offset = _offset(state, sensitivity)
+            error, _ = area_filter.estimate(filters, noise, h, offset, filters.stamp, True)
+            table[i, 0] *= math.exp(error)
+            table[i, 2] *= math.exp(-error)
+            sensitivity = found[i, 3 + members.DIRECTIONS :]
+            area_filter.regressors(noise, phi, sensitivity, gain, h)
+            offset = _offset(state, sensitivity)
+            deeper, _ = area_filter.estimate(filters, noise, h, offset, filters.stamp, False)
+            table[i, 1] *= math.exp(deeper)

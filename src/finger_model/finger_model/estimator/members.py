@@ -1,0 +1,152 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Compiled: the reduced model at neighbouring fingers, whose differences are sensitivities.
+
+Beside the finger that the estimator believes in runs one member for each direction
+
+    stiffness   all moduli
+    time        all relaxation times
+    creep       what relaxes over what does not, (G0 − G∞)/G∞, at the same long-term modulus,
+                creep times and E2/E0
+
+of the tissue, in logarithms. A member is a set of constants of the same kernels: the networks see
+E2/E0 alone, so that none of the directions needs them to be prepared again. Members take turns, one
+per sample at 500 Hz: a sensitivity changes slowly, and each of its terms is as old for the member
+as for the finger.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..compiled import njit
+from ..reduced import kernels as rk
+
+DIRECTION_NAMES = ("stiffness", "time", "creep")
+DIRECTIONS = len(DIRECTION_NAMES)
+STEPS = (0.25, 0.5, -0.3)
+"""Of the members along their directions. Creep steps down: soft skin lies at the range's end."""
+LIMITS = (1.2, 2.0, 1.2)
+"""Largest shift along each direction."""
+MOST_CREEP = 11.0
+"""Largest (G0 − G∞)/G∞ that models are made for."""
+
+LAG = 5_000_000
+"""ns by which a member may be behind before it is advanced beside another one."""
+
+MEMBERS = np.dtype(
+    [
+        ("stamp", "i8", (DIRECTIONS,)),  # ns, of each member
+        ("shift", "f8", (DIRECTIONS,)),  # w₀ of the finger itself
+        ("area", "f8", (DIRECTIONS,)),  # ∂ln A/∂w
+        ("indentation", "f8", (DIRECTIONS,)),  # ∂ln δ/∂w
+    ],
+    align=True,
+)
+
+
+@njit(cache=True)
+def _deform(base, par, shift):
+    """Constants `par` of the finger `base` shifted by (3,) along the directions."""
+    total = 0.0
+    for b in range(base.branches):
+        total += base.fraction[b]
+    rest = max(1.0 - total, 1e-6)
+    before = total / rest
+    creep = min(before * math.exp(shift[2]), max(before, MOST_CREEP))
+    share = 1.0 / (1.0 + creep)
+    for b in range(base.branches):
+        par.fraction[b] = base.fraction[b] * (1.0 - share) / total if total > 0.0 else 0.0
+        par.tau[b] = base.tau[b] * math.exp(shift[1]) * share / rest
+    par.force_scale = base.force_scale * math.exp(shift[0]) * rest / share
+
+
+@njit(cache=True)
+def place(net, base, par, finger, work, members):
+    """Constants par (4,) of the finger and its members for members.shift; states finger (4,) stay.
+
+    par must hold copies of `base`.
+    """
+    shift = np.empty(DIRECTIONS)
+    for j in range(1 + DIRECTIONS):
+        for i in range(DIRECTIONS):
+            shift[i] = members.shift[i] + (STEPS[i] if j == 1 + i else 0.0)
+        _deform(base[0], par[j], shift)
+        rk.refresh(net, par[j : j + 1], finger[j : j + 1], work)
+
+
+@njit(cache=True)
+def place_all(net, base, par, finger, work, members):
+    """As `place`, with members an array of one record."""
+    place(net, base, par, finger, work, members[0])
+
+
+@njit(cache=True)
+def shift_all(members, mean):
+    """As `shift_to`, with members an array of one record."""
+    shift_to(members[0], mean)
+
+
+@njit(cache=True)
+def shift_to(members, mean):
+    """Set the shift to w (3,), within its limits."""
+    for i in range(DIRECTIONS):
+        members.shift[i] = min(max(mean[i], -LIMITS[i]), LIMITS[i])
+
+
+@njit(cache=True)
+def differ(finger, members, j):
+    """Sensitivities of direction j from the present states."""
+    here, there = finger[0], finger[1 + j]
+    if here.area > 0.0 and there.area > 0.0:
+        members.area[j] = math.log(there.area / here.area) / STEPS[j]
+    if here.indentation > 0.0 and there.indentation > 0.0:
+        members.indentation[j] = math.log(there.indentation / here.indentation) / STEPS[j]
+
+
+@njit(cache=True)
+def advance(net, par, finger, work, members, stamp, force, every):
+    """Bring the member that is behind most to `stamp`, and others behind by LAG; or `every` one."""
+    for turn in range(DIRECTIONS):
+        oldest = 0
+        for j in range(1, DIRECTIONS):
+            if members.stamp[j] < members.stamp[oldest]:
+                oldest = j
+        behind = stamp - members.stamp[oldest]
+        if behind <= 0 or (turn > 0 and behind <= LAG and not every):
+            break
+        j = oldest
+        one = slice(1 + j, 2 + j)
+        rk.step(net, par[one], finger[one], work, behind * 1e-9, force)
+        members.stamp[j] = stamp
+        differ(finger, members, j)
+
+
+@njit(cache=True)
+def rest(net, par, finger, work):
+    """Put the finger and its members at rest."""
+    for j in range(1 + DIRECTIONS):
+        rk.rest(net, par[j : j + 1], finger[j : j + 1], work)
+
+
+@njit(cache=True)
+def follow(net, par, finger, work, before, time, force, table):
+    """Area (m²), indentation (m), peak pressure (Pa) and both sensitivities (n, 9) along a future.
+
+    All members go along with the finger from `before` (s); time (n,) in s, force (n,) in N.
+    """
+    members = np.zeros(1, MEMBERS)
+    for i in range(len(time)):
+        for j in range(1 + DIRECTIONS):
+            rk.step(net, par[j : j + 1], finger[j : j + 1], work, time[i] - before, force[i])
+        before = time[i]
+        table[i, 0] = finger[0].area
+        table[i, 1] = finger[0].indentation
+        table[i, 2] = finger[0].peak_pressure
+        for j in range(DIRECTIONS):
+            differ(finger, members[0], j)
+            table[i, 3 + j] = members[0].area[j]
+            table[i, 3 + DIRECTIONS + j] = members[0].indentation[j]
