@@ -179,7 +179,15 @@ def states_of(session: Session, covariance: np.ndarray, mean: np.ndarray) -> tup
         for press in session.presses:
             table = np.empty((len(press.time), 3 + 2 * members.DIRECTIONS))
             members.follow(
-                model.networks, constants, finger, model.work, before, press.time, press.force, table
+                model.networks,
+                constants,
+                finger,
+                model.work,
+                near.copy(),
+                before,
+                press.time,
+                press.force,
+                table,
             )
             before = press.time[-1]
             use = (press.force > COUNTED_FORCE) & (press.area > 5e-6)

@@ -261,7 +261,8 @@ def test_order_of_arrival_before_the_delay_does_not_matter(model: ReducedModel) 
     assert rows(first) == rows(second)
 
 
-def test_flagged_areas_and_outliers_are_rejected(estimator: ContactEstimator) -> None:
+def test_flagged_areas_and_outliers_are_rejected(model: ReducedModel) -> None:
+    estimator = ContactEstimator(model, ParameterSets(ParameterSets.default().sets))
     for ms in range(0, 100, 2):
         one(estimator, ms, 1.0)
     area = one(estimator, 100, 1.0)[0].model_area

@@ -143,6 +143,7 @@ class FilterState:
             self.constants,
             self.finger.copy(),
             self.model.work,
+            np.zeros(1, members.MEMBERS),
             self.configuration,
             self.state,
             time,

@@ -133,12 +133,12 @@ def rest(net, par, finger, work):
 
 
 @njit(cache=True)
-def follow(net, par, finger, work, before, time, force, table):
+def follow(net, par, finger, work, members, before, time, force, table):
     """Area (m²), indentation (m), peak pressure (Pa) and both sensitivities (n, 9) along a future.
 
-    All members go along with the finger from `before` (s); time (n,) in s, force (n,) in N.
+    All members go along with the finger from `before` (s); time (n,) in s, force (n,) in N;
+    members (1,): scratch.
     """
-    members = np.zeros(1, MEMBERS)
     for i in range(len(time)):
         for j in range(1 + DIRECTIONS):
             rk.step(net, par[j : j + 1], finger[j : j + 1], work, time[i] - before, force[i])

@@ -140,16 +140,21 @@ def _answers(model: ReducedModel, parameters: np.ndarray) -> np.ndarray:
     space, n = model.space, len(parameters)
     shifts = _LOG_STEP * np.vstack([np.zeros(n), np.eye(n)])
     shifted = space.from_log(space.to_log(parameters) + shifts)
-    areas = np.log(model.batch(shifted, [(_TIME, _FORCE)])[0])
+    areas = []
+    for vector in shifted:
+        constants = model.constants(vector)
+        state = model.state_at_rest(constants)
+        areas.append(np.log(model.follow(constants, state, _TIME, _FORCE, before=0.0)[:, 0]))
     base = model.constants(parameters)
     constants = np.repeat(base, 1 + members.DIRECTIONS)
     finger = np.concatenate([model.state_at_rest(base)] * len(constants))
     near = np.zeros(1, members.MEMBERS)
     members.place_all(model.networks, base, constants, finger, model.work, near)
     table = np.empty((len(_TIME), 3 + 2 * members.DIRECTIONS))
-    members.follow(model.networks, constants, finger, model.work, 0.0, _TIME, _FORCE, table)
+    records = (model.networks, constants, finger, model.work, near)
+    members.follow(*records, 0.0, _TIME, _FORCE, table)
     h = np.column_stack(
         [np.ones(len(_TIME)), np.log(_FORCE), table[:, 3 : 3 + members.DIRECTIONS]]
     )
-    changes = (areas[1:] - areas[0]).T / _LOG_STEP
+    changes = (np.array(areas[1:]) - areas[0]).T / _LOG_STEP
     return np.linalg.solve(h.T @ h + np.diag(_RIDGE), h.T @ changes)

@@ -401,15 +401,15 @@ def place_members(net, base, par, finger, work, states):
 
 
 @njit(cache=True)
-def predicted(net, par, finger, work, configuration, states, time, force, table):
+def predicted(net, par, finger, work, near, configuration, states, time, force, table):
     """Fused area (m²), indentation (m) and peak pressure (Pa) (n, 3) under a future force.
 
-    finger (4,) goes along; time (n,) in s from now, force (n,) in N.
+    finger (4,) goes along, near (1,) MEMBERS is scratch; time (n,) in s from now, force (n,) in N.
     """
     config, state = configuration[0], states[0]
     filters, noise = state.filters, config.noise
     found = np.empty((len(time), 3 + 2 * members.DIRECTIONS))
-    members.follow(net, par, finger, work, 0.0, time, force, found)
+    members.follow(net, par, finger, work, near, 0.0, time, force, found)
     h = np.empty(area_filter.STATES)
     gain = area_filter.GAIN_OF_INDENTATION
     for i in range(len(time)):
