@@ -30,6 +30,8 @@ class StateFlag(IntFlag):
     TIME_RESET = 8192
     MOISTURE_LATE = 16384
     OUT_OF_ORDER = 32768
+    MODEL_MISMATCH = 65536
+    FORCE_OFFSET = 131072
 
 
 class AreaFlag(IntFlag):

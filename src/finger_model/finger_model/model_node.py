@@ -101,6 +101,8 @@ _WARNINGS = {
     "reduced model",
     StateFlag.AREA_STALE: "no area was fused for longer than area_stale_after while in contact",
     StateFlag.FORCE_INVALID: "the force is not a finite number",
+    StateFlag.FORCE_OFFSET: "force without a finger is suspected: tare the force sensor with nothing "
+    "on the plate",
     StateFlag.FORCE_OUT_OF_RANGE: "the force is beyond what the reduced model was built for",
 }
 
@@ -368,7 +370,7 @@ class ModelNode(ManagedNode):
             if self._active and self.estimator is not None:
                 self._area_received = True
                 area = area_of(message)
-                if not self.estimator.add_area(*area):
+                if self.estimator.is_ahead(area[0]) or not self.estimator.add_area(*area):
                     self._publish_event(self.estimator.note_late(areas=[area[0]]))
 
     def _on_moisture(self, message: Moisture) -> None:
@@ -445,6 +447,16 @@ class ModelNode(ManagedNode):
                 moisture = math.nan if self._last is None else self._last.moisture
                 self._warn_while(bool(flags & flag), key, sentence.format(moisture=moisture))
             self._warn_while(self._area_is_overdue(), "area_missing", _NO_AREA)
+            found = self.estimator.mismatch()
+            self._warn_while(
+                bool(flags & StateFlag.MODEL_MISMATCH),
+                "model_mismatch",
+                f"measured areas are not those of this finger's model: it is {found.sentence()}",
+            )
+            self.health.notes["finger"] = found.sentence()
+            self.health.notes["finger_deviation_sd"] = f"{found.deviation:.2f}"
+            self.health.notes["finger_probability"] = f"{found.probability:.3g}"
+            self.health.notes["surprise"] = f"{found.surprise:.2f}"
             for name, number in self.estimator.statistics().items():
                 self.health.notes[name] = str(number)
             self.health.notes["parameters"] = json.dumps(

@@ -73,6 +73,7 @@ FILTER_BANK = np.dtype(
         ("stamp", "i8"),  # ns, time of mean and covariance
         ("outliers", "i8"),  # in a row
         ("surprise", "f8"),  # running mean of squared normalised innovations, 1 when consistent
+        ("mismatch", "?"),  # surprise is, or recently was, too large
     ],
     align=True,
 )
@@ -96,6 +97,8 @@ FILTER_NOISE = np.dtype(
 
 SURPRISE_MEMORY = 0.85
 """Share of the running mean of squared innovations kept from one area to the next."""
+MISMATCH, MATCH = 3.0, 2.0
+"""The model is another finger's from the first on, and this one's again below the second."""
 MOST_SURPRISE = 25.0
 """One innovation counts for this at most, so that one wild area is soon forgotten."""
 
@@ -152,8 +155,19 @@ def initialise(bank, noise):
             bank.mean[k, i] = noise.prior_mean[i]
     _widen(bank, noise)
     bank.surprise = 1.0
+    bank.mismatch = False
     bank.measured = False
     mixture_mean(bank, bank.start)
+
+
+@njit(cache=True)
+def keep(bank, copy):
+    """Copy the filters' knowledge of the finger into another bank."""
+    copy.mean[:] = bank.mean
+    copy.covariance[:] = bank.covariance
+    copy.log_weight[:] = bank.log_weight
+    copy.surprise = bank.surprise
+    copy.mismatch = bank.mismatch
 
 
 @njit(cache=True)
@@ -307,6 +321,7 @@ def correct(bank, noise, stamp, h, offset, model_area, area, sd):
     bank.surprise = SURPRISE_MEMORY * bank.surprise + (1.0 - SURPRISE_MEMORY) * min(
         least, MOST_SURPRISE
     )
+    bank.mismatch = bank.surprise > (MATCH if bank.mismatch else MISMATCH)
     if least > noise.outlier_limit**2:
         bank.outliers += 1
         if bank.outliers < ACCEPTED_OUTLIERS:

@@ -13,8 +13,10 @@ Rules of input, all by the stamps the samples carry (int, ns), never by when the
 - **Wrench samples** may be irregular. Between two samples the force runs linearly, however long the
   gap; after more than `gap_limit` the later sample is flagged. A sample stamped like the newest is
   a duplicate and is dropped; one older than that is out of order, is dropped and flags the next
-  estimate; one older by more than `time_reset_after` is a jump of time: the state is reset and the
-  sample is the first of a new stream. A force that is not finite gives an estimate flagged invalid
+  estimate. One older by more than `time_reset_after`, or later by more than `FAR_AHEAD`, waits for
+  the next sample: when that goes on from it, both are processed, and after a step back the state
+  is reset before; when that goes on where the stream was, the stamp was wrong and the sample is
+  dropped as out of order. A force that is not finite gives an estimate flagged invalid
   and leaves the state; the next valid sample bridges it.
 - **Areas and moisture readings** stamped t enter at the first wrench sample stamped t +
   `fusion_delay` or later. One that is handed over after such a sample is not used, is counted and
@@ -40,8 +42,8 @@ from dataclasses import replace
 import numpy as np
 
 from finger_common.errors import InputError
-from finger_common.flags import StateFlag
-from finger_common.stamps import nanoseconds
+from finger_common.flags import AreaFlag, StateFlag
+from finger_common.stamps import NANOSECONDS, nanoseconds
 
 from ..history import ContactHistory
 from ..parameter_sets import ParameterSets
@@ -51,8 +53,16 @@ from .estimate import ESTIMATE_DTYPE, ContactEstimate, EstimateBlock
 from .events import TIME_JUMP, EstimatorEvent, EventType
 from .filter_state import FilterState, new_rows
 from .inputs import InputQueue
+from .mismatch import Mismatch
 from .parameter_selection import check_sets, select_parameters
 from .settings import EstimatorSettings
+
+
+FAR_AHEAD = 60.0
+"""s from one sample to the next, beyond which the later one waits for a third."""
+
+FUTURE = 2.0
+"""s by which an area may be ahead of the newest sample that a live node has."""
 
 
 class ContactEstimator:
@@ -80,6 +90,7 @@ class ContactEstimator:
         self._jumps: set[int] = set()
         self._after_jump: list[EstimatorEvent] = []
         self._moisture: tuple[int, float] | None = None
+        self._waiting: tuple[int, Sequence[float]] | None = None
         self._one_stamp = np.zeros(1, np.int64)
         self._one_force = np.zeros((1, 3))
         self._configure()
@@ -88,15 +99,19 @@ class ContactEstimator:
     # Inputs ----------------------------------------------------------------------------------
 
     def add_wrench(self, stamp_ns: int, force: Sequence[float]) -> list[ContactEstimate]:
-        """One estimate for a sample of force (3,) in N, in the sensor's axes; none if dropped."""
-        if not self._accept(stamp_ns):
-            return []
+        """Estimates for a sample of force (3,) in N, in the sensor's axes.
+
+        One as a rule; none for a sample that was dropped or waits, two when one had waited.
+        """
+        return [self._estimate(*sample) for sample in self._admit(stamp_ns, force)]
+
+    def _estimate(self, stamp_ns: int, force: Sequence[float]) -> ContactEstimate:
         self._apply_due(stamp_ns)
         self._one_stamp[0] = stamp_ns
         row = self._one_force[0]
         row[0], row[1], row[2] = force[0], force[1], force[2]
         self._process(self._one_stamp, self._one_force, self._one_row)
-        return [ContactEstimate._make(self._one_row.item())]
+        return ContactEstimate._make(self._one_row.item())
 
     def add_wrenches(self, stamps_ns: np.ndarray, forces: np.ndarray) -> EstimateBlock:
         """As `add_wrench` for many samples, in the order they came, but fast.
@@ -110,12 +125,17 @@ class ContactEstimator:
         blocks = [np.empty(0, ESTIMATE_DTYPE)]
         at = 0
         while at < len(stamps):
-            if not self._accept(int(stamps[at])):
+            admitted = self._admit(int(stamps[at]), forces[at])
+            if len(admitted) != 1:
+                for sample in admitted:
+                    self._estimate(*sample)
+                    blocks.append(self._one_row.copy())
                 at += 1
                 continue
             self._apply_due(int(stamps[at]))
-            # As far as stamps increase and no event or reading comes due.
-            steps = np.flatnonzero(np.diff(stamps[at:]) <= 0)
+            # As far as stamps increase by little and no event or reading comes due.
+            change = np.diff(stamps[at:])
+            steps = np.flatnonzero((change <= 0) | (change > FAR_AHEAD * NANOSECONDS))
             end = at + int(steps[0]) + 1 if len(steps) else len(stamps)
             due = self._next_due()
             if due is not None:
@@ -141,7 +161,8 @@ class ContactEstimator:
             return False
         if self.settings.fuse_area:
             rejected = bool(flags & self.settings.rejected_area_flags)
-            self._inputs.add_area(stamp_ns, area, sd, rejected)
+            empty = bool(flags & AreaFlag.NO_CONTACT)
+            self._inputs.add_area(stamp_ns, area, sd, rejected, empty)
         return True
 
     def add_moisture(self, stamp_ns: int, value: float) -> bool:
@@ -152,6 +173,14 @@ class ContactEstimator:
             self._count_late(moistures=1)
             return False
         return self._inputs.add_moisture(stamp_ns, value)
+
+    def is_ahead(self, stamp_ns: int) -> bool:
+        """Whether an area or reading is stamped so far ahead of the samples that it is wrong.
+
+        For live nodes, which note it as late: from a file inputs may come ahead of the samples.
+        """
+        last = self.last_stamp
+        return last is not None and stamp_ns - last > FUTURE * NANOSECONDS
 
     def apply_event(self, event: EstimatorEvent) -> None:
         """Apply a recorded event, which takes effect by its stamp.
@@ -237,6 +266,10 @@ class ContactEstimator:
         """Fused and rejected areas, gaps and contacts since the last reset, and `counters`."""
         return {**self._state.counts(), **self.counters}
 
+    def mismatch(self) -> Mismatch:
+        """How far the finger is from its model, and which way."""
+        return self._state.mismatch()
+
     def predict(self, time: np.ndarray, force: np.ndarray) -> ContactHistory:
         """Contact under a future force, see `prediction.predict`; the state stays as it is."""
         return prediction.predict(self._state, time, force)
@@ -247,25 +280,39 @@ class ContactEstimator:
 
     # Samples ---------------------------------------------------------------------------------
 
-    def _accept(self, stamp_ns: int) -> bool:
-        """Apply the rules for duplicates, out-of-order samples and jumps of time."""
+    def _admit(self, stamp_ns: int, force: Sequence[float]) -> list[tuple[int, Sequence[float]]]:
+        """The samples to process now, by the rules for duplicates, order and jumps of time."""
         newest = self._state.last_stamp
-        if newest is None or stamp_ns > newest:
-            return True
+        if newest is None:
+            return [(stamp_ns, force)]
         if stamp_ns in self._jumps:
             # Recorded by a node that saw its clock jump back to here.
             self._jump_back(stamp_ns)
-            return True
-        if stamp_ns == newest:
+            return [(stamp_ns, force)]
+        waiting, self._waiting = self._waiting, None
+        if waiting is not None:
+            ahead = stamp_ns - waiting[0]
+            if 0 < ahead <= FAR_AHEAD * NANOSECONDS:
+                if waiting[0] < newest:
+                    self.counters["resets"] += 1
+                    self._jump_back(waiting[0])
+                return [waiting, (stamp_ns, force)]
+            self._drop()
+        ahead = stamp_ns - newest
+        if 0 < ahead <= FAR_AHEAD * NANOSECONDS:
+            return [(stamp_ns, force)]
+        if ahead == 0:
             self.counters["duplicates"] += 1
-            return False
-        if (newest - stamp_ns) * 1e-9 <= self.settings.time_reset_after:
-            self.counters["out_of_order"] += 1
-            self._state.add_flag(StateFlag.OUT_OF_ORDER)
-            return False
-        self.counters["resets"] += 1
-        self._jump_back(stamp_ns)
-        return True
+        elif -ahead * 1e-9 <= self.settings.time_reset_after and ahead < 0:
+            self._drop()
+        else:
+            self._waiting = (stamp_ns, tuple(force))
+        return []
+
+    def _drop(self) -> None:
+        """Count a sample of another time and flag the next estimate."""
+        self.counters["out_of_order"] += 1
+        self._state.add_flag(StateFlag.OUT_OF_ORDER)
 
     def _process(self, stamps: np.ndarray, forces: np.ndarray, rows: np.ndarray) -> None:
         """Run accepted samples of increasing stamps, and the areas that come due."""
@@ -350,6 +397,7 @@ class ContactEstimator:
         later, self._after_jump = self._after_jump, []
         for event in later:
             self.apply_event(event)
+        self._waiting = None
         self._moisture = None
         self._configure()
         self._state.reset()

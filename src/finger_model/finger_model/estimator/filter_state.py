@@ -13,6 +13,7 @@ from finger_common.stamps import nanoseconds
 from ..reduced.model import ReducedModel
 from . import members, stream
 from .estimate import ESTIMATE_DTYPE
+from .mismatch import Mismatch, mismatch_of
 from .parameter_selection import SelectedParameters
 from .settings import EstimatorSettings
 
@@ -131,6 +132,10 @@ class FilterState:
             areas,
             rows,
         )
+
+    def mismatch(self) -> Mismatch:
+        """How far the finger is from its model."""
+        return mismatch_of(self.state["filters"][0], self.configuration["noise"][0])
 
     def predicted(self, time: np.ndarray, force: np.ndarray) -> np.ndarray:
         """Fused area (m²), indentation (m), peak pressure (Pa) (n, 3) under a future force.

@@ -59,11 +59,16 @@ class InputQueue:
         self.counters["duplicate_areas"] += 1
         return True
 
-    def add_area(self, stamp_ns: int, area: float, sd: float, rejected: bool) -> None:
-        """Let an area (m²) wait. A rejected one is flagged in its turn, not when it arrives."""
+    def add_area(
+        self, stamp_ns: int, area: float, sd: float, rejected: bool, empty: bool = False
+    ) -> None:
+        """Let an area (m²) wait. A rejected one is flagged in its turn, not when it arrives.
+
+        empty: the picture shows no contact.
+        """
         if rejected:
             self.counters["flagged_areas"] += 1
-            area = math.nan
+            area = stream.NO_CONTACT if empty else math.nan
         self._area_stamps.append(stamp_ns)
         bisect.insort(self._areas, (int(stamp_ns), float(area), float(sd)), key=_stamp)
 

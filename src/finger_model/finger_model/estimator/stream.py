@@ -34,6 +34,15 @@ INDENTATION_DEVIATION = 0.01
 PEAK_DEVIATION = 0.03
 """Relative errors of the reduced model's indentation and peak pressure themselves."""
 
+SLOWEST_TOUCH = 2.0
+"""s from half the onset force to it, beyond which it is the tare that drifts."""
+EMPTY_AREAS = 3
+"""Areas without contact in a row at which the force is not believed."""
+QUIET_FORCE, QUIET_BAND, QUIET_TIME = 0.15, 0.02, 5.0
+"""N, N, s: below the first a force that stays within the second for the third is an offset."""
+PULLED_TIME = 1.0
+"""s; a plate that a finger lets go of does not pull for longer."""
+
 SMALLEST_AREA = 5e-6
 """m²; below it a measured area is not compared with the model's."""
 
@@ -75,6 +84,12 @@ CONTACT = np.dtype(
         ("liftoff", "i8"),  # ns
         ("fused_stamp", "i8"),  # ns
         ("fused_area", "f8"),  # m²
+        ("air", "i8"),  # ns, newest sample below half the onset force; 0 for none
+        ("unseen", "?"),  # the contact did not begin as a finger's does
+        ("empty", "i8"),  # areas in a row that show no contact
+        ("quiet", "i8"),  # ns, since when the force is nearly constant
+        ("quiet_force", "f8"),  # N
+        ("pulled", "i8"),  # ns, since when the force is negative; 0 while it is not
     ],
     align=True,
 )
@@ -102,6 +117,7 @@ STATE = np.dtype(
         ("contact", CONTACT),
         ("counters", COUNTERS),
         ("filters", area_filter.FILTER_BANK),
+        ("before", area_filter.FILTER_BANK),  # at the onset of the present contact
         ("members", members.MEMBERS),
         ("memory", MEMORY),
     ],
@@ -109,10 +125,24 @@ STATE = np.dtype(
 )
 """All that the core remembers beside the state of the reduced model."""
 
+NO_CONTACT = -1.0
+"""In place of an area: the camera saw none."""
+LEAST_DEVIATION = 1e-3
+"""Of an area, relative: none is known better."""
+
 AREA = np.dtype([("stamp", "i8"), ("area", "f8"), ("sd", "f8")])
 """A measured area: stamp in ns, area and standard deviation in m²."""
 
 _in_contact = njit(cache=True)(contact_threshold.in_contact)
+
+
+@njit(cache=True)
+def _offset_suspected(contact, stamp):
+    """Whether the force of the present contact, or a pull in the air, is hardly a finger's."""
+    if not contact.touching:
+        return contact.pulled > 0 and (stamp - contact.pulled) * 1e-9 > PULLED_TIME
+    quiet = contact.quiet_force < QUIET_FORCE and (stamp - contact.quiet) * 1e-9 > QUIET_TIME
+    return contact.unseen or contact.empty >= EMPTY_AREAS or (quiet and not contact.has_fused)
 
 
 @njit(cache=True)
@@ -122,13 +152,29 @@ def _follow_contact(config, state, normal_force, stamp):
     touching = _in_contact(contact.touching, normal_force, config.onset_force, config.liftoff_force)
     begins = touching and not contact.touching
     if begins:
+        area_filter.keep(state.filters, state.before)
         area_filter.begin_contact(state.filters, config.noise, stamp)
+        rise = (stamp - contact.air) * 1e-9
+        contact.unseen = contact.air == 0 or rise > SLOWEST_TOUCH
+        contact.empty = 0
+        contact.quiet = stamp
         contact.onset = stamp
         contact.has_fused = False
         state.counters.contacts += 1
     elif contact.touching and not touching:
         contact.liftoff = stamp
+        if _offset_suspected(contact, stamp):
+            # What was learned from a force that was none is forgotten.
+            area_filter.keep(state.before, state.filters)
     contact.touching = touching
+    if normal_force < 0.5 * config.onset_force:
+        contact.air = stamp
+    if abs(normal_force - contact.quiet_force) > QUIET_BAND:
+        contact.quiet, contact.quiet_force = stamp, normal_force
+    if normal_force > -config.onset_force:
+        contact.pulled = 0
+    elif contact.pulled == 0:
+        contact.pulled = stamp
     return begins
 
 
@@ -189,8 +235,14 @@ def _fuse(config, state, stamp, area, sd):
         return False
     sensitivity = np.zeros(members.DIRECTIONS)
     force, model_area = _recall(state.memory, stamp, sensitivity)
-    if not model_area >= SMALLEST_AREA or not area > 0.0 or not 0.0 < sd < math.inf:
+    if not model_area >= SMALLEST_AREA:
         return False
+    if area == NO_CONTACT:
+        contact.empty += 1
+        return False
+    if not 0.0 < area < math.inf or not 0.0 < sd < math.inf:
+        return False
+    sd = max(sd, LEAST_DEVIATION * area)
     h = np.empty(area_filter.STATES)
     area_filter.regressors(config.noise, area_filter.log_force(force), sensitivity, 1.0, h)
     offset = _offset(state, sensitivity)
@@ -198,6 +250,8 @@ def _fuse(config, state, stamp, area, sd):
         state.filters, config.noise, stamp, h, offset, model_area, area, sd
     ):
         return False
+    contact.empty = 0
+    contact.unseen = False
     contact.fused_stamp = stamp
     contact.fused_area = area
     contact.has_fused = True
@@ -285,6 +339,16 @@ def _write_contact(config, state, finger, normal_force, stamp, row):
 
 
 @njit(cache=True)
+def _doubt(row):
+    """Deviations as large as the values: there may be no contact at all."""
+    row.area_stddev = max(row.area_stddev, row.area)
+    row.radius_stddev = max(row.radius_stddev, row.radius)
+    row.indentation_stddev = max(row.indentation_stddev, row.indentation)
+    row.mean_pressure_stddev = max(row.mean_pressure_stddev, row.mean_pressure)
+    row.peak_pressure_stddev = max(row.peak_pressure_stddev, row.peak_pressure)
+
+
+@njit(cache=True)
 def _write_unknown(row):
     """Fields of the contact at a sample that the model could not follow."""
     row.indentation = math.nan
@@ -367,6 +431,11 @@ def process(net, base, par, finger, work, configuration, states, stamps, forces,
             _write_contact(config, state, finger[0], normal_force, stamp, row)
         else:
             _write_unknown(row)
+        if state.filters.mismatch:
+            flags |= FLAG.MODEL_MISMATCH
+        if _offset_suspected(state.contact, stamp):
+            flags |= FLAG.FORCE_OFFSET
+            _doubt(row)
         row.stamp_ns = stamp
         row.normal_force = normal_force
         row.lateral_force = lateral_force

@@ -1,0 +1,248 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Sensors that lie: each case is flagged, bounded and forgotten again."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from finger_common.flags import AreaFlag, StateFlag
+from finger_model.estimator import ContactEstimate, ContactEstimator
+from finger_model.parameter_sets import ParameterSets
+from finger_model.reduced import ReducedModel
+
+T0 = 1_700_000_000_000_000_000
+MS = 1_000_000
+PERIOD = 5
+
+
+@pytest.fixture(scope="module")
+def model() -> ReducedModel:
+    return ReducedModel.load()
+
+
+def feed(
+    estimator: ContactEstimator, begin: float, end: float, force: Callable[[float], float]
+) -> list[ContactEstimate]:
+    """Estimates from `begin` to `end` (s) under a normal force; 200 Hz."""
+    found = []
+    for ms in range(round(begin * 1000), round(end * 1000), PERIOD):
+        normal = force(ms / 1000) + 0.003 * math.sin(1.7 * ms)
+        found += estimator.add_wrench(T0 + ms * MS, (0.0, 0.0, -normal))
+    return found
+
+
+def press(t: float) -> float:
+    """Force (N) of a press of 2 s, every 4 s from 0.5 s on."""
+    return max(0.0, math.sin(math.pi * min(max((t % 4.0) - 0.5, 0.0), 2.0) / 2.0))
+
+
+def flagged(found: list[ContactEstimate], flag: StateFlag) -> list[bool]:
+    return [bool(e.flags & flag) for e in found]
+
+
+def same_again(found: ContactEstimator, model: ReducedModel, begin: float) -> None:
+    """A press from `begin` (s) on is estimated as by an estimator that saw nothing before."""
+    fresh = ContactEstimator(model)
+    feed(fresh, begin - 4.0, begin, press)
+    a = feed(found, begin, begin + 4.0, press)
+    b = feed(fresh, begin, begin + 4.0, press)
+    assert not any(flagged(a, StateFlag.FORCE_OFFSET))
+    worst = max(abs(x.area - y.area) for x, y in zip(a, b))
+    assert worst < 0.02 * max(y.area for y in b)
+
+
+def camera(
+    estimator: ContactEstimator, found: Iterator[tuple[float, float]], sd: float = 1e-6
+) -> None:
+    for instant, area in found:
+        estimator.add_area(T0 + round(instant * 1000) * MS, area, sd)
+
+
+def test_a_sensor_that_was_never_tared(model: ReducedModel) -> None:
+    estimator = ContactEstimator(model)
+    found = feed(estimator, 0.0, 20.0, lambda t: 0.42)
+    assert all(flagged(found, StateFlag.FORCE_OFFSET))
+    assert all(e.area_stddev >= e.area for e in found)
+    feed(estimator, 20.0, 24.0, lambda t: 0.0)
+    same_again(estimator, model, 24.0)
+
+
+def test_a_tare_that_drifts_is_no_contact_to_rely_on(model: ReducedModel) -> None:
+    estimator = ContactEstimator(model)
+    found = feed(estimator, 0.0, 60.0, lambda t: 0.005 * t)
+    contact = [e for e in found if e.in_contact]
+    assert len(contact) > 1000
+    assert all(flagged(contact, StateFlag.FORCE_OFFSET))
+    assert all(e.area_stddev >= e.area for e in contact)
+    feed(estimator, 60.0, 64.0, lambda t: 0.0)
+    same_again(estimator, model, 64.0)
+
+
+def test_a_rest_of_force_after_lift_off(model: ReducedModel) -> None:
+    estimator = ContactEstimator(model)
+    found = feed(estimator, 0.0, 20.0, lambda t: press(t) if t < 2.0 else 0.06)
+    assert not any(flagged(found[: 1900 // PERIOD], StateFlag.FORCE_OFFSET))
+    assert all(flagged(found[8000 // PERIOD :], StateFlag.FORCE_OFFSET))
+    feed(estimator, 20.0, 24.0, lambda t: 0.0)
+    same_again(estimator, model, 24.0)
+
+
+def test_a_step_of_the_tare_that_the_camera_does_not_see(model: ReducedModel) -> None:
+    estimator = ContactEstimator(model)
+    for k in range(10, 80):
+        estimator.add_area(T0 + 100 * k * MS, 0.0, 1e-6, int(AreaFlag.NO_CONTACT))
+    found = feed(estimator, 0.0, 8.0, lambda t: 0.42 if t > 1.0 else 0.0)
+    assert all(flagged(found[1600 // PERIOD :], StateFlag.FORCE_OFFSET))
+    feed(estimator, 8.0, 12.0, lambda t: 0.0)
+    same_again(estimator, model, 12.0)
+
+
+def test_a_plate_that_pulls_for_long(model: ReducedModel) -> None:
+    estimator = ContactEstimator(model)
+    found = feed(estimator, 0.0, 10.0, lambda t: -0.3)
+    assert not any(e.in_contact or e.area for e in found)
+    assert all(flagged(found[1200 // PERIOD :], StateFlag.FORCE_OFFSET))
+    found = feed(estimator, 10.0, 12.0, lambda t: 0.0)
+    assert not any(flagged(found[10:], StateFlag.FORCE_OFFSET))
+    same_again(estimator, model, 12.0)
+
+
+@pytest.mark.parametrize("area", [30e-6, math.inf, math.nan, -1e-6])
+@pytest.mark.parametrize("sd", [math.inf, math.nan, 0.0, -1e-6])
+def test_an_area_or_deviation_that_is_no_number(
+    model: ReducedModel, area: float, sd: float
+) -> None:
+    estimator = ContactEstimator(model)
+    camera(estimator, ((0.1 * k, area) for k in range(8, 20)), sd)
+    found = feed(estimator, 0.0, 4.0, press)
+    assert sum(flagged(found, StateFlag.AREA_REJECTED)) >= 10
+    assert all(np.isfinite([e.area, e.area_stddev]).all() for e in found)
+    same_again(estimator, model, 4.0)
+
+
+def test_an_area_far_in_the_future_is_ahead(model: ReducedModel) -> None:
+    estimator = ContactEstimator(model)
+    assert not estimator.is_ahead(T0 + 3600_000 * MS)
+    feed(estimator, 0.0, 0.1, press)
+    assert estimator.is_ahead(T0 + 3600_000 * MS)
+    assert not estimator.is_ahead(T0 + 1000 * MS)
+
+
+@pytest.mark.parametrize("wrong", [T0 + 3600 * 10**9, 5 * 10**9], ids=["hour ahead", "1970"])
+def test_one_stamp_of_another_time_changes_nothing(model: ReducedModel, wrong: int) -> None:
+    estimator, other = ContactEstimator(model), ContactEstimator(model)
+    for e in (estimator, other):
+        feed(e, 0.0, 1.5, press)
+    assert estimator.add_wrench(wrong, (0.0, 0.0, -0.9)) == []
+    a, b = feed(estimator, 1.5, 4.0, press), feed(other, 1.5, 4.0, press)
+    assert a[0].flags & StateFlag.OUT_OF_ORDER
+    assert [e.area for e in a] == [e.area for e in b]
+    assert not any(flagged(a[1:], StateFlag.OUT_OF_ORDER | StateFlag.TIME_RESET))
+    assert estimator.counters == {"out_of_order": 1}
+
+
+def test_a_stamp_that_the_next_one_confirms_is_not_lost(model: ReducedModel) -> None:
+    estimator = ContactEstimator(model)
+    feed(estimator, 0.0, 1.5, press)
+    assert estimator.add_wrench(T0 + 100_000 * MS, (0.0, 0.0, 0.0)) == []
+    first, second = estimator.add_wrench(T0 + 100_005 * MS, (0.0, 0.0, -0.02))
+    assert (first.stamp_ns, second.stamp_ns) == (T0 + 100_000 * MS, T0 + 100_005 * MS)
+    assert first.flags & StateFlag.FORCE_GAP
+    first, second = (
+        *estimator.add_wrench(T0, (0.0, 0.0, 0.0)),
+        *estimator.add_wrench(T0 + PERIOD * MS, (0.0, 0.0, 0.0)),
+    )
+    assert first.flags & StateFlag.TIME_RESET and not second.flags & StateFlag.TIME_RESET
+
+
+def test_wrong_stamps_in_bulk_give_the_same_bits(model: ReducedModel) -> None:
+    stamps = T0 + 2 * MS * np.arange(1500)
+    force = np.column_stack([0 * stamps, 0 * stamps, -np.sin(stamps * 1e-9 % 1e3)])
+    stamps[300] += 3600 * 10**9
+    stamps[700] = 0
+    stamps[1000:] += 100 * 10**9
+    stamps[1300:] -= 50 * 10**9
+    single, bulk = ContactEstimator(model), ContactEstimator(model)
+    alone = [e for s, f in zip(stamps, force) for e in single.add_wrench(int(s), f)]
+    together = list(bulk.add_wrenches(stamps, force))
+    assert [repr(e) for e in alone] == [repr(e) for e in together]
+    assert single.counters == bulk.counters == {"out_of_order": 2, "resets": 1}
+    assert len(alone) == 1498
+
+
+@pytest.mark.parametrize("ratio", [0.2, 0.35, 0.6, 1.6, 3.0, 6.0, 10.0])
+@pytest.mark.parametrize("noisy", [False, True])
+def test_the_area_is_never_beyond_measurement_and_prediction_both(
+    model: ReducedModel, ratio: float, noisy: bool
+) -> None:
+    estimator, alone = ContactEstimator(model), ContactEstimator(model)
+    rng = np.random.default_rng(1)
+    expected = feed(alone, 0.0, 4.0, press)
+    sd = 1.5e-6
+    frames = {}
+    for e in expected[:: 100 // PERIOD]:
+        if e.area > 0:
+            measured = ratio * e.model_area + (sd * rng.normal() if noisy else 0.0)
+            frames[e.stamp_ns] = max(measured, 0.1e-6)
+            estimator.add_area(e.stamp_ns, frames[e.stamp_ns], sd)
+    found = feed(estimator, 0.0, 4.0, press)
+    for e, p in zip(found, expected):
+        if e.in_contact:
+            ends = sorted([p.area, ratio * p.model_area])
+            # The newest frame may err by its noise.
+            room = 1.01 + 3.3 * sd / max(ends[0], 3e-6)
+            assert ends[0] / room <= e.area <= ends[1] * room
+            assert math.isfinite(e.area_stddev)
+    last = [e for e in found if e.in_contact and e.normal_force > 0.3][-1]
+    assert last.area == pytest.approx(ratio * last.model_area, rel=0.25)
+
+
+def test_a_wrong_model_is_named_and_the_flag_goes_once_it_has_adapted(model: ReducedModel) -> None:
+    measured = ParameterSets(ParameterSets.default().sets)
+    estimator = ContactEstimator(model, measured)
+    expected = feed(ContactEstimator(model, measured), 0.0, 12.0, press)
+    for e in expected[:: 100 // PERIOD]:
+        if e.area > 0:
+            estimator.add_area(e.stamp_ns, 2.0 * e.model_area, 1e-6)
+    found = feed(estimator, 0.0, 12.0, press)
+    flags = flagged(found, StateFlag.MODEL_MISMATCH)
+    assert any(flags[: 4000 // PERIOD])
+    assert not any(flags[9000 // PERIOD :])
+    now = estimator.mismatch()
+    assert now.probability < 0.05 and now.deviation > 2.0
+    assert "larger" in now.sentence()
+    right = ContactEstimator(model, measured)
+    for e in expected[:: 100 // PERIOD]:
+        if e.area > 0:
+            right.add_area(e.stamp_ns, e.area, 1e-6)
+    assert not any(flagged(feed(right, 0.0, 12.0, press), StateFlag.MODEL_MISMATCH))
+    assert right.mismatch().probability > 0.1
+
+
+def test_all_outputs_follow_the_fused_area(model: ReducedModel) -> None:
+    estimator = ContactEstimator(model)
+    expected = feed(ContactEstimator(model), 0.0, 4.0, press)
+    for e in expected[:: 100 // PERIOD]:
+        if e.area > 0:
+            estimator.add_area(e.stamp_ns, 1.5 * e.area, 1e-6)
+    found = [e for e in feed(estimator, 0.0, 4.0, press) if e.in_contact]
+    for e in found:
+        assert e.radius == pytest.approx(math.sqrt(e.area / math.pi))
+        assert e.mean_pressure == pytest.approx(e.normal_force / e.area)
+        assert e.peak_pressure > e.mean_pressure
+        relative = e.area_stddev / e.area
+        assert e.mean_pressure_stddev / e.mean_pressure == pytest.approx(relative)
+        assert e.peak_pressure_stddev / e.peak_pressure > relative
+        assert 0.3 * relative < e.radius_stddev / e.radius < 0.6 * relative
+        assert 0.005 < e.indentation_stddev / e.indentation < 3.0
+    before, after = found[20], found[-60]
+    assert after.area_stddev / after.area < 0.3 * before.area_stddev / before.area
+    assert after.indentation_stddev / after.indentation < (
+        before.indentation_stddev / before.indentation
+    )
