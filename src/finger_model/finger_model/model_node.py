@@ -101,8 +101,8 @@ _WARNINGS = {
     "reduced model",
     StateFlag.AREA_STALE: "no area was fused for longer than area_stale_after while in contact",
     StateFlag.FORCE_INVALID: "the force is not a finite number",
-    StateFlag.FORCE_OFFSET: "force without a finger is suspected: tare the force sensor with nothing "
-    "on the plate",
+    StateFlag.FORCE_OFFSET: "force without a finger is suspected: tare the force sensor with "
+    "nothing on the plate",
     StateFlag.FORCE_OUT_OF_RANGE: "the force is beyond what the reduced model was built for",
 }
 

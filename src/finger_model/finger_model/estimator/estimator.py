@@ -57,7 +57,6 @@ from .mismatch import Mismatch
 from .parameter_selection import check_sets, select_parameters
 from .settings import EstimatorSettings
 
-
 FAR_AHEAD = 60.0
 """s from one sample to the next, beyond which the later one waits for a third."""
 

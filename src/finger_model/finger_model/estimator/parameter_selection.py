@@ -153,8 +153,6 @@ def _answers(model: ReducedModel, parameters: np.ndarray) -> np.ndarray:
     table = np.empty((len(_TIME), 3 + 2 * members.DIRECTIONS))
     records = (model.networks, constants, finger, model.work, near)
     members.follow(*records, 0.0, _TIME, _FORCE, table)
-    h = np.column_stack(
-        [np.ones(len(_TIME)), np.log(_FORCE), table[:, 3 : 3 + members.DIRECTIONS]]
-    )
+    h = np.column_stack([np.ones(len(_TIME)), np.log(_FORCE), table[:, 3 : 3 + members.DIRECTIONS]])
     changes = (np.array(areas[1:]) - areas[0]).T / _LOG_STEP
     return np.linalg.solve(h.T @ h + np.diag(_RIDGE), h.T @ changes)

@@ -246,9 +246,7 @@ def _fuse(config, state, stamp, area, sd):
     h = np.empty(area_filter.STATES)
     area_filter.regressors(config.noise, area_filter.log_force(force), sensitivity, 1.0, h)
     offset = _offset(state, sensitivity)
-    if not area_filter.correct(
-        state.filters, config.noise, stamp, h, offset, model_area, area, sd
-    ):
+    if not area_filter.correct(state.filters, config.noise, stamp, h, offset, model_area, area, sd):
         return False
     contact.empty = 0
     contact.unseen = False

@@ -1,0 +1,80 @@
+"""Fingers drawn from the population, estimated by an estimator that knows none of them."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from finger_model.people import People
+from finger_model.reduced.population import check_geometry
+
+FIGURES = {
+    "presses": "camera: presses with RMS <= 1.05 x the camera's (%)",
+    "median": "camera: median RMS over the camera's, from press 3",
+    "camera": "camera: 95 % interval covers (%)",
+    "first": "camera, press 1: 95 % interval covers (%)",
+    "none": "none: 95 % interval covers (%)",
+    "camera fingers": "camera: fingers with coverage >= 80 % (%)",
+    "none fingers": "none: fingers with coverage >= 80 % (%)",
+}
+
+
+@pytest.fixture(scope="module")
+def script(project_root: Path) -> Any:
+    """scripts/population_fingers.py as a module."""
+    path = project_root / "scripts" / "population_fingers.py"
+    spec = importlib.util.spec_from_file_location("population_fingers", path)
+    assert spec and spec.loader
+    module = importlib.util.module_from_spec(spec)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(sys.modules, "population_fingers", module)
+        spec.loader.exec_module(module)
+        yield module
+
+
+def figures(script: Any, number: int, seed: int) -> dict[str, float]:
+    found = script.table([script.score(seed, False, index) for index in range(number)])
+    return {name: found[label] for name, label in FIGURES.items()}
+
+
+def test_drawn_fingers_lie_in_the_box_and_scatter_as_stated() -> None:
+    people = People.default()
+    rng = np.random.default_rng(0)
+    drawn = [people.draw(rng) for _ in range(300)]
+    for person in drawn:
+        check_geometry(person.geometry)
+    sizes = np.log([p.geometry.pad_semi_axis_radial for p in drawn])
+    assert np.std(sizes) == pytest.approx(people.size, rel=0.15)
+    assert np.std([p.moisture for p in drawn]) == pytest.approx(people.moisture_sd, rel=0.15)
+    moist, dry = (
+        [p.material.long_term_shear_modulus for p in drawn if low < p.moisture < high]
+        for low, high in ((85, 130), (0, 55))
+    )
+    assert np.median(moist) < 0.75 * np.median(dry)
+
+
+def test_the_estimate_is_honest_on_fingers_that_nobody_measured(script: Any) -> None:
+    found = figures(script, 5, seed=3)
+    assert found["presses"] >= 95.0
+    assert found["median"] <= 0.5
+    assert found["camera"] >= 85.0
+    assert found["first"] >= 75.0
+    assert found["camera fingers"] >= 80.0
+    # Without a camera a finger is inside its interval or not: five say little.
+    assert found["none fingers"] >= 60.0
+
+
+@pytest.mark.slow
+def test_the_whole_table(script: Any) -> None:
+    found = figures(script, 200, seed=1)
+    assert found["presses"] >= 99.0
+    assert found["median"] <= 0.6
+    for name in ("camera", "first", "none"):
+        assert 90.0 <= found[name] <= 99.0
+    for name in ("camera fingers", "none fingers"):
+        assert found[name] >= 90.0
