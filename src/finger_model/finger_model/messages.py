@@ -88,19 +88,21 @@ def event_fields(event: EstimatorEvent, sequence: int) -> dict[str, Any]:
 def state_numbers(estimate: ContactEstimate) -> tuple[float, ...]:
     """Numbers of a finger_msgs/ContactState in the order of its fields, without its texts."""
     stamp, normal_force, lateral_force, in_contact, onset, *others = estimate
+    numbers: list[Any] = [value for value in others if not isinstance(value, str)]
     return (
         *divmod(stamp, NANOSECONDS),
         normal_force,
         lateral_force,
         in_contact,
         *divmod(onset, NANOSECONDS),
-        *(value for value in others if not isinstance(value, str)),
+        *numbers,
     )
 
 
 def slip_numbers(estimate: SlipEstimate, lateral_axes: tuple[int, int]) -> tuple[float, ...]:
     """Numbers of a finger_msgs/ContactSlip in the order of its fields, without its text."""
     stamp, normal_force, force, *middle, moved, stiffness, slips, flags = estimate
+    numbers: list[Any] = [value for value in others if not isinstance(value, str)]
     return (
         *divmod(stamp, NANOSECONDS),
         normal_force,

@@ -78,7 +78,9 @@ class FilterState:
         """States (4,) of the finger and its members at rest."""
         return np.concatenate([self.model.state_at_rest(c[None]) for c in self.constants])
 
-    def _model_records(self) -> tuple[np.ndarray, ...]:
+    def _model_records(
+        self,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         model = self.model
         return model.networks, self.base, self.constants, self.finger, model.work
 
