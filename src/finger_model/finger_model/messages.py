@@ -102,7 +102,6 @@ def state_numbers(estimate: ContactEstimate) -> tuple[float, ...]:
 def slip_numbers(estimate: SlipEstimate, lateral_axes: tuple[int, int]) -> tuple[float, ...]:
     """Numbers of a finger_msgs/ContactSlip in the order of its fields, without its text."""
     stamp, normal_force, force, *middle, moved, stiffness, slips, flags = estimate
-    numbers: list[Any] = [value for value in others if not isinstance(value, str)]
     return (
         *divmod(stamp, NANOSECONDS),
         normal_force,
