@@ -16,6 +16,8 @@ import numpy as np
 import pytest
 from device_process import device
 
+pytestmark = pytest.mark.alone
+
 READER = """
 import json, sys, time
 from finger_driver.force import open_source
