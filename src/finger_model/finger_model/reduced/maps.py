@@ -40,6 +40,8 @@ class Maps:
     ) -> None:
         first = {name: values[0] for name, values in layers.items()}
         self.latents = k = layers["drive"][2].shape[1] - 1
+        if not (np.isfinite(betas).all() and (np.asarray(betas) > 0.0).all()):
+            raise ValueError("betas are not positive")
         frictions = len(betas)
         inputs = {"drive": rk.LOAD_INPUTS + k, "contact": rk.LOAD_INPUTS + k + frictions}
         outputs = {"drive": 1 + k, "contact": rk.CONTACT_OUTPUTS}

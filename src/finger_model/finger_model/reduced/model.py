@@ -89,7 +89,8 @@ class ReducedModel:
             trained_on = law_of(str(meta.get("law", "")))
             self.law = law or LAW
             self._prepare()
-        except (KeyError, TypeError, ValueError, IndexError) as error:
+            self._try_out()
+        except (KeyError, TypeError, ValueError, IndexError, ZeroDivisionError) as error:
             raise InputError(
                 f"reduced model: the file is not complete ({error}); build it again with "
                 "'finger-model reduce'"
@@ -331,6 +332,14 @@ class ReducedModel:
             float(found["peak_pressure"]),
             float(found["force"]) / area if area > 0 else 0.0,
         )
+
+    def _try_out(self) -> None:
+        """One step at the default material; raises ValueError where it gives no contact."""
+        constants = self.constants(self.space.default)
+        state = self.state_at_rest(constants)
+        time, force = np.array([0.0, 0.1]), np.array([0.0, 0.1])
+        if not np.isfinite(self.follow(constants, state, time, force, 0.0)).all():
+            raise ValueError("its numbers give no contact")
 
     def follow(
         self,
