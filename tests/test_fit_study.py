@@ -67,8 +67,14 @@ def test_bags_in_parameters_and_report_out(bags: Path, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     entry = json.loads((tmp_path / "fit.json").read_text())["conditions"]["natural"]
     truth = STUDY["natural"].material
-    assert entry["composite_E"] == pytest.approx(truth.composite_modulus, rel=0.02)
-    assert entry["E2"] == pytest.approx(truth.E2, rel=0.05)
+    # Of a finger whose lengths are known; allowing for them, the interval holds it.
+    plain = entry["nuisance"]["without_nuisances"]
+    for name, true, close in (
+        ("composite_E", truth.composite_modulus, 0.02),
+        ("E2", truth.E2, 0.05),
+    ):
+        assert plain[name] == pytest.approx(true, rel=close)
+        assert abs(np.log(entry[name] / true)) < 2.0 * entry["sd_log"][name]
     assert entry["J"] < 0.05 * entry["J_power_law"]
     assert entry["trials"] == 5
     for name in ("parameters.yaml", "report.html", "figures/area_over_force.png"):
