@@ -90,7 +90,7 @@ class ReducedModel:
             self.law = law or LAW
             self._prepare()
             self._try_out()
-        except (KeyError, TypeError, ValueError, IndexError, ZeroDivisionError) as error:
+        except (KeyError, TypeError, ValueError, IndexError) as error:
             raise InputError(
                 f"reduced model: the file is not complete ({error}); build it again with "
                 "'finger-model reduce'"
@@ -352,10 +352,16 @@ class ReducedModel:
         """Area (m²), indentation (m) and peak pressure (Pa) as columns (n, 3); `state` goes along.
 
         constants, state: the kernels' records; time (n,) in s, the state's own being `before`;
-        force (n,) in N.
+        force (n,) in N. Raises InputError for a damaged model.
         """
         table = np.empty((len(time), 3))
-        rk.follow(self.networks, constants, state, self.work, before, time, force, table)
+        try:
+            rk.follow(self.networks, constants, state, self.work, before, time, force, table)
+        except ZeroDivisionError:
+            raise InputError(
+                "reduced model: the file is damaged, its numbers give no contact; build it again "
+                "with 'finger-model reduce'"
+            ) from None
         return table
 
     def simulate(
