@@ -66,6 +66,11 @@ class Parser(argparse.ArgumentParser):
             argcomplete.autocomplete(self)
         return super().parse_args(*args, **kwargs)
 
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """As in the base class; remembers what was given, for `error`."""
+        self._given = list(sys.argv[1:] if args is None else args)
+        return super().parse_known_args(args, namespace)
+
     def format_usage(self) -> str:
         """What must be given; the options are listed below in the help."""
         needed = [a for a in self._actions if a.required or not a.option_strings]
@@ -81,6 +86,11 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """End with exit code 2; a misspelt option or name gets the one that was meant."""
+        if message.startswith("the following arguments are required"):
+            # A misspelt option comes first: what is missing may follow from it.
+            known = {"--", *self._all_options()}
+            words = [w for w in self._given if w.startswith("--") and w.split("=")[0] not in known]
+            message = f"unrecognized arguments: {words[0]}" if words else message
         unknown = re.match(r"unrecognized arguments: (-\S+)", message)
         choice = re.search(r"invalid choice: '?([^' ]*)'? \(choose from (.*)\)", message)
         near = None

@@ -53,6 +53,19 @@ def test_an_option_like_no_other_gets_no_guess(capsys: pytest.CaptureFixture[str
     assert "did you mean" not in capsys.readouterr().err
 
 
+def test_a_misspelt_option_is_named_before_what_is_missing(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    parser = Parser(prog="tool")
+    parser.add_argument("bag")
+    with pytest.raises(SystemExit):
+        parser.parse_args(["--hlep"])
+    assert "did you mean '--help'?" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        parser.parse_args([])
+    assert "required: bag" in capsys.readouterr().err
+
+
 def test_known_names_in_a_sentence() -> None:
     assert known_names("cam", ["camera", "x"]) == "did you mean 'camera'? Known are camera, x"
     assert known_names("zz", ["camera"]) == "known are camera"
