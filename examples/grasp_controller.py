@@ -3,9 +3,9 @@
     python examples/grasp_controller.py --ros-args -r __ns:=/finger -p target_area:=30.0e-6
 
 The node subscribes to `contact_state` and answers every state with the force to press with, on
-`grasp_force` (std_msgs/Float64, N). The controller itself, `AreaController`, uses no ROS. It opens
-(0 N) when the state is stale, invalid or was reset. It presses again only after the state has been
-good for a while.
+`grasp_force` (std_msgs/Float64, N). The controller itself, `AreaController`, uses no ROS. It moves
+slower the less certain the area is. When states are stale or not valid it holds its force, and goes
+on only after they have been good for a while; when they come but stay invalid it opens (0 N).
 """
 
 from __future__ import annotations
@@ -15,8 +15,10 @@ from dataclasses import dataclass
 
 from finger_common.flags import StateFlag
 
-OPENING_FLAGS = StateFlag.FORCE_INVALID | StateFlag.MODEL_FAILED | StateFlag.TIME_RESET
-"""Flags of ContactState at which to open at once."""
+INVALID_FLAGS = (
+    StateFlag.FORCE_INVALID | StateFlag.MODEL_FAILED | StateFlag.TIME_RESET | StateFlag.FORCE_OFFSET
+)
+"""Flags of ContactState at which the area is not to be controlled."""
 
 
 @dataclass
@@ -25,8 +27,10 @@ class AreaController:
 
     target_area: m²; gain: 1/s, of the error in area; approach_rate: N/s before contact;
     largest_force: N; largest_rate: N/s; largest_step: s, a longer time between two states counts as
-    this; stale_after: s without a state until it opens; settle: s of good states before it presses
-    again. `force` is the force to press with (N), `reason` why it is open.
+    this; stale_after: s without a state until it holds; settle: s of good states before it goes on;
+    open_after: s of invalid states until it opens; sure: relative deviation of the area up to which
+    it moves at full speed. `force` is the force to press with (N), `reason` why it does not
+    control.
     """
 
     target_area: float
@@ -37,11 +41,14 @@ class AreaController:
     largest_step: float = 0.02
     stale_after: float = 0.05
     settle: float = 0.2
+    open_after: float = 1.0
+    sure: float = 0.1
     force: float = 0.0
     reason: str = "no contact state yet"
     _received: float = -math.inf
     _stamp: float = -math.inf
     _good_since: float = math.inf
+    _bad_since: float = math.inf
 
     def on_state(
         self,
@@ -51,19 +58,25 @@ class AreaController:
         slope: float,
         in_contact: bool,
         flags: int,
+        area_stddev: float = 0.0,
     ) -> float:
         """Force to press with (N) after a contact state.
 
         stamp: of its header (s), from which follows how long the force has acted; received: when it
-        came (s), from which follows when it is stale. The two clocks need not be the same. area:
-        m²; slope: m²/N.
+        came (s), from which follows when it is stale. The two clocks need not be the same. area,
+        area_stddev: m²; slope: m²/N.
         """
         self.watch(received)
         self._received = received
         elapsed = min(max(stamp - self._stamp, 0.0), self.largest_step)
         self._stamp = stamp
-        if flags & OPENING_FLAGS or not (math.isfinite(area) and math.isfinite(slope)):
-            return self._open(f"contact state not valid (flags {flags})")
+        known = math.isfinite(area) and math.isfinite(slope) and math.isfinite(area_stddev)
+        if flags & INVALID_FLAGS or not known:
+            self._bad_since = min(self._bad_since, received)
+            if received - self._bad_since > self.open_after:
+                self.force = 0.0
+            return self._hold(f"contact state not valid (flags {flags})")
+        self._bad_since = math.inf
         self._good_since = min(self._good_since, stamp)
         if stamp - self._good_since < self.settle:
             return self.force
@@ -71,19 +84,20 @@ class AreaController:
         if not in_contact or slope <= 0:
             rate = self.approach_rate
         else:
-            rate = self.gain * (self.target_area - area) / slope
+            # Slower by as much as the deviation is larger than what counts as sure.
+            caution = min(1.0, self.sure * self.target_area / max(area_stddev, 1e-12))
+            rate = caution * self.gain * (self.target_area - area) / slope
         rate = min(max(rate, -self.largest_rate), self.largest_rate)
         self.force = min(max(self.force + rate * elapsed, 0.0), self.largest_force)
         return self.force
 
     def watch(self, now: float) -> float:
-        """Force to press with (N) at `now` (s, on the clock of `received`); opens when stale."""
+        """Force to press with (N) at `now` (s, on the clock of `received`); holds when stale."""
         if now - self._received > self.stale_after:
-            self._open("contact state is stale")
+            self._hold("contact state is stale")
         return self.force
 
-    def _open(self, reason: str) -> float:
-        self.force = 0.0
+    def _hold(self, reason: str) -> float:
         self.reason = reason
         self._good_since = math.inf
         return self.force
@@ -118,12 +132,12 @@ def main() -> None:
         publisher.publish(Float64(data=force))
         if controller.reason != logged:
             logged = controller.reason
-            node.get_logger().info(f"open: {logged}" if logged else "pressing")
+            node.get_logger().info(f"holding {force:.2f} N: {logged}" if logged else "pressing")
 
     def on_state(state: ContactState) -> None:
         stamp = seconds(header_stamp(state))
-        area, slope = state.area, state.area_force_slope
-        command(controller.on_state(now(), stamp, area, slope, state.in_contact, state.flags))
+        area, slope, sd = state.area, state.area_force_slope, state.area_stddev
+        command(controller.on_state(now(), stamp, area, slope, state.in_contact, state.flags, sd))
 
     # Only the newest state matters to a controller.
     qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)

@@ -34,6 +34,21 @@ class StateFlag(IntFlag):
     FORCE_OFFSET = 131072
 
 
+FORCE_ALONE = StateFlag(
+    ~(
+        StateFlag.MOISTURE_MISSING
+        | StateFlag.MOISTURE_STALE
+        | StateFlag.MOISTURE_OUT_OF_RANGE
+        | StateFlag.MOISTURE_LATE
+        | StateFlag.AREA_MISSING
+        | StateFlag.AREA_STALE
+        | StateFlag.AREA_LATE
+        | StateFlag.AREA_REJECTED
+    )
+)
+"""What a controller without camera and moisture probe compares with zero: flags & FORCE_ALONE."""
+
+
 class AreaFlag(IntFlag):
     """Flags of a measured area: reasons to doubt it; 0 means none."""
 
