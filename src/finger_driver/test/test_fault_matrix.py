@@ -29,6 +29,9 @@ from device_process import DeviceProcess, device, wait_until
 
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
+from geometry_msgs.msg import WrenchStamped  # noqa: E402
+from rclpy.serialization import deserialize_message  # noqa: E402
+
 import finger_driver.device  # noqa: E402
 from finger_common.stamps import header_stamp  # noqa: E402
 from finger_driver import can_bus  # noqa: E402
@@ -53,7 +56,10 @@ class Topic:
     messages: list[tuple[float, Any]] = field(default_factory=list)
 
     def publish(self, message: Any) -> None:
-        self.messages.append((time.monotonic(), message))
+        now = time.monotonic()
+        if isinstance(message, bytes):  # as the force node publishes
+            message = deserialize_message(message, WrenchStamped)
+        self.messages.append((now, message))
 
     def since(self, start: float, end: float = math.inf) -> list[Any]:
         return [m for t, m in list(self.messages) if start <= t < end]

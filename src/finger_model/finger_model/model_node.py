@@ -160,6 +160,7 @@ class ModelNode(ManagedNode):
         self._lock = threading.RLock()
         self._serializer: tuple[tuple[str, str], FixedMessage] | None = None
         self._slip: SlipEstimator | None = None
+        self._force: tuple[float, float, float] = (0.0, 0.0, 0.0)
         self._slip_serializer: tuple[str, FixedMessage] | None = None
         self._wrench: Any = None
         self._local: LocalSubscription | None = None
@@ -334,6 +335,7 @@ class ModelNode(ManagedNode):
                 last = estimator.last_stamp
                 if last is not None and stamp <= last:
                     self._publish_event(estimator.clock_jump_event(stamp))
+            before, self._force = self._force, force
             for estimate in estimator.add_wrench(stamp, force):
                 self._state_publisher.publish(self._serialized(estimate, frame))
                 now = time.time_ns()
@@ -341,7 +343,9 @@ class ModelNode(ManagedNode):
                 self._age.add(now - stamp)
                 self._last = estimate
                 self.health.sample()
-                self._publish_slip(estimate, force, frame)
+                # A sample that waited for its successor comes with it.
+                own = force if estimate.stamp_ns == stamp else before
+                self._publish_slip(estimate, own, frame)
 
     def _publish_slip(
         self, estimate: ContactEstimate, force: tuple[float, float, float], frame: str

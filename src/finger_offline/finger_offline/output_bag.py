@@ -54,6 +54,7 @@ class OutputBag:
         self._area_topic = sibling(topics.wrench, "contact_area")
         self._event_topic = sibling(topics.wrench, "model_events")
         self._skipped = set(topics.replaced)
+        self._last_log = 0
         self._announced: set[tuple[str, str]] = set()
         self.left_out: dict[tuple[str, str], str] = {}
         """Why topics of the input, by name and type, could not be copied."""
@@ -116,12 +117,14 @@ class OutputBag:
         ContactSlips of the estimates, or none.
         """
         own = block.column("stamp_ns")
-        if len(block) == len(stamps):
+        if np.array_equal(own, stamps):
             times = logs.tolist()
         else:
-            # Samples that the estimator dropped, such as repeated stamps, have no estimate.
+            # Samples that the estimator dropped, such as repeated stamps, have no estimate; one
+            # that waited for its successor may be of the block before.
             log_of = dict(zip(stamps[::-1].tolist(), logs[::-1].tolist()))
-            times = [log_of[stamp] for stamp in own.tolist()]
+            times = [log_of.get(stamp, self._last_log) for stamp in own.tolist()]
+        self._last_log = int(logs[-1])
         states = serialize(block, frame_id_of_cdr(wrench))
         self._writer.write_many(self._state_topic, states, times)
         if slips:

@@ -131,6 +131,7 @@ class _Run:
         # Images are not held for so long: they need memory.
         axis = estimator.settings.normal_axis
         self.slip = SlipEstimator(normal_axis=axis) if options.slip else None
+        self.last_force = np.zeros(3)
         self.queue = InputOrder(topics.events is not None and topics.image is None)
         self.malformed = Malformed()
         self.decode = reader.decoder(topics.wrench, reader.info.topics[topics.wrench].type)
@@ -291,9 +292,18 @@ class _Run:
         wrench: bytes,
     ) -> list[bytes]:
         """Serialized ContactSlips of a block; stamps (n,), forces (n, 3) of all its wrenches."""
-        if len(block) != len(stamps):
-            # Samples that the estimator dropped; the first of a stamp has counted.
+        own = block.column("stamp_ns")
+        newest = forces[-1]
+        if not np.array_equal(own, stamps):
+            # The estimator dropped samples; the first of a stamp has counted. One that waited for
+            # its successor may be of the block before.
             place = {stamp: i for i, stamp in reversed(list(enumerate(stamps.tolist())))}
-            forces = forces[[place[stamp] for stamp in block.column("stamp_ns").tolist()]]
+            forces = np.array(
+                [
+                    forces[place[stamp]] if stamp in place else self.last_force
+                    for stamp in own.tolist()
+                ]
+            ).reshape(-1, 3)
+        self.last_force = newest
         rows = slip.add_block(block, forces)
         return serialize_slips(rows, slip.lateral_axes, frame_id_of_cdr(wrench))

@@ -30,9 +30,11 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], text: Sequence[i
     """A table of HTML cells; `text` gives the columns that are aligned to the left."""
 
     def cells(kind: str, row: Sequence[str]) -> str:
+        # A heading without a word is none, for those who hear the page.
+        tags = [kind if cell else "td" for cell in row]
         return "".join(
-            f"<{kind}{' class=text' if k in text else ''}>{cell}</{kind}>"
-            for k, cell in enumerate(row)
+            f"<{tag}{' class=text' if k in text else ''}>{cell}</{tag}>"
+            for k, (tag, cell) in enumerate(zip(tags, row))
         )
 
     body = "".join(f"<tr>{cells('td', row)}</tr>" for row in rows)
