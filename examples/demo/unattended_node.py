@@ -28,7 +28,7 @@ class UnattendedSettings(Settings):
     """Parameters of the node."""
 
     suite_timeout: float = setting(
-        90.0, "Longest wait for all topics and services.", "s", 1.0, 600.0
+        300.0, "Longest wait for all topics and services.", "s", 1.0, 600.0
     )
     trial_timeout: float = setting(
         60.0, "Longest time without any progress of the study.", "s", 5.0, 3600.0

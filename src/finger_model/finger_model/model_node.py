@@ -57,6 +57,7 @@ from .messages import (
 from .parameter_sets import ParameterSets
 from .reduced.model import ReducedModel
 from .slip import SlipEstimator, SlipSettings
+from .warm_up import warm_up
 
 
 @dataclass(frozen=True)
@@ -176,7 +177,7 @@ class ModelNode(ManagedNode):
         self._model = load_reduced(values["reduced_model_file"], values["geometry_file"])
         self._sets = self._load_sets(values["parameter_file"])
         settings = self.settings(EstimatorSettings)
-        _compile(ContactEstimator(self._model, self._sets, settings))
+        warm_up(ContactEstimator(self._model, self._sets, settings))
         self.estimator = ContactEstimator(self._model, self._sets, settings)
         self._sequence = 0
         self.health.stale_after = values["force_stale_after"]
@@ -502,14 +503,6 @@ def _sample_of(
 ) -> tuple[int, tuple[float, float, float], str, int]:
     """Stamp, force, frame and time of receipt of a message and what the middleware adds."""
     return *wrench_of(message), message.header.frame_id, info["received_timestamp"]
-
-
-def _compile(estimator: ContactEstimator) -> None:
-    """Compile all that streams and services use, so that none of them waits for it later."""
-    for estimate in estimator.add_wrench(1, (0.0, 0.0, 0.0)):
-        SlipEstimator().add(estimate, (0.0, 0.0, 0.0))
-    estimator.predict(np.array([0.1]), np.array([0.01]))
-    estimator.force_for_area(1e-6)
 
 
 main = main_of(ModelNode)
