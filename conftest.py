@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import signal
 import socket
@@ -35,6 +36,24 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 def project_root() -> Path:
     """Folder of the checkout."""
     return ROOT
+
+
+@pytest.fixture(scope="module")
+def module_of(project_root: Path) -> Iterator[Callable[[str], Any]]:
+    """Function that gives a file of the project, such as "scripts/recovery.py", as a module.
+
+    Its folder is importable meanwhile, also for the worker processes that it starts.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+
+        def load(name: str) -> Any:
+            path = project_root / name
+            patch.syspath_prepend(str(path.parent))
+            module = importlib.import_module(path.stem)
+            assert Path(str(module.__file__)) == path, f"another module is named {path.stem}"
+            return module
+
+        yield load
 
 
 @pytest.fixture(scope="session")

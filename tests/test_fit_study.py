@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -194,17 +194,8 @@ def test_study_is_repeatable_and_misfit_changes_it() -> None:
 
 
 @pytest.fixture(scope="module")
-def recovery(project_root: Path) -> Any:
-    """scripts/recovery.py as a module that its worker processes find too."""
-    path = project_root / "scripts" / "recovery.py"
-    spec = importlib.util.spec_from_file_location("recovery", path)
-    assert spec and spec.loader
-    module = importlib.util.module_from_spec(spec)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(sys.modules, "recovery", module)
-        patch.syspath_prepend(str(path.parent))
-        spec.loader.exec_module(module)
-        yield module
+def recovery(module_of: Callable[[str], Any]) -> Any:
+    return module_of("scripts/recovery.py")
 
 
 def test_without_noise_the_corrected_fit_finds_the_finger(recovery: Any) -> None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -26,14 +24,8 @@ TARGET = 30e-6
 
 
 @pytest.fixture(scope="module")
-def example(project_root: Path) -> Any:
-    path = project_root / "examples" / "grasp_controller.py"
-    spec = importlib.util.spec_from_file_location("grasp_controller", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["grasp_controller"] = module
-    spec.loader.exec_module(module)
-    return module
+def example(module_of: Callable[[str], Any]) -> Any:
+    return module_of("examples/grasp_controller.py")
 
 
 class Finger:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,16 +12,8 @@ from finger_fit.options import FitOptions
 
 
 @pytest.fixture(scope="module")
-def script(project_root: Path) -> Any:
-    """scripts/nuisance_table.py as a module."""
-    path = project_root / "scripts" / "nuisance_table.py"
-    spec = importlib.util.spec_from_file_location("nuisance_table", path)
-    assert spec and spec.loader
-    module = importlib.util.module_from_spec(spec)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(sys.modules, "nuisance_table", module)
-        spec.loader.exec_module(module)
-        yield module
+def script(module_of: Callable[[str], Any]) -> Any:
+    return module_of("scripts/nuisance_table.py")
 
 
 @pytest.fixture(scope="module")

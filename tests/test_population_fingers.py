@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -25,16 +23,8 @@ FIGURES = {
 
 
 @pytest.fixture(scope="module")
-def script(project_root: Path) -> Any:
-    """scripts/population_fingers.py as a module."""
-    path = project_root / "scripts" / "population_fingers.py"
-    spec = importlib.util.spec_from_file_location("population_fingers", path)
-    assert spec and spec.loader
-    module = importlib.util.module_from_spec(spec)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(sys.modules, "population_fingers", module)
-        spec.loader.exec_module(module)
-        yield module
+def script(module_of: Callable[[str], Any]) -> Any:
+    return module_of("scripts/population_fingers.py")
 
 
 def figures(script: Any, number: int, seed: int) -> dict[str, float]:

@@ -3,9 +3,7 @@ and it grips little harder than it must."""
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -15,14 +13,8 @@ from finger_common.flags import SlipFlag
 
 
 @pytest.fixture(scope="module")
-def example(project_root: Path) -> Any:
-    path = project_root / "examples" / "slip_grip.py"
-    spec = importlib.util.spec_from_file_location("slip_grip", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["slip_grip"] = module
-    spec.loader.exec_module(module)
-    return module
+def example(module_of: Callable[[str], Any]) -> Any:
+    return module_of("examples/slip_grip.py")
 
 
 def test_an_object_that_gets_heavier_is_held_whatever_its_friction(example: Any) -> None:

@@ -58,22 +58,29 @@ class ContactHistory:
 
     def csv_text(self) -> str:
         """The header CSV_HEADER and one line per instant."""
-        columns = (
+        return csv_of(CSV_HEADER, self.time, self.force, *self.csv_columns())
+
+    def csv_columns(self) -> tuple[np.ndarray, ...]:
+        """The columns behind time and force, in the units of CSV_HEADER."""
+        return (
             self.area * 1e6,
             self.radius * 1e3,
             self.indentation * 1e3,
             self.peak_pressure * 1e-3,
         )
-        lines = [CSV_HEADER]
-        for time, force, *rest in zip(self.time.tolist(), self.force.tolist(), *columns):
-            # Input columns come back digit by digit.
-            lines.append(f"{time!r},{force!r}," + ",".join(f"{value:.6g}" for value in rest))
-        return "\n".join(lines) + "\n"
 
     def to_csv(self, path: str | Path) -> None:
         """Write `csv_text` to a file."""
         with atomic_write(path) as file:
             file.write(self.csv_text())
+
+
+def csv_of(header: str, time: np.ndarray, force: np.ndarray, *columns: np.ndarray) -> str:
+    """CSV text of columns (n,); time and force, the input, come back digit by digit."""
+    lines = [header]
+    for instant, load, *rest in zip(time.tolist(), force.tolist(), *columns):
+        lines.append(f"{instant!r},{load!r}," + ",".join(f"{value:.6g}" for value in rest))
+    return "\n".join(lines) + "\n"
 
 
 def mean_pressure(force: float, area: float) -> float:

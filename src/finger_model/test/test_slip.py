@@ -3,9 +3,7 @@
 
 """Slip estimator: law of the elements, friction learned, slips foretold."""
 
-import importlib.util
 import math
-import sys
 
 import numpy as np
 import pytest
@@ -210,13 +208,8 @@ def test_bad_values_are_refused():
     assert not SlipEstimator().add_stick_ratio(5, math.nan, 0.05)
 
 
-def test_slips_are_announced_and_alarms_are_true(project_root):
-    path = project_root / "scripts" / "slip_study.py"
-    spec = importlib.util.spec_from_file_location("slip_study", path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    study = module.study
+def test_slips_are_announced_and_alarms_are_true(module_of):
+    study = module_of("scripts/slip_study.py").study
     found = study(fingers=12, seed=2, camera=True)
     assert found["announced_percent"] >= 95
     assert found["false_alarms_percent"] <= 6

@@ -80,7 +80,7 @@ STATE = np.dtype(
         ("fast", _TRACK),  # P, Qx, Qy
         ("slow", _TRACK),
         ("log_weight", "f8", (GRID,)),  # prior and evidence, without edge and present plateau
-        ("largest", "f8"),  # ratio carried in this contact or before
+        ("largest", "f8"),  # ratio carried in this contact
         ("judged_at", "i8"),  # ns, last comparison of forecasts
         ("forecast", "f8", (LAGS, 4)),  # stamp (s), r, Q, its rate
         ("forecasts", "i8"),

@@ -11,7 +11,7 @@ import numpy as np
 
 from finger_common.files import atomic_write
 
-from ..history import CSV_HEADER, ContactHistory
+from ..history import CSV_HEADER, ContactHistory, csv_of
 from . import kernels
 
 PULL_CSV_HEADER = CSV_HEADER + ",stick_ratio,slip_margin,tangential_displacement_mm"
@@ -29,10 +29,9 @@ class PullHistory:
 
     def csv_text(self) -> str:
         """The header PULL_CSV_HEADER and one line per instant."""
-        _, *rows = self.contact.csv_text().splitlines()
-        own = zip(self.stick_ratio, self.slip_margin, 1e3 * self.tangential_displacement)
-        lines = [f"{row},{s:.6g},{m:.6g},{d:.6g}" for row, (s, m, d) in zip(rows, own)]
-        return "\n".join([PULL_CSV_HEADER, *lines]) + "\n"
+        contact = self.contact
+        own = self.stick_ratio, self.slip_margin, self.tangential_displacement * 1e3
+        return csv_of(PULL_CSV_HEADER, contact.time, contact.force, *contact.csv_columns(), *own)
 
     def to_csv(self, path: str) -> None:
         """Write `csv_text` to a file."""

@@ -22,7 +22,7 @@ from finger_common.files import atomic_write
 from ..fem.equilibrium import OPEN, SLIP, STICK, NotConverged
 from ..fem.mesh_material import Crushed, StepMaterial
 from ..geometry import Geometry
-from ..history import CSV_HEADER, check_force_history, mean_pressure
+from ..history import CSV_HEADER, check_force_history, csv_of, mean_pressure
 from ..laws import ConstitutiveLaw, Tissue
 from .contact import Contact, Plate, Sliding
 from .contact_shape import node_areas, outline, pressure, stick_ratio
@@ -115,10 +115,7 @@ class SolidHistory:
             self.center_x * 1e3,
             self.center_y * 1e3,
         )
-        lines = [SOLID_CSV_HEADER]
-        for time, force, *rest in zip(self.time.tolist(), self.load.tolist(), *columns):
-            lines.append(f"{time!r},{force!r}," + ",".join(f"{value:.6g}" for value in rest))
-        return "\n".join(lines) + "\n"
+        return csv_of(SOLID_CSV_HEADER, self.time, self.load, *columns)
 
     def to_csv(self, path: str | Path) -> None:
         """Write `csv_text` to a file."""
