@@ -197,6 +197,11 @@ class ParameterSets:
 
     # Use -------------------------------------------------------------------------------------
 
+    def with_prior(self, prior: FingerPrior) -> ParameterSets:
+        """The same sets with another distribution of fingers about them."""
+        hashes = self.geometry_hash, self.reduced_model_hash
+        return ParameterSets(self.sets, *hashes, law=self.law, prior=prior)
+
     def interpolate(self, moisture: float) -> InterpolatedParameters:
         """Parameters at a reading (a.u.); raises InputError when it is not a finite number."""
         if not math.isfinite(moisture):

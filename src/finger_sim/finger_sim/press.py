@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from finger_common.errors import InputError
+from finger_common.guided_presses import GuidedPress
 from finger_model.paper import PRESS_DURATION, TARGET_FORCE
 
 RATE = 500.0
@@ -82,10 +83,24 @@ def band_noise(
     return signal / deviation if deviation > 0 else signal
 
 
+FASTEST_RAMP = 0.1
+"""s; nobody presses faster to a target."""
+
+
+def guided_style(press: GuidedPress) -> PressStyle:
+    """How people follow the guidance of one press: neither as fast nor as slow as they may."""
+    fastest, slowest = press.rise
+    ramp = (max(1.5 * fastest, FASTEST_RAMP), 0.4 * slowest)
+    return PressStyle(ramp=ramp, hold=(press.hold, press.hold))
+
+
 def plan_press(
-    rng: np.random.Generator, ramp_time: float | None = None, style: PressStyle | None = None
+    rng: np.random.Generator,
+    ramp_time: float | None = None,
+    style: PressStyle | None = None,
+    target_force: float = TARGET_FORCE,
 ) -> Press:
-    """One press to the target force, drawn from `style`.
+    """One press to the target force in N, drawn from `style`.
 
     ramp_time: s from onset to the target, drawn from the style when None. The same state of `rng`
     gives the same press. Raises InputError for a ramp_time that is not positive.
@@ -106,19 +121,19 @@ def plan_press(
     number = math.ceil(length * RATE) + 1
     time = np.arange(number) / RATE
     since = np.maximum(time - LEAD, 0.0)
-    base = TARGET_FORCE * (since / ramp) ** shape
+    base = target_force * (since / ramp) ** shape
     fluctuation = 1.0 + style.tremor * band_noise(rng, number, RATE, 8.0, 12.0)
     fluctuation += style.drift * band_noise(rng, number, RATE, 0.2, 3.0)
     pressing = base * fluctuation
-    at_cue = int(np.argmax(pressing >= TARGET_FORCE))
-    if pressing[at_cue] < TARGET_FORCE:
+    at_cue = int(np.argmax(pressing >= target_force))
+    if pressing[at_cue] < target_force:
         raise InputError(
-            f"press: the target of {TARGET_FORCE:g} N is not reached; lower tremor or drift"
+            f"press: the target of {target_force:g} N is not reached; lower tremor or drift"
         )
     cue = float(time[at_cue])
 
     # The force rises at a falling rate between cue and reaction, then holds.
-    speed = TARGET_FORCE * shape / ramp * max((cue - LEAD) / ramp, 1e-3) ** (shape - 1.0)
+    speed = target_force * shape / ramp * max((cue - LEAD) / ramp, 1e-3) ** (shape - 1.0)
     past = np.clip(time - cue, 0.0, reaction)
     overshoot = speed * (past - 0.5 * past**2 / reaction)
     level = np.where(time < cue, base, base[at_cue] + overshoot)

@@ -1,0 +1,170 @@
+"""A subject is calibrated from six presses: the finger's own prior, and what it is worth."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from finger_common.errors import InputError
+from finger_common.guided_presses import CALIBRATION_PRESSES
+from finger_model.calibration import Calibration, CalibrationPress, calibrate
+from finger_model.estimator import ContactEstimator
+from finger_model.parameter_sets import ParameterSets
+from finger_model.people import People, Person
+from finger_model.reduced import ReducedModel
+from finger_model.reduced.model import load_population
+from finger_sim.press import guided_style, plan_press
+from finger_sim.study_trial import AREA_NOISE
+
+START = 10**18
+FRAME = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Finger:
+    """A finger of the population, its presses and their true areas on the grid of the force."""
+
+    person: Person
+    presses: list[CalibrationPress]
+    truth: list[np.ndarray]
+
+
+def pressed(index: int, seed: int = 11) -> Finger:
+    """The guided presses twice: the second six are for the test."""
+    rng = np.random.default_rng([seed, index])
+    people = People.default()
+    person = people.draw(rng)
+    model = load_population(person.geometry).for_material(person.material)
+    constants = model.constants(person.material)
+    state, at, before = model.state_at_rest(constants), 1.0, 0.0
+    presses, truth = [], []
+    for guided in CALIBRATION_PRESSES * 2:
+        plan = plan_press(rng, style=guided_style(guided), target_force=guided.target_force)
+        time = at + plan.time
+        table = model.follow(constants, state, time[::5], plan.force[::5], before)
+        before, at = time[::5][-1], time[-1] + 2.0
+        area = np.interp(time, time[::5], table[:, 0])
+        area *= np.exp(people.press_gain * rng.normal())
+        frames = np.arange(time[0] + FRAME * rng.random(), time[-1], FRAME)
+        seen = np.interp(frames, time, area)
+        frames, seen = frames[seen > 0], seen[seen > 0]
+        measured = np.maximum(seen + AREA_NOISE * rng.normal(size=len(seen)), 1e-7)
+        columns = frames, measured, np.full(len(frames), AREA_NOISE)
+        presses.append(CalibrationPress(time, plan.force, *columns))
+        truth.append(area)
+    return Finger(person, presses, truth)
+
+
+@functools.cache
+def calibrated(finger: Finger) -> Calibration:
+    presses = finger.presses[: len(CALIBRATION_PRESSES)]
+    sets = ParameterSets.default()
+    return calibrate(ReducedModel.load(), sets, presses, finger.person.reading)
+
+
+def force_only(finger: Finger, sets: ParameterSets) -> tuple[float, float]:
+    """RMS over RMS of the area, without camera, in the presses after; and the 95 % coverage."""
+    estimator = ContactEstimator(ReducedModel.load(), sets)
+    estimator.add_moisture(START - 10**9, finger.person.reading)
+    error, truth, deviation = [], [], []
+    number = len(CALIBRATION_PRESSES)
+    for press, area in zip(finger.presses[number:], finger.truth[number:]):
+        stamps = START + np.round(press.time * 1e9).astype(np.int64)
+        forces = np.column_stack([0 * press.force, 0 * press.force, -press.force])
+        block = estimator.add_wrenches(stamps, forces)
+        use = block.column("in_contact") & (area > 0)
+        error.append((block.column("area") - area)[use])
+        truth.append(area[use])
+        deviation.append(block.column("area_stddev")[use])
+    errors, truths = np.concatenate(error), np.concatenate(truth)
+    covered = np.abs(errors) <= 1.96 * np.concatenate(deviation)
+    return float(np.sqrt(np.mean(errors**2) / np.mean(truths**2))), float(np.mean(covered))
+
+
+@pytest.fixture(scope="module")
+def fingers() -> list[Finger]:
+    return [pressed(index) for index in range(5)]
+
+
+def test_force_alone_is_enough_after_six_presses(fingers: list[Finger]) -> None:
+    before = [force_only(finger, ParameterSets.default())[0] for finger in fingers]
+    after = [force_only(finger, calibrated(finger).sets) for finger in fingers]
+    errors = [error for error, _ in after]
+    assert np.median(errors) < 0.055, errors
+    assert max(errors) < 0.08, errors
+    assert np.median(before) > 2 * np.median(errors)
+    assert np.mean([coverage for _, coverage in after]) > 0.9
+
+
+def test_its_numbers_are_those_of_the_finger(fingers: list[Finger]) -> None:
+    """The area under 1 N after a second lies within its interval, the presses' scatter aside."""
+    for finger in fingers:
+        model = load_population(finger.person.geometry).for_material(finger.person.material)
+        time = np.linspace(0.0, 1.0, 101)
+        force = np.minimum(time / 0.2, 1.0)
+        true = 1e6 * model.simulate(finger.person.material, time, force).area[-1]
+        found = calibrated(finger)
+        area = found.quantities[0]
+        assert area.name == "area_at_1N" and area.unit == "mm²"
+        assert abs(area.value - true) < 3.5 * np.hypot(area.deviation, 0.02 * true)
+        assert 0.0 < found.press_scatter < 0.1
+        assert found.presses == 6 and found.areas > 60
+        assert "area_at_1N" in found.sentence()
+
+
+def test_a_calibration_is_a_parameter_file(fingers: list[Finger], tmp_path: Path) -> None:
+    found = calibrated(fingers[0])
+    path = tmp_path / "S01.yaml"
+    found.sets.save(path)
+    again = ParameterSets.load(path)
+    assert again.hash == found.sets.hash
+    assert again.prior == found.sets.prior
+    assert again.sets == ParameterSets.default().sets
+    assert force_only(fingers[0], again) == force_only(fingers[0], found.sets)
+
+
+def test_a_finger_is_known_better_than_before(fingers: list[Finger]) -> None:
+    before = ParameterSets.default().prior
+    after = calibrated(fingers[1]).sets.prior
+    assert before is not None and after is not None
+    variances = np.diag(after.covariance) / np.diag(before.covariance)
+    # Gain and stiffness go together: less is known of each than of the area.
+    assert variances.max() < 1.0 and variances[3] < 0.1
+
+
+def test_too_few_areas_are_refused(fingers: list[Finger]) -> None:
+    blind = [
+        CalibrationPress(p.time, p.force, p.area_time[:1], p.area[:1], p.area_sd[:1])
+        for p in fingers[0].presses[:6]
+    ]
+    with pytest.raises(InputError, match="0 of 6 presses have 2 usable areas"):
+        calibrate(ReducedModel.load(), ParameterSets.default(), blind)
+
+
+def test_presses_of_several_fingers_are_refused(fingers: list[Finger]) -> None:
+    factors = [0.5, 1.0, 2.0, 0.6, 1.5, 0.8]
+    mixed = [
+        CalibrationPress(p.time, p.force, p.area_time, f * p.area, p.area_sd)
+        for p, f in zip(fingers[0].presses, factors)
+    ]
+    with pytest.raises(InputError, match="same finger"):
+        calibrate(ReducedModel.load(), ParameterSets.default(), mixed)
+
+
+def test_without_a_reading_the_moisture_is_found_with_the_finger() -> None:
+    """A dry finger without probe: what its moisture does is taken for the finger's own."""
+    finger = pressed(3)
+    presses = finger.presses[: len(CALIBRATION_PRESSES)]
+    found = calibrate(ReducedModel.load(), ParameterSets.default(), presses)
+    estimator = ContactEstimator(ReducedModel.load(), found.sets)
+    press, area = finger.presses[6], finger.truth[6]
+    stamps = START + np.round(press.time * 1e9).astype(np.int64)
+    block = estimator.add_wrenches(
+        stamps, np.column_stack([0 * press.force, 0 * press.force, -press.force])
+    )
+    use = press.force > 0.3
+    assert np.allclose(block.column("area")[use], area[use], rtol=0.15)
