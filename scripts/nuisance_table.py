@@ -211,9 +211,8 @@ def record(
     if answer is not None and rig.thickness:
         duration = drawn.cue - drawn.onset
         place = np.log(np.maximum(pressed, 0.05))
-        for power, table in ((1, answer.slope), (2, answer.bend)):
-            own = [np.interp(duration, answer.durations, column) for column in table.T]
-            log = log + np.polyval(own, place) * rig.thickness**power
+        own = [np.interp(duration, answer.durations, column) for column in answer.slope.T]
+        log = log + np.polyval(own, place) * rig.thickness
     if rig.tissue:
         area = area * tissue_factor(name, index, rig.tissue)
     # A bow that the fit's straight line does not have.
@@ -314,7 +313,7 @@ def fit_case(
         true = float(SPACE.quantity(q, truth))
         out[q] = {
             "error": float(np.log(SPACE.quantity(q, fit.parameters) / true)),
-            "deviation": known.interval_deviation(q)[0],
+            "deviation": known.interval_deviation(q),
             "covered": in_interval(problem, q, true, fit.parameters, fit.cost, known),
             "error_without": float(np.log(SPACE.quantity(q, alone.parameters) / true)),
             "covered_without": in_interval(plain, q, true, alone.parameters, alone.cost, without),

@@ -66,7 +66,8 @@ def documents_with_blocks() -> Iterator[Any]:
     for document in filter(Path.exists, DOCUMENTS):
         kinds = {block.slow for block in blocks(document)}
         if False in kinds:
-            yield pytest.param(document, False, id=name_of(document))
+            limit = pytest.mark.timeout(900)
+            yield pytest.param(document, False, id=name_of(document), marks=limit)
         if True in kinds:
             marks = (pytest.mark.slow, pytest.mark.timeout(1800))
             yield pytest.param(document, True, id=f"{name_of(document)}, slow", marks=marks)
@@ -89,7 +90,7 @@ def run_blocks(document: Path, folder: Path, slow: bool) -> None:
             env=env,
             capture_output=True,
             text=True,
-            timeout=900 if slow else 240,
+            timeout=1700 if slow else 850,
         )
         assert result.returncode == 0, (
             f"{document.name}, line {block.line}:\n{block.script}\n{result.stdout[-2000:]}"

@@ -17,7 +17,6 @@ import numpy as np
 
 from ..nuisance.estimate import NuisanceModel
 from ..nuisance.geometry import PopulationGeometry
-from ..nuisance.names import is_assumed
 from ..options import FitOptions
 from ..problem import FitProblem
 from ..uncertainty import Covariance, covariance
@@ -62,11 +61,10 @@ def expected_of(problem: FitProblem, plan: Plan, parameters: np.ndarray) -> Expe
         problem.nuisances = nuisances.linearise(parameters)
     known = covariance(problem, parameters, plan.area_noise)
     names = problem.space.quantity_names
-    assumed = [n for n in known.nuisances if is_assumed(n)]
     return Expected(
         plan,
         {n: known.deviation(n) for n in names},
-        {n: known.without(n, assumed) for n in names},
+        {n: known.data_deviation(n) for n in names},
         {n: known.budget(n) for n in names},
         known,
     )
@@ -78,10 +76,10 @@ def presses_for(found: Expected, name: str, wanted: float, total: bool = False) 
     From the data alone, or in all. None above `MOST_PRESSES`.
     """
     known = found.covariance
-    assumed = [] if total else [n for n in known.nuisances if is_assumed(n)]
 
     def deviation(presses: int) -> float:
-        return known.with_presses(presses / found.plan.presses).without(name, assumed)
+        of_so_many = known.with_presses(presses / found.plan.presses)
+        return of_so_many.interval_deviation(name) if total else of_so_many.data_deviation(name)
 
     low, high = 3, MOST_PRESSES
     if deviation(high) > wanted:

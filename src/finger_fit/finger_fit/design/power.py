@@ -17,7 +17,6 @@ import numpy as np
 from scipy.stats import nct
 from scipy.stats import t as student
 
-from ..nuisance.names import is_assumed
 from .expected import Expected
 
 MOST_SUBJECTS = 1000
@@ -31,13 +30,14 @@ def contrast_deviation(first: Expected, second: Expected, name: str) -> float:
         known = found.covariance
         gradient = known.space.log_gradient(name, known.parameters)
         answer = known.responses(range(len(known.space))) @ gradient
-        moves.append({n: m for n, m in zip(known.nuisances, answer) if is_assumed(n)})
+        names = zip(known.nuisances, answer, known.assumed)
+        moves.append({n: move for n, move, assumed in names if assumed})
     shared = sum((moves[0].get(n, 0.0) - moves[1].get(n, 0.0)) ** 2 for n in {*moves[0], *moves[1]})
     own = sum(
         part**2
         for found in (first, second)
         for n, part in found.parts[name].items()
-        if not is_assumed(n)
+        if n not in moves[0] and n not in moves[1]
     )
     return math.sqrt(own + shared)
 

@@ -8,12 +8,15 @@ Parameters of the drive (tare, lag) change what the model is driven with; those 
 around the present estimate; the finger's parameters are fitted with the nuisances eliminated
 (`problem.Goal`), the nuisances follow, and both are repeated until they rest. The result is the
 joint maximum of the posterior, and the scatter of the presses' gains is estimated with it.
+
+The lengths and the gain of all areas are assumed (`names.is_assumed`): the parameters are those of
+the finger as given, whose geometry they are stored with, and the intervals allow for other lengths.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,7 +24,7 @@ from ..options import FitOptions
 from ..problem import PRESS_GAIN, FitProblem, FitTrial, Nuisances, fit_power_law
 from ..search import LocalFit, all_free, refine
 from .geometry import PopulationGeometry, Response
-from .names import AREA_GAIN, COLLAPSE, LAG, TARE, TRIAL_TARE
+from .names import AREA_GAIN, COLLAPSE, LAG, TARE, TRIAL_TARE, is_assumed
 
 TRIAL_SHARE = 0.25
 """Deviation of one trial's tare over that of all, where none was measured; an assumption: a sensor
@@ -55,15 +58,13 @@ class Settled:
 
 @dataclass
 class _State:
-    """Present values: tare of all and of each trial (T,), lag, log gains, collapse, log lengths."""
+    """Present values: tare of all and of each trial (T,), lag, log gains, collapse."""
 
     trial_tare: np.ndarray
     press_gain: np.ndarray
     tare: float = 0.0
     lag: float = 0.0
-    area_gain: float = 0.0
     collapse: float = 0.0
-    lengths: dict[str, float] = field(default_factory=dict)
 
 
 class NuisanceModel:
@@ -99,7 +100,6 @@ class NuisanceModel:
         self.tare_sd = np.where(self.unseen, TRIAL_SHARE * max(spread, 1e-4), own)
         self.common_tare_sd = spread if self.unseen.any() else 0.0
         self.state = _State(np.zeros(number), np.zeros(number))
-        self.state.lengths = dict.fromkeys(self.lengths, 0.0)
         self.scatter, self.noise = self._first_guess()
 
     def _first_guess(self) -> tuple[float, float]:
@@ -133,12 +133,9 @@ class NuisanceModel:
 
     def _factor(self) -> np.ndarray:
         state = self.state
-        log = state.area_gain + state.press_gain[self.problem.trial_of]
+        log = state.press_gain[self.problem.trial_of]
         if self.options.collapse_sd > 0 and self.options.low_force > 0:
             log = log - state.collapse * self._collapse_shape()
-        for name, x in state.lengths.items():
-            slope, bend = self.responses[name]
-            log = log + slope * x + bend * x * x
         return np.exp(log)
 
     def _drives(self, lag: float, tare: float) -> list[FitTrial]:
@@ -192,13 +189,12 @@ class NuisanceModel:
             for t in range(number):
                 sd = float(self.tare_sd[t])
                 add(TRIAL_TARE, t, state.trial_tare[t], sd, np.where(inside[:, t], tare, 0.0))
-        add(AREA_GAIN, -1, state.area_gain, options.area_gain_sd, areas)
+        add(AREA_GAIN, -1, 0.0, options.area_gain_sd, areas)
         if options.low_force > 0:
             low = -self._collapse_shape() * areas
             add(COLLAPSE, -1, state.collapse, options.collapse_sd, low)
         for name, sd in self.lengths.items():
-            (slope, bend), x = self.responses[name], state.lengths[name]
-            add(name, -1, x, sd, areas * (slope + 2.0 * bend * x))
+            add(name, -1, 0.0, sd, areas * self.responses[name])
         for t in range(number):
             own = np.where(inside[:, t], areas, 0.0)
             add(PRESS_GAIN, t, state.press_gain[t], self.scatter, own)
@@ -211,6 +207,7 @@ class NuisanceModel:
             np.array(columns).T if columns else np.zeros((frames, 0)),
             factor,
             self.noise**2 * float(problem.weight.mean()),
+            np.array([is_assumed(name) for name in names], dtype=bool),
         )
 
     # Estimation -----------------------------------------------------------------------------
@@ -250,9 +247,7 @@ class NuisanceModel:
         for name, trial, move in zip(found.names, found.trials, moves):
             if trial >= 0:
                 getattr(state, name)[trial] += move
-            elif name in state.lengths:
-                state.lengths[name] += move
-            else:
+            elif not is_assumed(name):
                 setattr(state, name, getattr(state, name) + move)
         return float(np.abs(moves / found.sd).max()) if len(moves) else 0.0
 

@@ -37,28 +37,22 @@ SAMPLED = 3
 
 @dataclass(frozen=True)
 class Response:
-    """Answer of the logarithm of the area to the logarithm x of a length's factor.
+    """Answer of the logarithm of the area to the logarithm of a length's factor.
 
-    ln A(x) − ln A(0) = slope x + bend x². durations (S,): of the simulated trials in s, increasing;
-    slope, bend (S, 3): coefficients, highest power first, of parabolas of the force's logarithm.
+    durations (S,): of the simulated trials in s, increasing; slope (S, 3): coefficients, highest
+    power first, of parabolas of the force's logarithm.
     """
 
     durations: np.ndarray
     slope: np.ndarray
-    bend: np.ndarray
 
-    def on(self, problem: FitProblem) -> tuple[np.ndarray, np.ndarray]:
-        """Slope and bend (n,) at all frames of a problem; trials lie between the simulated ones."""
+    def on(self, problem: FitProblem) -> np.ndarray:
+        """Slope (n,) at all frames of a problem; trials lie between the simulated ones."""
         parts = []
         for trial in problem.trials:
-            place = _place(trial)
-            own = [
-                [np.interp(trial.time[-1], self.durations, column) for column in table.T]
-                for table in (self.slope, self.bend)
-            ]
-            parts.append([np.polyval(coefficients, place) for coefficients in own])
-        slope, bend = np.concatenate(parts, axis=1)
-        return slope, bend
+            own = [np.interp(trial.time[-1], self.durations, column) for column in self.slope.T]
+            parts.append(np.polyval(own, _place(trial)))
+        return np.concatenate(parts)
 
 
 class GeometryModel(Protocol):
@@ -137,8 +131,8 @@ class PopulationGeometry:
 
     def responses(
         self, problem: FitProblem, parameters: np.ndarray, lengths: Mapping[str, float]
-    ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Slope and bend (n,) at all frames, as of `Response.on`, at parameters (N,)."""
+    ) -> dict[str, np.ndarray]:
+        """Slopes (n,) at all frames, as of `Response.on`, at parameters (N,)."""
         base = np.concatenate(self.areas(parameters, self.geometry, problem.trials))
 
         def change(name: str, x: float) -> np.ndarray | None:
@@ -160,8 +154,8 @@ def _with_length(geometry: Geometry, name: str, x: float) -> Geometry:
 
 def _slopes(
     change: Callable[[str, float], np.ndarray | None], lengths: Mapping[str, float]
-) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Slope and bend of a change ln A(x) − ln A(0), by differences of one deviation.
+) -> dict[str, np.ndarray]:
+    """Slope of a change ln A(x) − ln A(0), by differences of one deviation.
 
     change(name, x): None where there is no such finger; one side is enough for a slope.
     """
@@ -169,11 +163,11 @@ def _slopes(
     for name, deviation in lengths.items():
         high, low = change(name, deviation), change(name, -deviation)
         if high is not None and low is not None:
-            found[name] = (high - low) / (2 * deviation), (high + low) / (2 * deviation**2)
+            found[name] = (high - low) / (2 * deviation)
         elif high is not None:
-            found[name] = high / deviation, np.zeros_like(high)
+            found[name] = high / deviation
         elif low is not None:
-            found[name] = -low / deviation, np.zeros_like(low)
+            found[name] = -low / deviation
     return found
 
 
@@ -212,7 +206,7 @@ def geometry_responses(
         return np.array(coefficients)
 
     found = _slopes(change, lengths)
-    return {name: Response(durations[picks], *parts) for name, parts in found.items()}
+    return {name: Response(durations[picks], slope) for name, slope in found.items()}
 
 
 def _place(trial: FitTrial) -> np.ndarray:

@@ -11,6 +11,10 @@ integrating over them (up to a constant). So a search keeps the finger's paramet
     Q = min over x of  Σ w (A + S x − measured)² + s² Σ ((x − mean) / sd)²,
 
 with s² the variance of a frame of weight one. Without nuisances Q is J.
+
+Assumed nuisances stay at their mean: they are not estimated, but widen the intervals
+(`uncertainty.covariance`), as the "consider" parameters of orbit determination do (Tapley, Schutz
+and Born 2004, section 6.2).
 """
 
 from __future__ import annotations
@@ -63,7 +67,7 @@ class Nuisances:
     names (k,), trials (k,): the trial that a parameter belongs to, −1 for one shared by all;
     state (k,): value at the reference; mean, sd (k,): prior; slope (n, k): change of the areas (m²)
     per unit, at the reference; factor (n,): of the model's areas there, from gains and shape;
-    variance: s² in m⁴.
+    variance: s² in m⁴; assumed (k,): whether a parameter stays at its mean, its state.
     """
 
     names: tuple[str, ...]
@@ -74,6 +78,7 @@ class Nuisances:
     slope: np.ndarray
     factor: np.ndarray
     variance: float
+    assumed: np.ndarray
 
     @property
     def shared(self) -> np.ndarray:
@@ -116,25 +121,33 @@ class Goal:
                 count[own] = repeats[nuisances.trials[own]]
             self._precision = nuisances.variance * count / nuisances.sd**2
             self._gap = nuisances.state - nuisances.mean
+            self._free = ~nuisances.assumed
             self._best = self._elimination(weight)
 
     def spread(self) -> np.ndarray:
         """Standard deviation (k,) of the nuisances once the finger's parameters are known."""
         found = self.nuisances
         assert found is not None
-        matrix = found.slope.T @ (self.weight[:, None] * found.slope) + np.diag(self._precision)
-        return np.sqrt(found.variance * np.diag(np.linalg.inv(matrix)))
+        slope, spread = found.slope[:, self._free], found.sd.copy()
+        matrix = slope.T @ (self.weight[:, None] * slope) + np.diag(self._precision[self._free])
+        spread[self._free] = np.sqrt(found.variance * np.diag(np.linalg.inv(matrix)))
+        return spread
 
     def _elimination(self, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """G (n, k) and g (k,): the best move of the nuisances is −(r @ G + g) at residuals r."""
         found = self.nuisances
         assert found is not None
+        free, slope = self._free, found.slope[:, self._free]
         # A trial that does not count leaves its own nuisances at the prior; any value does.
-        tiny = 1e-12 * found.variance / found.sd**2
-        weighted = weight[:, None] * found.slope
-        matrix = found.slope.T @ weighted + np.diag(self._precision + tiny)
-        solved = np.linalg.solve(matrix, np.column_stack([weighted.T, self._precision * self._gap]))
-        return solved[:, :-1].T, solved[:, -1]
+        precision = self._precision[free] + 1e-12 * found.variance / found.sd[free] ** 2
+        weighted = weight[:, None] * slope
+        pulls = self._precision[free] * self._gap[free]
+        solved = np.linalg.solve(
+            slope.T @ weighted + np.diag(precision), np.column_stack([weighted.T, pulls])
+        )
+        move, offset = np.zeros_like(found.slope), np.zeros(len(free))
+        move[:, free], offset[free] = solved[:, :-1].T, solved[:, -1]
+        return move, offset
 
     def residuals(self, areas: np.ndarray) -> np.ndarray:
         """Model less measured area (…, n) in m² at the reference of the nuisances."""

@@ -14,7 +14,6 @@ import numpy as np
 
 from finger_model.laws import ParameterSpace
 
-from ..nuisance.names import is_assumed
 from ..problem.report_units import MM2, MM4, three_digits
 from ..results import ConditionFit, FitResult
 from ..uncertainty import shifted_interval
@@ -144,7 +143,7 @@ def _interval(fit: ConditionFit, name: str) -> str:
 
 def _has_assumed(fit: ConditionFit) -> bool:
     """Whether the intervals hold assumed lengths or an assumed gain."""
-    return fit.covariance is not None and any(map(is_assumed, fit.covariance.nuisances))
+    return fit.covariance is not None and bool(fit.covariance.assumed.any())
 
 
 def _from_data(fit: ConditionFit, name: str) -> str:
@@ -429,7 +428,7 @@ def identifiability(result: FitResult) -> str:
             continue
         found = fit.covariance
         active = ", ".join(f"{space[n].html} ({end})" for n, end in found.active.items())
-        deviation, _ = found.interval_deviation(space.headline)
+        deviation = found.interval_deviation(space.headline)
         rows.append(
             [
                 escape(name),

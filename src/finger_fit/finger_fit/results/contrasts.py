@@ -14,7 +14,7 @@ import numpy as np
 
 from finger_model.geometry import LENGTHS
 
-from ..nuisance.names import AREA_GAIN, is_assumed
+from ..nuisance.names import AREA_GAIN
 from .fits import ConditionFit
 
 FEWEST_SAMPLES = 40
@@ -103,12 +103,11 @@ def _samples(fit: ConditionFit) -> Any:
         return None
     free = [i for i, n in enumerate(fit.space.names) if n not in known.active]
     moves = known.responses(free)
-    assumed = np.array([is_assumed(n) for n in known.nuisances], dtype=bool)
     shared = np.random.default_rng(fit.problem.options.seed).normal(size=(len(LENGTHS) + 1, DRAWS))
     place = dict(zip((AREA_GAIN, *LENGTHS), shared))
     drawn = fit.space.to_log(fit.parameters) + np.zeros((DRAWS, 1))
     left = known.covariance.copy()
-    for name, move in zip(np.array(known.nuisances)[assumed], moves[assumed]):
+    for name, move in zip(np.array(known.nuisances)[known.assumed], moves[known.assumed]):
         drawn = drawn + place[str(name)][:, None] * move
         left -= np.outer(move, move)
     values, vectors = np.linalg.eigh(left)

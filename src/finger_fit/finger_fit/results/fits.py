@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.stats import t as student
 
-from ..nuisance.names import is_assumed
 from ..uncertainty import BiasCorrected, Covariance, Goodness, Profile
 
 if TYPE_CHECKING:
@@ -111,16 +110,14 @@ class ConditionFit:
         the finger and the gain of all areas were those of this fit; NaN without covariance."""
         if self.covariance is None:
             return float("nan")
-        assumed = [n for n in self.covariance.nuisances if is_assumed(n)]
-        return self.covariance.without(name, assumed)
+        return self.covariance.data_deviation(name)
 
     def assumed_deviation(self, name: str) -> float:
         """Standard deviation of a quantity's logarithm that the assumed lengths and the gain of all
         areas add (as squares) to that from the data; NaN without covariance."""
         if self.covariance is None:
             return float("nan")
-        total, _ = self.covariance.interval_deviation(name)
-        return float(np.sqrt(max(total**2 - self.data_deviation(name) ** 2, 0.0)))
+        return self.covariance.assumed_deviation(name)
 
     def assumed_moves(self, name: str) -> dict[str, float]:
         """Change of a quantity's logarithm by one prior deviation of each assumed length and of the
@@ -130,16 +127,20 @@ class ConditionFit:
             return {}
         free = [i for i, n in enumerate(self.space.names) if n not in known.active]
         moves = known.responses(free) @ self.space.log_gradient(name, self.parameters)
-        return {n: float(m) for n, m in zip(known.nuisances, moves) if is_assumed(n)}
+        names = zip(known.nuisances, moves, known.assumed)
+        return {n: float(move) for n, move, assumed in names if assumed}
 
     def data_interval(self, name: str) -> tuple[float, float] | None:
         """95 % interval of a quantity from the data alone (`data_deviation`), inside the search
         box; None without covariance.
 
-        Of the logarithm, symmetric, with Student's t for one degree of freedom less than trials.
+        By the profile; without one of the logarithm, symmetric, with Student's t for one degree of
+        freedom less than trials.
         """
         if self.covariance is None:
             return None
+        if name in self.profiles:
+            return self.profiles[name].data_interval
         reach = student.ppf(0.975, max(len(self.problem) - 1, 1)) * self.data_deviation(name)
         low, high = self.space.quantity_bounds(name, self.problem.box)
         ends = self.quantity(name) * np.exp(np.array([-reach, reach]))

@@ -11,13 +11,14 @@ scatter of whole trials, which also holds when the frames of a trial share an er
 
 With nuisance parameters (`problem.Goal`), those of one trial are eliminated in H and in the first
 B; those shared by all trials are further coordinates, with their priors in H and in both B. So the
-covariance holds what a prior leaves open too.
+covariance holds what a prior leaves open too. Assumed ones are not estimated: the estimate answers
+to each by K = −H⁻¹ ∂²J/∂x∂c, and its covariance is V + K C Kᵀ, with C of their priors.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -40,7 +41,8 @@ class Covariance:
     standard deviation of a frame's residual; active: parameters on a bound, with "low" or "high";
     scores (M, T): Σ w r s of every trial; frame_information (M, M): B of independent frames.
     nuisances: names of the K shared nuisances, M = N + K: they follow the parameters in curvature,
-    scores and frame_information, and in prior (M,), their part of H.
+    scores and frame_information, and in prior (M,), their part of H; assumed (K,): which are not
+    estimated.
     """
 
     space: ParameterSpace
@@ -54,6 +56,7 @@ class Covariance:
     prior: np.ndarray
     variance: float
     nuisances: tuple[str, ...] = ()
+    assumed: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
 
     def deviation(self, name: str) -> float:
         """Standard deviation of a quantity's logarithm."""
@@ -68,20 +71,30 @@ class Covariance:
         scale = np.sqrt(inverse[i, i] * inverse[j, j])
         return float(inverse[i, j] / scale) if scale > 0 else float("nan")
 
-    def interval_deviation(self, name: str) -> tuple[float, float]:
-        """Standard deviation of a quantity's logarithm for its interval, and the rise of J (m⁴)
-        there.
+    def data_deviation(self, name: str) -> float:
+        """Standard deviation of a quantity's logarithm from the data alone, as if the assumed
+        nuisances were known exactly.
 
-        A parameter on a bound is freed for its own interval only. Where a derived quantity depends
+        A parameter on a bound is freed for its own deviation only. Where a derived quantity depends
         on bounded parameters alone, the one that it is solved for is freed.
         """
-        gradient = self.space.log_gradient(name, self.parameters)
-        free = self._freed(name)
-        index, part = self._with_nuisances(free, gradient)
-        variance = float(part @ self._sandwich(index) @ part)
+        index, part = self._estimated(self._freed(name), name)
+        return float(np.sqrt(part @ self._sandwich(index) @ part))
+
+    def assumed_deviation(self, name: str) -> float:
+        """What the assumed nuisances add to it, as squares."""
+        moves = self.responses(self._freed(name)) @ self.space.log_gradient(name, self.parameters)
+        return float(np.linalg.norm(moves[self.assumed]))
+
+    def interval_deviation(self, name: str) -> float:
+        """Standard deviation of a quantity's logarithm with all that is unknown."""
+        return float(np.hypot(self.data_deviation(name), self.assumed_deviation(name)))
+
+    def rise(self, name: str) -> float:
+        """Rise of J (m⁴) along a quantity's profile at one `data_deviation`."""
+        index, part = self._estimated(self._freed(name), name)
         inverse = inverse_of(self.curvature[np.ix_(index, index)])
-        rise = variance / max(float(part @ inverse @ part), 1e-300)
-        return float(np.sqrt(variance)), rise
+        return self.data_deviation(name) ** 2 / max(float(part @ inverse @ part), 1e-300)
 
     def _freed(self, name: str) -> list[int]:
         """Parameters that are free for the interval of a quantity."""
@@ -94,23 +107,35 @@ class Covariance:
             freed = {name}
         return [i for i, n in enumerate(space.names) if n in unbounded | freed]
 
-    def _with_nuisances(
-        self, free: Sequence[int], gradient: np.ndarray
-    ) -> tuple[list[int], np.ndarray]:
-        """Coordinates of the free parameters and all nuisances, and the gradient in them."""
+    def _free(self) -> list[int]:
+        """Parameters that lie on no bound."""
+        return [i for i, name in enumerate(self.space.names) if name not in self.active]
+
+    def _estimated(self, free: Sequence[int], name: str = "") -> tuple[list[int], np.ndarray]:
+        """Coordinates of the free parameters and the estimated nuisances, and the gradient of a
+        quantity in them."""
         number = len(self.space)
-        index = [*free, *range(number, number + len(self.nuisances))]
-        return index, np.concatenate([gradient[list(free)], np.zeros(len(self.nuisances))])
+        index = [*free, *(number + np.flatnonzero(~self.assumed))]
+        part = np.zeros(len(index))
+        if name:
+            part[: len(free)] = self.space.log_gradient(name, self.parameters)[list(free)]
+        return index, part
 
     def responses(self, free: Sequence[int]) -> np.ndarray:
         """Change (K, N) of the coordinates by one prior deviation of each shared nuisance, with
         only the parameters `free` moving."""
-        number, shared = len(self.space), len(self.nuisances)
-        index = [*free, *range(number, number + shared)]
-        inverse = inverse_of(self.curvature[np.ix_(index, index)])
-        found = np.zeros((shared, number))
-        own = np.sqrt(self.prior[number:] * self.variance)
-        found[:, list(free)] = inverse[len(free) :, : len(free)] * own[:, None]
+        number = len(self.space)
+        index, _ = self._estimated(free)
+        inverse = inverse_of(self.curvature[np.ix_(index, index)])[: len(free)]
+        found = np.zeros((len(self.nuisances), number))
+        prior = self.prior[number:]
+        for k, fixed in enumerate(self.assumed):
+            if fixed:
+                answer = -inverse @ self.curvature[index, number + k]
+                answer *= np.sqrt(self.variance / prior[k])
+            else:
+                answer = inverse[:, index.index(number + k)] * np.sqrt(prior[k] * self.variance)
+            found[k, list(free)] = answer
         return found
 
     def budget(self, name: str) -> dict[str, float]:
@@ -118,23 +143,13 @@ class Covariance:
 
         By the prior of each shared nuisance, and the rest, "data"; their squares add up.
         """
-        free = [i for i, n in enumerate(self.space.names) if n not in self.active]
+        free = self._free()
         gradient = self.space.log_gradient(name, self.parameters)
-        index, part = self._with_nuisances(free, gradient)
         parts = np.abs(self.responses(free) @ gradient)
-        total = float(part @ self._sandwich(index) @ part)
-        data = np.sqrt(max(total - float((parts**2).sum()), 0.0))
+        index, part = self._estimated(free, name)
+        alone = float(part @ self._sandwich(index) @ part)
+        data = np.sqrt(max(alone - float((parts[~self.assumed] ** 2).sum()), 0.0))
         return {"data": float(data), **dict(zip(self.nuisances, map(float, parts)))}
-
-    def without(self, name: str, nuisances: Collection[str]) -> float:
-        """Standard deviation of a quantity's logarithm for its interval, with some of the shared
-        nuisances known exactly."""
-        number = len(self.space)
-        free = self._freed(name)
-        kept = [number + k for k, n in enumerate(self.nuisances) if n not in nuisances]
-        part = np.zeros(len(free) + len(kept))
-        part[: len(free)] = self.space.log_gradient(name, self.parameters)[free]
-        return float(np.sqrt(part @ self._sandwich([*free, *kept]) @ part))
 
     def with_presses(self, factor: float) -> Covariance:
         """As of `factor` times as many presses of the same kind; `covariance` stays as it is."""
@@ -147,13 +162,15 @@ class Covariance:
 
     def nuisance_deviations(self) -> dict[str, float]:
         """Standard deviation of each shared nuisance after the fit."""
-        free = [i for i, n in enumerate(self.space.names) if n not in self.active]
-        index, _ = self._with_nuisances(free, np.zeros(len(self.space)))
-        found = np.sqrt(np.diag(self._sandwich(index)))[len(free) :]
+        number, free = len(self.space), self._free()
+        found = np.sqrt(self.variance / self.prior[number:])
+        index, _ = self._estimated(free)
+        found[~self.assumed] = np.sqrt(np.diag(self._sandwich(index)))[len(free) :]
         return dict(zip(self.nuisances, map(float, found)))
 
     def _sandwich(self, free: Sequence[int]) -> np.ndarray:
-        """Covariance of free coordinates: the larger of the two estimates of the module's text."""
+        """Covariance V of free coordinates: the larger of the two estimates of the module's
+        text."""
         index = np.ix_(free, free)
         inverse = inverse_of(self.curvature[index])
         known = np.diag(self.prior[list(free)]) * self.variance
@@ -209,7 +226,7 @@ def covariance(
     degrees = float(len(weight) - len(free))
     shared = problem.nuisances
     names: tuple[str, ...] = ()
-    prior = np.zeros(number)
+    prior, assumed = np.zeros(number), np.zeros(0, dtype=bool)
     filtered = weight * slope
     own, own_sd, variance = np.zeros((len(weight), 0)), np.zeros(0), 0.0
     if shared is not None:
@@ -217,7 +234,7 @@ def covariance(
         names = tuple(name for name, is_common in zip(shared.names, common) if is_common)
         residual = residual + shared.slope @ goal.moves(residual)
         slope = np.vstack([slope * shared.factor, shared.slope[:, common].T])
-        variance = shared.variance
+        variance, assumed = shared.variance, shared.assumed[common]
         prior = np.concatenate([prior, variance / shared.sd[common] ** 2])
         own, own_sd = shared.slope[:, ~common], shared.sd[~common]
         # Σ⁻¹ s for frames that share their trial's nuisances: what these explain is taken out.
@@ -245,11 +262,13 @@ def covariance(
         prior,
         variance,
         names,
+        assumed,
     )
     if free:
-        index, _ = found._with_nuisances(free, np.zeros(number))
-        part = found._sandwich(index)[: len(free), : len(free)]
-        found.covariance[np.ix_(free, free)] = part
+        index, _ = found._estimated(free)
+        moves = found.responses(free)[assumed]
+        found.covariance[np.ix_(free, free)] = found._sandwich(index)[: len(free), : len(free)]
+        found.covariance[:] += moves.T @ moves
     return found
 
 

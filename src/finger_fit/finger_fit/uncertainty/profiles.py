@@ -3,9 +3,10 @@
 
 """Profile likelihoods and the 95 % intervals that follow from them.
 
-The interval of a quantity is where its profile stays below J_min + t² V / (H⁻¹), with Student's t
-for as many degrees of freedom as trials less one, V the quantity's variance and H the curvature of
-J (`covariance`).
+The interval from the data alone is where the profile of a quantity stays below J_min + t² V / (H⁻¹),
+with Student's t for as many degrees of freedom as trials less one, V the quantity's variance and H
+the curvature of J (`covariance`). What the assumed nuisances add does not get less with more
+trials: 1.96 of their deviation is added to both ends of the logarithm, as squares.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from ..problem import FitProblem
 from ..search import held, refine
 from .covariance import AT_BOUND, Covariance
 
+NORMAL_95 = 1.96
 LARGEST_IDENTIFIABLE_SHARE = 0.9
 """A quantity is identifiable when its interval covers less than this part of the box
 (logarithm)."""
@@ -28,15 +30,17 @@ LARGEST_IDENTIFIABLE_SHARE = 0.9
 class Profile:
     """J along one quantity, everything else refitted.
 
-    values (n,): SI; costs (n,): m⁴; threshold: J in m⁴ below which a value lies in the 95 %
-    interval; interval: its ends, at the box's where it runs to a bound (open_low, open_high);
-    box: lowest and highest value of the quantity in the search box; parameters (n, N).
+    values (n,): SI; costs (n,): m⁴; threshold: J in m⁴ below which a value lies in data_interval,
+    the 95 % interval from the data alone; interval: with all that is unknown; their ends lie at the
+    box's where they run to a bound (open_low, open_high: of interval); box: lowest and highest
+    value of the quantity in the search box; parameters (n, N).
     """
 
     name: str
     values: np.ndarray
     costs: np.ndarray
     threshold: float
+    data_interval: tuple[float, float]
     interval: tuple[float, float]
     box: tuple[float, float]
     open_low: bool
@@ -46,7 +50,7 @@ class Profile:
     @property
     def identifiable(self) -> bool:
         """Whether the data narrow the quantity down inside the box."""
-        low, high = self.interval
+        low, high = self.data_interval
         limit = LARGEST_IDENTIFIABLE_SHARE * np.log(self.box[1] / self.box[0])
         return bool(np.log(high / low) < limit)
 
@@ -63,7 +67,7 @@ def profile(
     space = problem.space
     low, high = space.quantity_bounds(name, problem.box)
     centre = float(space.quantity(name, best))
-    deviation, _ = found.interval_deviation(name)
+    deviation = found.data_deviation(name)
     deviation = min(max(deviation, 1e-4), np.log(high / low))
     near = np.array([0.5, 1.0, 1.5, 2.0, 2.5, 3.0])
     logs = np.concatenate(
@@ -92,15 +96,19 @@ def profile(
     threshold = best_cost + _allowed_rise(problem, name, found)
     lower, open_low = _crossing(all_values, all_costs, centre, best_cost, threshold, -1)
     upper, open_high = _crossing(all_values, all_costs, centre, best_cost, threshold, +1)
+    added = NORMAL_95 * found.assumed_deviation(name)
+    wide_low = centre * float(np.exp(-np.hypot(np.log(centre / lower), added)))
+    wide_high = centre * float(np.exp(np.hypot(np.log(upper / centre), added)))
     return Profile(
         name,
         all_values,
         all_costs,
         threshold,
         (lower, upper),
+        (max(wide_low, low), min(wide_high, high)),
         (low, high),
-        open_low,
-        open_high,
+        open_low or wide_low < low,
+        open_high or wide_high > high,
         np.array(parameters)[order],
     )
 
@@ -117,7 +125,8 @@ def in_interval(
 
     A value on a bound of the box counts as inside the box.
     """
-    low, high = problem.space.quantity_bounds(name, problem.box)
+    space = problem.space
+    low, high = space.quantity_bounds(name, problem.box)
     if not low * (1 - AT_BOUND) <= value <= high * (1 + AT_BOUND):
         return False
     inside = float(np.clip(value, low * (1 + 1e-9), high * (1 - 1e-9)))
@@ -125,13 +134,18 @@ def in_interval(
     if coordinates is None:
         return False
     fit = refine(problem, coordinates, best, tolerance=1e-5)
-    return bool(fit.cost <= best_cost + _allowed_rise(problem, name, found))
+    allowed, rise = _allowed_rise(problem, name, found), max(fit.cost - best_cost, 0.0)
+    if rise <= allowed:
+        return True
+    # The root of the rise is nearly linear in the logarithm.
+    distance = abs(float(np.log(value / space.quantity(name, best))))
+    data = distance * np.sqrt(allowed / rise)
+    return bool(distance <= np.hypot(data, NORMAL_95 * found.assumed_deviation(name)))
 
 
 def _allowed_rise(problem: FitProblem, name: str, found: Covariance) -> float:
     """Rise of J (m⁴) above its minimum at the ends of the 95 % interval."""
-    _, rise = found.interval_deviation(name)
-    return float(student.ppf(0.975, max(len(problem) - 1, 1)) ** 2 * rise)
+    return float(student.ppf(0.975, max(len(problem) - 1, 1)) ** 2 * found.rise(name))
 
 
 def _crossing(
