@@ -138,9 +138,8 @@ def test_corrected_value_may_leave_the_box(double) -> None:
 def test_corrected_estimate_on_a_bound_stays_in_its_interval() -> None:
     best = np.array([160e3, 25e3, 0.2, 1500e3])
     empty = np.empty(0)
-    profile = Profile(
-        "E0", empty, empty, 0.0, (90e3, 160e3), (50e3, 160e3), False, True, np.empty((0, 4))
-    )
+    ends, box = (90e3, 160e3), (50e3, 160e3)
+    profile = Profile("E0", empty, empty, 0.0, ends, ends, box, False, True, np.empty((0, 4)))
     rng = np.random.default_rng(0)
     for _ in range(200):
         pairs = best * np.exp(-np.abs(0.2 * rng.normal(size=(3, 2, 4))))
@@ -159,7 +158,6 @@ def test_corrected_estimate_on_a_bound_stays_in_its_interval() -> None:
 )
 def test_interval_moves_with_the_value(bias: float, open_low: bool, expected: tuple) -> None:
     empty = np.empty(0)
-    profile = Profile(
-        "E1", empty, empty, 0.0, (20.0, 30.0), (20.0, 60.0), open_low, False, np.empty((0, 4))
-    )
+    ends, box = (20.0, 30.0), (20.0, 60.0)
+    profile = Profile("E1", empty, empty, 0.0, ends, ends, box, open_low, False, np.empty((0, 4)))
     assert shifted_interval(profile, bias) == pytest.approx(expected)
