@@ -3,9 +3,9 @@
 
 """Profile likelihoods and the 95 % intervals that follow from them.
 
-The interval from the data alone is where the profile of a quantity stays below J_min + t² V / (H⁻¹),
-with Student's t for as many degrees of freedom as trials less one, V the quantity's variance and H
-the curvature of J (`covariance`). What the assumed nuisances add does not get less with more
+The interval from the data alone is where the profile of a quantity stays below J_min + t² V /
+(H⁻¹), with Student's t for as many degrees of freedom as trials less one, V the quantity's variance
+and H the curvature of J (`covariance`). What the assumed nuisances add does not get less with more
 trials: 1.96 of their deviation is added to both ends of the logarithm, as squares.
 """
 
