@@ -1,20 +1,24 @@
-"""Time of one 1280×1024 frame to a ContactArea's fields, one core, plate calibration on."""
+"""Time of one 1280×1024 frame to a ContactArea's fields, one core, plate calibration on; frames of
+640×480 a second with ridges followed."""
 
 from __future__ import annotations
 
 import math
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import cv2
 import numpy as np
 
 from finger_sim.ftir import AREA_PER_PIXEL, Contact, FtirRenderer, Scene
+from finger_sim.skin_slip import SkinSlip
 from finger_vision.area_sensor import ContactMeasurement
 from finger_vision.calibration import PlateCalibration
 from finger_vision.ftir import FtirSegmenter
 from finger_vision.messages import contact_area_fields
+from finger_vision.ridge_motion import RidgeMotion
 
 
 def _median(
@@ -63,8 +67,27 @@ def run(report: Any) -> None:
             times.append(time.perf_counter() - start)
         report.add("ftir_render_frame", 1e3 * float(np.median(times)), "ms", goal=25.0)
         _memory(report, learned, [renderer.empty(), *frames])
+        report.add("flow_frames", _followed(report.quick), "1/s", goal=30.0, better="higher")
     finally:
         cv2.setNumThreads(threads)
+
+
+def _followed(quick: bool) -> float:
+    """Frames of 640×480 of a pulled contact of 80 mm² per second, from frame to stick ratio."""
+    renderer = FtirRenderer("natural", 5, width=640, height=480)
+    contact = Contact(5e-3, aspect=1.3)
+    slips = [SkinSlip(ratio=r, reach=90e-6, lag=0.6) for r in np.linspace(0.0, 0.95, 15)]
+    frames = [renderer.render_frame([replace(contact, slip=slip)]).image for slip in slips]
+    segmenter = FtirSegmenter(calibration=renderer.calibration())
+    motion = RidgeMotion(calibration=renderer.calibration())
+    for _ in range(3):
+        motion.follow(renderer.empty(), segmenter.process(renderer.empty()))
+    times = []
+    for frame in frames * (2 if quick else 10):
+        start = time.perf_counter()
+        motion.follow(frame, segmenter.process(frame))
+        times.append(time.perf_counter() - start)
+    return 1.0 / float(np.median(times))
 
 
 def _memory(report: Any, segmenter: FtirSegmenter, frames: list[np.ndarray]) -> None:

@@ -25,13 +25,14 @@ from finger_common.errors import InputError
 from finger_vision.calibration import PAPER_AREA_PER_PIXEL, PlateCalibration
 
 from .fingerprint import Fingerprint, smooth_noise
+from .skin_slip import SkinSlip
 
 IMAGE_WIDTH, IMAGE_HEIGHT = 1280, 1024
 AREA_PER_PIXEL = PAPER_AREA_PER_PIXEL
 """m², of one pixel of a camera that looks squarely at the plate."""
 
 NOT_MODELLED = (
-    "skin that slips, stretches or folds: the same print is only uncovered and covered",
+    "skin that stretches or folds: without `SkinSlip` the same print is uncovered and covered",
     "a rim of the gross contact other than an ellipse, and a pressure other than Hertz-like",
     "change of the print with time: sweat that spreads, ridges that grow under hold",
     "light through the prism: stray reflections, lens distortion, defocus over the tilted plate",
@@ -104,13 +105,15 @@ class Contact:
     """An elliptical contact of gross area π radius².
 
     radius, centre: m, plate frame. aspect: ratio of the axes, ≥ 1. angle: rad, of the major axis
-    from +x towards +y.
+    from +x towards +y. slip: how the skin has moved over the plate; None: not at all, and the
+    print's centre is the contact's.
     """
 
     radius: float
     centre: tuple[float, float] = (0.0, 0.0)
     aspect: float = 1.0
     angle: float = math.pi / 2
+    slip: SkinSlip | None = None
 
     @property
     def semi_axes(self) -> tuple[float, float]:
@@ -304,35 +307,20 @@ class FtirRenderer:
         # Finger frame: x across, y along the finger; the major axis is the finger's y axis.
         along = contact.angle - math.pi / 2
         c, s = math.cos(along), math.sin(along)
-        cx, cy = contact.centre
-        half = (Fingerprint.SIZE - 1) / 2
-        to_finger = np.array(
-            [
-                [
-                    c / Fingerprint.PITCH,
-                    s / Fingerprint.PITCH,
-                    half - (c * cx + s * cy) / Fingerprint.PITCH,
-                ],
-                [
-                    -s / Fingerprint.PITCH,
-                    c / Fingerprint.PITCH,
-                    half - (-s * cx + c * cy) / Fingerprint.PITCH,
-                ],
-                [0, 0, 1],
-            ]
-        )
-        shift = np.array([[1, 0, left], [0, 1, top], [0, 0, 1]], float)
-        to_print = to_finger @ self._to_plate @ shift
-        size = (right - left, bottom - top)
-        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        touch, patches = (
-            cv2.warpPerspective(layer, to_print, size, flags=flags, borderMode=cv2.BORDER_REFLECT)
-            for layer in layers
-        )
         major, minor = contact.semi_axes
-        dx, dy = self._x[box] - np.float32(cx), self._y[box] - np.float32(cy)
+        dx = self._x[box] - np.float32(contact.centre[0])
+        dy = self._y[box] - np.float32(contact.centre[1])
         u = (dx * np.float32(-s) + dy * np.float32(c)) * np.float32(1 / major)
         v = (dx * np.float32(c) + dy * np.float32(s)) * np.float32(1 / minor)
+        if contact.slip is not None:
+            dx, dy = self._touched_at(contact.slip, box, u, v, contact.angle)
+        half = np.float32((Fingerprint.SIZE - 1) / 2)
+        c_print, s_print = np.float32(c / Fingerprint.PITCH), np.float32(s / Fingerprint.PITCH)
+        place = half + c_print * dx + s_print * dy, half + c_print * dy - s_print * dx
+        touch, patches = (
+            cv2.remap(layer, *place, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+            for layer in layers
+        )
         inside = 1 - (u * u + v * v)
         pixel = math.sqrt(AREA_PER_PIXEL)
         width = np.maximum(inside, 0)
@@ -349,6 +337,23 @@ class FtirRenderer:
         np.clip(inside, 0, 1, out=inside)
         touch *= inside
         return touch, patches, box
+
+    def _touched_at(
+        self, slip: SkinSlip, box: tuple[slice, slice], u: np.ndarray, v: np.ndarray, angle: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Places in the print, m from its centre, of the skin at the box's pixels.
+
+        u, v: along the major and minor axis, 1 at the rim. angle: of the major axis, rad.
+        """
+        turn = slip.direction - angle
+        # The minor axis points 90° back from the major one.
+        c, s = math.cos(turn), -math.sin(turn)
+        rho = np.stack([c * u + s * v, c * v - s * u], axis=-1)
+        x, y = slip.touched_at(self._x[box], self._y[box], rho)
+        return (
+            np.asarray(x - slip.origin[0], np.float32),
+            np.asarray(y - slip.origin[1], np.float32),
+        )
 
     def _layers_of(self, finger: Fingerprint) -> tuple[np.ndarray, np.ndarray]:
         """Crest distance with the skin's relief, and relative contrast, on the print's grid."""

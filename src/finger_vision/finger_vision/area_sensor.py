@@ -10,6 +10,7 @@ docs/add_an_area_sensor.md shows how to add one.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
@@ -21,6 +22,23 @@ from finger_common.settings import Settings
 
 if TYPE_CHECKING:
     from .calibration import PlateCalibration
+
+
+@dataclass(frozen=True)
+class SkinMotion:
+    """How the skin of a contact has moved over the plate.
+
+    stick_ratio: share of the contact that has not slipped since it touched or last stuck, NaN where
+    it is not known, with its standard deviation. slip: (x, y) m, mean travel of the skin since the
+    contact began, as far as it was followed. rotation: rad since then, from +x towards +y.
+    sliding: whether the whole contact slides now.
+    """
+
+    stick_ratio: float = math.nan
+    stick_ratio_sd: float = math.nan
+    slip: tuple[float, float] = (0.0, 0.0)
+    rotation: float = 0.0
+    sliding: bool = False
 
 
 @dataclass(frozen=True)
