@@ -302,7 +302,7 @@ class RidgeMotion:
         picture = frame[box].astype(np.float32)
         if self._plate is not None:
             light = cv2.max(self._plate[box], np.array([40.0]))
-            picture = cv2.divide(picture, light, scale=128.0)
+            cv2.divide(picture, light, picture, 128.0)
         picture -= cv2.blur(picture, (size, size))
         strength = np.zeros(frame.shape, np.float32)
         strength[box] = cv2.sqrt(cv2.blur(cv2.multiply(picture, picture), (size, size)))
