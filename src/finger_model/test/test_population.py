@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import itertools
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,6 +21,7 @@ from finger_model.laws import StandardLinearSolid
 from finger_model.laws.generalized_maxwell import LAWS_BY_BRANCHES
 from finger_model.reduced import ReducedModel
 from finger_model.reduced.population_build import PopulationSettings, build, held_out_runs
+from finger_model.reduced.population_runs import run, training_case
 from finger_model.reduced.population_training import measured_error
 
 SLIM = Geometry(
@@ -165,6 +168,13 @@ def test_a_person_measured_with_calipers_needs_no_build() -> None:
     for width, depth in ((14e-3, 11e-3), (18e-3, 13e-3), (11e-3, 9e-3)):
         geometry = estimate_geometry(width, depth).geometry
         assert areas(geometry, SOFT)[-1] > 0
+
+
+def test_a_busy_machine_does_not_cut_training_runs_short(monkeypatch: pytest.MonkeyPatch) -> None:
+    case = training_case(5, 1)
+    hours = itertools.count(0.0, 3600.0)
+    monkeypatch.setattr(time, "perf_counter", lambda: next(hours))
+    assert len(run(case, None, coarse=True).time) == len(case.time)
 
 
 def test_a_small_build_resumes(tmp_path: Path) -> None:
