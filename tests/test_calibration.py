@@ -11,12 +11,14 @@ import pytest
 
 from finger_common.errors import InputError
 from finger_common.guided_presses import CALIBRATION_PRESSES
+from finger_common.trial_phases import TrialPhase
 from finger_model.calibration import Calibration, CalibrationPress, calibrate
 from finger_model.estimator import ContactEstimator
 from finger_model.parameter_sets import ParameterSets
 from finger_model.people import People, Person
 from finger_model.reduced import ReducedModel
 from finger_model.reduced.model import load_population
+from finger_model.subjects import PressCollector, save_subject, subject_file
 from finger_sim.press import guided_style, plan_press
 from finger_sim.study_trial import AREA_NOISE
 
@@ -113,7 +115,7 @@ def test_its_numbers_are_those_of_the_finger(fingers: list[Finger]) -> None:
         assert abs(area.value - true) < 3.5 * np.hypot(area.deviation, 0.02 * true)
         assert 0.0 < found.press_scatter < 0.1
         assert found.presses == 6 and found.areas > 60
-        assert "area_at_1N" in found.sentence()
+        assert "area under 1 N" in found.sentence()
 
 
 def test_a_calibration_is_a_parameter_file(fingers: list[Finger], tmp_path: Path) -> None:
@@ -168,3 +170,58 @@ def test_without_a_reading_the_moisture_is_found_with_the_finger() -> None:
     )
     use = press.force > 0.3
     assert np.allclose(block.column("area")[use], area[use], rtol=0.15)
+
+
+def collected(finger: Finger, failing: int = -1) -> tuple[PressCollector, list[bool]]:
+    """The presses as live streams, with one attempt that fails first."""
+    collector = PressCollector()
+    answers = []
+    for index, (guided, press) in enumerate(zip(CALIBRATION_PRESSES, finger.presses)):
+        for attempt in range(2 if index == failing else 1):
+            trial = "S01_a", guided.name, index, attempt
+            for phase in (TrialPhase.PREPARE, TrialPhase.PRESS):
+                collector.announce(*trial, phase)
+            # A failed attempt is half as large: it must not be fitted.
+            factor = 0.5 if index == failing and attempt == 0 else 1.0
+            for time, force in zip(press.time, press.force):
+                collector.add_force(START + round(time * 1e9), force)
+            for time, area, sd in zip(press.area_time, press.area, press.area_sd):
+                collector.add_area(START + round(time * 1e9), factor * area, sd, 0)
+            collector.add_area(START + round(press.time[-1] * 1e9), 0.0, 1e-7, 1)
+            collector.add_moisture(finger.person.reading)
+            failed = factor < 1.0
+            collector.announce(*trial, TrialPhase.FAILED if failed else TrialPhase.DONE)
+            assert not collector.collecting
+        answers.append(collector.announce("S01_a", guided.name, index, 0, TrialPhase.IDLE))
+    return collector, answers
+
+
+@pytest.mark.parametrize("failing", [-1, 2])
+def test_presses_out_of_the_streams_are_the_presses(fingers: list[Finger], failing: int) -> None:
+    collector, answers = collected(fingers[0], failing)
+    assert answers == [False] * 5 + [True]
+    last = CALIBRATION_PRESSES[-1].name
+    assert not collector.announce("S01_a", last, 5, 0, TrialPhase.IDLE)  # once is enough
+    sets = ParameterSets.default()
+    found = calibrate(ReducedModel.load(), sets, collector.presses(), collector.moisture())
+    known, wanted = found.sets.prior, calibrated(fingers[0]).sets.prior
+    assert known is not None and wanted is not None
+    assert np.allclose(known.mean, wanted.mean, atol=0.1)
+    assert found.areas == calibrated(fingers[0]).areas
+
+
+def test_an_earlier_calibration_is_kept(fingers: list[Finger], tmp_path: Path) -> None:
+    sets = ParameterSets.default()
+    path = save_subject(tmp_path / "subjects", "S01", sets)
+    assert path == subject_file(tmp_path / "subjects", "S01")
+    save_subject(tmp_path / "subjects", "S01", calibrated(fingers[0]).sets)
+    files = sorted((tmp_path / "subjects").iterdir())
+    assert len(files) == 2 and files[1] == path
+    assert ParameterSets.load(files[0]).hash == sets.hash
+    assert ParameterSets.load(path).hash == calibrated(fingers[0]).sets.hash
+
+
+@pytest.mark.parametrize("code", ["", "../S01", "a b", "x" * 65])
+def test_a_subject_that_is_no_file_name_is_refused(tmp_path: Path, code: str) -> None:
+    with pytest.raises(InputError, match="is no code"):
+        subject_file(tmp_path, code)

@@ -1,7 +1,7 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The command `finger-rig`: the suite without ros2 launch, and the paper's study in simulation."""
+"""The command `finger-rig`: the suite without ros2 launch, calibration, and a simulated study."""
 
 from __future__ import annotations
 
@@ -10,16 +10,21 @@ import os
 import re
 import signal
 import sys
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from finger_bridge import lsl
 from finger_bridge.foxglove_server import DEFAULT_PORT, require
-from finger_common.cli import Parser, run
+from finger_common.cli import EXIT_INTERRUPTED, Parser, run
 from finger_common.errors import InputError
 from finger_common.folder_lock import lock_folder
+from finger_common.guided_presses import CALIBRATION_PRESSES
 from finger_common.namespaces import DEFAULT_NAMESPACE, default_folder
+from finger_model.anthropometry import parse_length, session_geometry
+from finger_operator.study_plan import FINGERS as FINGER_NAMES
+from finger_operator.study_plan import SUBJECT
 
 from . import nodes
 from .bring_up import ALL_ACTIVE
@@ -30,6 +35,7 @@ finger-rig up --simulated             # on simulated devices; page at http://127
 finger-rig up --parameters rig.yaml   # real devices, as the file describes them
 finger-rig up --fingers thumb index --compose --parameters hand.yaml   # fingers of a robot hand
 finger-rig up --simulated --namespace thumb   # a second rig beside the first
+finger-rig calibrate --subject S01    # six guided presses on the rig that runs
 finger-rig study --seed 1 --no-images -o out/study"""
 
 
@@ -100,6 +106,7 @@ def parser() -> argparse.ArgumentParser:
         "--lsl", action="store_true", help="exchange streams with the Lab Streaming Layer"
     )
     up.add_argument("--seed", type=int, help="seed of the simulated rig (default: 1)")
+    _add_calibrate(commands)
     study = commands.add_parser(
         "study",
         help="simulate the paper's study into bags",
@@ -124,6 +131,50 @@ def parser() -> argparse.ArgumentParser:
     return top
 
 
+def _add_calibrate(commands: Any) -> None:
+    calibrate = commands.add_parser(
+        "calibrate",
+        help="calibrate a subject by six guided presses",
+        description=(
+            "Guide six presses on the rig that runs, fit them, and use the result in the model "
+            "node at once. It is kept as SUBJECT.yaml in the model node's subjects_folder and is "
+            "used whenever a session of this subject begins. Ctrl-C aborts; nothing is written."
+        ),
+        example=(
+            "finger-rig calibrate --subject S01\n"
+            "finger-rig calibrate --subject S01 --width 14mm --depth 11mm --again\n"
+            "finger-rig calibrate --subject S01 --simulated"
+        ),
+    )
+    calibrate.add_argument("--subject", required=True, metavar="CODE", help="such as S01")
+    for name in ("width", "depth"):
+        calibrate.add_argument(
+            f"--{name}",
+            metavar="LENGTH",
+            help=f"{name} of the fingertip by calipers, such as 14mm; noted with the session, "
+            "which gets a geometry.yaml",
+        )
+    calibrate.add_argument("--finger", choices=FINGER_NAMES, help="finger that presses")
+    calibrate.add_argument(
+        "--again", action="store_true", help="replace an earlier calibration, which is kept too"
+    )
+    calibrate.add_argument(
+        "--simulated", action="store_true", help="start a simulated rig with a participant for it"
+    )
+    calibrate.add_argument("--namespace", help=f"of the rig (default: {DEFAULT_NAMESPACE})")
+    calibrate.add_argument(
+        "--folder", type=Path, help="of the simulated rig (default: that of 'finger-rig up')"
+    )
+    calibrate.add_argument(
+        "--parameters",
+        type=Path,
+        metavar="FILE",
+        help="of the simulated rig, as of 'finger-rig up'",
+    )
+    calibrate.add_argument("--seed", type=int, help="seed of the simulated rig (default: 1)")
+    calibrate.set_defaults(fingers=None)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point with the conventions of all commands."""
     return run(_main, argv)
@@ -131,7 +182,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _main(argv: Sequence[str] | None) -> int:
     arguments = parser().parse_args(argv)
-    return _up(arguments) if arguments.command == "up" else _study(arguments)
+    commands = {"up": _up, "calibrate": _calibrate, "study": _study}
+    return commands[arguments.command](arguments)
 
 
 # finger-rig up -------------------------------------------------------------------------------
@@ -250,19 +302,86 @@ def _up(arguments: argparse.Namespace) -> int:
             print(f"finger-rig: {news}", flush=True)
 
     supervisor = Supervisor(specs, line)
+    run_until_interrupted(supervisor)
+    lock.close()
+    return supervisor.exit_code
+
+
+def run_until_interrupted(supervisor: Supervisor) -> bool:
+    """Run its processes until an essential one ends, or Ctrl-C; whether it was Ctrl-C."""
+    interrupted = False
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         supervisor.start()
         while not supervisor.wait(1.0):
             pass
     except KeyboardInterrupt:
+        interrupted = True
         print("finger-rig: ending all nodes", flush=True)
     finally:
         # A second Ctrl-C must not leave processes behind.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         supervisor.stop()
+    return interrupted
+
+
+# finger-rig calibrate ------------------------------------------------------------------------
+
+
+def calibration_entries(arguments: argparse.Namespace) -> list[nodes.NodeEntry]:
+    """What `finger-rig calibrate` runs; raises InputError for bad readings and codes."""
+    if not SUBJECT.fullmatch(arguments.subject):
+        raise InputError(
+            f"subject '{arguments.subject}' is no code; use up to 16 letters, digits, - and _ with "
+            "at least one digit, such as S01, and never a name"
+        )
+    own: dict[str, Any] = {"subject": arguments.subject, "again": arguments.again}
+    for name in ("width", "depth"):
+        text = getattr(arguments, name)
+        if text is not None:
+            own[f"finger_{name}"] = parse_length(text, f"--{name}")
+    if arguments.finger:
+        own["finger"] = arguments.finger
+    session_geometry(own)
+    if not arguments.simulated:
+        return nodes.select(["calibrate"], {"calibrate": own})
+    # Planned while the nodes come up, with frames that are quick to draw.
+    participant = {"upcoming": [f"{press.name}:1" for press in CALIBRATION_PRESSES]}
+    quick = {"width": 640, "height": 512, "refinement": 0.5}
+    seed = {} if arguments.seed is None else {"seed": arguments.seed}
+    return nodes.rig(
+        folder_of(arguments),
+        simulated=True,
+        without=("page",),
+        parameters={
+            "simulated_rig": {**participant, **quick, **seed},
+            "calibrate": {**own, "patience": nodes.SIMULATED_PATIENCE},
+        },
+        further=("calibrate",),
+    )
+
+
+def _calibrate(arguments: argparse.Namespace) -> int:
+    chosen = calibration_entries(arguments)
+    folder = folder_of(arguments)
+    lock = lock_folder(folder, "a rig") if arguments.simulated else None
+    log = folder / "calibrate.log"
+    with tempfile.TemporaryDirectory() as own:
+        names = namespace_of(arguments), arguments.parameters
+        specs = nodes.process_specs(chosen, Path(own), *names)
+        with open(log if lock else os.devnull, "w", encoding="utf-8") as lines:
+
+            def line(name: str, text: str) -> None:
+                if name == "calibrate" and not text.startswith("[supervisor]"):
+                    print(text, flush=True)
+                else:
+                    lines.write(f"{name} | {text}\n")
+
+            supervisor = Supervisor(specs, line)
+            interrupted = run_until_interrupted(supervisor)
+    if lock is not None:
         lock.close()
-    return supervisor.exit_code
+    return EXIT_INTERRUPTED if interrupted else supervisor.exit_code
 
 
 # finger-rig study ----------------------------------------------------------------------------

@@ -112,6 +112,16 @@ NODES: dict[str, NodeEntry] = {
             essential=True,
             composable=False,
         ),
+        NodeEntry(
+            "calibrate",
+            "finger_bringup",
+            "calibrate_node",
+            5,
+            lifecycle=False,
+            restart=False,
+            essential=True,
+            composable=False,
+        ),
         BRING_UP,
     )
 }
@@ -224,7 +234,10 @@ def rig(
         if entry_of(name).name not in names:
             raise InputError(f"node '{name}' would not run anyway; do not name it to be left out")
         names.remove(name)
-    defaults: dict[str, dict[str, Any]] = {"protocol": {"output": str(folder / "sessions")}}
+    defaults: dict[str, dict[str, Any]] = {
+        "protocol": {"output": str(folder / "sessions")},
+        "model": {"subjects_folder": str(folder / "subjects")},
+    }
     if "recorder" not in names and not only:
         defaults["protocol"]["need_recorder"] = False
     devices = simulated_devices(RigAddresses.private(folder / "devices")) if simulated else {}

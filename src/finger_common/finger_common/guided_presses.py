@@ -46,8 +46,8 @@ CALIBRATION_PRESSES = (
 
 PRESS_BY_NAME = {press.name: press for press in CALIBRATION_PRESSES}
 
-TOO_HARD = 1.6
-"""Force over the target from which a press is not the one that was asked for."""
+TOO_HARD = 2.5
+"""Force over the target from which a press is not the one that was asked for; a tap overshoots."""
 
 LET_GO = 0.5
 """Force over the target below which a press is not held any more."""

@@ -73,7 +73,10 @@ class CalibrationPress:
 
 @dataclass(frozen=True)
 class Quantity:
-    """A number of the result with its standard deviation. unit "" for a factor."""
+    """A number of the result with its standard deviation.
+
+    unit: "" for a factor over the shipped finger.
+    """
 
     name: str
     value: float
@@ -99,8 +102,8 @@ class Calibration:
 
     def sentence(self) -> str:
         """The result in one line."""
-        shown = ", ".join(
-            f"{q.name} {q.value:.3g} ± {q.deviation:.2g}{' ' + q.unit if q.unit else ''}"
+        shown = "; ".join(
+            f"{q.meaning} {q.value:.3g} ± {q.deviation:.2g} {q.unit}".strip()
             for q in self.quantities
         )
         return (
@@ -208,7 +211,7 @@ def calibrate(
         0.0 if base is None else base.reading_sd,
     )
     return Calibration(
-        sets.with_prior(own_prior),
+        sets.with_prior(own_prior, model.geometry_hash),
         _quantities(model, selected.constants, found, uncertain),
         spread,
         float(np.sqrt(np.mean(np.concatenate(left) ** 2))),
@@ -289,13 +292,13 @@ def _quantities(
             1e6 * area,
             1e6 * area * of_area,
             "mm²",
-            "area after one second under 1 N",
+            "area under 1 N",
         )
     ]
     meanings = {
-        "stiffness": "moduli over those of the shipped finger",
-        "time": "creep times over those of the shipped finger",
-        "creep": "what creeps over what does not, over that of the shipped finger",
+        "stiffness": "moduli ×",
+        "time": "creep times ×",
+        "creep": "creep ×",
     }
     for name, meaning in meanings.items():
         at = COORDINATES.index(name)

@@ -19,19 +19,24 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import WrenchStamped
 from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
+from finger_common.axes import axis_of
 from finger_common.cli import one_line
-from finger_common.diagnostics import WARN, Health
+from finger_common.diagnostics import ERROR, OK, WARN, Health
 from finger_common.errors import FingerError
 from finger_common.flags import StateFlag
 from finger_common.moisture import MOISTURE_TEXT
 from finger_common.node import (
     EVENTS_QOS,
+    LATCHED_QOS,
+    STATE_QOS,
     FixedMessage,
     LocalSubscription,
     ManagedNode,
@@ -40,9 +45,10 @@ from finger_common.node import (
 )
 from finger_common.settings import Settings, setting
 from finger_common.stamps import seconds
-from finger_msgs.msg import ContactArea, ContactSlip, ContactState, ModelEvent, Moisture
+from finger_msgs.msg import ContactArea, ContactSlip, ContactState, ModelEvent, Moisture, Trial
 from finger_msgs.srv import ForceForArea, PredictContact
 
+from .calibration import Calibration, CalibrationPress, calibrate
 from .estimator import ContactEstimate, ContactEstimator, EstimatorEvent, EstimatorSettings
 from .estimator.parameter_selection import check_sets
 from .finger import load_reduced
@@ -57,6 +63,7 @@ from .messages import (
 from .parameter_sets import ParameterSets
 from .reduced.model import ReducedModel
 from .slip import SlipEstimator, SlipSettings
+from .subjects import PressCollector, save_subject, subject_file
 from .warm_up import warm_up
 
 
@@ -69,6 +76,11 @@ class ModelSettings(Settings):
         "",
         "parameters.yaml of a fit; empty for the shipped sets of the paper's three conditions.",
         runtime=True,
+    )
+    subjects_folder: str = setting(
+        "",
+        "Folder of the subjects' own parameters, SUBJECT.yaml, as a calibration writes them. The "
+        "subject on `trial` chooses; one without file has those of parameter_file. Empty: none.",
     )
     geometry_file: str = setting(
         "",
@@ -168,6 +180,9 @@ class ModelNode(ManagedNode):
         self._latency, self._age = LatencyHistogram(), LatencyHistogram()
         self._entities: list[tuple[Any, Any]] = []
         self._jump_handle: Any = None
+        self._subject = ""
+        self._collector = PressCollector()
+        self._calibration: threading.Thread | None = None
 
     # Lifecycle -------------------------------------------------------------------------------
 
@@ -193,6 +208,10 @@ class ModelNode(ManagedNode):
         self._follow_wrench()
         area = self.create_stream_subscription(ContactArea, "contact_area", self._on_area, qos)
         moisture = self.create_stream_subscription(Moisture, "moisture", self._on_moisture, qos)
+        trial = self.create_subscription(Trial, "trial", self._on_trial, LATCHED_QOS)
+        self._calibration_publisher = self.create_publisher(
+            DiagnosticStatus, "calibration", STATE_QOS
+        )
         services = (
             self.create_service(Trigger, "~/reset", self._on_reset),
             self.create_service(ForceForArea, "~/force_for_area", self._on_force_for_area),
@@ -204,6 +223,8 @@ class ModelNode(ManagedNode):
             (self.destroy_publisher, self._event_publisher),
             (self.destroy_subscription, area),
             (self.destroy_subscription, moisture),
+            (self.destroy_subscription, trial),
+            (self.destroy_publisher, self._calibration_publisher),
             *((self.destroy_service, service) for service in services),
         ]
         self._jump_handle = self.get_clock().create_jump_callback(
@@ -224,7 +245,8 @@ class ModelNode(ManagedNode):
         """Begin with a finger at rest."""
         assert self._model is not None
         self._follow_wrench()
-        self.estimator = ContactEstimator(self._model, self._sets, self.settings(EstimatorSettings))
+        sets, self._collector = self._sets_of(self._subject), PressCollector()
+        self.estimator = ContactEstimator(self._model, sets, self.settings(EstimatorSettings))
         self._slip = self._new_slip_estimator()
         self._started = False
         self._jumped = False
@@ -243,6 +265,9 @@ class ModelNode(ManagedNode):
 
     def cleanup(self) -> None:
         """Disconnect."""
+        if self._calibration is not None:
+            self._calibration.join()
+            self._calibration = None
         if self._local is not None:
             self._local.close()
             self._local = None
@@ -337,6 +362,9 @@ class ModelNode(ManagedNode):
                 if last is not None and stamp <= last:
                     self._publish_event(estimator.clock_jump_event(stamp))
             before, self._force = self._force, force
+            if self._collector.collecting:
+                axis, sign = axis_of(estimator.settings.normal_axis)
+                self._collector.add_force(stamp, sign * force[axis])
             for estimate in estimator.add_wrench(stamp, force):
                 self._state_publisher.publish(self._serialized(estimate, frame))
                 now = time.time_ns()
@@ -375,6 +403,8 @@ class ModelNode(ManagedNode):
             if self._active and self.estimator is not None:
                 self._area_received = True
                 area = area_of(message)
+                if self._collector.collecting:
+                    self._collector.add_area(*area)
                 if self.estimator.is_ahead(area[0]) or not self.estimator.add_area(*area):
                     self._publish_event(self.estimator.note_late(areas=[area[0]]))
 
@@ -383,6 +413,8 @@ class ModelNode(ManagedNode):
             if not self._active or self.estimator is None:
                 return
             reading = moisture_of(message)
+            if self._collector.collecting:
+                self._collector.add_moisture(reading[1])
             late = self.estimator.counters["late_moistures"]
             if not self.estimator.add_moisture(*reading):
                 if self.estimator.counters["late_moistures"] > late:
@@ -394,6 +426,92 @@ class ModelNode(ManagedNode):
                         f"moisture reading {reading[1]} is outside {MOISTURE_TEXT}; left out",
                         WARN,
                     )
+
+    # Subjects --------------------------------------------------------------------------------
+
+    def _on_trial(self, message: Trial) -> None:
+        """Another subject: its own parameters, and nothing learned of the one before."""
+        with self._lock:
+            if message.subject and message.subject != self._subject:
+                self._subject = message.subject
+                if self._active:
+                    sets = self._sets_of(message.subject)
+                    self._use_sets(sets, f"subject {message.subject}", forget=True)
+            if not self._active or self.estimator is None:
+                return
+            self._collector.rejected_flags = self.estimator.settings.rejected_area_flags
+            of_trial = message.session, message.condition, message.index, message.attempt
+            if not self._collector.announce(*of_trial, message.phase):
+                return
+            presses, moisture = self._collector.presses(), self._collector.moisture()
+            if self._calibration is not None and self._calibration.is_alive():
+                return
+            arguments = message.session, message.subject, presses, moisture, self._sets
+            self._calibration = threading.Thread(
+                target=self._calibrate, args=arguments, name="calibration", daemon=True
+            )
+            self._calibration.start()
+
+    def _sets_of(self, subject: str) -> ParameterSets:
+        """The subject's own parameters, or else those of `parameter_file`."""
+        assert self._sets is not None
+        folder = self.values["subjects_folder"]
+        if not folder or not subject:
+            return self._sets
+        try:
+            path = subject_file(folder, subject)
+            sets = self._load_sets(str(path)) if path.exists() else self._sets
+        except FingerError as error:
+            self.log_fault(self.inputs, "subject_file", f"{one_line(error)}; left out", WARN)
+            return self._sets
+        self.inputs.recovered("subject_file")
+        return sets
+
+    def _use_sets(self, sets: ParameterSets, reason: str, forget: bool) -> None:
+        """Parameters from the next sample on; the caller holds the lock."""
+        assert self.estimator is not None and self._model is not None
+        if not self._started:
+            # The event of the start names them.
+            self.estimator = ContactEstimator(self._model, sets, self.settings(EstimatorSettings))
+            return
+        if sets.hash != self.estimator.parameter_sets.hash:
+            self._publish_event(self.estimator.change_parameters(sets, reason))
+        if forget:
+            self._publish_event(self.estimator.reset(reason))
+            if self._slip is not None:
+                self._slip.reset()
+
+    def _calibrate(
+        self,
+        session: str,
+        subject: str,
+        presses: list[CalibrationPress],
+        moisture: float | None,
+        sets: ParameterSets,
+    ) -> None:
+        """Fit the presses, take the result live and save it; in a thread of its own."""
+        assert self._model is not None
+        began = time.monotonic()
+        status = DiagnosticStatus(level=bytes([OK]), name=subject, hardware_id=session)
+        try:
+            found = calibrate(self._model, sets, presses, moisture)
+            taken = time.monotonic() - began
+            with self._lock:
+                if self._active and self._subject == subject:
+                    self._use_sets(found.sets, f"calibration of subject {subject}", forget=False)
+            status.message = found.sentence()
+            status.values = _values(found, taken)
+            folder = self.values["subjects_folder"]
+            if folder:
+                path = save_subject(folder, subject, found.sets)
+                status.values.append(KeyValue(key="file", value=str(path)))
+                self.get_logger().info(f"subject {subject} calibrated: {found.sentence()}; {path}")
+        except Exception as error:
+            reason = one_line(error) if isinstance(error, FingerError) else repr(error)
+            status.level, status.message = bytes([ERROR]), f"not calibrated: {reason}"
+            self.get_logger().error(f"subject {subject} {status.message}")
+        if rclpy.ok(context=self.context):
+            self._calibration_publisher.publish(status)
 
     def _on_jump(self, jump: Any) -> None:
         self._jumped = True
@@ -496,6 +614,18 @@ class ModelNode(ManagedNode):
         if not settings.fuse_area or duration <= settings.area_stale_after:
             return False
         return self._area_received or self.count_publishers("contact_area") > 0
+
+
+def _values(found: Calibration, taken: float) -> list[KeyValue]:
+    """Numbers of a calibration with their deviations, for the page and the command."""
+    rows = {}
+    for quantity in found.quantities:
+        rows[quantity.name] = f"{quantity.value:.6g}"
+        rows[f"{quantity.name}_sd"] = f"{quantity.deviation:.3g}"
+    rows["press_scatter"] = f"{found.press_scatter:.4f}"
+    rows["presses"], rows["areas"] = str(found.presses), str(found.areas)
+    rows["computing_s"] = f"{taken:.2f}"
+    return [KeyValue(key=key, value=value) for key, value in rows.items()]
 
 
 def _sample_of(

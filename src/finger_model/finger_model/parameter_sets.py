@@ -197,9 +197,9 @@ class ParameterSets:
 
     # Use -------------------------------------------------------------------------------------
 
-    def with_prior(self, prior: FingerPrior) -> ParameterSets:
-        """The same sets with another distribution of fingers about them."""
-        hashes = self.geometry_hash, self.reduced_model_hash
+    def with_prior(self, prior: FingerPrior, geometry_hash: str) -> ParameterSets:
+        """The same sets with another distribution of fingers, of this geometry, about them."""
+        hashes = geometry_hash, self.reduced_model_hash
         return ParameterSets(self.sets, *hashes, law=self.law, prior=prior)
 
     def interpolate(self, moisture: float) -> InterpolatedParameters:

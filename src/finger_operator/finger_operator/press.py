@@ -10,6 +10,7 @@ from enum import Enum
 
 from finger_common.contact_threshold import in_contact
 from finger_common.flags import AreaFlag
+from finger_common.guided_presses import LET_GO, TOO_HARD, GuidedPress
 from finger_common.stamps import seconds
 
 from .attempt import Attempt
@@ -26,13 +27,15 @@ class PressEvent(Enum):
 class Press:
     """Follows the press of an attempt and writes its stamps, forces and counts into it.
 
-    limits: may be replaced during the press.
+    guided: what is asked for. limits: may be replaced during the press.
     """
 
-    def __init__(self, attempt: Attempt, target_force: float, limits: Limits) -> None:
+    def __init__(self, attempt: Attempt, guided: GuidedPress, limits: Limits) -> None:
         self.attempt = attempt
-        self.target_force = target_force
+        self.guided = guided
+        self.target_force = guided.target_force
         self.limits = limits
+        self._reached: int | None = None
         self.problems: list[str] = []
         self._below_since: int | None = None
 
@@ -63,7 +66,7 @@ class Press:
         attempt.peak_force = max(attempt.peak_force, normal_force)
         if attempt.onset_ns is None:
             return None
-        if attempt.cue_ns is None and normal_force >= self.target_force:
+        if attempt.cue_ns is None and self._is_time_to_lift(stamp_ns, normal_force):
             attempt.cue_ns = stamp_ns
             self._below_since = None
             return PressEvent.TARGET_REACHED
@@ -75,6 +78,27 @@ class Press:
             attempt.lifted_ns = self._below_since
             return PressEvent.FINGER_OFF
         return None
+
+    def _is_time_to_lift(self, stamp_ns: int, normal_force: float) -> bool:
+        """Whether the target was reached, and held as long as is asked for."""
+        guided, onset = self.guided, self.attempt.onset_ns
+        assert onset is not None
+        if self._reached is None and normal_force >= self.target_force:
+            self._reached = stamp_ns
+            rise = seconds(stamp_ns - onset)
+            fastest, slowest = guided.rise
+            if rise < fastest:
+                self.add_problem(
+                    f"pressed too fast: {rise:.1f} s, at least {fastest:g} s are asked"
+                )
+            elif rise > slowest:
+                self.add_problem(f"pressed too slowly: {rise:.1f} s, {slowest:g} s at most")
+        if self._reached is None:
+            return False
+        if normal_force < LET_GO * self.target_force:
+            held = seconds(stamp_ns - self._reached)
+            self.add_problem(f"let go after {held:.1f} of {guided.hold:g} s")
+        return seconds(stamp_ns - self._reached) >= guided.hold
 
     def add_area(self, stamp_ns: int, area: float, flags: int, previous_ns: int | None) -> None:
         """One contact area in m². previous_ns: stamp of the one before."""
@@ -102,7 +126,7 @@ class Press:
         if attempt.onset_ns is None:
             late = in_step > limits.press_timeout
             return f"no press within {limits.press_timeout:g} s" if late else ""
-        if seconds(now_ns - attempt.onset_ns) > limits.target_timeout:
+        if seconds(now_ns - attempt.onset_ns) > limits.target_timeout + self.guided.hold:
             return (
                 f"target not reached within {limits.target_timeout:g} s: "
                 f"{attempt.peak_force:.2f} of {self.target_force:.2f} N"
@@ -112,10 +136,16 @@ class Press:
     def verdict(self, newest_area_ns: int | None) -> str:
         """Why the press is not valid, empty when it is; once the finger is off the plate."""
         attempt = self.attempt
+        if attempt.cue_ns is None and self._reached is not None:
+            return f"lifted before the cue: the force must be held for {self.guided.hold:g} s"
         if attempt.cue_ns is None:
             return (
                 f"lifted at {attempt.peak_force:.2f} N, before the target of "
                 f"{self.target_force:.2f} N"
+            )
+        if self.guided.text and attempt.peak_force > TOO_HARD * self.target_force:
+            self.add_problem(
+                f"pressed too hard: {attempt.peak_force:.2f} N, {self.target_force:.2f} N are asked"
             )
         if self.limits.need_camera:
             assert attempt.lifted_ns is not None and attempt.onset_ns is not None

@@ -89,6 +89,14 @@ class StopRecording:
 
 Effect = TrialEvent | StartRecording | StopRecording
 
+GUIDANCE_TIME = 3.0
+"""s for which the text of a calibration's press is shown before the plate has to be clear."""
+
+FIT_TIME = 30.0
+"""s to wait for the result of a calibration."""
+
+FITTING = "The presses are being fitted."
+
 
 class Protocol:
     """Runs one session.
@@ -492,9 +500,14 @@ class Protocol:
             return
         limits = self.limits
         in_step = seconds(self._now - self._step_began)
-        if self.step is Step.PREPARE and not limits.confirm_preparation:
+        if self.step is Step.PREPARE and self.plan.is_calibration:
+            if in_step >= GUIDANCE_TIME:
+                self._begin_attempt()
+        elif self.step is Step.PREPARE and not limits.confirm_preparation:
             if in_step >= limits.verdict_time:
                 self._begin_attempt()
+        elif self.step is Step.FINISHED and self.message == FITTING and in_step > FIT_TIME:
+            self.calibrated(False, "no result came; is the model node running?", self._now)
         elif self.step is Step.CLEAR:
             if self.waiting_for():
                 self._clear_since = None
@@ -510,6 +523,14 @@ class Protocol:
             self.recorder_answered(False, False, "no answer", self._now)
         elif self.step in (Step.DONE, Step.FAILED) and in_step >= limits.verdict_time:
             self._next()
+
+    def calibrated(self, success: bool, result: str, now_ns: int) -> None:
+        """What the model node made of the presses; a sentence."""
+        self._now = max(self._now, now_ns)
+        self.message = f"Calibrated: {result}." if success else f"Not calibrated: {result}."
+        self._log("calibration", self.message, of_trial=False)
+        self._announce()
+        self.save()
 
     def waiting_for(self) -> str:
         """Why the press does not begin yet; empty when nothing is in the way."""
@@ -554,7 +575,7 @@ class Protocol:
         bag = self.folder / f"{trial.index:03d}_{trial.condition}_{number}"
         attempt = Attempt(number, str(bag), began_ns=self._now)
         trial.attempts.append(attempt)
-        self._press = Press(attempt, self.plan.target_force, self.limits)
+        self._press = Press(attempt, self.plan.press_of(trial.condition), self.limits)
         self.message = ""
         self._clear_since = None
         step = Step.MOISTURE_BEFORE if self.plan.readings else Step.CLEAR
@@ -644,7 +665,7 @@ class Protocol:
             trial.index,
             number - 1 if open_attempt else number,
             phase,
-            self.plan.target_force,
+            self.plan.press_of(trial.condition).target_force,
             note or self.message,
         )
 
@@ -663,6 +684,9 @@ class Protocol:
 
     def _enter(self, step: Step, stamp_ns: int | None = None) -> None:
         # The announcement goes out first: the cue to lift must not wait for a disk.
+        if step is Step.FINISHED and self.plan.is_calibration:
+            done = all(trial.verdict == "done" for trial in self.trials)
+            self.message = FITTING if done else "Not calibrated: not all presses were made."
         self.step = step
         self._step_began = self._now if stamp_ns is None else stamp_ns
         self._announce()

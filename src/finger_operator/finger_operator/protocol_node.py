@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
@@ -28,11 +28,12 @@ from std_srvs.srv import Trigger
 from finger_bag.streams import TrialEvent
 from finger_common.axes import DEFAULT_NORMAL_AXIS, NORMAL_AXES
 from finger_common.cli import one_line
-from finger_common.diagnostics import WARN, Health, full_node_name, status_node
+from finger_common.diagnostics import ERROR, WARN, Health, full_node_name, status_node
 from finger_common.errors import FingerError, InputError
 from finger_common.files import atomic_write, read_text
 from finger_common.folder_lock import lock_folder
 from finger_common.node import (
+    LATCHED_QOS,
     POLLED_DEPTH,
     STATE_QOS,
     ManagedNode,
@@ -120,6 +121,7 @@ class ProtocolSettings(Settings):
 
 SERVICES = {
     "start": "Begin a session; then: finger and plate are prepared, begin the trial.",
+    "calibrate": "Begin the calibration of `subject`: six guided presses that the model node fits.",
     "pause": "Hold the session; a press that is under way is not kept.",
     "resume": "Go on after a pause or a restart.",
     "redo": "Begin the trial under way again, or else the last one that was done.",
@@ -173,6 +175,9 @@ class ProtocolNode(ManagedNode):
             self.create_stream_subscription(ContactArea, "contact_area", self._on_area, qos),
             self.create_stream_subscription(Moisture, "moisture", self._on_moisture, qos),
             self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50),
+            self.create_subscription(
+                DiagnosticStatus, "calibration", self._on_calibration, LATCHED_QOS
+            ),
         ]
         self._resume_pointer()
         # Steady time, so that the tick continues when simulated time jumps.
@@ -240,13 +245,15 @@ class ProtocolNode(ManagedNode):
             return
         self.get_logger().info(f"session {name} resumed at trial {self._protocol.current}")
 
-    def _new_session(self) -> Protocol:
+    def _new_session(self, calibration: bool = False) -> Protocol:
         values = self.values
         session = values["session"] or f"{values['subject']}_{time.strftime('%Y%m%dT%H%M%S')}"
         plan = StudyPlan(
             **{**self.settings(PlanSettings).to_dict(), "session": session},
             preparations=parse_preparations(values["preparations"]),
         )
+        if calibration:
+            plan = plan.for_calibration(f"{session}_calibration")
         folder = self._output / session
         if (folder / STATE_FILE).exists():
             raise InputError(
@@ -267,6 +274,21 @@ class ProtocolNode(ManagedNode):
         self._protocol.start(self._now())
         prepare = self._protocol.step is Step.PREPARE
         return "prepare finger and plate" if prepare else "the trial begins"
+
+    def _calibrate(self) -> str:
+        if self._protocol is not None and self._protocol.step is Step.FINISHED:
+            self._close()
+        if self._protocol is not None:
+            raise InputError("a session is open; end and close it before a calibration")
+        if not self._limits.need_camera:
+            raise InputError(
+                "a calibration needs the camera, and this rig runs without (need_camera)"
+            )
+        if self._recorder.busy:
+            raise InputError("the recorder is still busy; try again in a moment")
+        self._protocol = self._new_session(calibration=True)
+        self._protocol.start(self._now())
+        return "the calibration begins"
 
     def _open(self) -> Protocol:
         if self._protocol is None:
@@ -356,6 +378,12 @@ class ProtocolNode(ManagedNode):
             name = self._watched.get(status_node(status.name))
             if name is not None:
                 self._protocol.health(name, status.level[0], status.message, self._now())
+
+    def _on_calibration(self, message: DiagnosticStatus) -> None:
+        protocol = self._protocol
+        if protocol is not None and protocol.plan.session == message.hardware_id:
+            good = message.level[0] < ERROR
+            protocol.calibrated(good, message.message, self._now())
 
     def _tick(self) -> None:
         self._poll()

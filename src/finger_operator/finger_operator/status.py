@@ -76,7 +76,7 @@ def session_status(
         "preparation": plan.preparation(trial.condition),
         "preparations": {c: plan.preparation(c) for c in plan.conditions},
         "prompt": CLEAN_PLATE,
-        "target_force": plan.target_force,
+        "target_force": plan.press_of(trial.condition).target_force,
         "readings": plan.readings,
         "moisture_before": attempt.moisture_before if attempt else [],
         "moisture_after": attempt.moisture_after if attempt else [],
@@ -97,12 +97,13 @@ def session_status(
 
 def instruction(protocol: Protocol) -> str:
     """What the operator does now, in one sentence or two."""
-    step = protocol.step
+    step, plan = protocol.step, protocol.plan
     trial = protocol.trials[protocol.current]
     if protocol.paused:
         return protocol.message or "Press Space to go on."
     if step is Step.FINISHED:
-        return summary(protocol)["text"]
+        text = summary(protocol)["text"]
+        return f"{protocol.message} {text}" if protocol.plan.is_calibration else text
     if protocol.message:
         return protocol.message
     if step in (Step.MOISTURE_BEFORE, Step.MOISTURE_AFTER):
@@ -117,9 +118,10 @@ def instruction(protocol: Protocol) -> str:
         return f"{reason[:1].upper()}{reason[1:]}.{again}"
     return {
         Step.IDLE: "Press Space to begin.",
-        Step.PREPARE: "Prepare finger and plate, then press Space.",
+        Step.PREPARE: plan.press_of(trial.condition).text
+        or "Prepare finger and plate, then press Space.",
         Step.CLEAR: protocol.waiting_for() or "Hands off: the plate must be empty.",
-        Step.PRESS: "Press until the cue changes.",
+        Step.PRESS: plan.press_of(trial.condition).text or "Press until the cue changes.",
         Step.LIFT: "Lift the finger.",
         Step.CLOSING: "Saving the trial.",
         Step.DONE: f"Trial {trial.index + 1} kept.",

@@ -10,12 +10,14 @@ until 1.35 N, then a cue to lift.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from finger_common.errors import InputError
+from finger_common.guided_presses import CALIBRATION_PRESSES, PRESS_BY_NAME, GuidedPress
 from finger_common.settings import Settings, setting
 from finger_common.trial_phases import TARGET_FORCE
 
@@ -136,6 +138,29 @@ class StudyPlan(PlanSettings):
                 )
         if len(set(self.conditions)) != len(self.conditions):
             raise InputError("a condition is named twice; give each block once")
+
+    @property
+    def is_calibration(self) -> bool:
+        """Whether the trials are the guided presses of a calibration."""
+        return all(name in PRESS_BY_NAME for name in self.conditions)
+
+    def press_of(self, condition: str) -> GuidedPress:
+        """The press that a trial asks for: of a calibration, or to the target at a free speed."""
+        found = PRESS_BY_NAME.get(condition)
+        return found or GuidedPress(condition, self.target_force, 0.0, (0.0, math.inf), "")
+
+    def for_calibration(self, session: str) -> StudyPlan:
+        """The same subject's calibration, with one moisture reading where any are taken."""
+        values = {
+            **PlanSettings.to_dict(self),
+            "session": session,
+            "conditions": [press.name for press in CALIBRATION_PRESSES],
+            "trials": 1,
+            "readings": min(self.readings, 1),
+            "order": "as_given",
+        }
+        texts = {press.name: press.text for press in CALIBRATION_PRESSES}
+        return StudyPlan(**values, preparations=texts)
 
     def preparation(self, condition: str) -> str:
         """Preparation text of a condition."""

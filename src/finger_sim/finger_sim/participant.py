@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from finger_common.guided_presses import CALIBRATION_PRESSES, PRESS_BY_NAME
 from finger_common.stamps import NANOSECONDS, nanoseconds, seconds
 from finger_common.trial_phases import TrialPhase
 from finger_model.paper import READINGS_PER_TRIAL
@@ -55,6 +56,14 @@ class _Press:
 
     trial: PlannedTrial
     start_ns: int
+
+
+def _likely_next(request: TrialRequest) -> TrialRequest:
+    """The next press of a calibration, or the next trial of the same condition."""
+    index, condition = request.index + 1, request.condition
+    if condition in PRESS_BY_NAME and index < len(CALIBRATION_PRESSES):
+        condition = CALIBRATION_PRESSES[index].name
+    return replace(request, condition=condition, index=index, attempt=0)
 
 
 class Participant:
@@ -143,7 +152,7 @@ class Participant:
             self._planner.ask(request)
             if not self._upcoming:
                 # The next trial of the block is likely; plan it while this one is played.
-                self._planner.ask(replace(request, index=request.index + 1, attempt=0))
+                self._planner.ask(_likely_next(request))
             return
         if phase not in (TrialPhase.MOISTURE_BEFORE, TrialPhase.PRESS, TrialPhase.MOISTURE_AFTER):
             return

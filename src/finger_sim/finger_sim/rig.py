@@ -126,7 +126,8 @@ class SimulatedRig:
     def announce(self, name: str, index: int, attempt: int, phase: int) -> None:
         """A trial of the condition `name` is in this `TrialPhase` now."""
         try:
-            request = TrialRequest(condition(name).name, index, attempt, self.settings.seed)
+            condition(name)
+            request = TrialRequest(name, index, attempt, self.settings.seed)
         except InputError as error:
             self._report(str(error))
         else:

@@ -21,12 +21,13 @@ import cv2
 import numpy as np
 
 from finger_common.files import atomic_write
-from finger_model.paper import READINGS_PER_TRIAL
+from finger_common.guided_presses import PRESS_BY_NAME
+from finger_model.paper import READINGS_PER_TRIAL, TARGET_FORCE
 
 from .conditions import condition
 from .finger import SimulatedFinger, area_at
 from .ftir import IMAGE_HEIGHT, IMAGE_WIDTH, FtirRenderer, Scene
-from .press import Press, plan_press
+from .press import Press, guided_style, plan_press
 
 PLACEMENT_SD = 0.4e-3
 """m, scatter of the finger's place on the plate in either direction, an assumption."""
@@ -95,14 +96,17 @@ def plan_trial(
 ) -> PlannedTrial:
     """Plan one trial and write its frames into `folder` as PNG."""
     setting = condition(request.condition)
-    press = plan_press(request.rng("press"))
+    guided = PRESS_BY_NAME.get(request.condition)
+    style = None if guided is None else guided_style(guided)
+    target = TARGET_FORCE if guided is None else guided.target_force
+    press = plan_press(request.rng("press"), style=style, target_force=target)
     instants = np.arange(int(press.duration * view.frame_rate) + 1) / view.frame_rate
     finger = SimulatedFinger(setting.material, refinement=refinement)
     history = finger.plan(press.time, press.force, instants)
     areas = area_at(history, instants)
 
     folder.mkdir(parents=True, exist_ok=True)
-    renderer = renderer_for(request.condition, view, request.seed)
+    renderer = renderer_for(setting.name, view, request.seed)
     centre = request.rng("placement").normal(0.0, PLACEMENT_SD, 2)
     frames = []
     for number, area in enumerate(areas):

@@ -12,6 +12,7 @@ from finger_common.errors import InputError
 
 COMMANDS: dict[str, dict[str, type]] = {
     "start": {},
+    "calibrate": {},
     "pause": {},
     "resume": {},
     "redo": {},

@@ -72,9 +72,9 @@ const resumable = () => state.status.paused
 
 function openSession() {
   if (!state.status.plan) return notify("The protocol node is not running.", false);
-  newSession(state.status, async (plan) => {
+  newSession(state.status, async (plan, calibrate) => {
     const answer = await command("configure", plan, true);
-    return answer.success ? command("start") : answer;
+    return answer.success ? command(calibrate ? "calibrate" : "start") : answer;
   });
 }
 

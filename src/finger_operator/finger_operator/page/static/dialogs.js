@@ -50,7 +50,8 @@ const ORDERS = [
   ["shuffled_trials", "all trials shuffled"],
 ];
 
-// Ask for a session. status: without a session. begin: called with the plan.
+// Ask for a session. status: without a session. begin: called with the plan, and whether the
+// subject is to be calibrated.
 export function newSession(status, begin) {
   const { plan } = status;
   const used = status.used_subjects || {};
@@ -80,6 +81,7 @@ export function newSession(status, begin) {
   $("plan-error").textContent = "";
   $("session-form").onsubmit = async (event) => {
     event.preventDefault();
+    const calibrate = event.submitter?.value === "calibrate";
     const answer = await begin({
       subject: subject.value.trim(),
       age: Number($("plan-age").value),
@@ -93,7 +95,7 @@ export function newSession(status, begin) {
       target_force: Number($("plan-target").value),
       order: $("plan-order").value,
       order_seed: Number($("plan-seed").value),
-    });
+    }, calibrate);
     if (answer.success) $("session-dialog").close();
     else $("plan-error").textContent = answer.message;
   };
