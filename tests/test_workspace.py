@@ -36,7 +36,13 @@ LAYERS = {
         "finger_bag",
         "finger_offline",
     },
-    "finger_bringup": {"finger_common", "finger_bag", "finger_sim", "finger_bridge"},
+    "finger_bringup": {
+        "finger_common",
+        "finger_bag",
+        "finger_model",
+        "finger_sim",
+        "finger_bridge",
+    },
 }
 """Package -> packages it may import (finger_msgs only in nodes)."""
 

@@ -22,9 +22,9 @@ from finger_common.errors import InputError
 from finger_common.folder_lock import lock_folder
 from finger_common.guided_presses import CALIBRATION_PRESSES
 from finger_common.namespaces import DEFAULT_NAMESPACE, default_folder
+from finger_common.subject_code import check_subject
+from finger_model.anthropometry import FINGERS as FINGER_NAMES
 from finger_model.anthropometry import parse_length, session_geometry
-from finger_operator.study_plan import FINGERS as FINGER_NAMES
-from finger_operator.study_plan import SUBJECT
 
 from . import nodes
 from .bring_up import ALL_ACTIVE
@@ -330,11 +330,7 @@ def run_until_interrupted(supervisor: Supervisor) -> bool:
 
 def calibration_entries(arguments: argparse.Namespace) -> list[nodes.NodeEntry]:
     """What `finger-rig calibrate` runs; raises InputError for bad readings and codes."""
-    if not SUBJECT.fullmatch(arguments.subject):
-        raise InputError(
-            f"subject '{arguments.subject}' is no code; use up to 16 letters, digits, - and _ with "
-            "at least one digit, such as S01, and never a name"
-        )
+    check_subject(arguments.subject)
     own: dict[str, Any] = {"subject": arguments.subject, "again": arguments.again}
     for name in ("width", "depth"):
         text = getattr(arguments, name)

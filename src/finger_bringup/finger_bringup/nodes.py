@@ -114,7 +114,7 @@ NODES: dict[str, NodeEntry] = {
         ),
         NodeEntry(
             "calibrate",
-            "finger_bringup",
+            "finger_operator",
             "calibrate_node",
             5,
             lifecycle=False,

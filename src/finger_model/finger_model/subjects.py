@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import math
-import re
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,13 +18,11 @@ from finger_common.flags import AreaFlag
 from finger_common.guided_presses import CALIBRATION_PRESSES, PRESS_BY_NAME
 from finger_common.moisture import is_moisture
 from finger_common.stamps import seconds
+from finger_common.subject_code import check_subject
 from finger_common.trial_phases import TrialPhase
 
 from .calibration import CalibrationPress
 from .parameter_sets import ParameterSets
-
-SUBJECT = re.compile(r"[A-Za-z0-9_-]{1,64}")
-"""A subject code that can be a file's name."""
 
 MARGIN = 0.3
 """s of rest kept before the touch and after the release."""
@@ -36,11 +33,7 @@ LONGEST = 120_000
 
 def subject_file(folder: str | Path, subject: str) -> Path:
     """Where the parameters of a subject are; raises InputError for a code that is no file name."""
-    if not SUBJECT.fullmatch(subject):
-        raise InputError(
-            f"subject '{subject}' is no code; use letters, digits, - and _, such as S01"
-        )
-    return Path(folder).expanduser() / f"{subject}.yaml"
+    return Path(folder).expanduser() / f"{check_subject(subject)}.yaml"
 
 
 def save_subject(folder: str | Path, subject: str, sets: ParameterSets) -> Path:

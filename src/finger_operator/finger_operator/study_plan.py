@@ -19,6 +19,7 @@ from typing import Any
 from finger_common.errors import InputError
 from finger_common.guided_presses import CALIBRATION_PRESSES, PRESS_BY_NAME, GuidedPress
 from finger_common.settings import Settings, setting
+from finger_common.subject_code import check_subject
 from finger_common.trial_phases import TARGET_FORCE
 
 from .trial_order import ORDERS, trial_conditions
@@ -36,7 +37,6 @@ CLEAN_PLATE = (
 )
 """Prompt before each trial."""
 
-SUBJECT = re.compile(r"(?=.*\d)[A-Za-z0-9_-]{1,16}")
 NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 HANDS = ("left", "right")
@@ -119,12 +119,7 @@ class StudyPlan(PlanSettings):
     preparations: Mapping[str, str] = field(default_factory=lambda: dict(PREPARATIONS))
 
     def validate(self) -> None:
-        # With a digit in the code, a name is not typed by habit.
-        if not SUBJECT.fullmatch(self.subject):
-            raise InputError(
-                f"subject '{self.subject}' is no code; use up to 16 letters, digits, - and _ with "
-                "at least one digit, such as S01, and never a name"
-            )
+        check_subject(self.subject)
         if not NAME.fullmatch(self.session):
             raise InputError(
                 f"session '{self.session}' cannot be a folder's name; use letters, digits, - and _"

@@ -26,7 +26,8 @@ from finger_common.errors import FingerError, InputError
 from finger_common.node import LATCHED_QOS, STATE_QOS, ManagedNode, main_of
 from finger_common.settings import Settings, setting
 from finger_msgs.msg import ContactArea, ContactState, SessionStatus
-from finger_operator.status_message import status_of
+
+from .status_message import status_of
 
 PERIOD = 0.1
 """s between looks at what has come."""
