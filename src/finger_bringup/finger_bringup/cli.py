@@ -341,6 +341,12 @@ def calibration_entries(arguments: argparse.Namespace) -> list[nodes.NodeEntry]:
     session_geometry(own)
     if not arguments.simulated:
         return nodes.select(["calibrate"], {"calibrate": own})
+    earlier = folder_of(arguments) / "subjects" / f"{arguments.subject}.yaml"
+    if earlier.exists() and not arguments.again:
+        raise InputError(
+            f"subject {arguments.subject} is calibrated already ({earlier}); give --again to "
+            "replace that"
+        )
     # Planned while the nodes come up, with frames that are quick to draw.
     participant = {"upcoming": [f"{press.name}:1" for press in CALIBRATION_PRESSES]}
     quick = {"width": 640, "height": 512, "refinement": 0.5}
