@@ -50,7 +50,7 @@ FORCE_ALONE = StateFlag(
 
 
 class AreaFlag(IntFlag):
-    """Flags of a measured area: reasons to doubt it; 0 means none."""
+    """Flags of a measured area: reasons to doubt it, and whether it slides; 0 means none."""
 
     NO_CONTACT = 1
     SPARSE = 2
@@ -60,6 +60,7 @@ class AreaFlag(IntFlag):
     UNCALIBRATED = 32
     MULTIPLE_REGIONS = 64
     NO_BACKGROUND = 128
+    SLIDING = 256
 
 
 class SlipFlag(IntFlag):

@@ -9,15 +9,20 @@ Messages are read by attribute: those of rclpy and those of a bag reader alike.
 from __future__ import annotations
 
 import json
+import math
 from typing import Any
 
 from finger_common.errors import InputError
 from finger_common.files import parse_json
+from finger_common.flags import AreaFlag
 from finger_common.parameter_values import parameter_fields, parameter_values
 from finger_common.stamps import NANOSECONDS, header_stamp, stamp_of, time_fields
 
 from .estimator import ContactEstimate, EstimatorEvent, EventType
 from .slip import SlipEstimate
+
+NOT_WHOLE = int(AreaFlag.NO_CONTACT | AreaFlag.SPARSE | AreaFlag.CLIPPED)
+"""Flags of a contact of which too little is seen for a stick ratio."""
 
 
 def wrench_of(message: Any) -> tuple[int, tuple[float, float, float]]:
@@ -30,6 +35,18 @@ def area_of(message: Any) -> tuple[int, float, float, int]:
     """Arguments of `add_area` from a finger_msgs/ContactArea."""
     area, sd = float(message.gross_area), float(message.area_stddev)
     return header_stamp(message), area, sd, int(message.flags)
+
+
+def stick_of(message: Any) -> tuple[float, float]:
+    """Stick ratio that a camera saw and its standard deviation, from a finger_msgs/ContactArea.
+
+    NaN where it is not known, as in recordings that are older than these fields, and where the
+    picture of the contact is not whole.
+    """
+    if int(message.flags) & NOT_WHOLE:
+        return math.nan, math.nan
+    ratio, sd = (getattr(message, name, math.nan) for name in ("stick_ratio", "stick_ratio_stddev"))
+    return float(ratio), float(sd)
 
 
 def moisture_of(message: Any) -> tuple[int, float]:

@@ -58,6 +58,7 @@ from .messages import (
     moisture_of,
     slip_numbers,
     state_numbers,
+    stick_of,
     wrench_of,
 )
 from .parameter_sets import ParameterSets
@@ -407,6 +408,9 @@ class ModelNode(ManagedNode):
                     self._collector.add_area(*area)
                 if self.estimator.is_ahead(area[0]) or not self.estimator.add_area(*area):
                     self._publish_event(self.estimator.note_late(areas=[area[0]]))
+                elif self._slip is not None:
+                    delay = self.estimator.settings.fusion_delay
+                    self._slip.expect_stick_ratio(area[0], *stick_of(message), delay)
 
     def _on_moisture(self, message: Moisture) -> None:
         with self._lock:

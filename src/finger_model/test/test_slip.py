@@ -200,6 +200,37 @@ def test_live_samples_and_blocks_of_estimates_agree_to_the_bit():
     assert repr(single[400:]) == repr(slip_estimates(later))
 
 
+def test_stick_ratios_enter_by_their_stamps_whenever_they_come():
+    model = ReducedModel.load()
+    n = 900
+    stamps = 10**18 + 2_000_000 * np.arange(n, dtype=np.int64)
+    normal = ramp((0, 0), (0.3, 1.0), (1.8, 1.0))[:n]
+    pull = ramp((0, 0), (0.4, 0.0), (1.8, 0.22))[:n]
+    forces = np.column_stack([pull, np.zeros(n), -normal])
+    frames = [(int(stamps[k]) + 700_000, 0.05 * (9 - k // 100), 0.05) for k in range(350, 850, 30)]
+    contact, slip = ContactEstimator(model), SlipEstimator()
+    late = []
+    single = []
+    for stamp, force in zip(stamps.tolist(), forces):
+        # Each comes 30 to 90 ms after its stamp, and not in order.
+        late += [
+            f for f in frames if f[0] // 2_000_000 + 15 + 30 * (f[0] % 3) == stamp // 2_000_000
+        ]
+        while late:
+            slip.expect_stick_ratio(*late.pop(), 0.1)
+        for estimate in contact.add_wrench(stamp, force):
+            single.append(slip.add(estimate, force))
+    many = SlipEstimator()
+    for frame in frames[::-1] + frames[:3]:
+        many.expect_stick_ratio(*frame, 0.1)
+    many.expect_stick_ratio(int(stamps[500]), math.nan, math.nan, 0.1)
+    block = ContactEstimator(model).add_wrenches(stamps, forces)
+    assert repr(single) == repr(slip_estimates(many.add_block(block, forces)))
+    blind = SlipEstimator().add_block(block, forces)
+    assert repr(slip_estimates(blind)[:390]) == repr(single[:390])
+    assert single[-1].friction < 0.85 * blind["friction"][-1], "seen slip says: slippery"
+
+
 def test_bad_values_are_refused():
     with pytest.raises(InputError, match="friction_prior"):
         SlipSettings(friction_prior=0.0)

@@ -25,6 +25,7 @@ from finger_vision.area_sensor import (
 )
 from finger_vision.calibration import PlateCalibration
 from finger_vision.messages import contact_area_fields, image_of
+from finger_vision.ridge_motion import RidgeMotion, with_motion
 
 IMAGES = ("image_raw", "image_raw/compressed")
 """Topics of a bag that areas are measured in."""
@@ -78,10 +79,14 @@ class ImageAreas:
     """Collects the areas of images; `add` one image message after the other, in order.
 
     pixels: of all images together; those behind them are not measured, and counted in `left_out`.
+    motion: follows the ridges, None: nobody does.
     """
 
-    def __init__(self, sensor: AreaSensor, pixels: float = math.inf) -> None:
+    def __init__(
+        self, sensor: AreaSensor, pixels: float = math.inf, motion: RidgeMotion | None = None
+    ) -> None:
         self._sensor = sensor
+        self._motion = motion
         self._pixels = pixels
         self.left_out = 0
         self._rows: list[tuple[int, int, float, float, float, int]] = []
@@ -93,11 +98,16 @@ class ImageAreas:
         calibration: str = "",
         area_per_pixel: float = 0.0,
         area_sensor: str = AREA_SENSORS.default,
+        ridge_motion: bool = False,
     ) -> ImageAreas:
-        """With the area sensor's default settings and the bag's calibration."""
+        """With the area sensor's default settings and the bag's calibration.
+
+        ridge_motion: whether ridges are followed from image to image.
+        """
         found = calibration_of(reader, calibration, area_per_pixel)
         pixels = BAG_PIXELS + BAG_PIXELS_PER_BYTE * reader.info.size
-        return cls(AREA_SENSORS.open({"area_sensor": area_sensor}, found), pixels)
+        sensor = AREA_SENSORS.open({"area_sensor": area_sensor}, found)
+        return cls(sensor, pixels, RidgeMotion(calibration=found) if ridge_motion else None)
 
     def measure(self, message: Any) -> ContactMeasurement:
         """Measure one image; raises InputError when it is no usable image."""
@@ -106,7 +116,7 @@ class ImageAreas:
             raise InputError("more pixels than a bag of this size can hold; not measured")
         image = grey_image(message)
         self._pixels -= image.size
-        return self._sensor.process(image)
+        return with_motion(self._sensor.process(image), image, self._motion)
 
     def add(self, item: BagMessage) -> None:
         """Measure one image and keep its area; raises InputError when it is no usable image."""
@@ -172,7 +182,7 @@ class MeasuringThread:
 def area_fields(stamp: int, measurement: ContactMeasurement, frame_id: str) -> dict[str, Any]:
     """Fields of a ContactArea as `BagWriter.write` takes them."""
     fields = contact_area_fields(measurement)
-    x, y, z = fields["centroid"]
-    fields["centroid"] = {"x": x, "y": y, "z": z}
+    for name in ("centroid", "slip"):
+        fields[name] = dict(zip("xyz", fields[name]))
     fields["hull"] = [{"x": float(u), "y": float(v)} for u, v in fields["hull"]]
     return {"header": {"stamp": stamp, "frame_id": frame_id}, **fields}

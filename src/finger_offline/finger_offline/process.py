@@ -30,7 +30,7 @@ from finger_common.errors import FingerError, InputError
 from finger_common.stamps import seconds
 from finger_model.estimator import ContactEstimator, EstimateBlock, EstimatorSettings
 from finger_model.finger import load_reduced
-from finger_model.messages import area_of, event_of, moisture_of
+from finger_model.messages import NOT_WHOLE, area_of, event_of, moisture_of, stick_of
 from finger_model.parameter_sets import ParameterSets
 from finger_model.slip import SlipEstimator
 
@@ -87,7 +87,11 @@ def process(
         images = None
         if topics.image is not None:
             areas = ImageAreas.for_bag(
-                reader, options.calibration, options.area_per_pixel, options.area_sensor
+                reader,
+                options.calibration,
+                options.area_per_pixel,
+                options.area_sensor,
+                ridge_motion=options.slip,
             )
             images = stack.enter_context(MeasuringThread(areas))
         estimator = _estimator(options)
@@ -132,6 +136,7 @@ class _Run:
         axis = estimator.settings.normal_axis
         self.slip = SlipEstimator(normal_axis=axis) if options.slip else None
         self.last_force = np.zeros(3)
+        self._sticks: dict[int, tuple[float, float]] = {}
         self.queue = InputOrder(topics.events is not None and topics.image is None)
         self.malformed = Malformed()
         self.decode = reader.decoder(topics.wrench, reader.info.topics[topics.wrench].type)
@@ -212,6 +217,7 @@ class _Run:
             stamp, value = stamp_and_value(item, mapped)
             if value is None:
                 _, area, sd, flags = area_of(item.message)
+                self._sticks[stamp] = stick_of(item.message)
                 area, sd = area * mapped.scale, sd * mapped.scale
             else:
                 area, sd, flags = value, RELATIVE_AREA_SD * abs(value), 0
@@ -236,6 +242,8 @@ class _Run:
                 continue
             area, sd = measured.gross_area, measured.area_sd
             stamp = stamp_of_cdr(item.raw)
+            if not measured.flags & NOT_WHOLE:
+                self._sticks[stamp] = measured.motion.stick_ratio, measured.motion.stick_ratio_sd
             self._add_area(item.log_time_ns, stamp, area, sd, int(measured.flags))
             if self.output is not None:
                 self.output.write_area(measured, stamp, item.log_time_ns)
@@ -249,7 +257,11 @@ class _Run:
             if moisture:
                 self.estimator.add_moisture(*values)
             else:
-                self.estimator.add_area(*values)
+                used = self.estimator.add_area(*values)
+                stick = self._sticks.pop(values[0], None)
+                if used and stick is not None and self.slip is not None:
+                    delay = self.estimator.settings.fusion_delay
+                    self.slip.expect_stick_ratio(values[0], *stick, delay)
         for items in self.queue.wrenches_due(now_ns):
             self._estimate(items)
 

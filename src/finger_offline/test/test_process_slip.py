@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -14,13 +16,16 @@ from finger_bag.reader import open_bag
 from finger_bag.writer import BagWriter
 from finger_common.cli import run
 from finger_model.estimator import ContactEstimator
-from finger_model.messages import slip_numbers, wrench_of
+from finger_model.messages import area_of, slip_numbers, stick_of, wrench_of
 from finger_model.reduced import ReducedModel
 from finger_model.slip import SlipEstimator
 
 
-def pulled(path: Path) -> Path:
-    """A bag of a press that is pulled sideways; one stamp comes twice."""
+def pulled(path: Path, seen: bool = False) -> Path:
+    """A bag of a press that is pulled sideways; one stamp comes twice.
+
+    seen: whether a camera sees the stick ratio, from 0.7 s on; its first picture is clipped.
+    """
     time = np.arange(0.0, 2.0, 0.002)
     normal = np.interp(time, [0.1, 0.5, 1.8, 1.9], [0.0, 1.0, 1.0, 0.0])
     pull = np.interp(time, [0.6, 1.6, 1.8, 1.9], [0.0, 0.5, 0.5, 0.0])
@@ -33,6 +38,16 @@ def pulled(path: Path) -> Path:
             torque = {"x": 0.0, "y": 0.0, "z": 0.0}
             fields = {"header": header, "wrench": {"force": force, "torque": torque}}
             writer.write("/finger/wrench", fields, stamp)
+            if seen and i >= 350 and i % 20 == 0:
+                area = {
+                    "header": {"stamp": stamp - 30_500_000},
+                    "gross_area": 5e-5,
+                    "area_stddev": 5e-6,
+                    "stick_ratio": 0.9 - 0.0018 * (i - 350),
+                    "stick_ratio_stddev": 0.05,
+                    "flags": 4 if i == 360 else 0,
+                }
+                writer.write("/finger/contact_area", area, stamp)
     return path
 
 
@@ -58,3 +73,36 @@ def test_slip_of_a_bag_is_that_of_its_samples(tmp_path: Path) -> None:
         assert repr(message.friction) == repr(values[11])
         assert message.tangential_force.x == values[3] and message.flags == values[-1]
     assert 0.0 < min(m.slip_margin for m in found[400:800]) < 0.4
+
+
+def test_stick_ratios_of_the_camera_enter_as_in_a_live_node(tmp_path: Path) -> None:
+    bag = pulled(tmp_path / "bag", seen=True)
+    assert run(command, ["process", str(bag), "-o", str(tmp_path / "slip"), "--slip"]) == 0
+    contact, slip = ContactEstimator(ReducedModel.load()), SlipEstimator()
+    wanted = []
+    with open_bag(bag) as reader:
+        for item in reader.messages(["/finger/wrench", "/finger/contact_area"]):
+            if item.topic == "/finger/contact_area":
+                area = area_of(item.message)
+                assert contact.add_area(*area)
+                slip.expect_stick_ratio(area[0], *stick_of(item.message), 0.1)
+                continue
+            stamp, force = wrench_of(item.message)
+            for estimate in contact.add_wrench(stamp, force):
+                wanted.append(slip_numbers(slip.add(estimate, force), slip.lateral_axes))
+    with open_bag(tmp_path / "slip") as reader:
+        found = [m.message for m in reader.messages(["/finger/contact_slip"])]
+    assert [repr(m.friction) for m in found] == [repr(values[11]) for values in wanted]
+    blind = pulled(tmp_path / "blind")
+    assert run(command, ["process", str(blind), "-o", str(tmp_path / "without"), "--slip"]) == 0
+    with open_bag(tmp_path / "without") as reader:
+        without = [m.message for m in reader.messages(["/finger/contact_slip"])]
+    assert without[800].friction > 1.1 * found[800].friction
+    assert without[395].friction == found[395].friction
+
+
+def test_a_recording_older_than_the_stick_ratio_has_none() -> None:
+    older = SimpleNamespace(flags=0, gross_area=5e-5, area_stddev=1e-6)
+    assert all(math.isnan(value) for value in stick_of(older))
+    clipped = SimpleNamespace(flags=4, stick_ratio=0.5, stick_ratio_stddev=0.1)
+    assert all(math.isnan(value) for value in stick_of(clipped))

@@ -48,7 +48,10 @@ class ContactMeasurement:
     gross_area, real_area, area_sd: m², exactly zero without contact; real_area may be NaN where
     the sensor cannot measure it. centroid: (x, y) m. ellipse_major, ellipse_minor: full axes, m,
     of the ellipse with the contact's second moments. ellipse_angle: rad in (−π/2, π/2], from +x
-    towards +y. hull: (n, 2) m, outline of the gross contact. flags: `AreaFlag` bits.
+    towards +y. hull: (n, 2) m, outline of the gross contact. flags: `AreaFlag` bits. centroid_sd:
+    m, standard deviation of each coordinate of the centroid; ellipse_major_sd, ellipse_minor_sd
+    (m), ellipse_angle_sd (rad): of the ellipse; NaN where the sensor does not say. motion: of the
+    skin over the plate, as far as it was followed.
     """
 
     gross_area: float = 0.0
@@ -60,6 +63,11 @@ class ContactMeasurement:
     ellipse_angle: float = 0.0
     hull: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     flags: int = 0
+    centroid_sd: float = math.nan
+    ellipse_major_sd: float = math.nan
+    ellipse_minor_sd: float = math.nan
+    ellipse_angle_sd: float = math.nan
+    motion: SkinMotion = SkinMotion()
 
 
 class AreaSensor(Protocol):

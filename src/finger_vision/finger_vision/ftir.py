@@ -199,16 +199,18 @@ class FtirSegmenter(AreaSensor):
             flags |= AreaFlag.LOW_CONTRAST
         if _is_saturated(frame, ridges):
             flags |= AreaFlag.SATURATED
+        area_sd, rim = self._standard_deviation(shape, hidden), self._rim_deviation(shape)
         return ContactMeasurement(
             gross_area=shape.area,
             real_area=min(real_area, shape.area),
-            area_sd=self._standard_deviation(shape, hidden),
+            area_sd=area_sd,
             centroid=shape.centroid,
             ellipse_major=shape.major,
             ellipse_minor=shape.minor,
             ellipse_angle=shape.angle,
             hull=hull,
             flags=int(flags),
+            **ellipse_deviations(shape, area_sd, rim),
         )
 
     def _outline(
@@ -260,9 +262,34 @@ class FtirSegmenter(AreaSensor):
         half of the rim (width `hidden`, m) that a saturated plate hides. The first two sizes come
         from rendered frames (docs/vision.md).
         """
+        return math.hypot(
+            self._rim_deviation(shape), 0.015 * shape.area, 0.5 * hidden * shape.perimeter
+        )
+
+    def _rim_deviation(self, shape: Shape) -> float:
+        """Part of the standard deviation (m²) that is of independent errors along the outline."""
         period = self.settings.ridge_period
-        edge = 0.25 * period * math.sqrt(period * shape.perimeter)
-        return math.hypot(edge, 0.015 * shape.area, 0.5 * hidden * shape.perimeter)
+        return 0.25 * period * math.sqrt(period * shape.perimeter)
+
+
+def ellipse_deviations(shape: Shape, area_sd: float, rim: float) -> dict[str, float]:
+    """Standard deviations of centroid and ellipse, by name of a ContactMeasurement's fields.
+
+    area_sd: of the area, m². rim: the part of it that is of independent errors along the outline;
+    they move the moments of an ellipse as integrals along its rim say. All else is common and
+    scales the ellipse.
+    """
+    share = rim / shape.area
+    common = math.sqrt(max(area_sd**2 - rim**2, 0.0)) / shape.area / 2
+    a, b = shape.major / 2, shape.minor / 2
+    turn = math.sqrt(2) * share * a * b / max(a * a - b * b, 1e-12)
+    return {
+        "centroid_sd": share * math.sqrt(a * b / 2),
+        "ellipse_major_sd": shape.major * math.hypot(math.sqrt(0.75) * share, common),
+        "ellipse_minor_sd": shape.minor * math.hypot(math.sqrt(0.75) * share, common),
+        # No direction is known of a circle.
+        "ellipse_angle_sd": min(turn, math.pi / math.sqrt(12)),
+    }
 
 
 def _saturated_share(frame: np.ndarray, ridges: Ridges, bright_ridges: bool) -> float:

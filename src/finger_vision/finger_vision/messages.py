@@ -32,9 +32,10 @@ def image_of(message: Any) -> np.ndarray:
 def contact_area_fields(measurement: ContactMeasurement) -> dict[str, Any]:
     """Fields of a ContactArea but its header, as plain data.
 
-    centroid: (x, y, z) tuple, m. hull: (n, 2) float32, m. flags: int. All others: float, SI.
+    centroid, slip: (x, y, z) tuples, m. hull: (n, 2) float32, m. flags: int. All others: float, SI.
     """
     x, y = measurement.centroid
+    motion = measurement.motion
     return {
         "gross_area": float(measurement.gross_area),
         "real_area": float(measurement.real_area),
@@ -45,4 +46,12 @@ def contact_area_fields(measurement: ContactMeasurement) -> dict[str, Any]:
         "ellipse_angle": float(measurement.ellipse_angle),
         "hull": np.asarray(measurement.hull, np.float32).reshape(-1, 2),
         "flags": int(measurement.flags),
+        "centroid_stddev": float(measurement.centroid_sd),
+        "ellipse_major_stddev": float(measurement.ellipse_major_sd),
+        "ellipse_minor_stddev": float(measurement.ellipse_minor_sd),
+        "ellipse_angle_stddev": float(measurement.ellipse_angle_sd),
+        "stick_ratio": float(motion.stick_ratio),
+        "stick_ratio_stddev": float(motion.stick_ratio_sd),
+        "slip": (*map(float, motion.slip), 0.0),
+        "rotation": float(motion.rotation),
     }

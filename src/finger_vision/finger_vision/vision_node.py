@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import cv2
-from geometry_msgs.msg import Point, Point32
+from geometry_msgs.msg import Point, Point32, Vector3
 from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
@@ -33,6 +33,7 @@ from .area_sensor import AREA_SENSORS
 from .calibration import CalibrationSettings
 from .messages import contact_area_fields, image_of
 from .overlay import draw_overlay
+from .ridge_motion import DEFAULT_RIDGE_PERIOD, RidgeMotion, RidgeMotionSettings, with_motion
 
 
 @dataclass(frozen=True)
@@ -62,14 +63,15 @@ def contact_area_message(fields: dict[str, Any]) -> ContactArea:
     """ContactArea without header from `contact_area_fields`."""
     x, y, z = fields["centroid"]
     hull = [Point32(x=float(u), y=float(v), z=0.0) for u, v in fields["hull"]]
-    return ContactArea(**{**fields, "centroid": Point(x=x, y=y, z=z), "hull": hull})
+    slip = Vector3(**dict(zip("xyz", fields["slip"])))
+    return ContactArea(**{**fields, "centroid": Point(x=x, y=y, z=z), "hull": hull, "slip": slip})
 
 
 class VisionNode(ManagedNode):
     """See the module's description."""
 
     NAME = "vision"
-    SETTINGS = (CalibrationSettings, VisionSettings)
+    SETTINGS = (CalibrationSettings, VisionSettings, RidgeMotionSettings)
     PLUGINS = AREA_SENSORS
 
     def configure(self) -> None:
@@ -80,6 +82,11 @@ class VisionNode(ManagedNode):
         self.sensor = AREA_SENSORS.open(self.values, self.calibration)
         learn = self.values["learn_background"]
         self._process = self.sensor.process if learn else self.sensor.measure
+        following = self.settings(RidgeMotionSettings)
+        period = self.values.get("ridge_period", DEFAULT_RIDGE_PERIOD)
+        self._motion = (
+            RidgeMotion(following, self.calibration, period) if following.ridge_motion else None
+        )
         self.health = Health("vision")
         self.healths = [self.health]
         self._lock = threading.Lock()
@@ -152,7 +159,7 @@ class VisionNode(ManagedNode):
     def _measure(self, message: Image) -> None:
         image = image_of(message)
         with self._lock:
-            measurement = self._process(image)
+            measurement = with_motion(self._process(image), image, self._motion)
             learned = self.sensor.learned
         area = contact_area_message(contact_area_fields(measurement))
         area.header.stamp = message.header.stamp
@@ -179,6 +186,8 @@ class VisionNode(ManagedNode):
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self._lock:
             self.sensor.reset()
+            if self._motion is not None:
+                self._motion.reset()
         response.success = True
         response.message = "background forgotten; it is learned again from frames without contact"
         return response

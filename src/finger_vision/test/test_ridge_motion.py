@@ -13,12 +13,14 @@ import numpy as np
 import pytest
 
 from finger_common.errors import InputError
+from finger_common.flags import AreaFlag
 from finger_sim.ftir import Contact, FtirRenderer, Scene
 from finger_sim.skin_slip import SkinSlip
 from finger_vision.area_sensor import ContactMeasurement, SkinMotion
 from finger_vision.calibration import PlateCalibration
 from finger_vision.ftir import FtirSegmenter
-from finger_vision.ridge_motion import RidgeMotion
+from finger_vision.messages import contact_area_fields
+from finger_vision.ridge_motion import RidgeMotion, with_motion
 
 PULL = SkinSlip(direction=0.4, reach=90e-6, lag=0.6)
 """Slip at its nodes and shift of the stick zone in the three-dimensional solution at 1 N."""
@@ -226,3 +228,41 @@ def test_contact_over_the_border_without_calibration() -> None:
         seen = camera.show(slip, **at)
     assert seen.stick_ratio < 0.05
     assert np.hypot(*seen.slip) == pytest.approx(150e-6, rel=0.1)
+
+
+def test_ellipse_and_motion_in_a_message_with_their_deviations() -> None:
+    camera = Camera(seed=25)
+    camera.press()
+    held = replace(PULL, ratio=0.6)
+    image = camera.image(held)
+    measured = with_motion(camera.segmenter.process(image), image, camera.motion)
+    fields = contact_area_fields(measured)
+    assert fields["stick_ratio"] == pytest.approx(held.stick_ratio, abs=0.2)
+    assert fields["slip"][2] == 0.0 and not fields["flags"] & AreaFlag.SLIDING
+    assert 0.0 < fields["stick_ratio_stddev"] < 0.1
+    no_image = with_motion(measured, np.zeros((4, 4, 7), np.uint8), camera.motion)
+    assert no_image == measured, "a signal that is no image has no ridges"
+
+
+def test_ellipse_lies_within_its_deviations() -> None:
+    camera = Camera(seed=26, scene=Scene(noise=4.0))
+    rng = np.random.default_rng(3)
+    scores = []
+    for _ in range(14):
+        centre = tuple(rng.uniform(-2e-3, 2e-3, 2))
+        aspect, angle = rng.uniform(1.2, 1.6), rng.uniform(-1.5, 1.5)
+        contact = Contact(rng.uniform(2.5e-3, 4.5e-3), centre, aspect, angle)
+        seen = camera.segmenter.measure(camera.renderer.render_frame([contact]).image)
+        major, minor = (2 * axis for axis in contact.semi_axes)
+        turned = (seen.ellipse_angle - angle + math.pi / 2) % math.pi - math.pi / 2
+        scores.append(
+            [
+                *(np.subtract(seen.centroid, centre) / seen.centroid_sd),
+                (seen.ellipse_major - major) / seen.ellipse_major_sd,
+                (seen.ellipse_minor - minor) / seen.ellipse_minor_sd,
+                turned / seen.ellipse_angle_sd,
+            ]
+        )
+    spread = np.sqrt(np.mean(np.square(scores), axis=0))
+    print("SPREAD", spread)
+    assert (spread > 0.2).all() and (spread < 2.0).all()

@@ -87,7 +87,7 @@ class EstimatorSettings(Settings):
         "ContactArea flags that keep a measurement from being fused, as a sum of bits "
         "(1 no contact, 2 sparse, 4 clipped, 8 low contrast).",
         minimum=0,
-        maximum=255,
+        maximum=511,
     )
     outlier_limit: float = _runtime(
         5.0,

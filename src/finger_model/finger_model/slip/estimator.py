@@ -15,7 +15,9 @@ rate. The output is a function of the inputs in their order.
 
 from __future__ import annotations
 
+import bisect
 import math
+from collections import deque
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -24,6 +26,7 @@ import numpy as np
 from finger_common.axes import DEFAULT_NORMAL_AXIS, axis_of
 from finger_common.errors import InputError
 from finger_common.flags import StateFlag
+from finger_common.stamps import NANOSECONDS, nanoseconds
 
 from ..estimator import ContactEstimate, EstimateBlock
 from . import kernels
@@ -82,6 +85,8 @@ class SlipEstimator:
             np.zeros(1),
         )
         self._row = np.zeros(1, kernels.OUTPUT)
+        self._waiting: list[tuple[int, int, float, float]] = []
+        self._stick_stamps: deque[int] = deque(maxlen=64)
         self.configure(settings or SlipSettings())
         self.reset()
 
@@ -106,7 +111,8 @@ class SlipEstimator:
     def add(self, estimate: ContactEstimate, force: Sequence[float]) -> SlipEstimate:
         """One sample: the contact's estimate and the force (3,) in N that it came from."""
         if estimate.flags & StateFlag.TIME_RESET:
-            self.reset()
+            self._begin_anew(estimate.stamp_ns)
+        self._see_due(estimate.stamp_ns)
         first, second = self.lateral_axes
         stamps, normal, lateral, touching, indentation, moisture = self._samples
         stamps[0] = estimate.stamp_ns
@@ -120,22 +126,29 @@ class SlipEstimator:
 
     def add_block(self, block: EstimateBlock, forces: np.ndarray) -> np.ndarray:
         """As `add` for a block of n estimates and their forces (n, 3); rows (n,) of OUTPUT."""
-        resets = np.flatnonzero(block.column("flags") & int(StateFlag.TIME_RESET))
-        found = []
+        stamps = block.column("stamp_ns")
+        resets = np.flatnonzero(block.column("flags") & int(StateFlag.TIME_RESET)).tolist()
+        found = [np.zeros(0, kernels.OUTPUT)]
         for begin, end in zip([0, *resets], [*resets, len(block)]):
             if begin in resets:
-                self.reset()
-            rows = block.rows[begin:end]
-            found.append(
-                self.add_many(
-                    rows["stamp_ns"],
-                    rows["normal_force"],
-                    forces[begin:end][:, self.lateral_axes],
-                    rows["in_contact"],
-                    rows["indentation"],
-                    rows["moisture"],
+                self._begin_anew(int(stamps[begin]))
+            while begin < end:
+                self._see_due(int(stamps[begin]))
+                until = end
+                if self._waiting:
+                    until = begin + int(np.searchsorted(stamps[begin:end], self._waiting[0][0]))
+                rows = block.rows[begin:until]
+                found.append(
+                    self.add_many(
+                        rows["stamp_ns"],
+                        rows["normal_force"],
+                        forces[begin:until][:, self.lateral_axes],
+                        rows["in_contact"],
+                        rows["indentation"],
+                        rows["moisture"],
+                    )
                 )
-            )
+                begin = until
         return np.concatenate(found)
 
     def add_many(
@@ -170,6 +183,31 @@ class SlipEstimator:
             rows,
         )
         return rows
+
+    def expect_stick_ratio(
+        self, stamp_ns: int, stick_ratio: float, sd: float, delay: float
+    ) -> None:
+        """As `add_stick_ratio`, at the first sample stamped `stamp_ns` + `delay` (s) or later.
+
+        So that the result does not depend on when the reading comes. A second one of a stamp, and
+        one without a finite ratio, is left out.
+        """
+        if not math.isfinite(stick_ratio) or stamp_ns in self._stick_stamps:
+            return
+        self._stick_stamps.append(stamp_ns)
+        due = stamp_ns + nanoseconds(delay)
+        bisect.insort(self._waiting, (due, stamp_ns, float(stick_ratio), float(sd)))
+
+    def _see_due(self, stamp_ns: int) -> None:
+        """Use the stick ratios that are due at a sample of this stamp."""
+        while self._waiting and self._waiting[0][0] <= stamp_ns:
+            self.add_stick_ratio(*self._waiting.pop(0)[1:])
+
+    def _begin_anew(self, stamp_ns: int) -> None:
+        """Time jumped back to a stamp: what is near it is still to come."""
+        self.reset()
+        self._stick_stamps.clear()
+        self._waiting = [w for w in self._waiting if abs(w[1] - stamp_ns) < NANOSECONDS]
 
     def add_stick_ratio(self, stamp_ns: int, stick_ratio: float, sd: float) -> bool:
         """A stick ratio seen by a camera at `stamp_ns`, with its standard deviation.
