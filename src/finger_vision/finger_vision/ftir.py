@@ -200,6 +200,7 @@ class FtirSegmenter(AreaSensor):
         if _is_saturated(frame, ridges):
             flags |= AreaFlag.SATURATED
         area_sd, rim = self._standard_deviation(shape, hidden), self._rim_deviation(shape)
+        centroid_sd, major_sd, minor_sd, angle_sd = ellipse_deviations(shape, area_sd, rim)
         return ContactMeasurement(
             gross_area=shape.area,
             real_area=min(real_area, shape.area),
@@ -210,7 +211,10 @@ class FtirSegmenter(AreaSensor):
             ellipse_angle=shape.angle,
             hull=hull,
             flags=int(flags),
-            **ellipse_deviations(shape, area_sd, rim),
+            centroid_sd=centroid_sd,
+            ellipse_major_sd=major_sd,
+            ellipse_minor_sd=minor_sd,
+            ellipse_angle_sd=angle_sd,
         )
 
     def _outline(
@@ -272,8 +276,10 @@ class FtirSegmenter(AreaSensor):
         return 0.25 * period * math.sqrt(period * shape.perimeter)
 
 
-def ellipse_deviations(shape: Shape, area_sd: float, rim: float) -> dict[str, float]:
-    """Standard deviations of centroid and ellipse, by name of a ContactMeasurement's fields.
+def ellipse_deviations(
+    shape: Shape, area_sd: float, rim: float
+) -> tuple[float, float, float, float]:
+    """Standard deviations of centroid (each coordinate), major and minor axis (m), and angle (rad).
 
     area_sd: of the area, m². rim: the part of it that is of independent errors along the outline;
     they move the moments of an ellipse as integrals along its rim say. All else is common and
@@ -283,13 +289,10 @@ def ellipse_deviations(shape: Shape, area_sd: float, rim: float) -> dict[str, fl
     common = math.sqrt(max(area_sd**2 - rim**2, 0.0)) / shape.area / 2
     a, b = shape.major / 2, shape.minor / 2
     turn = math.sqrt(2) * share * a * b / max(a * a - b * b, 1e-12)
-    return {
-        "centroid_sd": share * math.sqrt(a * b / 2),
-        "ellipse_major_sd": shape.major * math.hypot(math.sqrt(0.75) * share, common),
-        "ellipse_minor_sd": shape.minor * math.hypot(math.sqrt(0.75) * share, common),
-        # No direction is known of a circle.
-        "ellipse_angle_sd": min(turn, math.pi / math.sqrt(12)),
-    }
+    axis = math.hypot(math.sqrt(0.75) * share, common)
+    # No direction is known of a circle.
+    angle = min(turn, math.pi / math.sqrt(12))
+    return share * math.sqrt(a * b / 2), shape.major * axis, shape.minor * axis, angle
 
 
 def _saturated_share(frame: np.ndarray, ridges: Ridges, bright_ridges: bool) -> float:
