@@ -13,6 +13,7 @@ import importlib.util
 import json
 import os
 import platform
+import signal
 import sys
 import time
 import traceback
@@ -106,6 +107,8 @@ def main() -> int:
         if name not in known:
             print(f"bench: no benchmark '{name}'; known are {', '.join(known)}", file=sys.stderr)
             return 2
+    # Benchmarks end the processes they started when they are left, by an exception too.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     console.print(machine())
     failed = []
     all_results: list[dict[str, Any]] = []
