@@ -34,6 +34,22 @@ def trial(refinement: float = 1.0, repeats: int = 1) -> tuple[int, list[float], 
     return 2 * len(model.mesh.nodes), times, area
 
 
+def solid_trial() -> float:
+    """Processor time (s) of a pull in three dimensions: 10 steps of pressing, 10 of pulling."""
+    from finger_model.material import Material
+    from finger_model.solid3d.full_order import SolidModel
+
+    model = SolidModel()
+    model.start(Material()).step(0.1, 0.1)  # compile and warm up
+    stepper = model.start(Material())
+    begin = time.process_time()
+    for k in range(1, 11):
+        stepper.step(0.1 * k, 0.1 * k)
+    for k in range(1, 11):
+        stepper.step(1.0 + 0.1 * k, 1.0, (0.024 * k, 0.0))
+    return time.process_time() - begin
+
+
 def peak_memory() -> float:
     """Peak memory (MB) of a process that does nothing but one trial."""
     done = subprocess.run(
@@ -52,6 +68,7 @@ def run(report: Any) -> None:
     trial(repeats=2)
     report.add("full_order_trial_cpu", time.process_time() - begin - spent, "s of processor time")
     report.add("full_order_memory", peak_memory(), "MB", 300)
+    report.add("full_order_3d_trial", solid_trial(), "s", 60)
     report.note(f"natural trial, {unknowns} unknowns, {STEPS} steps, area {area * 1e6:.2f} mm²")
     sizes, medians = [], []
     for refinement in REFINEMENTS:

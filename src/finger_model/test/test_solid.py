@@ -13,6 +13,7 @@ from finger_common.cli import run
 from finger_common.errors import InputError
 from finger_model.cli import _main
 from finger_model.fem.equilibrium import SLIP, STICK
+from finger_model.fem.mesh import EPIDERMIS
 from finger_model.geometry import Geometry
 from finger_model.laws import GeneralizedMaxwell2, StandardLinearSolid
 from finger_model.solid3d import contact_shape, elements
@@ -33,7 +34,7 @@ def model():
 
 def body(mesh, law):
     """Elements, neo-Hookean material and an array of tangents of a mesh."""
-    bricks = elements.reference_bricks(mesh.nodes, mesh.cells)
+    bricks = elements.reference_bricks(mesh.nodes, mesh.cells, mesh.part != EPIDERMIS)
     metric = np.zeros((*bricks.weight.shape, 6))
     metric[..., :3] = law.instantaneous_shear_modulus
     bulk = np.full(len(mesh.cells), law.bulk_modulus)
@@ -47,7 +48,7 @@ def body(mesh, law):
 def test_mesh_fills_the_finger(pose):
     geometry = Geometry()
     mesh = solid_mesh(geometry, pose)
-    volume = elements.reference_bricks(mesh.nodes, mesh.cells).weight.sum()
+    volume = elements.reference_bricks(mesh.nodes, mesh.cells, mesh.part != EPIDERMIS).weight.sum()
     g = geometry
     pad = g.pad_semi_axis_radial**2 * g.pad_semi_axis_axial
     bone = g.bone_semi_axis_radial**2 * g.bone_semi_axis_axial
@@ -89,7 +90,7 @@ def test_tangent_is_the_derivative_of_the_force(stiffening):
 
 def test_uniform_gradient_gives_uniform_strain():
     mesh = solid_mesh(Geometry(), Pose(1.2), COARSE)
-    bricks = elements.reference_bricks(mesh.nodes, mesh.cells)
+    bricks = elements.reference_bricks(mesh.nodes, mesh.cells, mesh.part != EPIDERMIS)
     f = np.array([[1.1, 0.2, 0.0], [0.05, 0.9, 0.1], [0.0, -0.1, 1.0]])
     shape = (*bricks.weight.shape, 6)
     c_bar, inverse, volume = np.empty(shape), np.empty(shape), np.empty(shape[:2])
@@ -187,9 +188,11 @@ def test_half_and_whole_finger_agree():
         stepper = SolidModel(pose=Pose(1.2, 0.2), size=size, half=half).start(law)
         stepper.step_to_position(0.2, 0.4e-3)
         points.append(stepper.step_to_position(0.4, 0.6e-3, (0.2e-3, 0.0)))
-    for name in ("force", "tangential_x", "area", "semi_axis_a", "center_x", "stick_ratio"):
+    for name in ("force", "tangential_x", "area", "semi_axis_a", "center_x"):
         ours, whole = (getattr(p, name) for p in points)
         assert ours == pytest.approx(whole, rel=2e-3, abs=1e-6), name
+    # A node that slides by just 5 % of the plate's travel may fall on either side.
+    assert points[0].stick_ratio == pytest.approx(points[1].stick_ratio, abs=0.03)
     with pytest.raises(InputError, match="half=False"):
         SolidModel(size=size).start(law).step_to_position(1.0, 1e-4, (0.0, 1e-4))
 

@@ -5,7 +5,15 @@
 
 import pytest
 
-from finger_model.verification import fingers, frictions, homogeneous, numerics, page, spheres
+from finger_model.verification import (
+    fingers,
+    frictions,
+    homogeneous,
+    numerics,
+    page,
+    solids,
+    spheres,
+)
 from finger_model.verification.check import Measure
 
 
@@ -132,3 +140,18 @@ def test_page_shows_every_number_and_marks_a_failure(tmp_path):
     text = page.write_page([check], tmp_path).read_text()
     assert "**fails**" in text and "| impossible | 2 **fails** | ≤ 1 |" in text
     assert (tmp_path / "figures/verification_disc.png").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_three_dimensions_agree_with_two_within_1_percent():
+    holds(solids.axisymmetric())
+
+
+def test_pull_until_slip_within_2_percent_of_calculix():
+    holds(solids.shear())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("check", [solids.tilted, solids.elliptical])
+def test_tilt_and_ellipse_within_3_percent_of_calculix(check):
+    holds(check())

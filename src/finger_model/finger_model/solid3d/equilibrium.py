@@ -14,6 +14,7 @@ import math
 import numpy as np
 
 from ..fem.equilibrium import OPEN, NotConverged
+from ..fem.mesh import EPIDERMIS
 from ..fem.mesh_material import StepMaterial
 from . import elements
 from .condensation import Condensation, NotPositive
@@ -35,7 +36,7 @@ class Equilibrium:
 
     def __init__(self, mesh: SolidMesh) -> None:
         self.mesh = mesh
-        self.elements = elements.reference_bricks(mesh.nodes, mesh.cells)
+        self.elements = elements.reference_bricks(mesh.nodes, mesh.cells, mesh.part != EPIDERMIS)
         self.tangent = np.zeros((len(mesh.cells), elements.UNKNOWNS, elements.UNKNOWNS))
         self.force = np.zeros(mesh.nodes.shape)
         self.length = float(np.ptp(mesh.nodes[:, 2]))

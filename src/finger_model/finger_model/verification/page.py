@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from finger_common.files import atomic_write
 
 from ..figures import save
-from . import fingers, frictions, homogeneous, numerics, spheres
+from . import fingers, frictions, homogeneous, numerics, solids, spheres
 from .check import Check
 
 CHECKS: dict[str, Callable[[], Check]] = {
@@ -38,6 +38,10 @@ CHECKS: dict[str, Callable[[], Check]] = {
     "friction_area": frictions.effect_on_area,
     "coulomb": frictions.coulomb,
     "disc": frictions.disc,
+    "solid_axisymmetric": solids.axisymmetric,
+    "solid_shear": solids.shear,
+    "solid_tilt": solids.tilted,
+    "solid_ellipse": solids.elliptical,
 }
 
 

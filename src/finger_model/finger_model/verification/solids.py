@@ -1,0 +1,197 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Three-dimensional model: against the axisymmetric one, and CalculiX's shear, tilt and ellipse."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..fem.full_order import FullOrderModel
+from ..material import Material
+from ..solid3d.full_order import SolidModel, SolidPoint
+from ..solid3d.mesh import Pose
+from .cases import CALCULIX_FINGER, elastic, reference
+from .check import Check, Curve, Measure, Panel, largest, percent
+
+FROM_FORCE = 0.1
+"""N; below it the contact is a few nodes wide."""
+LOADS = np.array([0.1, 0.15, 0.2, 0.3, 0.5, 0.8, 1.1, 1.35])
+SHEAR_DEPTH = 0.818e-3
+"""m, indentation at which the plate is then moved sideways."""
+
+
+def _dry(friction: float, modulus: float = 30.23e3) -> Material:
+    return elastic(modulus, E2=1652e3, friction=friction)
+
+
+def _pressed(pose: Pose, loads: np.ndarray) -> list[SolidPoint]:
+    stepper = SolidModel(CALCULIX_FINGER, pose).start(_dry(0.0))
+    return [stepper.step(float(k), float(load)) for k, load in enumerate(loads, 1)]
+
+
+def _of(points: list[SolidPoint], name: str) -> np.ndarray:
+    return np.array([getattr(point, name) for point in points])
+
+
+def axisymmetric() -> Check:
+    """A round pad pressed straight, against the axisymmetric model."""
+    flat = FullOrderModel(CALCULIX_FINGER).start(_dry(0.0, 30e3))
+    solid = SolidModel(CALCULIX_FINGER).start(_dry(0.0, 30e3))
+    round_, points = [], []
+    for k, load in enumerate(LOADS, 1):
+        round_.append(flat.step(float(k), load))
+        points.append(solid.step(float(k), load))
+    areas, depths = (np.array([getattr(p, n) for p in round_]) for n in ("area", "indentation"))
+    error = percent(_of(points, "area"), areas)
+    measures = [
+        Measure("largest difference of area", largest(error), "%", high=1.0),
+        Measure("mean difference of area", float(error.mean()), "%"),
+        Measure(
+            "largest difference of indentation",
+            largest(percent(_of(points, "indentation"), depths)),
+            "%",
+            high=1.0,
+        ),
+    ]
+    return Check(
+        "solid_axisymmetric",
+        "Third dimension: straight press",
+        "Three-dimensional against axisymmetric model, elastic, 30 kPa, 1652 kPa, no friction, "
+        "0.1 to 1.35 N.",
+        measures,
+    )
+
+
+def shear() -> Check:
+    """A pressed finger whose plate moves sideways until it slips, against CalculiX."""
+    table = reference("shear_mu0.5")
+    stepper = SolidModel(CALCULIX_FINGER).start(_dry(0.5))
+    for k in range(1, 6):
+        stepper.step_to_position(float(k), SHEAR_DEPTH * k / 5)
+    points = [
+        stepper.step_to_position(6.0 + k, SHEAR_DEPTH, (float(shift), 0.0))
+        for k, shift in enumerate(table["plate_shear_mm"][1:] * 1e-3)
+    ]
+    pull = {name: column[1:] for name, column in table.items()}
+    along = _of(points, "tangential_x")
+    stick = _of(points, "stick_ratio")
+    force = _of(points, "force")
+    measures = [
+        Measure(f"largest difference of {what}", largest(percent(found, exact)), "%", high=limit)
+        for what, found, exact, limit in (
+            ("normal force", force, pull["normal_force_n"], 2.0),
+            ("tangential force", along, pull["tangential_force_n"], 2.0),
+            ("area", _of(points, "area") * 1e6, pull["area_mm2"], 3.0),
+        )
+    ]
+    gap = stick - pull["stick_ratio_by_slip"]
+    measures.append(Measure("largest difference of stick ratio", largest(gap)))
+    place = pull["plate_shear_mm"]
+    return Check(
+        "solid_shear",
+        "Third dimension: pull until slip",
+        "Default finger pressed to 0.818 mm at friction 0.5, then the plate is moved sideways; "
+        "CalculiX 2.20, tangential force good to 1.5 %, stick ratio to 0.03.",
+        measures,
+        [
+            Panel(
+                "plate travel (mm)",
+                "tangential force (N)",
+                [
+                    Curve(place, along, "C0-", "this model"),
+                    Curve(place, pull["tangential_force_n"], "C0o", "CalculiX"),
+                ],
+            ),
+            Panel(
+                "plate travel (mm)",
+                "stick ratio",
+                [Curve(place, stick, "C1-"), Curve(place, pull["stick_ratio_by_slip"], "C1o")],
+            ),
+        ],
+    )
+
+
+def tilted() -> Check:
+    """A plate tilted by 20°, against CalculiX."""
+    table = reference("tilt_20deg")
+    load = table["normal_force_n"]
+    points = _pressed(Pose(pitch=math.radians(20.0)), load)
+    travel = percent(_of(points, "indentation") * 1e3, table["plate_travel_mm"])
+    return _pressed_check(
+        "solid_tilt",
+        "tilted plate",
+        "Plate tilted by 20°, no friction.",
+        load,
+        points,
+        table["area_mm2"],
+        travel,
+        [
+            (_of(points, "center_x") * 1e3 - table["center_x_mm"], "centre", "mm", 0.05),
+            (
+                percent(_of(points, "semi_axis_a") * 1e3, table["semi_axis_across_mm"]),
+                "larger semi-axis",
+                "%",
+                3.0,
+            ),
+        ],
+    )
+
+
+def elliptical() -> Check:
+    """A pad 1.35 times as long as wide, against CalculiX."""
+    table = reference("ellipse_135")
+    load = table["normal_force_n"]
+    points = _pressed(Pose(1.35), load)
+    depth = percent(_of(points, "indentation") * 1e3, table["indentation_mm"])
+    axes = [
+        (percent(_of(points, name) * 1e3, table[column]), words, "%", 3.0)
+        for name, column, words in (
+            ("semi_axis_a", "semi_axis_x_mm", "larger semi-axis"),
+            ("semi_axis_b", "semi_axis_y_mm", "smaller semi-axis"),
+        )
+    ]
+    return _pressed_check(
+        "solid_ellipse",
+        "elliptical pad",
+        "Pad, skin, bone and nail 1.35 times as long along x, no friction.",
+        load,
+        points,
+        table["area_mm2"],
+        depth,
+        axes,
+    )
+
+
+def _pressed_check(
+    name: str,
+    title: str,
+    text: str,
+    load: np.ndarray,
+    points: list[SolidPoint],
+    exact: np.ndarray,
+    depth: np.ndarray,
+    others: list[tuple[np.ndarray, str, str, float]],
+) -> Check:
+    """Area within 3 % of a smooth curve, indentation within 2 %, and others, from FROM_FORCE on."""
+    counted = load >= FROM_FORCE
+    found = _of(points, "area") * 1e6
+    rows = [(percent(found, exact), "area", "%", 3.0), (depth, "indentation", "%", 2.0), *others]
+    return Check(
+        name,
+        f"Third dimension: {title}",
+        f"{text} Elastic, 30.23 kPa, 1652 kPa; CalculiX 2.20, area good to some 2 %.",
+        [
+            Measure(f"largest difference of {what}", largest(error[counted]), unit, high=limit)
+            for error, what, unit, limit in rows
+        ],
+        [
+            Panel(
+                "force (N)",
+                "area (mm²)",
+                [Curve(load, found, "C0-", "this model"), Curve(load, exact, "C0o", "CalculiX")],
+            )
+        ],
+    )
