@@ -22,6 +22,7 @@ from finger_fit.results import parameter_files, write
 from finger_fit.study import fit_records
 from finger_model.laws import StandardLinearSolid
 from finger_model.parameter_sets import ParameterSets
+from finger_model.subjects import subject_file
 
 QUICK = FitOptions(
     full_order=False, profiles=False, bootstrap=0, bias_pairs=0, grid=2, particles=2, rounds=1
@@ -101,6 +102,10 @@ def test_two_subjects_are_fitted_apart_unless_pooled(
     assert data["subjects"]["S02"]["conditions"]["natural"]["trials"] == 4
     assert len(ParameterSets.load(tmp_path / "S02" / "parameters.yaml").sets) == 1
     assert not (tmp_path / "parameters.yaml").exists()
+    # The folder that the model node chooses from by the protocol's subject.
+    for code in result.subjects:
+        own = ParameterSets.load(subject_file(tmp_path / "subjects", code)).sets
+        assert own == ParameterSets.load(tmp_path / code / "parameters.yaml").sets
 
     pooled = fitted(double, records, replace(options, pool=True))
     assert not pooled.subjects and len(pooled.fits["natural"].problem) == 8

@@ -16,7 +16,9 @@ import numpy as np
 
 from finger_common.files import atomic_write
 from finger_common.moisture import MOISTURE_RANGE
+from finger_common.subject_code import is_subject
 from finger_model.parameter_sets import ParameterSet, ParameterSets
+from finger_model.subjects import subject_file
 
 from ..problem import MM4, material_of
 from ..uncertainty import shifted_interval
@@ -227,9 +229,16 @@ def _sets(result: FitResult, fits: dict[str, ConditionFit]) -> ParameterSets:
 
 def write(result: FitResult, folder: Path) -> None:
     """Write fit.json, the parameter files and the tables into the folder; of several subjects,
-    those of each into a folder of its own too."""
+    those of each into a folder of its own too, and subjects/CODE.yaml of each for the model node.
+    """
     for name, part in result.subjects.items():
-        write(part, folder / name)
+        _write(part, folder / name)
+    _write(result, folder)
+    for code, sets in subject_sets(result).items():
+        sets.save(subject_file(folder / "subjects", code))
+
+
+def _write(result: FitResult, folder: Path) -> None:
     with atomic_write(folder / "fit.json") as file:
         json.dump(fit_dict(result), file, indent=1, ensure_ascii=False)
         file.write("\n")
@@ -237,6 +246,19 @@ def write(result: FitResult, folder: Path) -> None:
     if not result.subjects:
         for name, sets in parameter_files(result).items():
             sets.save(folder / name)
+
+
+def subject_sets(result: FitResult) -> dict[str, ParameterSets]:
+    """Sets of each subject by code, as `finger-rig calibrate` writes them; not of trials that are
+    pooled, have no code, or lie in several files for want of moisture readings."""
+    found = {}
+    for part in result.subjects.values() or [result]:
+        codes = {trial.subject for fit in part.fits.values() for trial in fit.problem.trials}
+        sets = parameter_files(part).get("parameters.yaml")
+        code = codes.pop()
+        if sets is not None and not codes and is_subject(code):
+            found[code] = sets
+    return found
 
 
 def _plain(value: Any) -> Any:
