@@ -123,6 +123,11 @@ def parser() -> argparse.ArgumentParser:
         "--misfit", action="store_true", help="simulate a finger that differs from the model"
     )
     study.add_argument(
+        "--slip",
+        action="store_true",
+        help="hold each press at 1 N and pull it sideways until the finger slips, 30 frames/s",
+    )
+    study.add_argument(
         "--trials", type=int, default=15, help="trials per condition (default: 15, as in the paper)"
     )
     study.add_argument(
@@ -398,6 +403,7 @@ def _study(arguments: argparse.Namespace) -> int:
         images=not arguments.no_images,
         misfit=arguments.misfit,
         trials=arguments.trials,
+        slip=arguments.slip,
     )
     return 0
 

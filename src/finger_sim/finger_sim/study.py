@@ -26,9 +26,10 @@ from finger_common.files import atomic_write
 from finger_common.stamps import NANOSECONDS
 from finger_model.paper import TARGET_FORCE, TRIALS_PER_CONDITION
 
+from . import pull
 from .conditions import STUDY, condition
 from .study_bag import START_NS, TRIAL_SECONDS, write_bag
-from .study_trial import EPIDERMIS_FACTORS, REFINEMENT, plan_study_trial
+from .study_trial import EPIDERMIS_FACTORS, REFINEMENT, plan_study_trial, study_friction
 
 Job = tuple[int, str, int]
 """Number of a trial in the study, its condition, its index in the condition."""
@@ -44,13 +45,15 @@ def simulate_study(
     processes: int = 2,
     refinement: float = REFINEMENT,
     report: Callable[[str], None] | None = print,
+    slip: bool = False,
 ) -> list[Path]:
     """Simulate the study and write one bag per trial into `output`; returns the bags in order.
 
     images: render FTIR frames (areas must then be measured in them); without, `contact_area`
     carries true areas with noise, as the metadata states. A bag that exists already is kept, so
-    that an interrupted study can be continued. Raises InputError for an unknown condition or a
-    folder with the bags of another study.
+    that an interrupted study can be continued. slip: each press is held and pulled sideways until
+    the finger slips. Raises InputError for an unknown condition or a folder that holds the bags of
+    another study.
     """
     materials = {name: condition(name).material.to_dict() for name in conditions}
     if trials < 1:
@@ -64,6 +67,8 @@ def simulate_study(
         "conditions": list(conditions),
         "refinement": refinement,
     }
+    if slip:
+        plan["slip"] = True
     _claim(folder, plan)
     names = [(name, index) for name in conditions for index in range(trials)]
     jobs = [(number, name, index) for number, (name, index) in enumerate(names)]
@@ -72,8 +77,9 @@ def simulate_study(
         f"simulating {len(jobs)} trials, seed {seed}, "
         + ("with FTIR frames" if images else "areas with noise, no images")
         + (", with misfit" if misfit else "")
+        + (", pulled until they slip" if slip else "")
     )
-    write = partial(_write_trial, folder, seed, images, misfit, refinement)
+    write = partial(_write_trial, folder, seed, images, misfit, refinement, slip)
     if processes > 1 and len(jobs) > 1:
         with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn")) as pool:
             for number, line in enumerate(pool.map(write, jobs), 1):
@@ -85,8 +91,10 @@ def simulate_study(
         **plan,
         "materials": materials,
         "epidermis_factor": EPIDERMIS_FACTORS[seed % 2] if misfit else 1.0,
-        "target_force": TARGET_FORCE,
+        "target_force": pull.LOAD if slip else TARGET_FORCE,
     }
+    if slip:
+        truth["friction"] = {name: study_friction(seed, name) for name in conditions}
     with atomic_write(folder / "truth.json") as file:
         json.dump(truth, file, indent=1)
     progress(f"{len(jobs)} bags in {folder}")
@@ -112,17 +120,24 @@ def _claim(folder: Path, plan: dict[str, Any]) -> None:
 
 
 def _write_trial(
-    folder: Path, seed: int, images: bool, misfit: bool, refinement: float, job: Job
+    folder: Path,
+    seed: int,
+    images: bool,
+    misfit: bool,
+    refinement: float,
+    slip: bool,
+    job: Job,
 ) -> str:
     """Simulate one trial and write its bag; returns a line of progress."""
     number, name, index = job
     bag = _bag(folder, name, index)
     if (bag / "metadata.yaml").exists():
         return f"{bag.name} exists already"
-    trial = plan_study_trial(seed, name, index, misfit, refinement)
+    trial = plan_study_trial(seed, name, index, misfit, refinement, slip)
     write_bag(bag, trial, seed, images, START_NS + number * TRIAL_SECONDS * NANOSECONDS)
     press = trial.press
     return (
         f"{bag.name}: {press.cue - press.onset:.2f} s to target, peak {press.force.max():.2f} N, "
         f"{trial.area.max() * 1e6:.1f} mm²"
+        + (f", slips after {trial.pull.slip:.2f} s" if trial.pull else "")
     )

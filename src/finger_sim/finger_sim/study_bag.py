@@ -19,9 +19,8 @@ from finger_bag.writer import BagWriter
 from finger_common.flags import AreaFlag
 from finger_common.stamps import nanoseconds
 from finger_common.trial_phases import TrialPhase
-from finger_model.paper import TARGET_FORCE
 
-from .ftir import FtirRenderer
+from .ftir import Contact, FtirRenderer
 from .study_trial import AREA_NOISE, FRAME_RATE, StudyTrial, measured_area, measured_force, stream
 from .trial_plan import PLACEMENT_SD, CameraView, renderer_for
 
@@ -30,6 +29,9 @@ VIEW = CameraView(FRAME_RATE, 640, 512)
 
 START_NS = 1_767_600_000_000_000_000
 """Stamp of the study's begin: bags of the same seed are alike."""
+
+STICK_NOISE = 0.05
+"""Standard deviation of a stick ratio without images; an assumption."""
 
 TRIAL_SECONDS = 60
 """s from the start of a trial to that of the next."""
@@ -55,8 +57,8 @@ def write_bag(
         "subject": "SIM1",
         "condition": trial.condition,
         "trial_index": trial.index,
-        "target_force": TARGET_FORCE,
-        "source": "simulated study",
+        "target_force": trial.target_force,
+        "source": "simulated study" if trial.pull is None else "simulated study of pulls",
         "area_source": areas,
         "seed": seed,
         "misfit": json.dumps(asdict(trial.misfit)),
@@ -93,7 +95,7 @@ def _phases(trial: StudyTrial, seed: int) -> Iterator[Record]:
             "condition": trial.condition,
             "index": trial.index,
             "phase": int(phase),
-            "target_force": TARGET_FORCE,
+            "target_force": trial.target_force,
         }
         yield time, "trial", "", fields
 
@@ -116,13 +118,20 @@ def _wrenches(trial: StudyTrial, seed: int) -> Iterator[Record]:
 
 
 def _areas(trial: StudyTrial, seed: int, noise: float) -> Iterator[Record]:
+    rng = stream(seed, trial.condition, trial.index, "stick ratio")
     for time, area, true in zip(trial.frame_time, measured_area(trial, seed, noise), trial.area):
         fields = {
             "gross_area": float(area),
             "real_area": math.nan if true > 0 else 0.0,
             "area_stddev": noise,
             "flags": 0 if true > 0 else int(AreaFlag.NO_CONTACT),
+            "stick_ratio": math.nan,
         }
+        if trial.pull is not None and true > 0:
+            skin = trial.pull.skin(float(time), (0.0, 0.0))
+            seen = skin.stick_ratio + rng.normal(0.0, STICK_NOISE)
+            fields |= {"stick_ratio": min(max(seen, 0.0), 1.0), "stick_ratio_stddev": STICK_NOISE}
+            fields["flags"] = int(AreaFlag.SLIDING) if skin.slid > 0 else 0
         yield float(time), "contact_area", "plate", fields
 
 
@@ -130,7 +139,10 @@ def _frames(trial: StudyTrial, seed: int, renderer: FtirRenderer) -> Iterator[Re
     x, y = stream(seed, trial.condition, trial.index, "placement").normal(0.0, PLACEMENT_SD, 2)
     for time, area in zip(trial.frame_time, trial.area):
         radius = float(np.sqrt(area / np.pi))
-        image = renderer.render(radius, (float(x), float(y)), trial.misfit.aspect)
+        place = (float(x), float(y))
+        skin = None if trial.pull is None else trial.pull.skin(float(time), place)
+        contact = Contact(radius, place, trial.misfit.aspect, slip=skin)
+        image = renderer.render_frame([contact]).image
         fields = {
             "height": image.shape[0],
             "width": image.shape[1],

@@ -14,7 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from finger_model.geometry import Geometry
+from finger_model.paper import TARGET_FORCE
 
+from . import pull
 from .conditions import condition
 from .finger import SimulatedFinger, area_at
 from .press import Press, plan_press
@@ -63,7 +65,7 @@ class StudyTrial:
     """One press of the study with its truth (SI).
 
     press: from 0 s; frame_time (k,), area (k,): frames and true areas at them, misfit included;
-    moisture (6,) a.u.
+    moisture (6,) a.u.; pull: sideways while the press is held.
     """
 
     condition: str
@@ -73,6 +75,12 @@ class StudyTrial:
     area: np.ndarray
     moisture: np.ndarray
     misfit: Misfit
+    pull: pull.Pull | None = None
+
+    @property
+    def target_force(self) -> float:
+        """Normal force in N that the participant is asked for."""
+        return TARGET_FORCE if self.pull is None else pull.LOAD
 
 
 def stream(seed: int, name: str, index: int, purpose: str) -> np.random.Generator:
@@ -93,12 +101,23 @@ def plan_study_trial(
     index: int,
     misfit: bool | Misfit = False,
     refinement: float = REFINEMENT,
+    slip: bool = False,
 ) -> StudyTrial:
-    """Press and contact of one trial. misfit: drawn when True, or as given."""
+    """Press and contact of one trial. misfit: drawn when True, or as given. slip: the press is held
+    and pulled sideways until it slips."""
     setting = condition(name)
-    press = plan_press(stream(seed, name, index, "press"))
-    phase = stream(seed, name, index, "camera").uniform(0.0, 1.0 / FRAME_RATE)
-    frame_time = np.arange(phase, press.duration, 1.0 / FRAME_RATE)
+    rng, rate = stream(seed, name, index, "press"), FRAME_RATE
+    pulled = None
+    if slip:
+        rate = pull.FRAME_RATE
+        press = plan_press(rng, None, pull.STYLE, pull.LOAD)
+        pulled = pull.plan_pull(
+            stream(seed, name, index, "pull"), press, study_friction(seed, name)
+        )
+    else:
+        press = plan_press(rng)
+    phase = stream(seed, name, index, "camera").uniform(0.0, 1.0 / rate)
+    frame_time = np.arange(phase, press.duration, 1.0 / rate)
     if not isinstance(misfit, Misfit):
         misfit = misfit_of(seed, name, index) if misfit else Misfit()
     thickness = Geometry().epidermis_thickness * misfit.epidermis_factor
@@ -108,18 +127,27 @@ def plan_study_trial(
     area = area_at(history, frame_time) * misfit.area_factor
     area[np.interp(frame_time, press.time, press.force) <= 0] = 0.0
     moisture = setting.draw_moisture(stream(seed, name, index, "moisture"))
-    return StudyTrial(name, index, press, frame_time, area, moisture, misfit)
+    return StudyTrial(name, index, press, frame_time, area, moisture, misfit, pulled)
+
+
+def study_friction(seed: int, name: str) -> float:
+    """Friction of the study's finger in a condition, before it changes from pull to pull."""
+    return pull.finger_friction(stream(seed, name, 0, "friction"), name)
 
 
 def measured_force(trial: StudyTrial, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Time (n,) in s and force (n, 3) in N as the sensor gives it: noise, then rounding.
 
-    The finger presses along −z of the sensor.
+    The finger presses along −z of the sensor; x and y are those of the plate.
     """
     rng = stream(seed, trial.condition, trial.index, "force")
     time = np.arange(0.0, trial.press.duration, 1.0 / FORCE_RATE)
     force = rng.normal(0.0, FORCE_NOISE, (len(time), 3))
     force[:, 2] -= np.interp(time, trial.press.time, trial.press.force)
+    if trial.pull is not None:
+        along = np.interp(time, trial.pull.time, trial.pull.tangential)
+        force[:, 0] += along * np.cos(trial.pull.direction)
+        force[:, 1] += along * np.sin(trial.pull.direction)
     return time, np.round(force / FORCE_RESOLUTION) * FORCE_RESOLUTION
 
 
