@@ -455,10 +455,3 @@ def test_a_guided_session_with_a_fault_of_each_device(
     reports = json.loads(subprocess.run(command, capture_output=True, text=True).stdout)
     unreadable = [r["bag"] for r in reports if not r["checks"]]
     assert len(reports) == 6 and not unreadable, reports
-    command = [sys.executable, "-m", "finger_fit.cli", *bags, "-o", str(tmp_path / "fit")]
-    result = subprocess.run(command, capture_output=True, text=True)
-    assert result.returncode == 0, result.stdout[-3000:] + result.stderr[-3000:]
-    fitted = json.loads((tmp_path / "fit" / "fit.json").read_text())["conditions"]
-    assert {name: c["trials"] for name, c in fitted.items()} == {"dry": 4, "natural": 2}
-    page.goto((tmp_path / "fit" / "report.html").as_uri())
-    assert violations(page) == []
