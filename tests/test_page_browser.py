@@ -480,9 +480,9 @@ def test_curves_are_back_after_a_reload_and_the_last_press_can_be_scrubbed(
     rig.cue("press")
     rig.status(**session("press"))
     page.wait_for_selector("#cue[data-look=press]")
-    # The stand-in presses for 3 of every 6 s.
+    # The stand-in presses for 3 of every 6 s: the trial has at least one change of the force.
     until(lambda: "±" in page.inner_text("#estimate-value"), page)
-    page.wait_for_timeout(2000)
+    page.wait_for_timeout(4000)
     rig.cue("done")
     rig.status(**session("done"))
     page.wait_for_selector("#last:enabled")
