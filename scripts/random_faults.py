@@ -415,8 +415,8 @@ def read_losses(rig: Rig, run: Run) -> None:
                 run.silent_losses.append(f"{name}: {(b - a) * 1e-9:.2f} s at {a * 1e-9:.3f}")
 
 
-def measure(minutes: float, seed: int, folder: Path) -> Run:
-    """Run the rig and show it faults."""
+def measure(minutes: float, seed: int, folder: Path, only: str = "") -> Run:
+    """Run the rig and show it faults, those whose name contains `only`."""
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     domain = free_domain()
     os.environ["ROS_DOMAIN_ID"] = str(domain)
@@ -432,7 +432,7 @@ def measure(minutes: float, seed: int, folder: Path) -> Run:
         print(f"up after {time.monotonic() - began:.1f} s", flush=True)
         rig.readings()
         time.sleep(3)
-        kinds = faults()
+        kinds = [fault for fault in faults() if only in fault.name]
         begun, waiting, number = time.monotonic(), [], 0
         while time.monotonic() - begun < minutes * 60:
             if not waiting:
@@ -475,15 +475,20 @@ def main() -> int:
     parser.add_argument("--folder", type=Path, help="folder to keep the run in")
     parser.add_argument("--named", type=float, default=NAMED, help="bound in s")
     parser.add_argument("--gone", type=float, default=GONE, help="bound in s")
+    parser.add_argument("--only", default="", metavar="TEXT", help="faults with this in their name")
     parser.add_argument("--record", action="store_true", help="keep the results; write the page")
     parser.add_argument("--note", default="", help="sentence for the page, such as the load")
     args = parser.parse_args()
+    if not any(args.only in fault.name for fault in faults()):
+        parser.error(f"no fault has '{args.only}' in its name")
+    if args.only and args.record:
+        parser.error("--record needs all faults, leave out --only")
     if args.folder:
         args.folder.mkdir(parents=True, exist_ok=True)
-        run = measure(args.minutes, args.seed, args.folder)
+        run = measure(args.minutes, args.seed, args.folder, args.only)
     else:
         with tempfile.TemporaryDirectory(prefix="faults_") as folder:
-            run = measure(args.minutes, args.seed, Path(folder))
+            run = measure(args.minutes, args.seed, Path(folder), args.only)
     if args.record:
         data = {**vars(run), "note": args.note, "results": [vars(r) for r in run.results]}
         with atomic_write(RECORDED) as file:

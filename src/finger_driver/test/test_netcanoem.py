@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from finger_common.errors import DeviceError
-from finger_driver.can_bus import open_bus, parse_options
+from finger_driver.can_bus import discard_waiting, open_bus, parse_options
 from finger_driver.force import GOOD, open_source
 from finger_driver.protocols import netcanoem, units
 from finger_driver.simulators.netcanoem import NetcanoemSimulator, default_calibration
@@ -180,6 +180,51 @@ def test_frames_of_two_readings_are_never_joined(channel: str, fault: str) -> No
         wrench = np.concatenate((sample.force, sample.torque))
         size = round(sample.force[2] / direction[2])
         assert np.all(np.abs(wrench - size * direction) <= limit), "two readings were mixed"
+
+
+@pytest.mark.parametrize("slower", ["own", "other"])
+@pytest.mark.parametrize("other_slot", [0, 3])
+def test_a_second_board_is_named_and_nothing_is_given_whichever_answers_first(
+    channel: str, slower: str, other_slot: int
+) -> None:
+    """The slower board's frames come when the reading is complete, before the next request."""
+    bus, own = board(channel, force=lambda stamp: np.array([0, 0, -5.0, 0, 0, 0]))
+    second, other = board(channel, slots={0: default_calibration(other_slot)})
+    (own if slower == "own" else other).response_time = 0.5e-3
+    own.start()
+    source = driver(channel, rate=200.0)
+    try:
+        source.connect()
+        while source.read(1.0) is None:
+            pass
+        discard_waiting(second)
+        other.start()
+        given = 0
+        end = time.monotonic() + 2.0
+        while "conflict" not in source.health.faults and time.monotonic() < end:
+            given += source.read(1.0) is not None
+        assert "two different replies" in source.health.faults["conflict"]
+        assert given <= 20
+        try:
+            assert all(source.read(1.0) is None for _ in range(60))
+        except DeviceError as error:
+            # A matrix that is not the sensor's.
+            assert other_slot == 3 and "calibration slot" in str(error)
+        other.stop()
+        end = time.monotonic() + 5.0
+        while "conflict" in source.health.faults and time.monotonic() < end:
+            try:
+                source.read(1.0)
+            except DeviceError:
+                source.connect()
+        assert "conflict" not in source.health.faults
+        assert source.read(1.0) is not None
+    finally:
+        source.close()
+        own.stop()
+        other.stop()
+        bus.shutdown()
+        second.shutdown()
 
 
 def test_replies_that_come_late_at_start_up_are_not_taken_for_other_rows(channel: str) -> None:

@@ -16,6 +16,9 @@ the bus may echo the driver's own frames, replies may be lost or late. Rules use
 - The reply to a request for a row does not say which row it is. A fence that was given up may still
   be answered, so all fences ask for the same row until no late reply has come for a while, and
   start-up, after a repeated request, waits for what is still to come and reads the matrix twice.
+- A second board of the same identifier may always answer first, or always last. So what comes after
+  a complete reply is compared with it. When it differs, nothing is given for a while, since it
+  cannot be known which reply was the sensor's.
 - The active calibration is lost when the board resets. One row of the matrix is read again every
   `calibration_check_period` seconds and after every silence; a change leads to a new start-up.
 - A computer that stands still for a moment loses no reply: what has come is read also after the
@@ -53,6 +56,8 @@ _SILENCE = 0.25
 """Seconds without a reply after which the connection counts as lost."""
 _QUIET = 1.0
 """Seconds without a late reply after which the fences ask for another row."""
+_DISPUTED = 0.5
+"""Seconds after two different replies to one request for which no reading is given."""
 
 
 @dataclass(frozen=True)
@@ -113,6 +118,10 @@ class NetcanoemSource(ForceSource):
         self._row_due = 0
         self._late_row = 0.0
         self._echoes = 0
+        self._reply: dict[tuple[int, int], bytes] = {}
+        """Frames of the last complete reading, by opcode and length; empty when it was lost."""
+        self._row_reply: dict[tuple[int, int], bytes] = {}
+        self._disputed_until = 0.0
 
     # Connection ------------------------------------------------------------------------------
 
@@ -142,6 +151,7 @@ class NetcanoemSource(ForceSource):
         self._next_poll = now
         self._check_due = now + self.settings.calibration_check_period
         self._last_reply = now
+        self._reply, self._row_reply, self._disputed_until = {}, {}, 0.0
 
     def close(self) -> None:
         bus, self._bus = self._bus, None
@@ -330,8 +340,26 @@ class NetcanoemSource(ForceSource):
                 return
             foreign = frame.arbitration_id & ~0xF != self._first_id or frame.is_extended_id
             self.health.count("foreign" if foreign else "old_frames")
-            if not foreign and frame.arbitration_id & 0xF in (2, 3, 4):
-                self._late_row = time.monotonic()
+            if not foreign:
+                self._compare_old(frame)
+
+    def _compare_old(self, frame: can.Message) -> None:
+        """Compare a frame that came after a complete reply with that reply."""
+        key, now = (frame.arbitration_id & 0xF, frame.dlc), time.monotonic()
+        reply = self._reply.get(key) or self._row_reply.get(key)
+        if reply == frame.data:
+            return
+        if reply is not None and now - self._late_row > _QUIET:
+            self._conflict()
+        elif key[0] in (2, 3, 4):
+            self._late_row = now
+
+    def _conflict(self) -> None:
+        self.note(
+            "conflict",
+            "two different replies to one request; does another device use the base identifier?",
+        )
+        self._disputed_until = time.monotonic() + _DISPUTED
 
     def _poll(self) -> WrenchSample | None:
         assert self._bus is not None
@@ -354,12 +382,8 @@ class NetcanoemSource(ForceSource):
             elif opcode == 1 and frame.dlc == 6 and second is None:
                 second = data
             elif (opcode, frame.dlc) in ((0, 8), (1, 6)) and data not in (first, second):
-                # Which of the two replies is the board's cannot be known.
-                self.note(
-                    "conflict",
-                    "two different replies to one request; does another device use the base "
-                    "identifier?",
-                )
+                self._conflict()
+                self._reply = {}
                 self._fence()
                 return None
             elif opcode in (2, 3, 4) and frame.dlc == 8:
@@ -369,9 +393,12 @@ class NetcanoemSource(ForceSource):
             elif not (opcode == 0 and frame.dlc == 0):
                 self._malformed(frame)
         self._last_reply = time.monotonic()
+        self._reply = {(0, 8): first, (1, 6): second}
         if arrived - sent > self._period * 1e9:
             self.health.count("late")
         self.cleared("lost", "bus_errors", "malformed", "conflict")
+        if self._last_reply < self._disputed_until:
+            return None
         status, gauges = protocol.decode_gauges(first, second)
         assert self.calibration is not None
         wrench = self.calibration.wrench(gauges)
@@ -414,6 +441,7 @@ class NetcanoemSource(ForceSource):
         """Account for a poll without a complete reply and discard what is still to come of it."""
         if half:
             self.health.count("half_replies")
+        self._reply = {}
         self.note("lost", f"no complete reply within {self._timeout * 1e3:.0f} ms")
         silent = time.monotonic() - self._last_reply
         if not self._fence() and silent > _SILENCE:
@@ -438,9 +466,11 @@ class NetcanoemSource(ForceSource):
                 rows[opcode] = bytes(frame.data)
             elif (opcode, frame.dlc) in ((0, 8), (1, 6)):
                 late += 1
+                self._compare_old(frame)
         if late:
             self.health.count("late_replies", late)
         self._last_reply = time.monotonic()
+        self._row_reply = {(opcode, 8): data for opcode, data in rows.items()}
         self._compare_row((rows[2], rows[3], rows[4]))
         return True
 
