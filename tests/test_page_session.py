@@ -1,7 +1,8 @@
-"""A whole session run from the page in a real browser, with the whole simulated rig.
+"""Sessions run from the page in a real browser, with the whole simulated rig.
 
-Two conditions, six kept trials, a redo, a fault of each device, a reload, a restart of the protocol
-and of the page, an early end. Pictures at five sizes go to out/page (PAGE_SHOTS: another folder).
+One with two conditions, six kept trials, a redo, a fault of each device, a reload, a restart of the
+protocol and of the page, an early end; and the calibration of a subject. Pictures at five sizes go
+to out/page (PAGE_SHOTS: another folder).
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ from page_looks import OVERFLOW, SIZES, shots, violations
 
 from finger_bringup import nodes
 from finger_bringup.supervisor import Supervisor
+from finger_common.guided_presses import CALIBRATION_PRESSES
 from finger_model.geometry import Geometry
+from finger_model.parameter_sets import ParameterSets
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
@@ -49,7 +52,8 @@ WIDE = {"width": 1366, "height": 900}
 class Rig:
     """The suite on simulated devices, kept running by the supervisor."""
 
-    def __init__(self, folder: Path, page_port: int) -> None:
+    def __init__(self, folder: Path, page_port: int, upcoming: list[str]) -> None:
+        """upcoming: trials that the participant plans ahead."""
         self.sessions = folder / "sessions"
         self.log = folder / "rig.log"
         parameters = {
@@ -58,7 +62,7 @@ class Rig:
                 "height": 512,
                 "refinement": 0.5,
                 "reading_time": 1.0,
-                "upcoming": ["dry:4", "natural:4"],
+                "upcoming": upcoming,
             },
             "protocol": BUSY,
             "page": {"port": page_port},
@@ -251,10 +255,20 @@ class Operator:
         assert "±" not in self.text("#estimate-value")
         self.until(tared, "tare")
 
+    def new_session(self) -> None:
+        """Open the dialog of a new session, once the protocol has told its plan."""
+
+        def opened() -> bool:
+            if self.look == "closed" and not self.page.is_visible("#session-dialog"):
+                self.press("Space")
+                self.page.wait_for_timeout(300)
+            return bool(self.page.is_visible("#session-dialog"))
+
+        self.until(opened, "the dialog of a new session")
+
     def begin(self) -> None:
         """Type a session into the dialog and begin; a name is refused."""
-        self.until(lambda: self.look == "closed", "the page without a session")
-        self.press("Space")
+        self.new_session()
         page = self.page
         page.fill("#plan-subject", "Maria")
         page.fill("#plan-conditions", "dry, natural")
@@ -294,7 +308,7 @@ def test_a_guided_session_with_a_fault_of_each_device(
     ros_domain: int, free_port: Callable[[], int], tmp_path: Path, browser: Any, project_root: Path
 ) -> None:
     port = free_port()
-    rig = Rig(tmp_path, port)
+    rig = Rig(tmp_path, port, ["dry:4", "natural:4"])
     devices = Devices(ros_domain)
     page = browser.new_page()
     page.set_viewport_size(WIDE)
@@ -455,3 +469,41 @@ def test_a_guided_session_with_a_fault_of_each_device(
     reports = json.loads(subprocess.run(command, capture_output=True, text=True).stdout)
     unreadable = [r["bag"] for r in reports if not r["checks"]]
     assert len(reports) == 6 and not unreadable, reports
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_the_button_calibrates_the_subject(
+    ros_domain: int, free_port: Callable[[], int], tmp_path: Path, browser: Any, project_root: Path
+) -> None:
+    port = free_port()
+    rig = Rig(tmp_path, port, [f"{press.name}:1" for press in CALIBRATION_PRESSES])
+    page = browser.new_page()
+    page.set_viewport_size(WIDE)
+    operator = Operator(page, shots(project_root))
+    with rig.supervisor:
+        rig.until_logged("operator's page")
+        page.goto(f"http://127.0.0.1:{port}/")
+        operator.tare()
+        operator.new_session()
+        page.fill("#plan-subject", "S01")
+        page.click("#plan-calibrate")
+        page.wait_for_selector("#session-dialog:not([open])", state="attached", timeout=60000)
+        said = CALIBRATION_PRESSES[0].text
+        operator.until(lambda: said in operator.text("#cue-text"), "what is asked for")
+        operator.picture("calibration", *SIZES[1])
+        operator.see("finished", seconds=600.0)
+        operator.until(lambda: "alibrated: " in operator.text("#cue-text"), "the result")
+        result = operator.text("#cue-text")
+        assert "Calibrated: " in result and "live in the model node" in result, result
+        operator.picture("calibrated", *SIZES[1])
+        assert violations(page) == []
+        page.click("#tab-log")
+        assert "Calibrated: " in operator.text("#log")
+        assert operator.errors == []
+    saved = ParameterSets.load(tmp_path / "subjects" / "S01.yaml")
+    assert saved.prior is not None and saved.prior != ParameterSets.default().prior
+    (session,) = (p for p in rig.sessions.iterdir() if p.is_dir())
+    table = (session / "trials.csv").read_text().splitlines()[1:]
+    assert sum(",done," in line for line in table) == len(CALIBRATION_PRESSES)
+    assert "Traceback" not in rig.log.read_text()

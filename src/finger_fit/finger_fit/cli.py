@@ -27,6 +27,7 @@ from .hierarchy.command import command as population_command
 from .nuisance.names import name_of
 from .options import FitOptions
 from .problem import MM4, three_digits
+from .report import find_browser, write_pdf
 from .results import FitResult
 from .study import fit_bags
 
@@ -57,6 +58,9 @@ def parser() -> argparse.ArgumentParser:
         default=[],
         metavar="C",
         help="fit this condition only; repeatable",
+    )
+    p.add_argument(
+        "--pdf", action="store_true", help="also report.pdf; needs an installed Chromium or Chrome"
     )
     p.add_argument("--quiet", action="store_true", help="no progress")
     bags = p.add_argument_group("bags")
@@ -133,6 +137,8 @@ def command(argv: Sequence[str] | None = None) -> int:
             raise InputError(f"{bag}: no such bag; check the path")
     if args.calibration and args.area_per_pixel:
         raise InputError("--calibration and --area-per-pixel: give one of the two")
+    # Before the fit, which is long.
+    browser = find_browser() if args.pdf else ""
     model = load_areas(args.model or "", args.geometry, args.law)
     with Screen(args.quiet) as screen:
         result = fit_bags(
@@ -160,7 +166,12 @@ def command(argv: Sequence[str] | None = None) -> int:
             print(f"{plain(name)}: not estimated by these data: {names}; see the report")
         for reason in fit.reasons:
             print(f"{plain(name)}: {fit.status}: {plain(reason)}")
-    print(f"report: {plain(Path(args.output) / 'report.html')}")
+    page = Path(args.output) / "report.html"
+    print(f"report: {plain(page)}")
+    if browser:
+        for name in ("", *result.subjects):
+            write_pdf(page.parent / name / page.name, browser)
+        print(f"report: {plain(page.with_suffix('.pdf'))}")
     return EXIT_INTERRUPTED if result.interrupted else 0
 
 

@@ -20,10 +20,11 @@ import pytest
 
 from finger_common.errors import InputError
 from finger_fit import report, results
+from finger_fit.cli import command
 from finger_fit.engine import DaskEngine
 from finger_fit.options import FitOptions
 from finger_fit.problem import MM4, three_digits
-from finger_fit.report import write_report
+from finger_fit.report import find_browser, write_pdf, write_report
 from finger_fit.results import FitResult
 from finger_fit.search import Stopped, all_free, refine
 from finger_fit.study import fit_condition, fit_records
@@ -251,6 +252,45 @@ def test_report_fits_the_width_of_a_window_and_of_a_page_of_paper(
         assert page.evaluate(beyond) == [] and page.evaluate(cut) == 0, media
     numbers = [int(n) for n in re.findall(r"Fig\. (\d+)", page.inner_text("body"))]
     assert numbers == sorted(numbers) and len(set(numbers)) == len(numbers) >= 8
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_axe_finds_nothing_in_the_report(study, tmp_path: Path, browser: Any, scheme: str) -> None:
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
+    page = browser.new_page(color_scheme=scheme, viewport={"width": 1280, "height": 900})
+    page.goto(write_report(study, tmp_path).as_uri())
+    for width in (1280, 390):
+        page.set_viewport_size({"width": width, "height": 900})
+        found = axe.run(page).response["violations"]
+        assert [(v["id"], [n["target"] for n in v["nodes"]]) for v in found] == [], width
+
+
+def test_the_report_is_printed_to_pdf(study, tmp_path: Path) -> None:
+    page = write_report(study, tmp_path)
+    files = set(tmp_path.iterdir())
+    with pytest.raises(InputError, match=r"not written.*report\.html is complete"):
+        write_pdf(page, shutil.which("false") or "false")
+    with pytest.raises(InputError, match="No such file"):
+        write_pdf(page, str(tmp_path / "no_browser"))
+    assert set(tmp_path.iterdir()) == files, "nothing half-written"
+    try:
+        browser = find_browser()
+    except InputError as error:
+        pytest.skip(f"printing of the report not tested: {error}")
+    content = write_pdf(page, browser).read_bytes()
+    assert set(tmp_path.iterdir()) == files | {tmp_path / "report.pdf"}
+    pages = re.search(rb"/Type /Pages\s*/Count (\d+)", content)
+    assert pages and 3 <= int(pages[1]) <= 20
+    (width, height) = re.findall(rb"/MediaBox \[0 0 ([\d.]+) ([\d.]+)\]", content)[0]
+    assert (round(float(width)), round(float(height))) == (595, 842), "A4"
+
+
+def test_a_pdf_without_a_browser_is_refused_before_the_fit(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    (tmp_path / "bag").mkdir()
+    with pytest.raises(InputError, match="neither is installed; install one"):
+        command([str(tmp_path / "bag"), "--pdf", "-o", str(tmp_path / "fit")])
+    assert not (tmp_path / "fit").exists()
 
 
 def test_goodness_has_intervals_over_the_trials(study) -> None:

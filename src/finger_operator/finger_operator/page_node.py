@@ -14,7 +14,7 @@ import math
 import queue
 import sys
 import time
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import cv2
@@ -113,6 +113,8 @@ class PageNode(ManagedNode):
         self._status: dict[str, Any] = {"step": "closed"}
         self._last_force = self._last_state = 0
         self._image_subscription: Any = None
+        self._painter = ThreadPoolExecutor(1, "pictures")
+        self._painted: Future[None] | None = None
         self._server.start()
         self.get_logger().info(f"operator's page: {self._server.url}")
         other = "through a forwarded port: http://localhost:PORT"
@@ -148,6 +150,7 @@ class PageNode(ManagedNode):
         for polled in (self._wrench, self._state):
             polled.destroy()
         self._watch_images(False)
+        self._painter.shutdown()
         self._server.stop()
 
     def cleanup(self) -> None:
@@ -285,6 +288,14 @@ class PageNode(ManagedNode):
             self._image_subscription = None
 
     def _on_image(self, message: Image) -> None:
+        # Compressed in a thread of its own, which a cue need not wait for; one at a time.
+        if self._painted is not None:
+            if not self._painted.done():
+                return
+            self._painted.result()
+        self._painted = self._painter.submit(self._paint, message)
+
+    def _paint(self, message: Image) -> None:
         image = picture(message)
         if image is None:
             self._health.count("images_not_shown")

@@ -5,3 +5,4 @@
 
 from .figures import figure
 from .page import write_report
+from .pdf import find_browser, write_pdf

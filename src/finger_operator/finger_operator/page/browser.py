@@ -15,6 +15,8 @@ import asyncio
 import json
 import time
 from collections import deque
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -66,9 +68,12 @@ class Browser:
     image_bytes: int = IMAGE_BYTES[1]
     """Largest image that the link takes."""
     wake: asyncio.Event = field(default_factory=asyncio.Event)
+    cue_waits: asyncio.Event = field(default_factory=asyncio.Event)
     transport: asyncio.BaseTransport | None = None
     sending_since: float | None = None
-    """Monotonic time since which something is being sent, or was sent and is not confirmed."""
+    """Monotonic time since which a round is being sent, or was sent and is not confirmed."""
+    cue_since: float | None = None
+    """Monotonic time since which a cue is being sent."""
     rounds: int = 0
     """Number of the last round."""
     confirmed: bool = True
@@ -77,7 +82,7 @@ class Browser:
     def add_cue(self, text: str) -> None:
         """A cue or an answer, to be sent before everything else."""
         self.cues.append(text)
-        self.wake.set()
+        self.cue_waits.set()
 
     def add_state(self, kind: str, text: str) -> None:
         """The newest state of a kind."""
@@ -127,44 +132,50 @@ class Browser:
         if isinstance(self.transport, asyncio.WriteTransport):
             self.transport.abort()
 
+    def stuck(self, since: float) -> bool:
+        """Whether something that began to be sent before that monotonic time was not taken yet."""
+        begun = (self.sending_since, self.cue_since)
+        return any(at is not None and at < since for at in begun)
+
     async def send(self) -> None:
-        """Send what waits until the browser goes away; the only writer to its socket."""
-        try:
+        """Send what waits until the browser goes away.
+
+        Cues have a sender of their own: they do not wait until a round is made or taken.
+        """
+        await asyncio.gather(
+            self._repeat(self.cue_waits, self._send_cues), self._repeat(self.wake, self._send_round)
+        )
+
+    async def _repeat(self, wake: asyncio.Event, send: Callable[[], Awaitable[None]]) -> None:
+        # The browser may go away in the middle of a message; the reader notices and cleans up.
+        with suppress(ConnectionError, RuntimeError):
             while not self.socket.closed:
-                await self.wake.wait()
-                self.wake.clear()
-                if self.confirmed:
-                    self.sending_since = time.monotonic()
-                await self._send_cues()
-                if self.confirmed:
-                    await self._send_round()
-        except (ConnectionError, RuntimeError):
-            # The browser went away in the middle of a message; the reader notices and cleans up.
-            pass
+                await wake.wait()
+                wake.clear()
+                await send()
+
+    async def _send_cues(self) -> None:
+        while self.cues:
+            self.cue_since = time.monotonic()
+            await self.socket.send_str(self.cues.popleft())
+        self.cue_since = None
 
     async def _send_round(self) -> None:
         """Send the newest of everything; the page confirms the last message of it."""
-        image, self.image = self.image, None
-        if not (self.newest or self.points or image):
-            self.sending_since = None
+        if not self.confirmed or not (self.newest or self.points or self.image):
             return
+        self.sending_since = time.monotonic()
+        self.confirmed, self.rounds = False, self.rounds + 1
+        image, self.image = self.image, None
         if image and len(image[1]) > self.image_bytes:
             small = await asyncio.to_thread(smaller_image, image[1], self.image_bytes)
             image = (image[0], small)
-        self.confirmed, self.rounds = False, self.rounds + 1
         newest, self.newest = self.newest, {}
         points, self.points = self.points, {}
         for text in newest.values():
             await self.socket.send_str(text)
-            await self._send_cues()
         if points:
             await self.socket.send_str(json.dumps({"type": "points", **points}))
-            await self._send_cues()
         if image:
             await self.socket.send_bytes(b"".join(image))
-            await self._send_cues()
         await self.socket.send_str(json.dumps({"type": "round", "id": self.rounds}))
-
-    async def _send_cues(self) -> None:
-        while self.cues:
-            await self.socket.send_str(self.cues.popleft())

@@ -238,7 +238,7 @@ class PageServer:
                 if now - begun > patience or transport in surplus:
                     transport.abort()
             for browser in list(self._browsers):
-                if browser.sending_since is not None and now - browser.sending_since > patience:
+                if browser.stuck(now - patience):
                     browser.drop()
 
     # Pages -----------------------------------------------------------------------------------

@@ -174,7 +174,8 @@ function cueText(name) {
   if (name === "offline") {
     return state.away ? "The page shows nothing until the rig answers again." : NO_STATUS;
   }
-  if (name === "press") return "Press until the cue changes.";
+  // A calibration's press has words of its own, which come with the status.
+  if (name === "press") return (s.step === name && s.instruction) || "Press until the cue changes.";
   if (name === "lift") return "Lift the finger.";
   if (name === "prepare" && s.step === name) return s.message ? s.instruction : s.preparation;
   return name === s.step || s.paused ? s.instruction || "" : "";
