@@ -107,7 +107,8 @@ def render(result: FitResult, pictures: dict[str, bytes]) -> str:
         kind = " class=narrow" if name in NARROW else ""
         text = escape(captions[name])
         return (
-            f'<figure{kind}><img alt="{text}" src="data:image/png;base64,{data}">'
+            f"<figure{kind}><div class=scroll tabindex=0>"
+            f'<img alt="{text}" src="data:image/png;base64,{data}"></div>'
             f"<figcaption><b>Fig. {next(numbers)}.</b> {text}</figcaption></figure>"
         )
 
