@@ -12,9 +12,11 @@ does, does not echo a bus its own frames.
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import ipaddress
 import select
 import socket
+import struct
 import sys
 import time
 from collections.abc import Iterable
@@ -102,6 +104,7 @@ class HostMulticastBus(can.BusABC):
             self._sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
             self._sender.bind(("127.0.0.1", 0))
             self._own = self._sender.getsockname()
+            _leave_out_sender(self._receiver, *self._own)
         except OSError as error:
             self.shutdown()
             raise can.CanInitializationError(f"{channel}:{port}: {error.strerror}") from error
@@ -152,6 +155,30 @@ class HostMulticastBus(can.BusABC):
         super().shutdown()
         self._receiver.close()
         self._sender.close()
+
+
+_SO_ATTACH_FILTER = 26
+_IP_HEADER = -0x100000
+"""Offset of the IP header in a filter, which else sees the UDP header first (linux/filter.h)."""
+
+
+def _leave_out_sender(receiver: socket.socket, address: str, port: int) -> None:
+    """Have the kernel drop datagrams of one sender, on Linux: each would wake the receiver up."""
+    if not sys.platform.startswith("linux"):
+        return
+    ip = struct.unpack("!I", socket.inet_aton(address))[0]
+    load_half, load_word, jump_if_equal, give_back = 0x28, 0x20, 0x15, 0x06
+    steps = (
+        (load_half, 0, 0, 0),  # source port
+        (jump_if_equal, 0, 3, port),
+        (load_word, 0, 0, _IP_HEADER + 12 & 0xFFFFFFFF),  # source address
+        (jump_if_equal, 0, 1, ip),
+        (give_back, 0, 0, 0),  # nothing of it
+        (give_back, 0, 0, 0xFFFF),  # all of it
+    )
+    code = ctypes.create_string_buffer(b"".join(struct.pack("HBBI", *step) for step in steps))
+    program = struct.pack("HP", len(steps), ctypes.addressof(code))
+    receiver.setsockopt(socket.SOL_SOCKET, _SO_ATTACH_FILTER, program)
 
 
 def parse_options(text: str) -> dict[str, Any]:
