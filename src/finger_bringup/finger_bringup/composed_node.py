@@ -40,7 +40,7 @@ from finger_common.node.running import END_SIGNALS, say_farewell
 
 from .restarts import RestartDelay
 
-SWITCH_INTERVAL = 5e-4
+SWITCH_INTERVAL = 5e-5
 """s after which a thread that computes lets another one run that has a sample to process."""
 
 LONGEST_END = 10.0

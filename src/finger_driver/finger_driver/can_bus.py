@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import can
+from can.interfaces.socketcan import SocketcanBus
 from can.interfaces.udp_multicast.utils import pack_message, unpack_message
 
 from finger_common.errors import DeviceError, InputError
@@ -260,6 +261,11 @@ def frame(identifier: int, data: Iterable[int], extended: bool = False) -> can.M
 def stamp_of(message: can.Message) -> int | None:
     """Wall time (ns) that the interface gave a frame, None where it gave none."""
     return round(message.timestamp * 1e9) if message.timestamp else None
+
+
+def can_be_awaited(bus: can.BusABC) -> bool:
+    """Whether `select` tells when a frame has come, with nothing kept back in this process."""
+    return isinstance(bus, (HostMulticastBus, SocketcanBus)) and not sys.platform == "win32"
 
 
 def describe(bus: can.BusABC) -> str:

@@ -17,6 +17,8 @@ from finger_common.host_clock import HostClock
 from finger_common.retry import Pauses
 from finger_common.settings import Settings
 
+from .shared_polling import SHARED, Polled
+
 Sample = TypeVar("Sample")
 Log = Callable[[int, str], None]
 """Called with a level of `finger_common.diagnostics` (0 for information) and a sentence."""
@@ -58,6 +60,10 @@ class Device(Generic[Sample]):
         """Release the device."""
         raise NotImplementedError
 
+    def polled(self) -> Polled | None:
+        """The device for a thread that polls several; None where it needs its own for now."""
+        return None
+
     def flush(self) -> None:
         """Discard what has come since `connect`; called before reading begins."""
 
@@ -89,7 +95,8 @@ class Device(Generic[Sample]):
 class DeviceThread(Generic[Sample]):
     """Reads a device in a thread of its own and connects again when it is lost.
 
-    `on_sample` is called in that thread. A sample resets the pause between attempts.
+    `on_sample` is called in that thread, or in the one that polls several devices, while this one
+    waits. A sample resets the pause between attempts.
     """
 
     def __init__(
@@ -148,10 +155,13 @@ class DeviceThread(Generic[Sample]):
                     device.health.count("reconnects")
                     if device.health.recovered("connection"):
                         device.log(0, f"{device.health.name}: connected again")
+                polled = device.polled()
+                if polled is not None:
+                    SHARED.serve(polled, self._deliver, self._stop.is_set)
+                    continue
                 sample = device.read(0.1)
                 if sample is not None:
-                    self._pauses.reset()
-                    self._on_sample(sample)
+                    self._deliver(sample)
             except FingerError as error:
                 connected = False
                 device.note("connection", one_line(error), ERROR)
@@ -163,3 +173,7 @@ class DeviceThread(Generic[Sample]):
                     return
                 device.note("internal", f"{type(error).__name__}: {one_line(error)}", ERROR)
                 self._stop.wait(self._pauses.next())
+
+    def _deliver(self, sample: Sample) -> None:
+        self._pauses.reset()
+        self._on_sample(sample)

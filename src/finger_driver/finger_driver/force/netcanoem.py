@@ -44,6 +44,7 @@ from finger_common.settings import setting
 
 from .. import can_bus
 from ..protocols import netcanoem as protocol
+from ..shared_polling import Polled
 from .source import CRITICAL, GOOD, SATURATED, ForceSettings, ForceSource, WrenchSample
 
 _CATCH_UP = 5
@@ -52,6 +53,8 @@ _STOOD_STILL = 0.005
 """Seconds after the end of a timeout; noticed only then, this process did not run at its end."""
 _SPARE = 100
 """Frames that are read after the end of a timeout, because they may have waited."""
+_AT_ONCE = 100
+"""Frames taken at once, before other devices have their turn."""
 _SILENCE = 0.25
 """Seconds without a reply after which the connection counts as lost."""
 _QUIET = 1.0
@@ -107,7 +110,7 @@ class NetcanoemSource(ForceSource):
 
     def __init__(self, settings: NetcanoemSettings) -> None:
         super().__init__(settings)
-        self._period = 1.0 / settings.rate
+        self.period = 1.0 / settings.rate
         self._timeout = settings.response_timeout
         self._bus: can.BusABC | None = None
         self._first_id = protocol.identifier(settings.base_identifier, 0)
@@ -148,7 +151,11 @@ class NetcanoemSource(ForceSource):
 
     def _begin(self) -> None:
         now = time.monotonic()
-        self._next_poll = now
+        self.due = self.deadline = now
+        self.asked = self._in_doubt = False
+        self._first: bytes | None = None
+        self._second: bytes | None = None
+        self._sent = self._arrived = 0
         self._check_due = now + self.settings.calibration_check_period
         self._last_reply = now
         self._reply, self._row_reply, self._disputed_until = {}, {}, 0.0
@@ -252,18 +259,24 @@ class NetcanoemSource(ForceSource):
                 if not again or time.monotonic() - end < _STOOD_STILL:
                     return None
                 again, end = False, time.monotonic() + self._timeout
-            elif frame.is_error_frame:
-                self.note("bus_errors", "the bus carries error frames; check wiring and bit rate")
-            elif (
-                frame.is_extended_id
-                or frame.is_remote_frame
-                or frame.is_fd
-                or frame.arbitration_id & ~0xF != self._first_id
-            ):
-                self.health.count("foreign")
-            else:
+            elif self._is_own(frame):
                 return frame
         return None
+
+    def _is_own(self, frame: can.Message) -> bool:
+        """Whether it is a frame of this board; others are counted."""
+        if frame.is_error_frame:
+            self.note("bus_errors", "the bus carries error frames; check wiring and bit rate")
+        elif (
+            frame.is_extended_id
+            or frame.is_remote_frame
+            or frame.is_fd
+            or frame.arbitration_id & ~0xF != self._first_id
+        ):
+            self.health.count("foreign")
+        else:
+            return True
+        return False
 
     def _attempts(self, opcode: int, data: bytes = b"") -> Iterator[Iterator[can.Message]]:
         """Send a request three times; each time the frames that come before its timeout."""
@@ -306,27 +319,64 @@ class NetcanoemSource(ForceSource):
         if self._bus is None:
             raise DeviceError(f"{self._where()}: not connected")
         try:
-            now = time.monotonic()
-            if now >= self._check_due:
-                self._check_calibration()
+            if not self.asked:
                 now = time.monotonic()
-            wait = self._next_poll - now
-            if wait > timeout:
-                time.sleep(timeout)
-                return None
-            if wait > 0:
-                time.sleep(wait)
-            elif -wait > _CATCH_UP * self._period:
-                skipped = int(-wait / self._period)
-                self.health.count("overrun", skipped)
-                self._next_poll += skipped * self._period
-            self._next_poll += self._period
-            return self._poll()
+                if now >= self._check_due:
+                    self._check_calibration()
+                    now = time.monotonic()
+                wait = self.due - now
+                if wait > 0:
+                    time.sleep(min(wait, timeout))
+                    if wait > timeout:
+                        return None
+                self._request()
+            return self._await_reply()
         except can.CanError as error:
-            raise DeviceError(
-                f"{self._where()}: bus error ({error}); check wiring, bit rate, txqueuelen and "
-                "restart-ms"
-            ) from None
+            raise self._bus_error(error) from None
+
+    def _bus_error(self, error: can.CanError) -> DeviceError:
+        return DeviceError(
+            f"{self._where()}: bus error ({error}); check wiring, bit rate, txqueuelen and "
+            "restart-ms"
+        )
+
+    # Beside others in one thread ---------------------------------------------------------------
+
+    def polled(self) -> Polled | None:
+        if self._bus is None or self.needs_own_thread(time.monotonic()):
+            return None
+        return self if can_bus.can_be_awaited(self._bus) else None
+
+    def fileno(self) -> int:
+        assert self._bus is not None
+        return self._bus.fileno()
+
+    def needs_own_thread(self, now: float) -> bool:
+        if self.asked:
+            return self._in_doubt or now > self.deadline
+        return now >= self._check_due
+
+    def request(self) -> None:
+        try:
+            self._request()
+        except can.CanError as error:
+            raise self._bus_error(error) from None
+
+    def reply(self) -> WrenchSample | None:
+        assert self._bus is not None
+        try:
+            # Bounded: a bus that is flooded must not hold up the others.
+            for _ in range(_AT_ONCE):
+                frame = self._bus.recv(0)
+                if frame is None or (self._is_own(frame) and not self._sort(frame)):
+                    return None
+                if self._first is not None and self._second is not None:
+                    return self._sample()
+        except can.CanError as error:
+            raise self._bus_error(error) from None
+        return None
+
+    # Frames of a reading -----------------------------------------------------------------------
 
     def _discard_old(self) -> None:
         """Discard what lies in the queue before a request, which is old, and count it.
@@ -361,49 +411,78 @@ class NetcanoemSource(ForceSource):
         )
         self._disputed_until = time.monotonic() + _DISPUTED
 
-    def _poll(self) -> WrenchSample | None:
+    def _request(self) -> None:
+        """Send a request; polls that were missed by far are left out and counted."""
         assert self._bus is not None
+        behind = time.monotonic() - self.due
+        if behind > _CATCH_UP * self.period:
+            skipped = int(behind / self.period)
+            self.health.count("overrun", skipped)
+            self.due += skipped * self.period
+        self.due += self.period
         self._discard_old()
-        sent = self.clock.now()
+        self._first = self._second = None
+        self._in_doubt = False
+        self._sent = self.clock.now()
         self._bus.send(self._poll_request, timeout=self._timeout)
-        end = time.monotonic() + self._timeout
-        first = second = None
-        arrived = 0
-        while first is None or second is None:
-            frame = self._receive(end)
+        self.deadline = time.monotonic() + self._timeout
+        self.asked = True
+
+    def _await_reply(self) -> WrenchSample | None:
+        """The reading that was asked for, None when it is lost or in doubt."""
+        while not self._in_doubt:
+            if self._first is not None and self._second is not None:
+                return self._sample()
+            frame = self._receive(self.deadline)
             if frame is None:
-                self._lost(first is not None or second is not None)
+                self.asked = False
+                self._lost(self._first is not None or self._second is not None)
                 return None
-            opcode = frame.arbitration_id & 0xF
-            data = bytes(frame.data)
-            if opcode == 0 and frame.dlc == 8 and first is None:
-                first = data
-                arrived = self.clock.of_stamp(can_bus.stamp_of(frame), earliest=sent)
-            elif opcode == 1 and frame.dlc == 6 and second is None:
-                second = data
-            elif (opcode, frame.dlc) in ((0, 8), (1, 6)) and data not in (first, second):
-                self._conflict()
+            self._sort(frame)
+        self.asked = False
+        self._fence()
+        return None
+
+    def _sort(self, frame: can.Message) -> bool:
+        """Take in a frame of this board; False when it leaves the reading in doubt."""
+        opcode, data = frame.arbitration_id & 0xF, bytes(frame.data)
+        if opcode == 0 and frame.dlc == 8 and self._first is None:
+            self._first = data
+            self._arrived = self.clock.of_stamp(can_bus.stamp_of(frame), earliest=self._sent)
+        elif opcode == 1 and frame.dlc == 6 and self._second is None:
+            self._second = data
+        elif (opcode, frame.dlc) in ((0, 8), (1, 6)):
+            if data not in (self._first, self._second):
+                # Which of the two replies is the board's cannot be known.
+                self._in_doubt = True
                 self._reply = {}
-                self._fence()
-                return None
-            elif opcode in (2, 3, 4) and frame.dlc == 8:
-                # Of a fence that was given up.
-                self.health.count("late_replies")
-                self._late_row = time.monotonic()
-            elif not (opcode == 0 and frame.dlc == 0):
-                self._malformed(frame)
+                self._conflict()
+                return False
+            self._malformed(frame)
+        elif opcode in (2, 3, 4) and frame.dlc == 8:
+            # Of a fence that was given up.
+            self.health.count("late_replies")
+            self._late_row = time.monotonic()
+        elif not (opcode == 0 and frame.dlc == 0):
+            self._malformed(frame)
+        return True
+
+    def _sample(self) -> WrenchSample | None:
+        """The complete reading; None while another board's could be taken for it."""
+        assert self._first is not None and self._second is not None
+        self.asked = False
         self._last_reply = time.monotonic()
-        self._reply = {(0, 8): first, (1, 6): second}
-        if arrived - sent > self._period * 1e9:
+        self._reply = {(0, 8): self._first, (1, 6): self._second}
+        if self._arrived - self._sent > self.period * 1e9:
             self.health.count("late")
         self.cleared("lost", "bus_errors", "malformed", "conflict")
         if self._last_reply < self._disputed_until:
             return None
-        status, gauges = protocol.decode_gauges(first, second)
+        status, gauges = protocol.decode_gauges(self._first, self._second)
         assert self.calibration is not None
         wrench = self.calibration.wrench(gauges)
         return WrenchSample(
-            (sent + arrived) // 2,
+            (self._sent + self._arrived) // 2,
             wrench[:3],
             wrench[3:],
             gauges.astype(float),

@@ -1,0 +1,158 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Several boards polled by one thread: none suffers from another one's fault."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+
+import pytest
+
+from finger_common.errors import DeviceError
+from finger_common.retry import Pauses
+from finger_driver import shared_polling
+from finger_driver.can_bus import HostMulticastBus
+from finger_driver.device import DeviceThread
+from finger_driver.force.netcanoem import NetcanoemSettings, NetcanoemSource
+from finger_driver.simulators.netcanoem import NetcanoemSimulator
+
+CHANNEL = "239.74.163.2"
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+class Finger:
+    """A simulated board, its driver and the samples that come."""
+
+    def __init__(self, rate: float = 200.0) -> None:
+        port = free_port()
+        self.bus = HostMulticastBus(CHANNEL, port)
+        self.board = NetcanoemSimulator(self.bus).start()
+        self.source = NetcanoemSource(
+            NetcanoemSettings(
+                can_interface="udp_multicast",
+                can_channel=CHANNEL,
+                can_options=f"port={port}",
+                rate=rate,
+            )
+        )
+        self.stamps: list[int] = []
+        self.threads: set[str] = set()
+        self.raising: Exception | None = None
+        self.thread = DeviceThread(self.source, self.take, Pauses(0.05, 0.1))
+        self.thread.connect(5.0)
+
+    def take(self, sample) -> None:
+        if self.raising is not None:
+            raise self.raising
+        self.stamps.append(sample.stamp_ns)
+        self.threads.add(threading.current_thread().name)
+
+    def close(self) -> None:
+        self.thread.stop()
+        self.source.close()
+        self.board.stop()
+        self.bus.shutdown()
+
+
+@pytest.fixture
+def hand():
+    fingers = [Finger() for _ in range(3)]
+    for finger in fingers:
+        finger.thread.start()
+    yield fingers
+    for finger in fingers:
+        finger.close()
+
+
+def came(finger: Finger, number: int, seconds: float = 10.0) -> bool:
+    """Whether so many further samples come."""
+    goal, end = len(finger.stamps) + number, time.monotonic() + seconds
+    while len(finger.stamps) < goal and time.monotonic() < end:
+        time.sleep(0.01)
+    return len(finger.stamps) >= goal
+
+
+def test_one_thread_polls_all_boards_and_asks_them_together(hand):
+    assert all(came(finger, 200) for finger in hand)
+    assert all("polling" in finger.threads for finger in hand)
+    first, *others = [sorted(finger.stamps)[-100:] for finger in hand]
+    period = int(1e9 / 200)
+    for other in others:
+        apart = [min(abs(a - b) for b in other) for a in first[20:80]]
+        assert sorted(apart)[len(apart) // 2] < period // 4
+
+
+def test_a_silent_board_costs_the_others_nothing(hand):
+    silent, *others = hand
+    assert all(came(finger, 50) for finger in hand)
+    lost = [finger.source.health.counters.get("lost", 0) for finger in others]
+    silent.board.faults.set("silent")
+    assert all(came(finger, 200) for finger in others)
+    assert lost == [finger.source.health.counters.get("lost", 0) for finger in others]
+    assert silent.source.health.counters["lost"] > 0
+    silent.board.faults.set("silent", 0)
+    assert came(silent, 50)
+
+
+def test_a_conflict_and_a_lost_frame_are_resolved_by_the_board_s_own_thread(hand):
+    finger = hand[0]
+    for fault, counter in (("rival", "conflict"), ("no_second", "half_replies")):
+        assert came(finger, 20)
+        finger.board.faults.set(fault, 2)
+        end = time.monotonic() + 10.0
+        while not finger.source.health.counters.get(counter) and time.monotonic() < end:
+            time.sleep(0.01)
+        assert finger.source.health.counters[counter] >= 1
+    assert came(finger, 50)
+
+
+def test_an_error_of_who_takes_the_samples_stays_with_its_device(hand):
+    failing, other = hand[:2]
+    assert came(failing, 20)
+    failing.raising = DeviceError("not to be used")
+    assert came(other, 100)
+    assert failing.source.health.counters["connection"] > 0
+    failing.raising = None
+    assert came(failing, 20)
+
+
+def test_a_device_closed_under_the_thread_is_connected_again(hand):
+    closed, other = hand[:2]
+    assert came(closed, 20)
+    closed.source.close()
+    assert came(other, 50)
+    assert came(closed, 20)
+
+
+def test_a_stopped_device_gives_no_more_samples_and_can_start_again(hand):
+    finger, other = hand[:2]
+    assert came(finger, 20)
+    assert finger.thread.stop()
+    number = len(finger.stamps)
+    assert came(other, 50)
+    assert len(finger.stamps) == number
+    finger.thread.start()
+    assert came(finger, 20)
+
+
+def test_the_thread_ends_without_devices(monkeypatch):
+    monkeypatch.setattr(shared_polling, "_IDLE", 0.1)
+    finger = Finger()
+    try:
+        finger.thread.start()
+        assert came(finger, 20)
+        assert finger.thread.stop()
+        time.sleep(0.5)
+        assert "polling" not in {thread.name for thread in threading.enumerate()}
+        finger.thread.start()
+        assert came(finger, 20)
+    finally:
+        finger.close()
