@@ -217,3 +217,59 @@ def test_messages_that_are_polled_for_neither_wake_the_executor_nor_get_lost(
         listener.destroy_node()
         talker.destroy_node()
         rclpy.shutdown(context=context)
+
+
+def test_a_waited_stream_is_delivered_without_the_executor_and_its_error_ends_it(
+    ros_domain: int,
+) -> None:
+    from rclpy.qos import QoSProfile, ReliabilityPolicy
+    from std_msgs.msg import Float64
+
+    from finger_common.node import PolledSubscription, WaitedSubscription
+
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=ros_domain)
+    talker = rclpy.create_node("talker", context=context)
+    listener = rclpy.create_node("listener", context=context)
+    qos = QoSProfile(depth=200, reliability=ReliabilityPolicy.RELIABLE)
+    received: list[float] = []
+    errors: list[Exception] = []
+
+    def take(message: Any) -> None:
+        if message.data < 0:
+            raise ValueError("a negative number")
+        received.append(message.data)
+
+    def pause() -> None:
+        time.sleep(0.02)
+
+    def waited(topic: str) -> WaitedSubscription:
+        polled = PolledSubscription(listener, Float64, topic, qos)
+        return WaitedSubscription(listener, polled, Float64, take, errors.append)
+
+    try:
+        first, second = (talker.create_publisher(Float64, topic, qos) for topic in ("a", "b"))
+        a, b = waited("a"), waited("b")
+        wait_for(first.get_subscription_count, pause)
+        wait_for(second.get_subscription_count, pause)
+        for number in range(50):
+            first.publish(Float64(data=float(number)))
+        wait_for(lambda: len(received) == 50, pause)
+        assert received == [float(n) for n in range(50)]
+        first.publish(Float64(data=-1.0))
+        wait_for(lambda: errors, pause)
+        assert isinstance(errors[0], ValueError)
+        second.publish(Float64(data=99.0))
+        wait_for(lambda: received[-1] == 99.0, pause)
+        for stream in (a, b):
+            stream.destroy()
+        wait_for(lambda: not second.get_subscription_count(), pause)
+        # The thread begins again with a stream that comes later.
+        waited("b")
+        wait_for(second.get_subscription_count, pause)
+        second.publish(Float64(data=7.0))
+        wait_for(lambda: received[-1] == 7.0, pause)
+    finally:
+        listener.destroy_node()
+        talker.destroy_node()
+        rclpy.shutdown(context=context)

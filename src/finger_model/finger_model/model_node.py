@@ -41,6 +41,7 @@ from finger_common.node import (
     FixedMessage,
     LocalSubscription,
     ManagedNode,
+    WaitedSubscription,
     main_of,
     message_of,
 )
@@ -209,8 +210,8 @@ class ModelNode(ManagedNode):
         self._event_publisher = self.create_publisher(ModelEvent, "model_events", EVENTS_QOS)
         self._local = LocalSubscription(self, values["wrench_topic"], self._on_sample, self.fail)
         self._follow_wrench()
-        area = self.create_stream_subscription(ContactArea, "contact_area", self._on_area, qos)
-        moisture = self.create_stream_subscription(Moisture, "moisture", self._on_moisture, qos)
+        area = self.create_waited_subscription(ContactArea, "contact_area", self._on_area, qos)
+        moisture = self.create_waited_subscription(Moisture, "moisture", self._on_moisture, qos)
         trial = self.create_subscription(Trial, "trial", self._on_trial, LATCHED_QOS)
         self._calibration_publisher = self.create_publisher(
             DiagnosticStatus, "calibration", STATE_QOS
@@ -224,8 +225,8 @@ class ModelNode(ManagedNode):
             (self.destroy_publisher, self._state_publisher),
             (self.destroy_publisher, self._slip_publisher),
             (self.destroy_publisher, self._event_publisher),
-            (self.destroy_subscription, area),
-            (self.destroy_subscription, moisture),
+            (WaitedSubscription.destroy, area),
+            (WaitedSubscription.destroy, moisture),
             (self.destroy_subscription, trial),
             (self.destroy_publisher, self._calibration_publisher),
             *((self.destroy_service, service) for service in services),

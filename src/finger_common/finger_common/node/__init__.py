@@ -4,7 +4,8 @@
 """The base of every node of the suite, over rclpy.
 
 `managed`: the lifecycle node with described parameters, diagnostics and autostart. `polling`:
-streams that a node reads when it needs them. `local`: samples between nodes of one process.
+streams that a node reads when it needs them. `waiting`: streams that the nodes of a
+process wait for in one thread. `local`: samples between nodes of one process.
 `serialized`: messages as bytes. `qos`: quality of service of latched topics. `running`: a node as a
 process.
 """
@@ -16,6 +17,7 @@ from .polling import POLLED_DEPTH, PolledSubscription
 from .qos import EVENTS_QOS, LATCHED_QOS, STATE_QOS
 from .running import main_of, run_node, use_large_shared_memory
 from .serialized import FixedMessage
+from .waiting import WaitedSubscription
 
 __all__ = [
     "EVENTS_QOS",
@@ -29,6 +31,7 @@ __all__ = [
     "ManagedNode",
     "NodeSettings",
     "PolledSubscription",
+    "WaitedSubscription",
     "main_of",
     "message_of",
     "run_node",

@@ -17,6 +17,7 @@ import time
 import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import rclpy
@@ -40,6 +41,7 @@ from ..settings import S, Settings, parameters_of, setting
 from .described import descriptor_of, ros_value, type_of
 from .polling import PolledSubscription
 from .qos import AUTO, BEST_EFFORT, RELIABLE, stream_qos
+from .waiting import WaitedSubscription
 
 HEARTBEAT = 0.25
 """s between heartbeats: what no diagnostic at 1 Hz can, they show a dead node within a second."""
@@ -136,6 +138,7 @@ class ManagedNode(LifecycleNode):
             super().set_parameters_atomically([value])
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self._streams: list[Any] = []
+        self._waited: list[PolledSubscription] = []
         self._mismatches: dict[str, QoSProfile] = {}
         self._shared_since: dict[str, float] = {}
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -265,6 +268,19 @@ class ManagedNode(LifecycleNode):
             **options,
         )
 
+    def create_waited_subscription(
+        self, message_type: Any, topic: str, callback: Any, qos: QoSProfile
+    ) -> WaitedSubscription:
+        """As `create_stream_subscription`, but `callback` is called in a thread of the process.
+
+        It costs a small part of a round of the executor. It ends with `destroy`.
+        """
+        polled = self._with_overrides(
+            partial(PolledSubscription, self), message_type, topic, copy.copy(qos)
+        )
+        self._waited.append(polled)
+        return WaitedSubscription(self, polled, message_type, callback, self.fail)
+
     def _with_overrides(self, create: Any, *arguments: Any, **options: Any) -> Any:
         """Create a publisher or subscription whose QoS the parameters qos_overrides.… change."""
         overrides = QoSOverridingOptions(OVERRIDABLE)
@@ -352,6 +368,8 @@ class ManagedNode(LifecycleNode):
         """One DiagnosticStatus per health."""
         if not self.healths:
             return
+        for polled in self._waited:
+            self.check_mismatch(polled)
         self._watch_mismatches()
         self._watch_publishers()
         array = DiagnosticArray()
@@ -465,6 +483,7 @@ class ManagedNode(LifecycleNode):
 
     def _clean_up(self) -> None:
         self._streams.clear()
+        self._waited.clear()
         self._mismatches.clear()
         try:
             self.cleanup()

@@ -45,7 +45,9 @@ class PolledSubscription:
     messages are unread, which would keep a core busy.
     """
 
-    def __init__(self, node: Node, message_type: Any, topic: str, qos: QoSProfile) -> None:
+    def __init__(
+        self, node: Node, message_type: Any, topic: str, qos: QoSProfile, **options: Any
+    ) -> None:
         self.topic = topic
         self.qos = qos
         self._node = node
@@ -57,6 +59,7 @@ class PolledSubscription:
             qos,
             callback_group=_NeverExecuted(),
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+            **options,
         )
         self._events: dict[QoSSubscriptionEventType, Any] = {}
         for kind in (
@@ -67,6 +70,11 @@ class PolledSubscription:
             with suppress(UnsupportedEventTypeError):
                 handle = rclpy_implementation.EventHandle(self._subscription.handle, kind)
                 self._events[kind] = handle
+
+    @property
+    def handle(self) -> Any:
+        """The middleware's subscription."""
+        return self._subscription.handle
 
     def take(self) -> Iterator[tuple[bytes, dict[str, Any]]]:
         """Messages received since the last call, serialized, with their times.

@@ -1,0 +1,143 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Streams of a few messages a second that all nodes of a process wait for in one thread.
+
+rclpy's executor asks after every entity of its node, some forty, whenever one message comes, which
+takes a millisecond or more beside other work. Here a wait is for the streams alone.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import Any
+
+from rclpy.context import Context
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message
+
+from .polling import PolledSubscription
+
+_LONGEST_WAIT = 1.0
+"""s after which the thread looks whether the context has ended."""
+
+
+class WaitedSubscription:
+    """A stream whose messages are delivered by the thread that the nodes of a process share.
+
+    callback: called with each message, in that thread; it shall not wait. fail: called with the
+    error when it raises; no further message is delivered then.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        polled: PolledSubscription,
+        message_type: Any,
+        callback: Callable[[Any], Any],
+        fail: Callable[[Exception], None],
+    ) -> None:
+        self.polled = polled
+        self._type = message_type
+        self._callback = callback
+        self._fail = fail
+        self._waiter = _Waiter.of(node.context)
+        self._waiter.add(self)
+
+    def deliver(self) -> None:
+        """Pass on what has come."""
+        try:
+            for raw, _ in self.polled.take():
+                self._callback(deserialize_message(raw, self._type))
+        except rclpy_implementation.InvalidHandle:
+            self._waiter.remove(self)
+        except Exception as error:
+            self._waiter.remove(self)
+            self._fail(error)
+
+    def destroy(self) -> None:
+        """End the subscription."""
+        self._waiter.remove(self)
+        self.polled.destroy()
+
+
+class _Waiter:
+    """The thread of one context."""
+
+    _all: dict[int, _Waiter] = {}
+    _lock = threading.Lock()
+
+    @classmethod
+    def of(cls, context: Context) -> _Waiter:
+        """The waiter of a context, which is made when it is first needed."""
+        with cls._lock:
+            waiter = cls._all.get(id(context))
+            if waiter is None or waiter.context is not context:
+                waiter = cls._all[id(context)] = cls(context)
+            return waiter
+
+    def __init__(self, context: Context) -> None:
+        self.context = context
+        self._streams: tuple[WaitedSubscription, ...] = ()
+        self._change = threading.Lock()
+        self._running = False
+        with context.handle:
+            self._guard = rclpy_implementation.GuardCondition(context.handle)
+
+    def add(self, stream: WaitedSubscription) -> None:
+        """Deliver a stream."""
+        with self._change:
+            self._streams += (stream,)
+            if not self._running:
+                self._running = True
+                threading.Thread(target=self._run, name="streams", daemon=True).start()
+        self._wake()
+
+    def remove(self, stream: WaitedSubscription) -> None:
+        """Deliver a stream no longer. May be called twice."""
+        with self._change:
+            self._streams = tuple(s for s in self._streams if s is not stream)
+        self._wake()
+
+    def _wake(self) -> None:
+        if self.context.ok():
+            with self._guard:
+                self._guard.trigger_guard_condition()
+
+    def _run(self) -> None:
+        while True:
+            with self._change:
+                streams = self._streams
+                if not streams or not self.context.ok():
+                    self._running = False
+                    return
+            for stream in self._ready(streams):
+                stream.deliver()
+
+    def _ready(self, streams: tuple[WaitedSubscription, ...]) -> list[WaitedSubscription]:
+        """Wait for messages; the streams that have some."""
+        with ExitStack() as held:
+            held.enter_context(self.context.handle)
+            held.enter_context(self._guard)
+            by_pointer = {}
+            for stream in streams:
+                handle = stream.polled.handle
+                try:
+                    held.enter_context(handle)
+                except rclpy_implementation.InvalidHandle:
+                    continue
+                by_pointer[handle.pointer] = stream
+            waiting = rclpy_implementation.WaitSet(
+                len(by_pointer), 1, 0, 0, 0, 0, self.context.handle
+            )
+            with waiting:
+                waiting.clear_entities()
+                for stream in by_pointer.values():
+                    waiting.add_subscription(stream.polled.handle)
+                waiting.add_guard_condition(self._guard)
+                waiting.wait(int(_LONGEST_WAIT * 1e9))
+                ready = waiting.get_ready_entities("subscription")
+        return [stream for pointer, stream in by_pointer.items() if pointer in ready]
