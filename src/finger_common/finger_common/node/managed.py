@@ -138,7 +138,7 @@ class ManagedNode(LifecycleNode):
             super().set_parameters_atomically([value])
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self._streams: list[Any] = []
-        self._waited: list[PolledSubscription] = []
+        self._polled_streams: list[PolledSubscription] = []
         self._mismatches: dict[str, QoSProfile] = {}
         self._shared_since: dict[str, float] = {}
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -278,7 +278,7 @@ class ManagedNode(LifecycleNode):
         polled = self._with_overrides(
             partial(PolledSubscription, self), message_type, topic, copy.copy(qos)
         )
-        self._waited.append(polled)
+        self._polled_streams.append(polled)
         return WaitedSubscription(self, polled, message_type, callback, self.fail)
 
     def _with_overrides(self, create: Any, *arguments: Any, **options: Any) -> Any:
@@ -368,7 +368,7 @@ class ManagedNode(LifecycleNode):
         """One DiagnosticStatus per health."""
         if not self.healths:
             return
-        for polled in self._waited:
+        for polled in self._polled_streams:
             self.check_mismatch(polled)
         self._watch_mismatches()
         self._watch_publishers()
@@ -483,7 +483,7 @@ class ManagedNode(LifecycleNode):
 
     def _clean_up(self) -> None:
         self._streams.clear()
-        self._waited.clear()
+        self._polled_streams.clear()
         self._mismatches.clear()
         try:
             self.cleanup()

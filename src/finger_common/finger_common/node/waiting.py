@@ -84,8 +84,10 @@ class _Waiter:
         self._streams: tuple[WaitedSubscription, ...] = ()
         self._change = threading.Lock()
         self._running = False
-        with context.handle:
-            self._guard = rclpy_implementation.GuardCondition(context.handle)
+        handle = context.handle
+        assert handle is not None, "the context is not initialised"
+        with handle:
+            self._guard = rclpy_implementation.GuardCondition(handle)
 
     def add(self, stream: WaitedSubscription) -> None:
         """Deliver a stream."""
@@ -114,13 +116,23 @@ class _Waiter:
                 if not streams or not self.context.ok():
                     self._running = False
                     return
-            for stream in self._ready(streams):
+            try:
+                ready = self._ready(streams)
+            except Exception:
+                # The context may end at any time.
+                if self.context.ok():
+                    raise
+                continue
+            for stream in ready:
                 stream.deliver()
 
     def _ready(self, streams: tuple[WaitedSubscription, ...]) -> list[WaitedSubscription]:
         """Wait for messages; the streams that have some."""
+        context = self.context.handle
+        if context is None:
+            return []
         with ExitStack() as held:
-            held.enter_context(self.context.handle)
+            held.enter_context(context)
             held.enter_context(self._guard)
             by_pointer = {}
             for stream in streams:
@@ -130,9 +142,7 @@ class _Waiter:
                 except rclpy_implementation.InvalidHandle:
                     continue
                 by_pointer[handle.pointer] = stream
-            waiting = rclpy_implementation.WaitSet(
-                len(by_pointer), 1, 0, 0, 0, 0, self.context.handle
-            )
+            waiting = rclpy_implementation.WaitSet(len(by_pointer), 1, 0, 0, 0, 0, context)
             with waiting:
                 waiting.clear_entities()
                 for stream in by_pointer.values():
