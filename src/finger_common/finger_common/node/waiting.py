@@ -88,6 +88,8 @@ class _Waiter:
         assert handle is not None, "the context is not initialised"
         with handle:
             self._guard = rclpy_implementation.GuardCondition(handle)
+        self._thread: threading.Thread | None = None
+        context.on_shutdown(self._end)
 
     def add(self, stream: WaitedSubscription) -> None:
         """Deliver a stream."""
@@ -95,7 +97,8 @@ class _Waiter:
             self._streams += (stream,)
             if not self._running:
                 self._running = True
-                threading.Thread(target=self._run, name="streams", daemon=True).start()
+                self._thread = threading.Thread(target=self._run, name="streams", daemon=True)
+                self._thread.start()
         self._wake()
 
     def remove(self, stream: WaitedSubscription) -> None:
@@ -105,9 +108,15 @@ class _Waiter:
         self._wake()
 
     def _wake(self) -> None:
-        if self.context.ok():
-            with self._guard:
-                self._guard.trigger_guard_condition()
+        with self._guard:
+            self._guard.trigger_guard_condition()
+
+    def _end(self) -> None:
+        """The context has ended: so does the thread, which must not outlive the interpreter."""
+        thread = self._thread
+        if thread is not None and thread is not threading.current_thread():
+            self._wake()
+            thread.join(_LONGEST_WAIT)
 
     def _run(self) -> None:
         while True:
