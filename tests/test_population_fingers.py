@@ -59,6 +59,24 @@ def test_the_estimate_is_honest_on_fingers_that_nobody_measured(script: Any) -> 
     assert found["none fingers"] >= 60.0
 
 
+@pytest.mark.parametrize("index", [1, 7, 11, 15, 19])
+def test_the_release_without_a_moisture_reading_is_no_worse_than_the_camera(
+    script: Any, index: int
+) -> None:
+    """Press by press, from the end of the hold on: moisture 81 to 130 a.u."""
+    session = script.session_of(1, index)
+    assert np.isnan(session.reading)
+    for press in script.run_session(session, range(10)):
+        pressing = np.flatnonzero(press["force"] > 0.95 * press["force"].max())
+        for key in ("held", "at_once"):
+            release = np.isfinite(press[key])
+            release[: pressing[-1] + 1] = False
+            if release.any():
+                own = script.rms((press[key] - press["truth"])[release])
+                fused = script.rms((press["area"] - press["truth"])[release])
+                assert fused <= 1.05 * own, (press["force"].max(), key)
+
+
 @pytest.mark.slow
 def test_the_whole_table(script: Any) -> None:
     found = figures(script, 200, seed=1)

@@ -40,6 +40,8 @@ LEAST_AREAS = 2
 """Usable areas below which a press is not."""
 SMALLEST_FORCE, SMALLEST_AREA = 0.05, 8e-6
 """N and m²: the areas of a touch that just begins are left out."""
+SMALLEST_MODEL_AREA = 1e-7
+"""m² of the model's finger in such an area, however far it is from the right one."""
 MODEL_STEP = 0.01
 """s between instants at which the model follows the force."""
 MISFIT_MEMORY = 0.3
@@ -50,6 +52,7 @@ MOST_SCATTER = 0.15
 _ROUNDS = 30
 _CONVERGED = 2e-3
 _LARGEST_STEP = 0.7
+_HALVINGS = 6
 _SMALLEST_VARIANCE = 1e-6
 """Of a state that the sets hold for known."""
 _STATES = len(COORDINATES)
@@ -123,6 +126,10 @@ class _Areas:
     h: np.ndarray
     offset: np.ndarray
 
+    def predicted(self, x: np.ndarray) -> np.ndarray:
+        """Areas (k,) of the finger at x (5,)."""
+        return self.model * np.exp(self.h @ x - self.offset)
+
 
 def usable(presses: Sequence[CalibrationPress]) -> list[CalibrationPress]:
     """Presses with enough areas; raises InputError when there are too few of them."""
@@ -167,28 +174,35 @@ def calibrate(
     covariance[:_STATES, :_STATES] = prior.covariance
     covariance[_STATES, _STATES] = prior.moisture_variance
     inverse = np.linalg.inv(covariance + _SMALLEST_VARIANCE * np.eye(_STATES + 1))
-    people = People.default()
-    scatter, misfit = people.press_gain, max(prior.misfit_sd, model.rms_error)
+    scatter, misfit = People.default().press_gain, max(prior.misfit_sd, model.rms_error)
     limits = 1.5 * np.array(members.LIMITS)
     x, settled = mean.copy(), False
+    areas = _follow(model, selected.constants, x[2:_STATES], good)
     for _ in range(_ROUNDS):
-        areas = _follow(model, selected.constants, x[2:_STATES], good)
-        information, gradient, factors, left = inverse.copy(), inverse @ (mean - x), [], []
+        information, gradient, weights = inverse.copy(), inverse @ (mean - x), []
         for press in areas:
-            h = press.h @ own
-            predicted = press.model * np.exp(h @ x - press.offset)
-            residual = press.area - predicted
-            slope = predicted[:, None] * h
-            weight = np.linalg.inv(_covariance(press, predicted, scatter, misfit))
-            information += slope.T @ weight @ slope
-            gradient += slope.T @ weight @ residual
-            share = predicted / press.sd
-            factors.append(float(share @ (residual / press.sd) / (share @ share)))
-            left.append(residual / predicted - factors[-1])
-        step = np.linalg.solve(information, gradient)
-        before = x.copy()
-        x += np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
-        x[2:_STATES] = np.clip(x[2:_STATES], -limits, limits)
+            predicted = press.predicted(own @ x)
+            weights.append(np.linalg.inv(_covariance(press, predicted, scatter, misfit)))
+            slope = predicted[:, None] * (press.h @ own)
+            information += slope.T @ weights[-1] @ slope
+            gradient += slope.T @ weights[-1] @ (press.area - predicted)
+
+        def cost(at: np.ndarray, seen: Sequence[_Areas], weights: Sequence[np.ndarray]) -> float:
+            residuals = [press.area - press.predicted(own @ at) for press in seen]
+            return float(
+                (at - mean) @ inverse @ (at - mean)
+                + sum(r @ weight @ r for r, weight in zip(residuals, weights))
+            )
+
+        step = np.clip(np.linalg.solve(information, gradient), -_LARGEST_STEP, _LARGEST_STEP)
+        before, present = x, cost(x, areas, weights)
+        for halved in range(_HALVINGS):
+            x = before + 0.5**halved * step
+            x[2:_STATES] = np.clip(x[2:_STATES], -limits, limits)
+            areas = _follow(model, selected.constants, x[2:_STATES], good)
+            if cost(x, areas, weights) <= present:
+                break
+        factors, left = _factors(areas, own @ x)
         spread = math.sqrt(np.sum(np.square(factors)) / max(len(good) - 2, 1))
         if np.abs(x - before).max() < _CONVERGED:
             if settled or spread <= scatter:
@@ -214,10 +228,21 @@ def calibrate(
         sets.with_prior(own_prior, model.geometry_hash),
         _quantities(model, selected.constants, found, uncertain),
         spread,
-        float(np.sqrt(np.mean(np.concatenate(left) ** 2))),
+        float(np.sqrt(np.mean(left**2))),
         len(good),
         sum(len(press.area) for press in good),
     )
+
+
+def _factors(areas: Sequence[_Areas], x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Each press's own factor of the area less one, and what is left of all areas, relative."""
+    factors, left = [], []
+    for press in areas:
+        predicted = press.predicted(x)
+        residual, share = press.area - predicted, predicted / press.sd
+        factors.append(float(share @ (residual / press.sd) / (share @ share)))
+        left.append(residual / predicted - factors[-1])
+    return np.array(factors), np.concatenate(left)
 
 
 def _covariance(press: _Areas, predicted: np.ndarray, scatter: float, misfit: float) -> np.ndarray:
@@ -258,16 +283,14 @@ def _follow(
         )
         before = time[-1]
         at = np.searchsorted(time, press.area_time)
-        seen = table[at, 0] > SMALLEST_AREA
-        at = at[seen]
         sensitivities = table[at, 3 : 3 + members.DIRECTIONS]
         phi = np.log(np.maximum(force[at], SMALLEST_FORCE))
         found.append(
             _Areas(
-                press.area_time[seen],
-                press.area[seen],
-                press.area_sd[seen],
-                table[at, 0],
+                press.area_time,
+                press.area,
+                press.area_sd,
+                np.maximum(table[at, 0], SMALLEST_MODEL_AREA),
                 np.column_stack([np.ones(len(at)), phi, sensitivities]),
                 sensitivities @ near["shift"][0],
             )

@@ -409,7 +409,7 @@ class ModelNode(ManagedNode):
                 area = area_of(message)
                 if self._collector.collecting:
                     self._collector.add_area(*area)
-                if self.estimator.is_ahead(area[0]) or not self.estimator.add_area(*area):
+                if not self.estimator.add_area(*area, live=True):
                     self._publish_event(self.estimator.note_late(areas=[area[0]]))
                 elif self._slip is not None:
                     delay = self.estimator.settings.fusion_delay
@@ -423,7 +423,7 @@ class ModelNode(ManagedNode):
             if self._collector.collecting:
                 self._collector.add_moisture(reading[1])
             late = self.estimator.counters["late_moistures"]
-            if not self.estimator.add_moisture(*reading):
+            if not self.estimator.add_moisture(*reading, live=True):
                 if self.estimator.counters["late_moistures"] > late:
                     self._publish_event(self.estimator.note_late(moistures=[reading[0]]))
                 else:

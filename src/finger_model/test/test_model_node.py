@@ -224,6 +224,62 @@ def test_what_it_publishes_is_what_a_replay_of_its_inputs_gives(
     assert replayed == [numbers(s) for s in bench.states]
 
 
+def test_one_stamp_of_another_time_is_flagged_and_changes_nothing(
+    bench: Bench, process: Callable[..., Any]
+) -> None:
+    """Of force, area and reading: an hour ahead, and in 1970."""
+    start(process)
+    bench.connected()
+    bench.until(lambda: bench.moisture.get_subscription_count() > 0)
+    reference = ContactEstimator(ReducedModel.load())
+    sent, expected = 0, []
+
+    def press(number: int) -> None:
+        nonlocal sent
+        for _ in range(number):
+            stamp, normal = T0 + 2 * sent * MS, max(0.0, 1.2 * math.sin(sent / 150))
+            bench.press(stamp, normal)
+            expected.extend(reference.add_wrench(stamp, (0.0, 0.0, -normal)))
+            sent += 1
+        bench.answered(sent)
+
+    press(100)
+    for wrong in (T0 + 3600 * 10**9, 5 * 10**9):
+        for publisher, message, flag in (
+            (bench.wrench, None, StateFlag.OUT_OF_ORDER),
+            (bench.area, ContactArea(gross_area=3e-4, area_stddev=1e-6), StateFlag.AREA_LATE),
+            (bench.moisture, Moisture(value=10.0), StateFlag.MOISTURE_LATE),
+        ):
+            known = len(bench.events)
+            if message is None:
+                bench.press(wrong, 0.9)
+            else:
+                message.header.stamp = to_time(wrong)
+                publisher.publish(message)
+                bench.until(lambda known=known: len(bench.events) > known)
+            press(50)
+            assert [bool(s.flags & flag) for s in bench.states[-50:]] == [True] + [False] * 49
+    # The next area and the next reading of the right time are used.
+    area = ContactArea(gross_area=30e-6, area_stddev=1e-6)
+    area.header.stamp = to_time(T0 + 2 * sent * MS)
+    reading = Moisture(value=50.0)
+    reading.header.stamp = area.header.stamp
+    for publisher, message in ((bench.area, area), (bench.moisture, reading)):
+        publisher.publish(message)
+        # Behind it one from 1970: its event tells that both have come.
+        known = len(bench.events)
+        message = type(message)()
+        message.header.stamp = to_time(6 * 10**9)
+        publisher.publish(message)
+        bench.until(lambda known=known: len(bench.events) > known)
+    reference.add_area(*area_of(area))
+    reference.add_moisture(*moisture_of(reading))
+    press(100)
+    assert [s.area for s in bench.states] == [e.area for e in expected]
+    assert bench.states[-1].moisture == 50.0
+    assert any(s.measured_area == 30e-6 for s in bench.states)
+
+
 def test_services_and_parameters_answer_and_refuse_with_a_reason(
     bench: Bench, process: Callable[..., Any], tmp_path: Path
 ) -> None:

@@ -61,7 +61,7 @@ FAR_AHEAD = 60.0
 """s from one sample to the next, beyond which the later one waits for a third."""
 
 FUTURE = 2.0
-"""s by which an area may be ahead of the newest sample that a live node has."""
+"""s by which an area or reading may be ahead of the newest sample that a live node has."""
 
 
 class ContactEstimator:
@@ -145,17 +145,20 @@ class ContactEstimator:
             at = end
         return EstimateBlock(np.concatenate(blocks))
 
-    def add_area(self, stamp_ns: int, area: float, sd: float, flags: int = 0) -> bool:
+    def add_area(
+        self, stamp_ns: int, area: float, sd: float, flags: int = 0, live: bool = False
+    ) -> bool:
         """Add a measured gross area and its standard deviation (m²); flags as in ContactArea.
 
         False when it comes too late to be used (the next estimate is flagged). A second one of a
-        stamp is left out.
+        stamp is left out. live: one that is ahead of the samples by more than `FUTURE` has a wrong
+        stamp, and counts as late; from a file inputs may come ahead of the samples.
         """
         if self._inputs.knows_late("area", stamp_ns):
             return False
         if self._inputs.is_duplicate(stamp_ns):
             return True
-        if self._inputs.is_late(stamp_ns, self.last_stamp):
+        if self._is_late(stamp_ns, live):
             self._count_late(areas=1)
             return False
         if self.settings.fuse_area:
@@ -164,22 +167,22 @@ class ContactEstimator:
             self._inputs.add_area(stamp_ns, area, sd, rejected, empty)
         return True
 
-    def add_moisture(self, stamp_ns: int, value: float) -> bool:
-        """Add a moisture reading (a.u.); false when it comes too late or is out of the scale."""
+    def add_moisture(self, stamp_ns: int, value: float, live: bool = False) -> bool:
+        """Add a moisture reading (a.u.); false when it comes too late or is out of the scale.
+
+        live: as for `add_area`.
+        """
         if self._inputs.knows_late("moisture", stamp_ns):
             return False
-        if self._inputs.is_late(stamp_ns, self.last_stamp):
+        if self._is_late(stamp_ns, live):
             self._count_late(moistures=1)
             return False
         return self._inputs.add_moisture(stamp_ns, value)
 
-    def is_ahead(self, stamp_ns: int) -> bool:
-        """Whether an area or reading is stamped so far ahead of the samples that it is wrong.
-
-        For live nodes, which note it as late: from a file inputs may come ahead of the samples.
-        """
-        last = self.last_stamp
-        return last is not None and stamp_ns - last > FUTURE * NANOSECONDS
+    def _is_late(self, stamp_ns: int, live: bool) -> bool:
+        newest = self.last_stamp
+        ahead = live and newest is not None and stamp_ns - newest > FUTURE * NANOSECONDS
+        return ahead or self._inputs.is_late(stamp_ns, newest)
 
     def apply_event(self, event: EstimatorEvent) -> None:
         """Apply a recorded event, which takes effect by its stamp.

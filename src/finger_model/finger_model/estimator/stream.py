@@ -42,6 +42,8 @@ QUIET_FORCE, QUIET_BAND, QUIET_TIME = 0.15, 0.02, 5.0
 """N, N, s: below the first a force that stays within the second for the third is an offset."""
 PULLED_TIME = 1.0
 """s; a plate that a finger lets go of does not pull for longer."""
+REST_TIME = 0.5
+"""s near zero after which such a force is tared."""
 
 SMALLEST_AREA = 5e-6
 """m²; below it a measured area is not compared with the model's."""
@@ -90,6 +92,8 @@ CONTACT = np.dtype(
         ("quiet", "i8"),  # ns, since when the force is nearly constant
         ("quiet_force", "f8"),  # N
         ("pulled", "i8"),  # ns, since when the force is negative; 0 while it is not
+        ("untared", "?"),  # it was negative for long, and not at rest near zero since
+        ("loaded", "i8"),  # ns, newest sample beyond the onset force, of either sign
     ],
     align=True,
 )
@@ -138,11 +142,30 @@ _in_contact = njit(cache=True)(contact_threshold.in_contact)
 
 @njit(cache=True)
 def _offset_suspected(contact, stamp):
-    """Whether the force of the present contact, or a pull in the air, is hardly a finger's."""
-    if not contact.touching:
-        return contact.pulled > 0 and (stamp - contact.pulled) * 1e-9 > PULLED_TIME
+    """Whether the force of the present contact, or that in the air, is hardly a finger's."""
+    if not contact.touching or contact.untared:
+        return contact.untared
     quiet = contact.quiet_force < QUIET_FORCE and (stamp - contact.quiet) * 1e-9 > QUIET_TIME
     return contact.unseen or contact.empty >= EMPTY_AREAS or (quiet and not contact.has_fused)
+
+
+@njit(cache=True)
+def _follow_pull(config, state, normal_force, stamp):
+    """A force that is negative for long comes from the tare, until it rests near zero again."""
+    contact = state.contact
+    if abs(normal_force) > config.onset_force:
+        contact.loaded = stamp
+    elif (stamp - contact.loaded) * 1e-9 > REST_TIME:
+        contact.untared = False
+    if normal_force > -config.onset_force:
+        contact.pulled = 0
+    elif contact.pulled == 0:
+        contact.pulled = stamp
+    elif not contact.untared and (stamp - contact.pulled) * 1e-9 > PULLED_TIME:
+        contact.untared = True
+        if state.counters.contacts > 0:
+            # The last contact was already with this tare.
+            area_filter.keep(state.before, state.filters)
 
 
 @njit(cache=True)
@@ -171,10 +194,7 @@ def _follow_contact(config, state, normal_force, stamp):
         contact.air = stamp
     if abs(normal_force - contact.quiet_force) > QUIET_BAND:
         contact.quiet, contact.quiet_force = stamp, normal_force
-    if normal_force > -config.onset_force:
-        contact.pulled = 0
-    elif contact.pulled == 0:
-        contact.pulled = stamp
+    _follow_pull(config, state, normal_force, stamp)
     return begins
 
 
