@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,8 +14,11 @@ import pytest
 from finger_common.errors import InputError
 from finger_common.guided_presses import CALIBRATION_PRESSES
 from finger_common.trial_phases import TrialPhase
-from finger_model.calibration import Calibration, CalibrationPress, calibrate
+from finger_model.anthropometry import GeometryEstimate, estimate_geometry
+from finger_model.calibration import Calibration, CalibrationPress, calibrate, subject_model
 from finger_model.estimator import ContactEstimator
+from finger_model.finger import load_for
+from finger_model.geometry import Geometry
 from finger_model.parameter_sets import ParameterSets
 from finger_model.people import People, Person
 from finger_model.reduced import ReducedModel
@@ -85,6 +90,57 @@ def force_only(finger: Finger, sets: ParameterSets) -> tuple[float, float]:
     errors, truths = np.concatenate(error), np.concatenate(truth)
     covered = np.abs(errors) <= 1.96 * np.concatenate(deviation)
     return float(np.sqrt(np.mean(errors**2) / np.mean(truths**2))), float(np.mean(covered))
+
+
+@pytest.fixture(scope="module")
+def script(module_of: Callable[[str], Any]) -> Any:
+    return module_of("scripts/calibration_fingers.py")
+
+
+def test_calipers_help_where_the_finger_is_of_another_size(script: Any) -> None:
+    """Fingertips 11 mm wide: the error of later presses without camera, their scatter left out."""
+    errors: dict[bool, list[float]] = {False: [], True: []}
+    for index in range(4):
+        drawn = People.default().draw(np.random.default_rng([11, index]))
+        finger = script.pressed(11, index, person=script.scaled(drawn, 0.011))
+        for calipers, found in errors.items():
+            found.append(script.scores(finger, calipers)[1])
+    assert script.rms(errors[True]) < 0.85 * script.rms(errors[False]), errors
+
+
+def test_the_file_of_a_subject_holds_the_lengths(fingers: list[Finger], tmp_path: Path) -> None:
+    model, lengths = subject_model(ReducedModel.load(), estimate_geometry(0.014, 0.010, age=70))
+    presses = fingers[0].presses[: len(CALIBRATION_PRESSES)]
+    found = calibrate(model, ParameterSets.default(), presses, lengths=lengths)
+    assert "lengths from width 14 mm, depth 10 mm, age 70" in found.sentence()
+    found.sets.save(tmp_path / "S01.yaml")
+    sets = ParameterSets.load(tmp_path / "S01.yaml")
+    assert sets.geometry == model.geometry and sets.hash == found.sets.hash
+    # The model comes with the file.
+    assert load_for(sets).hash == model.hash
+    ContactEstimator(load_for(sets), sets)
+    # The epidermis is that of the shipped moduli, thinner by age.
+    assert sets.geometry is not None
+    assert 0.85 < sets.geometry.epidermis_thickness / Geometry().epidermis_thickness < 0.95
+    # Lengths that are not known exactly make the tissue less certain, not the area.
+    exact = calibrate(model, ParameterSets.default(), presses)
+    for name, wider in (("area_at_1N", False), ("stiffness", True)):
+        a, b = (next(q for q in c.quantities if q.name == name) for c in (found, exact))
+        assert (a.deviation > 1.2 * b.deviation) == wider and a.value == b.value
+    text = (tmp_path / "S01.yaml").read_text().replace("nail_radius: 0.0", "nail_radius: 0.001")
+    with pytest.raises(InputError, match="geometry_hash"):
+        ParameterSets.parse(text)
+
+
+@pytest.mark.parametrize(
+    ("calipers", "said"),
+    [(None, "without calipers"), (estimate_geometry(0.028, 0.02), "outside the population box")],
+)
+def test_without_calipers_that_serve_the_finger_in_use_is_taken(
+    calipers: GeometryEstimate | None, said: str
+) -> None:
+    model, lengths = subject_model(ReducedModel.load(), calipers)
+    assert model is ReducedModel.load() and said in lengths.note and not lengths.deviations
 
 
 @pytest.fixture(scope="module")

@@ -20,14 +20,21 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 
 from finger_bringup.cli import main  # noqa: E402
 from finger_common.guided_presses import CALIBRATION_PRESSES  # noqa: E402
-from finger_common.node import LATCHED_QOS, STATE_QOS  # noqa: E402
+from finger_common.node import LATCHED_QOS, STATE_QOS, message_of  # noqa: E402
+from finger_common.parameter_values import parameter_fields  # noqa: E402
 from finger_common.stamps import fill_time  # noqa: E402
 from finger_common.trial_phases import TrialPhase  # noqa: E402
 from finger_model.finger_prior import FingerPrior  # noqa: E402
 from finger_model.geometry import Geometry  # noqa: E402
 from finger_model.parameter_sets import ParameterSets  # noqa: E402
 from finger_model.reduced import ReducedModel  # noqa: E402
-from finger_msgs.msg import ContactArea, ContactState, ModelEvent, Trial  # noqa: E402
+from finger_msgs.msg import (  # noqa: E402
+    ContactArea,
+    ContactState,
+    ModelEvent,
+    SessionStatus,
+    Trial,
+)
 from finger_sim.press import guided_style, plan_press  # noqa: E402
 
 RELIABLE = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
@@ -48,6 +55,7 @@ class Rig:
         self.wrench = make(WrenchStamped, "/finger/wrench", RELIABLE)
         self.area = make(ContactArea, "/finger/contact_area", RELIABLE)
         self.trial = make(Trial, "/finger/trial", STATE_QOS)
+        self.status = make(SessionStatus, "/finger/protocol/status", STATE_QOS)
         listen(ContactState, "/finger/contact_state", self._count, RELIABLE)
         listen(ModelEvent, "/finger/model_events", self.events.append, LATCHED_QOS)
         listen(DiagnosticStatus, "/finger/calibration", self.results.append, LATCHED_QOS)
@@ -125,8 +133,9 @@ def start_model(rig: Rig, process: Callable[..., Any], folder: Path) -> Any:
     return child
 
 
+@pytest.mark.parametrize("calipers", [{}, {"finger_width": 0.014, "finger_depth": 0.010}])
 def test_the_model_node_calibrates_the_subject_of_the_trials(
-    rig: Rig, process: Callable[..., Any], tmp_path: Path
+    rig: Rig, process: Callable[..., Any], tmp_path: Path, calipers: dict[str, float]
 ) -> None:
     start_model(rig, process, tmp_path)
     at = 1.0
@@ -135,6 +144,10 @@ def test_the_model_node_calibrates_the_subject_of_the_trials(
         at = rig.press(index, at)
         rig.settle()
         rig.announce(index, TrialPhase.DONE)
+    if calipers:
+        status = {"subject": "S01", "session": "S01_a", "plan": parameter_fields(calipers)}
+        rig.status.publish(message_of(SessionStatus, status))
+        rig.settle()
     assert not rig.results
     rig.announce(len(CALIBRATION_PRESSES) - 1, TrialPhase.IDLE)
     rig.until(lambda: rig.results)
@@ -150,7 +163,22 @@ def test_the_model_node_calibrates_the_subject_of_the_trials(
     area = model.simulate(parameters, time_s, np.minimum(time_s / 0.2, 1.0)).area[-1]
     assert float(values["area_at_1N"]) == pytest.approx(1e6 * LARGER * area, rel=0.03)
     # Live without a restart, and in what a bag records of the model.
+    rig.sample(T0 + round(at * 1e9), 0.0)
     rig.until(lambda: any(e.parameter_sets == saved.to_yaml() for e in rig.events))
+    geometry = saved.geometry
+    assert geometry is not None
+    if calipers:
+        assert "lengths from width 14 mm, depth 10 mm" in result.message
+        assert geometry.pad_semi_axis_radial == pytest.approx(0.007)
+        assert geometry.pad_semi_axis_axial == pytest.approx(0.005)
+        # A finger of other lengths begins anew, with the model of these.
+        newest = rig.events[-1]
+        assert newest.type == ModelEvent.TYPE_START
+        assert newest.model_hash == ReducedModel.load(geometry=geometry).hash
+    else:
+        assert "without calipers" in result.message
+        assert geometry == Geometry()
+        assert {e.model_hash for e in rig.events} == {model.hash}
 
 
 def test_the_subject_of_the_session_chooses_its_file_and_forgets_the_one_before(
@@ -160,7 +188,7 @@ def test_the_subject_of_the_session_chooses_its_file_and_forgets_the_one_before(
     assert default.prior is not None
     variance = tuple(tuple(0.01 * (i == j) for j in range(5)) for i in range(5))
     prior = FingerPrior((0.1, 0.0, 0.2, 0.0, 0.0), variance, 0.01, 22.0, 3.0)
-    own = default.with_prior(prior, Geometry().hash())
+    own = default.with_prior(prior, Geometry())
     own.save(tmp_path / "S01.yaml")
     (tmp_path / "S03.yaml").write_text("sets: nonsense\n")
     start_model(rig, process, tmp_path)

@@ -247,7 +247,13 @@ def estimate_geometry(
 
 
 def session_geometry(plan: Mapping[str, Any]) -> str | None:
-    """`geometry.yaml` of a guided session's subject; None where no calipers were used.
+    """`geometry.yaml` of a guided session's subject; None and InputError as `session_estimate`."""
+    found = session_estimate(plan)
+    return None if found is None else found.yaml_text()
+
+
+def session_estimate(plan: Mapping[str, Any]) -> GeometryEstimate | None:
+    """Lengths of a guided session's subject; None where no calipers were used.
 
     plan: as in session.json; `finger_width` and `finger_depth` (m), `finger` and `age` are used,
     0 and "" for what was not noted. Raises InputError as `estimate_geometry` does, and for a depth
@@ -259,4 +265,4 @@ def session_geometry(plan: Mapping[str, Any]) -> str | None:
     if width is None:
         raise InputError("the fingertip has a depth but no width; enter the width too, or neither")
     finger, age = (plan.get(key) or None for key in ("finger", "age"))
-    return estimate_geometry(width, depth, finger=finger, age=age).yaml_text()
+    return estimate_geometry(width, depth, finger=finger, age=age)

@@ -3,7 +3,8 @@
 
 """Calibrate a subject: from a few presses under the camera to the finger's own `prior`.
 
-    found = calibrate(ReducedModel.load(), ParameterSets.default(), presses, moisture=64.0)
+    model, lengths = subject_model(ReducedModel.load(), estimate_geometry(0.017, 0.011))
+    found = calibrate(model, ParameterSets.default(), presses, moisture=64.0, lengths=lengths)
     found.sets.save("subjects/S01.yaml")
 
 What is fitted are the finger states of the estimator (`finger_prior.COORDINATES`), so that the
@@ -11,6 +12,9 @@ result is what the estimator begins with. All areas of all presses enter at once
 Newton from the distribution of the sets, about the model at the states found so far:
 
     A = A_model exp(h x − s w₀) (1 + g + m) + n
+
+The model is that of the finger's own lengths where calipers measured it (`subject_model`). They
+stay as given; what they leave unknown widens the deviations of the tissue.
 
 g is the press's own factor, m what the states cannot describe (with a memory of 0.3 s), n the noise
 of the camera. The deviation of g is that of the population, or that of the presses if they scatter
@@ -20,19 +24,21 @@ more.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from finger_common.errors import InputError
 
+from .anthropometry import EPIDERMIS, GeometryEstimate
 from .estimator import EstimatorSettings, members
 from .estimator.parameter_selection import check_sets, select_parameters
 from .finger_prior import COORDINATES, FingerPrior
+from .geometry import Geometry
 from .parameter_sets import ParameterSets
 from .people import People
-from .reduced.model import ReducedModel
+from .reduced.model import ReducedModel, load_population
 
 LEAST_PRESSES = 4
 """Usable presses below which nothing is fitted."""
@@ -94,6 +100,7 @@ class Calibration:
 
     sets: with the finger's own prior. quantities: for people. press_scatter: relative deviation of
     the area from press to press. residual: what is left within the presses, relative. areas: used.
+    note: which lengths of the finger were taken.
     """
 
     sets: ParameterSets
@@ -102,6 +109,7 @@ class Calibration:
     residual: float
     presses: int
     areas: int
+    note: str = ""
 
     def sentence(self) -> str:
         """The result in one line."""
@@ -111,7 +119,7 @@ class Calibration:
         )
         return (
             f"{shown}; presses differ by {100 * self.press_scatter:.1f} % "
-            f"({self.presses} presses, {self.areas} areas)"
+            f"({self.presses} presses, {self.areas} areas); {self.note}"
         )
 
 
@@ -149,21 +157,57 @@ def usable(presses: Sequence[CalibrationPress]) -> list[CalibrationPress]:
     return found
 
 
+@dataclass(frozen=True)
+class Lengths:
+    """What is known of the lengths of a subject's finger.
+
+    deviations: standard deviations (m) by the keys of geometry.yaml, empty without calipers.
+    note: a sentence on what was taken.
+    """
+
+    deviations: Mapping[str, float] = field(default_factory=dict)
+    note: str = "without calipers: lengths of the finger in use"
+
+
+def subject_model(
+    model: ReducedModel, calipers: GeometryEstimate | None
+) -> tuple[ReducedModel, Lengths]:
+    """The model of a finger that calipers measured, and what they leave unknown of it.
+
+    The epidermis, which no caliper sees, is that of `model`, since the shipped moduli go with it;
+    age changes it by the same share. Without calipers, and for a finger outside the population box,
+    the model is `model`.
+    """
+    if calipers is None:
+        return model, Lengths()
+    name, scale = "epidermis_thickness", model.geometry.epidermis_thickness / EPIDERMIS
+    skin = round(scale * calipers.geometry.epidermis_thickness, 8)
+    deviations = {**calipers.deviations, name: scale * calipers.deviations[name]}
+    try:
+        own = ReducedModel.load(geometry=replace(calipers.geometry, epidermis_thickness=skin))
+    except InputError:
+        outside = f"{calipers.measured}: outside the population box; lengths of the finger in use"
+        return model, Lengths(note=outside)
+    return own, Lengths(deviations, f"lengths from {calipers.measured}")
+
+
 def calibrate(
     model: ReducedModel,
     sets: ParameterSets,
     presses: Sequence[CalibrationPress],
     moisture: float | None = None,
     settings: EstimatorSettings | None = None,
+    lengths: Lengths | None = None,
 ) -> Calibration:
     """Fit a finger to its presses, in the order they were made.
 
     sets: what is known of people; the result are these sets with another `prior`. moisture: reading
-    at the presses in a.u., None where there was none. Raises InputError for too few usable presses,
-    and for presses that differ more than those of one finger.
+    at the presses in a.u., None where there was none. lengths: what is known of those of the
+    model's finger. Raises InputError for too few usable presses, and for presses that differ more
+    than those of one finger.
     """
     check_sets(sets, model)
-    settings = settings or EstimatorSettings()
+    settings, lengths = settings or EstimatorSettings(), lengths or Lengths()
     good = usable(presses)
     selected = select_parameters(model, sets, settings, moisture)
     prior = selected.prior
@@ -175,32 +219,17 @@ def calibrate(
     covariance[_STATES, _STATES] = prior.moisture_variance
     inverse = np.linalg.inv(covariance + _SMALLEST_VARIANCE * np.eye(_STATES + 1))
     scatter, misfit = People.default().press_gain, max(prior.misfit_sd, model.rms_error)
-    limits = 1.5 * np.array(members.LIMITS)
+    problem = _Problem(model, selected.constants, good, own, mean, inverse, misfit)
     x, settled = mean.copy(), False
-    areas = _follow(model, selected.constants, x[2:_STATES], good)
+    areas = problem.follow(x)
     for _ in range(_ROUNDS):
-        information, gradient, weights = inverse.copy(), inverse @ (mean - x), []
-        for press in areas:
-            predicted = press.predicted(own @ x)
-            weights.append(np.linalg.inv(_covariance(press, predicted, scatter, misfit)))
-            slope = predicted[:, None] * (press.h @ own)
-            information += slope.T @ weights[-1] @ slope
-            gradient += slope.T @ weights[-1] @ (press.area - predicted)
-
-        def cost(at: np.ndarray, seen: Sequence[_Areas], weights: Sequence[np.ndarray]) -> float:
-            residuals = [press.area - press.predicted(own @ at) for press in seen]
-            return float(
-                (at - mean) @ inverse @ (at - mean)
-                + sum(r @ weight @ r for r, weight in zip(residuals, weights))
-            )
-
+        information, gradient, weights = problem.linearised(x, areas, scatter)
+        before, present = x, problem.cost(x, areas, weights)
         step = np.clip(np.linalg.solve(information, gradient), -_LARGEST_STEP, _LARGEST_STEP)
-        before, present = x, cost(x, areas, weights)
         for halved in range(_HALVINGS):
-            x = before + 0.5**halved * step
-            x[2:_STATES] = np.clip(x[2:_STATES], -limits, limits)
-            areas = _follow(model, selected.constants, x[2:_STATES], good)
-            if cost(x, areas, weights) <= present:
+            x = problem.within(before + 0.5**halved * step)
+            areas = problem.follow(x)
+            if problem.cost(x, areas, weights) <= present:
                 break
         factors, left = _factors(areas, own @ x)
         spread = math.sqrt(np.sum(np.square(factors)) / max(len(good) - 2, 1))
@@ -216,6 +245,8 @@ def calibrate(
     found = own @ x
     uncertain = own @ np.linalg.inv(information) @ own.T
     uncertain = 0.5 * (uncertain + uncertain.T)
+    answers = problem.answers(x, areas, weights, selected.parameters, lengths.deviations)
+    assumed = own @ np.linalg.solve(information, answers)
     base = sets.prior
     own_prior = FingerPrior(
         tuple(float(f"{v:.6g}") for v in found),
@@ -225,13 +256,104 @@ def calibrate(
         0.0 if base is None else base.reading_sd,
     )
     return Calibration(
-        sets.with_prior(own_prior, model.geometry_hash),
-        _quantities(model, selected.constants, found, uncertain),
+        sets.with_prior(own_prior, model.geometry),
+        _quantities(model, selected.constants, found, uncertain, assumed),
         spread,
         float(np.sqrt(np.mean(left**2))),
         len(good),
         sum(len(press.area) for press in good),
+        lengths.note,
     )
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Least squares of the areas over x (6,): the finger's states and the moisture's error.
+
+    own (5, 6): what x makes of the states; mean (6,), inverse (6, 6): of x before.
+    """
+
+    model: ReducedModel
+    base: np.ndarray
+    presses: Sequence[CalibrationPress]
+    own: np.ndarray
+    mean: np.ndarray
+    inverse: np.ndarray
+    misfit: float
+
+    @staticmethod
+    def within(x: np.ndarray) -> np.ndarray:
+        """x, its tissue held in the range of the model."""
+        limits = 1.5 * np.array(members.LIMITS)
+        x = x.copy()
+        x[2:_STATES] = np.clip(x[2:_STATES], -limits, limits)
+        return x
+
+    def follow(self, x: np.ndarray) -> list[_Areas]:
+        """The presses beside the model of the finger at x."""
+        return _follow(self.model, self.base, x[2:_STATES], self.presses)
+
+    def slope(self, x: np.ndarray, press: _Areas) -> np.ndarray:
+        """Derivatives (k, 6) of the areas of a press."""
+        return press.predicted(self.own @ x)[:, None] * (press.h @ self.own)
+
+    def linearised(
+        self, x: np.ndarray, areas: Sequence[_Areas], scatter: float
+    ) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
+        """Information (6, 6), gradient (6,), and the weight (k, k) of each press."""
+        information, gradient, weights = self.inverse.copy(), self.inverse @ (self.mean - x), []
+        for press in areas:
+            predicted, slope = press.predicted(self.own @ x), self.slope(x, press)
+            weight = np.linalg.inv(_covariance(press, predicted, scatter, self.misfit))
+            information += slope.T @ weight @ slope
+            gradient += slope.T @ weight @ (press.area - predicted)
+            weights.append(weight)
+        return information, gradient, weights
+
+    def cost(self, x: np.ndarray, areas: Sequence[_Areas], weights: Sequence[np.ndarray]) -> float:
+        """What is minimised, at given weights."""
+        off = x - self.mean
+        left = [press.area - press.predicted(self.own @ x) for press in areas]
+        return float(off @ self.inverse @ off + sum(r @ w @ r for r, w in zip(left, weights)))
+
+    def answers(
+        self,
+        x: np.ndarray,
+        areas: Sequence[_Areas],
+        weights: Sequence[np.ndarray],
+        parameters: np.ndarray,
+        deviations: Mapping[str, float],
+    ) -> np.ndarray:
+        """Gradient (6, m) by one deviation of each length; x moves by information⁻¹ times it.
+
+        Lengths that the reduced model of all fingers does not vary are left out.
+        """
+        found = []
+        geometry = self.model.geometry
+        here = self._logarithms(x, geometry, parameters) if deviations else None
+        for name, deviation in deviations.items():
+            for sign in (1.0, -1.0):
+                changed = {name: getattr(geometry, name) + sign * deviation}
+                try:
+                    there = self._logarithms(x, replace(geometry, **changed), parameters)
+                except InputError:
+                    continue
+                assert here is not None
+                total = np.zeros(len(x))
+                for press, weight, a, b in zip(areas, weights, here, there):
+                    change = press.predicted(self.own @ x) * (b - a)
+                    total += self.slope(x, press).T @ weight @ change
+                found.append(total)
+                break
+        return np.array(found).reshape(-1, len(x)).T
+
+    def _logarithms(
+        self, x: np.ndarray, geometry: Geometry, parameters: np.ndarray
+    ) -> list[np.ndarray]:
+        """Logarithms of the model's areas for another geometry of the population box."""
+        model = load_population(geometry)
+        areas = _follow(model, model.constants(parameters), x[2:_STATES], self.presses)
+        return [np.log(press.model) for press in areas]
 
 
 def _factors(areas: Sequence[_Areas], x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -299,16 +421,24 @@ def _follow(
 
 
 def _quantities(
-    model: ReducedModel, base: np.ndarray, x: np.ndarray, covariance: np.ndarray
+    model: ReducedModel,
+    base: np.ndarray,
+    x: np.ndarray,
+    covariance: np.ndarray,
+    assumed: np.ndarray,
 ) -> tuple[Quantity, ...]:
-    """The states as people read them: the area under 1 N, and factors over the shipped finger."""
+    """The states as people read them: the area under 1 N, and factors over the shipped finger.
+
+    covariance (5, 5): of x at given lengths; assumed (5, m): by how much one deviation of each
+    length moves x. The area is measured, whatever the lengths are.
+    """
     time = np.linspace(0.0, _REFERENCE_TIME, 101)
     force = _REFERENCE_FORCE * np.minimum(time / 0.2, 1.0)
     press = CalibrationPress(time, force, time[-1:], np.ones(1), np.ones(1))
     seen = _follow(model, base, x[2:], [press])[0]
     area = float(seen.model[0] * math.exp(seen.h[0] @ x - seen.offset[0]))
     of_area = math.sqrt(seen.h[0] @ covariance @ seen.h[0])
-    deviation = np.sqrt(np.diag(covariance))
+    deviation = np.sqrt(np.diag(covariance + assumed @ assumed.T))
     rows = [
         Quantity(
             "area_at_1N",

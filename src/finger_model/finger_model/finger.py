@@ -15,6 +15,7 @@ from finger_common.errors import InputError
 from .geometry import Geometry
 from .history import ContactHistory
 from .laws import ConstitutiveLaw, MaxwellLaw, law_of
+from .parameter_sets import ParameterSets
 from .reduced.model import ReducedModel, load_population
 
 if TYPE_CHECKING:
@@ -31,6 +32,14 @@ def load_reduced(
     wrong or do not belong together, and for a finger outside the box.
     """
     return ReducedModel.load(model_file or None, _geometry(geometry_file))
+
+
+def load_for(
+    sets: ParameterSets, model_file: str | Path = "", geometry_file: str | Path | Geometry = ""
+) -> ReducedModel:
+    """As `load_reduced`; without files the model of the finger whose lengths the sets hold."""
+    own = "" if model_file else sets.geometry or ""
+    return load_reduced(model_file, geometry_file or own)
 
 
 def _geometry(source: str | Path | Geometry) -> Geometry | None:

@@ -25,6 +25,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import WrenchStamped
 from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
+from rclpy.serialization import deserialize_message
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
@@ -41,19 +42,31 @@ from finger_common.node import (
     FixedMessage,
     LocalSubscription,
     ManagedNode,
+    PolledSubscription,
     WaitedSubscription,
     main_of,
     message_of,
 )
+from finger_common.parameter_values import parameter_values
 from finger_common.settings import Settings, setting
 from finger_common.stamps import seconds
-from finger_msgs.msg import ContactArea, ContactSlip, ContactState, ModelEvent, Moisture, Trial
+from finger_msgs.msg import (
+    ContactArea,
+    ContactSlip,
+    ContactState,
+    ModelEvent,
+    Moisture,
+    SessionStatus,
+    Trial,
+)
 from finger_msgs.srv import ForceForArea, PredictContact
 
-from .calibration import Calibration, CalibrationPress, calibrate
+from .anthropometry import GeometryEstimate, session_estimate
+from .calibration import Calibration, CalibrationPress, calibrate, subject_model
 from .estimator import ContactEstimate, ContactEstimator, EstimatorEvent, EstimatorSettings
 from .estimator.parameter_selection import check_sets
-from .finger import load_reduced
+from .finger import load_for, load_reduced
+from .geometry import Geometry
 from .messages import (
     area_of,
     event_fields,
@@ -64,7 +77,7 @@ from .messages import (
     wrench_of,
 )
 from .parameter_sets import ParameterSets
-from .reduced.model import ReducedModel
+from .reduced.model import ReducedModel, load_population
 from .slip import SlipEstimator, SlipSettings
 from .subjects import PressCollector, save_subject, subject_file
 from .warm_up import warm_up
@@ -187,6 +200,7 @@ class ModelNode(ManagedNode):
         self._subject = ""
         self._collector = PressCollector()
         self._calibration: threading.Thread | None = None
+        self._plan: Any = None
 
     # Lifecycle -------------------------------------------------------------------------------
 
@@ -195,9 +209,11 @@ class ModelNode(ManagedNode):
         values = self.values
         self._model = load_reduced(values["reduced_model_file"], values["geometry_file"])
         self._sets = self._load_sets(values["parameter_file"])
-        settings = self.settings(EstimatorSettings)
-        warm_up(ContactEstimator(self._model, self._sets, settings))
-        self.estimator = ContactEstimator(self._model, self._sets, settings)
+        if values["subjects_folder"]:
+            # The kernels of a finger of its own lengths, which a subject may bring.
+            warm_up(ContactEstimator(load_population(Geometry())))
+        warm_up(self._new_estimator(self._sets))
+        self.estimator = self._new_estimator(self._sets)
         self._sequence = 0
         self.health.stale_after = values["force_stale_after"]
         qos = self.stream_qos()
@@ -213,6 +229,7 @@ class ModelNode(ManagedNode):
         area = self.create_waited_subscription(ContactArea, "contact_area", self._on_area, qos)
         moisture = self.create_waited_subscription(Moisture, "moisture", self._on_moisture, qos)
         trial = self.create_subscription(Trial, "trial", self._on_trial, LATCHED_QOS)
+        self._protocol = PolledSubscription(self, SessionStatus, "protocol/status", STATE_QOS)
         self._calibration_publisher = self.create_publisher(
             DiagnosticStatus, "calibration", STATE_QOS
         )
@@ -228,6 +245,7 @@ class ModelNode(ManagedNode):
             (WaitedSubscription.destroy, area),
             (WaitedSubscription.destroy, moisture),
             (self.destroy_subscription, trial),
+            (PolledSubscription.destroy, self._protocol),
             (self.destroy_publisher, self._calibration_publisher),
             *((self.destroy_service, service) for service in services),
         ]
@@ -250,7 +268,7 @@ class ModelNode(ManagedNode):
         assert self._model is not None
         self._follow_wrench()
         sets, self._collector = self._sets_of(self._subject), PressCollector()
-        self.estimator = ContactEstimator(self._model, sets, self.settings(EstimatorSettings))
+        self.estimator = self._new_estimator(sets)
         self._slip = self._new_slip_estimator()
         self._started = False
         self._jumped = False
@@ -305,20 +323,29 @@ class ModelNode(ManagedNode):
             if sets is not None:
                 self._sets = sets
                 reason = f"parameter file {changes['parameter_file'] or 'unset, shipped sets'}"
-                self._publish_event(self.estimator.change_parameters(sets, reason))
+                self._use_sets(sets, reason, forget=False)
 
     def _new_slip_estimator(self, normal_axis: str = "") -> SlipEstimator:
         return SlipEstimator(self.settings(SlipSettings), normal_axis or self.values["normal_axis"])
 
     def _load_sets(self, path: str) -> ParameterSets:
-        assert self._model is not None
         sets = ParameterSets.load(path) if path else ParameterSets.default()
-        check_sets(sets, self._model, path or "the shipped sets")
-        if sets.reduced_model_hash and sets.reduced_model_hash != self._model.hash:
+        model = self._model_of(sets)
+        check_sets(sets, model, path or "the shipped sets")
+        if sets.reduced_model_hash and sets.reduced_model_hash != model.hash:
             self.get_logger().warning(
                 f"{path or 'parameter sets'}: fitted with another reduced model of this geometry"
             )
         return sets
+
+    def _model_of(self, sets: ParameterSets) -> ReducedModel:
+        """The model of the finger whose lengths the sets hold, or else of `geometry_file`."""
+        assert self._model is not None
+        own = sets.geometry is None or sets.geometry_hash == self._model.geometry_hash
+        return self._model if own else load_for(sets)
+
+    def _new_estimator(self, sets: ParameterSets) -> ContactEstimator:
+        return ContactEstimator(self._model_of(sets), sets, self.settings(EstimatorSettings))
 
     # Streams ---------------------------------------------------------------------------------
 
@@ -453,11 +480,20 @@ class ModelNode(ManagedNode):
             presses, moisture = self._collector.presses(), self._collector.moisture()
             if self._calibration is not None and self._calibration.is_alive():
                 return
-            arguments = message.session, message.subject, presses, moisture, self._sets
+            of_fit = presses, moisture, self._sets, self._calipers_of(message.session)
+            arguments = message.session, message.subject, *of_fit
             self._calibration = threading.Thread(
                 target=self._calibrate, args=arguments, name="calibration", daemon=True
             )
             self._calibration.start()
+
+    def _calipers_of(self, session: str) -> GeometryEstimate | None:
+        """What calipers told of the finger of a session, as the protocol node's status has it."""
+        for raw, _ in self._protocol.take():
+            self._plan = deserialize_message(raw, SessionStatus)
+        if self._plan is None or self._plan.session != session:
+            return None
+        return session_estimate(parameter_values(self._plan.plan))
 
     def _sets_of(self, subject: str) -> ParameterSets:
         """The subject's own parameters, or else those of `parameter_file`."""
@@ -476,10 +512,14 @@ class ModelNode(ManagedNode):
 
     def _use_sets(self, sets: ParameterSets, reason: str, forget: bool) -> None:
         """Parameters from the next sample on; the caller holds the lock."""
-        assert self.estimator is not None and self._model is not None
-        if not self._started:
-            # The event of the start names them.
-            self.estimator = ContactEstimator(self._model, sets, self.settings(EstimatorSettings))
+        assert self.estimator is not None
+        model = self._model_of(sets)
+        if not self._started or model.hash != self.estimator.model.hash:
+            # A finger of other lengths begins anew. The event of the start names sets and model.
+            self.estimator = ContactEstimator(model, sets, self.settings(EstimatorSettings))
+            self._started = False
+            if self._slip is not None:
+                self._slip.reset()
             return
         if sets.hash != self.estimator.parameter_sets.hash:
             self._publish_event(self.estimator.change_parameters(sets, reason))
@@ -495,13 +535,15 @@ class ModelNode(ManagedNode):
         presses: list[CalibrationPress],
         moisture: float | None,
         sets: ParameterSets,
+        calipers: GeometryEstimate | None,
     ) -> None:
         """Fit the presses, take the result live and save it; in a thread of its own."""
         assert self._model is not None
         began = time.monotonic()
         status = DiagnosticStatus(level=bytes([OK]), name=subject, hardware_id=session)
         try:
-            found = calibrate(self._model, sets, presses, moisture)
+            model, lengths = subject_model(self._model_of(sets), calipers)
+            found = calibrate(model, sets, presses, moisture, lengths=lengths)
             taken = time.monotonic() - began
             with self._lock:
                 if self._active and self._subject == subject:

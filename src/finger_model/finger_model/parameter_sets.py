@@ -7,6 +7,7 @@
 
     law: …                    # of the parameters; may be absent for the default law
     geometry_hash: …          # hash of the geometry the sets were fitted with; "" when unknown
+    geometry: {…}             # its lengths, as in geometry.yaml; left out for the finger in use
     reduced_model_hash: …     # hash of the reduced model they were fitted with; "" when unknown
     sets:
       - condition: natural
@@ -42,6 +43,7 @@ from finger_common.files import atomic_write, number, parse_yaml, read_text, sha
 from finger_common.moisture import MOISTURE_TEXT, is_moisture
 
 from .finger_prior import FingerPrior
+from .geometry import Geometry
 from .laws import ConstitutiveLaw, ParameterSpace, StandardLinearSolid, law_of
 
 
@@ -106,6 +108,7 @@ class ParameterSets:
         where: str = "parameter sets",
         law: type[ConstitutiveLaw] = StandardLinearSolid,
         prior: FingerPrior | None = None,
+        geometry: Geometry | None = None,
     ) -> None:
         if not sets:
             raise InputError(f"{where}: 'sets' is empty; give at least one parameter set")
@@ -113,7 +116,10 @@ class ParameterSets:
         self.space = law.PARAMETERS
         self.sets = tuple(sorted(sets, key=lambda s: s.moisture))
         self.prior = prior
-        self.geometry_hash = geometry_hash
+        if geometry is not None and geometry_hash not in ("", geometry.hash()):
+            raise InputError(f"{where}: 'geometry' is not that of 'geometry_hash'; correct one")
+        self.geometry = geometry
+        self.geometry_hash = geometry_hash if geometry is None else geometry.hash()
         self.reduced_model_hash = reduced_model_hash
         self._moisture = np.array([s.moisture for s in self.sets])
         if np.any(np.diff(self._moisture) <= 0):
@@ -122,7 +128,12 @@ class ParameterSets:
         self._log = self.space.to_log(np.array(vectors))
         self._covariance = np.array([s.covariance_log for s in self.sets])
         self.hash = sha256_of(
-            [*self._law_key().values(), *self._entries(), *self._prior_key().values()]
+            [
+                *self._law_key().values(),
+                *self._entries(),
+                *self._prior_key().values(),
+                *self._geometry_key().values(),
+            ]
         )
 
     def _law_key(self) -> dict[str, str]:
@@ -132,6 +143,10 @@ class ParameterSets:
     def _prior_key(self) -> dict[str, Any]:
         """The key `prior`, which files without one do not have."""
         return {"prior": self.prior.to_dict()} if self.prior else {}
+
+    def _geometry_key(self) -> dict[str, Any]:
+        """The key `geometry`, which files without lengths do not have."""
+        return {"geometry": self.geometry.to_dict()} if self.geometry else {}
 
     def _entries(self) -> list[dict[str, Any]]:
         return [s.to_dict(self.space) for s in self.sets]
@@ -158,6 +173,7 @@ class ParameterSets:
             where,
             law,
             FingerPrior.parse(data["prior"], where) if data.get("prior") else None,
+            _parse_geometry(data.get("geometry"), where),
         )
 
     @classmethod
@@ -182,6 +198,7 @@ class ParameterSets:
             {
                 **self._law_key(),
                 "geometry_hash": self.geometry_hash,
+                **self._geometry_key(),
                 "reduced_model_hash": self.reduced_model_hash,
                 **self._prior_key(),
                 "sets": self._entries(),
@@ -197,10 +214,11 @@ class ParameterSets:
 
     # Use -------------------------------------------------------------------------------------
 
-    def with_prior(self, prior: FingerPrior, geometry_hash: str) -> ParameterSets:
+    def with_prior(self, prior: FingerPrior, geometry: Geometry) -> ParameterSets:
         """The same sets with another distribution of fingers, of this geometry, about them."""
-        hashes = geometry_hash, self.reduced_model_hash
-        return ParameterSets(self.sets, *hashes, law=self.law, prior=prior)
+        same = geometry.hash() == self.geometry_hash
+        model_hash = self.reduced_model_hash if same else ""
+        return ParameterSets(self.sets, "", model_hash, "", self.law, prior, geometry)
 
     def interpolate(self, moisture: float) -> InterpolatedParameters:
         """Parameters at a reading (a.u.); raises InputError when it is not a finite number."""
@@ -227,6 +245,14 @@ def _parse_set(entry: Any, space: ParameterSpace, where: str) -> ParameterSet:
         tuple(parameters.tolist()),
         _parse_covariance(entry.get("covariance_log"), len(space), where),
     )
+
+
+def _parse_geometry(data: Any, where: str) -> Geometry | None:
+    if data is None:
+        return None
+    if not isinstance(data, dict):
+        raise InputError(f"{where}: 'geometry' needs 'key: value' lines as in geometry.yaml")
+    return Geometry.from_dict(data, f"{where}, geometry")
 
 
 def _parse_covariance(rows: Any, n: int, where: str) -> tuple[tuple[float, ...], ...]:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import bisect
 import math
 from collections.abc import Callable, Iterator
 
@@ -279,9 +280,13 @@ def test_the_area_is_never_beyond_measurement_and_prediction_both(
         for e, p, own in zip(found, predicted, alone[len(found) * number :]):
             if e.in_contact:
                 ends = sorted([p.area, ratio * own.model_area])
+                if number:
+                    # A model that has adapted carries the newest frame on by its own curve.
+                    newest = bisect.bisect(frames, (e.stamp_ns - 100 * MS, math.inf)) - 1
+                    ends = sorted([*ends, frames[newest][1]])
                 # The newest frame may err by its noise.
                 room = 1.01 + 3.3 * sd / max(ends[0], 3e-6)
-                assert ends[0] / room <= e.area <= ends[1] * room
+                assert ends[0] / room <= e.area <= ends[-1] * room
                 assert math.isfinite(e.area_stddev)
         taught = ContactEstimator(model)
         for frame in frames:
@@ -290,7 +295,7 @@ def test_the_area_is_never_beyond_measurement_and_prediction_both(
         feed(taught, 0.0, end, press)
     models = {e.stamp_ns: e.model_area for e in alone}
     last = [e for e in found if e.in_contact and e.normal_force > 0.3][-1]
-    assert last.area == pytest.approx(ratio * models[last.stamp_ns], rel=0.1)
+    assert last.area == pytest.approx(ratio * models[last.stamp_ns], rel=0.25)
 
 
 def test_a_wrong_model_is_named_and_the_flag_goes_once_it_has_adapted(model: ReducedModel) -> None:

@@ -28,8 +28,14 @@ from finger_bag.reader import BagMessage, BagReader, open_bag
 from finger_bag.streams import Malformed, stamp_and_value, wrong_type
 from finger_common.errors import FingerError, InputError
 from finger_common.stamps import seconds
-from finger_model.estimator import ContactEstimator, EstimateBlock, EstimatorSettings
-from finger_model.finger import load_reduced
+from finger_model.estimator import (
+    ContactEstimator,
+    EstimateBlock,
+    EstimatorEvent,
+    EstimatorSettings,
+    EventType,
+)
+from finger_model.finger import load_for
 from finger_model.messages import NOT_WHOLE, area_of, event_of, moisture_of, stick_of
 from finger_model.parameter_sets import ParameterSets
 from finger_model.slip import SlipEstimator
@@ -94,7 +100,8 @@ def process(
                 ridge_motion=options.slip,
             )
             images = stack.enter_context(MeasuringThread(areas))
-        estimator = _estimator(options)
+        start = None if topics.events is None else _recorded_start(reader, topics.events)
+        estimator = _estimator(options, start)
         # Everything is checked and loaded before anything is written.
         output = None
         if target is not None:
@@ -103,18 +110,39 @@ def process(
         sinks = [on_block] if on_block is not None else []
         for table in options.tables:
             sinks.append(stack.enter_context(open_table(table)))
-        run = _Run(reader, options, topics, estimator, images, output, sinks)
+        run = _Run(reader, options, topics, estimator, start, images, output, sinks)
         run.read_all(progress)
         result = run.result()
     result.path = None if target is None else Path(target)
     return result
 
 
-def _estimator(options: ProcessOptions) -> ContactEstimator:
-    model = load_reduced(options.model_file, options.geometry_file)
+def _estimator(options: ProcessOptions, start: EstimatorEvent | None) -> ContactEstimator:
+    """With the options' files or, where none are given, for the finger of the recorded start."""
     sets = ParameterSets.load(options.parameter_file) if options.parameter_file else None
+    finger = sets or ParameterSets.default()
+    if start is not None:
+        finger = ParameterSets.parse(start.parameter_sets, "recorded parameter sets")
+    model = load_for(finger, options.model_file, options.geometry_file)
     values = {"normal_axis": options.axis, **options.estimator}
     return ContactEstimator(model, sets, EstimatorSettings.from_mapping(values))
+
+
+def _recorded_start(reader: BagReader, topic: str) -> EstimatorEvent | None:
+    """The newest start among the events, with the sets and the model of the recording's finger.
+
+    Before it the node may have had another subject's.
+    """
+    found = None
+    for item in reader.messages([topic]):
+        try:
+            event = event_of(item.message)
+            if event.type == EventType.START:
+                ParameterSets.parse(event.parameter_sets)
+                found = event
+        except (FingerError, AttributeError, TypeError, ValueError):
+            continue  # Named when it is read to be applied.
+    return found
 
 
 class _Run:
@@ -126,12 +154,14 @@ class _Run:
         options: ProcessOptions,
         topics: InputTopics,
         estimator: ContactEstimator,
+        start: EstimatorEvent | None,
         images: MeasuringThread | None,
         output: OutputBag | None,
         sinks: Sequence[BlockSink],
     ) -> None:
         self.reader, self.mapping, self.topics = reader, options.mapping, topics
         self.estimator, self.images, self.output, self.sinks = estimator, images, output, sinks
+        self.start = start
         # Images are not held for so long: they need memory.
         axis = estimator.settings.normal_axis
         self.slip = SlipEstimator(normal_axis=axis) if options.slip else None
@@ -224,9 +254,17 @@ class _Run:
             self._add_area(item.log_time_ns, stamp, area, sd, flags)
         elif item.topic == topics.events:
             event = event_of(item.message)
+            if self._of_subject_before(event):
+                return
             self.estimator.expect_late([event])
             self.estimator.apply_event(event)
             self.started = True
+
+    def _of_subject_before(self, event: EstimatorEvent) -> bool:
+        """Whether an event belongs to the model of a subject before the recorded one."""
+        if self.start is None or event.model_hash == self.estimator.model.hash:
+            return False
+        return event.stamp_ns < self.start.stamp_ns
 
     def _add_area(self, log_ns: int, stamp: int, area: float, sd: float, flags: int) -> None:
         self.areas += 1
