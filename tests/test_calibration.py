@@ -1,4 +1,4 @@
-"""A subject is calibrated from six presses: the finger's own prior, and what it is worth."""
+"""A subject is calibrated from nine presses: the finger's own prior, and what it is worth."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Finger:
 
 
 def pressed(index: int, seed: int = 11) -> Finger:
-    """The guided presses twice: the second six are for the test."""
+    """The guided presses twice: the second time they are for the test."""
     rng = np.random.default_rng([seed, index])
     people = People.default()
     person = people.draw(rng)
@@ -148,7 +148,7 @@ def fingers() -> list[Finger]:
     return [pressed(index) for index in range(5)]
 
 
-def test_force_alone_is_enough_after_six_presses(fingers: list[Finger]) -> None:
+def test_force_alone_is_enough_after_nine_presses(fingers: list[Finger]) -> None:
     before = [force_only(finger, ParameterSets.default())[0] for finger in fingers]
     after = [force_only(finger, calibrated(finger).sets) for finger in fingers]
     errors = [error for error, _ in after]
@@ -170,7 +170,7 @@ def test_its_numbers_are_those_of_the_finger(fingers: list[Finger]) -> None:
         assert area.name == "area_at_1N" and area.unit == "mm²"
         assert abs(area.value - true) < 3.5 * np.hypot(area.deviation, 0.02 * true)
         assert 0.0 < found.press_scatter < 0.1
-        assert found.presses == 6 and found.areas > 60
+        assert found.presses == 9 and found.areas > 60
         assert "area under 1 N" in found.sentence()
 
 
@@ -197,14 +197,14 @@ def test_a_finger_is_known_better_than_before(fingers: list[Finger]) -> None:
 def test_too_few_areas_are_refused(fingers: list[Finger]) -> None:
     blind = [
         CalibrationPress(p.time, p.force, p.area_time[:1], p.area[:1], p.area_sd[:1])
-        for p in fingers[0].presses[:6]
+        for p in fingers[0].presses[:9]
     ]
-    with pytest.raises(InputError, match="0 of 6 presses have 2 usable areas"):
+    with pytest.raises(InputError, match="0 of 9 presses have 2 usable areas"):
         calibrate(ReducedModel.load(), ParameterSets.default(), blind)
 
 
 def test_presses_of_several_fingers_are_refused(fingers: list[Finger]) -> None:
-    factors = [0.5, 1.0, 2.0, 0.6, 1.5, 0.8]
+    factors = [0.5, 1.0, 2.0, 0.6, 1.5, 0.8, 0.5, 1.0, 2.0]
     mixed = [
         CalibrationPress(p.time, p.force, p.area_time, f * p.area, p.area_sd)
         for p, f in zip(fingers[0].presses, factors)
@@ -219,7 +219,7 @@ def test_without_a_reading_the_moisture_is_found_with_the_finger() -> None:
     presses = finger.presses[: len(CALIBRATION_PRESSES)]
     found = calibrate(ReducedModel.load(), ParameterSets.default(), presses)
     estimator = ContactEstimator(ReducedModel.load(), found.sets)
-    press, area = finger.presses[6], finger.truth[6]
+    press, area = finger.presses[9], finger.truth[9]
     stamps = START + np.round(press.time * 1e9).astype(np.int64)
     block = estimator.add_wrenches(
         stamps, np.column_stack([0 * press.force, 0 * press.force, -press.force])
@@ -255,9 +255,9 @@ def collected(finger: Finger, failing: int = -1) -> tuple[PressCollector, list[b
 @pytest.mark.parametrize("failing", [-1, 2])
 def test_presses_out_of_the_streams_are_the_presses(fingers: list[Finger], failing: int) -> None:
     collector, answers = collected(fingers[0], failing)
-    assert answers == [False] * 5 + [True]
+    assert answers == [False] * 8 + [True]
     last = CALIBRATION_PRESSES[-1].name
-    assert not collector.announce("S01_a", last, 5, 0, TrialPhase.IDLE)  # once is enough
+    assert not collector.announce("S01_a", last, 8, 0, TrialPhase.IDLE)  # once is enough
     sets = ParameterSets.default()
     found = calibrate(ReducedModel.load(), sets, collector.presses(), collector.moisture())
     known, wanted = found.sets.prior, calibrated(fingers[0]).sets.prior

@@ -18,7 +18,7 @@ from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
 from geometry_msgs.msg import WrenchStamped  # noqa: E402
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 
-from finger_bringup.cli import main  # noqa: E402
+from finger_bringup.cli import calibration_entries, main, parser  # noqa: E402
 from finger_common.guided_presses import CALIBRATION_PRESSES  # noqa: E402
 from finger_common.node import LATCHED_QOS, STATE_QOS, message_of  # noqa: E402
 from finger_common.parameter_values import parameter_fields  # noqa: E402
@@ -35,6 +35,7 @@ from finger_msgs.msg import (  # noqa: E402
     SessionStatus,
     Trial,
 )
+from finger_operator.study_plan import PlanSettings  # noqa: E402
 from finger_sim.press import guided_style, plan_press  # noqa: E402
 
 RELIABLE = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
@@ -230,6 +231,16 @@ def test_bad_input_is_refused_before_anything_starts(
 ) -> None:
     assert main(["calibrate", *options]) == 2
     assert said in capsys.readouterr().err
+
+
+def test_calipers_and_age_go_to_the_session() -> None:
+    options = "calibrate --subject S01 --width 17mm --depth 1.1cm --finger index --age 40".split()
+    (entry,) = calibration_entries(parser().parse_args(options))
+    readings = {"finger_width": 0.017, "finger_depth": 0.011, "finger": "index", "age": 40}
+    given = {name: entry.parameters[name] for name in readings}
+    assert given == {**readings, "finger_depth": pytest.approx(0.011)}
+    # Names and types are those of the plan that the protocol node gets.
+    assert PlanSettings.select({**PlanSettings().to_dict(), **readings}).finger_depth == 0.011
 
 
 def test_an_earlier_calibration_is_not_replaced_unasked(

@@ -35,7 +35,7 @@ finger-rig up --simulated             # on simulated devices; page at http://127
 finger-rig up --parameters rig.yaml   # real devices, as the file describes them
 finger-rig up --fingers thumb index --compose --parameters hand.yaml   # fingers of a robot hand
 finger-rig up --simulated --namespace thumb   # a second rig beside the first
-finger-rig calibrate --subject S01    # six guided presses on the rig that runs
+finger-rig calibrate --subject S01    # nine guided presses on the rig that runs
 finger-rig study --seed 1 --no-images -o out/study"""
 
 
@@ -139,9 +139,9 @@ def parser() -> argparse.ArgumentParser:
 def _add_calibrate(commands: Any) -> None:
     calibrate = commands.add_parser(
         "calibrate",
-        help="calibrate a subject by six guided presses",
+        help="calibrate a subject by nine guided presses",
         description=(
-            "Guide six presses on the rig that runs, fit them, and use the result in the model "
+            "Guide nine presses on the rig that runs, fit them, and use the result in the model "
             "node at once. It is kept as SUBJECT.yaml in the model node's subjects_folder and is "
             "used whenever a session of this subject begins. Ctrl-C aborts; nothing is written."
         ),
@@ -156,9 +156,10 @@ def _add_calibrate(commands: Any) -> None:
         calibrate.add_argument(
             f"--{name}",
             metavar="LENGTH",
-            help=f"{name} of the fingertip by calipers, such as 14mm; noted with the session, "
-            "which gets a geometry.yaml",
+            help=f"{name} of the fingertip by calipers, such as 14mm; the fit takes the lengths "
+            "that 'finger-model geometry' makes of it, and SUBJECT.yaml carries them",
         )
+    calibrate.add_argument("--age", type=int, metavar="YEARS", help="age of the subject")
     calibrate.add_argument("--finger", choices=FINGER_NAMES, help="finger that presses")
     calibrate.add_argument(
         "--again", action="store_true", help="replace an earlier calibration, which is kept too"
@@ -341,8 +342,9 @@ def calibration_entries(arguments: argparse.Namespace) -> list[nodes.NodeEntry]:
         text = getattr(arguments, name)
         if text is not None:
             own[f"finger_{name}"] = parse_length(text, f"--{name}")
-    if arguments.finger:
-        own["finger"] = arguments.finger
+    for name in ("finger", "age"):
+        if getattr(arguments, name) is not None:
+            own[name] = getattr(arguments, name)
     session_geometry(own)
     if not arguments.simulated:
         return nodes.select(["calibrate"], {"calibrate": own})

@@ -1,7 +1,7 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The six presses that calibrate a subject, and what each of them tells.
+"""The nine presses that calibrate a subject, and what each of them tells.
 
 Protocol, participant and fit know a press by the name of its trial's condition. docs/people.md
 has the comparison with other choices.
@@ -42,6 +42,10 @@ CALIBRATION_PRESSES = (
     GuidedPress("calibration_light_hold", 0.6, 3.0, (0.0, 2.0), _HOLD),
     GuidedPress("calibration_light_slow", 0.9, 0.0, (1.0, 8.0), _SLOW),
     GuidedPress("calibration_light_tap", 0.8, 0.0, (0.0, 1.0), _TAP),
+    # And again: the mean of nine presses is nearer to the finger than that of six.
+    GuidedPress("calibration_middle_hold", 0.9, 3.0, (0.0, 2.0), _HOLD),
+    GuidedPress("calibration_small_slow", 0.6, 0.0, (1.0, 8.0), _SLOW),
+    GuidedPress("calibration_middle_tap", 1.1, 0.0, (0.0, 1.0), _TAP),
 )
 
 PRESS_BY_NAME = {press.name: press for press in CALIBRATION_PRESSES}

@@ -25,12 +25,15 @@ from finger_model.estimator import (
     EstimateBlock,
     EstimatorSettings,
 )
+from finger_model.finger import load_for
+from finger_model.geometry import Geometry
 from finger_model.messages import (
     area_of,
     event_fields,
     moisture_of,
     wrench_of,
 )
+from finger_model.parameter_sets import ParameterSets
 from finger_model.reduced import ReducedModel
 from finger_offline.contact_states import serialize
 from finger_offline.process import process
@@ -125,14 +128,20 @@ def test_serialized_states_equal_those_encoded_one_by_one() -> None:
             assert cdr == encode(STATE, state_fields(estimate, frame_id))
 
 
-def live_recording(path: Path, behind_ns: int = 0) -> list[bytes]:
+def live_recording(
+    path: Path, behind_ns: int = 0, subject: ParameterSets | None = None
+) -> list[bytes]:
     """A bag as the recorder makes it beside a live model node: inputs, events, and what was
     published.
 
     With a late area, a change of settings and a reset on the way. behind_ns: what the node is
-    behind, so that its events are logged as much later. Gives the published states.
+    behind, so that its events are logged as much later. subject: sets with a finger of its own, to
+    which the node changed before the recording. Gives the published states.
     """
-    estimator = ContactEstimator(ReducedModel.load(), None, EstimatorSettings(drift_sd=0.05))
+    settings = EstimatorSettings(drift_sd=0.05)
+    before = estimator = ContactEstimator(ReducedModel.load(), None, settings)
+    if subject is not None:
+        estimator = ContactEstimator(load_for(subject), subject, settings)
     published = []
     sequence = 0
     with BagWriter(path) as bag:
@@ -143,6 +152,9 @@ def live_recording(path: Path, behind_ns: int = 0) -> list[bytes]:
             sequence += 1
             bag.write("model_events", fields, log + behind_ns)
 
+        if subject is not None:
+            tell(before.start_event(START - 10**11), START - 1000)
+            tell(before.change_settings(settings, "asked"), START - 1000)
         tell(estimator.start_event(START), START)
         for i in range(6000):
             stamp = START + i * 2_000_000
@@ -178,13 +190,22 @@ def live_recording(path: Path, behind_ns: int = 0) -> list[bytes]:
     return published
 
 
-@pytest.mark.parametrize("behind_ns", [0, 5_000_000_000])
+def calibrated() -> ParameterSets:
+    """Sets as the calibration of a subject whose finger was measured gives them."""
+    sets = ParameterSets.default()
+    assert sets.prior is not None
+    return sets.with_prior(sets.prior, Geometry(pad_semi_axis_radial=8e-3))
+
+
+@pytest.mark.parametrize(
+    ("behind_ns", "subject"), [(0, None), (5_000_000_000, None), (0, calibrated())]
+)
 def test_processing_a_recording_gives_what_the_live_node_published_bit_for_bit(
-    tmp_path: Path, behind_ns: int
+    tmp_path: Path, behind_ns: int, subject: ParameterSets | None
 ) -> None:
-    published = live_recording(tmp_path / "live", behind_ns)
+    published = live_recording(tmp_path / "live", behind_ns, subject)
     result = process(tmp_path / "live", tmp_path / "out")
-    assert result.replayed
+    assert result.replayed and result.problems == []
     with open_bag(tmp_path / "out") as reader:
         again = [m.raw for m in reader.messages(["/finger/contact_state"])]
     assert again == published

@@ -53,6 +53,7 @@ class CalibrateSettings(Settings):
     finger_width: float = setting(0.0, "By calipers; 0: not measured.", "m", 0.0, 0.04)
     finger_depth: float = setting(0.0, "By calipers; 0: not measured.", "m", 0.0, 0.04)
     finger: str = setting("", "Finger that is calibrated; empty: not noted.")
+    age: int = setting(0, "Age of the subject; 0: not noted.", "years", 0, 120)
     again: bool = setting(False, "Replace the subject's parameters, if there are any.")
     patience: float = setting(15.0, "Longest wait for the rig.", "s", 1.0, 3600.0)
 
@@ -145,6 +146,7 @@ class CalibrateNode(ManagedNode):
             "finger_width": self._settings.finger_width,
             "finger_depth": self._settings.finger_depth,
             "finger": self._settings.finger,
+            "age": self._settings.age,
         }
         request = SetParameters.Request(
             parameters=[Parameter(k, value=v).to_parameter_msg() for k, v in values.items()]
