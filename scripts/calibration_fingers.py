@@ -3,17 +3,18 @@
 
 """Force alone after a calibration: drawn fingers, their guided presses, and ten presses after.
 
-    python scripts/calibration_fingers.py [--fingers 40] [--seed 11] [--width 11mm]
+    python scripts/calibration_fingers.py [--fingers 40] [--seed 11] [--width 11mm] [--presses 6]
 
 Fingers and the ten presses are drawn as in `population_fingers.py`; each has a moisture reading.
 The camera sees the guided presses and is off in those after. Each finger is calibrated twice: with
 the default lengths, and with its width and depth by calipers, with their error. --width: all
-fingers are scaled to this width.
+fingers are scaled to this width. --presses: so many guided presses, over again if need be.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -143,13 +144,15 @@ def main() -> int:
     parser.add_argument("--fingers", type=int, default=40)
     parser.add_argument("--seed", type=int, default=11)
     parser.add_argument("--width", default="", metavar="LENGTH")
+    parser.add_argument("--presses", type=int, default=len(CALIBRATION_PRESSES))
     args = parser.parse_args()
+    plan = list(itertools.islice(itertools.cycle(CALIBRATION_PRESSES), args.presses))
     found: dict[bool, list[tuple[float, float, float]]] = {False: [], True: []}
     for index in range(args.fingers):
         person = People.default().draw(np.random.default_rng([args.seed, index]))
         if args.width:
             person = scaled(person, parse_length(args.width, "--width"))
-        finger = pressed(args.seed, index, person=person)
+        finger = pressed(args.seed, index, plan, person)
         for calipers, rows in found.items():
             rows.append(scores(finger, calipers))
     for calipers, rows in found.items():

@@ -480,8 +480,7 @@ class ModelNode(ManagedNode):
             presses, moisture = self._collector.presses(), self._collector.moisture()
             if self._calibration is not None and self._calibration.is_alive():
                 return
-            of_fit = presses, moisture, self._sets, self._calipers_of(message.session)
-            arguments = message.session, message.subject, *of_fit
+            arguments = message.session, message.subject, presses, moisture, self._sets
             self._calibration = threading.Thread(
                 target=self._calibrate, args=arguments, name="calibration", daemon=True
             )
@@ -535,14 +534,13 @@ class ModelNode(ManagedNode):
         presses: list[CalibrationPress],
         moisture: float | None,
         sets: ParameterSets,
-        calipers: GeometryEstimate | None,
     ) -> None:
         """Fit the presses, take the result live and save it; in a thread of its own."""
         assert self._model is not None
         began = time.monotonic()
         status = DiagnosticStatus(level=bytes([OK]), name=subject, hardware_id=session)
         try:
-            model, lengths = subject_model(self._model_of(sets), calipers)
+            model, lengths = subject_model(self._model_of(sets), self._calipers_of(session))
             found = calibrate(model, sets, presses, moisture, lengths=lengths)
             taken = time.monotonic() - began
             with self._lock:

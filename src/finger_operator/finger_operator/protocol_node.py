@@ -121,7 +121,7 @@ class ProtocolSettings(Settings):
 
 SERVICES = {
     "start": "Begin a session; then: finger and plate are prepared, begin the trial.",
-    "calibrate": "Begin the calibration of `subject`: nine guided presses that the model node fits.",
+    "calibrate": "Begin the calibration of `subject`: guided presses that the model node fits.",
     "pause": "Hold the session; a press that is under way is not kept.",
     "resume": "Go on after a pause or a restart.",
     "redo": "Begin the trial under way again, or else the last one that was done.",

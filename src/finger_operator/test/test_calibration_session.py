@@ -1,7 +1,7 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""A calibration as the protocol guides it: nine presses, each as it is asked for, and its result."""
+"""A calibration as the protocol guides it: each press as it is asked for, and the result."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def session(tmp_path: Path) -> Session:
     return Session(tmp_path / "session")
 
 
-def test_nine_presses_are_guided_without_a_key(session: Session) -> None:
+def test_the_presses_are_guided_without_a_key(session: Session) -> None:
     for number, guided in enumerate(CALIBRATION_PRESSES):
         assert session.protocol.current == number
         status = session_status(session.protocol)
