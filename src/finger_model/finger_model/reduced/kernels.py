@@ -19,8 +19,10 @@ Where a finger has elastic curves (`elastic_contact`), the networks only add to 
 (`_guess`). Sudden and slow loads give the strains d₀(x) and d∞(x); with ρ = a·d∞/((1 − E∞/E0)
 |d∞|²), d is d₀ + ρ (d∞ − d₀), as in linear viscoelasticity. The finger then looks like an elastic
 one of modulus E0/(1 + ρ (E0/E∞ − 1)), and ln A, ln p_max/p_mean and ln δ are taken between their
-curves by its logarithm: y₀ + w (y∞ − y₀), w = ln(1 + ρ (E0/E∞ − 1))/ln(E0/E∞). The contact network
-also sees w, ρ and how far a is from the pattern of a slow load.
+curves by its logarithm: y₀ + w (y∞ − y₀), w = ln(1 + ρ (E0/E∞ − 1))/ln(E0/E∞). What the drive
+network adds to the strain is in units of R, 1/R² = 1/S² + 1/(|d₀| + |e| + ρ |1 − ρ| |d∞ − d₀|)²,
+with e = a − ρ (1 − E∞/E0) d∞: where E∞ is small, near ρ = 1 only a force of the order of d₀ brings
+the strain back. The contact network also sees w, ρ and e/S.
 
 All Maxwell branches (g_b, τ_b) share the total strain d, and the state follows
 
@@ -152,6 +154,8 @@ def record_types(latents: int, frictions: int, drive_width: int, contact_width: 
                 ("slow", "f8", (3 + k,)),
                 ("guess", "f8", (3 + k,)),  # between the two
                 ("mix", "f8", (MIX_INPUTS + k,)),
+                ("rest", "f8"),  # R
+                ("rest_slope", "f8", (k,)),  # ∂R/∂a
                 ("toward", "f8", (k,)),  # ∂ρ/∂a
                 ("trial", "f8", (k,)),
                 ("base", "f8", (k,)),
@@ -267,9 +271,27 @@ def _guess(par, work, x, amplitudes):
     for j in range(len(amplitudes)):
         guess[3 + j] = sudden[3 + j] + relaxed * (slow[3 + j] - sudden[3 + j])
         work.toward[j] = slow[3 + j] / square if free else 0.0
+    own_size = 0.0
+    apart = 0.0
+    for j in range(len(amplitudes)):
+        own_size += sudden[3 + j] * sudden[3 + j]
+        apart += (slow[3 + j] - sudden[3 + j]) ** 2
+    apart = math.sqrt(apart)
+    odd = _LEAST_STRAIN * _LEAST_STRAIN
+    for j in range(len(amplitudes)):
+        odd += (amplitudes[j] - relaxed * (1.0 - par.share) * slow[3 + j]) ** 2
+    odd = math.sqrt(odd)
+    near = math.sqrt(own_size) + odd + apart * relaxed * abs(1.0 - relaxed)
+    scale = strain_scale(x, amplitudes)
+    work.rest = near * scale / math.hypot(near, scale)
+    slope = apart * (1.0 - 2.0 * relaxed if relaxed < 1.0 else 2.0 * relaxed - 1.0)
+    for j in range(len(amplitudes)):
+        own = relaxed * (1.0 - par.share) * slow[3 + j]
+        rise = (amplitudes[j] - own) / odd + slope * work.toward[j]
+        work.rest_slope[j] = rise * (work.rest / near) ** 3
+        work.rest_slope[j] += amplitudes[j] / scale * (work.rest / scale) ** 3
     work.mix[0] = mixed
     work.mix[1] = min(relaxed, _MOST_RELAXED_INPUT)
-    scale = strain_scale(x, amplitudes)
     for j in range(len(amplitudes)):
         own = relaxed * (1.0 - par.share) * slow[3 + j]
         work.mix[MIX_INPUTS + j] = (amplitudes[j] - own) / scale
@@ -277,11 +299,13 @@ def _guess(par, work, x, amplitudes):
 
 @njit(cache=True)
 def guesses(par, work, x, amplitudes, out):
-    """Rows (n, 3 + k + 2 + k) of `_guess` at x (n,) and amplitudes (n, k): guess and mix."""
+    """Rows (n, 1 + 3 + k + 2 + k) of `_guess` at x (n,) and amplitudes (n, k): R, guess, mix."""
     for row in range(len(x)):
         _guess(par[0], work[0], x[row], amplitudes[row])
-        out[row, : len(work[0].guess)] = work[0].guess
-        out[row, len(work[0].guess) :] = work[0].mix
+        end = 1 + len(work[0].guess)
+        out[row, 0] = work[0].rest
+        out[row, 1:end] = work[0].guess
+        out[row, end:] = work[0].mix
 
 
 @njit(cache=True)
@@ -320,10 +344,12 @@ def _drive(net, par, work, x, amplitudes, out):
         out[o] = par.drive.bias_3[o]
     _add_rows(work.drive_2, net.drive.weights_3, out)
     out[0] = scale ** (2.0 / 3.0) * out[0] - par.drive_at_rest[0]
+    if par.curved:
+        _guess(par, work, x, amplitudes)
+        scale = work.rest
     for o in range(1, len(out)):
         out[o] = scale * out[o] - par.drive_at_rest[o]
     if par.curved:
-        _guess(par, work, x, amplitudes)
         out[0] += x * x * math.exp(work.guess[2])
         for j in range(len(amplitudes)):
             out[1 + j] += work.guess[3 + j] - amplitudes[j]
@@ -377,24 +403,28 @@ def _drive_jacobian(net, par, work, x, amplitudes):
                 ) + (v2 * layers.weights_2[i + 2, o] + v3 * layers.weights_2[i + 3, o])
         for o in range(n):
             sensitivity[j, o] *= h2[o]
+    share = work.rest / scale if par.curved else 1.0
     for i in range(k):
-        # y_i + ∂y_i/∂ln S − Σ_m (a_m/S) ∂y_i/∂(a_m/S), the factor of a_j/S.
-        radial = work.drive[1 + i] + par.drive_at_rest[1 + i]
-        if par.curved:
-            radial -= work.guess[3 + i] - amplitudes[i]
-        radial /= scale
+        # ∂y_i/∂ln S − Σ_m (a_m/S) ∂y_i/∂(a_m/S) is the factor of a_j/S², and y_i that of ∂S/∂a_j.
+        output = work.drive[1 + i] + par.drive_at_rest[1 + i]
         for j in range(1 + k):
             slope[j] = 0.0
             for o in range(n):
                 slope[j] += sensitivity[j, o] * layers.weights_3[o, 1 + i]
-        radial += slope[0] * scale / (scale + SHIFT_STRAIN)
+        radial = slope[0] * scale / (scale + SHIFT_STRAIN)
         for j in range(k):
             radial -= amplitudes[j] / scale * slope[1 + j]
+        if not par.curved:
+            radial += output / scale
         for j in range(k):
-            jacobian[i, j] = slope[1 + j] + radial * amplitudes[j] / scale
+            jacobian[i, j] = share * (slope[1 + j] + radial * amplitudes[j] / scale)
         if par.curved:
+            # c = R y + guess − a, where R and guess depend on ρ.
+            output -= work.guess[3 + i] - amplitudes[i]
+            output /= work.rest
             for j in range(k):
-                jacobian[i, j] += (work.slow[3 + i] - work.sudden[3 + i]) * work.toward[j]
+                rise = (work.slow[3 + i] - work.sudden[3 + i]) * work.toward[j]
+                jacobian[i, j] += rise + output * work.rest_slope[j]
             jacobian[i, i] -= 1.0
 
 

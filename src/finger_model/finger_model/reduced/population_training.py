@@ -24,19 +24,21 @@ from .kernels import NODES
 from .maps import Finger, PopulationMaps, fill_curves
 from .population import CONTEXT, LARGEST_LOAD, MIDDLE_FORCE, MIDDLE_STIFFENING
 from .population_runs import Run
-from .training import drive_targets, features, strain_scales
+from .training import features, strain_scales
 
 Progress = Callable[[str, float], None]
 
 LATENTS = 6
-DRIVE, CONTACT = (32, 80), (40, 96)
+DRIVE, CONTACT = (40, 96), (48, 128)
 """Width of the hidden layers of each network, and of the network of its gains and biases."""
 BETAS = (0.03, 0.15)
 FIRST_FORCE = 0.06
 """N; below it the area is not trained on."""
 MIDDLE_COUNT = 1.5
 """How much a run of the middle box counts beside one of the rest."""
-DECAY = 0.1
+DECAY = 0.2
+LEAST_REST = 0.05
+"""R over S below which errors of the strain count in proportion to R/S."""
 
 
 def stiffening_of(run: Run) -> float:
@@ -124,9 +126,10 @@ def _exact_states(run: Run) -> np.ndarray:
 
 @dataclass
 class Guessed:
-    """What a run's own elastic curves say along it: guess (n, 3 + k), mix (n, 2 + k), and which
-    rows (n,) lie within the presses."""
+    """What a run's own elastic curves say along it: rest R (n,), guess (n, 3 + k), mix (n, 2 + k),
+    and which rows (n,) lie within the presses."""
 
+    rest: np.ndarray
     guess: np.ndarray
     mix: np.ndarray
     inside: np.ndarray
@@ -141,11 +144,12 @@ def guessed(types: rk.RecordTypes, run: Run) -> Guessed:
     fill_curves(record, extended(curves))
     x = load_measure_of(run)
     internal = np.ascontiguousarray(run.internal[:, :LATENTS])
-    table = np.empty((len(x), 3 + LATENTS + rk.MIX_INPUTS + LATENTS))
+    end = 1 + 3 + LATENTS
+    table = np.empty((len(x), end + rk.MIX_INPUTS + LATENTS))
     rk.guesses(record, np.zeros(1, types.work), x, internal, table)
     reached = [NODES[np.isfinite(c[:, 0])].max() for c in run.presses]
     inside = (x <= reached[0] * 1.01) & (x <= reached[1] * run.share ** (1 / 3) * 1.01)
-    return Guessed(table[:, : 3 + LATENTS], table[:, 3 + LATENTS :], inside)
+    return Guessed(table[:, 0], table[:, 1:end], table[:, end:], inside)
 
 
 def _press_inputs(runs: list[Run]) -> tuple[np.ndarray, np.ndarray]:
@@ -185,11 +189,14 @@ def train(runs: list[Run], fine: list[Run], epochs: int, report: Progress) -> di
         x, internal = load_measure_of(run), run.internal[:, :LATENTS]
         depth = run.indentation / run.length - x * x * np.exp(own.guess[:, 2])
         scale = strain_scales(x, internal)
-        targets = drive_targets(depth, run.total[:, :LATENTS] - own.guess[:, 3:], scale)
+        strain = (run.total[:, :LATENTS] - own.guess[:, 3:]) / own.rest[:, None]
+        targets = np.column_stack([depth / scale ** (2 / 3), strain])
         # Errors count somewhat more than in proportion to the strain: early ones stay in the state.
         share = scale / scale.max()
         count = counts(run) * own.inside
-        weights = np.repeat((count * share**0.5)[:, None], 1 + LATENTS, axis=1)
+        # Where a load is taken back through ρ = 1, R is small beside what friction does.
+        strict = np.minimum(1.0, own.rest / (LEAST_REST * scale))
+        weights = np.repeat((count * share**0.5 * strict)[:, None], 1 + LATENTS, axis=1)
         weights[:, 0] = 2.0 * count * share ** (2 / 3)
         weights[scale < 1e-4] = 0.0
         return _inputs(run), targets, weights
@@ -258,11 +265,11 @@ def visited(
         rk.step(maps.networks, record, state, maps.work, time - before, force)
         table[row] = *state["amplitudes"][0], *state["friction"][0]
         before = time
-    guess = 3 + maps.latents
-    found = np.empty((len(run.time), guess + rk.MIX_INPUTS + maps.latents))
+    end = 1 + 3 + maps.latents
+    found = np.empty((len(run.time), end + rk.MIX_INPUTS + maps.latents))
     amplitudes = np.ascontiguousarray(table[:, : maps.latents])
     rk.guesses(record, maps.work, load_measure_of(run), amplitudes, found)
-    return table, found[:, :guess], found[:, guess:]
+    return table, found[:, 1:end], found[:, end:]
 
 
 def measured_error(arrays: dict[str, np.ndarray], runs: list[Run]) -> dict[str, ErrorTable]:
