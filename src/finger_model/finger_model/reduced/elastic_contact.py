@@ -26,7 +26,7 @@ from .population import CONTEXT
 CONTACT = 3
 """Columns of a curve that are the contact's: ln(A/(L² x²)), ln(p_max/p_mean), ln(δ/(L x²))."""
 
-POINTS = 1500
+POINTS = 2000
 """Points of a process: presses beyond them enter by projection (subset of regressors)."""
 SAMPLE = 600
 """Presses by which lengths and noise are chosen."""
@@ -88,7 +88,8 @@ def strain_sizes() -> np.ndarray:
 
 
 class Process:
-    """Gaussian process of several outputs: squared exponential kernel, a length for each input.
+    """Gaussian process of several outputs: kernel 1/(1 + s²/2), s being the distance over a length
+    for each input (rational quadratic, α = 1: Rasmussen and Williams 2006, equation 4.19).
 
     arrays: centre, lengths (d,), points (m, d) scaled, weights (m, o), mean (o,).
     """
@@ -108,7 +109,9 @@ class Process:
         sample = order[:SAMPLE]
         lengths, gain, noise = _chosen(z[sample], residual[sample, column])
         z /= lengths
-        points = z[order[:POINTS]]
+        # In single precision; the weights, large and of both signs, belong to these very points.
+        kept = z[order[:POINTS]].astype(np.float32)
+        points = kept.astype(float)
         own = gain * _kernel(points, points)
         if len(z) <= POINTS:
             own[np.diag_indices(len(own))] += noise
@@ -125,7 +128,7 @@ class Process:
             {
                 "centre": centre,
                 "lengths": spread * lengths,
-                "points": points,
+                "points": kept,
                 "weights": gain * weights * size,
                 "mean": mean,
             }
@@ -142,15 +145,16 @@ class Process:
 
 def _rows_of_outputs(z, points, weights, out):
     """out (n, o) += kernel of z (n, d) and points (m, d), times weights (m, o)."""
+    columns = points.T.copy()
     for row in prange(len(z)):
-        for point in range(len(points)):
-            square = 0.0
-            for column in range(z.shape[1]):
-                apart = z[row, column] - points[point, column]
-                square += apart * apart
-            near = math.exp(-0.5 * square)
-            for o in range(out.shape[1]):
-                out[row, o] += near * weights[point, o]
+        # Column by column, so that several points are worked on at once.
+        near = np.ones(len(points))
+        for column in range(z.shape[1]):
+            own, others = z[row, column], columns[column]
+            for point in range(len(points)):
+                apart = own - others[point]
+                near[point] += 0.5 * apart * apart
+        out[row] += np.dot(1.0 / near, weights)
 
 
 _add_outputs = njit(cache=True)(_rows_of_outputs)
@@ -159,7 +163,7 @@ _add_outputs_side_by_side = njit(cache=True, parallel=True)(_rows_of_outputs)
 
 def _kernel(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     square = (a * a).sum(1)[:, None] + (b * b).sum(1) - 2.0 * a @ b.T
-    return np.exp(-0.5 * np.maximum(square, 0.0))
+    return 1.0 / (1.0 + 0.5 * np.maximum(square, 0.0))
 
 
 def _chosen(z: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float, float]:
@@ -169,15 +173,16 @@ def _chosen(z: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float, float]:
 
     def negative(p: np.ndarray) -> tuple[float, np.ndarray]:
         lengths, gain, noise = np.exp(p[:count]), math.exp(p[count]), math.exp(p[count + 1])
-        kernel = gain * np.exp(-0.5 * np.tensordot(1.0 / lengths**2, squares, 1))
+        near = 1.0 / (1.0 + 0.5 * np.tensordot(1.0 / lengths**2, squares, 1))
+        kernel = gain * near
         whole = kernel + (noise + 1e-9) * np.eye(len(y))
         factor = cho_factor(whole, lower=True)
         weights = cho_solve(factor, y)
         slope = cho_solve(factor, np.eye(len(y))) - np.outer(weights, weights)
         value = 0.5 * y @ weights + np.log(np.diag(factor[0])).sum()
-        weighted = slope * kernel
+        weighted = slope * kernel * near
         rises = 0.5 * np.tensordot(squares, weighted, ([1, 2], [0, 1])) / lengths**2
-        rest = [0.5 * weighted.sum(), 0.5 * noise * np.trace(slope)]
+        rest = [0.5 * (slope * kernel).sum(), 0.5 * noise * np.trace(slope)]
         return float(value), np.concatenate([rises, rest])
 
     start = np.concatenate([np.full(count, math.log(3.0)), [0.0, math.log(1e-3)]])
@@ -194,11 +199,18 @@ def _chosen(z: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float, float]:
     return np.exp(found[:count]), math.exp(found[count]), noise
 
 
+def size_and_direction(strains: np.ndarray) -> np.ndarray:
+    """ln |d| and d/|d| (n, 1 + k) of strains d (n, k): under stiffening |d| varies by decades."""
+    size = np.linalg.norm(strains, axis=1)[:, None]
+    return np.column_stack([np.log(size), strains / size])
+
+
 class ElasticContacts:
     """Curves of sudden and slow presses of any finger of the population box.
 
-    `coarse` and `finer`: for each node of the load a pair of processes, of the contact and of the
-    strain (only of the contact for `finer`), or fewer nodes where too few presses reached.
+    `coarse` and `finer`: for each node of the load a pair of processes, of the contact, and of the
+    strain, which takes the contact as inputs too (only of the contact for `finer`), or fewer nodes
+    where too few presses reached.
     """
 
     def __init__(self, coarse: list[list[Process]], finer: list[list[Process]]) -> None:
@@ -232,9 +244,11 @@ class ElasticContacts:
                 if which == 0:
                     outputs[:, [0, 2]] -= guesses[:, :, node].reshape(-1, 2)
                 inputs, outputs = inputs[reached], outputs[reached]
-                own = [Process.fit(inputs, outputs[:, :CONTACT], 0)]
+                contact = outputs[:, :CONTACT]
+                own = [Process.fit(inputs, contact, 0)]
                 if which == 0:
-                    own.append(Process.fit(inputs, outputs[:, CONTACT:] / sizes[node], 1))
+                    strain = size_and_direction(outputs[:, CONTACT:] / sizes[node])
+                    own.append(Process.fit(np.column_stack([inputs, contact]), strain, 0))
                 found[which].append(own)
             report((node + 1) / len(NODES))
         return cls(*found)
@@ -250,8 +264,9 @@ class ElasticContacts:
         for node, own in enumerate(self.coarse):
             inputs = self._inputs(contexts, guesses[:, :, node]).reshape(-1, contexts.shape[-1] + 2)
             contact = own[0](inputs)
+            size = own[1](np.column_stack([inputs, contact]))
             contact[:, [0, 2]] += guesses[:, :, node].reshape(-1, 2)
-            rows.append(np.concatenate([contact, own[1](inputs)], axis=-1))
+            rows.append(np.column_stack([contact, np.exp(size[:, :1]) * size[:, 1:]]))
             more.append(self.finer[min(node, len(self.finer) - 1)][0](inputs))
         coarse = np.stack(rows, axis=1)
         default = coarse.copy()

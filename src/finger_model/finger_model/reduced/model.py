@@ -69,7 +69,10 @@ class ReducedModel:
         fixed: dict[str, float] | None = None,
     ) -> None:
         try:
-            self.arrays = {k: np.ascontiguousarray(v, dtype=float) for k, v in arrays.items()}
+            self.arrays = {
+                key: np.ascontiguousarray(v, dtype=np.result_type(v.dtype, np.float32))
+                for key, v in arrays.items()
+            }
             self.meta = meta
             self.serves_population = bool(meta.get("population", False))
             if self.serves_population:
