@@ -67,6 +67,7 @@ CALLS = {
     "create_lifecycle_publisher": "publishes",
     "create_stream_subscription": "subscribes",
     "create_subscription": "subscribes",
+    "create_waited_subscription": "subscribes",
     "PolledSubscription": "subscribes",
     "create_service": "serves",
     "ActionServer": "serves",

@@ -11,6 +11,7 @@ check, connecting again) is done by the device's own thread, which waits in `ser
 
 from __future__ import annotations
 
+import os
 import select
 import threading
 import time
@@ -18,7 +19,7 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 _LONGEST_WAIT = 0.05
-"""s after which the thread looks for devices that join or leave."""
+"""s after which the thread looks for devices that were stopped; those that join wake it up."""
 _TOGETHER = 100e-6
 """s by which a request may be early, so that devices of one rate are asked together."""
 _IDLE = 5.0
@@ -74,6 +75,7 @@ class SharedPolling:
         self._joining: list[_Seat] = []
         self._change = threading.Condition()
         self._running = False
+        self._woken, self._wake = os.pipe()
 
     def serve(
         self, device: Polled, deliver: Callable[[Any], Any], ended: Callable[[], bool]
@@ -86,6 +88,7 @@ class SharedPolling:
         with self._change:
             self._joining.append(seat)
             self._change.notify()
+            os.write(self._wake, b"\0")
             if not self._running:
                 self._running = True
                 threading.Thread(target=self._run, name="polling", daemon=True).start()
@@ -105,13 +108,13 @@ class SharedPolling:
                 else:
                     seats.remove(seat)
                     seat.released.set()
+            if not seats:
+                continue
             asked = [seat for seat in seats if seat.device.asked]
             left = max(0.0, wake - time.monotonic())
-            if not asked:
-                time.sleep(left)
-                continue
             try:
-                found, _, _ = select.select([seat.device for seat in asked], [], [], left)
+                awaited = [self._woken, *(seat.device for seat in asked)]
+                found, _, _ = select.select(awaited, [], [], left)
             except Exception:
                 # One was closed meanwhile; it will say so itself.
                 found = [seat.device for seat in asked]
@@ -133,6 +136,8 @@ class SharedPolling:
                         seat.device.due = other.device.due
                         break
                 seats.append(seat)
+            if self._joining:
+                os.read(self._woken, len(self._joining))
             self._joining.clear()
         return True
 

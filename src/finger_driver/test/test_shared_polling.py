@@ -8,6 +8,7 @@ from __future__ import annotations
 import socket
 import threading
 import time
+from itertools import pairwise
 
 import pytest
 
@@ -31,7 +32,7 @@ def free_port() -> int:
 class Finger:
     """A simulated board, its driver and the samples that come."""
 
-    def __init__(self, rate: float = 200.0) -> None:
+    def __init__(self, rate: float = 200.0, check_period: float = 1.0) -> None:
         port = free_port()
         self.bus = HostMulticastBus(CHANNEL, port)
         self.board = NetcanoemSimulator(self.bus).start()
@@ -41,6 +42,7 @@ class Finger:
                 can_channel=CHANNEL,
                 can_options=f"port={port}",
                 rate=rate,
+                calibration_check_period=check_period,
             )
         )
         self.stamps: list[int] = []
@@ -88,6 +90,25 @@ def test_one_thread_polls_all_boards_and_asks_them_together(hand):
     for other in others:
         apart = [min(abs(a - b) for b in other) for a in first[20:80]]
         assert sorted(apart)[len(apart) // 2] < period // 4
+
+
+@pytest.mark.parametrize("beside", ["alone", "a silent board"])
+def test_a_check_of_the_calibration_leaves_no_gap(beside):
+    fingers = [Finger(check_period=0.1)]
+    if beside != "alone":
+        fingers.append(Finger())
+        fingers[1].board.faults.set("silent")
+    try:
+        for finger in fingers:
+            finger.thread.start()
+        assert came(fingers[0], 600)
+        stamps = fingers[0].stamps
+        gaps = sorted((b - a) / 1e9 for a, b in pairwise(stamps[-500:]))
+        # 25 checks: a rule that costs a gap at each of them is seen, pauses of the machine are not.
+        assert gaps[-12] < 0.03
+    finally:
+        for finger in fingers:
+            finger.close()
 
 
 def test_a_silent_board_costs_the_others_nothing(hand):
