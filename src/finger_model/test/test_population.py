@@ -180,7 +180,7 @@ def test_a_busy_machine_does_not_cut_training_runs_short(monkeypatch: pytest.Mon
 
 def test_a_small_build_resumes(tmp_path: Path) -> None:
     settings = PopulationSettings(
-        histories=60, corrections=8, held_out=4, pilots=6, epochs=1, seed=3
+        histories=60, soft_histories=6, corrections=8, held_out=4, pilots=6, epochs=1, seed=3
     )
     output = tmp_path / "small.npz"
 

@@ -150,10 +150,8 @@ def _rows_of_outputs(z, points, weights, out):
         # Column by column, so that several points are worked on at once.
         near = np.ones(len(points))
         for column in range(z.shape[1]):
-            own, others = z[row, column], columns[column]
-            for point in range(len(points)):
-                apart = own - others[point]
-                near[point] += 0.5 * apart * apart
+            apart = z[row, column] - columns[column]
+            near += 0.5 * apart * apart
         out[row] += np.dot(1.0 / near, weights)
 
 

@@ -32,7 +32,7 @@ from .build import parts_folder
 from .error import ErrorTable
 from .model import LAW, ReducedModel
 from .population import STIFFENING
-from .population_runs import WHOLE, Case, Run, held_out_case, run, training_case
+from .population_runs import WHOLE, Case, Run, held_out_case, run, soft_case, training_case
 from .population_training import LATENTS, measured_error, train
 from .training_runs import principal_modes, weight_of
 
@@ -49,7 +49,13 @@ class PopulationSettings(Settings):
     """What a build of the population's model depends on."""
 
     histories: int = setting(
-        12_500, "Training histories, each of a finger of its own.", minimum=50, maximum=1_000_000
+        25_000, "Training histories, each of a finger of its own.", minimum=50, maximum=1_000_000
+    )
+    soft_histories: int = setting(
+        6000,
+        "Further histories of tissue that keeps little of its modulus.",
+        minimum=0,
+        maximum=1_000_000,
     )
     corrections: int = setting(
         1200,
@@ -62,7 +68,7 @@ class PopulationSettings(Settings):
     )
     pilots: int = setting(160, "Histories that choose the coordinates.", minimum=5, maximum=10_000)
     epochs: int = setting(
-        120, "Passes of each training over all histories.", minimum=1, maximum=100_000
+        150, "Passes of each training over all histories.", minimum=1, maximum=100_000
     )
     seed: int = setting(1, "Seed of the random fingers and histories.", minimum=0, maximum=2**31)
 
@@ -90,10 +96,11 @@ def build(
         return list(_runs(parts, task, settings.seed, number, workers, stage, report))
 
     coarse = runs_of("runs on the coarse mesh", _Task("coarse", modes), settings.histories)
+    soft = runs_of("runs of soft tissue", _Task("soft", modes), settings.soft_histories)
     fine = runs_of("presses on the default mesh", _Task("fine", None), settings.corrections)
     held_out = runs_of("held-out runs", _Task("held_out", None), settings.held_out)
     model, tables = assemble(
-        coarse,
+        coarse + soft,
         fine,
         held_out,
         settings,
@@ -116,9 +123,9 @@ def assemble(
     """Train on the runs and measure the error. `fine` are presses of the same fingers as the first
     of the runs. Raises ModelError when too few are usable."""
     usable = sum(map(_usable, runs))
-    if usable < 0.8 * settings.histories:
+    if usable < 0.8 * len(runs):
         raise ModelError(
-            f"only {usable} of {settings.histories} full-order runs succeeded; "
+            f"only {usable} of {len(runs)} full-order runs succeeded; "
             "check the population box"
         )
     own = [_usable(found) for found in runs]
@@ -173,8 +180,8 @@ class _Task:
     modes: np.ndarray | None
 
     def case(self, seed: int, index: int) -> Case:
-        make = held_out_case if self.name == "held_out" else training_case
-        return make(seed, index)
+        makers = {"held_out": held_out_case, "soft": soft_case}
+        return makers.get(self.name, training_case)(seed, index)
 
 
 _worker: dict[str, Any] = {}
@@ -187,7 +194,7 @@ def _begin(task: _Task, seed: int) -> None:
 
 def _work(indices: range) -> list[Run]:
     task: _Task = _worker["task"]
-    coarse = task.name == "coarse"
+    coarse = task.name in ("coarse", "soft")
     return [
         run(
             task.case(_worker["seed"], i),
