@@ -125,8 +125,7 @@ def assemble(
     usable = sum(map(_usable, runs))
     if usable < 0.8 * len(runs):
         raise ModelError(
-            f"only {usable} of {len(runs)} full-order runs succeeded; "
-            "check the population box"
+            f"only {usable} of {len(runs)} full-order runs succeeded; check the population box"
         )
     own = [_usable(found) for found in runs]
     arrays = train(
