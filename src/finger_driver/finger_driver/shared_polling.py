@@ -113,7 +113,7 @@ class SharedPolling:
             asked = [seat for seat in seats if seat.device.asked]
             left = max(0.0, wake - time.monotonic())
             try:
-                awaited = [self._woken, *(seat.device for seat in asked)]
+                awaited: list[Any] = [self._woken, *(seat.device for seat in asked)]
                 found, _, _ = select.select(awaited, [], [], left)
             except Exception:
                 # One was closed meanwhile; it will say so itself.
