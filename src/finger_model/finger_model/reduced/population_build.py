@@ -68,7 +68,7 @@ class PopulationSettings(Settings):
     )
     pilots: int = setting(160, "Histories that choose the coordinates.", minimum=5, maximum=10_000)
     epochs: int = setting(
-        150, "Passes of each training over all histories.", minimum=1, maximum=100_000
+        120, "Passes of each training over all histories.", minimum=1, maximum=100_000
     )
     seed: int = setting(1, "Seed of the random fingers and histories.", minimum=0, maximum=2**31)
 

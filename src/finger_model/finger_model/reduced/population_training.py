@@ -36,7 +36,7 @@ FIRST_FORCE = 0.06
 """N; below it the area is not trained on."""
 MIDDLE_COUNT = 1.5
 """How much a run of the middle box counts beside one of the rest."""
-DECAY = 0.2
+DECAY = 0.1
 LEAST_REST = 0.05
 """R over S below which errors of the strain count in proportion to R/S."""
 
