@@ -2,16 +2,17 @@
 
     python scripts/default_finger.py [--fingers 3000] [--seed 1] [--write]
 
-The paper (Nam and Kuchenbecker 2021) prints the exponents m of A = k F^m and the order of the areas
-of three conditions; it does not print lengths, nor E0 and tau1 of the dry and natural finger. First
-the default finger is pressed with the full-order model. Then fingers are drawn: lengths as adults
-differ (data/people.yaml), E0 and tau1 of both conditions from the paper's search box. What it prints
-(composite moduli, E2, the moist tau1, friction) stays. Those that meet every printed result show how
-little the print says about what it leaves out. --write puts these tables into docs/published.md.
+The paper (Nam and Kuchenbecker 2021) prints the exponents m of A = k F^m and the order of the
+areas of three conditions; it does not print lengths, nor E0 and tau1 of the dry and natural
+finger. First the default finger is pressed with the full-order model. Then fingers are drawn:
+lengths as adults differ (data/people.yaml), E0 and tau1 of both conditions from the paper's
+search box. What it prints (composite moduli, E2, the moist tau1, friction) stays. Those that meet
+every printed result show how little the print says about what it leaves out. --write puts these
+tables into docs/published.md.
 
-Last, J of the power law over that of the model, at the trial-to-trial gains that give the paper's J:
-300 studies of 15 presses. The model's best fit is that of its areas' linear answer to E0, E1, tau1
-and E2.
+Last, J of the power law over that of the model, at the trial-to-trial gains that give the paper's
+J: 300 studies of 15 presses. The model's best fit is that of its areas' linear answer to E0, E1,
+tau1 and E2.
 """
 
 from __future__ import annotations
@@ -73,7 +74,9 @@ def default_table() -> str:
         material = Material(**condition.parameters)
         k, m, at = described([model.simulate(material, t, f).area for t, f in PRESSES])
         areas = ", ".join(f"{a:.1f}" for a in at)
-        rows.append(f"| {name} | {condition.power_law_exponent:.2f} | {m:.3f} | {k:.1f} | {areas} |")
+        rows.append(
+            f"| {name} | {condition.power_law_exponent:.2f} | {m:.3f} | {k:.1f} | {areas} |"
+        )
     return "\n".join(rows)
 
 
@@ -137,8 +140,8 @@ def others_table(number: int, seed: int) -> str:
             lengths.append([getattr(geometry, name) for name in SHOWN])
             choices.append(found[rng.integers(len(found))])
     rows = [
-        f"{len(lengths)} of {tried} fingers meet every printed result with some choice of E0 and τ1. "
-        "Their ranges:",
+        f"{len(lengths)} of {tried} fingers meet every printed result with some choice of E0 and "
+        "τ1. Their ranges:",
         "",
         "| | default | 5 % | median | 95 % |",
         "|---|---|---|---|---|",

@@ -40,9 +40,9 @@ class Geometry:
     centre below the top is continued upwards by a cylinder of the bone's radius, a centre above it
     is cut by the top. The nail is a disc on the top.
 
-    The paper's Table I is not available. The defaults are the typical adult index finger, 17 mm wide
-    and 11 mm deep (Dandekar, Raju, Srinivasan 2003), by the rules of `anthropometry`; with them the
-    paper's exponents are met (docs/published.md).
+    The paper's Table I is not available. The defaults are the typical adult index finger, 17 mm
+    wide and 11 mm deep (Dandekar, Raju, Srinivasan 2003), by the rules of `anthropometry`; with
+    them the paper's exponents are met (docs/published.md).
 
     Raises InputError for lengths that are not positive or a bone that does not fit into the pad.
     """
