@@ -51,7 +51,7 @@ def coulomb() -> Check:
     # Short steps at first touch: a longer one is cut into parts, in the first of which a node may
     # slip that sticks at the end.
     pieces = ((0.0, 0.05, 50), (0.05, 0.25, 80), (0.25, 2.5, 90))
-    time = np.concatenate([np.linspace(*ends, n + 1)[1:] for *ends, n in pieces])
+    time = np.concatenate([np.linspace(start, end, n + 1)[1:] for start, end, n in pieces])
     force = np.interp(time, [0, 1, 1.5, 2.5], [0, LOAD, LOAD, 0.0])
     excess, creep, work = [], [], []
     fields, status = stepper.fields(), stepper.state.contact.status
