@@ -3,7 +3,7 @@
     python examples/sample_bags.py            # into bags/ of the checkout
 
 The whole suite records them over DDS, as at a rig; then the presses of a condition are put into one
-bag, message by message as they were recorded. The camera's frame is an area of interest of 480×440
+bag, message by message as they were recorded. The camera's frame is an area of interest of 560×480
 pixels with little noise, stored as lossless PNG, so that a bag stays small.
 """
 
@@ -110,8 +110,8 @@ def make_bags(folder: Path, trials: int, seed: int, console: Console) -> list[Pa
         scratch,
         trials=trials,
         seed=seed,
-        width=480,
-        height=440,
+        width=560,
+        height=480,
         reading_time=0.2,
         parameters=REQUEST_PARAMETERS,
     )

@@ -119,7 +119,7 @@ def test_the_file_of_a_subject_holds_the_lengths(fingers: list[Finger], tmp_path
     # The model comes with the file.
     assert load_for(sets).hash == model.hash
     ContactEstimator(load_for(sets), sets)
-    # The epidermis is that of the shipped moduli, thinner by age.
+    # Thinner by age.
     assert sets.geometry is not None
     assert 0.85 < sets.geometry.epidermis_thickness / Geometry().epidermis_thickness < 0.95
     # Lengths that are not known exactly make the tissue less certain, not the area.

@@ -118,6 +118,19 @@ def test_re_ranking_that_moves_the_modulus_is_not_final(double) -> None:
     assert any("re-ranking" in reason for reason in found.reasons)
 
 
+def test_re_ranking_by_less_than_noise_is_final(double) -> None:
+    """Two candidates that the data do not tell apart: full order prefers the other by chance."""
+    problem = double.make_problem()
+    first = double.TRUTH * np.array([1.0, 1.05, 1.0, 1.0])
+    rng = np.random.default_rng(3)
+    problem.measured = problem.measured + rng.normal(0.0, 30e-6, len(problem.measured))
+    found = check(problem, np.array([first, double.TRUTH]), double.Exact())
+    costs = found.full_costs
+    freedom = len(problem.measured) - 4
+    assert found.gain == pytest.approx((costs[0] / costs.min() - 1) * freedom)
+    assert found.gain < 3.84 and not any("re-ranking" in reason for reason in found.reasons)
+
+
 def test_thinned_drive_keeps_frames_and_step(double) -> None:
     trial = double.make_problem(trials=1).trials[0]
     steps = thinned_rows(trial.time, trial.force, trial.frames, 0.04, 0.1)

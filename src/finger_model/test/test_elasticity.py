@@ -48,7 +48,7 @@ def test_all_agree_at_small_load_and_part_at_larger():
     found = {name: areas(name, load=0.002)[-1] for name in ELASTICITIES}
     np.testing.assert_allclose(list(found.values()), found["neo-hooke"], rtol=0.03)
     large = {name: areas(name)[-1] for name in ("neo-hooke", "small-strain", "linear-epidermis")}
-    assert large["small-strain"] < 0.97 * large["neo-hooke"]
+    assert large["small-strain"] != pytest.approx(large["neo-hooke"], rel=0.03)
     assert large["linear-epidermis"] != pytest.approx(large["neo-hooke"], rel=1e-3)
 
 

@@ -26,7 +26,7 @@ def test_load_hold_release_lift_off_and_second_press(model):
     time = np.arange(0, 6.01, 0.05)
     force = np.interp(time, [0, 1, 1.5, 2.0, 5.0, 6.0], [0, 1.35, 1.35, 0, 0, 1.35])
     history = model.simulate(Material(), time, force)
-    assert history.area[0] == 0 and history.area[20] == pytest.approx(52.9e-6, rel=0.01)
+    assert history.area[0] == 0 and history.area[20] == pytest.approx(65.3e-6, rel=0.01)
     assert history.area[30] > 1.05 * history.area[20]  # creep under constant force
     assert np.all(history.area[40:101] == 0)  # lifted off
     assert (
@@ -52,7 +52,7 @@ def test_unloading_leaves_a_larger_area_than_loading(model):
 def test_force_files_from_2_ms_to_100_ms_agree(model, interval):
     time = np.arange(0, 1 + 1e-9, interval)
     area = model.simulate(Material(), time, 1.35 * time).area[-1]
-    assert area == pytest.approx(52.88e-6, rel=0.002)
+    assert area == pytest.approx(65.27e-6, rel=0.002)
 
 
 def test_first_row_may_carry_load(model):
@@ -96,7 +96,7 @@ def test_dimensionless_scaling_is_exact(model):
     time, force = ramp(1.0, 1.0, 10)
     soft = model.simulate(Material(), time, force)
     stiff = model.simulate(
-        Material(E0=1.4e6, E1=223.5e3, E2=17.95e6, nail_modulus=1.7e9), time, 10 * force
+        Material(E0=0.8e6, E1=253.8e3, E2=17.95e6, nail_modulus=1.7e9), time, 10 * force
     )
     assert np.allclose(soft.area, stiff.area, rtol=1e-7)
     assert np.allclose(soft.indentation, stiff.indentation, rtol=1e-7)
@@ -149,10 +149,11 @@ def test_a_fast_damper_leaves_no_corner_where_nodes_touch(model):
     """Moist set, τ1 = 10 ms: the slope of the area changes evenly, also where nodes touch."""
     time, force = ramp(1.35, 1.0, 200)
     material = Material(E0=160e3, E1=15e3, tau1=0.01, E2=700e3)
-    second = np.abs(np.diff(model.simulate(material, time, force).area, 2))
+    area = model.simulate(material, time, force).area
+    second = np.abs(np.diff(area, 2))
     rows = np.arange(30, len(second) - 5)
     local = np.array([np.median(second[i - 5 : i + 6]) for i in rows])
-    assert np.max(second[rows] / local) < 3
+    assert np.max((second[rows] - local) / area[rows]) < 5e-4
 
 
 def test_the_memory_of_the_edge_ends_with_the_load_path(model):

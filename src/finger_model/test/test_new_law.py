@@ -99,7 +99,7 @@ def test_energy_balances_and_newton_converges_quadratically(installed, model):
     stepper._before = None
     stepper.step(1.0, 1.4)
     last, end = model.equilibrium.residuals[-2:]
-    assert end < last**1.7
+    assert end < max(last**1.7, 1e-10)
 
 
 def test_areas_for_a_fit_come_from_the_full_order_model(installed, model):

@@ -26,7 +26,7 @@ from finger_model.reduced.force_histories import (
 )
 from finger_model.reduced.training_runs import Run, branch_case, held_out_case, run_case
 
-NATURAL = np.array([140e3, 22.35e3, 0.5, 1795e3])
+NATURAL = np.array([80e3, 25.38e3, 0.5, 1795e3])
 SEED = 909
 
 

@@ -77,7 +77,7 @@ def test_the_internal_strain_follows_its_equation_in_the_coordinates(runs: list)
         error = np.abs(a[1:] - expected).max(axis=1) / np.abs(a).max()
         # A row that the full order had to cut has b in pieces.
         assert np.median(error) < 1e-9
-        assert np.quantile(error, 0.9) < 1e-4
+        assert np.quantile(error, 0.9) < 1e-3
 
 
 def test_the_jacobian_of_a_network_is_that_of_its_outputs(runs: list) -> None:

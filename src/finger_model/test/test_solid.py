@@ -54,7 +54,7 @@ def test_mesh_fills_the_finger(pose):
     bone = g.bone_semi_axis_radial**2 * g.bone_semi_axis_axial
     nail = (g.nail_radius**2 - g.bone_semi_axis_radial**2) * g.nail_thickness
     exact = pose.aspect * math.pi * (2 / 3 * (pad - bone) + nail)
-    assert volume * mesh.copies == pytest.approx(exact, rel=0.015)
+    assert volume * mesh.copies == pytest.approx(exact, rel=0.02)
     # The plate touches first where the mesh is finest.
     skin = mesh.nodes[mesh.surface]
     spacing = np.sqrt(node_areas(mesh, skin))

@@ -30,8 +30,8 @@ FRAME_RATE = 30.0
 """Images per s: ridges move by less than half their distance between two of them."""
 
 STIFFNESS = 400.0
-"""N/m, of the finger's tissue to a tangential load: some 0.25 N at 0.7 mm (CalculiX, default finger
-under 0.5 N), more under a larger load."""
+"""N/m, of the finger's tissue to a tangential load: some 0.25 N at 0.7 mm (CalculiX, 8.5 ×
+6.5 mm, 0.5 N), more under a larger load."""
 
 FRICTION = {"dry": 0.35, "natural": 0.5, "moist": 0.8}
 """Median of a finger's friction by condition: moist skin holds better on glass; an assumption."""

@@ -87,7 +87,7 @@ def test_a_trial_depends_on_its_name_and_seed_alone(planned, tmp_path: Path) -> 
 def test_the_truth_is_written_to_a_file(planned, tmp_path: Path) -> None:
     write_truth(tmp_path / "truth.json", planned, 17)
     truth = json.loads((tmp_path / "truth.json").read_text())
-    assert truth["start_ns"] == 17 and truth["material"]["E1"] == 22350.0
+    assert truth["start_ns"] == 17 and truth["material"]["E1"] == 25380.0
     assert truth["frame_area_m2"] == planned.frame_area.tolist()
 
 

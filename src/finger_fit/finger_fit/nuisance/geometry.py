@@ -157,17 +157,19 @@ def _slopes(
 ) -> dict[str, np.ndarray]:
     """Slope of a change ln A(x) − ln A(0), by differences of one deviation.
 
-    change(name, x): None where there is no such finger; one side is enough for a slope.
+    change(name, x): None where there is no such finger. Where only one side is, a parabola through
+    half a deviation and a whole one gives the slope.
     """
     found = {}
     for name, deviation in lengths.items():
-        high, low = change(name, deviation), change(name, -deviation)
-        if high is not None and low is not None:
-            found[name] = (high - low) / (2 * deviation)
-        elif high is not None:
-            found[name] = high / deviation
-        elif low is not None:
-            found[name] = -low / deviation
+        whole = {x: change(name, x) for x in (deviation, -deviation)}
+        ends = {x: end for x, end in whole.items() if end is not None}
+        if len(ends) == 2:
+            found[name] = (ends[deviation] - ends[-deviation]) / (2 * deviation)
+            continue
+        for x, end in ends.items():
+            half = change(name, 0.5 * x)
+            found[name] = end / x if half is None else (4 * half - end) / x
     return found
 
 

@@ -281,8 +281,12 @@ def verdict(result: FitResult) -> str:
                 f"{title} is final: full order and reduced order differ by "
                 f"{100 * check.rms_difference:.2f} % of the largest area (limit "
                 f"{100 * check.AREA_LIMIT:g} %), and re-ranking the top candidates by full order "
-                f"changes {fit.space.describe(check.headline).html} by {100 * check.change:.1f} % "
-                f"(limit {100 * check.CHANGE_LIMIT:g} %)."
+                f"changes {fit.space.describe(check.headline).html} by {100 * check.change:.1f} %, "
+                + (
+                    f"where {100 * check.CHANGE_LIMIT:g} % is the limit."
+                    if check.change <= check.CHANGE_LIMIT
+                    else "which these data do not tell apart."
+                )
             )
         elif fit.status == "final":
             lines.append(f"{title} is final: the fit used the full-order model itself.")

@@ -86,6 +86,7 @@ def condition_dict(fit: ConditionFit) -> dict[str, Any]:
         out["full_order"] = {
             "rms_difference": found.rms_difference,
             f"{found.headline}_change": found.change,
+            "gain_chi2": found.gain,
             "preferred_candidate": found.best,
         }
     if fit.correction is not None:

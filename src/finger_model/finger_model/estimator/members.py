@@ -61,6 +61,7 @@ def _deform(base, par, shift):
     for b in range(base.branches):
         par.fraction[b] = base.fraction[b] * (1.0 - share) / total if total > 0.0 else 0.0
         par.tau[b] = base.tau[b] * math.exp(shift[1]) * share / rest
+    par.share = share
     par.force_scale = base.force_scale * math.exp(shift[0]) * rest / share
 
 

@@ -13,8 +13,18 @@ rest. Two small networks of the same form,
 
 with y = W₃ᵀ s(g₂ ⊙ W₂ᵀ s(g₁ ⊙ W₁ᵀ u + b₁) + b₂) + b₃, s(v) = v/√(1 + v²), whose gains g and
 biases b hold what the map needs to know of the finger (`maps`), give indentation δ and drive c = d
-− a of the internal strain, area A and peak over mean pressure. All Maxwell branches (g_b, τ_b)
-share the total strain d, and the state follows
+− a of the internal strain, area A and peak over mean pressure.
+
+Where a finger has elastic curves (`elastic_contact`), the networks only add to what these say
+(`_guess`). Sudden and slow loads give the strains d₀(x) and d∞(x); with ρ = a·d∞/((1 − E∞/E0)
+|d∞|²), d is d₀ + ρ (d∞ − d₀), as in linear viscoelasticity. The finger then looks like an elastic
+one of modulus E0/(1 + ρ (E0/E∞ − 1)), and ln A, ln p_max/p_mean and ln δ are taken between their
+curves by its logarithm: y₀ + w (y∞ − y₀), w = ln(1 + ρ (E0/E∞ − 1))/ln(E0/E∞). What the drive
+network adds to the strain is in units of R, 1/R² = 1/S² + 1/(|d₀| + |e| + ρ |1 − ρ| |d∞ − d₀|)²,
+with e = a − ρ (1 − E∞/E0) d∞: where E∞ is small, near ρ = 1 only a force of the order of d₀ brings
+the strain back. The contact network also sees w, ρ and e/S.
+
+All Maxwell branches (g_b, τ_b) share the total strain d, and the state follows
 
     τ_b da_b/dt = g_b d − a_b,   a = Σ a_b                 (exact, see `training_runs`)
     dq_j = (sgn(dδ) − q_j) |d ln δ| / β_j,  q = 1 in the air   (stick after a reversal of the load)
@@ -37,6 +47,18 @@ from typing import NamedTuple
 import numpy as np
 
 from ..compiled import njit, prange
+
+NODES = np.array([0.08, 0.14, 0.22, 0.32, 0.45, 0.60, 0.80, 1.05, 1.35, 1.70, 2.10, 2.60, 3.20])
+"""Loads (F/(E L²))^(1/3) of elastic curves, E being E0 of a sudden and E∞ of a slow load."""
+_LOG_NODES = np.log(NODES)
+_LEAST_LOAD = 0.03
+"""Below this load curves are taken there."""
+_MOST_RELAXED = 10.0
+"""Largest ρ that counts: after unloading it is above 1."""
+_MOST_RELAXED_INPUT = 3.0
+MIX_INPUTS = 2
+"""Inputs of the contact network besides: w, ρ up to _MOST_RELAXED_INPUT, and for each amplitude how
+far it is from the pattern of a slow load, over S."""
 
 CONTACT_OUTPUTS = 2
 """Outputs of the contact network; the drive network has 1 + k."""
@@ -85,7 +107,10 @@ def record_types(latents: int, frictions: int, drive_width: int, contact_width: 
         vectors = [(name, "f8", (width,)) for name in ("gain_1", "bias_1", "gain_2", "bias_2")]
         return [*vectors, ("bias_3", "f8", (outputs,))]
 
-    contact_only = [("friction", "f8", (m, contact_width))]
+    contact_only = [
+        ("friction", "f8", (m, contact_width)),
+        ("mix", "f8", (MIX_INPUTS + k, contact_width)),
+    ]
     return RecordTypes(
         networks=np.dtype(
             [
@@ -102,6 +127,9 @@ def record_types(latents: int, frictions: int, drive_width: int, contact_width: 
                 ("fraction", "f8", (MOST_BRANCHES,)),  # g
                 ("tau", "f8", (MOST_BRANCHES,)),  # in s
                 ("force_limit", "f8"),  # N
+                ("share", "f8"),  # E∞/E0
+                ("curved", "i8"),  # whether `curves` count
+                ("curves", "f8", (2, len(NODES), 2, 3 + k)),  # values, slopes over ln x
                 ("drive", modulation(drive_width, 1 + k)),
                 ("drive_at_rest", "f8", (1 + k,)),
                 ("contact", modulation(contact_width, CONTACT_OUTPUTS)),
@@ -122,6 +150,13 @@ def record_types(latents: int, frictions: int, drive_width: int, contact_width: 
         ),
         work=np.dtype(
             [
+                ("sudden", "f8", (3 + k,)),
+                ("slow", "f8", (3 + k,)),
+                ("guess", "f8", (3 + k,)),  # between the two
+                ("mix", "f8", (MIX_INPUTS + k,)),
+                ("rest", "f8"),  # R
+                ("rest_slope", "f8", (k,)),  # ∂R/∂a
+                ("toward", "f8", (k,)),  # ∂ρ/∂a
                 ("trial", "f8", (k,)),
                 ("base", "f8", (k,)),
                 ("weights", "f8", (3, MOST_BRANCHES)),
@@ -166,13 +201,111 @@ def _activate(gain, bias, layer):
 
 
 @njit(cache=True)
+def sudden_strain(x):
+    """G of a load measure x."""
+    return SUDDEN * x * x * x / (1.0 + SUDDEN_LIMIT * x)
+
+
+@njit(cache=True)
 def strain_scale(x, amplitudes):
     """S of a load measure x and amplitudes (k,)."""
-    sudden = SUDDEN * x * x * x / (1.0 + SUDDEN_LIMIT * x)
+    sudden = sudden_strain(x)
     square = sudden * sudden + _LEAST_STRAIN * _LEAST_STRAIN
     for j in range(len(amplitudes)):
         square += amplitudes[j] * amplitudes[j]
     return math.sqrt(square)
+
+
+@njit(cache=True)
+def _curve(curve, u, out):
+    """Values (o,) at u = ln x of a curve (nodes, 2, o): cubic between nodes, straight beyond."""
+    last = len(_LOG_NODES) - 1
+    if u <= _LOG_NODES[0] or u >= _LOG_NODES[last]:
+        node = 0 if u <= _LOG_NODES[0] else last
+        for o in range(len(out)):
+            out[o] = curve[node, 0, o] + (u - _LOG_NODES[node]) * curve[node, 1, o]
+        return
+    node = 0
+    while u > _LOG_NODES[node + 1]:
+        node += 1
+    width = _LOG_NODES[node + 1] - _LOG_NODES[node]
+    t = (u - _LOG_NODES[node]) / width
+    r = 1.0 - t
+    first, first_slope = (1.0 + 2.0 * t) * r * r, t * r * r * width
+    second, second_slope = t * t * (3.0 - 2.0 * t), -t * t * r * width
+    for o in range(len(out)):
+        out[o] = (first * curve[node, 0, o] + first_slope * curve[node, 1, o]) + (
+            second * curve[node + 1, 0, o] + second_slope * curve[node + 1, 1, o]
+        )
+
+
+@njit(cache=True)
+def _guess(par, work, x, amplitudes):
+    """What the elastic curves say of x and the amplitudes (k,), into work.guess, .mix and .toward.
+
+    ln(A/(L² x²)), ln(p_max/p_mean), ln(δ/(L x²)) and the strain d (3 + k,).
+    """
+    sudden, slow, guess = work.sudden, work.slow, work.guess
+    load = max(x, _LEAST_LOAD)
+    log_share = math.log(par.share)
+    own = load * par.share ** (-1.0 / 3.0)
+    _curve(par.curves[0], math.log(load), sudden)
+    _curve(par.curves[1], math.log(own), slow)
+    # x of the slow curve is over E∞.
+    slow[0] -= 2.0 / 3.0 * log_share
+    slow[2] -= 2.0 / 3.0 * log_share
+    small, large = sudden_strain(load), sudden_strain(own)
+    product = 0.0
+    square = 1e-30
+    for j in range(len(amplitudes)):
+        sudden[3 + j] *= small
+        slow[3 + j] *= large
+        product += amplitudes[j] * slow[3 + j]
+        square += slow[3 + j] * slow[3 + j]
+    square *= 1.0 - par.share
+    relaxed = min(max(product / square, 0.0), _MOST_RELAXED)
+    free = 0.0 < relaxed < _MOST_RELAXED
+    mixed = math.log1p(relaxed * (1.0 - par.share) / par.share) / -log_share
+    for o in range(3):
+        guess[o] = sudden[o] + mixed * (slow[o] - sudden[o])
+    for j in range(len(amplitudes)):
+        guess[3 + j] = sudden[3 + j] + relaxed * (slow[3 + j] - sudden[3 + j])
+        work.toward[j] = slow[3 + j] / square if free else 0.0
+    own_size = 0.0
+    apart = 0.0
+    for j in range(len(amplitudes)):
+        own_size += sudden[3 + j] * sudden[3 + j]
+        apart += (slow[3 + j] - sudden[3 + j]) ** 2
+    apart = math.sqrt(apart)
+    odd = _LEAST_STRAIN * _LEAST_STRAIN
+    for j in range(len(amplitudes)):
+        odd += (amplitudes[j] - relaxed * (1.0 - par.share) * slow[3 + j]) ** 2
+    odd = math.sqrt(odd)
+    near = math.sqrt(own_size) + odd + apart * relaxed * abs(1.0 - relaxed)
+    scale = strain_scale(x, amplitudes)
+    work.rest = near * scale / math.hypot(near, scale)
+    slope = apart * (1.0 - 2.0 * relaxed if relaxed < 1.0 else 2.0 * relaxed - 1.0)
+    for j in range(len(amplitudes)):
+        own = relaxed * (1.0 - par.share) * slow[3 + j]
+        rise = (amplitudes[j] - own) / odd + slope * work.toward[j]
+        work.rest_slope[j] = rise * (work.rest / near) ** 3
+        work.rest_slope[j] += amplitudes[j] / scale * (work.rest / scale) ** 3
+    work.mix[0] = mixed
+    work.mix[1] = min(relaxed, _MOST_RELAXED_INPUT)
+    for j in range(len(amplitudes)):
+        own = relaxed * (1.0 - par.share) * slow[3 + j]
+        work.mix[MIX_INPUTS + j] = (amplitudes[j] - own) / scale
+
+
+@njit(cache=True)
+def guesses(par, work, x, amplitudes, out):
+    """Rows (n, 1 + 3 + k + 2 + k) of `_guess` at x (n,) and amplitudes (n, k): R, guess, mix."""
+    for row in range(len(x)):
+        _guess(par[0], work[0], x[row], amplitudes[row])
+        end = 1 + len(work[0].guess)
+        out[row, 0] = work[0].rest
+        out[row, 1:end] = work[0].guess
+        out[row, end:] = work[0].mix
 
 
 @njit(cache=True)
@@ -211,8 +344,15 @@ def _drive(net, par, work, x, amplitudes, out):
         out[o] = par.drive.bias_3[o]
     _add_rows(work.drive_2, net.drive.weights_3, out)
     out[0] = scale ** (2.0 / 3.0) * out[0] - par.drive_at_rest[0]
+    if par.curved:
+        _guess(par, work, x, amplitudes)
+        scale = work.rest
     for o in range(1, len(out)):
         out[o] = scale * out[o] - par.drive_at_rest[o]
+    if par.curved:
+        out[0] += x * x * math.exp(work.guess[2])
+        for j in range(len(amplitudes)):
+            out[1 + j] += work.guess[3 + j] - amplitudes[j]
 
 
 @njit(cache=True)
@@ -221,10 +361,16 @@ def _contact(net, par, state, work, x):
     scale = strain_scale(x, state.amplitudes)
     _first_layer(net.contact, x, scale, state.amplitudes, work.contact_1)
     _add_rows(state.friction, net.contact.friction, work.contact_1)
+    if par.curved:
+        _guess(par, work, x, state.amplitudes)
+        _add_rows(work.mix, net.contact.mix, work.contact_1)
     _second_layer(net.contact, par.contact, work.contact_1, work.contact_2)
     for o in range(CONTACT_OUTPUTS):
         work.contact[o] = par.contact.bias_3[o]
     _add_rows(work.contact_2, net.contact.weights_3, work.contact)
+    if par.curved:
+        for o in range(CONTACT_OUTPUTS):
+            work.contact[o] += work.guess[o]
 
 
 @njit(cache=True)
@@ -257,18 +403,29 @@ def _drive_jacobian(net, par, work, x, amplitudes):
                 ) + (v2 * layers.weights_2[i + 2, o] + v3 * layers.weights_2[i + 3, o])
         for o in range(n):
             sensitivity[j, o] *= h2[o]
+    share = work.rest / scale if par.curved else 1.0
     for i in range(k):
-        # y_i + ∂y_i/∂ln S − Σ_m (a_m/S) ∂y_i/∂(a_m/S), the factor of a_j/S.
-        radial = (work.drive[1 + i] + par.drive_at_rest[1 + i]) / scale
+        # ∂y_i/∂ln S − Σ_m (a_m/S) ∂y_i/∂(a_m/S) is the factor of a_j/S², and y_i that of ∂S/∂a_j.
+        output = work.drive[1 + i] + par.drive_at_rest[1 + i]
         for j in range(1 + k):
             slope[j] = 0.0
             for o in range(n):
                 slope[j] += sensitivity[j, o] * layers.weights_3[o, 1 + i]
-        radial += slope[0] * scale / (scale + SHIFT_STRAIN)
+        radial = slope[0] * scale / (scale + SHIFT_STRAIN)
         for j in range(k):
             radial -= amplitudes[j] / scale * slope[1 + j]
+        if not par.curved:
+            radial += output / scale
         for j in range(k):
-            jacobian[i, j] = slope[1 + j] + radial * amplitudes[j] / scale
+            jacobian[i, j] = share * (slope[1 + j] + radial * amplitudes[j] / scale)
+        if par.curved:
+            # c = R y + guess − a, where R and guess depend on ρ.
+            output -= work.guess[3 + i] - amplitudes[i]
+            output /= work.rest
+            for j in range(k):
+                rise = (work.slow[3 + i] - work.sudden[3 + i]) * work.toward[j]
+                jacobian[i, j] += rise + output * work.rest_slope[j]
+            jacobian[i, i] -= 1.0
 
 
 @njit(cache=True)

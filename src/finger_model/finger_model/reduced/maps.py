@@ -9,15 +9,19 @@
 
 from __future__ import annotations
 
+import functools
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from ..fem.linear_contact import LinearContact
 from ..geometry import Geometry
 from ..laws import MaxwellLaw
 from . import kernels as rk
-from .population import CONTEXT, context_of
+from .elastic_contact import ElasticContacts, linear_guess, network_context, press_contexts
+from .population import context_of
 
 NETWORKS = ("drive", "contact")
 
@@ -32,6 +36,14 @@ class Modulation(NamedTuple):
     bias_3: np.ndarray
 
 
+class Finger(NamedTuple):
+    """What the maps need to know: inputs (c,) of the networks, and elastic curves (2, nodes, 3 + k)
+    where the model has them."""
+
+    inputs: np.ndarray
+    curves: np.ndarray | None = None
+
+
 class Maps:
     """Networks as the kernels take them. Raises ValueError for layers that do not fit together."""
 
@@ -43,7 +55,10 @@ class Maps:
         if not (np.isfinite(betas).all() and (np.asarray(betas) > 0.0).all()):
             raise ValueError("betas are not positive")
         frictions = len(betas)
-        inputs = {"drive": rk.LOAD_INPUTS + k, "contact": rk.LOAD_INPUTS + k + frictions}
+        inputs = {
+            "drive": rk.LOAD_INPUTS + k,
+            "contact": rk.LOAD_INPUTS + k + frictions + rk.MIX_INPUTS + k,
+        }
         outputs = {"drive": 1 + k, "contact": rk.CONTACT_OUTPUTS}
         widths = {name: values.shape[1] for name, values in first.items()}
         self.types = rk.record_types(k, frictions, widths["drive"], widths["contact"])
@@ -62,10 +77,12 @@ class Maps:
             record["load"] = one[: rk.LOAD_INPUTS]
             record["amplitude"] = one[rk.LOAD_INPUTS : inputs["drive"]]
             record["weights_2"], record["weights_3"] = two, three
-        self.networks["contact"]["friction"] = first["contact"][inputs["drive"] :]
+        rest = first["contact"][inputs["drive"] :]
+        self.networks["contact"]["friction"] = rest[:frictions]
+        self.networks["contact"]["mix"] = rest[frictions:]
 
     def _check(self, finger: np.ndarray) -> None:
-        """Raise ValueError for gains and biases of a finger that do not fit the networks."""
+        """Raise ValueError for gains and biases that do not fit, of a finger as networks see it."""
         record = np.zeros(1, self.types.parameters)
         for name in NETWORKS:
             for key, value in self.modulation(name, finger)._asdict().items():
@@ -73,27 +90,31 @@ class Maps:
                     raise ValueError(f"{key} of the {name} network does not fit")
 
     def modulation(self, name: str, finger: np.ndarray) -> Modulation:
-        """Gains and biases of a network for a finger, as `finger_of` describes it."""
+        """Gains and biases of a network for a finger, as the networks see it."""
         raise NotImplementedError
 
-    def finger_of(self, geometry: Geometry, material: MaxwellLaw) -> np.ndarray:
-        """What the maps need to know of a finger (c,)."""
+    def fingers_of(self, geometry: Geometry, materials: Sequence[MaxwellLaw]) -> list[Finger]:
+        """What the maps need to know of a finger of each material."""
         raise NotImplementedError
 
     def largest_load(self, material: MaxwellLaw) -> float:
         """Largest F/(E0 L²) that the maps were trained for."""
         raise NotImplementedError
 
-    def parameters(self, geometry: Geometry, material: MaxwellLaw) -> np.ndarray:
-        """The kernels' record (1,) of a finger, without the force limit."""
-        length, branches = geometry.pad_semi_axis_radial, material.branches
-        return self.parameters_of(
-            length,
-            material.instantaneous_modulus * length**2,
-            np.array([branch.fraction for branch in branches]),
-            np.array([branch.relaxation_time for branch in branches]),
-            self.finger_of(geometry, material),
-        )
+    def parameters(self, geometry: Geometry, materials: Sequence[MaxwellLaw]) -> np.ndarray:
+        """The kernels' records (n,) of a finger of each material, without the force limit."""
+        length = geometry.pad_semi_axis_radial
+        records = [
+            self.parameters_of(
+                length,
+                material.instantaneous_modulus * length**2,
+                np.array([branch.fraction for branch in material.branches]),
+                np.array([branch.relaxation_time for branch in material.branches]),
+                finger,
+            )
+            for material, finger in zip(materials, self.fingers_of(geometry, materials))
+        ]
+        return np.concatenate(records)
 
     def parameters_of(
         self,
@@ -101,7 +122,7 @@ class Maps:
         scale: float,
         fractions: np.ndarray,
         times: np.ndarray,
-        finger: np.ndarray,
+        finger: Finger,
     ) -> np.ndarray:
         """The same of length (m), E0 L² (N), fractions and times (s) of the branches, finger."""
         record = np.zeros(1, self.types.parameters)
@@ -110,8 +131,11 @@ class Maps:
         record["branches"] = count = len(fractions)
         record["fraction"][0, :count] = fractions
         record["tau"][0, :count] = times
+        record["share"] = 1.0 - fractions.sum()
+        if finger.curves is not None:
+            fill_curves(record, finger.curves)
         for name in NETWORKS:
-            for key, value in self.modulation(name, finger)._asdict().items():
+            for key, value in self.modulation(name, finger.inputs)._asdict().items():
                 record[name][key] = value
         # Indentation and drive at rest, which the kernels subtract.
         record["drive_at_rest"] = self.at_rest(record)["drive"]
@@ -137,7 +161,11 @@ class GeometryMaps(Maps):
             }
             # Scaling of inputs and outputs goes into the weights; the last input is ln E2/E0.
             first = a["weights_1"] / a["input_scale"][:, None]
-            layers[name] = (first[:-1], a["weights_2"], a["weights_3"] * a["output_scale"])
+            own = first[:-1]
+            if name == "contact":  # without elastic curves there is nothing to mix
+                mix = rk.MIX_INPUTS + arrays["drive_weights_3"].shape[1] - 1
+                own = np.concatenate([own, np.zeros((mix, own.shape[1]))])
+            layers[name] = (own, a["weights_2"], a["weights_3"] * a["output_scale"])
             self._first[name] = (a["bias_1"] - a["input_mean"] @ first, first[-1])
             self._later[name] = (a["bias_2"], a["bias_3"] * a["output_scale"] + a["output_mean"])
         super().__init__(layers, arrays["betas"])
@@ -146,8 +174,11 @@ class GeometryMaps(Maps):
         if self._limit.shape != (3,) or np.abs(self._limit).max() > 20.0:
             raise ValueError("force_limit is no fit of three exponents")
 
-    def finger_of(self, geometry: Geometry, material: MaxwellLaw) -> np.ndarray:
-        return np.array([math.log(material.epidermis_modulus / material.instantaneous_modulus)])
+    def fingers_of(self, geometry: Geometry, materials: Sequence[MaxwellLaw]) -> list[Finger]:
+        return [
+            Finger(np.array([math.log(m.epidermis_modulus / m.instantaneous_modulus)]))
+            for m in materials
+        ]
 
     def modulation(self, name: str, finger: np.ndarray) -> Modulation:
         stiffness = float(finger[0])
@@ -176,13 +207,29 @@ class PopulationMaps(Maps):
             layers[name] = (first, a["W2"], a["W3"] * a["output_scale"])
             self._context[name] = {**a, "shift": a["input_mean"] @ first}
         super().__init__(layers, arrays["betas"])
-        self._check(np.zeros(len(CONTEXT)))
+        self.elastic = ElasticContacts.of_arrays(arrays)
+        self._check(np.zeros(len(self._context["drive"]["context_mean"])))
         self._load = arrays["largest_load"]
         if self._load.shape != (2,) or not (self._load >= 0).all():
             raise ValueError("largest_load is no pair of coefficients")
 
-    def finger_of(self, geometry: Geometry, material: MaxwellLaw) -> np.ndarray:
-        return context_of(geometry, material)
+    def fingers_of(self, geometry: Geometry, materials: Sequence[MaxwellLaw]) -> list[Finger]:
+        contact = _linear_contact(geometry)
+        return self.fingers_like(
+            np.array([context_of(geometry, material) for material in materials]),
+            np.array([material.long_term_fraction for material in materials]),
+            np.stack([linear_guess(contact, material) for material in materials], axis=1),
+        )
+
+    def fingers_like(
+        self, contexts: np.ndarray, shares: np.ndarray, guesses: np.ndarray
+    ) -> list[Finger]:
+        """Fingers of contexts (n, c), long-term fractions (n,) and guesses (2, n, nodes, 2)."""
+        coarse, default = self.elastic.curves(press_contexts(contexts, shares), guesses)
+        return [
+            Finger(network_context(contexts[i], shares[i], coarse[:, i]), default[:, i])
+            for i in range(len(contexts))
+        ]
 
     def modulation(self, name: str, finger: np.ndarray) -> Modulation:
         a = self._context[name]
@@ -197,6 +244,18 @@ class PopulationMaps(Maps):
     def largest_load(self, material: MaxwellLaw) -> float:
         soft, stiffening = self._load
         return material.long_term_fraction * soft * (1.0 + stiffening * material.stiffening)
+
+
+def fill_curves(record: np.ndarray, curves: np.ndarray) -> None:
+    """Put elastic curves (2, nodes, 3 + k) into the kernels' record (1,) of a finger."""
+    record["curved"] = 1
+    record["curves"][0, :, :, 0] = curves
+    record["curves"][0, :, :, 1] = np.gradient(curves, np.log(rk.NODES), axis=1)
+
+
+@functools.lru_cache(maxsize=16)
+def _linear_contact(geometry: Geometry) -> LinearContact:
+    return LinearContact(geometry)
 
 
 def sigmoid(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

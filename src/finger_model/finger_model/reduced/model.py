@@ -69,7 +69,10 @@ class ReducedModel:
         fixed: dict[str, float] | None = None,
     ) -> None:
         try:
-            self.arrays = {k: np.ascontiguousarray(v, dtype=float) for k, v in arrays.items()}
+            self.arrays = {
+                key: np.ascontiguousarray(v, dtype=np.result_type(v.dtype, np.float32))
+                for key, v in arrays.items()
+            }
             self.meta = meta
             self.serves_population = bool(meta.get("population", False))
             if self.serves_population:
@@ -241,12 +244,12 @@ class ReducedModel:
 
     # Parameters ------------------------------------------------------------------------------
 
-    def constants(self, parameters: np.ndarray | ConstitutiveLaw) -> np.ndarray:
-        """The kernels' record (1,) of one parameter set; raises InputError for bad parameters."""
-        material = self._material(parameters)
-        record = self.maps.parameters(self.geometry, material)
-        record["force_limit"] = self._limit_of(material)
-        return record
+    def constants(self, *parameters: np.ndarray | ConstitutiveLaw) -> np.ndarray:
+        """The kernels' records (n,) of n parameter sets; raises InputError for bad parameters."""
+        materials = [self._material(own) for own in parameters]
+        records = self.maps.parameters(self.geometry, materials)
+        records["force_limit"] = [self._limit_of(material) for material in materials]
+        return records
 
     def state_at_rest(self, constants: np.ndarray) -> np.ndarray:
         """The kernels' record (1,) of a finger at rest."""
@@ -427,7 +430,7 @@ class ReducedModel:
         range are not refused: see `out_of_range`.
         """
         parameters = np.atleast_2d(np.asarray(parameters, dtype=float))
-        constants = np.concatenate([self.constants(row) for row in parameters])
+        constants = self.constants(*parameters)
         checked = [check_force_history(t[0], t[1], f"trial {i}") for i, t in enumerate(trials)]
         start = np.concatenate([[0], np.cumsum([len(time) for time, _ in checked])]).astype(
             np.int64

@@ -32,7 +32,7 @@ from .build import parts_folder
 from .error import ErrorTable
 from .model import LAW, ReducedModel
 from .population import STIFFENING
-from .population_runs import WHOLE, Case, Run, held_out_case, run, training_case
+from .population_runs import WHOLE, Case, Run, held_out_case, run, soft_case, training_case
 from .population_training import LATENTS, measured_error, train
 from .training_runs import principal_modes, weight_of
 
@@ -49,10 +49,19 @@ class PopulationSettings(Settings):
     """What a build of the population's model depends on."""
 
     histories: int = setting(
-        12_500, "Training histories, each of a finger of its own.", minimum=50, maximum=1_000_000
+        25_000, "Training histories, each of a finger of its own.", minimum=50, maximum=1_000_000
+    )
+    soft_histories: int = setting(
+        6000,
+        "Further histories of tissue that keeps little of its modulus.",
+        minimum=0,
+        maximum=1_000_000,
     )
     corrections: int = setting(
-        500, "Histories that are run on the default mesh too.", minimum=5, maximum=100_000
+        1200,
+        "Fingers whose elastic presses are run on the default mesh too.",
+        minimum=5,
+        maximum=100_000,
     )
     held_out: int = setting(
         340, "Histories on which the error is measured.", minimum=4, maximum=100_000
@@ -83,16 +92,17 @@ def build(
     began = time.monotonic()
     modes = _modes(parts, settings, report)
 
-    def runs_of(stage: str, task: _Task, number: int) -> list[Run | None]:
+    def runs_of(stage: str, task: _Task, number: int) -> list[Run]:
         return list(_runs(parts, task, settings.seed, number, workers, stage, report))
 
     coarse = runs_of("runs on the coarse mesh", _Task("coarse", modes), settings.histories)
-    fine = runs_of("runs on the default mesh", _Task("fine", None), settings.corrections)
+    soft = runs_of("runs of soft tissue", _Task("soft", modes), settings.soft_histories)
+    fine = runs_of("presses on the default mesh", _Task("fine", None), settings.corrections)
     held_out = runs_of("held-out runs", _Task("held_out", None), settings.held_out)
     model, tables = assemble(
-        [r for r in coarse if r is not None],
-        [(c, f) for c, f in zip(coarse, fine) if c is not None and f is not None],
-        [r for r in held_out if r is not None],
+        coarse + soft,
+        fine,
+        held_out,
         settings,
         report,
         began,
@@ -104,21 +114,26 @@ def build(
 
 def assemble(
     runs: list[Run],
-    pairs: list[tuple[Run, Run]],
+    fine: list[Run],
     held_out: list[Run],
     settings: PopulationSettings,
     report: Progress,
     began: float,
 ) -> tuple[ReducedModel, dict[str, ErrorTable]]:
-    """Train on the runs and measure the error. Raises ModelError when too few are usable."""
-    usable = [r for r in runs if _usable(r)]
-    pairs = [pair for pair in pairs if all(_usable(r) for r in pair)]
-    if len(usable) < 0.8 * settings.histories or len(pairs) < 0.5 * settings.corrections:
+    """Train on the runs and measure the error. `fine` are presses of the same fingers as the first
+    of the runs. Raises ModelError when too few are usable."""
+    usable = sum(map(_usable, runs))
+    if usable < 0.8 * len(runs):
         raise ModelError(
-            f"only {len(usable)} of {settings.histories} full-order runs succeeded; "
-            "check the population box"
+            f"only {usable} of {len(runs)} full-order runs succeeded; check the population box"
         )
-    arrays = train(usable, pairs, settings.epochs, report)
+    own = [_usable(found) for found in runs]
+    arrays = train(
+        [found for found, good in zip(runs, own) if good],
+        [found for found, good in zip(fine, own) if good],
+        settings.epochs,
+        report,
+    )
     return with_error(arrays, held_out, settings, time.monotonic() - began)
 
 
@@ -149,9 +164,11 @@ def with_error(
 
 
 def _usable(found: Run) -> bool:
-    """Whether a run has rows and never covers the whole pad, where the mesh is crushed."""
+    """Whether a run has rows and presses and never covers the whole pad, where the mesh is
+    crushed."""
     pad = np.pi * found.length**2
-    return len(found.time) > 3 and 0 < found.area.max() < 0.98 * pad
+    pressed = np.isfinite(found.presses[:, 3, 0]).all()
+    return bool(pressed and len(found.time) > 3 and 0 < found.area.max() < 0.98 * pad)
 
 
 @dataclass(frozen=True)
@@ -162,8 +179,8 @@ class _Task:
     modes: np.ndarray | None
 
     def case(self, seed: int, index: int) -> Case:
-        make = held_out_case if self.name == "held_out" else training_case
-        return make(seed, index)
+        makers = {"held_out": held_out_case, "soft": soft_case}
+        return makers.get(self.name, training_case)(seed, index)
 
 
 _worker: dict[str, Any] = {}
@@ -176,8 +193,17 @@ def _begin(task: _Task, seed: int) -> None:
 
 def _work(indices: range) -> list[Run]:
     task: _Task = _worker["task"]
-    coarse = task.name == "coarse"
-    return [run(task.case(_worker["seed"], i), task.modes, coarse) for i in indices]
+    coarse = task.name in ("coarse", "soft")
+    return [
+        run(
+            task.case(_worker["seed"], i),
+            task.modes,
+            coarse,
+            history=task.name != "fine",
+            pressed=task.name != "held_out",
+        )
+        for i in indices
+    ]
 
 
 def _modes(parts: Path, settings: PopulationSettings, report: Progress) -> np.ndarray:
@@ -187,7 +213,7 @@ def _modes(parts: Path, settings: PopulationSettings, report: Progress) -> np.nd
         return np.load(file, allow_pickle=False)
     found: list[np.ndarray] = []
     for index in range(settings.pilots):
-        run(training_case(settings.seed + 1_000_000, index), None, True, found)
+        run(training_case(settings.seed + 1_000_000, index), coarse=True, fields=found)
         report("choosing coordinates", (index + 1) / settings.pilots)
     geometry = Geometry()
     weight = weight_of(FullOrderModel(geometry, mesh=similar_mesh(geometry)))

@@ -1,26 +1,35 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Training of the population's maps: a correction to the default mesh, the drive, the contact."""
+"""Training of the population's maps: elastic curves, then what the networks add to them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from . import kernels as rk
 from .context_network import ContextNetwork, Rows, fit
+from .elastic_contact import (
+    ElasticContacts,
+    extended,
+    network_context,
+    press_contexts,
+    strain_sizes,
+)
 from .error import COUNTED_FORCE, ErrorTable, error_along
-from .maps import PopulationMaps
+from .kernels import NODES
+from .maps import Finger, PopulationMaps, fill_curves
 from .population import CONTEXT, LARGEST_LOAD, MIDDLE_FORCE, MIDDLE_STIFFENING
 from .population_runs import Run
-from .training import drive_targets, features, strain_scales
+from .training import features, strain_scales
 
 Progress = Callable[[str, float], None]
 
 LATENTS = 6
-DRIVE, CONTACT, CORRECTION = (32, 80), (40, 96), (10, 24)
+DRIVE, CONTACT = (40, 96), (48, 128)
 """Width of the hidden layers of each network, and of the network of its gains and biases."""
 BETAS = (0.03, 0.15)
 FIRST_FORCE = 0.06
@@ -28,6 +37,8 @@ FIRST_FORCE = 0.06
 MIDDLE_COUNT = 1.5
 """How much a run of the middle box counts beside one of the rest."""
 DECAY = 0.1
+LEAST_REST = 0.05
+"""R over S below which errors of the strain count in proportion to R/S."""
 
 
 def stiffening_of(run: Run) -> float:
@@ -63,8 +74,13 @@ def friction_states(run: Run) -> np.ndarray:
     return found
 
 
-def padded(runs: list[Run], columns: Callable[[Run], tuple[np.ndarray, ...]]) -> Rows:
-    """Rows of all runs; `columns` gives inputs (n, i), targets (n, o), weights (n, o) of one."""
+def padded(
+    runs: list[Run],
+    columns: Callable[[Run], tuple[np.ndarray, ...]],
+    contexts: dict[int, np.ndarray],
+) -> Rows:
+    """Rows of all runs; `columns` gives inputs (n, i), targets (n, o), weights (n, o) of one;
+    contexts: of each run, by its identity."""
     parts = [columns(run) for run in runs]
     longest = max(len(part[0]) for part in parts)
     arrays = []
@@ -73,7 +89,7 @@ def padded(runs: list[Run], columns: Callable[[Run], tuple[np.ndarray, ...]]) ->
         for index, part in enumerate(parts):
             values[index, : len(part[which])] = part[which]
         arrays.append(values)
-    return Rows(np.array([run.context for run in runs], np.float32), *arrays)
+    return Rows(np.array([contexts[id(run)] for run in runs], np.float32), *arrays)
 
 
 def _inputs(run: Run, states: np.ndarray | None = None) -> np.ndarray:
@@ -108,84 +124,119 @@ def _exact_states(run: Run) -> np.ndarray:
     return np.column_stack([run.internal[:, :LATENTS], friction_states(run)])
 
 
-class Correction:
-    """What the default mesh says more than the coarse one: ln area, ln peak ratio, δ/L."""
+@dataclass
+class Guessed:
+    """What a run's own elastic curves say along it: rest R (n,), guess (n, 3 + k), mix (n, 2 + k),
+    and which rows (n,) lie within the presses."""
 
-    def __init__(self, pairs: list[tuple[Run, Run]], epochs: int, report) -> None:
-        fine = {id(coarse): other for coarse, other in pairs}
-
-        def columns(run: Run) -> tuple[np.ndarray, ...]:
-            other = fine[id(run)]
-            rows = min(len(run.time), len(other.time))
-            inputs = _inputs(run, _exact_states(run))
-            ends = [r.indentation[:rows, None] / r.length for r in (run, other)]
-            contact = _contact_targets(other)[:rows] - _contact_targets(run)[:rows]
-            targets = np.column_stack([contact, ends[1] - ends[0]])
-            on = (_touching(run)[:rows] & _touching(other)[:rows]).astype(float)
-            on *= counts(run)[:rows]
-            share = on * run.area[:rows] / run.area.max()
-            depth = counts(run)[:rows] / max(run.indentation.max() / run.length, 0.03)
-            return inputs[:rows], targets, np.column_stack([share, 0.3 * share, depth])
-
-        rows = padded([coarse for coarse, _ in pairs], columns)
-        self.network = ContextNetwork(rows, *CORRECTION)
-        fit(self.network, rows, epochs, batch=32, decay=1.0, rate=2e-3, report=report)
-
-    def __call__(self, runs: list[Run]) -> list[np.ndarray]:
-        """Corrections (n, 3) of runs."""
-
-        def columns(run: Run) -> tuple[np.ndarray, ...]:
-            inputs = _inputs(run, _exact_states(run))
-            empty = np.zeros((len(inputs), 3))
-            return inputs, empty, empty
-
-        found = self.network.outputs(padded(runs, columns))
-        return [values[: len(run.time)] for values, run in zip(found, runs)]
+    rest: np.ndarray
+    guess: np.ndarray
+    mix: np.ndarray
+    inside: np.ndarray
 
 
-def train(
-    runs: list[Run], pairs: list[tuple[Run, Run]], epochs: int, report: Progress
-) -> dict[str, np.ndarray]:
+def guessed(types: rk.RecordTypes, run: Run) -> Guessed:
+    """Guesses along a run from its presses on the coarse mesh, at its own internal strain."""
+    curves = run.presses.copy()
+    curves[:, :, 3:] /= strain_sizes()[:, None]
+    record = np.zeros(1, types.parameters)
+    record["share"] = run.share
+    fill_curves(record, extended(curves))
+    x = load_measure_of(run)
+    internal = np.ascontiguousarray(run.internal[:, :LATENTS])
+    end = 1 + 3 + LATENTS
+    table = np.empty((len(x), end + rk.MIX_INPUTS + LATENTS))
+    rk.guesses(record, np.zeros(1, types.work), x, internal, table)
+    reached = [NODES[np.isfinite(c[:, 0])].max() for c in run.presses]
+    inside = (x <= reached[0] * 1.01) & (x <= reached[1] * run.share ** (1 / 3) * 1.01)
+    return Guessed(table[:, 0], table[:, 1:end], table[:, end:], inside)
+
+
+def _press_inputs(runs: list[Run]) -> tuple[np.ndarray, np.ndarray]:
+    """Contexts (2, n, 11) and guesses (2, n, nodes, 2) of the runs' presses."""
+    context = np.array([run.context for run in runs])
+    contexts = press_contexts(context, np.array([run.share for run in runs]))
+    return contexts, np.stack([run.guess for run in runs], axis=1)
+
+
+def fit_elastic(runs: list[Run], fine: list[Run], report: Progress) -> ElasticContacts:
+    """Elastic contacts of the runs' presses; `fine`: on the default mesh, of the first fingers."""
+    contexts, guesses = _press_inputs(runs)
+    coarse = np.stack([run.presses for run in runs], axis=1)
+    finer = np.stack([run.presses[:, :, :3] for run in fine], axis=1)
+    return ElasticContacts.fit(
+        contexts, guesses, coarse, finer, lambda share: report("fitting the elastic curves", share)
+    )
+
+
+def train(runs: list[Run], fine: list[Run], epochs: int, report: Progress) -> dict[str, np.ndarray]:
     """Arrays of the population's maps.
 
-    runs: on the coarse mesh; pairs: of some of them, with the run on the default mesh.
+    runs: on the coarse mesh; fine: presses of the first of these fingers on the default mesh. The
+    networks learn what a run adds to its own elastic curves on the coarse mesh, and are used with
+    the curves of the default mesh.
     """
-    correct = Correction(pairs, epochs, lambda share: report("training the correction", share))
-    corrections = {id(run): values for run, values in zip(runs, correct(runs))}
+    elastic = fit_elastic(runs, fine, report)
+    types = rk.record_types(LATENTS, len(BETAS), DRIVE[0], CONTACT[0])
+    along = {id(run): guessed(types, run) for run in runs}
+    curves = elastic.curves(*_press_inputs(runs))[0]
+    contexts = {
+        id(run): network_context(run.context, run.share, curves[:, i]) for i, run in enumerate(runs)
+    }
 
     def drive_columns(run: Run) -> tuple[np.ndarray, ...]:
-        depth = run.indentation / run.length + corrections[id(run)][:, 2]
-        depth[run.force <= 0] = run.indentation[run.force <= 0] / run.length
-        scale = strain_scales(load_measure_of(run), run.internal[:, :LATENTS])
-        targets = drive_targets(depth, (run.total - run.internal)[:, :LATENTS], scale)
+        own = along[id(run)]
+        x, internal = load_measure_of(run), run.internal[:, :LATENTS]
+        depth = run.indentation / run.length - x * x * np.exp(own.guess[:, 2])
+        scale = strain_scales(x, internal)
+        strain = (run.total[:, :LATENTS] - own.guess[:, 3:]) / own.rest[:, None]
+        targets = np.column_stack([depth / scale ** (2 / 3), strain])
         # Errors count somewhat more than in proportion to the strain: early ones stay in the state.
         share = scale / scale.max()
-        weights = np.repeat((counts(run) * share**0.5)[:, None], 1 + LATENTS, axis=1)
-        weights[:, 0] = 2.0 * counts(run) * share ** (2 / 3)
+        count = counts(run) * own.inside
+        # Where a load is taken back through ρ = 1, R is small beside what friction does.
+        strict = np.minimum(1.0, own.rest / (LEAST_REST * scale))
+        weights = np.repeat((count * share**0.5 * strict)[:, None], 1 + LATENTS, axis=1)
+        weights[:, 0] = 2.0 * count * share ** (2 / 3)
         weights[scale < 1e-4] = 0.0
         return _inputs(run), targets, weights
 
-    rows = padded(runs, drive_columns)
-    drive = ContextNetwork(rows, *DRIVE)
-    fit(drive, rows, epochs, 128, decay=DECAY, report=lambda s: report("training the drive", s))
+    def rows_of(columns: Callable[[Run], tuple[np.ndarray, ...]]) -> Rows:
+        return padded(runs, columns, contexts)
 
-    def contact_rows(states: dict[int, np.ndarray]) -> Rows:
+    drive = ContextNetwork(rows_of(drive_columns), *DRIVE)
+    fit(
+        drive,
+        rows_of(drive_columns),
+        epochs,
+        128,
+        decay=DECAY,
+        report=lambda s: report("training the drive", s),
+    )
+
+    def contact_rows(states: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]]) -> Rows:
         def columns(run: Run) -> tuple[np.ndarray, ...]:
+            state, guess, mix = states[id(run)]
             share = counts(run) * run.area / run.area.max() * _touching(run)
-            targets = _contact_targets(run) + corrections[id(run)][:, :2]
+            share = share * along[id(run)].inside
+            targets = _contact_targets(run) - np.where(_touching(run)[:, None], guess[:, :2], 0.0)
             weights = np.column_stack([share, 0.1 * share])
-            return _inputs(run, states[id(run)]), targets, weights
+            inputs = np.column_stack([_inputs(run, state), mix])
+            return inputs, targets, weights
 
-        return padded(runs, columns)
+        return rows_of(columns)
 
     # States need a drive only: an untrained contact network takes its place.
-    guess = {id(run): _exact_states(run) for run in runs}
-    contact = ContextNetwork(contact_rows(guess), *CONTACT)
-    maps = PopulationMaps(arrays_of(drive, contact))
-    rows = contact_rows({id(run): visited(maps, run) for run in runs})
+    exact = {
+        id(run): (_exact_states(run), along[id(run)].guess, along[id(run)].mix) for run in runs
+    }
+    contact = ContextNetwork(contact_rows(exact), *CONTACT)
+    maps = PopulationMaps({**arrays_of(drive, contact), **elastic.arrays()})
+    visits = {id(run): visited(maps, run, contexts[id(run)]) for run in runs}
+    rows = contact_rows(visits)
     contact = ContextNetwork(rows, *CONTACT)
     fit(contact, rows, epochs, 128, decay=DECAY, report=lambda s: report("training the contact", s))
-    return arrays_of(drive, contact)
+    return {**arrays_of(drive, contact), **elastic.arrays()}
 
 
 def arrays_of(drive: ContextNetwork, contact: ContextNetwork) -> dict[str, np.ndarray]:
@@ -197,9 +248,15 @@ def arrays_of(drive: ContextNetwork, contact: ContextNetwork) -> dict[str, np.nd
     return found
 
 
-def visited(maps: PopulationMaps, run: Run) -> np.ndarray:
-    """Amplitudes a and friction states q (n, k + m) that the maps visit along a run."""
-    record = maps.parameters_of(run.length, run.scale, run.fractions, run.times, run.context)
+def visited(
+    maps: PopulationMaps, run: Run, context: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What the maps visit along a run with its own curves on the coarse mesh: amplitudes a and
+    friction states q (n, k + m), guess (n, 3 + k) and mix (n, 2)."""
+    curves = run.presses.copy()
+    curves[:, :, 3:] /= strain_sizes()[:, None]
+    finger = Finger(context, extended(curves))
+    record = maps.parameters_of(run.length, run.scale, run.fractions, run.times, finger)
     record["force_limit"] = np.inf
     state = maps.at_rest(record)
     table = np.zeros((len(run.time), maps.latents + len(BETAS)))
@@ -208,7 +265,11 @@ def visited(maps: PopulationMaps, run: Run) -> np.ndarray:
         rk.step(maps.networks, record, state, maps.work, time - before, force)
         table[row] = *state["amplitudes"][0], *state["friction"][0]
         before = time
-    return table
+    end = 1 + 3 + maps.latents
+    found = np.empty((len(run.time), end + rk.MIX_INPUTS + maps.latents))
+    amplitudes = np.ascontiguousarray(table[:, : maps.latents])
+    rk.guesses(record, maps.work, load_measure_of(run), amplitudes, found)
+    return table, found[:, 1:end], found[:, end:]
 
 
 def measured_error(arrays: dict[str, np.ndarray], runs: list[Run]) -> dict[str, ErrorTable]:
@@ -222,7 +283,9 @@ def measured_error(arrays: dict[str, np.ndarray], runs: list[Run]) -> dict[str, 
             counted &= np.maximum.accumulate(run.force) <= MIDDLE_FORCE
         if counted.sum() < 3:
             continue
-        record = maps.parameters_of(run.length, run.scale, run.fractions, run.times, run.context)
+        inputs = (run.context[None], np.array([run.share]), run.guess[:, None])
+        finger = maps.fingers_like(*inputs)[0]
+        record = maps.parameters_of(run.length, run.scale, run.fractions, run.times, finger)
         record["force_limit"] = run.scale * run.share * LARGEST_LOAD[0] * 10.0
         found = np.empty((len(run.time), 3))
         state = maps.at_rest(record)

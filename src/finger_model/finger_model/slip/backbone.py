@@ -33,9 +33,9 @@ STICK_CURVE = np.array(
         (1.000, 0.010),
     ]
 )
-"""r = |Q|/(μP) and stick ratio by slip of a first pull. CalculiX 2.20, default finger, 30.23 kPa,
-friction 0.5, pressed to 0.52 N; r in the middle of the interval that the stick ratio belongs to;
-the ends of the curve are extrapolated."""
+"""r = |Q|/(μP) and stick ratio by slip of a first pull. CalculiX 2.20, the finger of its curves
+(`CALCULIX_FINGER`), 30.23 kPa, friction 0.5, pressed to 0.52 N; r in the middle of the interval
+that the stick ratio belongs to; the ends of the curve are extrapolated."""
 
 SHEAR_STIFFNESS = 0.58
 """Tangential stiffness of the finger over P/δ, force over indentation: 0.367 N/mm at 0.52 N and

@@ -177,7 +177,7 @@ def small_strain() -> Check:
     """Small-strain linear elasticity against CalculiX."""
     table = reference("dry_friction_small_strain")
     load = table["force_N"]
-    model = FullOrderModel(Geometry(), elasticity="small-strain")
+    model = FullOrderModel(CALCULIX_FINGER, elasticity="small-strain")
     history = model.simulate(elastic(30e3, E2=1652e3), np.arange(1.0, len(load) + 1), load)
     rows = load >= 0.1
     area = percent(history.area * 1e6, table["area_mm2"])[rows]
@@ -186,7 +186,7 @@ def small_strain() -> Check:
         "small_strain",
         "Small strain",
         "The option small-strain of the full-order model (linear elasticity on the undeformed "
-        "shape) with the elastic dry set (30 kPa, 1652 kPa) on the default geometry, friction "
+        "shape) with the elastic dry set (30 kPa, 1652 kPa) on the finger of the curves, friction "
         "0.25, F ≥ 0.1 N, against CalculiX without NLGEOM.",
         [
             Measure("largest area difference", largest(area), "%", high=2.0),
@@ -228,8 +228,11 @@ def energy(steps: int = 400, branches: bool = False) -> Check:
             Measure(
                 "smallest dissipation of a step", min(np.diff(dissipated)) * 1e6, "µJ", low=0.0
             ),
+            # By the trapezoid rule, which errs where a node turns round within a step.
             Measure(
-                "smallest friction work of a step", min(np.diff(friction)) * 1e6, "µJ", low=-1e-12
+                "smallest friction work of a step over the energy dissipated in the cycle",
+                min(np.diff(friction)) / spent,
+                low=-5e-5,
             ),
             Measure("energy dissipated in the cycle", spent * 1e6, "µJ", low=1.0),
             Measure("error of the energy balance", 100 * balance, "%", high=0.5),

@@ -10,6 +10,7 @@ plate can answer. docs/published.md explains the misses.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -22,15 +23,6 @@ from ..laws import ConstitutiveLaw, from_branches
 from ..paper import CONDITIONS, TARGET_FORCE
 from .cases import STUDY
 
-GENERIC_FINGER = Geometry(
-    pad_semi_axis_radial=8.5e-3,
-    pad_semi_axis_axial=5.5e-3,
-    epidermis_thickness=0.3e-3,
-    bone_semi_axis_radial=4.0e-3,
-    bone_semi_axis_axial=2.5e-3,
-    nail_radius=7.0e-3,
-    nail_thickness=0.5e-3,
-)
 GENERIC_MATERIAL = from_branches(
     {
         "E0": 110e3,
@@ -45,7 +37,7 @@ GENERIC_MATERIAL = from_branches(
     "generic finger",
 )
 """Found by a scan of the full-order model over E∞, stiffening, E2 and the fractions; the times are
-those of Pawluk and Howe 1999."""
+those of Pawluk and Howe 1999. The lengths are those of the default finger."""
 
 THE_PAPER = "Nam and Kuchenbecker 2021, IEEE Trans. Haptics 14, 303"
 
@@ -83,21 +75,28 @@ class PublishedResult:
         return {**row, "passed": self.passed, "source": source, "note": note}
 
 
-def press_power_law(model: FullOrderModel, material: ConstitutiveLaw) -> tuple[float, float]:
-    """k (m²/N^m) and m of A = k F^m that minimise J over presses to 1.35 N in 0.6, 1.0 and 1.6 s.
+def _press(duration: float) -> tuple[np.ndarray, np.ndarray]:
+    """Times (s) and forces (N) at 10 Hz of a press to the target force."""
+    time = np.linspace(0.0, duration, round(10 * duration) + 1)
+    return time, TARGET_FORCE * (time / duration) ** 1.15
 
-    Frames at 10 Hz from 0.05 N on, trials weighted alike, as in the paper's fit.
+
+PRESSES = tuple(_press(duration) for duration in (0.6, 1.0, 1.6))
+"""(time (s), force (N)) of the presses on which the power law is fitted."""
+
+
+def power_law_of(areas: Sequence[np.ndarray]) -> tuple[float, float]:
+    """k (m²/N^m) and m of A = k F^m that minimise J over the areas (m²) of PRESSES.
+
+    Frames from 0.05 N on, trials weighted alike, as in the paper's fit.
     """
-    forces, areas, weights = [], [], []
-    for duration in (0.6, 1.0, 1.6):
-        time = np.linspace(0.0, duration, round(10 * duration) + 1)
-        force = TARGET_FORCE * (time / duration) ** 1.15
-        area = model.simulate(material, time, force).area
+    forces, seen, weights = [], [], []
+    for (_, force), area in zip(PRESSES, areas):
         counts = force >= 0.05
         forces.append(force[counts])
-        areas.append(area[counts])
+        seen.append(area[counts])
         weights.append(np.full(counts.sum(), 1.0 / counts.sum()))
-    force, area, weight = (np.concatenate(parts) for parts in (forces, areas, weights))
+    force, area, weight = (np.concatenate(parts) for parts in (forces, seen, weights))
 
     def best(m: float) -> float:
         return float((weight * force**m * area).sum() / (weight * force ** (2 * m)).sum())
@@ -107,6 +106,11 @@ def press_power_law(model: FullOrderModel, material: ConstitutiveLaw) -> tuple[f
 
     m = float(minimize_scalar(cost, bounds=(0.1, 1.5), method="bounded").x)
     return best(m), m
+
+
+def press_power_law(model: FullOrderModel, material: ConstitutiveLaw) -> tuple[float, float]:
+    """`power_law_of` the full-order areas of a finger."""
+    return power_law_of([model.simulate(material, *press).area for press in PRESSES])
 
 
 def slow_press(model: FullOrderModel, material: ConstitutiveLaw) -> dict[str, float]:
@@ -164,11 +168,10 @@ def held_growth(model: FullOrderModel, material: ConstitutiveLaw) -> float:
 
 def published(refinement: float = 1.0) -> list[PublishedResult]:
     """Every printed result beside the model's."""
-    study = FullOrderModel(Geometry(), refinement)
-    laws = {name: press_power_law(study, material) for name, material in STUDY.items()}
-    generic, skin = FullOrderModel(GENERIC_FINGER, refinement), GENERIC_MATERIAL
-    slow = slow_press(generic, skin)
-    times = relaxation_times(generic, skin)
+    model, skin = FullOrderModel(Geometry(), refinement), GENERIC_MATERIAL
+    laws = {name: press_power_law(model, material) for name, material in STUDY.items()}
+    slow = slow_press(model, skin)
+    times = relaxation_times(model, skin)
     k = {name: law[0] for name, law in laws.items()}
     rows = [
         PublishedResult(
@@ -211,12 +214,12 @@ def published(refinement: float = 1.0) -> list[PublishedResult]:
             for name, value, found in zip(("short", "middle", "long"), (0.004, 0.07, 1.4), times)
         ),
         PublishedResult(
-            "energy lost in a tap (%)", 81.0, 76.0, 86.0, 100.0 * tap_loss(generic, skin),
+            "energy lost in a tap (%)", 81.0, 76.0, 86.0, 100.0 * tap_loss(model, skin),
             "Jindrich et al. 2003, J. Biomech. 36, 497",
         ),
         PublishedResult(
             "growth of area from 20 s to 40 s of a held load (%): saturated", None, -0.5, 2.0,
-            held_growth(generic, skin),
+            held_growth(model, skin),
             "Dzidek et al. 2017 (real area, saturates in under 20 s); the limit is ours",
         ),
         PublishedResult(

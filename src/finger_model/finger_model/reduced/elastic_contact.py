@@ -1,0 +1,315 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Elastic contact of any finger, under loads so sudden or so slow, by Gaussian processes.
+
+Inputs are the context of a finger and what linear contact theory says of it (`linear_contact`);
+with these a few thousand presses are enough. A second process adds what the default mesh says more
+than the coarse one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
+from scipy.optimize import minimize
+
+from ..compiled import njit, prange
+from ..fem.linear_contact import LinearContact
+from ..laws import MaxwellLaw
+from .kernels import NODES, sudden_strain
+from .population import CONTEXT
+
+CONTACT = 3
+"""Columns of a curve that are the contact's: ln(A/(L² x²)), ln(p_max/p_mean), ln(δ/(L x²))."""
+
+POINTS = 2000
+"""Points of a process: presses beyond them enter by projection (subset of regressors)."""
+SAMPLE = 600
+"""Presses by which lengths and noise are chosen."""
+ITERATIONS = 25
+LEAST_PRESSES = 150
+"""A node of the load that fewer presses (or a quarter of all) reached is continued linearly from
+those before."""
+SEEN = [1, 2, 4]
+"""Nodes of the load at which the networks see the elastic curves."""
+LEAST_NOISE = 1e-7
+SIDE_BY_SIDE = 16
+"""Inputs from which on all cores work."""
+_JITTER = 1e-8
+
+
+def press_contexts(context: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Contexts (2, n, 11) of sudden and slow presses.
+
+    context (n, 10); share (n,): long-term fraction. A slow press is one of a finger of modulus E∞
+    whose bulk modulus is larger by 1/share; ln share is the last column.
+    """
+    less = np.log(share)
+    sudden = np.column_stack([context, np.zeros(len(context))])
+    slow = sudden.copy()
+    for name in ("ln nail bending stiffness", "ln E2/E0"):
+        slow[:, CONTEXT.index(name)] -= less
+    slow[:, CONTEXT.index("stiffening share")] = slow[:, CONTEXT.index("stiffening")]
+    slow[:, -1] = less
+    return np.array([sudden, slow])
+
+
+def linear_guess(contact: LinearContact, material: MaxwellLaw) -> np.ndarray:
+    """ln(A/(L² x²)) and ln(δ/(L x²)) (2, nodes, 2) of linear contact, sudden and slow."""
+    nodes = np.log(NODES)
+    found = np.empty((2, len(nodes), 2))
+    for which, share in enumerate((1.0, material.long_term_fraction)):
+        curve = contact.curve(material, share)
+        x = curve[:, 0]
+        for column, beyond in ((0, 1.0), (1, 1.0)):
+            y = curve[:, 1 + column]
+            values = np.interp(nodes, x, y)
+            low, high = nodes < x[0], nodes > x[-1]
+            values[low] = y[0] + 2.0 * (nodes[low] - x[0])
+            values[high] = y[-1] + beyond * (nodes[high] - x[-1])
+            found[which, :, column] = values - 2.0 * nodes
+    return found
+
+
+def network_context(context: np.ndarray, share: float, curves: np.ndarray) -> np.ndarray:
+    """What the networks see of a finger (23,): its context (10,), ln of the long-term fraction, and
+    area and indentation of its elastic curves (2, nodes, 3 + k) on the coarse mesh at three loads.
+    """
+    return np.concatenate([context, [math.log(share)], curves[:, SEEN][:, :, [0, 2]].ravel()])
+
+
+def strain_sizes() -> np.ndarray:
+    """What strains of a curve (nodes,) are divided by: G at each node."""
+    return np.array([sudden_strain(x) for x in NODES])
+
+
+class Process:
+    """Gaussian process of several outputs: kernel 1/(1 + s²/2), s being the distance over a length
+    for each input (rational quadratic, α = 1: Rasmussen and Williams 2006, equation 4.19).
+
+    arrays: centre, lengths (d,), points (m, d) scaled, weights (m, o), mean (o,).
+    """
+
+    def __init__(self, arrays: dict[str, np.ndarray]) -> None:
+        self.arrays = arrays
+
+    @classmethod
+    def fit(cls, inputs: np.ndarray, outputs: np.ndarray, column: int) -> Process:
+        """Fit inputs (n, d) to outputs (n, o); lengths and noise maximise the likelihood of one
+        column of a sample (Rasmussen and Williams 2006, section 5.4.1)."""
+        order = np.random.default_rng(0).permutation(len(inputs))
+        centre, spread = inputs.mean(0), inputs.std(0) + 1e-9
+        mean, size = outputs.mean(0), outputs.std(0)
+        z = (inputs - centre) / spread
+        residual = (outputs - mean) / size
+        sample = order[:SAMPLE]
+        lengths, gain, noise = _chosen(z[sample], residual[sample, column])
+        z /= lengths
+        # In single precision; the weights, large and of both signs, belong to these very points.
+        kept = z[order[:POINTS]].astype(np.float32)
+        points = kept.astype(float)
+        own = gain * _kernel(points, points)
+        if len(z) <= POINTS:
+            own[np.diag_indices(len(own))] += noise
+            weights = cho_solve(cho_factor(own, lower=True), residual[order])
+        else:
+            own[np.diag_indices(len(own))] += _JITTER * gain
+            factor = cholesky(own, lower=True)
+            across = solve_triangular(factor, gain * _kernel(points, z), lower=True)
+            normal = across @ across.T
+            normal[np.diag_indices(len(normal))] += noise
+            weights = cho_solve(cho_factor(normal, lower=True), across @ residual)
+            weights = solve_triangular(factor, weights, lower=True, trans=1)
+        return cls(
+            {
+                "centre": centre,
+                "lengths": spread * lengths,
+                "points": kept,
+                "weights": gain * weights * size,
+                "mean": mean,
+            }
+        )
+
+    def __call__(self, inputs: np.ndarray) -> np.ndarray:
+        """Outputs (n, o) at inputs (n, d); those of a row do not depend on the other rows."""
+        a = self.arrays
+        found = np.tile(a["mean"], (len(inputs), 1))
+        add = _add_outputs if len(inputs) < SIDE_BY_SIDE else _add_outputs_side_by_side
+        add((inputs - a["centre"]) / a["lengths"], a["points"], a["weights"], found)
+        return found
+
+
+def _rows_of_outputs(z, points, weights, out):
+    """out (n, o) += kernel of z (n, d) and points (m, d), times weights (m, o)."""
+    columns = points.T.copy()
+    for row in prange(len(z)):
+        # Column by column, so that several points are worked on at once.
+        near = np.ones(len(points))
+        for column in range(z.shape[1]):
+            apart = z[row, column] - columns[column]
+            near += 0.5 * apart * apart
+        out[row] += np.dot(1.0 / near, weights)
+
+
+_add_outputs = njit(cache=True)(_rows_of_outputs)
+_add_outputs_side_by_side = njit(cache=True, parallel=True)(_rows_of_outputs)
+
+
+def _kernel(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    square = (a * a).sum(1)[:, None] + (b * b).sum(1) - 2.0 * a @ b.T
+    return 1.0 / (1.0 + 0.5 * np.maximum(square, 0.0))
+
+
+def _chosen(z: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float, float]:
+    """Lengths (d,), gain and noise of the largest marginal likelihood of y (n,) at z (n, d)."""
+    count = z.shape[1]
+    squares = np.array([(column[:, None] - column) ** 2 for column in z.T])
+
+    def negative(p: np.ndarray) -> tuple[float, np.ndarray]:
+        lengths, gain, noise = np.exp(p[:count]), math.exp(p[count]), math.exp(p[count + 1])
+        near = 1.0 / (1.0 + 0.5 * np.tensordot(1.0 / lengths**2, squares, 1))
+        kernel = gain * near
+        whole = kernel + (noise + 1e-9) * np.eye(len(y))
+        factor = cho_factor(whole, lower=True)
+        weights = cho_solve(factor, y)
+        slope = cho_solve(factor, np.eye(len(y))) - np.outer(weights, weights)
+        value = 0.5 * y @ weights + np.log(np.diag(factor[0])).sum()
+        weighted = slope * kernel * near
+        rises = 0.5 * np.tensordot(squares, weighted, ([1, 2], [0, 1])) / lengths**2
+        rest = [0.5 * (slope * kernel).sum(), 0.5 * noise * np.trace(slope)]
+        return float(value), np.concatenate([rises, rest])
+
+    start = np.concatenate([np.full(count, math.log(3.0)), [0.0, math.log(1e-3)]])
+    bounds = [(-1.0, 5.0)] * count + [(-6.0, 8.0), (-18.0, 0.0)]
+    found = minimize(
+        negative,
+        start,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=bounds,
+        options={"maxiter": ITERATIONS},
+    ).x
+    noise = max(math.exp(found[count + 1]), LEAST_NOISE)
+    return np.exp(found[:count]), math.exp(found[count]), noise
+
+
+def size_and_direction(strains: np.ndarray) -> np.ndarray:
+    """ln |d| and d/|d| (n, 1 + k) of strains d (n, k): under stiffening |d| varies by decades."""
+    size = np.linalg.norm(strains, axis=1)[:, None]
+    return np.column_stack([np.log(size), strains / size])
+
+
+class ElasticContacts:
+    """Curves of sudden and slow presses of any finger of the population box.
+
+    `coarse` and `finer`: for each node of the load a pair of processes, of the contact, and of the
+    strain, which takes the contact as inputs too (only of the contact for `finer`), or fewer nodes
+    where too few presses reached.
+    """
+
+    def __init__(self, coarse: list[list[Process]], finer: list[list[Process]]) -> None:
+        self.coarse, self.finer = coarse, finer
+
+    @classmethod
+    def fit(
+        cls,
+        contexts: np.ndarray,
+        guesses: np.ndarray,
+        coarse: np.ndarray,
+        finer: np.ndarray,
+        report: Callable[[float], None],
+    ) -> ElasticContacts:
+        """Fit presses on the coarse mesh (2, n, nodes, 3 + k) and the first f of them on the
+        default one (2, f, nodes, 3), NaN where there is none; contexts (2, n, 11), guesses (2, n,
+        nodes, 2)."""
+        sizes = strain_sizes()
+        found: tuple[list[list[Process]], list[list[Process]]] = ([], [])
+        more = finer - coarse[:, : finer.shape[1], :, :CONTACT]
+        for node in range(len(NODES)):
+            for which, values in enumerate((coarse, more)):
+                number = values.shape[1]
+                inputs = cls._inputs(contexts[:, :number], guesses[:, :number, node])
+                inputs = inputs.reshape(-1, inputs.shape[-1])
+                outputs = values[:, :, node].reshape(len(inputs), -1).copy()
+                reached = np.isfinite(outputs[:, 0])
+                least = min(LEAST_PRESSES, len(inputs) // 4)
+                if reached.sum() < least or len(found[which]) < node:
+                    continue
+                if which == 0:
+                    outputs[:, [0, 2]] -= guesses[:, :, node].reshape(-1, 2)
+                inputs, outputs = inputs[reached], outputs[reached]
+                contact = outputs[:, :CONTACT]
+                own = [Process.fit(inputs, contact, 0)]
+                if which == 0:
+                    strain = size_and_direction(outputs[:, CONTACT:] / sizes[node])
+                    own.append(Process.fit(np.column_stack([inputs, contact]), strain, 0))
+                found[which].append(own)
+            report((node + 1) / len(NODES))
+        return cls(*found)
+
+    @staticmethod
+    def _inputs(contexts: np.ndarray, guesses: np.ndarray) -> np.ndarray:
+        return np.concatenate([contexts, guesses], axis=-1)
+
+    def curves(self, contexts: np.ndarray, guesses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Curves (2, n, nodes, 3 + k) of fingers at NODES, strains over G, on the coarse mesh and
+        on the default one; contexts (2, n, 11), guesses (2, n, nodes, 2)."""
+        rows, more = [], []
+        for node, own in enumerate(self.coarse):
+            inputs = self._inputs(contexts, guesses[:, :, node]).reshape(-1, contexts.shape[-1] + 2)
+            contact = own[0](inputs)
+            size = own[1](np.column_stack([inputs, contact]))
+            contact[:, [0, 2]] += guesses[:, :, node].reshape(-1, 2)
+            rows.append(np.column_stack([contact, np.exp(size[:, :1]) * size[:, 1:]]))
+            more.append(self.finer[min(node, len(self.finer) - 1)][0](inputs))
+        coarse = np.stack(rows, axis=1)
+        default = coarse.copy()
+        default[:, :, :CONTACT] += np.stack(more, axis=1)
+        shape = (*contexts.shape[:2], len(NODES), -1)
+        return extended(coarse).reshape(shape), extended(default).reshape(shape)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """As stored in the file of the reduced model."""
+        return {
+            f"elastic_{stage}_{node}_{which}_{key}": value
+            for stage in ("coarse", "finer")
+            for node, own in enumerate(getattr(self, stage))
+            for which, process in enumerate(own)
+            for key, value in process.arrays.items()
+        }
+
+    @classmethod
+    def of_arrays(cls, arrays: dict[str, np.ndarray]) -> ElasticContacts:
+        """From `arrays`. Raises KeyError for missing ones."""
+        keys = ("centre", "lengths", "points", "weights", "mean")
+
+        def stage(name: str, processes: int) -> list[list[Process]]:
+            found: list[list[Process]] = []
+            while f"elastic_{name}_{len(found)}_0_centre" in arrays:
+                begin = f"elastic_{name}_{len(found)}"
+                found.append(
+                    [
+                        Process({key: arrays[f"{begin}_{which}_{key}"] for key in keys})
+                        for which in range(processes)
+                    ]
+                )
+            return found
+
+        return cls(stage("coarse", 2), stage("finer", 1))
+
+
+def extended(curves: np.ndarray) -> np.ndarray:
+    """Curves (n, r, o) of the first r nodes, or of those before the first NaN, continued linearly
+    in ln x to all nodes (n, nodes, o)."""
+    u = np.log(NODES)
+    found = np.empty((len(curves), len(NODES), curves.shape[-1]))
+    for own, whole in zip(curves, found):
+        r = int(np.isfinite(own[:, 0]).sum())
+        whole[:r] = own[:r]
+        rise = (own[r - 1] - own[r - 2]) / (u[r - 1] - u[r - 2])
+        whole[r:] = own[r - 1] + rise * (u[r:] - u[r - 1])[:, None]
+    return found

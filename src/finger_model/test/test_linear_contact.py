@@ -1,0 +1,42 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Linear contact against the full order at small strain, and its laws of scale."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from finger_model.fem.full_order import FullOrderModel
+from finger_model.fem.linear_contact import LinearContact
+from finger_model.fem.mesh import similar_mesh
+from finger_model.geometry import Geometry
+from finger_model.laws import StandardLinearSolid
+
+GEOMETRY = Geometry()
+MATERIAL = StandardLinearSolid(E0=60e3, E1=30e3, tau1=0.1, E2=1200e3, friction=0.0)
+
+
+@pytest.mark.parametrize(("share", "step"), [(1.0, 1e-9), (1.0 / 3.0, 1e7)])
+def test_it_is_the_full_order_at_small_strain(share: float, step: float) -> None:
+    mesh = similar_mesh(GEOMETRY)
+    full = FullOrderModel(GEOMETRY, mesh=mesh, elasticity="small-strain").start(MATERIAL)
+    curve = LinearContact(GEOMETRY).curve(MATERIAL, share)
+    length = GEOMETRY.pad_semi_axis_radial
+    for count, force in enumerate((0.2, 0.6, 1.2), start=1):
+        point = full.step(count * step, force)
+        x = np.log(force / (MATERIAL.instantaneous_modulus * share * length**2)) / 3.0
+        area, depth = (np.exp(np.interp(x, curve[:, 0], curve[:, i])) for i in (1, 2))
+        assert length**2 * area == pytest.approx(point.area, rel=0.2)
+        assert length * depth == pytest.approx(point.indentation, rel=0.02)
+
+
+def test_moduli_and_lengths_scale_out() -> None:
+    base = LinearContact(GEOMETRY).curve(MATERIAL, 0.5)
+    doubled = {name: 2.0 * value for name, value in GEOMETRY.to_dict().items()}
+    stiff = replace(MATERIAL, E0=3 * 60e3, E1=3 * 30e3, E2=3 * 1200e3, nail_modulus=3 * 170e6)
+    found = LinearContact(Geometry(**doubled)).curve(stiff, 0.5)
+    np.testing.assert_allclose(found, base, rtol=1e-6)
