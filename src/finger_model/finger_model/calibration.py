@@ -28,6 +28,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from finger_common.errors import InputError
 
@@ -58,6 +59,7 @@ MOST_SCATTER = 0.15
 _ROUNDS = 30
 _CONVERGED = 2e-3
 _LARGEST_STEP = 0.7
+_SMALLEST_STEP = 1e-9
 _HALVINGS = 6
 _SMALLEST_VARIANCE = 1e-6
 """Of a state that the sets hold for known."""
@@ -220,9 +222,9 @@ def calibrate(
     for _ in range(_ROUNDS):
         information, gradient, weights = problem.linearised(x, areas, scatter)
         before, present = x, problem.cost(x, areas, weights)
-        step = np.clip(np.linalg.solve(information, gradient), -_LARGEST_STEP, _LARGEST_STEP)
+        step = problem.step(x, information, gradient)
         for halved in range(_HALVINGS):
-            x = problem.within(before + 0.5**halved * step)
+            x = before + 0.5**halved * step
             areas = problem.follow(x)
             if problem.cost(x, areas, weights) <= present:
                 break
@@ -277,12 +279,17 @@ class _Problem:
     misfit: float
 
     @staticmethod
-    def within(x: np.ndarray) -> np.ndarray:
-        """x, its tissue held in the range of the model."""
-        limits = 1.5 * np.array(members.LIMITS)
-        x = x.copy()
-        x[2:_STATES] = np.clip(x[2:_STATES], -limits, limits)
-        return x
+    def step(x: np.ndarray, information: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+        """Best step (6,) from x of at most _LARGEST_STEP, the tissue held in the model's range.
+
+        Gain and stiffness move along a ridge: a step that is cut in one of them alone leads uphill.
+        """
+        low, high = np.full(len(x), -_LARGEST_STEP), np.full(len(x), _LARGEST_STEP)
+        limits, tissue = 1.5 * np.array(members.LIMITS), slice(2, _STATES)
+        low[tissue] = np.minimum(np.maximum(low[tissue], -limits - x[tissue]), -_SMALLEST_STEP)
+        high[tissue] = np.maximum(np.minimum(high[tissue], limits - x[tissue]), _SMALLEST_STEP)
+        root = np.linalg.cholesky(information)
+        return lsq_linear(root.T, np.linalg.solve(root, gradient), (low, high)).x
 
     def follow(self, x: np.ndarray) -> list[_Areas]:
         """The presses beside the model of the finger at x."""
