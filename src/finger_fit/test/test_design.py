@@ -24,18 +24,22 @@ from finger_fit.options import FitOptions
 from finger_fit.search import all_free, refine
 from finger_model.reduced import ReducedModel
 
+SENSOR = 60e-6
+"""m; of a finer sensor, the drift of the tare that a fit allows for would count, which planned
+presses do not have."""
+
 
 def with_box(problem) -> None:
     problem.box = np.array([[10e3, 2e6], [5e3, 200e3], [0.02, 2.0], [200e3, 6e6]])
 
 
-@pytest.mark.parametrize("sensor", [0.0, 20e-6])
+@pytest.mark.parametrize("sensor", [0.0, SENSOR])
 @pytest.mark.parametrize("nuisances", [False, True])
 def test_the_expected_deviation_is_that_of_repeated_fits(
     double, nuisances: bool, sensor: float
 ) -> None:
-    """60 data sets give a deviation to 9 %; both deviations must agree within 20 %."""
-    check_expected(double, nuisances, sensor, 60, 0.2)
+    """60 data sets give a deviation to 9 %, 120 to 6 %; both must agree within 20 %."""
+    check_expected(double, nuisances, sensor, 120 if sensor else 60, 0.2)
 
 
 @pytest.mark.slow
@@ -44,11 +48,13 @@ def test_the_expected_deviation_with_an_indentation_is_that_of_many_fits(
     double, nuisances: bool
 ) -> None:
     """300 data sets give a deviation to 4 %."""
-    check_expected(double, nuisances, 20e-6, 300, 0.12)
+    check_expected(double, nuisances, SENSOR, 300, 0.12)
 
 
 def check_expected(double, nuisances: bool, sensor: float, number: int, tolerance: float) -> None:
     model, truth = double.HereditaryModel(), double.TRUTH
+    # It makes the data itself, so it has no error.
+    model.measured_error = {"indentation_p90": 0.0}
     plan = Plan(
         presses=8, hold=0.6, window="contact", area_noise=0.5e-6, scatter=0.02,
         indentation_sd=sensor,
@@ -139,8 +145,8 @@ def test_the_command_compares_plans(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert list(data["plans"]) == ["short", "short + indentation", "hold", "hold + indentation"]
     sensed = data["plans"]["hold + indentation"]
     assert sensed["settings"]["indentation_sd"] == 20e-6 and not hold["settings"]["indentation_sd"]
-    for name in ("E0", "E1"):
-        assert sensed["sd_log_data"][name] < 0.8 * hold["sd_log_data"][name], name
+    for name, gain in (("E0", 0.6), ("E1", 0.95)):
+        assert sensed["sd_log_data"][name] < gain * hold["sd_log_data"][name], name
     assert "hold, with an indentation to 20 µm: E₀" in text
     assert hold["sd_log"]["E0"] < short["sd_log"]["E0"], "a hold tells E0"
     assert short["sd_log_parts"]["composite_E"]["pad_semi_axis_radial"] > 0.05
@@ -183,7 +189,7 @@ def test_a_sensor_never_widens_what_a_fit_leaves_open() -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--indentation-sd", "20"], "indentation-sd"),
+        (["--indentation-sd", "20"], "indentation_sd' is 20.0, outside 0 … 0.001 m"),
         (["--plan", "a:press=3"], "'press' is no setting"),
         (["--plan", "a:presses=many"], "a number is needed"),
         (["--plan", ":presses=5"], "a name is needed"),

@@ -196,7 +196,9 @@ def indentation_rows(result: FitResult) -> Iterator[dict[str, Any]]:
     residual."""
     for subject, condition, fit in named(result):
         found = fit.indentation
-        for k, index in enumerate([] if found is None else found.trial_of):
+        if found is None:
+            continue
+        for k, index in enumerate(found.trial_of):
             yield {
                 "subject": subject,
                 "condition": condition,

@@ -231,16 +231,15 @@ def covariance(
     prior, assumed = np.zeros(number), np.zeros(0, dtype=bool)
     filtered = weight * slope
     own, own_sd, variance = np.zeros((len(weight), 0)), np.zeros(0), 0.0
-    absorbs = np.zeros(0, dtype=bool)
     if shared is not None:
         common = shared.shared & ~shared.absorbers
+        ordered = [*np.flatnonzero(common), *np.flatnonzero(shared.absorbers)]
         names = tuple(name for name, is_common in zip(shared.names, common) if is_common)
         residual = residual + shared.slope @ goal.moves(residual)
-        slope = np.vstack([slope * shared.factor, shared.slope[:, common].T])
+        slope = np.vstack([slope * shared.factor, shared.slope[:, ordered].T])
         variance, assumed = shared.variance, shared.assumed[common]
-        prior = np.concatenate([prior, variance / shared.sd[common] ** 2])
-        own, own_sd = shared.slope[:, ~common], shared.sd[~common]
-        absorbs = shared.absorbers[~common]
+        prior = np.concatenate([prior, variance / shared.sd[ordered] ** 2])
+        own, own_sd = shared.slope[:, ~shared.shared], shared.sd[~shared.shared]
         # Σ⁻¹ s for frames that share their trial's nuisances: what these explain is taken out.
         filtered = weight * slope
         inner = (own.T * weight) @ own + np.diag(variance / own_sd**2)
@@ -253,10 +252,17 @@ def covariance(
     noise = float(np.sqrt(square * len(weight) / max(degrees, 0.2 * len(weight), 1.0)))
     if expected_noise is not None:
         noise, residual = expected_noise, np.zeros_like(residual)
-    # What only absorbs is no error of its own.
-    spread = np.hstack([filtered * noise, (filtered @ own) * np.where(absorbs, 0.0, own_sd)])
+    spread = np.hstack([filtered * noise, (filtered @ own) * own_sd])
     information = spread @ spread.T
     scores = problem.by_trial(weight * residual * slope)
+    kept = number + len(names)
+    if kept < len(curvature):
+        # What only absorbs is eliminated, and is no error of its own.
+        answer = np.linalg.solve(curvature[kept:, kept:], curvature[kept:, :kept]).T
+        curvature = curvature[:kept, :kept] - answer @ curvature[kept:, :kept]
+        pick = np.hstack([np.eye(kept), -answer])
+        scores, information = pick @ scores, pick @ information @ pick.T
+        prior = prior[:kept]
     found = Covariance(
         space,
         np.array(parameters),
