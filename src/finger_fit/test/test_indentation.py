@@ -20,10 +20,11 @@ from finger_common.errors import InputError
 from finger_fit import Trial, fit
 from finger_fit.design import Plan
 from finger_fit.full_order import FullOrder
+from finger_fit.full_order.areas import trial_areas
 from finger_fit.nuisance.estimate import NuisanceModel
 from finger_fit.nuisance.geometry import FullOrderGeometry, PopulationGeometry, geometry_responses
 from finger_fit.options import FitOptions
-from finger_fit.problem import FitProblem, prepare_all
+from finger_fit.problem import FitProblem, in_rows, prepare_all
 from finger_fit.report.figures import all_figures
 from finger_fit.uncertainty import Covariance, covariance, in_interval
 from finger_model.geometry import Geometry
@@ -247,6 +248,19 @@ def test_lengths_enter_by_the_answer_of_the_indentation(double: SimpleNamespace)
     # One deviation of this length moves the indentation by 11 %, the area by less.
     assert 0.08 * found[-1] == pytest.approx(0.11, abs=0.03)
     assert np.abs(found[: len(problem.measured)]).max() < found[-1]
+
+
+def test_the_full_order_gives_the_same_rows() -> None:
+    """A fit is corrected to it, areas and indentations alike."""
+    model = ReducedModel.load()
+    plan = Plan(presses=3, shortest=0.5, longest=0.8, indentation_sd=SENSOR)
+    problem = plan.problem(model, NATURAL, FitOptions())
+    full = FullOrder.like(model)
+    shared = (full.material, full.geometry, 0.5, problem.trials)
+    parts = [trial_areas(shared, (tuple(NATURAL), index)) for index in range(3)]
+    ratio = in_rows(parts, problem.trials) / problem.raw(NATURAL)[0]
+    assert len(ratio) == 2 * len(problem.measured)
+    np.testing.assert_allclose(ratio, 1.0, atol=0.03)
 
 
 def test_files_report_and_figure_say_that_it_was_used(
