@@ -7,6 +7,7 @@
       wrench: {topic: /ft_sensor/wrench, unit: N}
       contact_area: {topic: /camera/area, field: area, unit: mm2, stamp: log_time}
       moisture: {topic: /skin/moisture, field: data, stamp: log_time}
+      indentation: {topic: /laser/distance, field: range, unit: mm, sign: negative}
       image_raw: {topic: /camera/image_mono}
     normal_axis: "+z"
     trial: {subject: S01, condition: natural, target_force: 1.35}
@@ -24,12 +25,13 @@ from typing import Any
 from finger_common.axes import NORMAL_AXES
 from finger_common.errors import InputError
 from finger_common.files import load_yaml
-from finger_common.units import AREA_UNITS, FORCE_UNITS
+from finger_common.units import AREA_UNITS, FORCE_UNITS, LENGTH_UNITS
 
 MAPPED_TOPICS = (
     "wrench",
     "contact_area",
     "moisture",
+    "indentation",
     "image_raw",
     "image_raw/compressed",
     "trial",
@@ -40,8 +42,10 @@ _UNITS: dict[str, dict[str, float]] = {
     "wrench": FORCE_UNITS,
     "contact_area": AREA_UNITS,
     "moisture": {"a.u.": 1.0},
+    "indentation": LENGTH_UNITS,
 }
-_KEYS = {"topic", "unit", "field", "stamp"}
+_KEYS = {"topic", "unit", "field", "stamp", "sign"}
+_SIGNS = {"positive": 1.0, "negative": -1.0}
 
 
 @dataclass(frozen=True)
@@ -49,7 +53,8 @@ class MappedTopic:
     """Where a stream of the schema is found in another bag.
 
     field: dotted name of the value in the message, empty for the schema's own. scale: SI per unit
-    of the bag. log_time: take the recorder's time, for messages without a header.
+    of the bag, below 0 for an indentation of the other sign. log_time: take the recorder's time,
+    for messages without a header.
     """
 
     topic: str = ""
@@ -119,9 +124,14 @@ def _entry(name: str, value: Any, where: str) -> MappedTopic:
     stamp = value.get("stamp", "header")
     if stamp not in ("header", "log_time"):
         raise InputError(f"{where}: topics.{name}.stamp is {stamp!r}, choose header or log_time")
+    sign = value.get("sign", "positive")
+    if sign not in _SIGNS:
+        raise InputError(f"{where}: topics.{name}.sign is {sign!r}, choose positive or negative")
+    if "sign" in value and name != "indentation":
+        raise InputError(f"{where}: topics.{name} has the key 'sign', which is for indentation")
     return MappedTopic(
         value.get("topic", ""),
-        allowed[unit] if unit else 1.0,
+        _SIGNS[sign] * (allowed[unit] if unit else 1.0),
         str(value.get("field", "")),
         stamp == "log_time",
     )

@@ -74,6 +74,13 @@ TOPICS: dict[str, TopicSpec] = {
             meaning="gross and real contact area (m²)",
         ),
         TopicSpec(
+            "indentation",
+            "geometry_msgs/msg/PointStamped",
+            100.0,
+            meaning="measured approach of plate and bone: z (m), positive into the finger; its "
+            "zero is not known",
+        ),
+        TopicSpec(
             "moisture",
             "finger_msgs/msg/Moisture",
             None,

@@ -24,6 +24,11 @@ from .schema import TOPICS
 MAXIMUM_TEXT = 10_000
 """Characters of a text of a `trial` message above which the message is malformed."""
 
+STREAMS = (
+    "contact_area", "moisture", "indentation", "trial", "image_raw", "image_raw/compressed",
+)  # fmt: skip
+"""Topics that are read beside the wrench."""
+
 MOISTURE_BEFORE, MOISTURE_AFTER = 1, 2
 """Phases of a reading, as in finger_msgs/Moisture."""
 
@@ -59,7 +64,8 @@ class SessionStreams:
 
     wrench_stamp_ns, wrench_log_ns (n,): header stamp and log time; force, torque (n, 3) in the
     sensor's axes. area_stamp_ns (k,), area, real_area, area_sd (k,) in m², area_flags (k,).
-    image_stamp_ns, image_log_ns (m,): frames, whether or not they were looked at.
+    indentation_stamp_ns, indentation (j,) in m, empty where none was measured. image_stamp_ns,
+    image_log_ns (m,): frames, whether or not they were looked at.
     """
 
     wrench_stamp_ns: np.ndarray
@@ -78,6 +84,8 @@ class SessionStreams:
     trials: list[TrialEvent] = field(default_factory=list)
     area_source: str = "topic"
     problems: list[str] = field(default_factory=list)
+    indentation_stamp_ns: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
+    indentation: np.ndarray = field(default_factory=lambda: np.empty(0))
 
 
 def missing(reader: BagReader, name: str) -> InputError:
@@ -204,7 +212,7 @@ def read_streams(
     mapping = settings.mapping
     wrench = find_wrench(reader, settings)
     names = {wrench: "wrench"}
-    for name in ("contact_area", "moisture", "trial", "image_raw", "image_raw/compressed"):
+    for name in STREAMS:
         topic = find_topic(reader, name, settings)
         if topic is not None and (with_images or not name.startswith("image")):
             names.setdefault(topic, name)
@@ -213,6 +221,7 @@ def read_streams(
     images: list[tuple[int, int]] = []
     moistures: list[MoistureReading] = []
     trials: list[TrialEvent] = []
+    indentations: list[tuple[int, float]] = []
     malformed = Malformed()
     for item in reader.messages(names):
         name = names[item.topic]
@@ -226,6 +235,8 @@ def read_streams(
                 areas.append(_area(item, mapped))
             elif name == "moisture":
                 moistures.append(_moisture(item, mapped))
+            elif name == "indentation":
+                indentations.append(_indentation(item, mapped))
             elif name == "trial":
                 trials.append(_trial(item.message))
             else:
@@ -259,6 +270,8 @@ def read_streams(
         image_log_ns=np.array([i[1] for i in images], np.int64),
         moistures=moistures,
         trials=trials,
+        indentation_stamp_ns=np.array([i[0] for i in indentations], np.int64),
+        indentation=np.array([i[1] for i in indentations], float),
         problems=malformed.problems() + reader.all_problems(),
     )
 
@@ -282,6 +295,11 @@ def _area(item: BagMessage, mapped: MappedTopic) -> tuple[int, int, float, float
     areas = (message.gross_area, message.real_area, message.area_stddev)
     gross, real, sd = (float(value) * mapped.scale for value in areas)
     return stamp, item.log_time_ns, gross, real, sd, int(message.flags)
+
+
+def _indentation(item: BagMessage, mapped: MappedTopic) -> tuple[int, float]:
+    stamp, value = stamp_and_value(item, mapped)
+    return stamp, float(item.message.point.z) * mapped.scale if value is None else value
 
 
 def _moisture(item: BagMessage, mapped: MappedTopic) -> MoistureReading:

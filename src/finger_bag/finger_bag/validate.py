@@ -189,12 +189,7 @@ def _check_streams(streams: SessionStreams, settings: ReadSettings, result: Vali
         if rate < MINIMUM_RATE[name]:
             status = FAIL
         result.add(f"rate of {name}", status, f"{rate:.1f} Hz (schema {expected:g} Hz)")
-        steps = np.diff(stamps)
-        back, equal = int((steps < 0).sum()), int((steps == 0).sum())
-        status = FAIL if back else NOTE if equal else OK
-        result.add(
-            f"stamp order of {name}", status, f"{back} stamps run back, {equal} are repeated"
-        )
+        _check_order(name, stamps, result)
         delay = (logs - stamps) * 1e-9
         middle = float(np.median(delay))
         status = OK if -MAXIMUM_LEAD <= middle <= MAXIMUM_DELAY else FAIL
@@ -204,8 +199,17 @@ def _check_streams(streams: SessionStreams, settings: ReadSettings, result: Vali
             f"{middle * 1e3:.1f} ms behind the stamp (median; {delay.min() * 1e3:.1f} to "
             f"{delay.max() * 1e3:.1f} ms)" + ("" if status == OK else "; clocks disagree"),
         )
+    if len(streams.indentation):
+        _check_order("indentation", streams.indentation_stamp_ns, result)
     _check_gaps(streams, settings, result)
     _check_saturation(streams, result)
+
+
+def _check_order(name: str, stamps: np.ndarray, result: Validation) -> None:
+    steps = np.diff(stamps)
+    back, equal = int((steps < 0).sum()), int((steps == 0).sum())
+    status = FAIL if back else NOTE if equal else OK
+    result.add(f"stamp order of {name}", status, f"{back} stamps run back, {equal} are repeated")
 
 
 def _check_gaps(streams: SessionStreams, settings: ReadSettings, result: Validation) -> None:

@@ -1,7 +1,7 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Units of force, torque, area, time and modulus by name, and their factors to SI.
+"""Units of force, torque, length, area, time and modulus by name, and their factors to SI.
 
 Factors: NIST SP 811.
 """
@@ -30,6 +30,9 @@ TORQUE_UNITS = {
     "lbf-ft": 1.3558179483314004,
 }
 """Newton metres per unit of torque."""
+
+LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
+"""Metres per unit of length."""
 
 AREA_UNITS = {"m2": 1.0, "cm2": 1e-4, "mm2": 1e-6}
 """Square metres per unit of area."""

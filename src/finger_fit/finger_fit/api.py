@@ -29,6 +29,7 @@ from finger_common.flags import AreaFlag
 from finger_common.stamps import NANOSECONDS
 from finger_model.finger import load_areas
 from finger_model.geometry import Geometry
+from finger_offline.trial_checks import fault_of
 from finger_offline.trial_records import TrialRecord
 from finger_offline.trial_split import presses
 
@@ -46,6 +47,14 @@ PART_OF_PEAK = 0.95
 """Target force over peak force of a trial for which none is given."""
 
 
+REMEDIES = {
+    "unit": "give the indentation in m",
+    "sign": "give the indentation positive into the finger",
+    "time_offset": "give indentation_time on the clock of time",
+}
+"""What to do about a fault of an indentation."""
+
+
 @dataclass(frozen=True, eq=False)
 class Trial:
     """One press.
@@ -54,7 +63,10 @@ class Trial:
     contact on; area: gross contact area in m², (n,) with NaN where there is no frame, or (k,) at
     area_time (k,) in s. moisture: readings (a.u.). target_force (N): ends the loading, 95 % of the
     peak by default. Lists, arrays and pandas columns are taken. Raises InputError for arrays that
-    do not belong together.
+    do not belong together, and for indentations that cannot be a finger's.
+
+    indentation: measured approach of plate and bone in m, positive into the finger, from any zero:
+    (n,) with NaN where there is none, or (j,) at indentation_time (j,) in s; None for none.
     """
 
     time: Any
@@ -67,6 +79,8 @@ class Trial:
     target_force: float = 0.0
     index: int = -1
     label: str = ""
+    indentation: Any = None
+    indentation_time: Any = None
 
     def record(self, number: int) -> TrialRecord:
         """As a trial of a bag; number: its place in a list of trials."""
@@ -74,12 +88,27 @@ class Trial:
         time, force = _column(self.time, f"{name}: time"), _column(self.force, f"{name}: force")
         area = _column(self.area, f"{name}: area", gaps=True)
         frames = time if self.area_time is None else _column(self.area_time, f"{name}: area_time")
-        for what, other, against in (("force", force, time), ("area", area, frames)):
+        indented, indentation = np.empty(0), np.empty(0)
+        if self.indentation is not None:
+            indentation = _column(self.indentation, f"{name}: indentation", gaps=True)
+            own = self.indentation_time
+            indented = time if own is None else _column(own, f"{name}: indentation_time")
+            if not np.isfinite(indentation).any():
+                raise InputError(f"{name}: indentation holds no number; leave it out")
+        for what, other, against in (
+            ("force", force, time),
+            ("area", area, frames),
+            ("indentation", indentation, indented),
+        ):
             if len(other) != len(against):
                 raise InputError(
                     f"{name}: {len(other)} values of {what} for {len(against)} times; give as many"
                 )
-        for what, values in (("time", time), ("area_time", frames)):
+        for what, values in (
+            ("time", time), ("area_time", frames), ("indentation_time", indented),
+        ):  # fmt: skip
+            if what == "indentation_time" and self.indentation is None:
+                continue
             if len(values) < 2 or not np.all(np.diff(values) > 0):
                 raise InputError(f"{name}: {what} must increase; sort the rows by time")
         found = presses(_stamps(time), force, ONSET_FORCE, LIFTOFF_FORCE)
@@ -92,7 +121,8 @@ class Trial:
         peak = float(force[first:end].max())
         measured = np.isfinite(area)
         readings = np.atleast_1d(np.asarray(self.moisture, dtype=float))
-        return TrialRecord(
+        known = np.isfinite(indentation)
+        record = TrialRecord(
             bag=self.label or "trials",
             session="python",
             subject=str(self.subject),
@@ -113,7 +143,13 @@ class Trial:
             onset_ns=int(_stamps(time)[first]),
             liftoff_ns=int(_stamps(time)[end]) if end < len(time) else None,
             area_source="arrays",
+            indentation_stamp_ns=_stamps(indented[known]) if known.any() else np.empty(0, np.int64),
+            indentation=indentation[known],
         )
+        fault = fault_of(record) if known.any() else None
+        if fault is not None and fault.certain:
+            raise InputError(f"{name}: {fault.text}; {REMEDIES[fault.option]}")
+        return record
 
 
 def _column(values: Any, name: str, gaps: bool = False) -> np.ndarray:

@@ -161,6 +161,12 @@ def command(argv: Sequence[str] | None = None) -> int:
                 f"{plain(name)}: {headline.symbol} {whole} {headline.display_unit} (95 %); from "
                 f"the data alone, with lengths and gain as assumed, {part}"
             )
+        if fit.indentation is not None:
+            used = fit.indentation
+            print(
+                f"{plain(name)}: indentation of {len(used.zeros)} presses used, "
+                f"{1e6 * used.rms:.0f} µm from the model (RMS)"
+            )
         if fit.nuisance is not None and fit.nuisance.unknown:
             names = ", ".join(map(name_of, fit.nuisance.unknown))
             print(f"{plain(name)}: not estimated by these data: {names}; see the report")

@@ -29,8 +29,8 @@ FRAME_PERIOD = 0.1
 
 
 @njit
-def _areas(parameters, time, force):
-    out = np.empty((len(parameters), len(time)))
+def _contacts(parameters, time, force):
+    out = np.empty((2, len(parameters), len(time)))
     for p in range(len(parameters)):
         E0, E1, tau, E2 = parameters[p]
         viscous = 0.0
@@ -42,20 +42,26 @@ def _areas(parameters, time, force):
                 viscous += force[i - 1] * (mean - np.exp(-h)) + force[i] * (1 - mean)
             cube = 9 * 0.011 / 16 * (force[i] / E0 + viscous / E1)
             # A stiff skin flattens area over force, so that E2 is identifiable beside E0 and E1.
-            out[p, i] = np.pi * max(cube, 0.0) ** (2 / 3) / (1 + 0.2e-6 * E2 * force[i])
+            square = max(cube, 0.0) ** (2 / 3)
+            out[0, p, i] = np.pi * square / (1 + 0.2e-6 * E2 * force[i])
+            # Of the size of a finger's.
+            out[1, p, i] = 0.2 * square / 0.011
     return out
 
 
 class HereditaryModel:
-    """`batch` as the reduced model has it."""
+    """`batch` and `contacts` as the reduced model has them."""
 
     space = PARAMETERS
     geometry_hash = "stand-in geometry"
     hash = "stand-in"
 
     def batch(self, parameters, trials):
+        return [found[0] for found in HereditaryModel.contacts(self, parameters, trials)]
+
+    def contacts(self, parameters, trials):
         parameters = np.atleast_2d(parameters)
-        return [_areas(parameters, time, force)[:, rows] for time, force, rows in trials]
+        return [_contacts(parameters, time, force)[:, :, rows] for time, force, rows in trials]
 
 
 @dataclass

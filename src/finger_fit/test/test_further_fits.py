@@ -34,10 +34,10 @@ def test_thickness_enters_as_a_ratio_of_areas_and_is_found(double) -> None:
     log_ratio = -0.3 * x * np.exp(-problem.force) - 0.1 * x**2
     h0 = 0.6e-3
     extended = ThicknessProblem(problem, h0, log_ratio)
-    outer = extended.areas(np.array([[*double.TRUTH, h0 * f] for f in THICKNESS_FACTORS]))
+    outer = extended.outputs(np.array([[*double.TRUTH, h0 * f] for f in THICKNESS_FACTORS]))
     np.testing.assert_allclose(outer, problem.areas(double.TRUTH) * np.exp(log_ratio), rtol=1e-9)
     true = 0.7e-3
-    extended.measured = extended.areas(np.array([[*double.TRUTH, true]]))[0]
+    extended.measured = extended.outputs(np.array([[*double.TRUTH, true]]))[0]
     problem.measured = extended.measured
     start = np.array([*double.TRUTH, h0])
     fit = refine(extended, extended.coordinates(), start, tolerance=1e-12)

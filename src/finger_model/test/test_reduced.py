@@ -78,17 +78,22 @@ def test_streaming_batch_and_simulation_agree_to_the_bit(model: ReducedModel) ->
     rows = np.array([3, 10, len(time) - 1])
     (batch,) = model.batch(np.array([NATURAL, NATURAL]), [(time, force, rows)])
     assert np.array_equal(batch, np.tile(whole.area[rows], (2, 1)))
+    (contacts,) = model.contacts(np.array([NATURAL, NATURAL]), [(time, force, rows)])
+    assert np.array_equal(contacts[0], batch)
+    assert np.array_equal(contacts[1], np.tile(whole.indentation[rows], (2, 1)))
 
 
 def test_batch_keeps_sets_and_trials_apart(model: ReducedModel) -> None:
     rng = np.random.default_rng(5)
     parameters = np.array([random_parameters(rng, PARAMETERS.box) for _ in range(7)])
     trials = [ramp(1.0, 0.5, 10), ramp(1.35, 2.0, 25), ramp(0.4, 1.0, 5)]
-    found = model.batch(parameters, trials)
-    for areas, (time, force) in zip(found, trials):
-        assert areas.shape == (7, len(time))
-        for row, vector in zip(areas, parameters):
-            assert np.array_equal(row, model.simulate(vector, time, force).area)
+    found = model.contacts(parameters, trials)
+    for (areas, indentations), (time, force) in zip(found, trials):
+        assert areas.shape == indentations.shape == (7, len(time))
+        for row, depth, vector in zip(areas, indentations, parameters):
+            alone = model.simulate(vector, time, force)
+            assert np.array_equal(row, alone.area)
+            assert np.array_equal(depth, alone.indentation)
 
 
 def test_force_and_moduli_scale_together(model: ReducedModel) -> None:

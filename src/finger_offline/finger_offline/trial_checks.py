@@ -11,8 +11,9 @@ import numpy as np
 
 from finger_bag.validate import FAIL, NOTE, OK, CheckedBag, Validation
 
+from .indentation_checks import IndentationFault, indentation_fault
 from .lag import MAXIMUM_LAG, WORTH_A_NOTE, force_image_lag
-from .trial_records import TrialSet
+from .trial_records import TrialRecord, TrialSet
 from .trial_split import TrialSettings, split
 
 PLAUSIBLE_AREA = (5e-6, 2e-3)
@@ -60,6 +61,7 @@ def check_trials(bag: CheckedBag, result: Validation) -> None:
         )
     result.add("target force", FAIL if short else OK, detail)
     _check_values(found, result)
+    _check_indentation(found, result)
     _check_moisture(found, result)
     _check_lateral(found, result)
     _check_sync(found, result)
@@ -81,6 +83,34 @@ def _check_values(found: TrialSet, result: Validation) -> None:
         wrong.append(f"areas up to {area * 1e6:.3g} mm²")
     text = f"{' and '.join(wrong)} cannot be a finger's; name the unit in a mapping file"
     result.add("units", FAIL if wrong else OK, text if wrong else "force and areas of a finger")
+
+
+def _check_indentation(found: TrialSet, result: Validation) -> None:
+    """Indentations of another unit, sign or clock; nothing where none was measured."""
+    measured = [t for t in found if len(t.indentation)]
+    if not measured:
+        return
+    faults = [(t.index, fault) for t in measured if (fault := fault_of(t)) is not None]
+    words = [f"trial {index}: {fault.text}" for index, fault in faults[:3]]
+    status = FAIL if any(f.certain for _, f in faults) else NOTE if faults else OK
+    if len(measured) < len(found):
+        words.append(f"{len(measured)} of {len(found)} trials have one")
+        status = NOTE if status == OK else status
+    if status == FAIL:
+        words.append("correct unit, sign and stamp in a mapping file")
+    result.add("indentation", status, "; ".join(words) or "rises with the force in all trials")
+
+
+def fault_of(trial: TrialRecord) -> IndentationFault | None:
+    """What is wrong with the measured indentation of a trial that has one."""
+    end = trial.stamp_ns[-1] if trial.liftoff_ns is None else trial.liftoff_ns
+    press = (trial.stamp_ns >= trial.onset_ns) & (trial.stamp_ns <= end)
+    return indentation_fault(
+        trial.stamp_ns[press],
+        trial.force[press],
+        trial.indentation_stamp_ns,
+        trial.indentation,
+    )
 
 
 def _check_moisture(found: TrialSet, result: Validation) -> None:

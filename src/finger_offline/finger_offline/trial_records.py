@@ -17,7 +17,9 @@ class TrialRecord:
 
     stamp_ns (n,), force (n,): normal force, positive in compression, at full rate, from `margin`
     before onset to `margin` after lift-off; lateral_force (n,). area_stamp_ns, area, area_sd (m²,
-    NaN where unknown), area_flags (k,): gross areas; real_area (k,). moisture_before,
+    NaN where unknown), area_flags (k,): gross areas; real_area (k,). indentation_stamp_ns,
+    indentation (j,): measured approach of plate and bone in m, positive into the finger, of unknown
+    zero; empty where none was measured. moisture_before,
     moisture_after: readings (a.u.). onset_ns, liftoff_ns: first sample at or above the onset force,
     first one below the lift-off force (None when the recording ends before). area_source: "topic"
     or "images". doubts: what is wrong with the recording that it comes from.
@@ -44,6 +46,8 @@ class TrialRecord:
     liftoff_ns: int | None
     area_source: str = "topic"
     doubts: tuple[str, ...] = ()
+    indentation_stamp_ns: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
+    indentation: np.ndarray = field(default_factory=lambda: np.empty(0))
 
     @property
     def moisture(self) -> float:

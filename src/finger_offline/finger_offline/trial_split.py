@@ -139,6 +139,7 @@ def split(
             streams.real_area,
         )
     )
+    indentation = list(in_stamp_order(streams.indentation_stamp_ns, streams.indentation))
     found = presses(stamp, normal, settings.onset_force, settings.liftoff_force, settings.merge_gap)
     if streams.trials:
         chosen, without = _by_messages(streams.trials, stamp, normal, found)
@@ -160,8 +161,9 @@ def split(
     moistures = _assign_moistures(streams.moistures, chosen, stamp)
     for number, press in enumerate(chosen):
         record = _record(
-            press, number, stamp, normal, lateral, areas, moistures[number], metadata, settings, bag
-        )
+            press, number, stamp, normal, lateral, areas, indentation, moistures[number], metadata,
+            settings, bag,
+        )  # fmt: skip
         record = replace(record, area_source=streams.area_source, doubts=tuple(doubts))
         reason = press.reason
         if not reason and not len(record.area_stamp_ns):
@@ -177,7 +179,11 @@ def split(
 
 def _doubts(streams: SessionStreams, bag: str) -> list[str]:
     """Stamps that run back: they are put in order, but one of two clocks was wrong."""
-    stamps = {"wrench": streams.wrench_stamp_ns, "contact_area": streams.area_stamp_ns}
+    stamps = {
+        "wrench": streams.wrench_stamp_ns,
+        "contact_area": streams.area_stamp_ns,
+        "indentation": streams.indentation_stamp_ns,
+    }
     back = {name: int((np.diff(values) < 0).sum()) for name, values in stamps.items()}
     return [
         f"{bag}: {number} stamps of {name} run back; they were put in order"
@@ -275,6 +281,7 @@ def _record(
     normal: np.ndarray,
     lateral: np.ndarray,
     areas: list[np.ndarray],
+    indentation: list[np.ndarray],
     moisture: tuple[list[float], list[float]],
     metadata: SessionMetadata,
     settings: TrialSettings,
@@ -285,7 +292,10 @@ def _record(
     last = int(stamp[min(press.end, len(stamp)) - 1])
     low = int(np.searchsorted(stamp, onset - margin))
     high = int(np.searchsorted(stamp, last + margin, side="right"))
-    near = (areas[0] >= onset - margin) & (areas[0] <= last + margin)
+    near, beside = (
+        (stamps >= onset - margin) & (stamps <= last + margin)
+        for stamps in (areas[0], indentation[0])
+    )
     event = press.event
     index = _integer(metadata.trial_index, number) if event is None else event.index
     target = _number(event.target_force if event is not None else metadata.target_force)
@@ -309,6 +319,8 @@ def _record(
         moisture_after=moisture[1],
         onset_ns=onset,
         liftoff_ns=int(stamp[press.end]) if press.end < len(stamp) else None,
+        indentation_stamp_ns=indentation[0][beside],
+        indentation=indentation[1][beside],
     )
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +52,8 @@ def parser() -> Parser:
     p = Parser(
         prog="finger-fit design",
         description="Expected standard deviations of the fitted quantities for plans of presses, "
-        "and the power of a contrast of two conditions.",
+        "without and with a measured indentation (--indentation-sd), and the power of a contrast "
+        "of two conditions.",
         example=EXAMPLE,
     )
     p.add_argument(
@@ -84,6 +86,18 @@ def parser() -> Parser:
     p.add_argument("-o", "--output", metavar="FILE", default="", help="JSON file to write to")
     add_settings(p, NuisancePriors)
     return p
+
+
+def with_indentation(plans: dict[str, Plan], sd: float) -> dict[str, Plan]:
+    """Plans by name, each followed by the same with a displacement sensor of a deviation (m; 0:
+    none); a plan that names a deviation itself is compared with the same without."""
+    found = {}
+    for name, plan in plans.items():
+        found[name] = replace(plan, indentation_sd=0.0)
+        own = plan.indentation_sd or sd
+        if own:
+            found[f"{name} + indentation"] = replace(plan, indentation_sd=own)
+    return found
 
 
 def finger_of(text: str, space: ParameterSpace) -> np.ndarray:
@@ -122,6 +136,7 @@ def command(argv: Sequence[str]) -> int:
     wanted = _wanted(args.wanted, space)
     guess = finger_of(args.guess, space)
     plans = dict(map(plan_of, args.plan or PLANS))
+    plans = with_indentation(plans, priors.indentation_sd)
     found = {name: expected(plan, model, guess, options) for name, plan in plans.items()}
     console = Console(width=None if Console().is_terminal else 160)
     console.print(_table(space, found, wanted))
@@ -137,6 +152,8 @@ def command(argv: Sequence[str]) -> int:
             "plans": _contrasts(found, second, args.subjects, args.between),
         }  # fmt: skip
         console.print(_contrast_table(space, data["contrast"]))
+    for line in gains(space, found):
+        print(line)
     worst = next(iter(found.values())).parts[space.headline]
     names = [n for n in sorted(worst, key=lambda n: -worst[n]) if n != "data"][:3]
     if names:
@@ -181,6 +198,23 @@ def _table(
             cells.append(f"{data or 'never'} ({total or 'never'})")
         table.add_row(name, str(e.plan.presses), *cells)
     return table
+
+
+def gains(space: ParameterSpace, found: dict[str, Expected]) -> list[str]:
+    """What a displacement sensor brings, a sentence for each plan."""
+    lines = []
+    for name, e in found.items():
+        other = found.get(f"{name} + indentation")
+        if other is None:
+            continue
+        parts = [
+            f"{space.describe(n).symbol} {100 * e.data[n]:.0f} → {100 * other.data[n]:.0f} % "
+            f"({100 * e.total[n]:.0f} → {100 * other.total[n]:.0f} %)"
+            for n in space.quantity_names
+        ]
+        sd = 1e6 * other.plan.indentation_sd
+        lines.append(f"{name}, with an indentation to {sd:g} µm: {', '.join(parts)}")
+    return lines
 
 
 def _entry(found: Expected, wanted: tuple[str, float] | None) -> dict[str, Any]:

@@ -16,10 +16,13 @@ from finger_model.paper import PRESS_DURATION, TARGET_FORCE, TRIALS_PER_CONDITIO
 
 from ..api import Trial
 from ..options import FitOptions
-from ..problem import FitProblem, batch_areas, prepare_all
+from ..problem import FitProblem, batch_areas, batch_contacts, prepare_all
 
 REST, REST_AFTER = 0.6, 0.3
 """s of unloaded plate before and after a planned press."""
+
+LARGEST_ZERO = 5e-3
+"""m; the zeros of simulated displacement sensors lie within."""
 
 FORCE_RATE = 500.0
 """Hz of the planned force."""
@@ -48,6 +51,9 @@ class Plan(Settings):
     frame_rate: float = setting(10.0, "Images.", "Hz", 1.0, 1000.0)
     area_noise: float = setting(1.5e-6, "Noise of a frame's area.", "m^2", 1e-8, 1e-4)
     scatter: float = setting(0.03, "Scatter of whole presses' areas (logarithm).", "", 0.0, 1.0)
+    indentation_sd: float = setting(
+        0.0, "Noise of a measured indentation; 0: none is measured.", "m", 0.0, 1e-3
+    )
 
     def validate(self) -> None:
         """The shortest loading is no longer than the longest."""
@@ -81,7 +87,9 @@ class Plan(Settings):
     ) -> FitProblem:
         """The fit's problem of these presses by a finger of parameters (N,).
 
-        noise: draws the noise of frames and the gains of presses; none without.
+        noise: draws the noise of frames, the gains of presses, and noise and zeros of
+        indentations; none without. Raises InputError for a plan with a measured indentation and a
+        model without.
         """
         records = []
         for index in range(self.presses):
@@ -89,21 +97,35 @@ class Plan(Settings):
             frames = self.frames(index, float(time[-1]))
             knots = np.union1d(time[::5], frames)
             drive = (knots, np.interp(knots, time, force), np.searchsorted(knots, frames))
-            area = batch_areas(model, parameters[None], [drive])[0][0]
+            indentation = None
+            if self.indentation_sd:
+                (found,) = batch_contacts(model, parameters[None], [drive])
+                area, indentation = found[:, 0]
+            else:
+                area = batch_areas(model, parameters[None], [drive])[0][0]
             touched = np.interp(frames, time, force) > 0
             if noise is not None:
                 area = area * np.exp(self.scatter * noise.normal())
                 area = area + self.area_noise * noise.normal(size=len(area))
+                if indentation is not None:
+                    zero = noise.uniform(-LARGEST_ZERO, LARGEST_ZERO)
+                    error = self.indentation_sd * noise.normal(size=len(area))
+                    indentation = indentation + zero + error
             area = np.where(touched, np.maximum(area, 1e-9), 0.0)
-            trial = Trial(time, force, area, frames, "plan", target_force=0.98 * self.peak)
+            trial = Trial(
+                time, force, area, frames, "plan", target_force=0.98 * self.peak,
+                indentation=indentation, indentation_time=frames,
+            )  # fmt: skip
             records.append(trial.record(index))
-        chosen = replace(options, window=self.window)
+        chosen = replace(options, window=self.window, indentation_sd=self.indentation_sd)
         trials, excluded = prepare_all(records, chosen)
         if len(trials) < self.presses:
             raise InputError(
                 f"plan: {excluded[0].reason}; give longer presses, a higher peak or more images"
             )
-        return FitProblem(trials, model, chosen)
+        problem = FitProblem(trials, model, chosen)
+        problem.weigh(self.area_noise)
+        return problem
 
 
 def plan_of(text: str) -> tuple[str, Plan]:

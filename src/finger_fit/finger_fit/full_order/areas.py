@@ -1,7 +1,7 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Contact areas of fit candidates by the full-order model."""
+"""Contact areas and indentations of fit candidates by the full-order model."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from finger_model.geometry import Geometry
 from finger_model.laws import ConstitutiveLaw
 
 from ..engine import Done, Engine, LocalEngine
-from ..problem import FitProblem, FitTrial, material_of
+from ..problem import FitProblem, FitTrial, in_rows, material_of, trial_outputs
 
 REFINEMENT = 1.25
 """Of the mesh. The areas of the default mesh err by 0.05–0.15 %, which in the poorly constrained
@@ -30,7 +30,8 @@ class BetterModel(Protocol):
     def areas(
         self, problem: FitProblem, candidates: np.ndarray, done: Done | None = None
     ) -> np.ndarray:
-        """Areas (C, n) in m² of candidates (C, N) at all frames; NaN where a run fails."""
+        """Areas in m² at all frames, then indentations in m, as `FitProblem.raw`, (C, n + q) of
+        candidates (C, N); NaN where a run fails."""
         ...
 
 
@@ -55,7 +56,7 @@ class FullOrder:
     def areas(
         self, problem: FitProblem, candidates: np.ndarray, done: Done | None = None
     ) -> np.ndarray:
-        """Areas (C, n) in m² of candidates (C, N) at all frames; NaN where a run fails."""
+        """Areas and indentations (C, n + q) of candidates (C, N); see `BetterModel`."""
         number = len(problem)
         items = [
             (tuple(map(float, parameters)), index)
@@ -65,7 +66,7 @@ class FullOrder:
         shared = (self.material, self.geometry, self.refinement, problem.trials)
         parts = self.engine.spread(trial_areas, shared, items, done)
         rows = [parts[c * number : (c + 1) * number] for c in range(len(candidates))]
-        return np.array([np.concatenate(row) for row in rows])
+        return np.array([in_rows(row, problem.trials) for row in rows])
 
 
 @functools.lru_cache(maxsize=4)
@@ -77,11 +78,11 @@ def trial_areas(
     shared: tuple[ConstitutiveLaw, Geometry, float, Sequence[FitTrial]],
     item: tuple[tuple[float, ...], int],
 ) -> np.ndarray:
-    """Areas (k,) in m² of one trial at its frames; all NaN where the finger fails under the
-    load.
+    """Areas in m² of one trial at its frames, then its indentations in m, (k + q,); all NaN where
+    the finger fails under the load.
     """
     material, geometry, refinement, trials = shared
     parameters, index = item
     trial = trials[index]
     model = _model(material, geometry, refinement)
-    return model.areas(np.array(parameters), trial.time, trial.force, trial.frames)
+    return trial_outputs(model, np.array([parameters]), [trial])[0][0]

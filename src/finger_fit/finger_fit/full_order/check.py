@@ -69,7 +69,8 @@ def check(
     """Simulate candidates (C, N), best first, with a better model over all trials."""
     areas = better.areas(problem, candidates, done)
     reduced = problem.raw_areas(candidates)
-    full_costs = problem.goal().cost(areas)
+    full_costs = problem.goal().cost(problem.compared(areas))
+    areas = areas[:, : len(problem.measured)]
     best = int(np.nanargmin(full_costs)) if np.isfinite(full_costs).any() else 0
     headline = problem.space.headline
     values = problem.space.quantity(headline, candidates)

@@ -71,13 +71,13 @@ def correction_around(
 ) -> AreaCorrection:
     """Ratio of the better model's areas to the fit's around parameters `centre` (N,).
 
-    slope (N, n): as given, or by differences. Frames of a trial that the better model cannot
+    slope (N, n + q): as given, or by differences. Frames of a trial that the better model cannot
     simulate keep the fit's own area.
     """
     space = problem.space
     points = shifted(space, centre, problem.box) if slope is None else centre[None]
     found = better.areas(problem, points, done)
-    raw = problem.raw_areas(points)
+    raw = problem.raw(points)
     usable = (np.isfinite(found) & (found > 0) & (raw > 0)).all(axis=0)
     log_ratio = np.log(np.where(usable, found / raw, 1.0))
     if slope is None:
@@ -121,5 +121,6 @@ def correct(
         change, start = moved(fit.parameters, start), fit.parameters
         if change < SETTLED:
             break
-    largest = float(np.abs(correction.factor(start) - 1.0).max())
+    factor = correction.factor(start)[:, : len(problem.measured)]
+    largest = float(np.abs(factor - 1.0).max())
     return fit, Correction(before, best, used, largest)

@@ -11,6 +11,8 @@ joint maximum of the posterior, and the scatter of the presses' gains is estimat
 
 The lengths and the gain of all areas are assumed (`names.is_assumed`): the parameters are those of
 the finger as given, whose geometry they are stored with, and the intervals allow for other lengths.
+A measured indentation answers to the lengths more than the areas do. Its own answer to each length
+is therefore eliminated, within the prior of the length (`problem.goal`).
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ from ..options import FitOptions
 from ..problem import PRESS_GAIN, FitProblem, FitTrial, Nuisances, fit_power_law
 from ..search import LocalFit, all_free, refine
 from .geometry import PopulationGeometry, Response
-from .names import AREA_GAIN, COLLAPSE, LAG, TARE, TRIAL_TARE, is_assumed
+from .names import AREA_GAIN, COLLAPSE, INDENTATION_GAIN, LAG, TARE, TRIAL_TARE, is_assumed
 
 TRIAL_SHARE = 0.25
 """Deviation of one trial's tare over that of all, where none was measured; an assumption: a sensor
@@ -65,6 +67,7 @@ class _State:
     tare: float = 0.0
     lag: float = 0.0
     collapse: float = 0.0
+    indentation_gain: float = 0.0
 
 
 class NuisanceModel:
@@ -138,6 +141,12 @@ class NuisanceModel:
             log = log - state.collapse * self._collapse_shape()
         return np.exp(log)
 
+    def _row_factor(self) -> np.ndarray:
+        """As `_factor`, of all rows (n + q,)."""
+        factor = self._factor()
+        others = len(self.problem.observed) - len(factor)
+        return np.concatenate([factor, np.full(others, np.exp(self.state.indentation_gain))])
+
     def _drives(self, lag: float, tare: float) -> list[FitTrial]:
         """The trials under the present state, moved by a lag (s) and a tare (N)."""
         state = self.state
@@ -151,28 +160,36 @@ class NuisanceModel:
     def linearise(self, parameters: np.ndarray) -> Nuisances:
         """Around the present state and parameters (N,); sets the problem's drives besides."""
         problem, options, state = self.problem, self.options, self.state
-        number, frames = len(problem), len(problem.measured)
+        problem.weigh(self.noise)
+        number, rows = len(problem), len(problem.observed)
+        is_area = np.arange(rows) < len(problem.measured)
         slopes = {}
         if self.redrivable:
             for name, step, sides in (
                 (LAG, _LAG_STEP, ((_LAG_STEP, 0.0), (-_LAG_STEP, 0.0))),
                 (TARE, _TARE_STEP, ((0.0, _TARE_STEP), (0.0, -_TARE_STEP))),
             ):
-                rows = []
+                found = []
                 for lag, tare in sides:
                     problem.redrive(self._drives(lag, tare))
-                    rows.append(problem.areas(parameters)[0])
-                slopes[name] = (rows[0] - rows[1]) / (2.0 * step)
+                    found.append(problem.outputs(parameters)[0])
+                slopes[name] = (found[0] - found[1]) / (2.0 * step)
             problem.redrive(self._drives(0.0, 0.0))
         if self.population is not None:
             self.responses = self.population.responses(problem, parameters, self.lengths)
-        factor = self._factor()
-        areas = problem.areas(parameters)[0] * factor
+        factor = self._row_factor()
+        raw = problem.corrected(parameters)[0]
+        outputs = problem.compared(raw) * factor
+        areas = np.where(is_area, outputs, 0.0)
+        absorbing: list[bool] = []
         names: list[str] = []
         trials, states, means, deviations, columns = [], [], [], [], []
 
-        def add(name: str, trial: int, at: float, sd: float, column: np.ndarray) -> None:
+        def add(
+            name: str, trial: int, at: float, sd: float, column: np.ndarray, absorbs: bool = False
+        ) -> None:
             if sd > 0:
+                absorbing.append(absorbs)
                 names.append(name)
                 trials.append(trial)
                 states.append(at)
@@ -180,21 +197,30 @@ class NuisanceModel:
                 deviations.append(sd)
                 columns.append(column)
 
-        inside = problem.trial_of[:, None] == np.arange(number)
+        inside = problem.row_trial[:, None] == np.arange(number)
         if self.redrivable:
             add(LAG, -1, state.lag, options.lag_sd, slopes[LAG] * factor)
             tare = slopes[TARE] * factor
-            unseen = self.unseen[problem.trial_of]
+            unseen = self.unseen[problem.row_trial]
             add(TARE, -1, state.tare, self.common_tare_sd, np.where(unseen, tare, 0.0))
             for t in range(number):
                 sd = float(self.tare_sd[t])
                 add(TRIAL_TARE, t, state.trial_tare[t], sd, np.where(inside[:, t], tare, 0.0))
         add(AREA_GAIN, -1, 0.0, options.area_gain_sd, areas)
         if options.low_force > 0:
-            low = -self._collapse_shape() * areas
+            low = np.zeros(rows)
+            low[is_area] = -self._collapse_shape() * areas[is_area]
             add(COLLAPSE, -1, state.collapse, options.collapse_sd, low)
+        if problem.indentations is not None:
+            gain_sd = options.indentation_gain_sd
+            own = np.where(is_area, 0.0, outputs)
+            add(INDENTATION_GAIN, -1, state.indentation_gain, gain_sd, own)
         for name, sd in self.lengths.items():
-            add(name, -1, 0.0, sd, areas * self.responses[name])
+            answer = problem.compared(raw * self.responses[name]) * factor
+            add(name, -1, 0.0, sd, answer)
+            if problem.indentations is not None:
+                own = np.where(is_area, 0.0, answer)
+                add(f"indentation by {name}", -1, 0.0, sd, own, absorbs=True)
         for t in range(number):
             own = np.where(inside[:, t], areas, 0.0)
             add(PRESS_GAIN, t, state.press_gain[t], self.scatter, own)
@@ -204,10 +230,11 @@ class NuisanceModel:
             np.array(states),
             np.array(means),
             np.array(deviations),
-            np.array(columns).T if columns else np.zeros((frames, 0)),
+            np.array(columns).T if columns else np.zeros((rows, 0)),
             factor,
             self.noise**2 * float(problem.weight.mean()),
             np.array([is_assumed(name) for name in names], dtype=bool),
+            np.array(absorbing, dtype=bool),
         )
 
     # Estimation -----------------------------------------------------------------------------
@@ -242,13 +269,16 @@ class NuisanceModel:
         found = self.problem.nuisances
         assert found is not None
         goal = self.problem.goal()
-        moves = goal.moves(goal.residuals(self.problem.areas(parameters)[0]))
+        moves = goal.moves(goal.residuals(self.problem.outputs(parameters)[0]))
         state = self.state
-        for name, trial, move in zip(found.names, found.trials, moves):
+        for name, trial, move, absorbs in zip(found.names, found.trials, moves, found.absorbers):
+            if absorbs:
+                continue
             if trial >= 0:
                 getattr(state, name)[trial] += move
             elif not is_assumed(name):
                 setattr(state, name, getattr(state, name) + move)
+        moves = np.where(found.absorbers, 0.0, moves)
         return float(np.abs(moves / found.sd).max()) if len(moves) else 0.0
 
     def _learn(self, parameters: np.ndarray) -> None:

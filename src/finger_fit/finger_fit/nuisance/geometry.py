@@ -1,7 +1,7 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""How the areas of a fit answer to the finger's lengths.
+"""How the areas and indentations of a fit answer to the finger's lengths.
 
 Inside the population box by the reduced model of all fingers, at every frame and wherever the fit
 goes. Elsewhere by full-order runs of three presses at one set of parameters.
@@ -25,7 +25,7 @@ from finger_model.reduced.model import load_population
 from ..engine import Done
 from ..full_order import FullOrder
 from ..full_order.areas import trial_areas
-from ..problem import FitProblem, FitTrial, batch_areas, material_of
+from ..problem import FitProblem, FitTrial, in_rows, material_of, trial_outputs
 
 REFINEMENT = 0.5
 """Of the mesh of the full-order runs. It errs by 1 % of the area, nearly the same in both runs of a
@@ -40,23 +40,25 @@ class Response:
     """Answer of the logarithm of the area to the logarithm of a length's factor.
 
     durations (S,): of the simulated trials in s, increasing; slope (S, 3): coefficients, highest
-    power first, of parabolas of the force's logarithm.
+    power first, of parabolas of the force's logarithm; (S, 6) with those of the indentation behind.
     """
 
     durations: np.ndarray
     slope: np.ndarray
 
     def on(self, problem: FitProblem) -> np.ndarray:
-        """Slope (n,) at all frames of a problem; trials lie between the simulated ones."""
+        """Slope (n + q,) at all rows of a problem; trials lie between the simulated ones."""
         parts = []
         for trial in problem.trials:
             own = [np.interp(trial.time[-1], self.durations, column) for column in self.slope.T]
-            parts.append(np.polyval(own, _place(trial)))
-        return np.concatenate(parts)
+            places = _place(trial, trial.frames), _place(trial, trial.indentation_rows)
+            areas, indentations = map(np.polyval, (own[:3], own[3:]), places)
+            parts.append(np.concatenate([areas, indentations]))
+        return in_rows(parts, problem.trials)
 
 
 class GeometryModel(Protocol):
-    """Areas of trials for another geometry of the finger."""
+    """Areas and indentations of trials for another geometry of the finger."""
 
     @property
     def geometry(self) -> Geometry:
@@ -66,8 +68,8 @@ class GeometryModel(Protocol):
     def areas(
         self, parameters: np.ndarray, geometry: Geometry, trials: Sequence[FitTrial]
     ) -> list[np.ndarray]:
-        """Areas (k,) in m² at the frames of each trial for parameters (N,); NaN where there is
-        none."""
+        """Of each trial for parameters (N,), as `problem.trial_outputs`, (k + q,): areas in m² at
+        its frames, then its indentations in m; NaN where there is none."""
         ...
 
 
@@ -86,7 +88,7 @@ class FullOrderGeometry:
     def areas(
         self, parameters: np.ndarray, geometry: Geometry, trials: Sequence[FitTrial]
     ) -> list[np.ndarray]:
-        """Areas (k,) in m² at the frames of each trial for parameters (N,)."""
+        """Areas and indentations (k + q,) of each trial for parameters (N,)."""
         shared = (self.full_order.material, geometry, REFINEMENT, trials)
         items = [(tuple(map(float, parameters)), index) for index in range(len(trials))]
         return self.full_order.engine.map(trial_areas, shared, items, self.done)
@@ -123,22 +125,22 @@ class PopulationGeometry:
     def areas(
         self, parameters: np.ndarray, geometry: Geometry, trials: Sequence[FitTrial]
     ) -> list[np.ndarray]:
-        """Areas (k,) in m² at the frames of each trial for parameters (N,); raises InputError for
+        """Areas and indentations (k + q,) of each trial for parameters (N,); raises InputError for
         a finger outside the box."""
-        drives = [(t.time, t.force, t.frames) for t in trials]
         model = _population(geometry, self.material)
-        return [found[0] for found in batch_areas(model, parameters[None], drives)]
+        return [found[0] for found in trial_outputs(model, parameters[None], trials)]
 
     def responses(
         self, problem: FitProblem, parameters: np.ndarray, lengths: Mapping[str, float]
     ) -> dict[str, np.ndarray]:
-        """Slopes (n,) at all frames, as of `Response.on`, at parameters (N,)."""
-        base = np.concatenate(self.areas(parameters, self.geometry, problem.trials))
+        """Slopes (n + q,) at all rows, as of `Response.on`, at parameters (N,)."""
+        trials = problem.trials
+        base = in_rows(self.areas(parameters, self.geometry, trials), trials)
 
         def change(name: str, x: float) -> np.ndarray | None:
             try:
                 changed = _with_length(self.geometry, name, x)
-                areas = np.concatenate(self.areas(parameters, changed, problem.trials))
+                areas = in_rows(self.areas(parameters, changed, trials), trials)
             except InputError:
                 return None
             usable = (base > 0) & (areas > 0)
@@ -188,29 +190,42 @@ def geometry_responses(
     picks = np.unique(order[np.linspace(0, len(order) - 1, SAMPLED).round().astype(int)])
     picks = picks[np.argsort(durations[picks], kind="stable")]
     sample = [problem.trials[i] for i in picks]
+    if problem.indentations is not None:
+        # At all frames, whether or not these very trials have an indentation.
+        sample = [
+            replace(t, indentation=np.zeros(len(t.frames)), indentation_rows=t.frames)
+            for t in sample
+        ]
     base = model.areas(parameters, model.geometry, sample)
 
     def change(name: str, x: float) -> np.ndarray | None:
-        """ln A(x) − ln A(0) of the sample, as parabolas (S, 3)."""
+        """ln A(x) − ln A(0) of the sample, as parabolas (S, 3), or (S, 6) with indentation."""
         try:
             changed = _with_length(model.geometry, name, x)
         except InputError:
             return None
         coefficients = []
         for trial, before, after in zip(sample, base, model.areas(parameters, changed, sample)):
-            usable = (before > 0) & (after > 0)
-            if usable.sum() < 0.8 * len(usable):
-                return None
-            ratio = np.log(after[usable] / before[usable])
-            degree = min(2, len(ratio) - 1)
-            found = np.polyfit(_place(trial)[usable], ratio, degree)
-            coefficients.append(np.concatenate([np.zeros(2 - degree), found]))
+            place, row = _place(trial, trial.frames), []
+            for one, other in zip(np.split(before, [len(place)]), np.split(after, [len(place)])):
+                usable = (one > 0) & (other > 0)
+                if usable.sum() < 0.8 * len(usable):
+                    return None
+                if len(usable):
+                    row.append(_parabola(place[usable], np.log(other[usable] / one[usable])))
+            coefficients.append(np.concatenate(row))
         return np.array(coefficients)
 
     found = _slopes(change, lengths)
     return {name: Response(durations[picks], slope) for name, slope in found.items()}
 
 
-def _place(trial: FitTrial) -> np.ndarray:
-    """Logarithm of the force (k,) at the frames; below 0.05 N areas are too small to compare."""
-    return np.log(np.maximum(trial.frame_force, 0.05))
+def _parabola(place: np.ndarray, ratio: np.ndarray) -> np.ndarray:
+    """Coefficients (3,), highest power first, through ratios (k,) at places (k,)."""
+    degree = min(2, len(ratio) - 1)
+    return np.concatenate([np.zeros(2 - degree), np.polyfit(place, ratio, degree)])
+
+
+def _place(trial: FitTrial, rows: np.ndarray) -> np.ndarray:
+    """Logarithm of the force (k,) at rows (k,); below 0.05 N areas are too small to compare."""
+    return np.log(np.maximum(trial.force[rows], 0.05))

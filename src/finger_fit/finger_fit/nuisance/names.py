@@ -9,6 +9,7 @@ from finger_model.geometry import LENGTHS
 
 TARE, TRIAL_TARE, LAG = "tare", "trial_tare", "lag"
 AREA_GAIN, COLLAPSE = "area_gain", "collapse"
+INDENTATION_GAIN = "indentation_gain"
 """Beside the lengths of the finger, by their keys in geometry.yaml, and `problem.PRESS_GAIN`."""
 
 UNITS = {TARE: "N", TRIAL_TARE: "N", LAG: "s"}
@@ -27,6 +28,7 @@ def is_assumed(nuisance: str) -> bool:
 WORDS = {
     LAG: "lag of the images",
     AREA_GAIN: "gain of all areas",
+    INDENTATION_GAIN: "gain of the displacement sensor",
     COLLAPSE: "collapse of the hull below the low force",
     "pad_semi_axis_radial": "width of the pad",
     "pad_semi_axis_axial": "depth of the pad",

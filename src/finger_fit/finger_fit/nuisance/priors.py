@@ -11,14 +11,35 @@ from finger_common.errors import InputError
 from finger_common.settings import Settings, setting
 from finger_model.geometry import LENGTHS
 
+INDENTATION = "measured indentation"
+"""Heading of the options of a displacement sensor in the help of the command."""
+
 NUISANCE = "nuisance parameters (standard deviations of their priors; 0 leaves one out)"
 """Heading of the options in the help of the command."""
 
 
 @dataclass(frozen=True)
 class NuisancePriors(Settings):
-    """Options of the nuisance parameters; raises InputError for a bad value."""
+    """Options of what is unknown beside the finger's parameters; raises InputError for bad ones."""
 
+    indentation_sd: float = setting(
+        20e-6,
+        "Standard deviation of a measured indentation at a frame; 0: do not use indentations. The "
+        "error of the model's own indentation is added as squares.",
+        "m",
+        0.0,
+        1e-3,
+        group=INDENTATION,
+    )
+    indentation_gain_sd: float = setting(
+        0.0,
+        "Standard deviation of the prior of the displacement sensor's gain (logarithm); 0: it is "
+        "trusted.",
+        "",
+        0.0,
+        0.5,
+        group=INDENTATION,
+    )
     nuisances: bool = setting(
         True,
         "Allow for what the rig and the finger's shape leave unknown: estimated with the "

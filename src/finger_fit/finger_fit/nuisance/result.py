@@ -103,7 +103,7 @@ def nuisance_result(
     values = {
         name: NuisanceValue(float(at), after[name], float(sd), UNITS.get(name, ""))
         for name, trial, at, sd in zip(found.names, found.trials, found.state, found.sd)
-        if trial < 0
+        if trial < 0 and name in after
     }
     own = {
         (name, int(trial)): (float(at), float(sd))

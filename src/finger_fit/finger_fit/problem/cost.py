@@ -4,13 +4,13 @@
 """The cost J of a parameter set on the frames that count, as in the paper.
 
 J = Σ over trials of the mean over the trial's frames of (model area − measured area)², in m⁴
-(reports: mm⁴).
+(reports: mm⁴). Where an indentation was measured, its rows (`indentation`) are added to what is
+minimised, but not to J.
 """
 
 from __future__ import annotations
 
 import copy
-import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -22,14 +22,20 @@ from finger_model.laws import ConstitutiveLaw, ParameterSpace, StandardLinearSol
 
 from ..options import FitOptions
 from .goal import Goal, Nuisances, losses
+from .indentation import IndentationRows
+from .outputs import in_rows, trial_outputs
 from .trials import FitTrial
 
-_batch_lock = threading.Lock()
-"""The compiled kernels of a batch share one pool of threads and do not nest."""
+AREA_NOISE = 1.5e-6
+"""m², noise of a frame's area by which indentations weigh until a fit knows its own; an
+assumption."""
 
 
 class AreaModel(Protocol):
-    """What a fit needs of a model: the space of its parameters, and areas."""
+    """What a fit needs of a model: the space of its parameters, and areas.
+
+    For trials with a measured indentation also `contacts`, as `ReducedModel` has it.
+    """
 
     space: ParameterSpace
 
@@ -43,14 +49,6 @@ class AreaModel(Protocol):
         ...
 
 
-def batch_areas(
-    model: Any, parameters: np.ndarray, drives: Sequence[tuple[np.ndarray, ...]]
-) -> list[np.ndarray]:
-    """`AreaModel.batch` of a model, one call at a time."""
-    with _batch_lock:
-        return model.batch(parameters, drives)
-
-
 def material_of(model: Any) -> ConstitutiveLaw:
     """Law and fixed properties of a model; the default law where the model states none."""
     return getattr(model, "material", None) or StandardLinearSolid()
@@ -58,10 +56,11 @@ def material_of(model: Any) -> ConstitutiveLaw:
 
 @dataclass(frozen=True)
 class AreaCorrection:
-    """Factor that turns a model's areas into those of a better model, near some parameters.
+    """Factor that turns a model's areas (n) and indentations (q) into those of a better model, near
+    some parameters.
 
     The logarithm of the factor is linear in the space's correction coordinates (logarithms):
-    log_ratio (n,) at `centre` (D,), a parameter set, and slope (D, n).
+    log_ratio (n + q,) at `centre` (D,), a parameter set, and slope (D, n + q).
     """
 
     space: ParameterSpace
@@ -70,7 +69,7 @@ class AreaCorrection:
     slope: np.ndarray
 
     def factor(self, parameters: np.ndarray) -> np.ndarray:
-        """Factor (P, n) for parameters (P, D)."""
+        """Factor (P, n + q) for parameters (P, D)."""
         place = self.space.correction_coordinates
         away = np.atleast_2d(place(parameters)) - place(self.centre)
         return np.exp(self.log_ratio + away @ self.slope)
@@ -82,8 +81,10 @@ class FitProblem:
     space: of the model's parameters; box (D, 2): the search box in SI units. Arrays over all
     frames, trial after trial: measured (n,) m², force (n,) N, trial_of (n,), weight (n,), which
     sums to one within a trial. correction: of the model's areas, None before the correction to
-    full order. nuisances: eliminated from the cost, None before they were estimated. Calls are
-    deterministic and safe from several threads.
+    full order. indentations: of the trials that have them, q rows; None without. row_trial (n +
+    q,), row_weight (n + q,): of areas and indentations. area_noise: m², of a frame, by which
+    indentations weigh. nuisances: eliminated from the cost, None before they were estimated. Calls
+    are deterministic and safe from several threads.
     """
 
     def __init__(self, trials: Sequence[FitTrial], model: AreaModel, options: FitOptions) -> None:
@@ -103,7 +104,8 @@ class FitProblem:
         self.weight = raw / np.where(sums > 0, sums, 1.0)[self.trial_of]
         self.correction: AreaCorrection | None = None
         self.nuisances: Nuisances | None = None
-        self._drives = [(t.time, t.force, t.frames) for t in self.trials]
+        self.indentations = IndentationRows.of(self.trials, model, options.indentation_sd)
+        self.weigh(AREA_NOISE)
 
     def __len__(self) -> int:
         return len(self.trials)
@@ -111,27 +113,88 @@ class FitProblem:
     def areas(self, parameters: np.ndarray) -> np.ndarray:
         """Areas (P, n) in m² at the frames that count, for parameters (P, D): the model's,
         corrected."""
-        raw = self.raw_areas(parameters)
-        if self.correction is None:
-            return raw
-        return raw * self.correction.factor(parameters)
+        return self.corrected(parameters)[:, : len(self.measured)]
 
     def raw_areas(self, parameters: np.ndarray) -> np.ndarray:
         """As `areas`, without the correction."""
+        return self.raw(parameters)[:, : len(self.measured)]
+
+    def raw(self, parameters: np.ndarray) -> np.ndarray:
+        """The model's areas (m²), then its indentations (m), (P, n + q), without the correction."""
         parameters = np.atleast_2d(np.asarray(parameters, dtype=float))
-        return np.concatenate(batch_areas(self.model, parameters, self._drives), axis=1)
+        return in_rows(trial_outputs(self.model, parameters, self.trials), self.trials)
+
+    def corrected(self, parameters: np.ndarray) -> np.ndarray:
+        """As `raw`, corrected."""
+        raw = self.raw(parameters)
+        return raw if self.correction is None else raw * self.correction.factor(parameters)
+
+    def outputs(self, parameters: np.ndarray) -> np.ndarray:
+        """Rows (P, n + q) in m² for parameters (P, D) that stand against `observed`: areas, and
+        indentations as `IndentationRows.compared` makes them."""
+        return self.compared(self.corrected(parameters))
+
+    def compared(self, raw: np.ndarray) -> np.ndarray:
+        """Rows (…, n + q) in m² of areas and indentations as of `raw`; a linear map."""
+        if self.indentations is None:
+            return raw
+        areas, indentations = np.split(raw, [len(self.measured)], axis=-1)
+        rows = self.indentations.compared(indentations, self.area_noise)
+        return np.concatenate([areas, rows], axis=-1)
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether what is minimised is J of the model's own areas, as in a search."""
+        return self.correction is None and self.nuisances is None and self.indentations is None
+
+    @property
+    def observed(self) -> np.ndarray:
+        """What was measured, as rows (n + q,) in m²."""
+        return np.concatenate([self.measured, self._indented])
+
+    @observed.setter
+    def observed(self, rows: np.ndarray) -> None:
+        self.measured, self._indented = np.split(rows, [len(self.measured)])
+
+    @property
+    def row_trial(self) -> np.ndarray:
+        """Trial (n + q,) of each row."""
+        found = self.indentations
+        return self.trial_of if found is None else np.concatenate([self.trial_of, found.trial_of])
+
+    @property
+    def row_weight(self) -> np.ndarray:
+        """Weight (n + q,) of each row."""
+        found = self.indentations
+        return self.weight if found is None else np.concatenate([self.weight, found.weight])
+
+    def by_trial(self, rows: np.ndarray) -> np.ndarray:
+        """Sums (…, T) of rows (…, n + q) over each trial."""
+        found = np.add.reduceat(rows[..., : len(self.measured)], self.starts[:-1], axis=-1)
+        if self.indentations is not None:
+            own = self.indentations.sums(rows[..., len(self.measured) :])
+            found[..., self.indentations.trials] += own
+        return found
+
+    def weigh(self, area_noise: float) -> None:
+        """Let indentations weigh beside areas of this noise (m²)."""
+        self.area_noise = area_noise
+        found = self.indentations
+        self._indented = (
+            np.empty(0) if found is None else found.compared(found.measured, area_noise)
+        )
 
     def uncorrected(self) -> FitProblem:
         """The same problem without correction and nuisances, which a fit sets."""
         found = copy.copy(self)
         found.correction = found.nuisances = None
+        found.weigh(AREA_NOISE)
         return found
 
     def redrive(self, trials: Sequence[FitTrial]) -> None:
         """Take the same trials under other drives (another tare, another lag)."""
         self.trials = tuple(trials)
         self.force = np.concatenate([t.frame_force for t in self.trials])
-        self._drives = [(t.time, t.force, t.frames) for t in self.trials]
 
     def trial_costs(self, areas: np.ndarray) -> np.ndarray:
         """Part of J (…, T) in m⁴ of every trial for areas (…, n), whatever the nuisances: the
@@ -140,24 +203,26 @@ class FitProblem:
         return np.add.reduceat(lost, self.starts[:-1], axis=-1)
 
     def goal(self, weight: np.ndarray | None = None) -> Goal:
-        """What is minimised, under the problem's weights or others (n,), as the bootstrap has."""
+        """What is minimised, under the rows' own weights or others (n + q,), as the bootstrap
+        has."""
         if weight is None:
-            return Goal(self.measured, self.weight, self.options, self.nuisances)
-        own = np.add.reduceat(self.weight, self.starts[:-1])
-        given = np.add.reduceat(weight, self.starts[:-1])
+            return Goal(self.observed, self.row_weight, self.options, self.nuisances)
+        own, given = self.by_trial(self.row_weight), self.by_trial(weight)
         repeats = np.divide(given, own, out=np.zeros_like(own), where=own > 0)
-        return Goal(self.measured, weight, self.options, self.nuisances, repeats)
+        return Goal(self.observed, weight, self.options, self.nuisances, repeats)
 
     def cost(self, parameters: np.ndarray) -> np.ndarray:
-        """J (P,) in m⁴ of parameters (P, D), with the nuisances eliminated where there are any."""
-        areas = self.areas(parameters)
-        if self.nuisances is None:
-            return self.trial_costs(areas).sum(axis=-1)
-        return self.goal().cost(areas)
+        """What is minimised (P,), in m⁴, of parameters (P, D): J, with the indentations and with
+        the nuisances eliminated where there are any."""
+        if self.nuisances is None and self.indentations is None:
+            return self.trial_costs(self.areas(parameters)).sum(axis=-1)
+        return self.goal().cost(self.outputs(parameters))
 
     def key(self) -> str:
         """Hash of what a cost depends on: frames, drive, weights, loss and model."""
         parts: list[Any] = [self.measured.tobytes(), self.weight.tobytes()]
+        if self.indentations is not None:
+            parts += [self.indentations.measured.tobytes(), self.indentations.sd.tobytes()]
         for trial in self.trials:
             parts += [trial.time.tobytes(), trial.force.tobytes(), trial.frames.tobytes()]
         parts.append(str(getattr(self.model, "hash", "")).encode())

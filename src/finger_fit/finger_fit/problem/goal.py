@@ -14,7 +14,9 @@ with s² the variance of a frame of weight one. Without nuisances Q is J.
 
 Assumed nuisances stay at their mean: they are not estimated, but widen the intervals
 (`uncertainty.covariance`), as the "consider" parameters of orbit determination do (Tapley, Schutz
-and Born 2004, section 6.2).
+and Born 2004, section 6.2). A precise measurement that answers strongly to an assumed parameter, as
+the indentation does to the lengths, would then do more harm than good: it would be believed beyond
+what the assumption allows. So its rows get a copy of that parameter that is eliminated (absorbing).
 """
 
 from __future__ import annotations
@@ -65,9 +67,11 @@ class Nuisances:
     """Nuisance parameters linearised at a reference state.
 
     names (k,), trials (k,): the trial that a parameter belongs to, −1 for one shared by all;
-    state (k,): value at the reference; mean, sd (k,): prior; slope (n, k): change of the areas (m²)
-    per unit, at the reference; factor (n,): of the model's areas there, from gains and shape;
-    variance: s² in m⁴; assumed (k,): whether a parameter stays at its mean, its state.
+    state (k,): value at the reference; mean, sd (k,): prior; slope (n, k): change of the rows (m²),
+    areas and others, per unit, at the reference; factor (n,): of the model's rows there, from gains
+    and shape; variance: s² in m⁴; assumed (k,): whether a parameter stays at its mean, its state;
+    absorbing (k,): whether it only keeps the rows of one kind from being trusted further than the
+    assumed parameters allow, and is no error of its own; none without.
     """
 
     names: tuple[str, ...]
@@ -79,23 +83,31 @@ class Nuisances:
     factor: np.ndarray
     variance: float
     assumed: np.ndarray
+    absorbing: np.ndarray | None = None
 
     @property
     def shared(self) -> np.ndarray:
         """Mask (k,) of the parameters shared by all trials."""
         return self.trials < 0
 
+    @property
+    def absorbers(self) -> np.ndarray:
+        """`absorbing` as a mask (k,)."""
+        none = np.zeros(len(self.names), dtype=bool)
+        return none if self.absorbing is None else self.absorbing
+
     def with_gains(self, sign: np.ndarray, trial_of: np.ndarray) -> Nuisances:
         """With the log gains of presses multiplied by a sign (T,): other presses of this scatter.
 
-        trial_of (n,): the frames' trials.
+        trial_of (n,): the frames' trials; rows beyond them are no areas.
         """
         chosen = np.array([name == PRESS_GAIN for name in self.names], dtype=bool)
         state = self.state.copy()
         state[chosen] *= sign[self.trials[chosen]]
         change = np.zeros(len(sign))
         change[self.trials[chosen]] = state[chosen] - self.state[chosen]
-        growth = np.exp(change)[trial_of]
+        growth = np.ones(len(self.factor))
+        growth[: len(trial_of)] = np.exp(change)[trial_of]
         return replace(
             self, state=state, factor=self.factor * growth, slope=self.slope * growth[:, None]
         )

@@ -7,6 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
+MM = 1e3
+"""mm in a m."""
+
 MM2 = 1e6
 """mm² in a m²."""
 

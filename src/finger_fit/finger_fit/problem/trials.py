@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -27,13 +27,21 @@ REST_FORCE = 0.005
 """N; a smoothed force up to this is no touch: 1/171 N, the resolution of the Nano17 (paper)."""
 
 
+FEWEST_INDENTATIONS = 3
+"""Frames with a measured indentation below which a trial's indentation is not used."""
+
+LONGEST_INDENTATION_GAP = 0.05
+"""s between two readings of the indentation over which it is not interpolated."""
+
+
 @dataclass(frozen=True)
 class Recording:
     """What the drive of a trial is made of (SI), times from the first sample.
 
     time, force, smooth (n,): as recorded, and low-passed; driving (n,): as the model gets it;
     onset: index of the first sample that counts; last: of the last sample of the contact;
-    frame_time (m,): of all frames; counted (k,): indices of those that count.
+    frame_time (m,): of all frames; counted (k,): indices of those that count; indentation_time
+    (q,): at which the indentation is compared, on the clock of the force.
     """
 
     time: np.ndarray
@@ -44,11 +52,13 @@ class Recording:
     last: int
     frame_time: np.ndarray
     counted: np.ndarray
+    indentation_time: np.ndarray = field(default_factory=lambda: np.empty(0))
 
     def drive(
         self, tare: float, lag: float, options: FitOptions
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Times (d,) of the model's steps, force (d,) there, and the frames' indices (k,).
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Times (d,) of the model's steps, force (d,) there, and the indices of the frames (k,) and
+        of the indentations (q,).
 
         tare: N, taken off the force; lag: s by which the images' stamps are late.
         """
@@ -61,10 +71,15 @@ class Recording:
         counted = frame_time[self.counted]
         # A frame before the first touch has no contact, and drives nothing.
         start = min(float(time[touch]), float(counted[0]) - 1e-3)
-        knots = drive_times(start, float(counted[-1]), frame_time, counted, options)
+        wanted = np.union1d(counted, self.indentation_time)
+        # Times apart by rounding alone are one.
+        wanted = wanted[np.diff(wanted, prepend=-np.inf) > 1e-9]
+        wanted = wanted[wanted > start]
+        knots = drive_times(start, float(wanted[-1]), frame_time, wanted, options)
         driving = np.maximum(np.interp(knots, time, self.driving - tare), 0.0)
         driving[knots <= time[touch]] = 0.0
-        return knots, driving, np.searchsorted(knots, counted - 1e-9)
+        rows = [np.searchsorted(knots, t - 2e-9) for t in (counted, self.indentation_time)]
+        return knots, driving, *rows
 
 
 @dataclass(frozen=True)
@@ -75,7 +90,9 @@ class FitTrial:
     touch; frames (k,): indices into time at which areas are compared; area (k,), area_sd (k,):
     measured; low (k,): the frame lies below the low force; moisture: mean of the readings, NaN
     without any; readings (m,): a.u.; record_time (r,), record_force (r,): force as recorded during
-    the contact, for plots; dropped: frames inside the window without a measured area.
+    the contact, for plots; dropped: frames inside the window without a measured area. indentation
+    (q,): measured, in m from an unknown zero, at the times of the frames that count on the clock of
+    the force; indentation_rows (q,): indices into time; empty where none was measured.
     """
 
     label: str
@@ -97,19 +114,22 @@ class FitTrial:
     tare: float = 0.0
     lag: float = 0.0
     recording: Recording | None = None
+    indentation: np.ndarray = field(default_factory=lambda: np.empty(0))
+    indentation_rows: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
 
     def with_drive(self, tare: float, lag: float, options: FitOptions) -> FitTrial:
         """The same frames under a drive with another tare (N) and another lag of the images (s)."""
         source = self.recording
         if source is None:
             raise ValueError(f"{self.label} keeps no recording to make another drive of")
-        knots, force, frames = source.drive(tare, lag, options)
+        knots, force, frames, indentation_rows = source.drive(tare, lag, options)
         shown = slice(int(np.searchsorted(source.time, knots[0])), source.last + 1)
         return replace(
             self,
             time=knots - knots[0],
             force=force,
             frames=frames,
+            indentation_rows=indentation_rows,
             record_time=source.time[shown] - knots[0],
             record_force=source.force[shown] - tare,
             tare=tare,
@@ -212,7 +232,10 @@ def prepare(record: Any, options: FitOptions) -> FitTrial:
         # The paper brought the force to the frames; 0.45 of their rate keeps the filter below its
         # limit.
         driving = low_passed(force, rate, 0.45 / period)
-    recording = Recording(time, force, unshifted, driving, first, last, frame_time, counted)
+    indented, indentation = _indentation(record, start, frame_time[counted], options)
+    recording = Recording(
+        time, force, unshifted, driving, first, last, frame_time, counted, indented
+    )
     sd = np.asarray(record.area_sd, dtype=float)
     nothing = np.empty(0)
     trial = FitTrial(
@@ -233,8 +256,37 @@ def prepare(record: Any, options: FitOptions) -> FitTrial:
         dropped,
         rest,
         recording=recording,
+        indentation=indentation,
     ).with_drive(tare, 0.0, options)
     return replace(trial, low=trial.frame_force < options.low_force)
+
+
+def _indentation(
+    record: Any, start: int, instants: np.ndarray, options: FitOptions
+) -> tuple[np.ndarray, np.ndarray]:
+    """Times (q,) among the instants (k,) in s at which the indentation of a record is known, and
+    its values (q,) in m, smoothed as the force is; nothing where fewer than three are known.
+
+    start: ns, time 0.
+    """
+    none = np.empty(0), np.empty(0)
+    values = np.asarray(getattr(record, "indentation", ()), dtype=float)
+    usable = np.isfinite(values)
+    if not options.indentation_sd or usable.sum() < FEWEST_INDENTATIONS:
+        return none
+    time = (np.asarray(record.indentation_stamp_ns, dtype=np.int64)[usable] - start) * 1e-9
+    period = float(np.median(np.diff(time)))
+    smooth = low_passed(values[usable], 1.0 / period, options.force_cutoff)
+    after = np.searchsorted(time, instants)
+    inside = (after > 0) & (after < len(time))
+    after = np.clip(after, 1, len(time) - 1)
+    near = time[after] - time[after - 1] <= max(1.5 * period, LONGEST_INDENTATION_GAP)
+    # An instant that meets a reading needs no other.
+    known = (inside & near) | (np.abs(time[after] - instants) < 1e-6)
+    known |= np.abs(time[after - 1] - instants) < 1e-6
+    if known.sum() < FEWEST_INDENTATIONS:
+        return none
+    return instants[known], np.interp(instants[known], time, smooth)
 
 
 def label_of(record: Any) -> str:

@@ -14,8 +14,10 @@ import numpy as np
 from finger_bag.validate import FAIL, NOTE, OK, Check
 from finger_common.flags import AreaFlag
 from finger_offline.lag import MAXIMUM_LAG, WORTH_A_NOTE, log_lag
+from finger_offline.trial_checks import fault_of
 
 from ..problem import FitTrial
+from ..problem.trials import label_of
 from ..results import ConditionFit
 
 DOUBTFUL = {
@@ -36,6 +38,10 @@ before the fit (`problem.unloaded`)."""
 
 SCATTER_NOTE, SCATTER_LIMIT = 0.10, 0.25
 """Standard deviation of the trials' gain from which it is noted, and from which it fails."""
+
+INDENTATION_NOTE, INDENTATION_LIMIT = 2.0, 0.25
+"""RMS difference of indentation and model, over the stated deviation, from which it is noted; over
+the travel of a press, from which it fails: assumed lengths of the finger explain no more."""
 
 STEP = 0.01
 """s between the samples of the force by which the lag is looked for."""
@@ -111,6 +117,7 @@ def quality_of(fit: ConditionFit, records: Sequence[Any]) -> Quality:
     _check_lag(out)
     _check_tare(out)
     _check_scatter(out)
+    _check_indentation(out, fit, records)
     _check_moisture(out, fit)
     return out
 
@@ -199,6 +206,30 @@ def _check_scatter(out: Quality) -> None:
         "scatter between presses",
         status,
         f"areas of whole presses differ from the model by {100 * spread:.1f} % (SD of the gain)",
+    )
+
+
+def _check_indentation(out: Quality, fit: ConditionFit, records: Sequence[Any]) -> None:
+    """Nothing for a condition in which no indentation was measured, or none is to be used."""
+    given = [r for r in records if len(getattr(r, "indentation", ()))]
+    if not given or not fit.problem.options.indentation_sd:
+        return
+    found = fit.indentation
+    if found is None:
+        out.add("indentation", NOTE, "no press has readings at three frames or more; not used")
+        return
+    rms, sd = found.rms, found.sd
+    status = NOTE if rms > INDENTATION_NOTE * sd or len(found.zeros) < len(records) else OK
+    status = FAIL if rms > INDENTATION_LIMIT * found.travel else status
+    parts = [
+        f"of {len(found.zeros)} of {len(records)} presses used; differs from the model by "
+        f"{1e6 * rms:.0f} µm (RMS), weighed with {1e6 * sd:.0f} µm"
+    ]
+    if rms > INDENTATION_NOTE * sd:
+        parts.append("correct unit, clock and lengths of the finger, or state --indentation-sd")
+    doubts = [f"{label_of(r)}: {fault.text}" for r in given if (fault := fault_of(r)) is not None]
+    out.add(
+        "indentation", NOTE if doubts and status == OK else status, "; ".join(parts + doubts[:3])
     )
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from finger_common.moisture import MOISTURE_TEXT, is_moisture
-from finger_offline.trial_checks import LARGEST_FORCE, PLAUSIBLE_AREA
+from finger_offline.trial_checks import LARGEST_FORCE, PLAUSIBLE_AREA, fault_of
 
 from ..problem import Exclusion
 from ..problem.trials import label_of
@@ -28,9 +28,9 @@ class Screened:
     notes: list[str] = field(default_factory=list)
 
 
-def screen(records: Sequence[Any]) -> Screened:
-    """Leave out presses that came before, and those whose force or area is of another unit; give
-    every press a label of its own.
+def screen(records: Sequence[Any], indentation: bool = True) -> Screened:
+    """Leave out presses that came before, and those whose force, area or, where it is used,
+    indentation is of another unit or sign; give every press a label of its own.
 
     A recorded trial is any object with the fields of `finger_offline.trial_records.TrialRecord`.
     """
@@ -43,7 +43,7 @@ def screen(records: Sequence[Any]) -> Screened:
             record = replace(record, bag=f"{str(record.bag).split(' (')[0]} ({number})")
             label, number = label_of(record), number + 1
         first = seen.setdefault(fingerprint(record), label)
-        reason = implausible(record)
+        reason = implausible(record) or (implausible_indentation(record) if indentation else "")
         if first is not label:
             reason = f"the same press as {first}; it counts once"
         if reason:
@@ -106,3 +106,13 @@ def implausible(record: Any) -> str:
             "the scale of the images"
         )
     return ""
+
+
+def implausible_indentation(record: Any) -> str:
+    """Why the indentation cannot be a finger's; empty where it can, or none was measured."""
+    if not len(getattr(record, "indentation", ())):
+        return ""
+    fault = fault_of(record)
+    if fault is None or fault.option not in ("unit", "sign") or not fault.certain:
+        return ""
+    return f"{fault.text}; name its {fault.option} in a mapping file, or fit with indentation_sd 0"

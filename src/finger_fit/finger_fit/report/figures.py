@@ -519,6 +519,40 @@ def residuals_figure(report: FitResult) -> Figure:
     return figure
 
 
+def indentation_figure(report: FitResult) -> Figure | None:
+    """Measured indentation over force beside the model's, and their difference."""
+    fits = {n: f for n, f in report.fits.items() if f.indentation is not None}
+    if not fits:
+        return None
+    figure, (left, right) = plt.subplots(1, 2, figsize=(COLUMN, 2.6))
+    for name, fit in fits.items():
+        found = fit.indentation
+        assert found is not None
+        colour, marker = colour_of(report, name), marker_of(report, name)
+        for number, index in enumerate(dict.fromkeys(found.trial_of)):
+            own = found.trial_of == index
+            left.plot(
+                found.force[own], found.predicted[own] * 1e3, color=colour, lw=0.7, alpha=0.55,
+                label=None if number else f"{name}, model",
+            )  # fmt: skip
+        left.scatter(
+            found.force, found.measured * 1e3, s=8, facecolors="white", edgecolors=colour,
+            linewidths=0.6, marker=marker, label=f"{name}, measured", zorder=3,
+        )  # fmt: skip
+        right.scatter(
+            found.force, (found.predicted - found.measured) * 1e6, s=7, color=colour, alpha=0.6,
+            linewidths=0, marker=marker,
+        )  # fmt: skip
+    right.axhline(0, color="0.3", lw=0.6)
+    lettered(left, 0, "indentation (mm)")
+    lettered(right, 1, "model − measured (µm)")
+    for panel in (left, right):
+        panel.set_xlabel("normal force (N)")
+        panel.set_xlim(0, None)
+    legend_below(figure, left)
+    return figure
+
+
 def convergence_figure(report: FitResult) -> Figure:
     """Best J over the rounds of the search, relative to J after the polish."""
     figure, axes = plt.subplots(figsize=(0.6 * COLUMN, 2.3))
@@ -560,6 +594,8 @@ CAPTIONS = {
     "data.",
     "residuals": "Residuals of the fitted model and of the power law over force, on one scale, "
     "and the distribution of the model's residuals.",
+    "indentation": "Measured indentation, less the zero that was fitted in each trial, over normal "
+    "force: (a) beside the model, (b) their difference.",
     "convergence": "Best J over the rounds of the particle swarm, relative to the J after the "
     "bounded local polish (dashed); both by the reduced model. The legend gives the last value.",
 }
@@ -574,6 +610,7 @@ FIGURES: dict[str, Callable[[FitResult], Figure | None]] = {
     "matched_trials": matched_figure,
     "profiles": profiles_figure,
     "residuals": residuals_figure,
+    "indentation": indentation_figure,
     "convergence": convergence_figure,
 }
 """What draws each figure, in the order of the report."""

@@ -130,6 +130,8 @@ def render(result: FitResult, pictures: dict[str, bytes]) -> str:
         figure("area_over_force"),
         tables.costs(result),
         tables.force_modes(result),
+        *(["<h2>Indentation</h2>", figure("indentation")] if "indentation" in pictures else []),
+        tables.indentations(result),
         "<h2>Trials</h2>",
         figure("example_trial"),
         figure("matched_trials"),

@@ -356,6 +356,36 @@ def costs(result: FitResult) -> str:
     )
 
 
+def indentations(result: FitResult) -> str:
+    """Measured indentation beside the model's; nothing where none was used."""
+    rows = [
+        [
+            escape(name),
+            f"{len(found.zeros)} of {len(fit.problem)}",
+            str(len(found.measured)),
+            f"{found.travel * 1e3:.2f}",
+            f"{found.rms * 1e6:.0f}",
+            f"{found.sd * 1e6:.0f}",
+            f"{found.gain:.3f}",
+        ]
+        for name, fit in result.fits.items()
+        if (found := fit.indentation) is not None
+    ]
+    if not rows:
+        return ""
+    header = [
+        "condition", "trials", "frames", "travel (mm)", "RMS difference (µm)", "weighed with (µm)",
+        "gain",
+    ]  # fmt: skip
+    return table(header, rows) + (
+        "<p class=lead>The fit used the measured indentation beside the areas. Its zero is unknown "
+        "and was fitted in each trial. Travel: change of the measured indentation in a trial "
+        "(median). Weighed with: the stated deviation and the model's own error, as squares. "
+        "<i>J</i> is that of the areas alone, except in the search, where the indentation is "
+        "included.</p>"
+    )
+
+
 def trials(result: FitResult) -> str:
     """One row per trial."""
     rows = []

@@ -6,3 +6,4 @@
 from .contrasts import Contrast, contrasts
 from .files import condition_dict, fit_dict, parameter_files, write
 from .fits import ConditionFit, CrossCheck, DeformedFinger, FitResult
+from .indentation import IndentationFit, indentation_fit

@@ -50,6 +50,7 @@ def condition_dict(fit: ConditionFit) -> dict[str, Any]:
         "frames": len(fit.problem.measured),
         "status": fit.status,
         "reasons": fit.reasons,
+        "indentation": None if fit.indentation is None else fit.indentation.to_dict(),
         "nuisance": None if fit.nuisance is None else fit.nuisance.to_dict(),
         "quality": None if fit.quality is None else fit.quality.to_data(),
         "pso": {

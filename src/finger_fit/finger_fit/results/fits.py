@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from ..quality import Quality
     from ..search import LocalFit, Search
     from .contrasts import Contrast
+    from .indentation import IndentationFit
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,8 @@ class ConditionFit:
     """Everything that the fit of one condition found (SI, J in m⁴).
 
     parameters (N,): the result; cost: its J; objective: what was minimised, J with the nuisances
-    eliminated (`problem.Goal`); nuisance: None without. pso: the search alone; polish: the local
+    eliminated (`problem.Goal`) and with the measured indentations; nuisance, indentation: None
+    without. pso: the search alone; polish: the local
     least squares of J, None without. top (C, N), top_costs (C,): best distinct candidates.
     bias_corrected: empty without bias pairs; samples (B, N): bootstrap. areas (n,): the model's
     areas (m²) at the frames; goodness: R² there; curves: at every step of each trial's drive.
@@ -79,6 +81,7 @@ class ConditionFit:
     reasons: list[str] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
     quality: Quality | None = None
+    indentation: IndentationFit | None = None
 
     @property
     def space(self) -> ParameterSpace:

@@ -3,8 +3,8 @@
 
 """Tables of a fit as files: CSV for programs, LaTeX (booktabs) for a paper.
 
-`parameters`, `goodness` and `contrasts` come in both forms; `trials` and `frames`, which are long,
-as CSV only. Units stand in the headings.
+`parameters`, `goodness` and `contrasts` come in both forms; `trials`, `frames` and `indentation`,
+which are long, as CSV only. Units stand in the headings.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 
 from finger_common.files import atomic_write
 
-from ..problem import MM2, MM4, three_digits
+from ..problem import MM, MM2, MM4, three_digits
 from .contrasts import Contrast
 from .fits import ConditionFit, FitResult
 
@@ -33,6 +33,7 @@ def write_tables(result: FitResult, folder: Path) -> None:
         ("contrasts", contrast_rows(result, result.contrasts)),
         ("trials", trial_rows(result)),
         ("frames", list(frame_rows(result))),
+        ("indentation", list(indentation_rows(result))),
     ):
         if not rows:
             continue
@@ -187,6 +188,26 @@ def frame_rows(result: FitResult) -> Iterator[dict[str, Any]]:
                 "residual_mm2": (problem.measured[k] - fit.areas[k]) * MM2,
                 "power_law_mm2": law[k] * MM2,
                 "weight": problem.weight[k],
+            }
+
+
+def indentation_rows(result: FitResult) -> Iterator[dict[str, Any]]:
+    """One row per measured indentation that was compared: less its trial's zero, predicted, and the
+    residual."""
+    for subject, condition, fit in named(result):
+        found = fit.indentation
+        if found is None:
+            continue
+        for k, index in enumerate(found.trial_of):
+            yield {
+                "subject": subject,
+                "condition": condition,
+                "trial": fit.problem.trials[index].label,
+                "time_s": found.time[k],
+                "force_n": found.force[k],
+                "indentation_mm": found.measured[k] * MM,
+                "predicted_mm": found.predicted[k] * MM,
+                "residual_mm": (found.measured[k] - found.predicted[k]) * MM,
             }
 
 

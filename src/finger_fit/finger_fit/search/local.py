@@ -39,8 +39,8 @@ class Target(Protocol):
 class Areas(Protocol):
     """What a local fit needs of a problem: a FitProblem, or one that is built from FitProblems."""
 
-    def areas(self, parameters: np.ndarray) -> np.ndarray:
-        """Areas (P, n) in m² for parameters (P, N)."""
+    def outputs(self, parameters: np.ndarray) -> np.ndarray:
+        """Rows (P, n) in m², areas and others, for parameters (P, N)."""
         ...
 
     def goal(self, weight: np.ndarray | None = None) -> Target:
@@ -79,7 +79,7 @@ def refine(
     def areas(u: np.ndarray) -> np.ndarray:
         nonlocal spent
         spent += len(u)
-        return problem.areas(coordinates.parameters(u))
+        return problem.outputs(coordinates.parameters(u))
 
     u = np.clip(coordinates.of(np.asarray(start, dtype=float)), box[:, 0], box[:, 1])
     if dimension == 0 or not np.any(span > 0):

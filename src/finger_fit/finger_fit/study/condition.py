@@ -19,7 +19,7 @@ from ..nuisance.geometry import FullOrderGeometry, PopulationGeometry, geometry_
 from ..nuisance.result import nuisance_result
 from ..options import FitOptions
 from ..problem import FitProblem, fit_power_law
-from ..results import ConditionFit, CrossCheck
+from ..results import ConditionFit, CrossCheck, indentation_fit
 from ..search import LocalFit, Search, Stopped, all_free, best_points, refine, search, search_grid
 from ..uncertainty import (
     Covariance,
@@ -35,6 +35,9 @@ from .progress import Progress, Report
 
 DISTINCT = 0.02
 """Candidates count as different when a parameter's logarithm differs by this much."""
+
+SMALLEST_NOISE = 1e-9
+"""m², of a frame: areas of a simulation have none."""
 
 AGREEMENT = 0.02
 """A cross-check agrees when its polished J lies within this part of the fit's."""
@@ -68,6 +71,7 @@ def fit_condition(
     if not len(fit.top):
         fit.top, fit.top_costs = top_candidates(fit, options.top)
     fit.areas, fit.curves = problem.areas(fit.parameters)[0], drive_areas(problem, fit.parameters)
+    fit.indentation = indentation_fit(problem, fit.parameters)
     fit.goodness = goodness(problem, fit.areas, fit.power_law, options.seed)
     return fit
 
@@ -113,6 +117,8 @@ class _Stages:
         with progress.timed("power law"):
             law = fit_power_law(problem)
         fit = ConditionFit(self.progress.condition, problem, parameters, cost, grid, pso, law)
+        if problem.indentations is not None:
+            fit.cost = float(problem.trial_costs(problem.areas(parameters)[0]).sum())
         fit.objective = cost
         fit.seconds = progress.seconds
         if not (grid.complete and pso.complete):
@@ -143,10 +149,12 @@ class _Stages:
         if options.polish:
             with progress.timed("polish"):
                 fit.polish = polish(problem, fit.parameters, self.start)
-            if fit.polish.cost < fit.cost:
-                fit.parameters = fit.polish.parameters
-                fit.cost = fit.objective = fit.polish.cost
-            progress.rounds("polish")(1, 1, fit.cost, fit.parameters)
+                if problem.indentations is not None:
+                    problem.weigh(residual_noise(problem, fit.polish.parameters))
+                    fit.polish = polish(problem, fit.polish.parameters, self.start)
+            if problem.indentations is not None or fit.polish.cost < fit.objective:
+                fit.parameters, fit.objective = fit.polish.parameters, fit.polish.cost
+            progress.rounds("polish")(1, 1, fit.objective, fit.parameters)
         with progress.timed("cross-checks"):
             others = [name for name in options.optimizer if name != "pso"]
             fit.cross_checks = [self.cross_check(fit, name) for name in others]
@@ -224,7 +232,7 @@ class _Stages:
         """Another optimiser from the same start, and whether it agrees after the same polish."""
         found, cost = self.run(name).best
         polished = min(cost, refine(self.problem, self.coordinates, found).cost)
-        agrees = bool(abs(polished / fit.cost - 1) < AGREEMENT)
+        agrees = bool(abs(polished / fit.objective - 1) < AGREEMENT)
         return CrossCheck(name, found, cost, polished, agrees)
 
 
@@ -253,6 +261,13 @@ def polish(problem: FitProblem, parameters: np.ndarray, starts: np.ndarray) -> L
     return LocalFit(best.parameters, best.cost, sum(fit.evaluations for fit in found))
 
 
+def residual_noise(problem: FitProblem, parameters: np.ndarray) -> float:
+    """Noise (m²) of a frame by the areas' residuals at fitted parameters (N,)."""
+    residual = problem.areas(parameters)[0] - problem.measured
+    degrees = max(len(residual) - len(problem.space), 1)
+    return max(float(np.sqrt((residual**2).sum() / degrees)), SMALLEST_NOISE)
+
+
 def top_candidates(fit: ConditionFit, number: int) -> tuple[np.ndarray, np.ndarray]:
     """Best distinct candidates (≤ number, N) of polish, PSO and grid, and their J, best first."""
     space = fit.space
@@ -261,7 +276,7 @@ def top_candidates(fit: ConditionFit, number: int) -> tuple[np.ndarray, np.ndarr
     points.append(best_points(fit.grid, 50))
     costs.append(np.sort(fit.grid.costs.reshape(-1), kind="stable")[:50])
     all_points, all_costs = np.concatenate(points), np.concatenate(costs)
-    if fit.correction is not None or fit.problem.nuisances is not None:
+    if not fit.problem.is_plain:
         # The costs of the search are J of uncorrected areas.
         keep = np.argsort(all_costs[1:], kind="stable")[:200] + 1
         all_points = np.concatenate([all_points[:1], all_points[keep]])
@@ -285,7 +300,8 @@ def drive_areas(problem: FitProblem, parameters: np.ndarray) -> list[np.ndarray]
     curves = [areas[0] for areas in problem.model.batch(parameters[None], drives)]
     if problem.correction is None:
         return curves
-    factor = np.split(problem.correction.factor(parameters)[0], problem.starts[1:-1])
+    factors = problem.correction.factor(parameters)[0][: len(problem.measured)]
+    factor = np.split(factors, problem.starts[1:-1])
     return [
         areas * np.interp(trial.time, trial.frame_time, part)
         for areas, trial, part in zip(curves, problem.trials, factor)

@@ -36,12 +36,12 @@ class JointProblem:
 
     def __init__(self, problems: Sequence[FitProblem]) -> None:
         self._problems = problems
-        self._splits = np.cumsum([len(p.measured) for p in problems])[:-1]
+        self._splits = np.cumsum([len(p.observed) for p in problems])[:-1]
 
-    def areas(self, parameters: np.ndarray) -> np.ndarray:
-        """Areas (P, n) in m² of all conditions."""
+    def outputs(self, parameters: np.ndarray) -> np.ndarray:
+        """Rows (P, n) in m² of all conditions."""
         parts = np.split(parameters, len(self._problems), axis=1)
-        return np.concatenate([p.areas(v) for p, v in zip(self._problems, parts)], axis=1)
+        return np.concatenate([p.outputs(v) for p, v in zip(self._problems, parts)], axis=1)
 
     def goal(self, weight: np.ndarray | None = None) -> JointGoal:
         """The sum over the conditions."""
@@ -138,12 +138,11 @@ class ThicknessProblem:
         self._slope = (low * x[2] ** 2 - high * x[0] ** 2) / determinant
         self._bend = (x[0] * high - x[2] * low) / determinant
 
-    def areas(self, parameters: np.ndarray) -> np.ndarray:
-        """Areas (P, n) in m² of parameters (P, N + 1), h last."""
+    def outputs(self, parameters: np.ndarray) -> np.ndarray:
+        """Rows (P, n) in m² of parameters (P, N + 1), h last."""
         x = np.log(parameters[:, -1:] / self._thickness)
-        return self._problem.areas(parameters[:, :-1]) * np.exp(
-            x * self._slope + x * x * self._bend
-        )
+        factor = np.exp(x * self._slope + x * x * self._bend)
+        return self._problem.compared(self._problem.corrected(parameters[:, :-1]) * factor)
 
     def coordinates(self) -> Coordinates:
         """All parameters and h free."""
@@ -181,9 +180,9 @@ def thickness_fit(problem: FitProblem, best: np.ndarray, full_order: FullOrder) 
     step, number = 5e-3, len(vector)
     shifts = np.eye(number) * step
     centre = coordinates.of(vector)
-    moved = extended.areas(_unclipped(problem, np.vstack([centre + shifts, centre - shifts])))
+    moved = extended.outputs(_unclipped(problem, np.vstack([centre + shifts, centre - shifts])))
     slope = (moved[:number] - moved[number:]) / (2 * step)
-    residual = extended.areas(vector[None])[0] - problem.measured
+    residual = extended.outputs(vector[None])[0] - problem.observed
     noise = np.sqrt((residual**2).sum() / max(len(residual) - number, 1))
     deviation = np.sqrt(np.diag(inverse_of(slope @ slope.T / noise**2)))
     return {
@@ -215,7 +214,8 @@ def force_modes(fit: ConditionFit, records: Sequence[Any]) -> dict[str, dict[str
     changed = replace(options, force=other)
     trials, _ = prepare_all(records, changed)
     problem = FitProblem([t for t in trials if identity(t) in wanted], fit.problem.model, changed)
-    if len(problem.measured) == len(fit.problem.measured):
+    problem.weigh(fit.problem.area_noise)
+    if len(problem.observed) == len(fit.problem.observed):
         problem.correction = fit.problem.correction
         if fit.problem.nuisances is not None:
             problem.nuisances = fit.problem.nuisances

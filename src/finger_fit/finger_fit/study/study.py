@@ -51,7 +51,7 @@ def fit_records(
 
     options.pool fits all subjects as one. Raises InputError when nothing can be fitted.
     """
-    screened = screen(records)
+    screened = screen(records, options.indentation_sd > 0)
     trials, excluded = prepare_all(screened.records, options)
     exclusions = [*screened.exclusions, *excluded]
     of_trial = {label_of(record): record for record in screened.records}

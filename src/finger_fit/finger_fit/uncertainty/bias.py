@@ -57,10 +57,10 @@ def bias_pair(problem: FitProblem, best: np.ndarray, seed: int, index: int) -> n
     The data are made at the best parameters (N,); the result is the same on every machine.
     """
     rng = np.random.default_rng([seed, index, 1])
-    areas = problem.areas(best)[0]
+    rows = problem.outputs(best)[0]
     number = len(problem)
     goal = problem.goal()
-    residual = goal.residuals(areas)
+    residual = goal.residuals(rows)
     if problem.nuisances is not None:
         residual = residual + problem.nuisances.slope @ goal.moves(residual)
     # The fit has absorbed part of the scatter of the trials.
@@ -70,12 +70,12 @@ def bias_pair(problem: FitProblem, best: np.ndarray, seed: int, index: int) -> n
     coordinates = all_free(problem)
     fits = []
     for sign in (1.0, -1.0):
-        made = areas
+        made = rows
         if problem.nuisances is not None:
             # The gains of the presses flip with their residuals.
             synthetic.nuisances = problem.nuisances.with_gains(sign * signs, problem.trial_of)
-            made = areas * synthetic.nuisances.factor
-        synthetic.measured = made + sign * (residual * signs[problem.trial_of])
+            made = rows * synthetic.nuisances.factor
+        synthetic.observed = made + sign * (residual * signs[problem.row_trial])
         fits.append(refine(synthetic, coordinates, best, tolerance=1e-5, iterations=25).parameters)
     return np.array(fits)
 

@@ -20,7 +20,7 @@ def bootstrap_sample(problem: FitProblem, best: np.ndarray, seed: int, index: in
         problem,
         all_free(problem),
         best,
-        problem.weight * multiplicity[problem.trial_of],
+        problem.row_weight * multiplicity[problem.row_trial],
         tolerance=1e-4,
         iterations=12,
     ).parameters

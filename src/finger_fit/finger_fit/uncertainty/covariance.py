@@ -187,12 +187,12 @@ class Covariance:
 
 
 def sensitivities(problem: FitProblem, parameters: np.ndarray) -> np.ndarray:
-    """∂A/∂x (N, n) in m² at parameters (N,), by central differences in one batch."""
+    """∂A/∂x (N, n) in m² of all rows at parameters (N,), by central differences in one batch."""
     space, number = problem.space, len(problem.space)
     centre = space.to_log(parameters)
     shifts = np.eye(number) * _CENTRAL
-    areas = problem.areas(space.from_log(np.vstack([centre + shifts, centre - shifts])))
-    return (areas[:number] - areas[number:]) / (2.0 * _CENTRAL)
+    rows = problem.outputs(space.from_log(np.vstack([centre + shifts, centre - shifts])))
+    return (rows[:number] - rows[number:]) / (2.0 * _CENTRAL)
 
 
 def active_bounds(space: ParameterSpace, parameters: np.ndarray, box: np.ndarray) -> dict[str, str]:
@@ -215,28 +215,31 @@ def covariance(
     expected_noise: m² of a frame, in place of the residuals of a fit: the covariance that data of
     this noise will have, without any bound.
     """
-    space, weight = problem.space, problem.weight
+    space, weight = problem.space, problem.row_weight
     number = len(space)
     goal = problem.goal()
     slope = sensitivities(problem, parameters)
-    residual = goal.residuals(problem.areas(parameters)[0])
+    residual = goal.residuals(problem.outputs(parameters)[0])
     planned = expected_noise is not None
     active = {} if planned else active_bounds(space, parameters, problem.box)
     free = [i for i, name in enumerate(space.names) if name not in active]
     degrees = float(len(weight) - len(free))
+    if problem.indentations is not None:
+        degrees -= len(problem.indentations.trials)  # their zeros
     shared = problem.nuisances
     names: tuple[str, ...] = ()
     prior, assumed = np.zeros(number), np.zeros(0, dtype=bool)
     filtered = weight * slope
     own, own_sd, variance = np.zeros((len(weight), 0)), np.zeros(0), 0.0
     if shared is not None:
-        common = shared.shared
+        common = shared.shared & ~shared.absorbers
+        ordered = [*np.flatnonzero(common), *np.flatnonzero(shared.absorbers)]
         names = tuple(name for name, is_common in zip(shared.names, common) if is_common)
         residual = residual + shared.slope @ goal.moves(residual)
-        slope = np.vstack([slope * shared.factor, shared.slope[:, common].T])
+        slope = np.vstack([slope * shared.factor, shared.slope[:, ordered].T])
         variance, assumed = shared.variance, shared.assumed[common]
-        prior = np.concatenate([prior, variance / shared.sd[common] ** 2])
-        own, own_sd = shared.slope[:, ~common], shared.sd[~common]
+        prior = np.concatenate([prior, variance / shared.sd[ordered] ** 2])
+        own, own_sd = shared.slope[:, ~shared.shared], shared.sd[~shared.shared]
         # Σ⁻¹ s for frames that share their trial's nuisances: what these explain is taken out.
         filtered = weight * slope
         inner = (own.T * weight) @ own + np.diag(variance / own_sd**2)
@@ -244,12 +247,22 @@ def covariance(
         degrees -= float((1.0 - goal.spread() ** 2 / shared.sd**2).sum())
     curvature = filtered @ slope.T + np.diag(prior)
     # Equal noise in every frame; the residuals of the fit are smaller by the fitted parameters.
-    noise = float(np.sqrt((residual**2).sum() / max(degrees, 0.2 * len(weight), 1.0)))
+    # Indentations that fit worse than their stated deviation widen the intervals.
+    square = max(np.mean(residual**2), np.mean(residual[: len(problem.measured)] ** 2))
+    noise = float(np.sqrt(square * len(weight) / max(degrees, 0.2 * len(weight), 1.0)))
     if expected_noise is not None:
         noise, residual = expected_noise, np.zeros_like(residual)
     spread = np.hstack([filtered * noise, (filtered @ own) * own_sd])
     information = spread @ spread.T
-    scores = np.add.reduceat(weight * residual * slope, problem.starts[:-1], axis=1)
+    scores = problem.by_trial(weight * residual * slope)
+    kept = number + len(names)
+    if kept < len(curvature):
+        # What only absorbs is eliminated, and is no error of its own.
+        answer = np.linalg.solve(curvature[kept:, kept:], curvature[kept:, :kept]).T
+        curvature = curvature[:kept, :kept] - answer @ curvature[kept:, :kept]
+        pick = np.hstack([np.eye(kept), -answer])
+        scores, information = pick @ scores, pick @ information @ pick.T
+        prior = prior[:kept]
     found = Covariance(
         space,
         np.array(parameters),

@@ -1,7 +1,7 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Contact areas of many parameter sets by the full-order model, for fits of any law."""
+"""Contact areas and indentations of many parameter sets by the full-order model, for fits."""
 
 from __future__ import annotations
 
@@ -70,6 +70,15 @@ class FullOrderAreas:
     ) -> np.ndarray:
         """Areas (f,) in m² at increasing rows (f,) of a history (n,) for parameters (p,).
 
+        NaN and errors as in `contact`.
+        """
+        return self.contact(parameters, time, force, rows)[0]
+
+    def contact(
+        self, parameters: np.ndarray, time: np.ndarray, force: np.ndarray, rows: np.ndarray
+    ) -> np.ndarray:
+        """Areas in m² and indentations in m (2, f) at increasing rows (f,) of a history (n,).
+
         NaN throughout where the finger cannot carry the load. Raises InputError where the law
         refuses the parameters.
         """
@@ -78,21 +87,28 @@ class FullOrderAreas:
         try:
             history = self._model.simulate(material, time[steps], force[steps])
         except ModelError:
-            return np.full(len(rows), np.nan)
-        return history.area[np.searchsorted(steps, rows)]
+            return np.full((2, len(rows)), np.nan)
+        return np.array([history.area, history.indentation])[:, np.searchsorted(steps, rows)]
 
     def batch(
         self, parameters: np.ndarray, trials: Sequence[tuple[np.ndarray, ...]]
     ) -> list[np.ndarray]:
-        """Areas (P, f) in m² of each trial, for parameters (P, p).
+        """Areas (P, f) in m² of each trial; arguments as of `contacts`."""
+        return [found[0] for found in self.contacts(parameters, trials)]
 
-        trials: (time (n,) in s, force (n,) in N, rows (f,)), rows increasing: the samples whose
-        area is wanted, all of them where left out. NaN as in `areas`.
+    def contacts(
+        self, parameters: np.ndarray, trials: Sequence[tuple[np.ndarray, ...]]
+    ) -> list[np.ndarray]:
+        """Areas in m² and indentations in m (2, P, f) of each trial, for parameters (P, p).
+
+        trials: (time (n,) in s, force (n,) in N, rows (f,)), rows increasing: the samples that
+        are wanted, all of them where left out. NaN as in `contact`.
         """
         parameters = np.atleast_2d(np.asarray(parameters, dtype=float))
         found = []
         for trial in trials:
             time, force = (np.asarray(values, dtype=float) for values in trial[:2])
             rows = np.asarray(trial[2], dtype=int) if len(trial) > 2 else np.arange(len(time))
-            found.append(np.array([self.areas(row, time, force, rows) for row in parameters]))
+            each = [self.contact(row, time, force, rows) for row in parameters]
+            found.append(np.swapaxes(each, 0, 1))
         return found

@@ -639,19 +639,22 @@ def follow(net, par, state, work, before, time, force, table):
 
 
 @njit(cache=True)
-def _areas(net, par, state, work, time, force, wanted, out):
-    """Areas of one trial, each at its index in `wanted` (−1: left out); records: arrays of one."""
+def _contacts(net, par, state, work, time, force, wanted, out):
+    """Areas and indentations out (2, frames) of one trial, each at its index in `wanted` (−1: left
+    out); records: arrays of one."""
     _rest(net[0], par[0], state[0], work[0])
     for i in range(len(time)):
         dt = time[i] - time[i - 1] if i else 0.0
         _advance(net[0], par[0], state[0], work[0], dt, force[i])
         if wanted[i] >= 0:
-            out[wanted[i]] = _area(net[0], par[0], state[0], work[0])
+            out[0, wanted[i]] = _area(net[0], par[0], state[0], work[0])
+            out[1, wanted[i]] = par[0].length * state[0].drive[0]
 
 
 @njit(cache=True, parallel=True)
 def batch(net, par, state, work, time, force, start, wanted, out):
-    """Areas out (P, frames) of P parameter sets par (P,) over all trials.
+    """Areas (m²) and indentations (m) out (P, 2, frames) of P parameter sets par (P,) over all
+    trials.
 
     `state` and `work` are templates. The trials lie end to end in time and force (n,), trial t in
     start[t] … start[t + 1] − 1; wanted (n,): the frame of `out` that a sample gives, −1 for none.
@@ -663,7 +666,7 @@ def batch(net, par, state, work, time, force, start, wanted, out):
         # Passed as arrays: a record alone does not keep its memory.
         own_state, own_work = np.empty_like(state), np.empty_like(work)
         rows = slice(start[trial], start[trial + 1])
-        _areas(
+        _contacts(
             net,
             par[which : which + 1],
             own_state,

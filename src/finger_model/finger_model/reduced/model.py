@@ -422,12 +422,20 @@ class ReducedModel:
         parameters: np.ndarray,
         trials: Sequence[tuple[np.ndarray, ...]],
     ) -> list[np.ndarray]:
-        """Areas of many parameter sets over many trials, on all cores that numba may use.
+        """Areas (P, f) in m² of each trial; arguments as of `contacts`."""
+        return [found[0] for found in self.contacts(parameters, trials)]
+
+    def contacts(
+        self,
+        parameters: np.ndarray,
+        trials: Sequence[tuple[np.ndarray, ...]],
+    ) -> list[np.ndarray]:
+        """Contacts of many parameter sets over many trials, on all cores that numba may use.
 
         parameters (P, n): vectors of `space`; trials: (time (n,), force (n,)) or (time, force, rows
-        (f,)), rows being the samples whose area is wanted (all of them without). Returns one (P, f)
-        array of areas (m²) per trial. Forces beyond the limit are held at it, parameters out of
-        range are not refused: see `out_of_range`.
+        (f,)), rows being the samples that are wanted (all of them without). Returns one (2, P, f)
+        array per trial: areas (m²) and indentations (m). Forces beyond the limit are held at it,
+        parameters out of range are not refused: see `out_of_range`.
         """
         parameters = np.atleast_2d(np.asarray(parameters, dtype=float))
         constants = self.constants(*parameters)
@@ -445,7 +453,7 @@ class ReducedModel:
             wanted[start[i] + rows] = count + np.arange(len(rows))
             frames.append(slice(count, count + len(rows)))
             count += len(rows)
-        out = np.empty((len(parameters), count))
+        out = np.empty((len(parameters), 2, count))
         if checked:
             rk.batch(
                 self.networks,
@@ -458,7 +466,7 @@ class ReducedModel:
                 wanted,
                 out,
             )
-        return [out[:, part] for part in frames]
+        return [out[:, :, part].swapaxes(0, 1) for part in frames]
 
 
 def history_of(time: np.ndarray, force: np.ndarray, table: np.ndarray) -> ContactHistory:

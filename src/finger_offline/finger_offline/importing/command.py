@@ -38,6 +38,8 @@ def add_command(add: AddCommand) -> None:
         "--condition dry\n"
         "finger-bag import -o S01_wet --force log.xlsx::Press2 --force-column 'Fz [N]' --video "
         "press2.mp4 --calibration plate.yaml --subject S01 --condition wet\n"
+        "finger-bag import -o S01_dry --force force.csv --area area.csv --indentation laser.csv "
+        "--subject S01 --condition dry\n"
         "finger-bag import -o study --trials trials.csv --area-per-pixel 9.86e-10",
     )
     parser.add_argument(

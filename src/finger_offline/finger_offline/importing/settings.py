@@ -11,7 +11,7 @@ from finger_common.axes import DEFAULT_NORMAL_AXIS, NORMAL_AXES
 from finger_common.errors import InputError
 from finger_common.moisture import MOISTURE_TEXT, is_moisture
 from finger_common.settings import Settings, setting
-from finger_common.units import AREA_UNITS, FORCE_UNITS, TIME_UNITS
+from finger_common.units import AREA_UNITS, FORCE_UNITS, LENGTH_UNITS, TIME_UNITS
 from finger_vision.area_sensor import AREA_SENSORS
 
 from ..trial_split import CONDITION
@@ -22,13 +22,13 @@ IMAGES = "areas from images"
 ABOUT = "what the files hold"
 """Headings of the options in the help of the command."""
 
-PATHS = ("force", "area", "video", "images", "image_times", "calibration")
+PATHS = ("force", "area", "indentation", "video", "images", "image_times", "calibration")
 """Settings that name a file; in a table of trials they are relative to the table."""
 
 
 @dataclass(frozen=True)
 class ImportSettings(Settings):
-    """One recording: force, and areas from a table, a video or images.
+    """One recording: force, areas from a table, a video or images, and perhaps indentation.
 
     A table file is FILE or FILE::PART, where PART is the sheet of a workbook, the group or
     dataset of an HDF5 or MATLAB file, or the stream of an XDF file.
@@ -36,6 +36,9 @@ class ImportSettings(Settings):
 
     force: str = setting("", "Table with time and force.", group=FILES)
     area: str = setting("", "Table with time and contact area.", group=FILES)
+    indentation: str = setting(
+        "", "Table with time and measured indentation, beside the areas.", group=FILES
+    )
     video: str = setting("", "Video of the contact, in place of areas.", group=FILES)
     images: str = setting(
         "", "Folder of images of the contact, in the order of their names.", group=FILES
@@ -81,6 +84,32 @@ class ImportSettings(Settings):
         "",
         "Unit of the area; empty: as the heading says (area_mm2, Area [cm²]).",
         choices=("", *AREA_UNITS),
+        group=COLUMNS,
+    )
+    indentation_time: str = setting("time_s", "Column of the indentation's time.", group=COLUMNS)
+    indentation_column: str = setting(
+        "indentation_mm",
+        "Column of the approach of plate and bone; its zero need not be known.",
+        group=COLUMNS,
+    )
+    indentation_unit: str = setting(
+        "",
+        "Unit of the indentation; empty: as the heading says (indentation_mm, Weg [µm]).",
+        choices=("", *LENGTH_UNITS),
+        group=COLUMNS,
+    )
+    indentation_sign: str = setting(
+        "positive",
+        "Sign of its change while plate and bone come closer.",
+        choices=("positive", "negative"),
+        group=COLUMNS,
+    )
+    indentation_time_offset: float = setting(
+        0.0,
+        "Added to the times of the indentation, where its clock differs from the force's.",
+        "s",
+        -1e9,
+        1e9,
         group=COLUMNS,
     )
     time_unit: str = setting(

@@ -24,14 +24,14 @@ from finger_bag.xdf import read_xdf
 from finger_common.errors import InputError, known_names
 from finger_common.files import exists, parse_npz, read_bytes, read_text
 from finger_common.stamps import NANOSECONDS
-from finger_common.units import AREA_UNITS, FORCE_UNITS, TIME_UNITS, unit_named
+from finger_common.units import AREA_UNITS, FORCE_UNITS, LENGTH_UNITS, TIME_UNITS, unit_named
 
 EPOCH_SECONDS = 1e8
 """s; a time beyond this (three years) counts from 1970, as computers do."""
 
 MAXIMUM_COLUMNS = 4096
 
-_UNITS = (FORCE_UNITS, AREA_UNITS, TIME_UNITS)
+_UNITS = (FORCE_UNITS, LENGTH_UNITS, AREA_UNITS, TIME_UNITS)
 
 
 @dataclass(frozen=True)
@@ -245,7 +245,9 @@ def of_rows(where: str, rows: Sequence[tuple[int, Sequence[Any]]]) -> Table:
         start += 1
         below = rows[start][1] if start < len(rows) else ()
         stated = [str(cell or "").strip(" []()") for cell in below]
-        if any(unit_named(text, known) for text in stated for known in _UNITS):
+        named = [any(unit_named(text, known) for known in _UNITS) for text in stated if text]
+        # A first row of values may hold a unit too, as the option of a table of trials.
+        if named and 2 * sum(named) >= len(named):
             units = dict(zip(header, stated))
             start += 1
     body = rows[start:]

@@ -24,11 +24,12 @@ from finger_common.files import sha256_of_file
 from finger_common.flags import AreaFlag
 from finger_common.stamps import NANOSECONDS, nanoseconds, seconds
 from finger_common.trial_phases import TrialPhase
-from finger_common.units import AREA_UNITS, FORCE_UNITS
+from finger_common.units import AREA_UNITS, FORCE_UNITS, LENGTH_UNITS
 from finger_vision.area_sensor import AREA_SENSORS, ContactMeasurement
 from finger_vision.calibration import PlateCalibration
 
 from ..image_areas import area_fields
+from ..indentation_checks import indentation_fault
 from ..trial_checks import LARGEST_FORCE, PLAUSIBLE_AREA
 from ..trial_split import TrialSettings, presses
 from .pictures import Frame, frames_of
@@ -90,6 +91,7 @@ def import_trial(
     stamps = times.ns if times.absolute else times.ns + start
     found = _Force(stamps, force, -force[:, 2])
     events = _presses(settings, found, result)
+    indentations = _indentations(settings, times.absolute, start, found, result)
     areas = _areas(settings, times.absolute, start, result, show)
     with BagWriter(target, _metadata(settings)) as bag:
         if settings.calibration or settings.area_per_pixel:
@@ -97,7 +99,7 @@ def import_trial(
                 CALIBRATION_ATTACHMENT, _calibration(settings).to_yaml().encode(), "text/yaml"
             )
         for stamp, topic, fields in heapq.merge(
-            events, _wrenches(found), areas, key=lambda item: item[0]
+            events, _wrenches(found), indentations, areas, key=lambda item: item[0]
         ):
             header = {**fields.pop("header", {}), "stamp": stamp}
             bag.write(topic, {"header": header, **fields}, stamp)
@@ -242,31 +244,48 @@ def _areas(
     settings: ImportSettings, absolute: bool, start: int, result: Imported, show: Progress | None
 ) -> Iterator[_Item]:
     """Areas, and images where they are kept, in the order of time."""
-    offset = nanoseconds(settings.time_offset)
 
     def based(name: str, theirs: bool) -> int:
-        if theirs != absolute:
-            raise InputError(
-                f"{settings.force} and {name}: one counts its times from 1970 or midnight, the "
-                "other from its own start; give both the same origin, or --time-offset"
-            )
-        return offset if theirs else start + offset
+        return _based(settings, name, theirs, absolute, start, "time_offset")
 
     if settings.area:
-        table = read_table(settings.area)
-        heading = table.heading(settings.area_time, "--area-time")
-        times = table.times(heading, settings.time_unit)
-        column = table.heading(settings.area_column, "--area-column")
-        unit = settings.area_unit or _unit(table, column, AREA_UNITS, "--area-unit mm2")
-        area = table.numbers(column, gaps=True) * AREA_UNITS[unit]
-        _check_length(table, heading, column, len(times.ns), len(area))
-        keep = _in_order(table, heading, times.ns, result.notes) & np.isfinite(area)
-        result.area_stamps = (times.ns[keep] + based(settings.area, times.absolute)).tolist()
-        result.areas = area[keep].tolist()
+        stamps, areas, theirs = _column(settings, "area", AREA_UNITS, "mm2", result.notes)
+        result.area_stamps = (stamps + based(settings.area, theirs)).tolist()
+        result.areas = areas.tolist()
         return _area_items(result)
     frames, count, theirs = frames_of(settings)
     begin = based(settings.video or settings.images, theirs)
     return _image_items(settings, frames, count, begin, result, show)
+
+
+def _column(
+    settings: ImportSettings, what: str, units: dict[str, float], example: str, notes: list[str]
+) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Times (n,) in ns and values (n,) in SI of the table of "area" or "indentation", without its
+    gaps, and whether its times count from 1970."""
+    table = read_table(getattr(settings, what))
+    heading = table.heading(getattr(settings, f"{what}_time"), f"--{what}-time")
+    times = table.times(heading, settings.time_unit)
+    column = table.heading(getattr(settings, f"{what}_column"), f"--{what}-column")
+    unit = getattr(settings, f"{what}_unit")
+    unit = unit or _unit(table, column, units, f"--{what}-unit {example}")
+    values = table.numbers(column, gaps=True) * units[unit]
+    _check_length(table, heading, column, len(times.ns), len(values))
+    keep = _in_order(table, heading, times.ns, notes) & np.isfinite(values)
+    return times.ns[keep], values[keep], times.absolute
+
+
+def _based(
+    settings: ImportSettings, name: str, theirs: bool, absolute: bool, start: int, offset: str
+) -> int:
+    """What is added to the times (ns) of a file beside the force; offset: its setting."""
+    if theirs != absolute:
+        raise InputError(
+            f"{settings.force} and {name}: one counts its times from 1970 or midnight, the "
+            f"other from its own start; give both the same origin, or --{offset.replace('_', '-')}"
+        )
+    moved = nanoseconds(getattr(settings, offset))
+    return moved if theirs else start + moved
 
 
 def _area_items(result: Imported) -> Iterator[_Item]:
@@ -350,6 +369,41 @@ def _check_areas(settings: ImportSettings, result: Imported) -> None:
     for number, count in enumerate(inside):
         if count < FEWEST_AREAS:
             result.notes.append(f"press {number}: {count} areas, {FEWEST_AREAS} are needed to fit")
+
+
+# Indentation ---------------------------------------------------------------------------------
+
+
+def _indentations(
+    settings: ImportSettings, absolute: bool, start: int, found: _Force, result: Imported
+) -> list[_Item]:
+    """Measured indentations; raises InputError for values that are not those of the presses."""
+    name = settings.indentation
+    if not name:
+        return []
+    times, values, theirs = _column(settings, "indentation", LENGTH_UNITS, "mm", result.notes)
+    stamps = times + _based(settings, name, theirs, absolute, start, "indentation_time_offset")
+    values = values * (-1.0 if settings.indentation_sign == "negative" else 1.0)
+    if not len(values):
+        raise InputError(f"{name}: holds no indentation; check --indentation-column")
+    faults = {}
+    for number, (first, last, _) in enumerate(result.presses):
+        press = (found.stamp_ns >= first) & (found.stamp_ns <= last)
+        fault = indentation_fault(found.stamp_ns[press], found.normal[press], stamps, values)
+        if fault is not None:
+            faults[number] = fault
+    for number, fault in faults.items():
+        option = f"--indentation-{fault.option.replace('_', '-')}"
+        text = f"press {number}: {fault.text}; give the right {option}"
+        # A recording of the indentation may end before the last press.
+        if fault.certain and (fault.option != "time_offset" or len(faults) == len(result.presses)):
+            raise InputError(f"{name}: {text}")
+        result.notes.append(text)
+    header = {"frame_id": "finger"}
+    return [
+        (stamp, "indentation", {"header": dict(header), "point": {"z": value}})
+        for stamp, value in zip(stamps.tolist(), values.tolist())
+    ]
 
 
 # About ---------------------------------------------------------------------------------------
