@@ -128,12 +128,11 @@ class Pull:
             return math.nan
         slid = np.hypot(*(self._places() - self._from)[used].T) / share
 
-        def misfit(radius: float) -> float:
-            return float(
-                np.sum((np.cbrt(slid**2) - np.cbrt(gap(distance[used], radius) ** 2)) ** 2)
-            )
+        def misfit(part: float) -> float:
+            fitted = gap(distance[used], part * edge)
+            return float(np.sum((np.cbrt(slid**2) - np.cbrt(fitted**2)) ** 2))
 
-        return float(minimize_scalar(misfit, bounds=(0.1 * edge, edge), method="bounded").x)
+        return edge * float(minimize_scalar(misfit, bounds=(0.1, 1.0), method="bounded").x)
 
 
 def gap(distance: np.ndarray, radius: float) -> np.ndarray:
