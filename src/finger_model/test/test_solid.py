@@ -180,6 +180,26 @@ def test_pull_from_stick_to_slip_and_back(model):
     assert slid.tangential_x == pytest.approx(friction * load, rel=5e-3)
 
 
+def test_sticking_skin_may_hang_on_a_spring():
+    friction, stiffness = 0.4, 2e9
+    model = SolidModel(size=COARSE, stick_stiffness=stiffness)
+    stepper = model.start(elastic(**DRY, friction=friction))
+    stepper.step_to_position(1.0, 0.7e-3)
+    stepper.step_to_position(2.0, 0.7e-3, (0.1e-3, 0.0))
+    contact, mesh = stepper.state.contact, model.mesh
+    sticks, slips = contact.status == STICK, contact.status == SLIP
+    assert sticks.any() and slips.any()
+    area = node_areas(mesh, mesh.nodes[mesh.surface])
+    slid = stepper.state.positions[mesh.surface, :2] - contact.plate[:2] - contact.anchor
+    pulled = (contact.begun - stiffness * area[:, None] * slid)[sticks]
+    pulled[np.abs(mesh.disc[sticks, 1]) < 1e-12, 1] = 0.0
+    largest = friction * contact.force[:, 2].max()
+    assert np.allclose(contact.force[sticks, :2], pulled, atol=1e-6 * largest)
+    size = np.hypot(contact.force[:, 0], contact.force[:, 1])
+    assert np.all(size[sticks] <= friction * contact.force[sticks, 2] + 1e-6 * largest)
+    assert np.allclose(size[slips], friction * contact.force[slips, 2], atol=1e-5 * largest)
+
+
 def test_half_and_whole_finger_agree():
     law = StandardLinearSolid(friction=0.5)
     size = MeshSize(center=0.2, across=3, growth=1.4, bulk=2, skin=1)

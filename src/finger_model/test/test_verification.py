@@ -11,6 +11,7 @@ from finger_model.verification import (
     homogeneous,
     numerics,
     page,
+    pulled_spheres,
     solids,
     spheres,
 )
@@ -145,6 +146,11 @@ def test_page_shows_every_number_and_marks_a_failure(tmp_path):
 @pytest.mark.slow
 def test_three_dimensions_agree_with_two_within_1_percent():
     holds(solids.axisymmetric())
+
+
+@pytest.mark.slow
+def test_pulled_sphere_within_2_percent_of_cattaneo_mindlin():
+    holds(pulled_spheres.cattaneo_mindlin())
 
 
 def test_pull_until_slip_within_2_percent_of_calculix():

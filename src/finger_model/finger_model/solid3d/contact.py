@@ -8,6 +8,10 @@ contact force, no contact stiffness exists. A sticking node keeps its place on t
 node feels friction × normal force against its slip since the step began. The laws are solved by a
 semismooth Newton method (Alart and Curnier 1991; Hüeber, Stadler and Wohlmuth 2008) in the small
 dense matrix that `Condensation` gives, to the end, between two evaluations of the finger.
+
+To compare with codes that soften Coulomb's law, a sticking node may instead hang on a tangential
+spring, up to the same limit (penalty with return mapping: Wriggers, Computational Contact
+Mechanics, 2006, §5.2).
 """
 
 from __future__ import annotations
@@ -47,18 +51,19 @@ class Contact:
     """State of the skin nodes (S,) against the plate; axes x, y, z are those of the plate.
 
     status: OPEN, STICK or SLIP; force (S, 3): of the plate on the nodes (N); anchor (S, 2): place
-    (m) on the plate of the node when the step began; plate (3,): shift of the plate in x and y, and
-    its height (m).
+    (m) on the plate of the node when the step began; begun (S, 2): friction (N) of the
+    node then; plate (3,): shift of the plate in x and y, and its height (m).
     """
 
     status: np.ndarray
     force: np.ndarray
     anchor: np.ndarray
+    begun: np.ndarray
     plate: np.ndarray
 
     def copy(self) -> Contact:
         """Independent copy."""
-        names = ("status", "force", "anchor", "plate")
+        names = ("status", "force", "anchor", "begun", "plate")
         return replace(self, **{name: getattr(self, name).copy() for name in names})
 
 
@@ -86,22 +91,25 @@ def respond(
     plate: np.ndarray,
     target: Plate,
     friction: float,
+    spring: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Response:
     """Displacements of m nodes for which contact and friction hold, f = internal + stiffness · u.
 
     stiffness (3 m, 3 m); internal (3 m,): force (N) that holds the nodes at positions (m, 3);
     movable (m, 3): whether a component can move; anchor (m, 2), status (m,), force (m, 3), plate
-    (3,): as in `Contact`, the last three as a first guess. Raises NotConverged or Sliding.
+    (3,): as in `Contact`, the last three as a first guess. spring: stiffness (m,) in N/m of
+    sticking nodes, and `Contact.begun`; without it they do not move on the plate. Raises
+    NotConverged or Sliding.
     """
     fixed = stiffness, internal, positions, movable, anchor
     try:
-        return _settle(*fixed, status, force, plate, target, friction)
+        return _settle(*fixed, status, force, plate, target, friction, spring)
     except NotConverged:
         if friction == 0.0:
             raise
         # After a turn of the load everything sticks at first.
         held = np.where(status == SLIP, STICK, status)
-        return _settle(*fixed, held, force, plate, target, friction)
+        return _settle(*fixed, held, force, plate, target, friction, spring)
 
 
 def _settle(
@@ -115,6 +123,7 @@ def _settle(
     plate: np.ndarray,
     target: Plate,
     friction: float,
+    spring: tuple[np.ndarray, np.ndarray] | None,
 ) -> Response:
     """`respond` from one guess."""
     m = len(positions)
@@ -128,6 +137,9 @@ def _settle(
     loose = 0
     diagonal = np.diag(stiffness).reshape(m, 3)
     scale = np.where(diagonal[:, 0] > 0, diagonal[:, 0], diagonal[:, 2])
+    begun = force[:, :2]
+    if spring is not None:
+        scale, begun = spring
     slip = positions[:, :2] - plate[:2] - anchor
     # Guess of the slip direction of nodes that already slip: that of their friction.
     trial = force[:, :2].copy()
@@ -149,7 +161,7 @@ def _settle(
             status[np.argmin(excess)] = STICK
         held = np.zeros((m, 3), dtype=bool)
         held[active, 2] = True
-        if friction > 0.0:
+        if friction > 0.0 and spring is None:
             held[status == STICK, :2] = True
         held |= ~movable
         known = np.zeros((m, 3))
@@ -171,7 +183,8 @@ def _settle(
             axis=1,
         )
         rows = columns[free]
-        slipping = np.flatnonzero(status == SLIP) if friction > 0.0 else np.empty(0, dtype=int)
+        tangential = status == SLIP if spring is None else active
+        slipping = np.flatnonzero(tangential) if friction > 0.0 else np.empty(0, dtype=int)
         if len(slipping):
             normal = np.maximum(force[slipping, 2], 0.0)
             size = np.hypot(trial[slipping, 0], trial[slipping, 1])
@@ -180,11 +193,17 @@ def _settle(
             beta = np.minimum(friction * normal / size, 1.0)
             where = np.full(3 * m, -1)
             where[free] = np.arange(len(free))
+            elastic = status[slipping] == STICK
+            e[elastic] = 0.0
+            beta[elastic] = 1.0
             across = np.eye(2) - e[:, :, None] * e[:, None, :]
             fx, fy, fz = (columns[3 * slipping + k] for k in range(3))
             for k in range(2):
                 own = (fx, fy)[k].copy()
-                own -= beta[:, None] * (across[:, k, :1] * fx + across[:, k, 1:] * fy)
+                if spring is None:
+                    own -= beta[:, None] * (across[:, k, :1] * fx + across[:, k, 1:] * fy)
+                else:
+                    own[:, -1] -= beta * np.sum(across[:, k] * begun[slipping], axis=1)
                 own -= friction * e[:, k, None] * fz
                 stiff = beta * scale[slipping]
                 for n in range(2):
@@ -228,7 +247,7 @@ def _settle(
             opens, closes = _worst(opens, force[:, 2]), _worst(closes, gap)
         if opens.sum() == active.sum() and not closes.any():
             opens[np.argmax(force[:, 2])] = False
-        trial = force[:, :2] - scale[:, None] * slip
+        trial = (force[:, :2] if spring is None else begun) - scale[:, None] * slip
         trial[~movable[:, :2]] = 0.0
         misfit = 0.0
         if friction > 0.0:

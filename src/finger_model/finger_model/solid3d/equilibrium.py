@@ -19,6 +19,7 @@ from ..fem.mesh_material import StepMaterial
 from . import elements
 from .condensation import Condensation, NotPositive
 from .contact import Contact, Plate, respond
+from .contact_shape import node_areas
 from .mesh import SolidMesh
 
 TOLERANCE = 2e-5
@@ -31,11 +32,16 @@ SLOW = 0.25
 class Equilibrium:
     """Solver for one mesh; all that does not change between solves is kept here.
 
+    stick_stiffness: of sticking skin against the plate, per area (N/m³); infinite by Coulomb's law.
     residuals: relative residual of every iteration of the last solve; factorizations: so far.
     """
 
-    def __init__(self, mesh: SolidMesh) -> None:
+    def __init__(self, mesh: SolidMesh, stick_stiffness: float = math.inf) -> None:
         self.mesh = mesh
+        self._spring: np.ndarray | None = None
+        if math.isfinite(stick_stiffness):
+            areas = node_areas(mesh, mesh.nodes[mesh.surface])
+            self._spring = stick_stiffness * areas
         self.elements = elements.reference_bricks(mesh.nodes, mesh.cells, mesh.part != EPIDERMIS)
         self.tangent = np.zeros((len(mesh.cells), elements.UNKNOWNS, elements.UNKNOWNS))
         self.force = np.zeros(mesh.nodes.shape)
@@ -55,6 +61,7 @@ class Equilibrium:
             np.zeros(n, dtype=np.int64),
             np.zeros((n, 3)),
             skin[:, :2].copy(),
+            np.zeros((n, 2)),
             np.array([0.0, 0.0, skin[:, 2].min()]),
         )
 
@@ -104,6 +111,7 @@ class Equilibrium:
         contact.plate = np.where(np.isnan(plate.position), contact.plate, plate.position)
         surface = self.mesh.surface
         fixed = self.mesh.fixed
+        spring = self._spring
         floor = 1e-3 * float(material.metric[..., :3].mean()) * self.length**2 * 1e-3
         self.residuals = []
         self._choose(x, contact)
@@ -171,6 +179,7 @@ class Equilibrium:
                 contact.plate,
                 plate,
                 friction,
+                None if spring is None else (spring[nodes], contact.begun[nodes]),
             )
             step = self._condensation.expand(found.displacement.ravel()).reshape(-1, 3)
             largest = float(np.abs(step).max())

@@ -141,7 +141,8 @@ class SolidModel:
     """Finite elements of one finger against one plate.
 
     refinement divides the node spacing; half: use the symmetry of the pose, if it has one, for
-    loads along x; size and mesh replace the default ones. Raises InputError.
+    loads along x; size and mesh replace the default ones; stick_stiffness: see `Equilibrium`.
+    Raises InputError.
     """
 
     def __init__(
@@ -152,6 +153,7 @@ class SolidModel:
         half: bool = True,
         size: MeshSize | None = None,
         mesh: SolidMesh | None = None,
+        stick_stiffness: float = math.inf,
     ) -> None:
         if not 0.25 <= refinement <= 4:
             raise InputError(f"refinement is {refinement:g}, outside 0.25 … 4; 1 is the default")
@@ -161,7 +163,7 @@ class SolidModel:
         self.mesh = (
             mesh if mesh is not None else solid_mesh(self.geometry, self.pose, fineness, half)
         )
-        self.equilibrium = Equilibrium(self.mesh)
+        self.equilibrium = Equilibrium(self.mesh, stick_stiffness)
         self.tip_height = float(self.mesh.nodes[self.mesh.surface, 2].min())
 
     def start(self, material: ConstitutiveLaw, time: float = 0.0) -> SolidStepper:
@@ -341,6 +343,7 @@ class SolidStepper:
         surface = self.model.mesh.surface
         x, contact = self._guess(plate)
         contact.anchor = self._anchor(state, x, contact)
+        contact.begun = state.contact.force[:, :2].copy()
         solve = self.model.equilibrium.solve
         pull = plate.force[:2]
         tangential = np.isnan(plate.position[:2])
@@ -367,6 +370,7 @@ class SolidStepper:
             if not np.any(contact.status == STICK):
                 break
             contact.anchor = x[surface, :2] - contact.plate[:2]
+            contact.begun = contact.force[:, :2].copy()
         return x, contact
 
     def _anchor(self, state: SolidState, x: np.ndarray, contact: Contact) -> np.ndarray:

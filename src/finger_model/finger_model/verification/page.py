@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from finger_common.files import atomic_write
 
 from ..figures import save
-from . import fingers, frictions, homogeneous, numerics, solids, spheres
+from . import fingers, frictions, homogeneous, numerics, pulled_spheres, solids, spheres
 from .check import Check
 
 CHECKS: dict[str, Callable[[], Check]] = {
@@ -39,6 +39,7 @@ CHECKS: dict[str, Callable[[], Check]] = {
     "coulomb": frictions.coulomb,
     "disc": frictions.disc,
     "solid_axisymmetric": solids.axisymmetric,
+    "solid_mindlin": pulled_spheres.cattaneo_mindlin,
     "solid_shear": solids.shear,
     "solid_tilt": solids.tilted,
     "solid_ellipse": solids.elliptical,
