@@ -245,8 +245,8 @@ def test_lengths_enter_by_the_answer_of_the_indentation(double: SimpleNamespace)
     assert len(found) == len(problem.observed) == 2 * len(problem.measured)
     error = 0.08 * (found - exact["pad_semi_axis_axial"].on(problem))
     assert np.sqrt(np.mean(error**2)) < 0.01
-    # One deviation of this length moves the indentation by 11 %, the area by less.
-    assert 0.08 * found[-1] == pytest.approx(0.11, abs=0.03)
+    # One deviation of this length moves the indentation by 14 %, the area by less.
+    assert 0.08 * found[-1] == pytest.approx(0.14, abs=0.03)
     assert np.abs(found[: len(problem.measured)]).max() < found[-1]
 
 

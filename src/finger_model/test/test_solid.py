@@ -21,7 +21,7 @@ from finger_model.solid3d.condensation import Condensation
 from finger_model.solid3d.contact_shape import node_areas, outline
 from finger_model.solid3d.full_order import SOLID_CSV_HEADER, SolidModel
 from finger_model.solid3d.mesh import MeshSize, Pose, solid_mesh
-from finger_model.verification.cases import elastic
+from finger_model.verification.cases import CALCULIX_FINGER, elastic
 
 COARSE = MeshSize(center=0.2, across=4, growth=1.3, bulk=3, bulk_growth=1.5, skin=1)
 DRY = {"modulus": 30e3, "E2": 1652e3}
@@ -182,7 +182,7 @@ def test_pull_from_stick_to_slip_and_back(model):
 
 def test_sticking_skin_may_hang_on_a_spring():
     friction, stiffness = 0.4, 2e9
-    model = SolidModel(size=COARSE, stick_stiffness=stiffness)
+    model = SolidModel(CALCULIX_FINGER, size=COARSE, stick_stiffness=stiffness)
     stepper = model.start(elastic(**DRY, friction=friction))
     stepper.step_to_position(1.0, 0.7e-3)
     stepper.step_to_position(2.0, 0.7e-3, (0.1e-3, 0.0))

@@ -187,8 +187,10 @@ def _follow_contact(config, state, normal_force, stamp):
     elif contact.touching and not touching:
         contact.liftoff = stamp
         if _offset_suspected(contact, stamp):
-            # What was learned from a force that was none is forgotten.
+            # What was learned from a force that was none is forgotten, and areas of this contact
+            # that are still under way teach nothing.
             area_filter.keep(state.before, state.filters)
+            contact.liftoff = contact.onset - 1
     contact.touching = touching
     if normal_force < 0.5 * config.onset_force:
         contact.air = stamp
