@@ -71,10 +71,10 @@ EPIDERMIS_DEVIATION = 0.08e-3
 BONE_WIDTH = 4.0 / 8.5
 BONE_WIDTH_DEVIATION = 0.12
 """Bone over pad, radial. A tuft of 7 mm (Mintalucci et al. 2014, J. Hand Surg. 39, 1068) in a
-finger of 15–16 mm gives 0.45; the default geometry has 0.47."""
+finger of 15–16 mm gives 0.45; 0.47 is an assumption near it."""
 BONE_HEIGHT = 2.5 / 5.5
 BONE_HEIGHT_DEVIATION = 0.20
-"""Bone over pad, axial; an assumption, from the default geometry."""
+"""Bone over pad, axial; an assumption."""
 BONE_CENTER_DEVIATION = 0.3e-3
 NAIL_WIDTH = 7.0 / 8.5
 NAIL_WIDTH_DEVIATION = 0.10

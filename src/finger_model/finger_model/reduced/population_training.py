@@ -135,13 +135,18 @@ class Guessed:
     inside: np.ndarray
 
 
-def guessed(types: rk.RecordTypes, run: Run) -> Guessed:
-    """Guesses along a run from its presses on the coarse mesh, at its own internal strain."""
+def _own_curves(run: Run) -> np.ndarray:
+    """Elastic curves (2, nodes, 3 + k) of a run's own presses on the coarse mesh."""
     curves = run.presses.copy()
     curves[:, :, 3:] /= strain_sizes()[:, None]
+    return extended(curves)
+
+
+def guessed(types: rk.RecordTypes, run: Run) -> Guessed:
+    """Guesses along a run from its presses on the coarse mesh, at its own internal strain."""
     record = np.zeros(1, types.parameters)
     record["share"] = run.share
-    fill_curves(record, extended(curves))
+    fill_curves(record, _own_curves(run))
     x = load_measure_of(run)
     internal = np.ascontiguousarray(run.internal[:, :LATENTS])
     end = 1 + 3 + LATENTS
@@ -204,15 +209,9 @@ def train(runs: list[Run], fine: list[Run], epochs: int, report: Progress) -> di
     def rows_of(columns: Callable[[Run], tuple[np.ndarray, ...]]) -> Rows:
         return padded(runs, columns, contexts)
 
-    drive = ContextNetwork(rows_of(drive_columns), *DRIVE)
-    fit(
-        drive,
-        rows_of(drive_columns),
-        epochs,
-        128,
-        decay=DECAY,
-        report=lambda s: report("training the drive", s),
-    )
+    rows = rows_of(drive_columns)
+    drive = ContextNetwork(rows, *DRIVE)
+    fit(drive, rows, epochs, 128, decay=DECAY, report=lambda s: report("training the drive", s))
 
     def contact_rows(states: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]]) -> Rows:
         def columns(run: Run) -> tuple[np.ndarray, ...]:
@@ -253,9 +252,7 @@ def visited(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What the maps visit along a run with its own curves on the coarse mesh: amplitudes a and
     friction states q (n, k + m), guess (n, 3 + k) and mix (n, 2)."""
-    curves = run.presses.copy()
-    curves[:, :, 3:] /= strain_sizes()[:, None]
-    finger = Finger(context, extended(curves))
+    finger = Finger(context, _own_curves(run))
     record = maps.parameters_of(run.length, run.scale, run.fractions, run.times, finger)
     record["force_limit"] = np.inf
     state = maps.at_rest(record)
