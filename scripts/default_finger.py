@@ -23,7 +23,6 @@ from pathlib import Path
 
 import numpy as np
 from nuisance_table import press, published_scatter
-from scipy.optimize import minimize_scalar
 from throughput import replace_between
 
 from finger_common.errors import InputError
@@ -33,7 +32,7 @@ from finger_model.material import Material
 from finger_model.paper import CONDITIONS, SEARCH_BOX, TARGET_FORCE, TRIALS_PER_CONDITION
 from finger_model.people import People
 from finger_model.reduced.model import load_population
-from finger_model.verification.published import PRESSES, power_law_of
+from finger_model.verification.published import PRESSES, power_law_of, weighted_power_law
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "published.md"
 TOLERANCE = 0.04
@@ -45,11 +44,11 @@ COMPARED = np.array([0.2, 0.5, 1.0, TARGET_FORCE])
 TRIES = 40
 """Pairs of E0 and tau1 drawn for each condition of a finger."""
 SHOWN = {
-    "pad_semi_axis_radial": ("half width of the pad", "mm", 1e3),
-    "pad_semi_axis_axial": ("height of the pad", "mm", 1e3),
-    "epidermis_thickness": ("epidermis", "mm", 1e3),
-    "bone_semi_axis_radial": ("half width of the bone", "mm", 1e3),
-    "bone_semi_axis_axial": ("height of the bone", "mm", 1e3),
+    "pad_semi_axis_radial": "half width of the pad",
+    "pad_semi_axis_axial": "height of the pad",
+    "epidermis_thickness": "epidermis",
+    "bone_semi_axis_radial": "half width of the bone",
+    "bone_semi_axis_axial": "height of the bone",
 }
 
 
@@ -146,10 +145,10 @@ def others_table(number: int, seed: int) -> str:
         "| | default | 5 % | median | 95 % |",
         "|---|---|---|---|---|",
     ]
-    for index, (key, (label, unit, scale)) in enumerate(SHOWN.items()):
-        default = getattr(Geometry(), key) * scale
-        low, middle, high = np.percentile(np.array(lengths)[:, index] * scale, [5, 50, 95])
-        rows.append(f"| {label} ({unit}) | {default:.2g} | {low:.2f} | {middle:.2f} | {high:.2f} |")
+    for (key, label), found in zip(SHOWN.items(), 1e3 * np.array(lengths).T):
+        default = 1e3 * getattr(Geometry(), key)
+        low, middle, high = np.percentile(found, [5, 50, 95])
+        rows.append(f"| {label} (mm) | {default:.2g} | {low:.2f} | {middle:.2f} | {high:.2f} |")
     for name in ("dry", "natural"):
         for key, label, scale in (("E0", "E0, {} (kPa)", 1e-3), ("tau1", "τ1, {} (s)", 1.0)):
             default = CONDITIONS[name].parameters[key] * scale
@@ -187,13 +186,7 @@ def margins(name: str, scatter: float, studies: int, seed: int) -> np.ndarray:
         measured = base * np.exp(scatter * rng.normal(size=len(drives)))[trial]
         change = np.linalg.lstsq(root[:, None] * slopes, root * (measured - base), rcond=None)[0]
         own = float(weight @ (measured - base - slopes @ change) ** 2)
-
-        def power(m: float, measured: np.ndarray = measured) -> float:
-            law = forces**m
-            k = (weight * law * measured).sum() / (weight * law * law).sum()
-            return float(weight @ (measured - k * law) ** 2)
-
-        found.append(minimize_scalar(power, bounds=(0.1, 1.5), method="bounded").fun - own)
+        found.append(weighted_power_law(forces, measured, weight)[2] - own)
     return np.array(found)
 
 

@@ -85,6 +85,24 @@ PRESSES = tuple(_press(duration) for duration in (0.6, 1.0, 1.6))
 """(time (s), force (N)) of the presses on which the power law is fitted."""
 
 
+def weighted_power_law(
+    force: np.ndarray, area: np.ndarray, weight: np.ndarray
+) -> tuple[float, float, float]:
+    """k, m and the weighted sum of squares that A = k F^m leaves of areas (n,) at forces (n,) in N.
+
+    In the units of the areas, which should not be tiny: mm² rather than m².
+    """
+
+    def best(m: float) -> float:
+        return float((weight * force**m * area).sum() / (weight * force ** (2 * m)).sum())
+
+    def cost(m: float) -> float:
+        return float((weight * (best(m) * force**m - area) ** 2).sum())
+
+    found = minimize_scalar(cost, bounds=(0.1, 1.5), method="bounded")
+    return best(float(found.x)), float(found.x), float(found.fun)
+
+
 def power_law_of(areas: Sequence[np.ndarray]) -> tuple[float, float]:
     """k (m²/N^m) and m of A = k F^m that minimise J over the areas (m²) of PRESSES.
 
@@ -94,18 +112,10 @@ def power_law_of(areas: Sequence[np.ndarray]) -> tuple[float, float]:
     for (_, force), area in zip(PRESSES, areas):
         counts = force >= 0.05
         forces.append(force[counts])
-        seen.append(area[counts])
+        seen.append(1e6 * area[counts])
         weights.append(np.full(counts.sum(), 1.0 / counts.sum()))
-    force, area, weight = (np.concatenate(parts) for parts in (forces, seen, weights))
-
-    def best(m: float) -> float:
-        return float((weight * force**m * area).sum() / (weight * force ** (2 * m)).sum())
-
-    def cost(m: float) -> float:
-        return float((weight * (best(m) * force**m - area) ** 2).sum()) * 1e12
-
-    m = float(minimize_scalar(cost, bounds=(0.1, 1.5), method="bounded").x)
-    return best(m), m
+    k, m, _ = weighted_power_law(*map(np.concatenate, (forces, seen, weights)))
+    return 1e-6 * k, m
 
 
 def press_power_law(model: FullOrderModel, material: ConstitutiveLaw) -> tuple[float, float]:
