@@ -50,12 +50,13 @@ COUNTED_FORCE = 0.1
 @dataclass(frozen=True)
 class Press:
     """Truth of one press: time since the session's start (n,) in s, force (n,) in N, area (n,) in
-    m²."""
+    m² and the press's own factor in it."""
 
     kind: str
     time: np.ndarray
     force: np.ndarray
     area: np.ndarray
+    gain: float
 
 
 @dataclass(frozen=True)
@@ -104,7 +105,9 @@ def session_of(seed: int, index: int, full_order: bool = False) -> Session:
         for time, force in zip(times, forces):
             areas.append(model.follow(constants, state, time, force, before)[:, 0])
             before = time[-1]
-    presses = [Press(k, t, f, g * a) for k, t, f, a, g in zip(KINDS, times, forces, areas, gains)]
+    presses = [
+        Press(k, t, f, g * a, float(g)) for k, t, f, a, g in zip(KINDS, times, forces, areas, gains)
+    ]
     return Session(
         person, tuple(presses), np.nan if index % 2 else person.reading, 7919 * seed + index
     )
@@ -249,6 +252,17 @@ def covered(press: dict[str, np.ndarray]) -> np.ndarray:
     return np.abs(press["area"] - press["truth"]) <= 1.96 * press["area_stddev"]
 
 
+def least_error(presses: tuple[Press, ...], seen: int) -> float:
+    """Relative RMS error of the areas after `seen` presses, for one who knows the finger exactly.
+
+    Only the factors of the presses are not known; their mean is taken from those seen.
+    """
+    expected = float(np.exp(np.mean(np.log([press.gain for press in presses[:seen]]))))
+    later = presses[seen:]
+    error = np.concatenate([press.area * (1.0 - expected / press.gain) for press in later])
+    return rms(error) / rms(np.concatenate([press.area for press in later]))
+
+
 def score(seed: int, full_order: bool, index: int) -> dict[str, list]:
     """Figures of one finger."""
     numba.set_num_threads(1)
@@ -277,6 +291,7 @@ def score(seed: int, full_order: bool, index: int) -> dict[str, list]:
             error = np.concatenate([p["area"] - p["truth"] for p in presses])
             truth = np.concatenate([p["truth"] for p in presses])
             found["five_relative_rms"] = [rms(error) / rms(truth)]
+            found["five_least"] = [least_error(session.presses, 5)]
         found[name + "_rms_mm2"] = [
             1e6 * rms(np.concatenate([p["area"] - p["truth"] for p in presses]))
         ]
@@ -322,6 +337,8 @@ def table(scores: list[dict[str, list]]) -> dict[str, float]:
     figures["five, then force alone: RMS, 90 % of fingers (%)"] = float(
         100.0 * np.percentile(relative, 90)
     )
+    least = np.array([s["five_least"][0] for s in scores])
+    figures["five, then force alone: the same at best, finger known (%)"] = share(least <= 0.05)
     for name in ("camera", "none", "five"):
         values = [s[name + "_rms_mm2"][0] for s in scores]
         figures[f"{name}: RMS, median of fingers (mm²)"] = float(np.median(values))
