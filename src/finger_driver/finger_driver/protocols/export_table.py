@@ -145,8 +145,11 @@ def _xlsx(data: bytes, name: str, form: TableFormat) -> list[list[Any]]:
                 raise ValueError("it unpacks to more than any export")
         book = openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True)
         sheet = book[form.export_sheet] if form.export_sheet else book.worksheets[0]
-        rows = sheet.iter_rows(max_row=_MAX_ROWS, max_col=_MAX_COLUMNS, values_only=True)
-        return [list(cells) for cells in rows if any(cell is not None for cell in cells)]
+        rows = sheet.iter_rows(max_row=_MAX_ROWS + 1, max_col=_MAX_COLUMNS, values_only=True)
+        found = [(n, list(cells)) for n, cells in enumerate(rows) if any(c is not None for c in cells)]
+        if found and found[-1][0] >= _MAX_ROWS:
+            raise ValueError("it has more rows than any export")
+        return [cells for _, cells in found]
     except Exception as error:
         # A damaged archive makes openpyxl raise almost anything.
         raise DeviceError(f"{name} is not a readable XLSX file ({type(error).__name__})") from None
