@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -30,13 +31,12 @@ Frame = tuple[int, np.ndarray]
 """Time in ns, image (H, W) uint8."""
 
 
-def frames_of(
-    settings: ImportSettings, problems: list[str]
-) -> tuple[Iterator[Frame], int, bool]:
+def frames_of(settings: ImportSettings, problems: list[str]) -> tuple[Iterator[Frame], int, bool]:
     """Frames of the video or folder; how many are expected (0: unknown); whether their times are
     absolute.
 
-    problems: gets what of the video could not be read, once all frames were taken. Raises InputError, from the iterator too, naming file and remedy.
+    problems: gets what of the video could not be read, once all frames were taken. Raises
+    InputError, from the iterator too, naming file and remedy.
     """
     times = _times_of(settings) if settings.image_times else None
     if settings.video:
@@ -80,12 +80,12 @@ def _image_files(folder: str) -> list[Path]:
     return sorted(files, key=natural)
 
 
-def _video(
-    settings: ImportSettings, times: Times | None, problems: list[str]
-) -> Iterator[Frame]:
+def _video(settings: ImportSettings, times: Times | None, problems: list[str]) -> Iterator[Frame]:
     name = settings.video
     if not Path(name).is_file():
         raise InputError(f"{name}: no such video; check the path")
+    # What is wrong with a video is said in one sentence, not by FFmpeg for each frame.
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     with silent_libraries(), bounded_memory(name):
         video = cv2.VideoCapture(name)
     if not video.isOpened():

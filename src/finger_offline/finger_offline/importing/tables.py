@@ -23,7 +23,14 @@ import numpy as np
 
 from finger_bag.xdf import read_xdf
 from finger_common.errors import InputError, known_names
-from finger_common.files import MAXIMUM_FILE, bounded_memory, exists, parse_npz, read_bytes, read_text
+from finger_common.files import (
+    MAXIMUM_FILE,
+    bounded_memory,
+    exists,
+    parse_npz,
+    read_bytes,
+    read_text,
+)
 from finger_common.stamps import NANOSECONDS
 from finger_common.units import AREA_UNITS, FORCE_UNITS, LENGTH_UNITS, TIME_UNITS, unit_named
 
