@@ -22,7 +22,7 @@ import resource
 import tempfile
 import time
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
@@ -69,6 +69,7 @@ _NUMBER = re.compile(r"[-+.]?[0-9][-+0-9a-zA-Z_.:]*")
 def atomic_write(path: str | Path, mode: str = "w", **options: Any) -> Iterator[IO[Any]]:
     """Open a file for writing that takes its name only when the block ends without an error.
 
+    What is no plain file, such as a device or a pipe, is written to and stays what it is.
     `mode` is "w" or "wb"; `options` go to `open`. Raises InputError when the folder cannot be
     written to.
     """
@@ -78,24 +79,40 @@ def atomic_write(path: str | Path, mode: str = "w", **options: Any) -> Iterator[
     if "b" not in mode:
         options.setdefault("encoding", "utf-8")
         options.setdefault("newline", "")
+    target = Path(os.path.realpath(path))  # a link stays one
+    device = exists(target) and not target.is_file()
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        os.close(handle)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if not device:
+            handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+            os.close(handle)
     except OSError as error:
         raise InputError(
             f"{path}: cannot be written ({error.strerror}); choose a writable folder"
         ) from None
+    if device:  # such as /dev/null: root could replace it by a file
+        with open(target, mode, **options) as file:
+            yield file
+        return
     try:
         with open(temporary, mode, **options) as file:
             yield file
         umask = os.umask(0)
         os.umask(umask)
         os.chmod(temporary, 0o666 & ~umask)
-        os.replace(temporary, path)
+        os.replace(temporary, target)
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
         raise
+
+
+def check_output(output: str | Path | None, inputs: Iterable[str | Path | None]) -> None:
+    """Raise InputError for an output that is one of the files a command reads."""
+    if output is None or not exists(output):
+        return
+    for path in inputs:
+        if path is not None and exists(path) and os.path.samefile(path, output):
+            raise InputError(f"{output}: is an input too and would be lost; name another output")
 
 
 def exists(path: str | Path) -> bool:
