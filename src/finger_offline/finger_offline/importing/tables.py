@@ -225,10 +225,10 @@ def read_table(name: str) -> Table:
 
 def _read_text(path: Path, part: str) -> Table:
     _no_part(path, part)
-    return of_rows(str(path), _text_rows(read_text(path, "table", MAXIMUM_FILE)))
+    return of_rows(str(path), _text_rows(read_text(path, "table", MAXIMUM_FILE), str(path)))
 
 
-def _text_rows(text: str) -> list[tuple[int, list[Any]]]:
+def _text_rows(text: str, where: str) -> list[tuple[int, list[Any]]]:
     """Numbered rows of cells; the delimiter is the one that gives the most regular rows."""
     lines = [
         (number, line)
@@ -248,7 +248,7 @@ def _text_rows(text: str) -> list[tuple[int, list[Any]]]:
     try:
         cells = [[cell.strip() for cell in row] for row in rows]
     except csv.Error as error:
-        raise InputError(f"table cannot be read as CSV ({error}); export it again") from None
+        raise InputError(f"{where}: cannot be read as CSV ({error}); export it again") from None
     numbers = [n for n, _ in lines] if len(cells) == len(lines) else list(range(1, len(cells) + 1))
     return list(zip(numbers, cells))
 
