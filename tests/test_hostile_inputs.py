@@ -4,6 +4,7 @@ processor time and 500 MB, in a process of its own.
 
 from __future__ import annotations
 
+import importlib
 import io
 import json
 import struct
@@ -12,12 +13,14 @@ import sys
 import zipfile
 import zlib
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import zstandard
+from scipy.io import savemat
 
 import finger_model
 from finger_bag.definitions import definition_text, encode
@@ -25,6 +28,11 @@ from finger_bag.mcap_writer import MAGIC
 from finger_bag.reader import open_bag
 from finger_bag.writer import BagWriter
 from finger_fit.study.bags import bag_hash
+
+h5py, pyarrow, parquet, pyxdf = (
+    importlib.import_module(name) if find_spec(name.split(".")[0]) else None
+    for name in ("h5py", "pyarrow", "pyarrow.parquet", "pyxdf")
+)
 
 ROOT = Path(__file__).parent.parent
 CORPUS = ROOT / "tests" / "fuzz" / "corpus"
@@ -117,6 +125,58 @@ def xlsx(cell: int) -> bytes:
     return out.getvalue()
 
 
+def zeros_npz(count: int) -> bytes:
+    out = io.BytesIO()
+    np.savez_compressed(out, time_s=np.zeros(count))
+    return out.getvalue()
+
+
+def zeros_mat(count: int) -> bytes:
+    out = io.BytesIO()
+    savemat(out, {"time_s": np.zeros(count), "force_n": np.zeros(9)}, do_compression=True)
+    return out.getvalue()
+
+
+def zeros_hdf5(count: int) -> bytes:
+    """Arrays of which nothing is stored but their size."""
+    out = io.BytesIO()
+    with h5py.File(out, "w") as file:
+        for name in ("time_s", "force_n"):
+            file.create_dataset(name, (count,), "f8", chunks=(1000,))
+    return out.getvalue()
+
+
+def zeros_parquet(count: int) -> bytes:
+    out = io.BytesIO()
+    column = pyarrow.array(np.zeros(count))
+    table = pyarrow.table({"time_s": column, "force_n": column})
+    parquet.write_table(table, out, compression="zstd", row_group_size=count)
+    return out.getvalue()
+
+
+def sheet(rows: bytes) -> bytes:
+    """A workbook with such rows below its own."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(CORPUS / "table.xlsx") as old:
+        with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as new:
+            for name in old.namelist():
+                data = old.read(name)
+                if name == "xl/worksheets/sheet1.xml":
+                    data = data.replace(b"</sheetData>", rows + b"</sheetData>")
+                new.writestr(name, data)
+    return out.getvalue()
+
+
+def xdf(channels: int) -> bytes:
+    """A stream that claims so many channels."""
+    data = (CORPUS / "table.xdf").read_bytes()
+    begin = data.index(b"<?xml", 20) - 11
+    old = data[begin : data.index(b"</desc></info>") + len(b"</desc></info>")]
+    text = old[11:].replace(b"<channel_count>1<", b"<channel_count>%d<" % channels)
+    new = old[:1] + struct.pack("<I", len(text) + 6) + old[5:11] + text
+    return data.replace(old, new)
+
+
 def wide_bag(folder: Path) -> Path:
     """A bag with a thousand images of 9 megapixels, which are one and the same."""
     image = png(3000)
@@ -203,8 +263,26 @@ BOMBS: dict[str, Callable[[], bytes]] = {
     "events-cell.csv": lambda: EVENT_HEAD + b'2026,1,note,"' + b"x" * 900_000 + b'",0,0\n',
     "events-digits.csv": lambda: EVENT_HEAD + f"2026,{DIGITS},note,x,0,0\n".encode() * 200,
     "events-quotes.csv": lambda: EVENT_HEAD + b'"' * 900_000,
+    "table-cell.csv": lambda: b"time_s,force_n\n0," + b"9" * 900_000 + b"\n",
+    "table-wide.csv": lambda: b"," * 450_000 + b"x\n" + b"1\n" * 200_000,
+    "table-zeros.npz": lambda: zeros_npz(30_000_000),
+    "table-zeros.mat": lambda: zeros_mat(24_000_000),
+    "table-rows.xlsx": lambda: sheet(b"<row><c><v>1</v></c><c><v>1</v></c></row>" * 2_000_000),
+    "table-last_row.xlsx": lambda: sheet(b'<row r="2000000000"><c><v>1</v></c></row>'),
+    "table-last_column.xlsx": lambda: sheet(b'<row><c r="XFD1"><v>1</v></c></row>' * 100_000),
+    "fits-digits.json": lambda: f'{{"conditions": {{"dry": {{"E0": {DIGITS}}}}}}}'.encode(),
+    "fits-list.json": lambda: b'{"subjects": ["S01"]}',
+    "fits-text.json": lambda: b'{"subjects": {"S01": {"conditions": {"dry": "E0"}}}}',
+    "fits-entry.json": lambda: b'{"conditions": {"dry": {"from_data": [], "moisture_mean": "x"}}}',
     "netft-nested.xml": lambda: b"<a>" * 300_000,
 }
+if h5py:
+    BOMBS["table-fill.h5"] = lambda: zeros_hdf5(200_000_000)
+    BOMBS["table-claims.h5"] = lambda: zeros_hdf5(10**13)
+if pyarrow:
+    BOMBS["table-zeros.parquet"] = lambda: zeros_parquet(24_000_000)
+if pyxdf:
+    BOMBS["table-channels.xdf"] = lambda: xdf(2_000_000_000)
 REFUSED_SESSIONS = {name for name in BOMBS if name.startswith("session-")}
 
 
@@ -244,6 +322,8 @@ def test_bombs_end_with_one_sentence(tmp_path: Path) -> None:
     assert refused >= {name for name in BOMBS if "aliases" in name or "digits.y" in name} - {
         "metadata-aliases.yaml"  # the files beside it are read without it
     }
+    tables = {name for name in BOMBS if name.startswith(("table-", "fits-"))}
+    assert refused >= tables - {"table-wide.csv"}
     assert refused >= {"image-30000.jpg", "image-65500.jpg", "model-800_gigabytes.npz"}
     assert outcomes["bag-attached.mcap", "process"] == "refused"
     assert outcomes["bag-wide.mcap", "process"] == "success"

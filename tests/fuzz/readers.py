@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +20,14 @@ from finger_bag.cli import command as bag_command
 from finger_bag.mapping import TopicMapping
 from finger_bringup.nodes import read_parameter_file
 from finger_common.cli import run
+from finger_common.errors import InputError
 from finger_common.files import read_csv
 from finger_common.settings import Settings
 from finger_driver.camera.info import CameraCalibration
 from finger_driver.protocols.dbc import SensorMapping
 from finger_driver.protocols.export_table import TableFormat, parse_table
 from finger_driver.protocols.netft_xml import parse as parse_netft
+from finger_fit.cli import command as fit_command
 from finger_fit.search import population
 from finger_fit.study.bags import bag_hash
 from finger_model.estimator import EstimatorSettings
@@ -32,6 +35,7 @@ from finger_model.geometry import Geometry
 from finger_model.laws import StandardLinearSolid
 from finger_model.parameter_sets import ParameterSets
 from finger_model.reduced import ReducedModel
+from finger_offline.importing.tables import read_table
 from finger_offline.trials import load_trials
 from finger_operator.event_log import EVENTS_FILE, Event, EventLog
 from finger_operator.protocol import Protocol
@@ -83,6 +87,25 @@ def _vision(path: Path, out: Path) -> int:
 
 def _table(path: Path, out: Path) -> None:
     parse_table(path.read_bytes(), path.name, TableFormat())
+
+
+def _columns(path: Path, out: Path) -> None:
+    """As a table of a laboratory: every column as numbers and as times."""
+    table = read_table(str(path))
+    for heading in table.columns:
+        for read in (table.numbers, table.times):
+            try:
+                read(heading)
+            except InputError as error:
+                refused = error
+                continue
+            break
+        else:
+            raise refused
+
+
+def _fits(path: Path, out: Path) -> int:
+    return run(fit_command, ["population", str(path), "-o", str(out)])
 
 
 def _checkpoint(path: Path, out: Path) -> None:
@@ -142,9 +165,18 @@ SHIPPED = Path(finger_driver.__file__).parent / "data"
 MODELS = Path(finger_model.__file__).parent / "data"
 
 
+NEEDS = {".h5": "h5py", ".parquet": "pyarrow", ".xdf": "pyxdf"}
+"""Ending of a file -> package without which it is not read."""
+
+
 def corpus() -> dict[str, Path]:
     """Valid files by the name they are read under: the saved ones, and the shipped models."""
     saved = {path.name: path for path in CORPUS.iterdir()}
+    saved = {
+        name: path
+        for name, path in saved.items()
+        if path.suffix not in NEEDS or find_spec(NEEDS[path.suffix])
+    }
     models = {"default": "model.npz", "population": "model-population.npz"}
     shipped = {name: MODELS / f"reduced_{of}.npz" for of, name in models.items()}
     return dict(sorted({**saved, **shipped}.items()))
@@ -173,6 +205,8 @@ READERS: dict[str, dict[str, Reader]] = {
     "events": {"event log": _events},
     "checkpoint": {"checkpoint": _checkpoint},
     "force": {"table": lambda path, out: read_csv(path, ["time_s", "force_n"])},
+    "table": {"columns": _columns},
+    "fits": {"population": _fits},
     "readings": {"readings": _table},
     "sensor": {"sensor": _sensor},
     "database": {"sensor": _dbc},

@@ -14,18 +14,19 @@ from __future__ import annotations
 
 import contextlib
 import sys
+import textwrap
 import time
 from array import array
 from collections.abc import Collection, Sequence
 from typing import Any
 
 import rclpy
-import yaml
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 
 from finger_common.errors import InputError
+from finger_common.files import parse_yaml
 from finger_common.node import use_large_shared_memory
 from finger_common.stamps import fill_time
 
@@ -47,8 +48,8 @@ def qos_of(text: str, reliability: str, depth: int = STREAM_DEPTH) -> QoSProfile
         depth=depth, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE
     )
     stored: Any = {}
-    with contextlib.suppress(yaml.YAMLError, TypeError, KeyError, IndexError):
-        stored = yaml.safe_load(text)[0]
+    with contextlib.suppress(InputError, TypeError, LookupError):
+        stored = parse_yaml("profiles:\n" + textwrap.indent(text, " "), "QoS")["profiles"][0]
     stored = stored if isinstance(stored, dict) else {}
     # rosbag2 writes numbers up to metadata version 8 and names from 9 on.
     if str(stored.get("durability")).lower() in ("1", "transient_local"):

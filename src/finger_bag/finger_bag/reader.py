@@ -10,6 +10,7 @@ listed in `BagReader.problems`.
 
 from __future__ import annotations
 
+import contextlib
 import heapq
 import shutil
 import tempfile
@@ -261,9 +262,17 @@ class BagReader:
         try:
             reader = Reader(opened)
             reader.open()
+            with contextlib.closing(
+                apsw.Connection(str(opened), flags=apsw.SQLITE_OPEN_READONLY)
+            ) as database:
+                computed = list(database.execute(_COMPUTED))
         except (ReaderError, apsw.Error, *_SQLITE_BROKEN) as error:
             text = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise InputError(f"{file}: cannot be read as a sqlite3 bag ({text})") from None
+        if computed:
+            # A row of no bytes could compute gigabytes.
+            reader.close()
+            raise InputError(f"{file}: computes its column '{computed[0][0]}'; no recorder does")
         self._sqlites.append(reader)
         for connection in reader.connections:
             ext = connection.ext
@@ -550,6 +559,10 @@ class BagReader:
             self._temporary.cleanup()
             self._temporary = None
 
+
+_COMPUTED = """SELECT c.name FROM sqlite_master AS m JOIN pragma_table_xinfo(m.name) AS c
+    WHERE c.hidden <> 0"""
+"""Columns of a database that are computed when they are read."""
 
 _SQLITE_BROKEN = (OSError, ValueError, KeyError, TypeError, AssertionError, yaml.YAMLError)
 

@@ -136,7 +136,10 @@ class BagWriter:
             ) from None
 
     def _refuse_existing(self) -> None:
-        if self.path.is_file() or (self.path.is_dir() and any(self.path.iterdir())):
+        if not os.path.lexists(self.path):
+            return
+        folder = self.path.is_dir() and not self.path.is_symlink()
+        if not folder or any(self.path.iterdir()):
             raise InputError(f"{self.path}: exists already; choose another name or remove it")
 
     def __enter__(self) -> BagWriter:

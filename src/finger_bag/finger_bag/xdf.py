@@ -8,6 +8,8 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -16,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from finger_common.errors import InputError, known_names
+from finger_common.files import bounded_memory
 from finger_common.stamps import NANOSECONDS
 
 NEEDS = "reading XDF files needs the package pyxdf: pip install pyxdf"
@@ -54,11 +57,15 @@ class XdfStream:
 
 @dataclass(frozen=True)
 class XdfFile:
-    """Streams of a file and when it was begun (ns since the epoch, None where it does not say)."""
+    """Streams of a file and when it was begun (ns since the epoch, None where it does not say).
+
+    problems: what is damaged or was cut off; the streams hold the rest.
+    """
 
     path: Path
     begun_ns: int | None
     streams: tuple[XdfStream, ...]
+    problems: tuple[str, ...] = ()
 
     def stream(self, name: str) -> XdfStream:
         """The stream of that name, or else the only one of that type; raises InputError."""
@@ -73,19 +80,53 @@ class XdfFile:
 
 
 def read_xdf(path: Path) -> XdfFile:
-    """Read a whole file; raises InputError without pyxdf and for a file that cannot be read."""
+    """Read a file; raises InputError without pyxdf and for a file of which nothing can be read."""
     try:
         import pyxdf
     except ImportError:
         raise InputError(NEEDS) from None
     if not path.is_file():
         raise InputError(f"{path}: no such XDF file")
+    said = _Errors()
+    logger = logging.getLogger("pyxdf")
+    kept, logger.propagate = logger.propagate, False
+    logger.addHandler(said)
     try:
-        found, header = pyxdf.load_xdf(str(path), synchronize_clocks=True)
-        streams = tuple(_stream(stream) for stream in found)
+        with bounded_memory(path):
+            found, header = pyxdf.load_xdf(str(path), synchronize_clocks=True)
+            streams = tuple(_stream(stream) for stream in found)
+    except InputError:
+        raise
     except Exception as error:  # pyxdf raises whatever its parsers do
         raise InputError(f"{path}: not a readable XDF file ({type(error).__name__})") from None
-    return XdfFile(path, _begun(header), streams)
+    finally:
+        logger.removeHandler(said)
+        logger.propagate = kept
+    problems = [f"{path}: {said.count} parts are damaged and left out"] if said.count else []
+    for data, stream in zip(found, streams):
+        problems += [f"{path}: stream '{stream.name}' {cut}" for cut in _cut(data, stream)]
+    return XdfFile(path, _begun(header), streams, tuple(problems))
+
+
+class _Errors(logging.Handler):
+    """Counts what pyxdf skipped: it says so in its log alone."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.ERROR)
+        self.count = 0
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.count += 1
+
+
+def _cut(data: dict[str, Any], stream: XdfStream) -> Iterator[str]:
+    """What is missing of a stream: the footer comes last, and may count the samples."""
+    if "footer" not in data:
+        yield "has no end: the file was cut off"
+        return
+    said = _text(data["footer"].get("info") or {}, "sample_count")
+    if said.isdecimal() and len(said) < 20 and int(said) != len(stream.time):
+        yield f"holds {len(stream.time)} of {said} samples"
 
 
 def _stream(data: dict[str, Any]) -> XdfStream:

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import json
 import os
+import sqlite3
 import subprocess
 import sys
 import time
 import traceback
 from collections import Counter
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -267,6 +269,24 @@ def test_broken_sqlite_is_refused(tmp_path: Path) -> None:
         path.write_bytes(data)
         with pytest.raises(InputError, match=r"sqlite3 bag"):
             open_bag(path)
+
+
+def test_a_database_that_computes_its_messages_is_refused(tmp_path: Path) -> None:
+    """Of 300 MB each, from a file of 24 kB."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3):
+        pass
+    with closing(sqlite3.connect(tmp_path / "bag" / "bag.db3")) as database:
+        database.execute("DROP TABLE messages")
+        database.execute(
+            "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, "
+            "data BLOB AS (zeroblob(300000000)))"
+        )
+        database.execute("INSERT INTO messages(topic_id, timestamp) VALUES (1, 1)")
+        database.commit()
+    with pytest.raises(InputError, match="computes its column 'data'"):
+        open_bag(tmp_path / "bag")
 
 
 def test_mutated_sqlite_bags(tmp_path: Path) -> None:

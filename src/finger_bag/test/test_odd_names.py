@@ -98,6 +98,23 @@ def test_impossible_names_are_refused_in_one_sentence(
     assert {p.name for p in tmp_path.iterdir()} == {"bag"}
 
 
+@pytest.mark.parametrize("kind", ["loop", "link to a folder", "link to nothing", "pipe"])
+def test_an_output_that_is_no_folder_is_refused(
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good = str(write_session(tmp_path / "bag", trials=1, rate=100))
+    out = tmp_path / "out"
+    (tmp_path / "empty").mkdir()
+    if kind == "pipe":
+        os.mkfifo(out)
+    else:
+        out.symlink_to({"loop": "out", "link to a folder": "empty"}.get(kind, "none"))
+    for act in ("recover", "anonymise", "process"):
+        assert run(command, [act, good, "-o", str(out)]) == 2
+        assert capsys.readouterr().err.count("exists already") == 1
+    assert {p.name for p in tmp_path.iterdir()} == {"bag", "empty", "out"}
+
+
 def test_file_that_is_listed_twice_is_read_once(tmp_path: Path) -> None:
     path = write_session(tmp_path / "bag", trials=1, rate=100)
     with open_bag(path) as reader:

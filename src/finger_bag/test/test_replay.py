@@ -117,6 +117,37 @@ def test_clock_follows_the_time_of_the_bag(short: Path) -> None:
     assert np.diff(times).max() <= 10_000_001  # also within the pause of a second
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "- 3",
+        "[",
+        "- durability: !!int x",
+        "- durability: " + "[" * 100_000,
+        "- a: &a [x, x, x, x, x, x, x, x, x, x]\n"
+        + "".join(
+            f"  b{i}: &b{i} [{', '.join([f'*b{i - 1}' if i else '*a'] * 10)}]\n" for i in range(9)
+        )
+        + "  durability: *b8",
+    ],
+    ids=["none", "number", "broken", "tag", "deep", "aliases"],
+)
+def test_any_text_may_stand_in_the_place_of_a_quality_of_service(text: str) -> None:
+    pytest.importorskip("rclpy")
+    from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+
+    from finger_bag.play_node import qos_of
+
+    profile = qos_of(text, "")
+    assert profile.reliability == ReliabilityPolicy.RELIABLE
+    assert profile.durability != DurabilityPolicy.TRANSIENT_LOCAL
+    stored = (
+        "- history: keep_last\n  depth: 1\n  reliability: best_effort\n  durability: volatile\n"
+    )
+    assert qos_of(stored, "").reliability == ReliabilityPolicy.BEST_EFFORT
+
+
 def test_model_node_in_the_time_of_the_bag_estimates_as_offline(
     ros_domain: int, process: Any, tmp_path: Path, session: Callable[..., Path]
 ) -> None:

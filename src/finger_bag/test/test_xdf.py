@@ -77,3 +77,26 @@ def test_what_is_not_there_is_named(
     monkeypatch.setitem(sys.modules, "pyxdf", None)
     with pytest.raises(InputError, match="pip install pyxdf"):
         read_xdf(recording)
+
+
+def test_what_is_damaged_or_cut_off_is_named(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert read_xdf(recording).problems == ()
+    data = recording.read_bytes()
+    short, torn, fewer = (tmp_path / f"{name}.xdf" for name in ("short", "torn", "fewer"))
+    markers = data.index(b"task")
+    short.write_bytes(data[: data.index(b"press") + 3])
+    torn.write_bytes(data[:markers].replace(b"<info></info>", b"<info></inf"))
+    count = b"<info><sample_count>2001</sample_count></info>"
+    end = data.index(b"<info></info>")
+    # The footer's chunk: 1 byte, length, tag and stream, then the text.
+    begin = end - len("<?xml version='1.0'?>") - 11
+    footer = data[begin + 5 : end] + count
+    fewer.write_bytes(data[:begin] + struct.pack("<BI", 4, len(footer)) + footer + data[end + 13 :])
+    said = " ".join(read_xdf(short).problems)
+    assert "1 parts are damaged" in said and "'task' has no end" in said
+    assert "2 parts are damaged" in read_xdf(torn).problems[0]
+    (problem,) = read_xdf(fewer).problems
+    assert "stream 'plate' holds 2000 of 2001 samples" in problem
+    assert capsys.readouterr().err == ""

@@ -21,6 +21,7 @@ from operator import attrgetter
 from typing import Any
 
 from finger_common.errors import InputError
+from finger_common.files import parse_json
 from finger_common.stamps import NANOSECONDS
 from finger_common.trial_phases import TrialPhase
 
@@ -123,7 +124,10 @@ def fill_message(stream: Stream, message: Any, sample: Sequence[Any]) -> None:
             owner, _, field = channel.path.rpartition(".")
             target = attrgetter(owner)(message) if owner else message
             setattr(target, field, type(getattr(target, field))(value))
-    except (ValueError, TypeError, KeyError, AttributeError, AssertionError, OverflowError):
+    except (
+        InputError, ValueError, TypeError, LookupError, ArithmeticError, AttributeError,
+        AssertionError,
+    ):  # fmt: skip
         raise InputError(
             f"LSL sample {str(sample)[:60]} is no {stream.topic}; send channels or markers as the "
             "stream of that name has them"
@@ -131,7 +135,7 @@ def fill_message(stream: Stream, message: Any, sample: Sequence[Any]) -> None:
 
 
 def _fill_trial(message: Any, marker: str) -> None:
-    fields = json.loads(marker)
+    fields = parse_json(marker, "marker")
     message.phase = int(TrialPhase[fields.pop("phase").upper()])
     for name in fields.keys() & set(MARKER):
         setattr(message, name, type(getattr(message, name))(fields[name]))

@@ -68,7 +68,9 @@ def test_a_message_comes_back_from_its_sample(topic: str, message: Any) -> None:
     assert len(sample) == (len(STREAMS[topic].channels) or 1)
 
 
-@pytest.mark.parametrize("marker", ["go", "{}", '{"phase": "up"}', "[1]", '{"phase": 3}'])
+@pytest.mark.parametrize(
+    "marker", ["go", "{}", '{"phase": "up"}', "[1]", '{"phase": 3}', "[" * 100_000, "9" * 5000]
+)
 def test_a_marker_that_is_no_trial_is_named(marker: str) -> None:
     with pytest.raises(InputError, match="is no trial"):
         fill_message(STREAMS["trial"], Trial(), [marker])

@@ -18,10 +18,11 @@ import json
 import math
 import os
 import re
+import resource
 import tempfile
 import time
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
@@ -41,7 +42,7 @@ MAXIMUM_FILE = 1 << 30
 """Bytes above which a file is not read into memory."""
 
 MAXIMUM_TEXT = 16 << 20
-"""Bytes of a YAML or JSON file above which it is not parsed."""
+"""Bytes of a text (YAML, JSON, DBC; not a table) above which it is not parsed."""
 
 MAXIMUM_VALUES = 100_000
 """Values of a YAML file, aliases counted as what they stand for."""
@@ -55,6 +56,11 @@ MAXIMUM_DIGITS = 100
 FREE_ARRAYS, ARRAYS_PER_BYTE = 64 << 20, 20
 """Bytes that the arrays of any NPZ file may have, and further ones for each of its bytes."""
 
+FREE_MEMORY, MEMORY_PER_BYTE = 160 << 20, 50
+"""Bytes that another library may take to read any file, and further ones for each of its bytes."""
+
+_PIECE = 1 << 20
+
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the same, ten times as fast
 _NUMBER = re.compile(r"[-+.]?[0-9][-+0-9a-zA-Z_.:]*")
 
@@ -63,6 +69,7 @@ _NUMBER = re.compile(r"[-+.]?[0-9][-+0-9a-zA-Z_.:]*")
 def atomic_write(path: str | Path, mode: str = "w", **options: Any) -> Iterator[IO[Any]]:
     """Open a file for writing that takes its name only when the block ends without an error.
 
+    What is no plain file, such as a device or a pipe, is written to and stays what it is.
     `mode` is "w" or "wb"; `options` go to `open`. Raises InputError when the folder cannot be
     written to.
     """
@@ -72,24 +79,40 @@ def atomic_write(path: str | Path, mode: str = "w", **options: Any) -> Iterator[
     if "b" not in mode:
         options.setdefault("encoding", "utf-8")
         options.setdefault("newline", "")
+    target = Path(os.path.realpath(path))  # a link stays one
+    device = exists(target) and not target.is_file()
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        os.close(handle)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if not device:
+            handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+            os.close(handle)
     except OSError as error:
         raise InputError(
             f"{path}: cannot be written ({error.strerror}); choose a writable folder"
         ) from None
+    if device:  # such as /dev/null: root could replace it by a file
+        with open(target, mode, **options) as file:
+            yield file
+        return
     try:
         with open(temporary, mode, **options) as file:
             yield file
         umask = os.umask(0)
         os.umask(umask)
         os.chmod(temporary, 0o666 & ~umask)
-        os.replace(temporary, path)
+        os.replace(temporary, target)
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
         raise
+
+
+def check_output(output: str | Path | None, inputs: Iterable[str | Path | None]) -> None:
+    """Raise InputError for an output that is one of the files a command reads."""
+    if output is None or not exists(output):
+        return
+    for path in inputs:
+        if path is not None and exists(path) and os.path.samefile(path, output):
+            raise InputError(f"{output}: is an input too and would be lost; name another output")
 
 
 def exists(path: str | Path) -> bool:
@@ -107,20 +130,49 @@ def read_bytes(path: str | Path, what: str = "file", maximum: int = MAXIMUM_FILE
     try:
         with open(path, "rb") as file:
             data = file.read(min(maximum, os.fstat(file.fileno()).st_size) + 1)
-            while len(data) <= maximum and (more := file.read(maximum + 1 - len(data))):
-                data += more  # what is no plain file, such as a pipe, has no size
+            parts, size = [data], len(data)
+            # What is no plain file, such as a pipe, has no size.
+            while size <= maximum and (data := file.read(min(_PIECE, maximum + 1 - size))):
+                parts.append(data)
+                size += len(data)
     except FileNotFoundError:
         raise InputError(f"{path}: no such {what}; check the path") from None
     except OSError as error:
         raise InputError(f"{path}: {what} cannot be read ({error.strerror})") from None
     except ValueError:
         raise InputError(f"{str(path)!r}: not a file name; check the path") from None
-    if len(data) > maximum:
+    if size > maximum:
         raise InputError(f"{path}: {what} has more than {maximum} bytes; not read")
-    return data
+    return b"".join(parts) if len(parts) > 1 else parts[0]
 
 
-def read_text(path: str | Path, what: str = "file", maximum: int = MAXIMUM_FILE) -> str:
+@contextmanager
+def bounded_memory(path: str | Path) -> Iterator[None]:
+    """Refuse a file for which a library of others takes more memory than the file's size explains.
+
+    For libraries that believe what a file claims. Within the block the process gets no further
+    data than `FREE_MEMORY` and `MEMORY_PER_BYTE` for each byte of the file; a MemoryError becomes
+    an InputError that names it.
+    """
+    allowed = FREE_MEMORY + MEMORY_PER_BYTE * os.stat(path).st_size
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    pages = int(Path("/proc/self/statm").read_text().split()[5])
+    limit = pages * resource.getpagesize() + allowed
+    if before[0] != resource.RLIM_INFINITY:
+        limit = min(limit, before[0])
+    resource.setrlimit(resource.RLIMIT_DATA, (limit, before[1]))
+    try:
+        yield
+    except MemoryError:
+        raise InputError(
+            f"{path}: holds more than {allowed >> 20} MB of values, which its size does not "
+            "explain; not read"
+        ) from None
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, before)
+
+
+def read_text(path: str | Path, what: str = "file", maximum: int = MAXIMUM_TEXT) -> str:
     """Text (UTF-8) of a file; raises InputError naming it when it cannot be read."""
     try:
         return read_bytes(path, what, maximum).decode("utf-8-sig")
@@ -246,12 +298,12 @@ def await_file(path: str | Path, seconds: float) -> bool:
 
 def load_yaml(path: str | Path, what: str = "YAML file") -> dict[str, Any]:
     """Mapping from a YAML file; raises InputError naming file and line."""
-    return parse_yaml(read_text(path, what, MAXIMUM_TEXT), str(path))
+    return parse_yaml(read_text(path, what), str(path))
 
 
 def load_json(path: str | Path, what: str = "JSON file") -> Any:
     """Value of a JSON file; raises InputError naming the file."""
-    return parse_json(read_text(path, what, MAXIMUM_TEXT), str(path))
+    return parse_json(read_text(path, what), str(path))
 
 
 def parse_npz(data: bytes, where: str) -> dict[str, np.ndarray]:
@@ -335,7 +387,7 @@ def read_csv(
     starting with '#' and blank lines too. Raises InputError naming file, line and column for a
     missing column, a cell that is not a finite number, or a file without rows.
     """
-    text = read_text(path, "CSV file")
+    text = read_text(path, "CSV file", MAXIMUM_FILE)
     rows = _csv_rows(csv.reader(text.splitlines()), str(path))
     header: list[str] | None = None
     where: list[int] = []
@@ -352,6 +404,11 @@ def read_csv(
                     f"the header must contain {','.join(columns)}"
                 )
             columns = [*columns, *(c for c in optional if c in header)]
+            twice = [c for c in columns if header.count(c) > 1]
+            if twice:
+                raise InputError(
+                    f"{path}, line {line}: column '{twice[0]}' is there twice; rename one"
+                )
             where = [header.index(c) for c in columns]
             continue
         numbers = []

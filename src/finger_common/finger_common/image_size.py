@@ -36,10 +36,16 @@ def check_image(data: bytes | memoryview, where: str) -> None:
     size = image_size(data)
     if size is None or min(size) <= 0:
         raise InputError(f"{where}: not an image that can be decoded; give {_KINDS}")
-    width, height = size
-    if width * height > min(FREE_PIXELS + PIXELS_PER_BYTE * len(data), MAX_PIXELS):
+    check_claim(*size, len(data), where)
+
+
+def check_claim(width: int, height: int, size: int, where: str) -> None:
+    """Raise InputError for an image or a video's frames of more pixels than `size` bytes
+    justify.
+    """
+    if width * height > min(FREE_PIXELS + PIXELS_PER_BYTE * size, MAX_PIXELS):
         raise InputError(
-            f"{where}: {len(data)} bytes claim {width} x {height} pixels; not decoded, "
+            f"{where}: {size} bytes claim {width} x {height} pixels; not decoded, "
             "give a smaller image"
         )
 

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import os
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 
 from finger_common import cli, files
 from finger_common.errors import InputError
+from finger_common.files import bounded_memory, read_text
 
 
 def test_atomic_write_replaces_only_when_the_block_succeeds(tmp_path: Path) -> None:
@@ -33,6 +35,23 @@ def test_atomic_write_names_a_folder_that_is_a_file(tmp_path: Path) -> None:
         files.atomic_write(tmp_path / "f" / "a"),
     ):
         pass
+
+
+def test_devices_pipes_and_links_stay_what_they_are(tmp_path: Path) -> None:
+    """Root could replace /dev/null, on which a whole machine relies, by a file."""
+    pipe, link, device = tmp_path / "pipe", tmp_path / "link", tmp_path / "device"
+    os.mkfifo(pipe)
+    link.symlink_to("target")
+    device.symlink_to("/dev/null")
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    for path in (pipe, link, device):
+        with files.atomic_write(path) as file:
+            file.write("text")
+    assert os.read(reader, 100) == b"text" and pipe.is_fifo()
+    os.close(reader)
+    assert link.is_symlink() and (tmp_path / "target").read_text() == "text"
+    assert device.is_symlink() and Path("/dev/null").is_char_device()
+    assert {p.name for p in tmp_path.iterdir()} == {"pipe", "link", "device", "target"}
 
 
 def test_csv_columns_are_found_by_name_in_any_order(tmp_path: Path) -> None:
@@ -81,6 +100,26 @@ def test_binary_in_place_of_yaml_is_refused(tmp_path: Path) -> None:
     path.write_bytes(b"\xff\xfe\x00\x89PNG")
     with pytest.raises(InputError, match="UTF-8"):
         files.load_yaml(path)
+
+
+def test_a_text_without_end_is_refused_before_it_fills_the_memory() -> None:
+    tracemalloc.start()
+    with pytest.raises(InputError, match="has more than"):
+        read_text("/dev/zero")
+    assert tracemalloc.get_traced_memory()[1] < 100e6
+    tracemalloc.stop()
+
+
+def test_memory_is_bounded_by_the_size_of_the_file(tmp_path: Path) -> None:
+    (tmp_path / "small").write_bytes(b"x")
+    with bounded_memory(tmp_path / "small"):
+        assert len(bytes(50_000_000)) == 50_000_000
+    with (
+        pytest.raises(InputError, match="small: holds more than"),
+        bounded_memory(tmp_path / "small"),
+    ):
+        bytes(2_000_000_000)
+    assert len(bytes(500_000_000)) == 500_000_000, "no limit is left behind"
 
 
 def test_numbers_written_the_yaml_1_2_way_count() -> None:

@@ -96,6 +96,12 @@ def test_contradictory_options_are_refused(tmp_path, force_file, capsys):
     assert "--solver full" in capsys.readouterr().err
 
 
+def test_a_force_file_is_not_replaced_by_the_result(force_file, capsys):
+    before = force_file.read_bytes()
+    assert run(_main, ["simulate", "--force", str(force_file), "-o", str(force_file)]) == 2
+    assert "is an input too" in capsys.readouterr().err and force_file.read_bytes() == before
+
+
 @pytest.mark.parametrize("solver", ["full", "reduced"])
 def test_a_folder_as_output_is_one_sentence(tmp_path, force_file, capsys, solver):
     arguments = ["simulate", "--force", str(force_file), "--solver", solver, "-o", str(tmp_path)]

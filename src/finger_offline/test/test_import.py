@@ -7,19 +7,24 @@ from __future__ import annotations
 
 import re
 import struct
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+import openpyxl
 import pytest
 from xdf_files import number_header, stream_chunks, write_xdf
 
 from finger_bag.cli import command
 from finger_bag.reader import open_bag
 from finger_bag.validate import validate
+from finger_common.cli import run
 from finger_common.errors import InputError
+from finger_common.files import read_csv
+from finger_driver.protocols.export_table import TableFormat, parse_table
 from finger_offline.importing.settings import ImportSettings
 from finger_offline.importing.tables import read_table
 from finger_offline.importing.trial import import_trial
@@ -338,6 +343,75 @@ def test_damaged_tables_are_refused_in_a_sentence(tmp_path: Path, name: str) -> 
     (tmp_path / name).write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(range(256)))
     with pytest.raises(InputError, match=re.escape(name)):
         read_table(str(tmp_path / name))
+
+
+def workbook(path: Path, change: Callable[[bytes], bytes]) -> str:
+    """A workbook of 3,000 rows whose sheet is changed."""
+    book = openpyxl.Workbook(write_only=True)
+    sheet = book.create_sheet()
+    sheet.append(["time_s", "force_n"])
+    for number in range(3000):
+        sheet.append([0.002 * number, 0.1])
+    book.save(path.with_suffix(".whole"))
+    with zipfile.ZipFile(path.with_suffix(".whole")) as old:
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as new:
+            for name in old.namelist():
+                data = old.read(name)
+                new.writestr(name, change(data) if "sheet1" in name else data)
+    return str(path)
+
+
+def test_a_workbook_whose_stated_size_is_wrong_is_read_whole(tmp_path: Path) -> None:
+    def small(sheet: bytes) -> bytes:
+        return sheet.replace(b"<sheetData>", b'<dimension ref="A1:A9"/><sheetData>')
+
+    path = workbook(tmp_path / "a.xlsx", small)
+    assert len(read_table(path).numbers("force_n")) == 3000
+    found, malformed = parse_table(
+        Path(path).read_bytes(), path, TableFormat(export_value_column="force_n")
+    )
+    assert (len(found), malformed) == (3000, 0)
+
+
+def test_a_heading_that_is_there_twice_is_not_guessed(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("time_s,force_n,force_n,x,x\n0,1,2,3,4\n1,1,2,3,4\n")
+    table = read_table(str(tmp_path / "a.csv"))
+    assert len(table.numbers(table.heading("time_s", "--force-time"))) == 2
+    with pytest.raises(InputError, match="'force_n' is there twice"):
+        table.heading("force_n", "--force-column")
+    with pytest.raises(InputError, match="'force_n' is there twice"):
+        read_csv(tmp_path / "a.csv", ["time_s", "force_n"])
+
+
+def test_what_is_cut_off_of_a_video_is_named(
+    files: dict[str, str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng(0)
+    code = cv2.VideoWriter_fourcc(*"MJPG")
+    video = cv2.VideoWriter(str(tmp_path / "v.avi"), code, 10.0, (320, 240), False)
+    for time in np.arange(0.0, 4.0, 0.1):
+        video.write(picture(float(area_at(time)), rng))
+    video.release()
+    data = (tmp_path / "v.avi").read_bytes()
+    (tmp_path / "cut.avi").write_bytes(data[: 3 * len(data) // 4])
+    # In the header of the container, and in those of the frames.
+    for form, sizes in (("<ii", (320, 240)), (">HH", (240, 320))):
+        data = data.replace(struct.pack(form, *sizes), struct.pack(form, 16000, 16000))
+    (tmp_path / "claims.avi").write_bytes(data)
+    options = ["--force", files["force"], "--area-per-pixel", str(PIXEL), "--subject", "S01"]
+    options = ["import", *options, "--condition", "dry"]
+    whole, cut, claims = (
+        ["--video", str(tmp_path / f"{name}.avi"), "-o", str(tmp_path / name)]
+        for name in ("v", "cut", "claims")
+    )
+    run(command, [*options, *whole])
+    assert "problem" not in capfd.readouterr().out
+    assert run(command, [*options, *cut]) == 1
+    assert "of 40 frames could be read" in capfd.readouterr().out
+    assert run(command, [*options, *claims]) == 2
+    said = capfd.readouterr().err
+    assert "claims.avi: " in said and said.count("\n") == 1
+    assert not (tmp_path / "claims").exists()
 
 
 def test_numbers_of_other_countries() -> None:

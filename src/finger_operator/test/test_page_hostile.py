@@ -132,6 +132,15 @@ def test_characters_that_ros_cannot_carry_are_refused(text: str) -> None:
             check_command(message)
 
 
+@pytest.mark.parametrize(
+    "value", [10**400, -(10**400), 10**9, float("nan"), float("inf"), "1", None]
+)
+def test_a_number_of_any_size_is_refused_in_a_sentence(value: Any) -> None:
+    for name, key in (("moisture", "value"), ("repeat", "index")):
+        with pytest.raises(InputError, match=key):
+            check_command({"name": name, "arguments": {key: value}})
+
+
 HALVES = [
     b"",
     b"GET",

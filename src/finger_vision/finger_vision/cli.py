@@ -17,7 +17,7 @@ import numpy as np
 
 from finger_common.cli import Parser, add_settings, plain, run
 from finger_common.errors import InputError
-from finger_common.files import atomic_write
+from finger_common.files import atomic_write, check_output
 from finger_common.flags import AreaFlag, flag_names
 
 from .area_sensor import AREA_SENSORS
@@ -147,6 +147,7 @@ def _views(paths: Sequence[Path], board: Board, arguments: Any) -> list[View]:
 
 
 def _calibrate(arguments: Any) -> int:
+    check_output(arguments.output, [*arguments.views, *arguments.on_plate])
     board = Board(
         arguments.board,
         arguments.columns,
@@ -176,6 +177,8 @@ def _output(path: Path | None) -> AbstractContextManager[IO[Any]]:
 
 
 def _area(arguments: Any) -> int:
+    inputs = [*arguments.images, *arguments.background, arguments.calibration]
+    check_output(arguments.output, inputs)
     if arguments.calibration is not None:
         calibration = PlateCalibration.load(arguments.calibration)
     else:

@@ -80,6 +80,13 @@ def test_bad_input_ends_with_code_2_and_one_sentence(
     assert not out.exists()
 
 
+def test_an_image_is_not_replaced_by_its_areas(pictures, capsys) -> None:
+    image = Path(pictures["large"])
+    before = image.read_bytes()
+    assert main(["area", str(image), "-o", str(image)]) == 2
+    assert "is an input too" in capsys.readouterr().err and image.read_bytes() == before
+
+
 def test_images_come_out_of_a_bag_lazily_and_spaced(tmp_path: Path, write_image_bag) -> None:
     path = tmp_path / "board.mcap"
     write_image_bag(path, (np.full((40, 50), i, np.uint8) for i in range(25)), 0.1)

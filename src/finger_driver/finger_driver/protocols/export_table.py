@@ -27,7 +27,7 @@ MAX_BYTES = 20_000_000
 MAX_UNPACKED = 40_000_000
 """Bytes that an XLSX file may unpack to."""
 
-_MAX_ROWS, _MAX_COLUMNS = 100_000, 50
+_MAX_ROWS, _MAX_COLUMNS, _SHEET_ROWS = 100_000, 50, 1_048_576
 
 
 @dataclass(frozen=True)
@@ -145,8 +145,16 @@ def _xlsx(data: bytes, name: str, form: TableFormat) -> list[list[Any]]:
                 raise ValueError("it unpacks to more than any export")
         book = openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True)
         sheet = book[form.export_sheet] if form.export_sheet else book.worksheets[0]
-        rows = sheet.iter_rows(max_row=_MAX_ROWS, max_col=_MAX_COLUMNS, values_only=True)
-        return [list(cells) for cells in rows if any(cell is not None for cell in cells)]
+        # Programs state the size of their sheets wrongly; what is beyond it would be left out.
+        sheet.reset_dimensions()
+        lines = []
+        rows = sheet.iter_rows(max_col=_MAX_COLUMNS, values_only=True)
+        for number, cells in enumerate(rows, 1):
+            if any(cell is not None for cell in cells):
+                lines.append(list(cells))
+            if len(lines) > _MAX_ROWS or number > _SHEET_ROWS:
+                raise ValueError("it has more rows than any export")
+        return lines
     except Exception as error:
         # A damaged archive makes openpyxl raise almost anything.
         raise DeviceError(f"{name} is not a readable XLSX file ({type(error).__name__})") from None

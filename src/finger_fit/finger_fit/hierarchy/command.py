@@ -19,7 +19,8 @@ from rich.table import Table
 
 from finger_common.cli import Parser, plain
 from finger_common.errors import InputError
-from finger_common.files import atomic_write, parse_json
+from finger_common.files import atomic_write, load_json, number
+from finger_common.moisture import is_moisture
 from finger_model.laws import ParameterSpace, StandardLinearSolid
 
 from ..nuisance.names import AREA_GAIN
@@ -27,6 +28,9 @@ from .model import Estimates, HierarchyPriors, Posterior, ends, posterior
 
 MOISTURE_UNIT = 10.0
 """a.u. of moisture per unit of the slope."""
+
+LARGEST = 1e12
+"""Value in SI or deviation of a logarithm above which no fit was made."""
 
 CLEAR = 0.975
 """Probability from which a difference of two conditions is called told apart."""
@@ -86,8 +90,7 @@ def read_subjects(paths: Sequence[str]) -> dict[str, dict[str, Any]]:
         path = path / "fit.json" if path.is_dir() else path
         if not path.is_file():
             raise InputError(f"{text}: no fit.json there; run finger-fit first")
-        data = parse_json(path.read_text(encoding="utf-8"), str(path))
-        for name, part in _parts(data, path):
+        for name, part in _parts(load_json(path, "fit.json"), path):
             if name in found:
                 raise InputError(f"{path}: subject '{name}' is there twice; give each once")
             found[name] = part
@@ -95,13 +98,17 @@ def read_subjects(paths: Sequence[str]) -> dict[str, dict[str, Any]]:
 
 
 def _parts(data: Any, path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
-    if not isinstance(data, dict) or not ({"subjects", "conditions"} & set(data)):
-        raise InputError(f"{path}: not a fit.json of finger-fit")
-    if "subjects" in data:
-        for name, part in data["subjects"].items():
-            yield name, part["conditions"]
-    else:
-        yield path.parent.name, data["conditions"]
+    """Subjects with their conditions; raises InputError for what is no fit.json."""
+    found: Any = {path.parent.name: data}
+    if isinstance(data, dict) and "subjects" in data:
+        found = data["subjects"]
+    for name, part in found.items() if isinstance(found, dict) else [("", None)]:
+        conditions = part.get("conditions") if isinstance(part, dict) else None
+        if not isinstance(conditions, dict) or not all(
+            isinstance(entry, dict) for entry in conditions.values()
+        ):
+            raise InputError(f"{path}: not a fit.json of finger-fit")
+        yield name, conditions
 
 
 def population(
@@ -114,7 +121,7 @@ def population(
     conditions = list(dict.fromkeys(c for part in subjects.values() for c in part))
     out: dict[str, Any] = {"subjects": list(subjects), "conditions": conditions, "quantities": {}}
     moisture = np.array(
-        [[_number(part.get(c), "moisture_mean") for c in conditions] for part in subjects.values()]
+        [[_moisture(part.get(c)) for c in conditions] for part in subjects.values()]
     )
     for name in quantities:
         arrays = _arrays(subjects, conditions, name)
@@ -143,9 +150,9 @@ def population(
     return out
 
 
-def _number(entry: Any, key: str) -> float:
-    value = entry.get(key) if isinstance(entry, Mapping) else None
-    return float(value) if isinstance(value, (int, float)) else math.nan
+def _moisture(entry: Any) -> float:
+    value = entry.get("moisture_mean") if isinstance(entry, Mapping) else None
+    return float(value) if isinstance(value, (int, float)) and is_moisture(value) else math.nan
 
 
 def _arrays(
@@ -161,16 +168,10 @@ def _arrays(
             entry = part.get(condition)
             if entry is None:
                 continue
-            try:
-                known = entry["from_data"][name]
-                value[i, j] = math.log(entry[name])
-                assumed = dict(known["assumed"])
-                total = known["sd_log"] ** 2 + known["sd_log_assumed"] ** 2
-            except (KeyError, TypeError, ValueError):
-                raise InputError(
-                    f"{subject} {condition}: fit.json holds no deviation of {name}; fit again with "
-                    "this version"
-                ) from None
+            where = f"{subject} {condition}: fit.json"
+            known, assumed = _deviations(entry, name, where)
+            value[i, j] = math.log(known[name])
+            total = known["sd_log"] ** 2 + known["sd_log_assumed"] ** 2
             common[i, j] = assumed.pop(AREA_GAIN, 0.0)
             left = total - common[i, j] ** 2 - sum(move**2 for move in assumed.values())
             sd[i, j] = math.sqrt(max(left, known["sd_log"] ** 2, 1e-8))
@@ -181,6 +182,22 @@ def _arrays(
     for i, j, length, move in moves:
         shared[i, j, lengths[length]] = move
     return value, sd, shared, common
+
+
+def _deviations(
+    entry: Mapping[str, Any], name: str, where: str
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Value and deviations of a quantity, and its moves by what was assumed; raises InputError."""
+    given = entry.get("from_data")
+    own = given.get(name) if isinstance(given, dict) else None
+    if not isinstance(own, dict) or not isinstance(own.get("assumed"), dict):
+        raise InputError(f"{where} holds no deviation of {name}; fit again with this version")
+    known = {key: number(own, key, where) for key in ("sd_log", "sd_log_assumed")}
+    known[name] = number(dict(entry), name, where)
+    assumed = {key: number(own["assumed"], key, where) for key in own["assumed"]}
+    if known[name] <= 0.0 or max(map(abs, (*known.values(), *assumed.values()))) > LARGEST:
+        raise InputError(f"{where}: no value and deviations of {name} that a fit gives; correct it")
+    return known, assumed
 
 
 def _entry(found: Posterior, conditions: Sequence[str], subjects: Sequence[str]) -> dict[str, Any]:

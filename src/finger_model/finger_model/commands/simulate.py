@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from finger_common.errors import InputError
+from finger_common.files import check_output
 
 from ..fem.elasticity import ELASTICITIES, NEO_HOOKE
 from ..geometry import Geometry
@@ -103,6 +104,9 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out the subcommand."""
+    inputs = [getattr(arguments, n) for n in ("force", "geometry", "material", "reduced_model")]
+    for output in (arguments.output, arguments.plot, arguments.vtu):
+        check_output(output, inputs)
     geometry = Geometry.load(arguments.geometry) if arguments.geometry else Geometry()
     material = load_material(arguments.material) if arguments.material else StandardLinearSolid()
     time, force, pull = read_load_csv(arguments.force)

@@ -170,12 +170,14 @@ def _report(done: list[Any]) -> int:
         forces = f"{peaks[0]:.2f} N" if len(peaks) == 1 else f"{min(peaks):.2f} to {max(peaks):.2f}"
         presses = f"1 press to {forces}" if len(peaks) == 1 else f"{len(peaks)} presses to {forces}"
         checked = validate(result.path)
-        good += checked.fit
+        good += checked.fit and not result.problems
         print(
             f"{plain(result.path)}: {presses}, {len(result.areas)} areas "
             f"({min(touching):.3g} to {max(touching):.3g} mm²): "
             + ("fit for use" if checked.fit else "NOT fit for use")
         )
+        for problem in result.problems:
+            print(f"  problem: {plain(problem)}")
         for note in result.notes:
             print(f"  note: {plain(note)}")
         for check in checked.checks:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,6 +14,8 @@ import cv2
 import numpy as np
 
 from finger_common.errors import InputError
+from finger_common.files import bounded_memory
+from finger_common.image_size import check_claim
 from finger_common.stamps import NANOSECONDS, nanoseconds
 from finger_vision.images import as_mono8, read_image, silent_libraries
 
@@ -21,20 +24,24 @@ from .tables import Times, read_table
 
 IMAGE_ENDINGS = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".pgm")
 
+SURE_FRAMES = 0.98
+"""Share of the frames that a container counts which must be there: some count roughly."""
+
 Frame = tuple[int, np.ndarray]
 """Time in ns, image (H, W) uint8."""
 
 
-def frames_of(settings: ImportSettings) -> tuple[Iterator[Frame], int, bool]:
+def frames_of(settings: ImportSettings, problems: list[str]) -> tuple[Iterator[Frame], int, bool]:
     """Frames of the video or folder; how many are expected (0: unknown); whether their times are
     absolute.
 
-    Raises InputError, from the iterator too, naming file and remedy.
+    problems: gets what of the video could not be read, once all frames were taken. Raises
+    InputError, from the iterator too, naming file and remedy.
     """
     times = _times_of(settings) if settings.image_times else None
     if settings.video:
         count = len(times.ns) if times else 0
-        return _video(settings, times), count, bool(times and times.absolute)
+        return _video(settings, times, problems), count, bool(times and times.absolute)
     files = _image_files(settings.images)
     if times is None:
         if not settings.frame_rate:
@@ -73,14 +80,21 @@ def _image_files(folder: str) -> list[Path]:
     return sorted(files, key=natural)
 
 
-def _video(settings: ImportSettings, times: Times | None) -> Iterator[Frame]:
+def _video(settings: ImportSettings, times: Times | None, problems: list[str]) -> Iterator[Frame]:
     name = settings.video
     if not Path(name).is_file():
         raise InputError(f"{name}: no such video; check the path")
-    with silent_libraries():
+    # What is wrong with a video is said in one sentence, not by FFmpeg for each frame.
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    with silent_libraries(), bounded_memory(name):
         video = cv2.VideoCapture(name)
     if not video.isOpened():
         raise InputError(f"{name}: not a video that can be read; convert it to .mp4 or .avi")
+    width, height = (
+        int(video.get(p)) for p in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
+    )
+    check_claim(width, height, Path(name).stat().st_size, name)
+    expected = video.get(cv2.CAP_PROP_FRAME_COUNT)
     rate = settings.frame_rate or video.get(cv2.CAP_PROP_FPS)
     number, last = 0, -1
     try:
@@ -117,3 +131,5 @@ def _video(settings: ImportSettings, times: Times | None) -> Iterator[Frame]:
             f"{settings.image_times}: {len(times.ns)} times for {number} frames of {name}; give "
             "one row per frame"
         )
+    if number < SURE_FRAMES * expected - 1:
+        problems.append(f"{name}: {number} of {expected:.0f} frames could be read")

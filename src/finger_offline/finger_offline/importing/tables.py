@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import csv
 import io
+import zipfile
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -22,14 +23,31 @@ import numpy as np
 
 from finger_bag.xdf import read_xdf
 from finger_common.errors import InputError, known_names
-from finger_common.files import exists, parse_npz, read_bytes, read_text
+from finger_common.files import (
+    MAXIMUM_FILE,
+    bounded_memory,
+    exists,
+    parse_npz,
+    read_bytes,
+    read_text,
+)
 from finger_common.stamps import NANOSECONDS
 from finger_common.units import AREA_UNITS, FORCE_UNITS, LENGTH_UNITS, TIME_UNITS, unit_named
 
 EPOCH_SECONDS = 1e8
 """s; a time beyond this (three years) counts from 1970, as computers do."""
 
-MAXIMUM_COLUMNS = 4096
+FREE_VALUES, VALUES_PER_BYTE = 4_000_000, 4
+"""Values that any table may hold, and further ones for each byte of its file."""
+
+FREE_CELLS, CELLS_PER_BYTE = 200_000, 0.5
+"""The same for cells of a workbook, which take at least five bytes of its archive."""
+
+MAXIMUM_ROWS = 1_048_576
+"""Rows of a sheet, Excel's own limit."""
+
+FREE_UNPACKED, UNPACKED_PER_BYTE = 10_000_000, 20
+"""Bytes that a workbook may unpack to, and further ones for each of its own."""
 
 _UNITS = (FORCE_UNITS, LENGTH_UNITS, AREA_UNITS, TIME_UNITS)
 
@@ -47,13 +65,16 @@ class Table:
     """Columns by heading: arrays, or sequences of cells as read; they may differ in length.
 
     units: a row of units below the headings, where there was one. first_row: number of the first
-    row of values, for errors.
+    row of values, for errors. twice: headings of several columns, none of which is in `columns`.
+    problems: what of the file could not be read.
     """
 
     where: str
     columns: Mapping[str, Sequence[Any] | np.ndarray]
     units: Mapping[str, str] = field(default_factory=dict)
     first_row: int = 1
+    twice: frozenset[str] = frozenset()
+    problems: tuple[str, ...] = ()
 
     def heading(self, name: str, option: str) -> str:
         """The heading that a name means: equal, or equal but for case and a unit at its end.
@@ -65,7 +86,7 @@ class Table:
         alike = [h for h in self.columns if _bare(h) == name.strip().casefold()]
         if len(alike) == 1:
             return alike[0]
-        reason = "is there twice" if alike else "does not exist"
+        reason = "is there twice" if alike or name in self.twice else "does not exist"
         raise InputError(
             f"{self.where}: column '{name}' {reason} ({known_names(name, self.columns)}); "
             f"name it with {option}"
@@ -192,7 +213,11 @@ def read_table(name: str) -> Table:
         raise InputError(
             f"{file}: no table of a known kind; give a file of one of {', '.join(READERS)}"
         )
-    table = reader(path, part)
+    size = path.stat().st_size
+    with bounded_memory(path):
+        table = reader(path, part)
+        if sum(map(len, table.columns.values())) > FREE_VALUES + VALUES_PER_BYTE * size:
+            raise InputError(f"{file}: holds more values than {size} bytes explain; not read")
     if not table.columns or not len(next(iter(table.columns.values()))):
         raise InputError(f"{name}: holds no row of values; export it again")
     return table
@@ -200,10 +225,10 @@ def read_table(name: str) -> Table:
 
 def _read_text(path: Path, part: str) -> Table:
     _no_part(path, part)
-    return of_rows(str(path), _text_rows(read_text(path, "table")))
+    return of_rows(str(path), _text_rows(read_text(path, "table", MAXIMUM_FILE), str(path)))
 
 
-def _text_rows(text: str) -> list[tuple[int, list[Any]]]:
+def _text_rows(text: str, where: str) -> list[tuple[int, list[Any]]]:
     """Numbered rows of cells; the delimiter is the one that gives the most regular rows."""
     lines = [
         (number, line)
@@ -223,7 +248,7 @@ def _text_rows(text: str) -> list[tuple[int, list[Any]]]:
     try:
         cells = [[cell.strip() for cell in row] for row in rows]
     except csv.Error as error:
-        raise InputError(f"table cannot be read as CSV ({error}); export it again") from None
+        raise InputError(f"{where}: cannot be read as CSV ({error}); export it again") from None
     numbers = [n for n, _ in lines] if len(cells) == len(lines) else list(range(1, len(cells) + 1))
     return list(zip(numbers, cells))
 
@@ -251,12 +276,17 @@ def of_rows(where: str, rows: Sequence[tuple[int, Sequence[Any]]]) -> Table:
             units = dict(zip(header, stated))
             start += 1
     body = rows[start:]
+    twice = _twice(header)
     columns = {
         name: [row[i] if i < len(row) else None for _, row in body]
         for i, name in enumerate(header)
-        if name
+        if name and name not in twice
     }
-    return Table(where, columns, units, body[0][0] if body else 1)
+    return Table(where, columns, units, body[0][0] if body else 1, twice)
+
+
+def _twice(headings: Sequence[str]) -> frozenset[str]:
+    return frozenset(name for name, count in Counter(headings).items() if name and count > 1)
 
 
 def _filled(row: Sequence[Any]) -> int:
@@ -286,21 +316,28 @@ def _no_part(path: Path, part: str) -> None:
 def _read_excel(path: Path, part: str) -> Table:
     import openpyxl
 
-    content = io.BytesIO(read_bytes(path, "workbook"))
+    content = read_bytes(path, "workbook")
+    size = len(content)
     try:
-        book = openpyxl.load_workbook(content, read_only=True, data_only=True)
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            unpacked = sum(member.file_size for member in archive.infolist())
+        if unpacked > FREE_UNPACKED + UNPACKED_PER_BYTE * size:
+            raise InputError(f"{path}: {size} bytes unpack to {unpacked}; not read")
+        book = openpyxl.load_workbook(io.BytesIO(content), read_only=True, data_only=True)
         names = book.sheetnames
         if part and part not in names:
             raise InputError(f"{path}: sheet '{part}' does not exist; {known_names(part, names)}")
         sheet = book[part] if part else book.worksheets[0]
-        rows = [
-            (number, list(cells))
-            for number, cells in enumerate(
-                sheet.iter_rows(max_col=MAXIMUM_COLUMNS, values_only=True), 1
-            )
-            if any(cell is not None for cell in cells)
-        ]
-    except InputError:
+        # Programs state the size of their sheets wrongly; what is beyond it would be left out.
+        sheet.reset_dimensions()
+        rows, left = [], FREE_CELLS + CELLS_PER_BYTE * size
+        for number, cells in enumerate(sheet.iter_rows(values_only=True), 1):
+            left -= len(cells)
+            if left < 0 or number > MAXIMUM_ROWS:
+                raise InputError(f"{path}: holds more cells than {size} bytes explain; not read")
+            if any(cell is not None for cell in cells):
+                rows.append((number, cells))
+    except (InputError, MemoryError):
         raise
     except Exception as error:
         # A damaged archive makes openpyxl raise almost anything.
@@ -319,6 +356,8 @@ def _read_parquet(path: Path, part: str) -> Table:
     try:
         found = parquet.read_table(path)
         columns = {str(n): found.column(n).to_numpy() for n in found.column_names}
+    except MemoryError:
+        raise
     except (ArrowException, OSError, ValueError) as error:
         raise InputError(f"{path}: not a Parquet file that can be read ({error})") from None
     return Table(str(path), columns)
@@ -345,7 +384,8 @@ def _read_hdf5(path: Path, part: str) -> Table:
                 raise InputError(f"{path}: '{part}' does not exist; {known_names(part, names)}")
             node = file[key]
             members = node.items() if isinstance(node, h5py.Group) else [(key, node)]
-            arrays = {n: v[()] for n, v in members if isinstance(v, h5py.Dataset)}
+            found = {n: v for n, v in members if isinstance(v, h5py.Dataset) and v.shape}
+            arrays = {n: v[()] for n, v in found.items()}
     except InputError:
         raise
     except (OSError, ValueError, KeyError, RuntimeError) as error:
@@ -355,11 +395,11 @@ def _read_hdf5(path: Path, part: str) -> Table:
             f"{where}: holds groups only; name one as {path}::GROUP ({', '.join(names[:8])})"
         )
     if len(arrays) == 1:
-        found = next(iter(arrays.values()))
-        if found.dtype.names:  # a table of records
-            arrays = {name: found[name] for name in found.dtype.names}
-        elif found.ndim == 2 and min(found.shape) > 1:  # a matrix: columns by number
-            arrays = {str(i): column for i, column in enumerate(found.T, 1)}
+        only = next(iter(arrays.values()))
+        if only.dtype.names:  # a table of records
+            arrays = {name: only[name] for name in only.dtype.names}
+        elif only.ndim == 2 and min(only.shape) > 1:  # a matrix: columns by number
+            arrays = {str(i): column for i, column in enumerate(only.T, 1)}
     return _of_arrays(where, arrays)
 
 
@@ -371,6 +411,8 @@ def _read_matlab(path: Path, part: str) -> Table:
 
     try:
         found = loadmat(io.BytesIO(content), squeeze_me=True, struct_as_record=True)
+    except MemoryError:
+        raise
     except Exception as error:
         # A damaged file makes loadmat raise almost anything.
         raise InputError(f"{path}: not a MATLAB file that can be read ({error})") from None
@@ -404,8 +446,11 @@ def _read_xdf(path: Path, part: str) -> Table:
     since = np.round((stream.time - first) * NANOSECONDS).astype(np.int64)
     times = since * 1e-9 if file.begun_ns is None else _datetime(since + file.begun_ns)
     headings = [label or str(i) for i, label in enumerate(stream.labels, 1)]
-    columns = {"time_s": times, **dict(zip(headings, stream.values.T))}
-    return Table(f"{path}::{part}", columns, dict(zip(headings, stream.units)))
+    twice = _twice(["time_s", *headings])
+    named = {h: column for h, column in zip(headings, stream.values.T) if h not in twice}
+    units = dict(zip(headings, stream.units))
+    where = f"{path}::{part}"
+    return Table(where, {"time_s": times, **named}, units, twice=twice, problems=file.problems)
 
 
 def _datetime(stamps_ns: np.ndarray) -> np.ndarray:

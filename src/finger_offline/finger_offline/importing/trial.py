@@ -57,7 +57,7 @@ class Imported:
     """What a bag got.
 
     presses: onset, end (ns) and peak force (N) of each; area_stamps (ns), areas (m²) of all frames;
-    notes: what a reader of the data should know.
+    notes: what a reader of the data should know. problems: what of the files could not be read.
     """
 
     path: Path
@@ -65,6 +65,7 @@ class Imported:
     area_stamps: list[int] = field(default_factory=list)
     areas: list[float] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -86,6 +87,7 @@ def import_trial(
     """
     result = Imported(Path(target))
     table = read_table(settings.force)
+    result.problems += table.problems
     times, force = _force(settings, table, result.notes)
     start = _start(settings.start)
     stamps = times.ns if times.absolute else times.ns + start
@@ -249,21 +251,22 @@ def _areas(
         return _based(settings, name, theirs, absolute, start, "time_offset")
 
     if settings.area:
-        stamps, areas, theirs = _column(settings, "area", AREA_UNITS, "mm2", result.notes)
+        stamps, areas, theirs = _column(settings, "area", AREA_UNITS, "mm2", result)
         result.area_stamps = (stamps + based(settings.area, theirs)).tolist()
         result.areas = areas.tolist()
         return _area_items(result)
-    frames, count, theirs = frames_of(settings)
+    frames, count, theirs = frames_of(settings, result.problems)
     begin = based(settings.video or settings.images, theirs)
     return _image_items(settings, frames, count, begin, result, show)
 
 
 def _column(
-    settings: ImportSettings, what: str, units: dict[str, float], example: str, notes: list[str]
+    settings: ImportSettings, what: str, units: dict[str, float], example: str, result: Imported
 ) -> tuple[np.ndarray, np.ndarray, bool]:
     """Times (n,) in ns and values (n,) in SI of the table of "area" or "indentation", without its
     gaps, and whether its times count from 1970."""
     table = read_table(getattr(settings, what))
+    result.problems += table.problems
     heading = table.heading(getattr(settings, f"{what}_time"), f"--{what}-time")
     times = table.times(heading, settings.time_unit)
     column = table.heading(getattr(settings, f"{what}_column"), f"--{what}-column")
@@ -271,7 +274,7 @@ def _column(
     unit = unit or _unit(table, column, units, f"--{what}-unit {example}")
     values = table.numbers(column, gaps=True) * units[unit]
     _check_length(table, heading, column, len(times.ns), len(values))
-    keep = _in_order(table, heading, times.ns, notes) & np.isfinite(values)
+    keep = _in_order(table, heading, times.ns, result.notes) & np.isfinite(values)
     return times.ns[keep], values[keep], times.absolute
 
 
@@ -381,7 +384,7 @@ def _indentations(
     name = settings.indentation
     if not name:
         return []
-    times, values, theirs = _column(settings, "indentation", LENGTH_UNITS, "mm", result.notes)
+    times, values, theirs = _column(settings, "indentation", LENGTH_UNITS, "mm", result)
     stamps = times + _based(settings, name, theirs, absolute, start, "indentation_time_offset")
     values = values * (-1.0 if settings.indentation_sign == "negative" else 1.0)
     if not len(values):

@@ -59,7 +59,7 @@ def check_command(message: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
     arguments = {}
     for key, value in given.items():
         kind = wanted[key]
-        if kind is float and type(value) is int:
+        if kind is float and type(value) is int and abs(value) < 1_000_000_000:
             value = float(value)
         if not isinstance(value, kind) or isinstance(value, bool):
             raise InputError(f"command '{name}': '{key}' is not a {kind.__name__}")
