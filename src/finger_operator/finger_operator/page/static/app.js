@@ -20,6 +20,7 @@ const state = {
   images: null, imageAt: -Infinity, frames: [], pressFrames: [],
 };
 const charts = new Charts((time) => { showFrame(time); showNumbers(); });
+// Time (ms) until which nothing but the cue is drawn.
 let drawn = 0;
 let plotted = 0;
 
@@ -135,7 +136,7 @@ function showCue(message) {
   state.cue = message;
   drawCue();
   // The frame that carries the cue carries nothing else that takes time to draw.
-  drawn = performance.now() + 80;
+  drawn = performance.now() + 80 + PERIOD;
   if (!document.hidden) waiting ??= [];
   whenShown(() => {
     if (message.id >= 0) link.send({ type: "shown", id: message.id });
@@ -390,8 +391,11 @@ function showImage(buffer) {
   state.frames.push({ time, blob });
   if (state.frames.length > FRAMES) state.frames.splice(0, FRAMES / 4);
   state.imageAt = performance.now();
-  if (charts.mode === "live") putImage(blob);
+  newestImage = blob;
 }
+
+// Waits to be drawn with the curves.
+let newestImage = null;
 
 let shownUrl = null;
 function putImage(blob) {
@@ -476,23 +480,29 @@ document.addEventListener("visibilitychange", () => {
 
 // Drawing -------------------------------------------------------------------------------------
 
-function frame(now) {
-  // Ten pictures a second are enough for the eye; the cue does not wait for them.
-  if (charts.mode === "live" && now - drawn > 95) {
-    drawn = now;
-    showNumbers();
-    // Just before the cue to lift the plots wait, for half a second at most: a plot being drawn
-    // would hold the cue up.
-    const force = charts.live.force.at(-1)?.[1] ?? 0;
-    const pressing = state.cue && state.cue.phase === "press";
-    if (!(pressing && force > 0.8 * charts.target && now - plotted < 500)) {
-      plotted = now;
-      charts.draw();
-    }
-  }
-  requestAnimationFrame(frame);
+// Ten pictures a second are enough for the eye. All that moves is drawn together, so that the
+// browser makes ten frames a second and is free for the cue, which waits for none of them.
+const PERIOD = 95;
+
+// Just before the cue to lift, plots and images wait, for half a second at most: one that is being
+// drawn would hold the cue up.
+function aboutToLift(now) {
+  const force = charts.live.force.at(-1)?.[1] ?? 0;
+  const pressing = state.cue && state.cue.phase === "press";
+  return pressing && force > 0.8 * charts.target && now - plotted < 500;
 }
-requestAnimationFrame(frame);
+
+function drawAll() {
+  const now = performance.now();
+  if (document.hidden || charts.mode !== "live" || now < drawn) return;
+  showNumbers();
+  if (aboutToLift(now)) return;
+  plotted = now;
+  charts.draw();
+  if (newestImage) putImage(newestImage);
+  newestImage = null;
+}
+setInterval(drawAll, PERIOD);
 
 // Buttons and keys ----------------------------------------------------------------------------
 
