@@ -387,24 +387,24 @@ function showNumbers() {
 
 function showImage(buffer) {
   const time = Number(new DataView(buffer).getBigInt64(0, true)) / 1e9;
-  const blob = new Blob([buffer.slice(8)], { type: "image/jpeg" });
-  state.frames.push({ time, blob });
+  const jpeg = new Uint8Array(buffer, 8);
+  state.frames.push({ time, jpeg });
   if (state.frames.length > FRAMES) state.frames.splice(0, FRAMES / 4);
   state.imageAt = performance.now();
-  newestImage = blob;
+  newestImage = jpeg;
 }
 
 // Waits to be drawn with the curves.
 let newestImage = null;
 
-let shownUrl = null;
-function putImage(blob) {
-  const url = URL.createObjectURL(blob);
-  const image = $("image"), old = shownUrl;
-  image.onload = image.onerror = () => { if (old) URL.revokeObjectURL(old); };
-  shownUrl = url;
-  image.src = url;
-  image.hidden = false;
+// A data URL: one of a blob waits for the browser's main process, twice for each image.
+function putImage(jpeg) {
+  const parts = [];
+  for (let i = 0; i < jpeg.length; i += 8192) {
+    parts.push(String.fromCharCode(...jpeg.subarray(i, i + 8192)));
+  }
+  $("image").src = `data:image/jpeg;base64,${btoa(parts.join(""))}`;
+  $("image").hidden = false;
   $("image-none").hidden = true;
 }
 
@@ -424,7 +424,7 @@ function showFrame(time) {
   for (const frame of frames) {
     if (!best || Math.abs(frame.time - time) < Math.abs(best.time - time)) best = frame;
   }
-  if (best && Math.abs(best.time - time) < 0.3) putImage(best.blob);
+  if (best && Math.abs(best.time - time) < 0.3) putImage(best.jpeg);
 }
 
 // The link ------------------------------------------------------------------------------------
