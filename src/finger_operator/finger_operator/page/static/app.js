@@ -201,7 +201,7 @@ let fitted = "";
 function fit(content) {
   const cue = $("cue");
   fitted = content;
-  for (const level of [0, 1, 2, 3]) {
+  for (const level of [0, 1, 2, 3, 4]) {
     cue.dataset.fit = level;
     if (cue.scrollHeight <= cue.clientHeight + 1) return;
   }
