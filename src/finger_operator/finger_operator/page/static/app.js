@@ -53,6 +53,19 @@ function notify(text, good) {
   forget = setTimeout(() => { place.textContent = ""; place.className = ""; }, good ? 6e3 : 15e3);
 }
 
+// A double click is one click, and so are two taps of a key: the second one would already mean the
+// next step, such as to begin a trial that nobody has prepared.
+const TWICE = 500;
+function once(action) {
+  let last = -Infinity;
+  return (...args) => {
+    const now = performance.now();
+    if (now - last < TWICE) return;
+    last = now;
+    action(...args);
+  };
+}
+
 function primary() {
   const { step, paused } = state.status;
   if (step === "closed") return openSession();
@@ -78,6 +91,8 @@ function openSession() {
     return answer.success ? command(calibrate ? "calibrate" : "start") : answer;
   });
 }
+
+const repeat = once((index) => command("repeat", { index }));
 
 async function skip() {
   const { index, condition } = state.status;
@@ -234,7 +249,7 @@ function showStatus(s) {
   set($("warnings"), warnings.join(" "));
   chips("moisture-before", s.moisture_before, s.readings, s.step === "moisture_before");
   chips("moisture-after", s.moisture_after, s.readings, s.step === "moisture_after");
-  showTrials(s, (index) => command("repeat", { index }));
+  showTrials(s, repeat);
   showLog(s.events);
   showButtons();
   drawCue();
@@ -506,13 +521,13 @@ setInterval(drawAll, PERIOD);
 
 // Buttons and keys ----------------------------------------------------------------------------
 
-$("start").onclick = primary;
-$("pause").onclick = () => command(resumable() ? "resume" : "pause");
-$("redo").onclick = redo;
+$("start").onclick = once(() => primary());
+$("pause").onclick = once(() => command(resumable() ? "resume" : "pause"));
+$("redo").onclick = once(() => redo());
 $("skip").onclick = skip;
-$("tare").onclick = tare;
+$("tare").onclick = once(() => tare());
 $("note").onclick = note;
-$("marker").onclick = () => command("marker");
+$("marker").onclick = once(() => command("marker"));
 $("end").onclick = end;
 $("preparation-edit").onclick = editPreparation;
 $("keys").onclick = () => $("keys-dialog").showModal();
