@@ -339,7 +339,7 @@ function showProblems(since) {
   $("banner").hidden = !first;
   let alarm = state.away ? "Not connected to the rig." : "";
   if (first) {
-    const age = first.age === null ? "" : ` Silent for ${seconds(first.age + since)} s.`;
+    const age = first.age === null ? "" : ` Silent for ${seconds(first.age + since)}\u00a0s.`;
     set($("banner-text"), `${first.text}${age}`);
     set($("banner-remedy"), first.remedy);
     const more = [first.detail, ...problems.slice(1).map((p) => p.text)];
