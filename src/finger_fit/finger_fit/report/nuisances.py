@@ -59,7 +59,10 @@ def _sentence(block: NuisanceResult) -> str:
     measured = [press.tare for press in presses if press.tare_measured]
     if measured:
         low, high = (round(1e3 * tare) for tare in (min(measured), max(measured)))
-        tare = f"tare {low} to {high} mN, measured on the unloaded plate in {len(measured)} of {len(presses)} presses and taken off"
+        tare = (
+            f"tare {low} to {high} mN, measured on the unloaded plate in {len(measured)} of "
+            f"{len(presses)} presses and taken off"
+        )
     else:
         tare = "no press shows the unloaded plate; the tare is a nuisance"
     text = f"{tare}; areas of presses scatter by {100 * block.scatter:.0f} %"
