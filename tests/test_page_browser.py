@@ -203,6 +203,21 @@ def test_zoomed_to_200_percent_everything_is_there(
     context.close()
 
 
+def test_on_a_tablet_held_upright_time_and_disk_left_are_readable(
+    rig: StandIn, page: Any, project_root: Path
+) -> None:
+    page.set_viewport_size({"width": 820, "height": 1180})
+    prepare(rig, page)
+    until(lambda: page.is_visible("#image"), page)
+    page.wait_for_timeout(300)
+    page.screenshot(path=str(shots(project_root) / "820_light_prepare.png"))
+    assert page.evaluate(OVERFLOW) == []
+    text = page.inner_text("#left")
+    assert "min left" in text and "GB free" in text
+    assert page.eval_on_selector("#left", "e => e.scrollWidth <= e.clientWidth")
+    assert page.locator("#controls, #moisture").last.bounding_box()["y"] < 1180
+
+
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_axe_finds_nothing_in_the_rarer_looks(
