@@ -44,8 +44,14 @@ def page(rig: StandIn, browser: Any) -> Iterator[Any]:
     page.on("pageerror", lambda error: errors.append(str(error)))
     page.goto(rig.server.url)
     page.wait_for_selector("#link.good")
+    has_status(page)
     yield page
     assert errors == []
+
+
+def has_status(page: Any) -> None:
+    """Wait until the page knows that there is no session yet."""
+    until(lambda: "Press Space" in page.inner_text("#cue-text"), page)
 
 
 def prepare(rig: StandIn, page: Any, **fields: Any) -> None:
@@ -186,7 +192,7 @@ def test_zoomed_to_200_percent_everything_is_there(
     context = chrome.new_context(viewport={"width": width, "height": height}, device_scale_factor=2)
     page = context.new_page()
     page.goto(rig.server.url)
-    page.wait_for_selector("#link.good")
+    has_status(page)
     page.keyboard.press("Space")
     page.wait_for_selector("#session-dialog[open]")
     begin = page.locator("#plan-start").bounding_box()
@@ -219,7 +225,7 @@ def test_on_a_tablet_held_upright_time_and_disk_left_are_readable(
 
 
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("scheme", ["light", pytest.param("dark", marks=pytest.mark.slow)])
 def test_axe_finds_nothing_in_the_rarer_looks(
     rig: StandIn, page: Any, browser: Any, scheme: str
 ) -> None:
