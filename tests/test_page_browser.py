@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 from page_looks import OVERFLOW, SIZES, shots, violations
-from page_stand_in import CLOSED, TARE_NEEDED, ForwardedPort, StandIn, session
+from page_stand_in import CLOSED, TARE_NEEDED, ForwardedPort, StandIn, session, trial
 
+from finger_common.guided_presses import CALIBRATION_PRESSES
 from finger_operator.page.readiness import Problem
 from finger_operator.study_plan import PREPARATIONS
 
@@ -43,8 +44,14 @@ def page(rig: StandIn, browser: Any) -> Iterator[Any]:
     page.on("pageerror", lambda error: errors.append(str(error)))
     page.goto(rig.server.url)
     page.wait_for_selector("#link.good")
+    has_status(page)
     yield page
     assert errors == []
+
+
+def has_status(page: Any) -> None:
+    """Wait until the page knows that there is no session yet."""
+    until(lambda: "Press Space" in page.inner_text("#cue-text"), page)
 
 
 def prepare(rig: StandIn, page: Any, **fields: Any) -> None:
@@ -62,6 +69,16 @@ def until(condition: Callable[[], Any], page: Any, seconds: float = 20.0) -> Any
             return result
         page.wait_for_timeout(30)
     raise AssertionError(page.inner_text("body"))
+
+
+TONES = """
+window.tones = 0;
+const start = OscillatorNode.prototype.start;
+OscillatorNode.prototype.start = function (...times) {
+  window.tones += 1;
+  return start.apply(this, times);
+};
+"""
 
 
 # Looks ---------------------------------------------------------------------------------------
@@ -135,6 +152,133 @@ def test_long_texts_fit_every_size(rig: StandIn, page: Any, width: int, height: 
             page.keyboard.press("Space")
         page.wait_for_timeout(300)
         assert page.evaluate(OVERFLOW) == [], step
+
+
+def long_names() -> dict[str, Any]:
+    """A session whose codes, conditions and notes are as long as they may be."""
+    names = ["moist_after_ten_minutes_of_exercise_in_the_climate_chamber_32C", "x" * 64]
+    names += ["natural", "dry", "dry_again", "wet"]
+    trials = [trial(i, names[i // 3]) for i in range(18)]
+    notes = [[{"time": 0, "text": text, "attempt": 0}] for text in ("W" * 2000, "word " * 400)]
+    trials[0].update(
+        verdict="done", attempts=12, time_to_target=10.83, peak_force=11.52, notes=notes[0]
+    )
+    trials[1].update(verdict="skipped", notes=notes[1])
+    code = "ABCDEFGHIJKLMN12"
+    return {
+        "conditions": names, "condition": names[0], "trials": trials, "subject": code,
+        "session": f"{code}_20261122T101500_calibration",
+        "preparation": "Wash the hand with soap, rinse it for ten seconds, and dry it in the air.",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES)
+def test_long_names_and_notes_fit_every_size(
+    rig: StandIn, page: Any, width: int, height: int
+) -> None:
+    page.set_viewport_size({"width": width, "height": height})
+    prepare(rig, page)
+    rig.status(**session("prepare", **long_names()))
+    until(lambda: "climate_chamber" in page.inner_text("#trials"), page)
+    page.wait_for_timeout(300)
+    assert page.evaluate(OVERFLOW) == []
+
+
+@pytest.mark.parametrize(("width", "height"), [(960, 540), (683, 384)])
+def test_zoomed_to_200_percent_everything_is_there(
+    rig: StandIn, chrome: Any, width: int, height: int
+) -> None:
+    """1920 × 1080 and 1366 × 768; then the window is made larger, and the curves follow."""
+    context = chrome.new_context(viewport={"width": width, "height": height}, device_scale_factor=2)
+    page = context.new_page()
+    page.goto(rig.server.url)
+    has_status(page)
+    page.keyboard.press("Space")
+    page.wait_for_selector("#session-dialog[open]")
+    begin = page.locator("#plan-start").bounding_box()
+    assert begin is not None and 0 <= begin["y"] <= height - begin["height"]
+    page.click("#plan-cancel")
+    prepare(rig, page)
+    page.wait_for_timeout(300)
+    assert page.evaluate(OVERFLOW) == []
+    page.set_viewport_size({"width": 1600, "height": 900})
+    same = """() => [...document.querySelectorAll(".plot")].every((plot) =>
+      Math.abs(plot.querySelector(".uplot").clientWidth - plot.clientWidth) < 2)"""
+    page.wait_for_function(same)
+    assert page.evaluate(OVERFLOW) == []
+    context.close()
+
+
+def test_on_a_tablet_held_upright_time_and_disk_left_are_readable(
+    rig: StandIn, page: Any, project_root: Path
+) -> None:
+    page.set_viewport_size({"width": 820, "height": 1180})
+    prepare(rig, page)
+    until(lambda: page.is_visible("#image"), page)
+    page.wait_for_timeout(300)
+    page.screenshot(path=str(shots(project_root) / "820_light_prepare.png"))
+    assert page.evaluate(OVERFLOW) == []
+    text = page.inner_text("#left")
+    assert "min left" in text and "GB free" in text
+    assert page.eval_on_selector("#left", "e => e.scrollWidth <= e.clientWidth")
+    assert page.locator("#controls, #moisture").last.bounding_box()["y"] < 1180
+
+
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("scheme", ["light", pytest.param("dark", marks=pytest.mark.slow)])
+def test_axe_finds_nothing_in_the_rarer_looks(
+    rig: StandIn, page: Any, browser: Any, scheme: str
+) -> None:
+    """Faults, stale values, waits, a pause, the last press, long names, no link."""
+    page.emulate_media(color_scheme=scheme, reduced_motion="reduce")
+    page.keyboard.press("Space")
+    page.fill("#plan-subject", "Maria")
+    rig.answers["configure"] = (False, "a subject code has a digit in it and is never a name")
+    page.click("#plan-start")
+    until(lambda: "never a name" in page.inner_text("#plan-error"), page)
+    assert violations(page) == [], "a refused plan"
+    page.click("#plan-cancel")
+    prepare(rig, page)
+    until(lambda: page.is_visible("#image"), page)
+    rig.gone, rig.problems = {"force", "area", "model"}, [NO_FORCE, LONG]
+    rig.health[1] = {**rig.health[1], "level": 2, "message": "no sample for 1.2 s"}
+    rig.health[2] = {**rig.health[2], "level": 1, "message": "late"}
+    rig.health[3] = {**rig.health[3], "level": 3, "message": "silent for 4 s"}
+    page.click("#tab-health")
+    until(lambda: "no image for" in page.inner_text("#image-none"), page)
+    until(lambda: "late" in page.inner_text("#health"), page)
+    page.keyboard.press("Space")
+    until(lambda: "Not ready" in page.inner_text("#answer"), page)
+    assert violations(page) == [], "stale values and a refusal"
+    rig.gone, rig.problems = set(), []
+    page.click("#tab-trials")
+    for step in ("moisture_before", "clear", "closing", "moisture_after"):
+        rig.cue(step if step.startswith("moisture") else "idle")
+        rig.status(**session(step, instruction="What to do now."))
+        page.wait_for_selector(f"#cue[data-look={step}]")
+        assert violations(page) == [], step
+    rig.status(**session("prepare", paused=True, instruction="Press Space.", **long_names()))
+    page.wait_for_selector("#cue[data-look=paused]")
+    assert violations(page) == [], "paused"
+    rig.cue("press")
+    rig.cue("done")
+    page.wait_for_selector("#last:enabled")
+    page.click("#last")
+    page.select_option("#third", "pressure")
+    assert violations(page) == [], "the last press"
+    rig.problems = [Problem("protocol", "The protocol is not running.", "Wait.", 1.0)]
+    until(lambda: page.inner_text("#cue-word") == "No protocol", page)
+    assert violations(page) == [], "no protocol"
+    rig.silent = True
+    until(lambda: page.inner_text("#cue-word") == "Not connected", page)
+    assert violations(page) == [], "not connected"
+    participant = browser.new_page()
+    participant.emulate_media(color_scheme=scheme)
+    participant.goto(f"{rig.server.url}participant")
+    for phase in ("idle", "moisture_before", "paused", "done"):
+        rig.cue(phase)
+        participant.wait_for_selector(f"#cue[data-look={phase}]")
+        assert violations(participant) == [], phase
 
 
 @pytest.mark.timeout(900)
@@ -415,6 +559,110 @@ def test_notes_markers_and_the_end_of_a_session(rig: StandIn, page: Any) -> None
     assert "camera: no image for 1.0 s" in page.inner_text("#log")
 
 
+def test_calibrate_subject_begins_a_calibration_with_what_was_typed(
+    rig: StandIn, page: Any
+) -> None:
+    page.keyboard.press("Space")
+    page.fill("#plan-subject", "S07")
+    page.fill("#plan-age", "31")
+    rig.answers["calibrate"] = (False, "a calibration needs the camera")
+    page.click("#plan-calibrate")
+    until(lambda: "needs the camera" in page.inner_text("#plan-error"), page)
+    assert page.is_visible("#session-dialog"), "refused: what was typed is still there"
+    rig.answers["calibrate"] = (True, "the calibration begins")
+    page.focus("#plan-calibrate")
+    page.keyboard.press("Enter")
+    page.wait_for_selector("#session-dialog:not([open])", state="attached")
+    (first, plan), second, again, last = rig.commands
+    assert (first, second, again[0], last) == (
+        "configure", ("calibrate", {}), "configure", ("calibrate", {}),
+    )  # fmt: skip
+    assert (plan["subject"], plan["age"]) == ("S07", 31) and again[1] == plan
+    # Its presses have words of their own.
+    press = CALIBRATION_PRESSES[0]
+    presses = [trial(i, p.name) for i, p in enumerate(CALIBRATION_PRESSES)]
+    rig.cue("press")
+    rig.status(
+        **session(
+            "press", condition=press.name, index=0, instruction=press.text, trials=presses,
+            conditions=[p.name for p in CALIBRATION_PRESSES],
+        )
+    )  # fmt: skip
+    until(lambda: page.inner_text("#cue-text") == press.text, page)
+    assert f"Trial 1 of {len(presses)}" in page.inner_text("#cue-trial")
+    assert page.evaluate(OVERFLOW) == []
+
+
+def test_a_double_click_is_one_click(rig: StandIn, page: Any) -> None:
+    """The second click would already mean the next step: a trial that nobody has prepared."""
+    page.wait_for_selector("#cue[data-look=closed]")
+    page.keyboard.press("Space")
+    page.dblclick("#plan-start")
+    page.wait_for_selector("#session-dialog:not([open])", state="attached")
+    assert [name for name, _ in rig.commands] == ["configure", "start"]
+    rig.commands.clear()
+    rig.cue("done")
+    rig.status(**session("done", instruction="Trial 3 kept."))
+    page.wait_for_selector("#cue[data-look=done]")
+    page.dblclick("#start")
+    until(lambda: rig.commands, page)
+    prepare(rig, page)
+    page.wait_for_timeout(500)
+    page.keyboard.press("Space")
+    page.keyboard.press("Space")
+    page.dblclick("#marker")
+    page.keyboard.press("n")
+    page.fill("#text-input", "x" * 2000)
+    page.dblclick("#text-form .primary")
+    page.wait_for_selector("#text-dialog:not([open])", state="attached")
+    names = [name for name, _ in rig.commands]
+    assert names == ["start", "start", "marker", "note"], names
+    page.dblclick("#trials tr[data-index='0'] .repeat")
+    until(lambda: len(rig.commands) == 5, page)
+    page.wait_for_timeout(200)
+    assert list(rig.commands)[4:] == [("repeat", {"index": 0})]
+
+
+def test_two_tabs_show_the_same_and_either_commands(rig: StandIn, page: Any, browser: Any) -> None:
+    other = browser.new_page()
+    other.goto(rig.server.url)
+    other.wait_for_selector("#link.good")
+    prepare(rig, page)
+    rig.cue("press")
+    rig.status(**session("press"))
+    for tab in (page, other):
+        tab.wait_for_selector("#cue[data-look=press]")
+        until(lambda tab=tab: "Trial 3 of 6" in tab.inner_text("#cue-trial"), tab)
+    other.bring_to_front()
+    other.keyboard.press("r")
+    page.bring_to_front()
+    page.keyboard.press("p")
+    until(lambda: [name for name, _ in rig.commands] == ["redo", "pause"], page)
+    other.close()
+
+
+def test_a_reload_in_the_middle_of_a_press_shows_the_press(rig: StandIn, page: Any) -> None:
+    prepare(rig, page)
+    rig.cue("press")
+    rig.status(**session("press"))
+    page.wait_for_selector("#cue[data-look=press]")
+    page.add_init_script(TONES)
+    page.reload()
+    page.wait_for_selector("#cue[data-look=press]")
+    until(lambda: "Trial 3 of 6" in page.inner_text("#cue-trial"), page)
+    assert page.is_disabled("#start") and page.is_enabled("#pause")
+    rig.cue("lift")
+    page.wait_for_selector("#cue[data-look=lift]")
+    page.keyboard.press("?")
+    page.reload()
+    page.wait_for_selector("#cue[data-look=lift]")
+    page.wait_for_timeout(300)
+    assert page.evaluate("window.tones") == 0, "a cue that is over sounds no more"
+    rig.cue("done")
+    rig.status(**session("done", instruction="Trial 3 kept."))
+    page.wait_for_selector("#last:enabled")
+
+
 # Keys and screen reader ----------------------------------------------------------------------
 
 
@@ -517,16 +765,6 @@ def test_the_curves_pause_and_zoom(rig: StandIn, page: Any) -> None:
     until(lambda: page.inner_text("#third-unit") == "kPa", page)
     page.click("#live")
     assert page.get_attribute("#live", "aria-pressed") == "true"
-
-
-TONES = """
-window.tones = 0;
-const start = OscillatorNode.prototype.start;
-OscillatorNode.prototype.start = function (...times) {
-  window.tones += 1;
-  return start.apply(this, times);
-};
-"""
 
 
 def test_the_tone_sounds_at_the_cue_to_lift_unless_muted(rig: StandIn, page: Any) -> None:

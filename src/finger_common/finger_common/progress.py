@@ -119,8 +119,13 @@ class Stages:
             return
         now = self._clock()
         self._last_update, self._last_stage = now, stage
-        first, at_first = self._began.setdefault(stage, (now, done))
         finished = done >= total
+        if stage in self._finished and not finished:
+            # It is done once more, with other values.
+            self._finished.discard(stage)
+            self._began[stage] = (now, done)
+            self._shown[stage] = now
+        first, at_first = self._began.setdefault(stage, (now, done))
         due = finished or now - self._shown.get(stage, first) >= LINE_PERIOD
         if stage in self._finished or not due:
             return

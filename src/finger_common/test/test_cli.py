@@ -113,6 +113,18 @@ def test_plain_lines_tell_the_time_left_every_few_seconds_when_redirected() -> N
     assert duration_text(59.4) == "59 s" and duration_text(7500) == "2:05 h"
 
 
+def test_a_stage_that_is_done_once_more_tells_it_again() -> None:
+    now = [0.0]
+    lines: list[str] = []
+    stages = Stages(terminal=False, line=lines.append, clock=lambda: now[0])
+    for _ in range(2):
+        for done in range(1, 4):
+            stages.update("dry full order", done, 3)
+            now[0] += 6.0
+    once = ["dry full order: 67 %, 6 s left", "dry full order: done in 12 s"]
+    assert lines == once + once
+
+
 def test_a_stage_that_tells_nothing_is_said_to_be_working() -> None:
     now = [0.0]
     lines: list[str] = []

@@ -308,8 +308,8 @@ def test_goodness_has_intervals_over_the_trials(study) -> None:
 
 
 def test_values_are_shown_with_three_digits() -> None:
-    shown = [three_digits(v) for v in (1234.5, 41.0, 0.0012345, 0.0, float("nan"))]
-    assert shown == ["1230", "41.0", "0.00123", "0.00", "–"]
+    shown = [three_digits(v) for v in (1234.5, 41.0, 0.0012345, 0.29996, 0.0, float("nan"))]
+    assert shown == ["1230", "41.0", "0.00123", "0.300", "0.00", "–"]
 
 
 def test_report_draws_and_computes_nothing(study, tmp_path: Path, monkeypatch) -> None:

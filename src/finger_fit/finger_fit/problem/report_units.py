@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 MM = 1e3
@@ -21,5 +23,6 @@ def three_digits(value: float) -> str:
     """A value with three significant digits and no exponent: 1230, 41.0, 0.00123."""
     if not np.isfinite(value):
         return "–"
-    text = np.format_float_positional(value, precision=3, fractional=False, unique=False, trim="k")
-    return text.rstrip(".")
+    rounded = float(f"{value:.2e}")
+    digits = 2 - math.floor(math.log10(abs(rounded))) if rounded else 2
+    return f"{rounded:.{max(digits, 0)}f}"

@@ -177,7 +177,8 @@ def _check_lag(out: Quality) -> None:
     middle = float(np.median(lags))
     size = abs(middle)
     status = FAIL if size > MAXIMUM_LAG else NOTE if size > WORTH_A_NOTE else OK
-    text = f"{1e3 * middle:.0f} ms behind the fitted model (median of {len(lags)} presses)"
+    milliseconds = str(round(1e3 * middle)).replace("-", "−")
+    text = f"{milliseconds} ms behind the fitted model (median of {len(lags)} presses)"
     if status == FAIL:
         text += "; correct the clocks, image_time_offset or --time-offset"
     out.add("lag of the areas", status, text)

@@ -58,9 +58,10 @@ def _sentence(block: NuisanceResult) -> str:
     presses = list(block.presses.values())
     measured = [press.tare for press in presses if press.tare_measured]
     if measured:
+        low, high = (round(1e3 * tare) for tare in (min(measured), max(measured)))
         tare = (
-            f"tare {1e3 * min(measured):.0f} to {1e3 * max(measured):.0f} mN, measured on the "
-            f"unloaded plate in {len(measured)} of {len(presses)} presses and taken off"
+            f"tare {low} to {high} mN, measured on the unloaded plate in {len(measured)} of "
+            f"{len(presses)} presses and taken off"
         )
     else:
         tare = "no press shows the unloaded plate; the tare is a nuisance"

@@ -177,6 +177,7 @@ def _lead(result: FitResult) -> str:
         text += f"Areas from {', '.join(areas)}."
     if made:
         text += f" Recorded by: {'; '.join(made)}."
+    text = escape(text)
     if "date" in result.sources:
-        text += f" Fitted on {result.sources['date']}."
-    return escape(text)
+        text += f' Fitted on <span class="date">{escape(str(result.sources["date"]))}</span>.'
+    return text

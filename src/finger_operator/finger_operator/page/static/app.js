@@ -20,6 +20,7 @@ const state = {
   images: null, imageAt: -Infinity, frames: [], pressFrames: [],
 };
 const charts = new Charts((time) => { showFrame(time); showNumbers(); });
+// Time (ms) until which nothing but the cue is drawn.
 let drawn = 0;
 let plotted = 0;
 
@@ -52,6 +53,19 @@ function notify(text, good) {
   forget = setTimeout(() => { place.textContent = ""; place.className = ""; }, good ? 6e3 : 15e3);
 }
 
+// A double click is one click, and so are two taps of a key: the second one would already mean the
+// next step, such as to begin a trial that nobody has prepared.
+const TWICE = 500;
+function once(action) {
+  let last = -Infinity;
+  return (...args) => {
+    const now = performance.now();
+    if (now - last < TWICE) return;
+    last = now;
+    action(...args);
+  };
+}
+
 function primary() {
   const { step, paused } = state.status;
   if (step === "closed") return openSession();
@@ -77,6 +91,8 @@ function openSession() {
     return answer.success ? command(calibrate ? "calibrate" : "start") : answer;
   });
 }
+
+const repeat = once((index) => command("repeat", { index }));
 
 async function skip() {
   const { index, condition } = state.status;
@@ -135,7 +151,7 @@ function showCue(message) {
   state.cue = message;
   drawCue();
   // The frame that carries the cue carries nothing else that takes time to draw.
-  drawn = performance.now() + 80;
+  drawn = performance.now() + 80 + PERIOD;
   if (!document.hidden) waiting ??= [];
   whenShown(() => {
     if (message.id >= 0) link.send({ type: "shown", id: message.id });
@@ -200,7 +216,7 @@ let fitted = "";
 function fit(content) {
   const cue = $("cue");
   fitted = content;
-  for (const level of [0, 1, 2, 3]) {
+  for (const level of [0, 1, 2, 3, 4]) {
     cue.dataset.fit = level;
     if (cue.scrollHeight <= cue.clientHeight + 1) return;
   }
@@ -233,7 +249,7 @@ function showStatus(s) {
   set($("warnings"), warnings.join(" "));
   chips("moisture-before", s.moisture_before, s.readings, s.step === "moisture_before");
   chips("moisture-after", s.moisture_after, s.readings, s.step === "moisture_after");
-  showTrials(s, (index) => command("repeat", { index }));
+  showTrials(s, repeat);
   showLog(s.events);
   showButtons();
   drawCue();
@@ -323,7 +339,7 @@ function showProblems(since) {
   $("banner").hidden = !first;
   let alarm = state.away ? "Not connected to the rig." : "";
   if (first) {
-    const age = first.age === null ? "" : ` Silent for ${seconds(first.age + since)} s.`;
+    const age = first.age === null ? "" : ` Silent for ${seconds(first.age + since)}\u00a0s.`;
     set($("banner-text"), `${first.text}${age}`);
     set($("banner-remedy"), first.remedy);
     const more = [first.detail, ...problems.slice(1).map((p) => p.text)];
@@ -386,21 +402,24 @@ function showNumbers() {
 
 function showImage(buffer) {
   const time = Number(new DataView(buffer).getBigInt64(0, true)) / 1e9;
-  const blob = new Blob([buffer.slice(8)], { type: "image/jpeg" });
-  state.frames.push({ time, blob });
+  const jpeg = new Uint8Array(buffer, 8);
+  state.frames.push({ time, jpeg });
   if (state.frames.length > FRAMES) state.frames.splice(0, FRAMES / 4);
   state.imageAt = performance.now();
-  if (charts.mode === "live") putImage(blob);
+  newestImage = jpeg;
 }
 
-let shownUrl = null;
-function putImage(blob) {
-  const url = URL.createObjectURL(blob);
-  const image = $("image"), old = shownUrl;
-  image.onload = image.onerror = () => { if (old) URL.revokeObjectURL(old); };
-  shownUrl = url;
-  image.src = url;
-  image.hidden = false;
+// Waits to be drawn with the curves.
+let newestImage = null;
+
+// A data URL: one of a blob waits for the browser's main process, twice for each image.
+function putImage(jpeg) {
+  const parts = [];
+  for (let i = 0; i < jpeg.length; i += 8192) {
+    parts.push(String.fromCharCode(...jpeg.subarray(i, i + 8192)));
+  }
+  $("image").src = `data:image/jpeg;base64,${btoa(parts.join(""))}`;
+  $("image").hidden = false;
   $("image-none").hidden = true;
 }
 
@@ -420,7 +439,7 @@ function showFrame(time) {
   for (const frame of frames) {
     if (!best || Math.abs(frame.time - time) < Math.abs(best.time - time)) best = frame;
   }
-  if (best && Math.abs(best.time - time) < 0.3) putImage(best.blob);
+  if (best && Math.abs(best.time - time) < 0.3) putImage(best.jpeg);
 }
 
 // The link ------------------------------------------------------------------------------------
@@ -476,33 +495,39 @@ document.addEventListener("visibilitychange", () => {
 
 // Drawing -------------------------------------------------------------------------------------
 
-function frame(now) {
-  // Ten pictures a second are enough for the eye; the cue does not wait for them.
-  if (charts.mode === "live" && now - drawn > 95) {
-    drawn = now;
-    showNumbers();
-    // Just before the cue to lift the plots wait, for half a second at most: a plot being drawn
-    // would hold the cue up.
-    const force = charts.live.force.at(-1)?.[1] ?? 0;
-    const pressing = state.cue && state.cue.phase === "press";
-    if (!(pressing && force > 0.8 * charts.target && now - plotted < 500)) {
-      plotted = now;
-      charts.draw();
-    }
-  }
-  requestAnimationFrame(frame);
+// Ten pictures a second are enough for the eye. All that moves is drawn together, so that the
+// browser makes ten frames a second and is free for the cue, which waits for none of them.
+const PERIOD = 95;
+
+// Just before the cue to lift, plots and images wait, for half a second at most: one that is being
+// drawn would hold the cue up.
+function aboutToLift(now) {
+  const force = charts.live.force.at(-1)?.[1] ?? 0;
+  const pressing = state.cue && state.cue.phase === "press";
+  return pressing && force > 0.8 * charts.target && now - plotted < 500;
 }
-requestAnimationFrame(frame);
+
+function drawAll() {
+  const now = performance.now();
+  if (document.hidden || charts.mode !== "live" || now < drawn) return;
+  showNumbers();
+  if (aboutToLift(now)) return;
+  plotted = now;
+  charts.draw();
+  if (newestImage) putImage(newestImage);
+  newestImage = null;
+}
+setInterval(drawAll, PERIOD);
 
 // Buttons and keys ----------------------------------------------------------------------------
 
-$("start").onclick = primary;
-$("pause").onclick = () => command(resumable() ? "resume" : "pause");
-$("redo").onclick = redo;
+$("start").onclick = once(() => primary());
+$("pause").onclick = once(() => command(resumable() ? "resume" : "pause"));
+$("redo").onclick = once(() => redo());
 $("skip").onclick = skip;
-$("tare").onclick = tare;
+$("tare").onclick = once(() => tare());
 $("note").onclick = note;
-$("marker").onclick = () => command("marker");
+$("marker").onclick = once(() => command("marker"));
 $("end").onclick = end;
 $("preparation-edit").onclick = editPreparation;
 $("keys").onclick = () => $("keys-dialog").showModal();

@@ -23,6 +23,22 @@ export function ask(title, text, answers) {
   });
 }
 
+// Let a dialog's form be answered: send, once at a time, resolves to an answer of the server. The
+// dialog closes when it was carried out; the sentence of a refusal is shown in `error`.
+function submits(form, error, send) {
+  let sending = false;
+  form.onsubmit = async (event) => {
+    event.preventDefault();
+    if (sending) return;
+    sending = true;
+    error.textContent = "";
+    const answer = await send(event.submitter);
+    sending = false;
+    if (answer.success) form.closest("dialog").close();
+    else error.textContent = answer.message;
+  };
+}
+
 // Write a text. trials: choices [value, words] of what it belongs to, or none. save: called with
 // (text, choice), resolves to an answer of the server; its sentence is shown when it refuses.
 export function write(title, text, trials, chosen, save) {
@@ -33,12 +49,8 @@ export function write(title, text, trials, chosen, save) {
   $("text-where").hidden = !trials.length;
   $("text-trial").replaceChildren(...trials.map(([value, words]) => new Option(words, value)));
   if (trials.length) $("text-trial").value = String(chosen);
-  $("text-form").onsubmit = async (event) => {
-    event.preventDefault();
-    const answer = await save($("text-input").value, Number($("text-trial").value));
-    if (answer.success) dialog.close();
-    else $("text-error").textContent = answer.message;
-  };
+  submits($("text-form"), $("text-error"),
+    () => save($("text-input").value, Number($("text-trial").value)));
   $("text-cancel").onclick = () => dialog.close();
   dialog.showModal();
   $("text-input").focus();
@@ -79,26 +91,20 @@ export function newSession(status, begin) {
   $("plan-readings").value = plan.readings;
   $("plan-target").value = plan.target_force;
   $("plan-error").textContent = "";
-  $("session-form").onsubmit = async (event) => {
-    event.preventDefault();
-    const calibrate = event.submitter?.value === "calibrate";
-    const answer = await begin({
-      subject: subject.value.trim(),
-      age: Number($("plan-age").value),
-      hand: $("plan-hand").value,
-      finger: $("plan-finger").value,
-      finger_width: Number($("plan-width").value) / 1e3,
-      finger_depth: Number($("plan-depth").value) / 1e3,
-      conditions: $("plan-conditions").value.split(",").map((c) => c.trim()).filter(Boolean),
-      trials: Number($("plan-trials").value),
-      readings: Number($("plan-readings").value),
-      target_force: Number($("plan-target").value),
-      order: $("plan-order").value,
-      order_seed: Number($("plan-seed").value),
-    }, calibrate);
-    if (answer.success) $("session-dialog").close();
-    else $("plan-error").textContent = answer.message;
-  };
+  submits($("session-form"), $("plan-error"), (submitter) => begin({
+    subject: subject.value.trim(),
+    age: Number($("plan-age").value),
+    hand: $("plan-hand").value,
+    finger: $("plan-finger").value,
+    finger_width: Number($("plan-width").value) / 1e3,
+    finger_depth: Number($("plan-depth").value) / 1e3,
+    conditions: $("plan-conditions").value.split(",").map((c) => c.trim()).filter(Boolean),
+    trials: Number($("plan-trials").value),
+    readings: Number($("plan-readings").value),
+    target_force: Number($("plan-target").value),
+    order: $("plan-order").value,
+    order_seed: Number($("plan-seed").value),
+  }, submitter?.value === "calibrate"));
   $("plan-cancel").onclick = () => $("session-dialog").close();
   $("session-dialog").showModal();
 }

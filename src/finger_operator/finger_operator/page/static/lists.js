@@ -76,12 +76,19 @@ function showProgress(s, trials) {
   const list = $("progress");
   const names = s.conditions || [];
   while (list.children.length > names.length) list.lastChild.remove();
-  while (list.children.length < names.length) list.append(document.createElement("li"));
+  while (list.children.length < names.length) {
+    const item = document.createElement("li");
+    item.append(document.createElement("span"), document.createElement("span"));
+    item.firstChild.className = "name";
+    list.append(item);
+  }
   names.forEach((name, i) => {
     const of = trials.filter((t) => t.condition === name);
     const closed = of.filter((t) => t.verdict !== "pending").length;
     const item = list.children[i];
-    set(item, `${name} ${closed}/${of.length}`);
+    set(item.firstChild, name);
+    set(item.lastChild, ` ${closed}/${of.length}`);
+    item.title = name;
     item.className = name === s.condition && s.step !== "finished" ? "now" : "";
     item.style.setProperty("--share", of.length ? closed / of.length : 0);
   });
