@@ -25,7 +25,7 @@ from finger_common.axes import DEFAULT_NORMAL_AXIS
 from finger_common.errors import InputError, known_names
 from finger_common.files import atomic_write, load_yaml
 from finger_common.namespaces import DEFAULT_NAMESPACE, own_name
-from finger_sim.rig_settings import RigAddresses
+from finger_sim.addresses import RigAddresses
 
 from .supervisor import ProcessSpec
 

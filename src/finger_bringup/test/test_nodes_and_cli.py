@@ -18,7 +18,7 @@ from finger_bringup.restarts import RestartDelay
 from finger_common.errors import InputError
 from finger_common.folder_lock import lock_folder
 from finger_common.namespaces import default_folder
-from finger_sim.rig_settings import RigAddresses
+from finger_sim.addresses import RigAddresses
 
 
 @pytest.mark.parametrize("entry", nodes.NODES.values(), ids=lambda e: e.name)
