@@ -37,6 +37,7 @@ from finger_common.cli import EXIT_BAD_INPUT, one_line
 from finger_common.errors import FingerError, InputError
 from finger_common.node import ManagedNode, use_large_shared_memory
 from finger_common.node.running import END_SIGNALS, say_farewell
+from finger_common.priority import run_in_real_time
 
 from .restarts import RestartDelay
 
@@ -141,6 +142,7 @@ class Member:
 def _main(argv: Sequence[str]) -> int:
     at = argv.index("--ros-args") if "--ros-args" in argv else len(argv)
     parser = argparse.ArgumentParser(prog="composed_node", description="Several nodes at once.")
+    parser.add_argument("--realtime", action="store_true")
     parser.add_argument("nodes", nargs="+", metavar="NAMESPACE=MODULE")
     arguments = parser.parse_args(argv[:at])
     try:
@@ -168,6 +170,13 @@ def _main(argv: Sequence[str]) -> int:
         if ending.wait(0.05):
             break
     sys.setswitchinterval(SWITCH_INTERVAL)
+    if arguments.realtime:
+        # Not before: kernels that are compiled must not keep everything else from the processor.
+        refused = run_in_real_time()
+        if refused:
+            get_logger("composed").warning(f"{refused}; samples are late while others compute")
+        else:
+            get_logger("composed").info("in real time")
     ending.wait()
     # As the supervisor ends processes: the last one first, one after the other.
     for member in reversed(members):

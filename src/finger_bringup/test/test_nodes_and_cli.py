@@ -244,6 +244,9 @@ def test_composed_nodes_are_one_process_and_the_others_stay_their_own(tmp_path: 
     # The last one is ended first: the node that would bring the others up again.
     assert together[-1] == "/finger=finger_bringup.bring_up_node"
     assert len(together) == len(entries) - 1
+    assert "--realtime" not in specs[1].command
+    specs = nodes.process_specs(entries, tmp_path, "finger", compose=True, realtime=True)
+    assert ["--realtime" in spec.command for spec in specs] == [False, True]
     assert "-r" not in specs[1].command  # a remapping would be that of every node in the process
 
 
@@ -253,6 +256,7 @@ def test_composed_nodes_are_one_process_and_the_others_stay_their_own(tmp_path: 
         (["--fingers", "thumb", "2nd"], "finger '2nd' is no ROS name"),
         (["--fingers", "thumb", "thumb"], "finger 'thumb' is named twice"),
         (["--fingers", "--without", "page"], "node 'page' would not run anyway"),
+        (["--fingers", "--realtime"], "--realtime is for the process of --compose; give both"),
     ],
 )
 def test_fingers_that_cannot_be_are_refused(
