@@ -6,6 +6,8 @@
 import importlib.util
 import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -265,3 +267,11 @@ def test_fingers_that_cannot_be_are_refused(
     assert main(["up", *arguments, "--folder", str(tmp_path)]) == 2
     error = capsys.readouterr().err
     assert says in error and error.count("\n") == 1
+
+
+def test_the_command_starts_nodes_before_it_could_import_a_finger() -> None:
+    script = (
+        "import sys; import finger_bringup.cli; "
+        "assert not {'numba', 'scipy', 'cv2', 'meshio'} & sys.modules.keys()"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True)
