@@ -17,7 +17,7 @@ from finger_bringup import nodes
 from finger_bringup.supervisor import Supervisor
 from finger_common.domains import free_domain
 from finger_common.errors import FingerError
-from finger_sim.rig_settings import RigAddresses
+from finger_sim.addresses import RigAddresses
 
 SUITE = (
     "simulated_rig",

@@ -21,7 +21,7 @@ from finger_common.diagnostics import ERROR, WARN, Health
 from finger_common.node import ManagedNode, main_of
 from finger_common.settings import Settings, setting
 
-from .bring_up import ACTIVE, ALL_ACTIVE, CONFIGURE, INACTIVE, BringUp
+from .bring_up import ACTIVE, ALL_ACTIVE, CONFIGURE, INACTIVE, UNCONFIGURED, BringUp
 
 STATE_TIMEOUT = 5.0
 """s without an answer after which a node's state is unknown: it was killed, or is not there."""
@@ -96,14 +96,19 @@ class BringUpNode(ManagedNode):
             # A node that does not answer may have changed: on a busy machine replies get lost.
             if begun is None or now - begun[0] > STATE_TIMEOUT:
                 self._request_state(node, client, now)
-        for node, transition in self._bring_up.steps(self._states, now):
-            if node not in self._changing:
-                self._change(node, transition, now)
+        self._advance(now)
         for node, (since, _) in list(self._changing.items()):
             if now - since > self._answer_timeout:
                 self._forget_change(node)
         self._report()
         self._report_silent(now)
+
+    def _advance(self, now: float) -> None:
+        """Request the transitions that are due."""
+        for node, transition in self._bring_up.steps(self._states, now):
+            # A service that was not discovered yet would never hear the request.
+            if node not in self._changing and self._change_clients[node].service_is_ready():
+                self._change(node, transition, now)
 
     def _request_state(self, node: str, client: Any, now: float) -> None:
         if now - self._last_answer.get(node, now) > STATE_TIMEOUT:
@@ -124,8 +129,10 @@ class BringUpNode(ManagedNode):
                 self._requested.pop(node, None)
                 self._last_answer[node] = time.monotonic()
                 self._states[node] = state = done.result().current_state.id
-                if state in (INACTIVE, ACTIVE) and state == self._target.get(node):
+                if state in (UNCONFIGURED, INACTIVE, ACTIVE):
+                    # Asked long after the transition was requested: it ended, or never began.
                     self._forget_change(node)
+                self._advance(time.monotonic())
 
         future.add_done_callback(answered)
 
@@ -145,9 +152,12 @@ class BringUpNode(ManagedNode):
             if done.cancelled():
                 return
             self._changing.pop(node, None)
-            self._last_answer[node] = time.monotonic()
-            if not done.result().success:
-                self._bring_up.failed(node, time.monotonic())
+            self._last_answer[node] = now = time.monotonic()
+            if done.result().success:
+                self._states[node] = self._target[node]
+            else:
+                self._bring_up.failed(node, now)
+            self._advance(now)
 
         future.add_done_callback(answered)
 

@@ -82,6 +82,12 @@ def parser() -> argparse.ArgumentParser:
         action="store_true",
         help="run the nodes in one process: less processor time and delay for each sample",
     )
+    up.add_argument(
+        "--realtime",
+        action="store_true",
+        help="with --compose: that process has real-time priority, so that no other program holds "
+        "up samples (Linux; needs the right to it)",
+    )
     up.add_argument("--nodes", nargs="+", metavar="NODE", help="run only these nodes")
     up.add_argument(
         "--without", nargs="+", default=[], metavar="NODE", help="leave out these nodes"
@@ -287,6 +293,8 @@ class ReadyLine:
 
 
 def _up(arguments: argparse.Namespace) -> int:
+    if arguments.realtime and not arguments.compose:
+        raise InputError("--realtime is for the process of --compose; give both")
     folder = folder_of(arguments)
     boards, devices = nodes.simulated_boards(fingers(arguments) if arguments.simulated else ())
     chosen = entries(arguments, devices)
@@ -297,6 +305,7 @@ def _up(arguments: argparse.Namespace) -> int:
         namespace_of(arguments),
         arguments.parameters,
         compose=arguments.compose,
+        realtime=arguments.realtime,
     )
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     ready = ReadyLine("page" in {entry.name for entry in chosen})

@@ -37,11 +37,15 @@ from finger_common.cli import EXIT_BAD_INPUT, one_line
 from finger_common.errors import FingerError, InputError
 from finger_common.node import ManagedNode, use_large_shared_memory
 from finger_common.node.running import END_SIGNALS, say_farewell
+from finger_common.priority import run_in_real_time
 
 from .restarts import RestartDelay
 
 SWITCH_INTERVAL = 5e-5
 """s after which a thread that computes lets another one run that has a sample to process."""
+
+COMING_UP = 15.0
+"""s at most in which threads alternate as usual (5 ms): switching costs a fifth of the start."""
 
 LONGEST_END = 10.0
 """s in which a node has to end."""
@@ -66,11 +70,17 @@ class Member:
         self.exit_code = 0
         self._ending = threading.Event()
         self._executor: SingleThreadedExecutor | None = None
+        self._node: ManagedNode | None = None
         self._thread = threading.Thread(target=self._run, name=self.name, daemon=True)
 
     def start(self) -> None:
         """Make the node and serve it."""
         self._thread.start()
+
+    @property
+    def active(self) -> bool:
+        """Whether its node is there and active."""
+        return self._node is not None and self._node.active
 
     def end(self) -> None:
         """Release the node; one that hangs is left behind."""
@@ -106,13 +116,13 @@ class Member:
         try:
             node = self.node_class(namespace=self.namespace)
             executor.add_node(node)
-            self._executor = executor
+            self._executor, self._node = executor, node
             if node.autostart:
                 node.bring_up()
             while not self._ending.is_set():
                 executor.spin_once()
         finally:
-            self._executor = None
+            self._executor = self._node = None
             if node is not None:
                 self._release(node)
                 say_farewell(node, executor)
@@ -132,6 +142,7 @@ class Member:
 def _main(argv: Sequence[str]) -> int:
     at = argv.index("--ros-args") if "--ros-args" in argv else len(argv)
     parser = argparse.ArgumentParser(prog="composed_node", description="Several nodes at once.")
+    parser.add_argument("--realtime", action="store_true")
     parser.add_argument("nodes", nargs="+", metavar="NAMESPACE=MODULE")
     arguments = parser.parse_args(argv[:at])
     try:
@@ -149,12 +160,23 @@ def _main(argv: Sequence[str]) -> int:
             file=sys.stderr,
         )
         return EXIT_BAD_INPUT
-    sys.setswitchinterval(SWITCH_INTERVAL)
     ending = threading.Event()
     for number in END_SIGNALS:
         signal.signal(number, lambda *_: ending.set())
     for member in members:
         member.start()
+    latest = time.monotonic() + COMING_UP
+    while not all(member.active for member in members) and time.monotonic() < latest:
+        if ending.wait(0.05):
+            break
+    sys.setswitchinterval(SWITCH_INTERVAL)
+    if arguments.realtime:
+        # Not before: kernels that are compiled must not keep everything else from the processor.
+        refused = run_in_real_time()
+        if refused:
+            get_logger("composed").warning(f"{refused}; samples are late while others compute")
+        else:
+            get_logger("composed").info("in real time")
     ending.wait()
     # As the supervisor ends processes: the last one first, one after the other.
     for member in reversed(members):

@@ -25,7 +25,7 @@ from finger_common.axes import DEFAULT_NORMAL_AXIS
 from finger_common.errors import InputError, known_names
 from finger_common.files import atomic_write, load_yaml
 from finger_common.namespaces import DEFAULT_NAMESPACE, own_name
-from finger_sim.rig_settings import RigAddresses
+from finger_sim.addresses import RigAddresses
 
 from .supervisor import ProcessSpec
 
@@ -369,12 +369,13 @@ def process_specs(
     namespace: str = DEFAULT_NAMESPACE,
     parameter_file: Path | None = None,
     compose: bool = False,
+    realtime: bool = False,
 ) -> list[ProcessSpec]:
     """Commands that run the entries with this Python.
 
     parameter_file: of the user, may be None; it overrides defaults, not parameters of an entry.
     run_folder: where the file of the entries' own parameters is written. compose: run all that can
-    share a process in one.
+    share a process in one. realtime: that process has real-time priority.
     """
     entries = settled(entries, namespace, parameter_file)
     files = [] if parameter_file is None else [parameter_file]
@@ -396,12 +397,16 @@ def process_specs(
         if entry not in together
     ]
     if together:
-        members = composed_arguments(together, namespace)
+        members = composed_arguments(together, namespace, realtime)
         command = (sys.executable, "-m", COMPOSED.module, *members, "--ros-args", *arguments)
         specs.append(ProcessSpec(COMPOSED.name, command, COMPOSED.rank))
     return specs
 
 
-def composed_arguments(entries: Iterable[NodeEntry], namespace: str) -> list[str]:
-    """Arguments of `composed_node` that make it run the entries."""
-    return [f"{entry.namespace(namespace)}={entry.module}" for entry in entries]
+def composed_arguments(
+    entries: Iterable[NodeEntry], namespace: str, realtime: bool = False
+) -> list[str]:
+    """Arguments of `composed_node` that make it run the entries, with real-time priority or not."""
+    return ["--realtime"] * realtime + [
+        f"{entry.namespace(namespace)}={entry.module}" for entry in entries
+    ]

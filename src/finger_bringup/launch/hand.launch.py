@@ -12,7 +12,7 @@ from launch.action import Action
 from launch.actions import ExecuteProcess, OpaqueFunction
 
 from finger_bringup import nodes
-from finger_bringup.launch.actions import arguments, node_actions, truth, value
+from finger_bringup.launch.actions import COMPOSE, arguments, node_actions, truth, value
 
 
 def hand(context: LaunchContext) -> list[Action]:
@@ -32,6 +32,6 @@ def generate_launch_description() -> LaunchDescription:
         namespace=(nodes.HAND_NAMESPACE, "Namespace of the hand, above those of its fingers."),
         fingers=(" ".join(nodes.FINGERS), "Namespaces of the fingers, separated by spaces."),
         simulated=("false", "A simulated force sensor for each finger."),
-        compose=("true", "Run all fingers in one process."),
+        **{**COMPOSE, "compose": ("true", "Run all fingers in one process.")},
     )
     return LaunchDescription([*declared, OpaqueFunction(function=hand)])

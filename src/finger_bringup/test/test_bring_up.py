@@ -10,6 +10,7 @@ import signal
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -46,6 +47,65 @@ def test_a_restarted_node_is_brought_up_again_and_a_silent_one_is_left_alone() -
     assert plan.steps({"force": ACTIVE, "model": UNCONFIGURED}, 100.0) == [("model", CONFIGURE)]
     assert plan.steps({"force": UNCONFIGURED, "model": ACTIVE}, 200.0) == [("force", CONFIGURE)]
     assert plan.steps({"force": ACTIVE}, 300.0) == []
+
+
+class Node:
+    """What `bring_up` asks of a lifecycle node; the first `lost` requests of a change get lost."""
+
+    def __init__(self, lost: int = 0, ready: bool = True) -> None:
+        self.state, self.lost, self.ready = UNCONFIGURED, lost, ready
+        self.asked = 0
+
+    def service_is_ready(self) -> bool:
+        return self.ready
+
+    def call_async(self, request: Any) -> Any:
+        from rclpy.task import Future
+
+        answer = Future()
+        if not hasattr(request, "transition"):
+            answer.set_result(SimpleNamespace(current_state=SimpleNamespace(id=self.state)))
+            return answer
+        self.asked += 1
+        if self.asked > self.lost:
+            self.state = {CONFIGURE: INACTIVE, ACTIVATE: ACTIVE}[request.transition.id]
+            answer.set_result(SimpleNamespace(success=True))
+        return answer
+
+
+def test_a_transition_whose_request_was_lost_is_asked_for_again(
+    ros_domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+    from finger_bringup import bring_up_node
+
+    now = 0.0
+    monkeypatch.setattr(bring_up_node.time, "monotonic", lambda: now)
+    rclpy.init(domain_id=ros_domain)
+    try:
+        manager = bring_up_node.BringUpNode()
+        manager.set_parameters([rclpy.Parameter("order", value=["force", "model"])])
+        manager.values = manager.read_parameters()
+        manager.configure()
+        # The first one's service was not discovered yet: a request to it would be lost.
+        nodes = {"force": Node(ready=False), "model": Node(lost=1)}
+        manager._state_clients = {"force": Node(), "model": nodes["model"]}
+        manager._change_clients = dict(nodes)
+        manager._step()
+        assert nodes["force"].asked == 0
+        nodes["force"].ready = True
+        manager._state_clients["force"] = nodes["force"]
+        manager._step()
+        # One transition follows the other at once, up to the request that gets lost.
+        assert nodes["force"].state == ACTIVE
+        assert (nodes["model"].asked, nodes["model"].state) == (1, UNCONFIGURED)
+        now = bring_up_node.STATE_TIMEOUT + 1.0
+        manager._step()
+        manager._step()
+        assert nodes["model"].state == ACTIVE
+        manager.destroy_node()
+    finally:
+        rclpy.shutdown()
 
 
 def test_nodes_come_up_over_dds_and_again_after_a_kill(

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -98,7 +99,7 @@ def hand(
     reliable = {"ros__parameters": {"qos_reliability": "reliable", "qos_depth": 5000}}
     own.write_text(yaml.safe_dump({"/**": reliable}))
     chosen = nodes.hand(["thumb", "index"], parameters=devices)
-    (spec,) = nodes.process_specs(chosen, tmp_path, "hand", own, compose=True)
+    (spec,) = nodes.process_specs(chosen, tmp_path, "hand", own, compose=True, realtime=True)
     command = [
         part.replace("/hand/thumb=finger_model.model_node", "/hand/thumb=broken_model")
         for part in spec.command[1:]
@@ -116,6 +117,12 @@ def test_a_hand_in_one_process(hand: Hand, tmp_path: Path) -> None:
     index, thumb = hand.states["index"], hand.states["thumb"]
     hand.until(lambda: ALL_ACTIVE in hand.log and len(index) > 1000 and len(thumb) > 1000)
     hand.until(lambda: any(m.in_contact for m in index))
+
+    # Every thread has real-time priority, or the log says why not.
+    hand.until(lambda: "in real time" in hand.log or "no right to real-time" in hand.log)
+    if "in real time" in hand.log:
+        threads = map(int, os.listdir(f"/proc/{hand.child.pid}/task"))
+        assert {os.sched_getscheduler(thread) for thread in threads} == {os.SCHED_FIFO}
 
     # Between force and model nothing goes through DDS: this test alone subscribes.
     assert hand.node.count_subscribers("/hand/index/wrench") == 1

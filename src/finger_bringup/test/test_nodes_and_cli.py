@@ -6,6 +6,8 @@
 import importlib.util
 import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -18,7 +20,7 @@ from finger_bringup.restarts import RestartDelay
 from finger_common.errors import InputError
 from finger_common.folder_lock import lock_folder
 from finger_common.namespaces import default_folder
-from finger_sim.rig_settings import RigAddresses
+from finger_sim.addresses import RigAddresses
 
 
 @pytest.mark.parametrize("entry", nodes.NODES.values(), ids=lambda e: e.name)
@@ -244,6 +246,9 @@ def test_composed_nodes_are_one_process_and_the_others_stay_their_own(tmp_path: 
     # The last one is ended first: the node that would bring the others up again.
     assert together[-1] == "/finger=finger_bringup.bring_up_node"
     assert len(together) == len(entries) - 1
+    assert "--realtime" not in specs[1].command
+    specs = nodes.process_specs(entries, tmp_path, "finger", compose=True, realtime=True)
+    assert ["--realtime" in spec.command for spec in specs] == [False, True]
     assert "-r" not in specs[1].command  # a remapping would be that of every node in the process
 
 
@@ -253,6 +258,7 @@ def test_composed_nodes_are_one_process_and_the_others_stay_their_own(tmp_path: 
         (["--fingers", "thumb", "2nd"], "finger '2nd' is no ROS name"),
         (["--fingers", "thumb", "thumb"], "finger 'thumb' is named twice"),
         (["--fingers", "--without", "page"], "node 'page' would not run anyway"),
+        (["--fingers", "--realtime"], "--realtime is for the process of --compose; give both"),
     ],
 )
 def test_fingers_that_cannot_be_are_refused(
@@ -261,3 +267,11 @@ def test_fingers_that_cannot_be_are_refused(
     assert main(["up", *arguments, "--folder", str(tmp_path)]) == 2
     error = capsys.readouterr().err
     assert says in error and error.count("\n") == 1
+
+
+def test_the_command_starts_nodes_before_it_could_import_a_finger() -> None:
+    script = (
+        "import sys; import finger_bringup.cli; "
+        "assert not {'numba', 'scipy', 'cv2', 'meshio'} & sys.modules.keys()"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True)

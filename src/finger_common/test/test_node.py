@@ -273,3 +273,35 @@ def test_a_waited_stream_is_delivered_without_the_executor_and_its_error_ends_it
         listener.destroy_node()
         talker.destroy_node()
         rclpy.shutdown(context=context)
+
+
+def test_transitions_in_an_odd_order_are_refused_and_change_nothing(ros_domain: int) -> None:
+    """By number and by name, as tools send them."""
+    from lifecycle_msgs.msg import Transition
+    from lifecycle_msgs.srv import ChangeState
+
+    from finger_common.node import ManagedNode
+
+    rclpy.init(domain_id=ros_domain)
+    node = ManagedNode()
+
+    def change(number: int, name: str = "") -> tuple[bool, str]:
+        request = ChangeState.Request(transition=Transition(id=number, label=name))
+        answer = node._LifecycleNodeMixin__on_change_state(request, ChangeState.Response())
+        return answer.success, node._state_machine.current_state[1]
+
+    try:
+        assert change(Transition.TRANSITION_ACTIVATE) == (False, "unconfigured")
+        assert change(Transition.TRANSITION_CONFIGURE) == (True, "inactive")
+        assert change(0, "configure") == (False, "inactive")
+        assert change(Transition.TRANSITION_ACTIVATE) == (True, "active")
+        assert change(Transition.TRANSITION_ACTIVATE) == (False, "active")
+        assert change(Transition.TRANSITION_CLEANUP) == (False, "active")
+        assert change(0, "nonsense") == (False, "active")
+        assert node.active
+        assert change(0, "shutdown") == (True, "finalized")
+        assert change(0, "shutdown") == (False, "finalized")
+        assert not node.active
+        node.destroy_node()
+    finally:
+        rclpy.shutdown()

@@ -28,7 +28,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from finger_common.errors import InputError
 
@@ -284,6 +283,8 @@ class _Problem:
 
         Gain and stiffness move along a ridge: a step that is cut in one of them alone leads uphill.
         """
+        from scipy.optimize import lsq_linear  # a third of a second to import
+
         low, high = np.full(len(x), -_LARGEST_STEP), np.full(len(x), _LARGEST_STEP)
         limits, tissue = 1.5 * np.array(members.LIMITS), slice(2, _STATES)
         low[tissue] = np.minimum(np.maximum(low[tissue], -limits - x[tissue]), -_SMALLEST_STEP)

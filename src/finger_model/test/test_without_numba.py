@@ -1,12 +1,17 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Without numba the estimator gives the same values, and says once that it is slow."""
+"""What the estimator needs: numba for speed only, and little to import."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
+
+import pytest
+from scipy.stats import chi2
+
+from finger_model.estimator.mismatch import chi_square_beyond
 
 SCRIPT = """
 import sys
@@ -38,3 +43,17 @@ def test_the_estimator_runs_without_numba_and_says_once_that_it_is_slow() -> Non
     for slow, fast in zip(plain, compiled, strict=True):
         for a, b in zip(map(float, slow[1:]), map(float, fast[1:]), strict=True):
             assert abs(a - b) <= 1e-9 * abs(b)
+
+
+def test_a_first_estimate_does_not_wait_for_imports_that_it_does_not_need() -> None:
+    """Each of these takes a third of a second or more."""
+    needless = ("scipy.optimize", "scipy.stats", "scipy.sparse", "matplotlib", "meshio", "cv2")
+    script = f"{SCRIPT}\nassert not [n for n in {needless} if n in sys.modules], sys.modules.keys()"
+    subprocess.run([sys.executable, "-c", script, "compiled"], check=True)
+
+
+@pytest.mark.parametrize("freedom", [1, 2, 3, 6, 7])
+def test_tail_of_chi_square(freedom: int) -> None:
+    for square in (0.0, 1e-9, 0.3, 5.0, 60.0):
+        exact = chi2.sf(square, freedom)
+        assert chi_square_beyond(square, freedom) == pytest.approx(exact, rel=1e-12)

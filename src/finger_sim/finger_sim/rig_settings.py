@@ -1,32 +1,23 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Settings of the simulated rig, and where its devices are found."""
+"""Settings of the simulated rig."""
 
 from __future__ import annotations
 
-import secrets
-import socket
-import tempfile
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from finger_common.errors import InputError
-from finger_common.folder_lock import lock_folder
 from finger_common.namespaces import DEFAULT_NAMESPACE, default_folder, own_port
 from finger_common.settings import Settings, setting
 from finger_driver import can_bus
 from finger_driver.simulators import images, netcanoem, serial_moisture
 
+from .addresses import CAN_CHANNEL, RigAddresses
 from .conditions import condition
 from .ftir import IMAGE_HEIGHT, IMAGE_WIDTH, Scene
 from .trial_plan import CameraView, TrialRequest
-
-CAN_CHANNEL = "239.74.163.2"
-"""Multicast group of the simulated CAN bus."""
-
 
 UNPLUGGED = "unplugged"
 DEVICE_FAULTS = {
@@ -35,69 +26,6 @@ DEVICE_FAULTS = {
     "moisture": (*serial_moisture.FAULTS, UNPLUGGED),
 }
 """Faults of the simulated devices by device."""
-
-
-@dataclass(frozen=True)
-class RigAddresses:
-    """Folder of the rig, multicast group and port of its CAN bus."""
-
-    folder: Path
-    can_port: int = can_bus.DEFAULT_PORT
-    can_channel: str = CAN_CHANNEL
-
-    @classmethod
-    def private(cls, folder: Path) -> RigAddresses:
-        """Addresses that no other rig on this machine uses: own port, own group."""
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            probe.bind(("", 0))
-            port = int(probe.getsockname()[1])
-        group = ".".join(str(1 + secrets.randbelow(254)) for _ in range(3))
-        return cls(folder, port, f"239.{group}")
-
-    def lock(self) -> ExitStack:
-        """Lock folder and CAN bus until closed; raises InputError where another rig has them."""
-        locks = ExitStack()
-        try:
-            locks.enter_context(lock_folder(self.folder, "a simulated rig"))
-            bus = f"finger_can_{self.can_channel}_{self.can_port}"
-            locks.enter_context(lock_folder(Path(tempfile.gettempdir()) / bus, "a simulated rig"))
-        except InputError as error:
-            locks.close()
-            raise InputError(f"{error}, or another can_port") from None
-        return locks
-
-    @property
-    def spool(self) -> Path:
-        """Folder in which frames appear."""
-        return self.folder / "spool"
-
-    @property
-    def probe(self) -> Path:
-        """Serial device of the moisture probe (a link to a pseudo-terminal)."""
-        return self.folder / "moisture_probe"
-
-    @property
-    def calibration(self) -> Path:
-        """Plate calibration of the simulated camera, without error."""
-        return self.folder / "plate_calibration.yaml"
-
-    @property
-    def truth(self) -> Path:
-        """Folder of the true contacts."""
-        return self.folder / "truth"
-
-    @property
-    def planned(self) -> Path:
-        """Folder of the frames of planned trials."""
-        return self.folder / "planned"
-
-    def parameters(self) -> dict[str, Any]:
-        """As parameters of the rig's node."""
-        return {
-            "folder": str(self.folder),
-            "can_port": self.can_port,
-            "can_channel": self.can_channel,
-        }
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,8 @@ import pytest
 
 from finger_common.errors import InputError
 from finger_driver import can_bus
-from finger_sim.rig_settings import RigAddresses, RigSettings
+from finger_sim.addresses import RigAddresses
+from finger_sim.rig_settings import RigSettings
 from finger_sim.trial_plan import TrialRequest
 
 

@@ -38,8 +38,11 @@ COMMON = {
 }
 """Arguments of every launch file: default and meaning."""
 
-COMPOSE = {"compose": ("false", "Run the nodes in one process.")}
-"""Argument of the launch files of many nodes."""
+COMPOSE = {
+    "compose": ("false", "Run the nodes in one process."),
+    "realtime": ("false", "That process has real-time priority (needs the right to it)."),
+}
+"""Arguments of the launch files of many nodes."""
 
 
 def arguments(**further: tuple[str, str]) -> list[DeclareLaunchArgument]:
@@ -102,7 +105,7 @@ def node_actions(
         return Node(
             package=entry.package,
             executable=entry.executable,
-            arguments=nodes.composed_arguments(together, suite),
+            arguments=nodes.composed_arguments(together, suite, truth(context, "realtime")),
             ros_arguments=[p for file in (*files, own) for p in ("--params-file", str(file))],
             output="screen",
         )

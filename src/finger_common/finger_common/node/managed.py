@@ -420,6 +420,11 @@ class ManagedNode(LifecycleNode):
         return self.trigger_activate() == TransitionCallbackReturn.SUCCESS
 
     @property
+    def active(self) -> bool:
+        """Whether the node is active."""
+        return self._active
+
+    @property
     def autostart(self) -> bool:
         """Whether the node brings itself up."""
         return bool(self.get_parameter("autostart").value)

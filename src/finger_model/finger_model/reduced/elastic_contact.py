@@ -12,16 +12,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
-from scipy.optimize import minimize
 
 from ..compiled import njit, prange
-from ..fem.linear_contact import LinearContact
 from ..laws import MaxwellLaw
 from .kernels import NODES, sudden_strain
 from .population import CONTEXT
+
+if TYPE_CHECKING:
+    from ..fem.linear_contact import LinearContact
 
 CONTACT = 3
 """Columns of a curve that are the contact's: ln(A/(L² x²)), ln(p_max/p_mean), ln(δ/(L x²))."""
@@ -101,6 +102,9 @@ class Process:
     def fit(cls, inputs: np.ndarray, outputs: np.ndarray, column: int) -> Process:
         """Fit inputs (n, d) to outputs (n, o); lengths and noise maximise the likelihood of one
         column of a sample (Rasmussen and Williams 2006, section 5.4.1)."""
+        # Where a model is built only: half a second to import.
+        from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
+
         order = np.random.default_rng(0).permutation(len(inputs))
         centre, spread = inputs.mean(0), inputs.std(0) + 1e-9
         mean, size = outputs.mean(0), outputs.std(0)
@@ -166,6 +170,9 @@ def _kernel(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def _chosen(z: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float, float]:
     """Lengths (d,), gain and noise of the largest marginal likelihood of y (n,) at z (n, d)."""
+    from scipy.linalg import cho_factor, cho_solve
+    from scipy.optimize import minimize
+
     count = z.shape[1]
     squares = np.array([(column[:, None] - column) ** 2 for column in z.T])
 

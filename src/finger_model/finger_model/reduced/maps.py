@@ -12,16 +12,18 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ..fem.linear_contact import LinearContact
 from ..geometry import Geometry
 from ..laws import MaxwellLaw
 from . import kernels as rk
 from .elastic_contact import ElasticContacts, linear_guess, network_context, press_contexts
 from .population import context_of
+
+if TYPE_CHECKING:
+    from ..fem.linear_contact import LinearContact
 
 NETWORKS = ("drive", "contact")
 
@@ -255,6 +257,9 @@ def fill_curves(record: np.ndarray, curves: np.ndarray) -> None:
 
 @functools.lru_cache(maxsize=16)
 def _linear_contact(geometry: Geometry) -> LinearContact:
+    # Of the population's model only: finite elements take half a second to import.
+    from ..fem.linear_contact import LinearContact
+
     return LinearContact(geometry)
 
 
