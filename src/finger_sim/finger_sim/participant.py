@@ -129,6 +129,13 @@ class Participant:
         since = seconds(now_ns - playing.start_ns)
         return float(np.interp(since, press.time, press.force, left=0.0, right=0.0))
 
+    def tangential_force(self, now_ns: int) -> np.ndarray | None:
+        """Force (2,) on the plate along its x and y in N; None but in a pull."""
+        playing = self._press
+        if playing is None or playing.trial.pull is None:
+            return None
+        return playing.trial.pull.force_on_plate(seconds(now_ns - playing.start_ns))
+
     def frame(self, frame_ns: int) -> Path | None:
         """Image file of the contact at a frame's mid-exposure, None for an empty plate."""
         playing = self._press

@@ -39,10 +39,11 @@ RIG_READY = "simulated rig is ready"
 """Begins the line of the log after which all devices can be opened."""
 
 NOT_MODELLED = (
-    "force: temperature drift, hysteresis, cross-talk, gravity and inertia of the plate, stroking",
+    "force: temperature drift, hysteresis, cross-talk, gravity and inertia of the plate",
     "finger: another shape than axisymmetric, tilt, change of skin and size between trials",
     "participant: the cue on the screen (reaction time follows the planned force), correction by "
     "sight",
+    "pull: creep and twist under it, a spring of constant stiffness, Coulomb's friction",
     "moisture: the probe's contact pressure and warm-up, sweat that changes during a press",
     "camera: exposure as an integral over time, lost frames, USB hiccups",
     *(f"picture: {text}" for text in ftir.NOT_MODELLED),
@@ -169,7 +170,8 @@ class SimulatedRig:
         normal = self.participant.normal_force(stamp_ns)
         wrench = UNLOADED_WRENCH.copy()
         wrench[2] -= normal
-        wrench[:2] += self._lateral * normal
+        pulled = self.participant.tangential_force(stamp_ns)
+        wrench[:2] += self._lateral * normal if pulled is None else pulled
         return wrench
 
     # Camera ------------------------------------------------------------------------------------
@@ -214,5 +216,6 @@ class SimulatedRig:
         self._report(
             f"pressed {trial.request.name}: {trial.press.force.max():.2f} N, "
             f"{trial.frame_area.max() * 1e6:.1f} mm² at most"
+            + (f", slipped at friction {trial.pull.friction:.3f}" if trial.pull else "")
         )
         self._lateral = self._rng.normal(0.0, LATERAL_SHARE, 2)

@@ -22,12 +22,14 @@ import numpy as np
 
 from finger_common.files import atomic_write
 from finger_common.guided_presses import PRESS_BY_NAME
+from finger_common.guided_pulls import is_pull
 from finger_model.paper import READINGS_PER_TRIAL, TARGET_FORCE
 
 from .conditions import condition
 from .finger import SimulatedFinger, area_at
-from .ftir import IMAGE_HEIGHT, IMAGE_WIDTH, FtirRenderer, Scene
+from .ftir import IMAGE_HEIGHT, IMAGE_WIDTH, Contact, FtirRenderer, Scene
 from .press import Press, guided_style, plan_press
+from .pull import Pull, finger_friction, pressed_and_pulled
 
 PLACEMENT_SD = 0.4e-3
 """m, scatter of the finger's place on the plate in either direction, an assumption."""
@@ -77,7 +79,7 @@ class PlannedTrial:
 
     press: force over time, s from the instant of the first frame. frames: image file of each
     frame, one per frame period from 0 s. frame_area (k,): true area in m² at each frame. moisture
-    (6,) in a.u.
+    (6,) in a.u.; pull: sideways while the press is held.
     """
 
     request: TrialRequest
@@ -85,6 +87,7 @@ class PlannedTrial:
     frames: list[Path]
     frame_area: np.ndarray
     moisture: np.ndarray
+    pull: Pull | None = None
     truth: dict[str, Any] = field(repr=False, default_factory=dict)
 
 
@@ -96,10 +99,7 @@ def plan_trial(
 ) -> PlannedTrial:
     """Plan one trial and write its frames into `folder` as PNG."""
     setting = condition(request.condition)
-    guided = PRESS_BY_NAME.get(request.condition)
-    style = None if guided is None else guided_style(guided)
-    target = TARGET_FORCE if guided is None else guided.target_force
-    press = plan_press(request.rng("press"), style=style, target_force=target)
+    press, pulled = _press_of(request)
     instants = np.arange(int(press.duration * view.frame_rate) + 1) / view.frame_rate
     finger = SimulatedFinger(setting.material, refinement=refinement)
     history = finger.plan(press.time, press.force, instants)
@@ -112,7 +112,9 @@ def plan_trial(
     for number, area in enumerate(areas):
         path = folder / f"{request.name}_{number:04d}.png"
         radius = float(np.sqrt(area / np.pi))
-        image = renderer.render(radius, (float(centre[0]), float(centre[1])))
+        place = (float(centre[0]), float(centre[1]))
+        contact = contact_of(radius, place, 1.0, pulled, float(instants[number]))
+        image = renderer.render_frame([contact]).image
         # Fast rather than small.
         if not cv2.imwrite(str(path), image, [cv2.IMWRITE_PNG_COMPRESSION, 1]):
             raise OSError(f"{path}: frame cannot be written")
@@ -132,7 +134,37 @@ def plan_trial(
         "centre_m": centre.tolist(),
         "moisture": moisture.tolist(),
     }
-    return PlannedTrial(request, press, frames, areas, moisture, truth)
+    if pulled is not None:
+        truth["pull"] = {
+            "friction": pulled.friction,
+            "slip": pulled.slip,
+            "direction_rad": pulled.direction,
+            "time_s": pulled.time.tolist(),
+            "tangential_n": pulled.tangential.tolist(),
+        }
+    return PlannedTrial(request, press, frames, areas, moisture, pulled, truth)
+
+
+def _press_of(request: TrialRequest) -> tuple[Press, Pull | None]:
+    """The press of a trial, and its pull."""
+    rng = request.rng("press")
+    if is_pull(request.condition):
+        # One finger for all trials of a seed.
+        of_finger = TrialRequest(request.condition, 0, 0, request.seed).rng("friction")
+        friction = finger_friction(of_finger, request.condition)
+        return pressed_and_pulled(rng, request.rng("pull"), friction)
+    guided = PRESS_BY_NAME.get(request.condition)
+    style = None if guided is None else guided_style(guided)
+    target = TARGET_FORCE if guided is None else guided.target_force
+    return plan_press(rng, style=style, target_force=target), None
+
+
+def contact_of(
+    radius: float, place: tuple[float, float], aspect: float, pull: Pull | None, time: float
+) -> Contact:
+    """What the camera sees of a finger that touched at `place` (m), at a time in s."""
+    skin = None if pull is None else pull.skin(time, place)
+    return Contact(radius, place, aspect, slip=skin)
 
 
 @functools.cache
