@@ -31,8 +31,8 @@ from finger_model.solid3d.full_order import SolidModel, SolidStepper
 from finger_model.solid3d.mesh import Pose
 from finger_model.verification.cases import CALCULIX_FINGER, elastic
 
-LOADS = (0.1, 0.3, 0.8, 2.0)
-TEST_LOADS = (0.2, 0.5, 1.4)
+LOADS = (0.15, 0.3, 0.5, 0.8, 1.3, 2.0)
+TEST_LOADS = (0.2, 0.6, 1.5)
 """N."""
 COLUMNS = (
     "finger,aspect,pitch_deg,roll_deg,modulus_pa,friction,refinement,force_n,area_m2,semi_axis_a_m,"
@@ -52,7 +52,7 @@ class Run:
     finger: str = "default"
     modulus_pa: float = 30e3
     friction: float = 0.0
-    refinement: float = 0.8
+    refinement: float = 0.55
 
 
 def learned() -> list[Run]:

@@ -150,7 +150,11 @@ def save_table(folder: Path, trials: Sequence[TrialState], log: EventLog) -> Non
                         a.reason,
                         "; ".join(e.text for e in log.of("note", trial.index, a.attempt)),
                         len(log.of("marker", trial.index, a.attempt)),
-                        *((f"{a.friction:.4f}", f"{a.friction_stddev:.4f}") if a.found else ("",) * 2),
+                        *(
+                            (f"{a.friction:.4f}", f"{a.friction_stddev:.4f}")
+                            if a.found
+                            else ("",) * 2
+                        ),
                     )
                 )
 

@@ -113,7 +113,9 @@ def test_a_pull_that_slips_is_kept_with_its_friction(
     assert done.note.startswith("slipped, friction 0.4")
     rig.run(2.0)
     row = next(csv.DictReader((tmp_path / "trials.csv").open()))
-    assert float(row["friction"]) == pytest.approx(rig.protocol.trials[0].attempts[0].friction, abs=1e-4)
+    assert float(row["friction"]) == pytest.approx(
+        rig.protocol.trials[0].attempts[0].friction, abs=1e-4
+    )
 
 
 def test_a_finger_that_is_lifted_before_it_slips_is_asked_again(tmp_path: Path) -> None:
