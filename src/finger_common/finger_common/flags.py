@@ -32,6 +32,7 @@ class StateFlag(IntFlag):
     OUT_OF_ORDER = 32768
     MODEL_MISMATCH = 65536
     FORCE_OFFSET = 131072
+    POSE_OUT_OF_RANGE = 262144
 
 
 FORCE_ALONE = StateFlag(

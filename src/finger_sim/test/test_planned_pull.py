@@ -44,9 +44,12 @@ def test_a_pull_begins_after_its_cue_and_slips_at_its_friction(planned: PlannedT
     across = np.hypot(*pulled.force_on_plate(press.time))
     assert np.all(across[press.time < press.cue + HOLD] == 0.0)
     sliding = (press.time > pulled.slip) & held
-    # Long enough to be seen while it slides: the plate stops half a second after the slip.
-    assert sliding.sum() > 500 * 0.5
-    assert across[sliding] / press.force[sliding] == pytest.approx(pulled.friction, rel=0.06)
+    # Long enough to be seen: the plate stops half a second after the slip.
+    sliding &= press.time < pulled.slip + 0.5
+    assert sliding.sum() == pytest.approx(250, abs=2)
+    ratio = across[sliding] / press.force[sliding]
+    assert np.mean(ratio) == pytest.approx(pulled.friction, rel=0.01)
+    assert ratio.min() > 0.9 * pulled.friction
     assert np.all(across <= pulled.friction * press.force * (1 + 1e-9))
 
 
