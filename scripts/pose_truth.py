@@ -31,7 +31,7 @@ from finger_model.solid3d.full_order import SolidModel, SolidStepper
 from finger_model.solid3d.mesh import Pose
 from finger_model.verification.cases import CALCULIX_FINGER, elastic
 
-LOADS = (0.15, 0.3, 0.5, 0.8, 1.3, 2.0)
+LOADS = (0.2, 0.4, 0.7, 1.2, 2.0)
 TEST_LOADS = (0.2, 0.6, 1.5)
 """N."""
 COLUMNS = (
@@ -52,7 +52,7 @@ class Run:
     finger: str = "default"
     modulus_pa: float = 30e3
     friction: float = 0.0
-    refinement: float = 0.55
+    refinement: float = 0.7
 
 
 def learned() -> list[Run]:

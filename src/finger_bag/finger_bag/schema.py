@@ -99,6 +99,12 @@ TOPICS: dict[str, TopicSpec] = {
             meaning="stick, slip and friction, one per wrench",
         ),
         TopicSpec(
+            "contact_shape",
+            "finger_msgs/msg/ContactShape",
+            500.0,
+            meaning="ellipse, tilt and centre of pressure, one per wrench",
+        ),
+        TopicSpec(
             "model_events",
             "finger_msgs/msg/ModelEvent",
             None,

@@ -73,6 +73,16 @@ class SlipFlag(IntFlag):
     FORCE_INVALID = 8
 
 
+class ShapeFlag(IntFlag):
+    """Flags of an estimated shape; 0 means: outline and torque tell the pose."""
+
+    NO_CONTACT = 1
+    OUTLINE_MISSING = 2
+    TORQUE_MISSING = 4
+    TILT_UNCERTAIN = 8
+    OUT_OF_RANGE = 16
+
+
 def flag_names(flags: StateFlag | AreaFlag) -> str:
     """Names of the bits set, lower case, joined by '|'; empty for 0."""
     return "|".join(f.name.lower() for f in type(flags) if flags & f and f.name)

@@ -32,13 +32,13 @@ FILE = Path(str(resources.files("finger_model") / "data" / "pose_correction.json
 LARGEST_DEPTH = 0.65
 """s from which on the correction stays as it is: it was learned to 0.6."""
 
-AREA_TERMS = ("b", "b s", "b s²", "e²", "e² s", "t", "t s", "t s²", "b²", "b t")
-"""Of ln(area over that of the round pad): b bluntness, e elongation, t tilt of `Touch`."""
+AREA_TERMS = tuple("b,b s,b s²,e²,e² s,u,u s,u s²,u²,u² s,u² s²,b u,b u s".split(","))
+"""Of ln(area over that of the round pad): b bluntness, e elongation, u aside of `Touch`."""
 
-SHAPE_TERMS = ("e", "e s", "e s²", "t", "t s", "e |t|", "e b")
+SHAPE_TERMS = tuple("e,e s,e s²,u,u s,|u| u,|u| u s,|u| e,|u| e s".split(","))
 """Of ln(a/b) times cosine and sine of twice the orientation."""
 
-CENTER_TERMS = ("1", "s", "s²", "|t|", "|t| s", "b", "b s")
+CENTER_TERMS = tuple("1,s,s²,u,u s,u s²,b,b s".split(","))
 """Of the centre's coordinates over those of the first touch, and of the centre of pressure's."""
 
 LARGEST_ASPECT, LARGEST_TILT = 1.6, math.radians(30.0)
@@ -70,26 +70,30 @@ def coefficients() -> dict[str, np.ndarray]:
 
 def area_terms(touch: Touch, s: float) -> np.ndarray:
     """Values of AREA_TERMS."""
-    b, e, t = touch.bluntness, float(touch.elongation @ touch.elongation), _size(touch.tilt)
-    return np.array([b, b * s, b * s * s, e, e * s, t, t * s, t * s * s, b * b, b * t])
+    b, e, u = touch.bluntness, float(touch.elongation @ touch.elongation), _size(touch.aside)
+    of_depth = np.array([1.0, s, s * s])
+    return np.concatenate(
+        [b * of_depth, e * of_depth[:2], u * of_depth, u * u * of_depth, b * u * of_depth[:2]]
+    )
 
 
 def shape_terms(touch: Touch, s: float) -> np.ndarray:
     """Values (2, n) of SHAPE_TERMS."""
-    e, t = touch.elongation, touch.tilt
+    e, u = touch.elongation, touch.aside
+    far = _size(u)
     return np.stack(
-        [e, e * s, e * s * s, t, t * s, e * _size(t), e * touch.bluntness], axis=1
+        [e, e * s, e * s * s, u, u * s, far * u, far * u * s, far * e, far * e * s], axis=1
     )
 
 
 def center_terms(touch: Touch, s: float) -> np.ndarray:
     """Values (n,) of CENTER_TERMS."""
-    t, b = _size(touch.tilt), touch.bluntness
-    return np.array([1.0, s, s * s, t, t * s, b, b * s])
+    u, b = _size(touch.aside), touch.bluntness
+    return np.array([1.0, s, s * s, u, u * s, u * s * s, b, b * s])
 
 
-def _size(tilt: np.ndarray) -> float:
-    return math.hypot(tilt[0], tilt[1])
+def _size(vector: np.ndarray) -> float:
+    return math.hypot(vector[0], vector[1])
 
 
 class PoseCorrection:

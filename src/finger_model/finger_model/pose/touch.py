@@ -26,14 +26,15 @@ class Touch(NamedTuple):
     place (2,): m, from the foot of the normal through the pad's centre. bluntness: logarithm of
     the curvature of a round pad on a level plate over the geometric mean of the two curvatures.
     elongation (2,): half the logarithm of the larger over the smaller curvature, times cosine and
-    sine of twice the direction of the smaller one, along which the contact is longer. tilt (2,):
-    sin² of the plate's tilt, times cosine and sine of twice its direction.
+    sine of twice the direction of the smaller one, along which the contact is longer. aside
+    (2,): squared distance of the place from the pad's axis over that of the pad's side in its
+    direction, 0 at the tip and 1 at the side, times cosine and sine of twice its direction.
     """
 
     place: np.ndarray
     bluntness: float
     elongation: np.ndarray
-    tilt: np.ndarray
+    aside: np.ndarray
 
 
 def first_touch(geometry: Geometry, pose: Pose) -> Touch:
@@ -51,10 +52,11 @@ def first_touch(geometry: Geometry, pose: Pose) -> Touch:
     difference = np.array([curvature[1, 1] - curvature[0, 0], -2.0 * curvature[0, 1]])
     size = float(np.hypot(*difference))
     elongation = long * difference / size if size > 1e-12 * larger else np.zeros(2)
-    # The finger's axis, seen in the plate.
-    along = lateral[:, 2]
-    sine2 = float(along @ along)
-    double = np.array([along[0] ** 2 - along[1] ** 2, 2.0 * along[0] * along[1]])
+    on_pad = -squares * normal / height
+    far = float((on_pad[:2] ** 2 / squares[:2]).sum())
+    x, y = place
+    way = float(x * x + y * y)
+    double = np.array([x * x - y * y, 2.0 * x * y]) / way if way > 0 else np.zeros(2)
     flat = c / a**2
     bluntness = -0.5 * math.log(smaller * larger / flat**2)
-    return Touch(place, bluntness, elongation, double if sine2 > 0 else np.zeros(2))
+    return Touch(place, bluntness, elongation, far * double)
