@@ -108,6 +108,7 @@ class PoseCorrection:
         at = [float(area_terms(self.touch, s) @ learned["area"]) for s in (0.0, 1.0, -1.0)]
         linear, square = 0.5 * (at[1] - at[2]), 0.5 * (at[1] + at[2]) - at[0]
         self.area_polynomial = np.array([at[0], linear, square])
+        self._polynomial: tuple[float, float, float] = (at[0], linear, square)
 
     @property
     def inside(self) -> bool:
@@ -124,13 +125,13 @@ class PoseCorrection:
     def log_area(self, round_area: float) -> float:
         """ln of the area in this pose over that of the round pad, round_area (m²)."""
         s = self.depth(round_area)
-        first, linear, square = self.area_polynomial
-        return float(first + s * (linear + s * square))
+        first, linear, square = self._polynomial
+        return first + s * (linear + s * square)
 
     def round_area(self, area: float) -> float:
         """Area (m²) of the round pad on a level plate where this pad has `area`."""
         found = area
-        for _ in range(20):
+        for _ in range(20 if self.area_polynomial.any() else 0):
             found = area * math.exp(-self.log_area(found))
         return found
 
