@@ -120,7 +120,9 @@ def judge(rows: list[Row], what: str) -> None:
                 1e3 * float(np.hypot(*(found.center_of_pressure - r.pressure))),
             ]
         )
-    print(f"\n{what}: errors of area (%), [its change (%)], axis ratio (%), orientation (°), centre")
+    print(
+        f"\n{what}: errors of area (%), [its change (%)], axis ratio (%), orientation (°), centre"
+    )
     print("and centre of pressure (mm): root mean square / largest")
     for name, values in [*groups.items(), ("all", [v for g in groups.values() for v in g])]:
         table = np.array(values)

@@ -81,9 +81,9 @@ from .messages import (
     wrench_of,
 )
 from .parameter_sets import ParameterSets
-from .reduced.model import ReducedModel, load_population
 from .pose.estimator import PoseEstimator
 from .pose.settings import PoseSettings
+from .reduced.model import ReducedModel, load_population
 from .slip import SlipEstimator, SlipSettings
 from .subjects import PressCollector, save_subject, subject_file
 from .warm_up import warm_up

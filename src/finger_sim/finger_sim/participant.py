@@ -136,6 +136,15 @@ class Participant:
             return None
         return playing.trial.pull.force_on_plate(seconds(now_ns - playing.start_ns))
 
+    def pressure_center(self, now_ns: int) -> np.ndarray:
+        """Point (2,) of the plate in m about which the pressure has no torque."""
+        playing = self._press
+        if playing is None:
+            return np.zeros(2)
+        trial, since = playing.trial, seconds(now_ns - playing.start_ns)
+        x, y = (np.interp(since, trial.frame_time, along) for along in trial.pressure_center.T)
+        return np.array([x, y])
+
     def frame(self, frame_ns: int) -> Path | None:
         """Image file of the contact at a frame's mid-exposure, None for an empty plate."""
         playing = self._press

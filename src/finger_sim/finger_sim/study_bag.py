@@ -145,10 +145,9 @@ def _areas(trial: StudyTrial, seed: int, noise: float) -> Iterator[Record]:
 
 
 def _frames(trial: StudyTrial, seed: int, renderer: FtirRenderer) -> Iterator[Record]:
-    x, y = stream(seed, trial.condition, trial.index, "placement").normal(0.0, PLACEMENT_SD, 2)
+    place = stream(seed, trial.condition, trial.index, "placement").normal(0.0, PLACEMENT_SD, 2)
     for time, area in zip(trial.frame_time, trial.area):
         radius = float(np.sqrt(area / np.pi))
-        place = (float(x), float(y))
         contact = contact_of(radius, place, trial.misfit.aspect, trial.pull, float(time))
         image = renderer.render_frame([contact]).image
         fields = {

@@ -7,12 +7,16 @@ are those of one pull, and of the simulated study's."""
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
 from finger_common.guided_pulls import HOLD, LOAD
+from finger_model.geometry import Geometry
+from finger_model.pose.correction import PoseCorrection
+from finger_model.solid3d.mesh import Pose
 from finger_sim import pull
 from finger_sim.participant import FrameClock, Participant, _Press
 from finger_sim.study_trial import plan_study_trial
@@ -98,3 +102,24 @@ def test_the_study_pulls_by_the_same_code() -> None:
     assert trial.pull is not None and type(trial.pull) is type(pulled)
     assert press.cue + pull.PAUSE + pull.RISE[0] < pulled.slip
     assert trial.target_force == LOAD
+
+
+def test_frames_of_a_tilted_finger_show_the_ellipse_where_it_is(tmp_path: Path) -> None:
+    pose = Pose(1.3, 0.3, 0.1)
+    request = TrialRequest("natural", 1, seed=5)
+    view = CameraView(2.0, 480, 640)
+    level = plan_trial(request, tmp_path, view, 0.3)
+    tilted = plan_trial(request, tmp_path, view, 0.3, pose)
+    calibration = renderer_for("natural", view, 5).calibration()
+    sensor = FtirSegmenter(calibration=calibration)
+    k = int(np.argmax(tilted.frame_area))
+    images = [cv2.imread(str(tilted.frames[n]), cv2.IMREAD_GRAYSCALE) for n in (0, 1, k)]
+    measured = [sensor.process(image) for image in images][-1]
+    assert measured.gross_area == pytest.approx(tilted.frame_area[k], rel=0.06)
+    correction = PoseCorrection(Geometry(), pose)
+    expected = correction.outline(level.frame_area[k])
+    assert tilted.frame_area[k] == pytest.approx(expected.area)
+    moved = tilted.pressure_center[k] - level.pressure_center[k]
+    assert moved == pytest.approx([-expected.center_of_pressure[1], expected.center_of_pressure[0]])
+    center = level.pressure_center[k] + [-expected.center[1], expected.center[0]]
+    assert np.hypot(*(measured.centroid - center)) < 0.2e-3

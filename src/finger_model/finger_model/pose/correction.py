@@ -113,10 +113,9 @@ class PoseCorrection:
     @property
     def inside(self) -> bool:
         """Whether the correction was learned for such a pose."""
-        return (
-            1.0 <= self.pose.aspect <= LARGEST_ASPECT * (1 + 1e-9)
-            and self.pose.tilt <= LARGEST_TILT * (1 + 1e-9)
-        )
+        return 1.0 <= self.pose.aspect <= LARGEST_ASPECT * (
+            1 + 1e-9
+        ) and self.pose.tilt <= LARGEST_TILT * (1 + 1e-9)
 
     def depth(self, round_area: float) -> float:
         """s of a round pad on a level plate with this area (m²)."""
