@@ -101,8 +101,8 @@ TOPICS: dict[str, TopicSpec] = {
         TopicSpec(
             "contact_shape",
             "finger_msgs/msg/ContactShape",
-            500.0,
-            meaning="ellipse, tilt and centre of pressure, one per wrench",
+            50.0,
+            meaning="ellipse, tilt and centre of pressure, where contact_shape is set",
         ),
         TopicSpec(
             "model_events",

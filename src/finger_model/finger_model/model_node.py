@@ -1,8 +1,8 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Node `model`: publishes `contact_state` for every wrench sample, and `contact_slip` and
-`contact_shape` where somebody listens.
+"""Node `model`: publishes `contact_state` for every wrench sample, and `contact_slip` where
+somebody listens; with `contact_shape: true` also `contact_shape`.
 
 The estimate is corrected by `contact_area`; its parameters follow `moisture`.
 """
@@ -113,6 +113,12 @@ class ModelSettings(Settings):
     reduced_model_file: str = setting(
         "",
         "Reduced model made by 'finger-model reduce'; empty for the shipped one.",
+    )
+    contact_shape: bool = setting(
+        False,
+        "Estimate ellipse and tilt of the contact, and publish them as contact_shape.",
+        runtime=True,
+        advice="Costs some percent of a core.",
     )
     force_stale_after: float = setting(
         0.1,
@@ -454,8 +460,8 @@ class ModelNode(ManagedNode):
         torque: tuple[float, float, float],
         frame: str,
     ) -> None:
-        """Ellipse and tilt at the sample; followed only while somebody listens."""
-        if not self._shape_publisher.get_subscription_count():
+        """Ellipse and tilt at the sample, where they are wanted."""
+        if not self.values["contact_shape"]:
             self._pose = None
             return
         assert self.estimator is not None
@@ -468,6 +474,8 @@ class ModelNode(ManagedNode):
                 settings.normal_axis,
             )
         self._pose.follow(estimate, force, torque)
+        if not self._pose.due(estimate.stamp_ns):
+            return
         if self._shape_serializer is None or self._shape_serializer[0] != frame:
             prototype = ContactShape(header=Header(frame_id=frame))
             self._shape_serializer = frame, FixedMessage(prototype)

@@ -114,12 +114,13 @@ class OutputBag:
         logs: np.ndarray,
         wrench: bytes,
         slips: list[bytes],
-        shapes: list[dict[str, Any]],
+        shapes: list[tuple[int, dict[str, Any]]],
     ) -> None:
         """Write estimates, each logged with its wrench.
 
         stamps, logs (n,): of all wrenches, ns. wrench: one of them, serialized; slips: serialized
-        ContactSlips of the estimates, or none; shapes: fields of their ContactShapes, or none.
+        ContactSlips of the estimates, or none; shapes: number of
+        the estimate and fields of each ContactShape, or none.
         """
         own = block.column("stamp_ns")
         if np.array_equal(own, stamps):
@@ -134,8 +135,8 @@ class OutputBag:
         self._writer.write_many(self._state_topic, states, times)
         if slips:
             self._writer.write_many(self._slip_topic, slips, times)
-        for fields, time in zip(shapes, times):
-            self._writer.write(self._shape_topic, fields, time)
+        for number, fields in shapes:
+            self._writer.write(self._shape_topic, fields, times[number])
 
 
 def _is_image(item: BagMessage) -> bool:

@@ -383,20 +383,21 @@ class _Run:
         forces: np.ndarray,
         torques: np.ndarray,
         wrench: bytes,
-    ) -> list[dict[str, Any]]:
-        """Fields of the ContactShapes of a block; stamps (n,), forces, torques (n, 3) of all its
-        wrenches."""
+    ) -> list[tuple[int, dict[str, Any]]]:
+        """Number of the estimate and fields of each ContactShape of a block; stamps (n,), forces,
+        torques (n, 3) of all its wrenches."""
         if pose is None:
             return []
         frame = frame_id_of_cdr(wrench)
         place = {stamp: i for i, stamp in reversed(list(enumerate(stamps.tolist())))}
         found = []
-        for estimate in block:
+        for k, estimate in enumerate(block):
             # One that waited for its successor may be of the block before: without torque then.
             at = place.get(estimate.stamp_ns)
             torque = torques[at].tolist() if at is not None else (0.0, 0.0, 0.0)
             pose.follow(estimate, forces[at or 0].tolist(), torque)
-            found.append(shape_fields(pose.shape(estimate), frame))
+            if pose.due(estimate.stamp_ns):
+                found.append((k, shape_fields(pose.shape(estimate), frame)))
         return found
 
     def _slips(

@@ -95,7 +95,7 @@ def test_outline_and_torque_tell_aspect_and_tilt(bag: Path, tmp_path: Path) -> N
     assert shape.roll == pytest.approx(POSE.roll, abs=math.radians(3))
     assert abs(shape.pitch - POSE.pitch) < 3 * shape.pitch_stddev
     state = last(tmp_path / "out", "/finger/contact_state")
-    assert shape.area == state.area
+    assert shape.area == pytest.approx(state.area, rel=0.02)
     assert math.pi * shape.semi_axis_major * shape.semi_axis_minor == pytest.approx(shape.area)
     area = last(bag, "/finger/contact_area")
     assert shape.center.x == pytest.approx(area.centroid.x, abs=0.1e-3)

@@ -43,6 +43,9 @@ TILT_WANDER, PLACE_WANDER = 0.03, 0.2e-3
 PRESSURE_PERIOD = nanoseconds(1.0 / 30.0)
 """ns of torque samples that are taken together."""
 
+SHAPE_PERIOD = nanoseconds(0.02)
+"""ns from one shape to the next, at least."""
+
 SMALLEST_FORCE = 0.1
 """N; below it neither outline nor centre of pressure is used."""
 
@@ -122,7 +125,7 @@ class PoseEstimator:
         self.mean[ASPECT] = math.log(self.known.aspect)
         self.covariance[ASPECT, ASPECT] = settings.pad_aspect_sd**2
         self._touching = self._outlined = self._pressed = False
-        self._updated = 0
+        self._updated = self._given = 0
         self._areas: deque[tuple[int, float]] = deque(maxlen=REMEMBERED)
         self._sum, self._count, self._sum_since = np.zeros(2), 0, 0
         self._pressure = (math.nan, math.nan)
@@ -288,6 +291,13 @@ class PoseEstimator:
         while back >= 0 and areas[back][0] > stamp_ns:
             back -= 1
         return areas[back][1] if back >= 0 else math.nan
+
+    def due(self, stamp_ns: int) -> bool:
+        """Whether a shape is due at the sample of this stamp: one in SHAPE_PERIOD."""
+        if 0 <= stamp_ns - self._given < SHAPE_PERIOD:
+            return False
+        self._given = stamp_ns
+        return True
 
     # Results ---------------------------------------------------------------------------------
 
