@@ -32,7 +32,7 @@ from finger_model.solid3d.mesh import Pose
 from finger_model.verification.cases import CALCULIX_FINGER, elastic
 
 LOADS = (0.2, 0.4, 0.7, 1.2, 2.0)
-TEST_LOADS = (0.2, 0.6, 1.5)
+TEST_LOADS = (0.3, 0.9)
 """N."""
 COLUMNS = (
     "finger,aspect,pitch_deg,roll_deg,modulus_pa,friction,refinement,force_n,area_m2,semi_axis_a_m,"
