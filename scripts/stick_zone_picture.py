@@ -103,7 +103,7 @@ def main() -> None:
     shown = [steps[k] for k in SHOWN]
     views = seen([s[0] for s in shown], shown[0][1])
     figure, rows = plt.subplots(len(shown), 2, figsize=(7.2, 3.2 * len(shown)), layout="tight")
-    for (ratio, radius, places, slips), (image, pixels, seen_slip), (left, right) in zip(
+    for (ratio, _, places, slips), (image, pixels, seen_slip), (left, right) in zip(
         shown, views, rows
     ):
         whole = np.concatenate([places, places * [1, -1]]) * 1e3

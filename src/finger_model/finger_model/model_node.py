@@ -144,8 +144,8 @@ _WARNINGS = {
     StateFlag.FORCE_INVALID: "the force is not a finite number",
     StateFlag.FORCE_OFFSET: "force without a finger is suspected: tare the force sensor with "
     "nothing on the plate",
-    StateFlag.POSE_OUT_OF_RANGE: "pad_aspect or the plate's tilt is beyond what the correction of "
-    "the area was learned for",
+    StateFlag.POSE_OUT_OF_RANGE: "pad_aspect, the plate's tilt or the finger's proportions are "
+    "beyond what the correction of the area was learned for",
     StateFlag.FORCE_OUT_OF_RANGE: "the force is beyond what the reduced model was built for",
 }
 

@@ -44,6 +44,11 @@ CENTER_TERMS = tuple("1,s,s²,u,u s,u s²,b,b s".split(","))
 LARGEST_ASPECT, LARGEST_TILT = 1.6, math.radians(30.0)
 """Up to which the correction was learned; a smaller aspect than 1 was not."""
 
+LEARNED, OTHER_HEIGHT, OTHER_SKIN = Geometry(), 0.1, 1.9
+"""The finger that it was learned for, and by how much (relative) another one's height over width,
+and by which factor its skin over width, may differ. Fingers of the same proportions have the same
+correction."""
+
 
 class Outline(NamedTuple):
     """Contact of a pad in a pose (SI); vectors in axes of the plate, from the foot of the normal
@@ -92,6 +97,15 @@ def center_terms(touch: Touch, s: float) -> np.ndarray:
     return np.array([1.0, s, s * s, u, u * s, u * s * s, b, b * s])
 
 
+def _has_learned_proportions(geometry: Geometry) -> bool:
+    def proportions(finger: Geometry) -> np.ndarray:
+        lengths = np.array([finger.pad_semi_axis_axial, finger.epidermis_thickness])
+        return lengths / finger.pad_semi_axis_radial
+
+    height, skin = proportions(geometry) / proportions(LEARNED)
+    return abs(height - 1.0) < OTHER_HEIGHT and 1.0 / OTHER_SKIN < skin < OTHER_SKIN
+
+
 def _size(vector: np.ndarray) -> float:
     return math.hypot(vector[0], vector[1])
 
@@ -104,6 +118,7 @@ class PoseCorrection:
         self.pose = pose
         self.touch = first_touch(geometry, pose)
         self.half_width = geometry.pad_semi_axis_radial
+        self._known_finger = _has_learned_proportions(geometry)
         learned = coefficients()
         at = [float(area_terms(self.touch, s) @ learned["area"]) for s in (0.0, 1.0, -1.0)]
         linear, square = 0.5 * (at[1] - at[2]), 0.5 * (at[1] + at[2]) - at[0]
@@ -112,10 +127,10 @@ class PoseCorrection:
 
     @property
     def inside(self) -> bool:
-        """Whether the correction was learned for such a pose."""
-        return 1.0 <= self.pose.aspect <= LARGEST_ASPECT * (
-            1 + 1e-9
-        ) and self.pose.tilt <= LARGEST_TILT * (1 + 1e-9)
+        """Whether the correction was learned for such a finger and pose."""
+        low_tilt = self.pose.tilt <= LARGEST_TILT * (1 + 1e-9)
+        fits = 1.0 <= self.pose.aspect <= LARGEST_ASPECT * (1 + 1e-9)
+        return self._known_finger and low_tilt and fits
 
     def depth(self, round_area: float) -> float:
         """s of a round pad on a level plate with this area (m²)."""
