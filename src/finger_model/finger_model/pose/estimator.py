@@ -34,8 +34,11 @@ ASPECT, PITCH, ROLL, PLACE = 0, 1, 2, slice(3, 5)
 STEPS = np.array([0.02, 0.01, 0.01])
 """Of the derivatives by the logarithm of the aspect, pitch and roll."""
 
-SHAPE_SD, PLACE_SD = 0.04, 0.1e-3
+SHAPE_SD, PLACE_SD = 0.03, 0.07e-3
 """Errors of the correction itself: of ln(a/b), and of the centres (m)."""
+
+LASTING = 1.0
+"""s for which such an error lasts: measurements that follow each other faster share it."""
 
 TILT_WANDER, PLACE_WANDER = 0.03, 0.2e-3
 """rad and m, by which finger and plate turn and move in a second."""
@@ -141,6 +144,7 @@ class PoseEstimator:
         for k, sd in zip((1, 2, 3, 4), 2 * [settings.tilt_sd] + 2 * [settings.pad_place_sd]):
             self.covariance[k, k] = sd**2
         self._outlined = self._pressed = False
+        self._outlined_at = self._pressed_at = stamp_ns
         self._updated = stamp_ns
         self._sum[:], self._count, self._sum_since = 0.0, 0, stamp_ns
         self._correction = None
@@ -184,9 +188,13 @@ class PoseEstimator:
         shape = math.log(ratio) * np.array([math.cos(double), math.sin(double)])
         shape_sd = math.hypot(outline.major_sd / outline.major, outline.minor_sd / outline.minor)
         measured = np.concatenate([shape, self._to_finger(outline.center)])
-        sds = [math.hypot(shape_sd, SHAPE_SD)] * 2 + [math.hypot(outline.center_sd, PLACE_SD)] * 2
-        self._correct(stamp_ns, area, measured, np.array(sds), slice(0, 4))
-        self._outlined = True
+        shared = self._shared(stamp_ns - self._outlined_at)
+        own = (
+            math.hypot(shape_sd, shared * SHAPE_SD),
+            math.hypot(outline.center_sd, shared * PLACE_SD),
+        )
+        self._correct(stamp_ns, area, measured, np.repeat(own, 2), slice(0, 4))
+        self._outlined, self._outlined_at = True, stamp_ns
 
     def _add_pressure(
         self, stamp: int, round_area: float, force: Sequence[float], torque: Sequence[float]
@@ -209,10 +217,17 @@ class PoseEstimator:
         mean = self._sum / self._count
         self._pressure = float(mean[0]), float(mean[1])
         self._sum[:], self._count, self._sum_since = 0.0, 0, stamp
-        sd = math.hypot(self.settings.torque_noise / abs(normal), PLACE_SD)
+        shared = self._shared(stamp - self._pressed_at)
+        sd = math.hypot(self.settings.torque_noise / abs(normal), shared * PLACE_SD)
         place = self._to_finger(self._pressure)
         self._correct(stamp, round_area, place, np.full(2, sd), slice(4, 6))
-        self._pressed = True
+        self._pressed, self._pressed_at = True, stamp
+
+    @staticmethod
+    def _shared(passed_ns: int) -> float:
+        """Factor for an error of the correction that measurements within LASTING share."""
+        passed = min(max(passed_ns / NANOSECONDS, 1e-3), LASTING)
+        return math.sqrt(LASTING / passed)
 
     # Filter ----------------------------------------------------------------------------------
 

@@ -19,13 +19,13 @@ class PoseSettings(Settings):
     """What is known of pad, plate and sensor before a contact. Raises InputError for bad values."""
 
     pad_aspect_sd: float = _runtime(
-        0.15,
+        0.25,
         "Standard deviation of pad_aspect (its logarithm) before any outline was seen.",
         minimum=0.0,
         maximum=0.5,
     )
     tilt_sd: float = _runtime(
-        0.25,
+        0.4,
         "Standard deviation of the plate's tilt about plate_pitch and plate_roll.",
         unit="rad",
         minimum=0.0,
