@@ -16,19 +16,27 @@ import argparse
 import csv
 import json
 import math
+import time
 from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
 
 from finger_common.files import atomic_write
+from finger_common.flags import ShapeFlag
+from finger_model.estimator import ContactEstimate
+from finger_model.estimator.estimate import ESTIMATE_FIELDS
 from finger_model.geometry import Geometry
 from finger_model.pose import correction
+from finger_model.pose.estimator import MeasuredOutline, PoseEstimator, ShapeEstimate
+from finger_model.pose.settings import PoseSettings
 from finger_model.pose.touch import first_touch
 from finger_model.solid3d.mesh import Pose
 from finger_model.verification.cases import CALCULIX_FINGER, reference
 
 FINGERS = {"default": Geometry(), "calculix": CALCULIX_FINGER}
+PLACE = 0.2e-3
+"""m, by which the place of the finger is known where the tilt is judged."""
 RIDGE = 1e-4
 """Of the least squares, beside the mean square of a term."""
 
@@ -130,6 +138,75 @@ def judge(rows: list[Row], what: str) -> None:
         print("  ".join(f"{a:.2f}/{b:.2f}" for a, b in zip(rms, most)), name)
 
 
+def tilts(rows: list[Row]) -> None:
+    """Print what the pose estimator finds in a press of one second through the loads of each pose,
+    with noise: 10 outlines, torques at 500 Hz, the finger's place known to PLACE."""
+    groups: dict[str, list[Row]] = defaultdict(list)
+    for r in rows:
+        groups[r.name].append(r)
+    rng = np.random.default_rng(0)
+    print("\ntilt found: errors of pitch and roll (°), their deviations, aspect")
+    began, missed, all_errors = time.process_time(), 0, []
+    for name, press in groups.items():
+        shape = _pressed(press, rng)
+        pose = press[0].pose
+        errors = np.degrees([shape.pitch - pose.pitch, shape.roll - pose.roll])
+        all_errors += np.abs(errors).tolist()
+        sds = np.degrees([shape.pitch_sd, shape.roll_sd])
+        missed += bool(np.any(np.abs(errors) > 3.0) and not shape.flags & ShapeFlag.TILT_UNCERTAIN)
+        print(f"{errors.round(1)} {sds.round(1)} {shape.pad_aspect:.2f} {name}")
+    spent = (time.process_time() - began) / len(groups)
+    inside = sum(error < 3.0 for error in all_errors)
+    print(f"{inside} of {len(all_errors)} within 3°; {missed} poses beyond and not flagged")
+    print(f"{100.0 * spent:.0f} % of a core")
+
+
+def _pressed(press: list[Row], rng: np.random.Generator) -> ShapeEstimate:
+    place = np.array([1e-3, -2e-3])
+    told = (place + PLACE * rng.standard_normal(2)).tolist()
+    settings = PoseSettings(
+        pad_x=told[0], pad_y=told[1], pad_place_sd=PLACE, finger_direction=0.0, sensor_depth=0.02
+    )
+    estimator = PoseEstimator(press[0].geometry, settings)
+    loads = [r.force for r in press]
+
+    def between(values: list) -> np.ndarray:
+        return np.array([np.interp(force, loads, column) for column in np.transpose(values)])
+
+    for k, force in enumerate(np.linspace(loads[0], loads[-1], 500)):
+        stamp = 10**9 + 2_000_000 * k
+        round_area, area = np.exp(
+            between([[math.log(r.round_area), math.log(r.area)] for r in press])
+        )
+        if k % 50 == 0:
+            double = between([r.shape for r in press])
+            ratio = math.exp(math.hypot(*double))
+            minor = 2.0 * math.sqrt(area / (math.pi * ratio))
+            axes = np.array([minor * ratio, minor]) * (1.0 + 0.01 * rng.standard_normal(2))
+            center = between([r.center for r in press]) + place + 5e-5 * rng.standard_normal(2)
+            estimator.expect_outline(
+                stamp,
+                MeasuredOutline(
+                    (float(center[0]), float(center[1])),
+                    float(axes.max()),
+                    float(axes.min()),
+                    0.5 * math.atan2(double[1], double[0]),
+                    5e-5,
+                    *(0.01 * np.sort(axes)[::-1]).tolist(),
+                ),
+                0.0,
+            )
+        pull = np.array([0.1 * force, 0.05 * force, -force])
+        pressed = between([r.pressure for r in press]) + place
+        torque = np.cross([*pressed, 0.02], pull) + 5e-4 * rng.standard_normal(3)
+        values = {field.name: 0 for field in ESTIMATE_FIELDS}
+        values |= {"stamp_ns": stamp, "onset_ns": 10**9, "in_contact": True, "parameter_set": ""}
+        values |= {"area": round_area, "normal_force": force}
+        estimate = ContactEstimate(**values)
+        estimator.follow(estimate, pull.tolist(), torque.tolist())
+    return estimator.shape(estimate)
+
+
 def calculix() -> None:
     """Print the errors against CalculiX; its round pad is its own axisymmetric curve."""
     curve = reference("dry_frictionless")
@@ -169,6 +246,7 @@ def main() -> None:
     judge(rows, "learned from")
     if arguments.held_out:
         judge(rows_of(arguments.held_out), "kept aside")
+        tilts(rows_of(arguments.held_out) + rows)
     calculix()
 
 

@@ -7,7 +7,7 @@
     python scripts/pose_truth.py test src/finger_model/finger_model/data/pose_held_out.csv
 
 writes a row for each pose and force. `learn` gives the runs that `finger_model.pose` is fitted to;
-`test` those kept aside: other poses and loads. The mesh has 0.7 of the default fineness. Runs that
+`test` those kept aside: other poses, loads and a stiffer tissue. The mesh has 0.7 of the default fineness. Runs that
 the file has already are kept. A run takes some 15 s of a core.
 
 A pad that is tilted about its long axis is solved as half a finger too: with x and y exchanged.
@@ -63,8 +63,9 @@ def learned() -> list[Run]:
 
 
 def kept_aside() -> list[Run]:
-    """Runs to judge by; the first is the round pad on a level plate."""
-    return [Run(1.0), Run(1.4, 22.0), Run(1.15, 0.0, 26.0)]
+    """Runs to judge by; each material begins with the round pad on a level plate."""
+    stiff = [Run(1.0, modulus_pa=80e3), Run(1.3, 20.0, modulus_pa=80e3)]
+    return [Run(1.0), Run(1.4, 22.0), Run(1.15, 0.0, 26.0), *stiff]
 
 
 def contacts(run: Run, loads: tuple[float, ...]) -> list[dict[str, float | str]]:

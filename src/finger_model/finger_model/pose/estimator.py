@@ -326,7 +326,7 @@ class PoseEstimator:
         if self._correction is None:
             self._correction = self._corrected(self.mean)
         sds = np.sqrt(np.maximum(np.diag(self.covariance), 0.0)).tolist()
-        aspect, pitch, roll = math.exp(self.mean[ASPECT]), *self.mean[1:3].tolist()
+        aspect, pitch, roll = math.exp(self.mean[ASPECT]), float(self.mean[1]), float(self.mean[2])
         flags = 0
         if not self._touching:
             flags |= ShapeFlag.NO_CONTACT
