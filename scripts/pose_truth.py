@@ -7,8 +7,8 @@
     python scripts/pose_truth.py test src/finger_model/finger_model/data/pose_held_out.csv
 
 writes a row for each pose and force. `learn` gives the runs that `finger_model.pose` is fitted to;
-`test` those kept aside: other poses, loads and a stiffer tissue. The mesh has 0.7 of the default fineness. Runs that
-the file has already are kept. A run takes some 15 s of a core.
+`test` those kept aside: other poses, loads and a stiffer tissue. The mesh has 0.7 of the default
+fineness. Runs that the file has already are kept. A run takes some 15 s of a core.
 
 A pad that is tilted about its long axis is solved as half a finger too: with x and y exchanged.
 """

@@ -10,7 +10,8 @@ const ARROWS = {
 };
 
 const WORDS = {
-  idle: "Ready", prepare: "Prepare", moisture_before: "Moisture", press: "Press", pull: "Pull", lift: "Lift",
+  idle: "Ready", prepare: "Prepare", moisture_before: "Moisture", press: "Press",
+  pull: "Pull", lift: "Lift",
   moisture_after: "Moisture", done: "Good", failed: "Again", paused: "Paused", clear: "Wait",
   closing: "Saving", finished: "Finished", closed: "No session", offline: "Not connected",
 };
