@@ -46,7 +46,7 @@ class Pull(Press):
     def __init__(self, attempt: Attempt, guided: GuidedPress, limits: Limits) -> None:
         super().__init__(attempt, guided, limits)
         self._ratios: deque[tuple[int, float]] = deque()
-        self._sliding_frames = 0
+        self._sliding_frames = self._sliding_since = 0
         self._sticks_at: int | None = None
         self.ratio = 0.0
 
@@ -72,7 +72,9 @@ class Pull(Press):
             self._ratios.popleft()
         if not self._slips(stamp_ns):
             return None
-        values = [value for _, value in self._ratios]
+        # Where the camera saw the slip first, the ratio has risen until then.
+        since = self._sliding_since if self._sliding_frames >= SLIDING_FRAMES else 0
+        values = [value for stamp, value in self._ratios if stamp >= since] or [ratio]
         attempt.cue_ns = attempt.slip_ns = stamp_ns
         attempt.friction = fmean(values)
         attempt.friction_stddev = stdev(values) if len(values) > 1 else 0.0
@@ -108,6 +110,8 @@ class Pull(Press):
         if begin is None or stamp_ns < begin:
             return
         slides = bool(flags & AreaFlag.SLIDING)
+        if slides and not self._sliding_frames:
+            self._sliding_since = stamp_ns
         self._sliding_frames = self._sliding_frames + 1 if slides else 0
         if not slides and stick_ratio > STICKS:
             self._sticks_at = stamp_ns
