@@ -99,6 +99,12 @@ TOPICS: dict[str, TopicSpec] = {
             meaning="stick, slip and friction, one per wrench",
         ),
         TopicSpec(
+            "contact_shape",
+            "finger_msgs/msg/ContactShape",
+            50.0,
+            meaning="ellipse, tilt and centre of pressure, where contact_shape is set",
+        ),
+        TopicSpec(
             "model_events",
             "finger_msgs/msg/ModelEvent",
             None,

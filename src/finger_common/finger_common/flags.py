@@ -32,6 +32,7 @@ class StateFlag(IntFlag):
     OUT_OF_ORDER = 32768
     MODEL_MISMATCH = 65536
     FORCE_OFFSET = 131072
+    POSE_OUT_OF_RANGE = 262144
 
 
 FORCE_ALONE = StateFlag(
@@ -70,6 +71,16 @@ class SlipFlag(IntFlag):
     SLIPPING = 2
     FRICTION_ASSUMED = 4
     FORCE_INVALID = 8
+
+
+class ShapeFlag(IntFlag):
+    """Flags of an estimated shape; 0 means: outline and torque tell the pose."""
+
+    NO_CONTACT = 1
+    OUTLINE_MISSING = 2
+    TORQUE_MISSING = 4
+    TILT_UNCERTAIN = 8
+    OUT_OF_RANGE = 16
 
 
 def flag_names(flags: StateFlag | AreaFlag) -> str:

@@ -23,3 +23,4 @@ class TrialPhase(IntEnum):
     DONE = 6
     FAILED = 7
     PAUSED = 8
+    PULL = 9

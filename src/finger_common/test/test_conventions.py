@@ -16,7 +16,7 @@ import pytest
 from finger_common import axes, stamps
 from finger_common.contact_threshold import check_thresholds, contacts, in_contact
 from finger_common.errors import InputError
-from finger_common.flags import AreaFlag, StateFlag, flag_names
+from finger_common.flags import AreaFlag, ShapeFlag, SlipFlag, StateFlag, flag_names
 from finger_common.moisture import is_moisture
 from finger_common.trial_phases import TrialPhase
 
@@ -26,6 +26,8 @@ from finger_common.trial_phases import TrialPhase
     [
         (StateFlag, "ContactState", "FLAG_"),
         (AreaFlag, "ContactArea", "FLAG_"),
+        (SlipFlag, "ContactSlip", "FLAG_"),
+        (ShapeFlag, "ContactShape", "FLAG_"),
         (TrialPhase, "Trial", "PHASE_"),
     ],
 )

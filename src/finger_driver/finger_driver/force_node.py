@@ -134,7 +134,7 @@ class ForceNode(DeviceNode):
             if bias is not None:
                 tared = self.device.wrench_of(sample.channels - bias).tolist()
         # First to whom a delay matters.
-        self._local.send(sample.stamp_ns, tuple(tared[:3]), self._frame, received)
+        self._local.send(sample.stamp_ns, tuple(tared[:3]), self._frame, received, tuple(tared[3:]))
         stamp = divmod(sample.stamp_ns, NANOSECONDS)
         self._tared.publish(self._message.pack(*stamp, *tared))
         self._raw.publish(self._message.pack(*stamp, *raw))

@@ -19,10 +19,13 @@ from finger_common.parameter_values import parameter_fields, parameter_values
 from finger_common.stamps import NANOSECONDS, header_stamp, stamp_of, time_fields
 
 from .estimator import ContactEstimate, EstimatorEvent, EventType
+from .pose.estimator import MeasuredOutline, ShapeEstimate
 from .slip import SlipEstimate
 
 NOT_WHOLE = int(AreaFlag.NO_CONTACT | AreaFlag.SPARSE | AreaFlag.CLIPPED)
 """Flags of a contact of which too little is seen for a stick ratio."""
+
+NO_OUTLINE = MeasuredOutline((math.nan, math.nan), *(math.nan,) * 6)
 
 
 def wrench_of(message: Any) -> tuple[int, tuple[float, float, float]]:
@@ -129,6 +132,53 @@ def slip_numbers(estimate: SlipEstimate, lateral_axes: tuple[int, int]) -> tuple
         slips,
         flags,
     )
+
+
+def outline_of(message: Any) -> MeasuredOutline:
+    """Outline of a contact from a finger_msgs/ContactArea; NaN where it is not known, as in
+    recordings that are older than its deviations, and where the contact is not seen whole."""
+    if int(message.flags) & NOT_WHOLE:
+        return NO_OUTLINE
+    names = "centroid_stddev", "ellipse_major_stddev", "ellipse_minor_stddev"
+    center = float(message.centroid.x), float(message.centroid.y)
+    axes = (float(getattr(message, f"ellipse_{name}")) for name in ("major", "minor", "angle"))
+    return MeasuredOutline(center, *axes, *(float(getattr(message, n, math.nan)) for n in names))
+
+
+def shape_numbers(shape: ShapeEstimate) -> tuple[float, ...]:
+    """Numbers of a finger_msgs/ContactShape in the order of its fields, without its text."""
+    stamp, area, axes, angle, center, pressure, *pose = shape
+    return (
+        *divmod(stamp, NANOSECONDS),
+        area,
+        *axes,
+        angle,
+        *(*center, 0.0),
+        *(*pressure, 0.0),
+        *pose,
+    )
+
+
+def shape_fields(shape: ShapeEstimate, frame_id: str = "") -> dict[str, Any]:
+    """Fields of a finger_msgs/ContactShape."""
+    stamp, area, axes, angle, center, pressure, *pose = shape
+    names = ("pad_aspect", "pad_aspect_stddev", "pitch", "pitch_stddev", "roll", "roll_stddev")
+    return {
+        "header": {"stamp": time_fields(stamp), "frame_id": frame_id},
+        "area": area,
+        "semi_axis_major": axes[0],
+        "semi_axis_minor": axes[1],
+        "angle": angle,
+        "center": {"x": center[0], "y": center[1], "z": 0.0},
+        "center_of_pressure": {"x": pressure[0], "y": pressure[1], "z": 0.0},
+        **dict(zip((*names, "flags"), pose)),
+    }
+
+
+def torque_of(message: Any) -> tuple[float, float, float]:
+    """Torque (3,) in N m of a geometry_msgs/WrenchStamped."""
+    torque = message.wrench.torque
+    return torque.x, torque.y, torque.z
 
 
 def in_space(vector: tuple[float, float], lateral_axes: tuple[int, int]) -> list[float]:

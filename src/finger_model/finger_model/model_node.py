@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """Node `model`: publishes `contact_state` for every wrench sample, and `contact_slip` where
-somebody listens.
+somebody listens; with `contact_shape: true` also `contact_shape`.
 
 The estimate is corrected by `contact_area`; its parameters follow `moisture`.
 """
@@ -52,6 +52,7 @@ from finger_common.settings import Settings, setting
 from finger_common.stamps import seconds
 from finger_msgs.msg import (
     ContactArea,
+    ContactShape,
     ContactSlip,
     ContactState,
     ModelEvent,
@@ -71,12 +72,17 @@ from .messages import (
     area_of,
     event_fields,
     moisture_of,
+    outline_of,
+    shape_numbers,
     slip_numbers,
     state_numbers,
     stick_of,
+    torque_of,
     wrench_of,
 )
 from .parameter_sets import ParameterSets
+from .pose.estimator import PoseEstimator
+from .pose.settings import PoseSettings
 from .reduced.model import ReducedModel, load_population
 from .slip import SlipEstimator, SlipSettings
 from .subjects import PressCollector, save_subject, subject_file
@@ -108,6 +114,12 @@ class ModelSettings(Settings):
         "",
         "Reduced model made by 'finger-model reduce'; empty for the shipped one.",
     )
+    contact_shape: bool = setting(
+        False,
+        "Estimate ellipse and tilt of the contact, and publish them as contact_shape.",
+        runtime=True,
+        advice="Costs some percent of a core.",
+    )
     force_stale_after: float = setting(
         0.1,
         "Time without a wrench sample after which diagnostics report an error.",
@@ -132,6 +144,8 @@ _WARNINGS = {
     StateFlag.FORCE_INVALID: "the force is not a finite number",
     StateFlag.FORCE_OFFSET: "force without a finger is suspected: tare the force sensor with "
     "nothing on the plate",
+    StateFlag.POSE_OUT_OF_RANGE: "pad_aspect, the plate's tilt or the finger's proportions are "
+    "beyond what the correction of the area was learned for",
     StateFlag.FORCE_OUT_OF_RANGE: "the force is beyond what the reduced model was built for",
 }
 
@@ -169,7 +183,7 @@ class ModelNode(ManagedNode):
     through DDS. `_lock` is held by whoever uses the estimator.
     """
 
-    SETTINGS = (EstimatorSettings, SlipSettings, ModelSettings)
+    SETTINGS = (EstimatorSettings, SlipSettings, PoseSettings, ModelSettings)
     NAME = "model"
 
     def __init__(self, **options: Any) -> None:
@@ -192,6 +206,9 @@ class ModelNode(ManagedNode):
         self._slip: SlipEstimator | None = None
         self._force: tuple[float, float, float] = (0.0, 0.0, 0.0)
         self._slip_serializer: tuple[str, FixedMessage] | None = None
+        self._pose: PoseEstimator | None = None
+        self._torque: tuple[float, float, float] = (0.0, 0.0, 0.0)
+        self._shape_serializer: tuple[str, FixedMessage] | None = None
         self._wrench: Any = None
         self._local: LocalSubscription | None = None
         self._latency, self._age = LatencyHistogram(), LatencyHistogram()
@@ -223,6 +240,9 @@ class ModelNode(ManagedNode):
         self._slip_publisher = self.create_stream_publisher(
             ContactSlip, "contact_slip", self.stream_qos(publisher=True)
         )
+        self._shape_publisher = self.create_stream_publisher(
+            ContactShape, "contact_shape", self.stream_qos(publisher=True)
+        )
         self._event_publisher = self.create_publisher(ModelEvent, "model_events", EVENTS_QOS)
         self._local = LocalSubscription(self, values["wrench_topic"], self._on_sample, self.fail)
         self._follow_wrench()
@@ -241,6 +261,7 @@ class ModelNode(ManagedNode):
         self._entities = [
             (self.destroy_publisher, self._state_publisher),
             (self.destroy_publisher, self._slip_publisher),
+            (self.destroy_publisher, self._shape_publisher),
             (self.destroy_publisher, self._event_publisher),
             (WaitedSubscription.destroy, area),
             (WaitedSubscription.destroy, moisture),
@@ -270,6 +291,7 @@ class ModelNode(ManagedNode):
         sets, self._collector = self._sets_of(self._subject), PressCollector()
         self.estimator = self._new_estimator(sets)
         self._slip = self._new_slip_estimator()
+        self._pose = None
         self._started = False
         self._jumped = False
         self._last = None
@@ -320,6 +342,7 @@ class ModelNode(ManagedNode):
                 self._slip = self._new_slip_estimator(settings.normal_axis)
             elif self._slip is not None:
                 self._slip.configure(SlipSettings.select(merged))
+            self._pose = None
             if sets is not None:
                 self._sets = sets
                 reason = f"parameter file {changes['parameter_file'] or 'unset, shipped sets'}"
@@ -377,9 +400,15 @@ class ModelNode(ManagedNode):
             self._on_sample(*_sample_of(*taken))
 
     def _on_sample(
-        self, stamp: int, force: tuple[float, float, float], frame: str, received: int
+        self,
+        stamp: int,
+        force: tuple[float, float, float],
+        frame: str,
+        received: int,
+        torque: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> None:
-        """One sample: stamp (ns), force (3,) in N, its frame, and when it came (ns)."""
+        """One sample: stamp (ns), force (3,) in N, its frame, when it came (ns), torque (3,) in
+        N m."""
         with self._lock:
             estimator = self.estimator
             if not self._active or estimator is None:
@@ -393,6 +422,7 @@ class ModelNode(ManagedNode):
                 if last is not None and stamp <= last:
                     self._publish_event(estimator.clock_jump_event(stamp))
             before, self._force = self._force, force
+            before_torque, self._torque = self._torque, torque
             if self._collector.collecting:
                 axis, sign = axis_of(estimator.settings.normal_axis)
                 self._collector.add_force(stamp, sign * force[axis])
@@ -406,6 +436,8 @@ class ModelNode(ManagedNode):
                 # A sample that waited for its successor comes with it.
                 own = force if estimate.stamp_ns == stamp else before
                 self._publish_slip(estimate, own, frame)
+                own_torque = torque if estimate.stamp_ns == stamp else before_torque
+                self._publish_shape(estimate, own, own_torque, frame)
 
     def _publish_slip(
         self, estimate: ContactEstimate, force: tuple[float, float, float], frame: str
@@ -420,6 +452,35 @@ class ModelNode(ManagedNode):
             self._slip_serializer = frame, FixedMessage(prototype)
         numbers = slip_numbers(found, self._slip.lateral_axes)
         self._slip_publisher.publish(self._slip_serializer[1].pack(*numbers))
+
+    def _publish_shape(
+        self,
+        estimate: ContactEstimate,
+        force: tuple[float, float, float],
+        torque: tuple[float, float, float],
+        frame: str,
+    ) -> None:
+        """Ellipse and tilt at the sample, where they are wanted."""
+        if not self.values["contact_shape"]:
+            self._pose = None
+            return
+        assert self.estimator is not None
+        if self._pose is None:
+            settings = self.estimator.settings
+            self._pose = PoseEstimator(
+                self.estimator.model.geometry,
+                self.settings(PoseSettings),
+                settings.pose,
+                settings.normal_axis,
+            )
+        self._pose.follow(estimate, force, torque)
+        if not self._pose.due(estimate.stamp_ns):
+            return
+        if self._shape_serializer is None or self._shape_serializer[0] != frame:
+            prototype = ContactShape(header=Header(frame_id=frame))
+            self._shape_serializer = frame, FixedMessage(prototype)
+        numbers = shape_numbers(self._pose.shape(estimate))
+        self._shape_publisher.publish(self._shape_serializer[1].pack(*numbers))
 
     def _serialized(self, estimate: ContactEstimate, frame: str) -> bytes:
         """The estimate as a ContactState."""
@@ -441,6 +502,8 @@ class ModelNode(ManagedNode):
                 elif self._slip is not None:
                     delay = self.estimator.settings.fusion_delay
                     self._slip.expect_stick_ratio(area[0], *stick_of(message), delay)
+                    if self._pose is not None:
+                        self._pose.expect_outline(area[0], outline_of(message), delay)
 
     def _on_moisture(self, message: Moisture) -> None:
         with self._lock:
@@ -677,9 +740,14 @@ def _values(found: Calibration, taken: float) -> list[KeyValue]:
 
 def _sample_of(
     message: WrenchStamped, info: dict[str, int]
-) -> tuple[int, tuple[float, float, float], str, int]:
-    """Stamp, force, frame and time of receipt of a message and what the middleware adds."""
-    return *wrench_of(message), message.header.frame_id, info["received_timestamp"]
+) -> tuple[int, tuple[float, float, float], str, int, tuple[float, float, float]]:
+    """Stamp, force, frame, time of receipt and torque of a message and what the middleware adds."""
+    return (
+        *wrench_of(message),
+        message.header.frame_id,
+        info["received_timestamp"],
+        torque_of(message),
+    )
 
 
 main = main_of(ModelNode)

@@ -43,6 +43,8 @@ class InputTopics:
         replaced = {sibling(wrench, "contact_state")}
         if options.slip:
             replaced.add(sibling(wrench, "contact_slip"))
+        if options.shape:
+            replaced.add(sibling(wrench, "contact_shape"))
         if from_images:
             replaced |= {sibling(wrench, "contact_area"), area or ""}
         if not follow:

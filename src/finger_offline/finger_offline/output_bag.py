@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 
@@ -51,6 +52,7 @@ class OutputBag:
         self._reader, self._options = reader, options
         self._state_topic = sibling(topics.wrench, "contact_state")
         self._slip_topic = sibling(topics.wrench, "contact_slip")
+        self._shape_topic = sibling(topics.wrench, "contact_shape")
         self._area_topic = sibling(topics.wrench, "contact_area")
         self._event_topic = sibling(topics.wrench, "model_events")
         self._skipped = set(topics.replaced)
@@ -69,6 +71,8 @@ class OutputBag:
         writer.add_topic(self._state_topic)
         if self._options.slip:
             writer.add_topic(self._slip_topic)
+        if self._options.shape:
+            writer.add_topic(self._shape_topic)
         return self
 
     def __exit__(
@@ -110,11 +114,13 @@ class OutputBag:
         logs: np.ndarray,
         wrench: bytes,
         slips: list[bytes],
+        shapes: list[tuple[int, dict[str, Any]]],
     ) -> None:
         """Write estimates, each logged with its wrench.
 
         stamps, logs (n,): of all wrenches, ns. wrench: one of them, serialized; slips: serialized
-        ContactSlips of the estimates, or none.
+        ContactSlips of the estimates, or none; shapes: number of
+        the estimate and fields of each ContactShape, or none.
         """
         own = block.column("stamp_ns")
         if np.array_equal(own, stamps):
@@ -129,6 +135,8 @@ class OutputBag:
         self._writer.write_many(self._state_topic, states, times)
         if slips:
             self._writer.write_many(self._slip_topic, slips, times)
+        for number, fields in shapes:
+            self._writer.write(self._shape_topic, fields, times[number])
 
 
 def _is_image(item: BagMessage) -> bool:

@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -36,9 +37,21 @@ from finger_model.estimator import (
     EventType,
 )
 from finger_model.finger import load_for
-from finger_model.messages import NOT_WHOLE, area_of, event_of, moisture_of, stick_of
+from finger_model.messages import (
+    NO_OUTLINE,
+    NOT_WHOLE,
+    area_of,
+    event_of,
+    moisture_of,
+    outline_of,
+    shape_fields,
+    stick_of,
+)
 from finger_model.parameter_sets import ParameterSets
+from finger_model.pose.estimator import MeasuredOutline, PoseEstimator
+from finger_model.pose.settings import PoseSettings
 from finger_model.slip import SlipEstimator
+from finger_vision.area_sensor import ContactMeasurement
 
 from .contact_states import open_table, serialize_slips
 from .image_areas import ImageAreas, MeasuringThread
@@ -145,6 +158,21 @@ def _recorded_start(reader: BagReader, topic: str) -> EstimatorEvent | None:
     return found
 
 
+def measured_outline(measured: ContactMeasurement) -> MeasuredOutline:
+    """Outline of a contact measured in an image; NaN where it is not seen whole."""
+    if measured.flags & NOT_WHOLE:
+        return NO_OUTLINE
+    return MeasuredOutline(
+        measured.centroid,
+        measured.ellipse_major,
+        measured.ellipse_minor,
+        measured.ellipse_angle,
+        measured.centroid_sd,
+        measured.ellipse_major_sd,
+        measured.ellipse_minor_sd,
+    )
+
+
 class _Run:
     """One pass over a bag: messages into the queue, then through the estimator to the outputs."""
 
@@ -165,6 +193,12 @@ class _Run:
         # Images are not held for so long: they need memory.
         axis = estimator.settings.normal_axis
         self.slip = SlipEstimator(normal_axis=axis) if options.slip else None
+        self.pose = None
+        if options.shape:
+            settings = PoseSettings.from_mapping(options.pose)
+            known = estimator.settings.pose
+            self.pose = PoseEstimator(estimator.model.geometry, settings, known, axis)
+        self._outlines: dict[int, MeasuredOutline] = {}
         self.last_force = np.zeros(3)
         self._sticks: dict[int, tuple[float, float]] = {}
         self.queue = InputOrder(topics.events is not None and topics.image is None)
@@ -248,6 +282,7 @@ class _Run:
             if value is None:
                 _, area, sd, flags = area_of(item.message)
                 self._sticks[stamp] = stick_of(item.message)
+                self._outlines[stamp] = outline_of(item.message)
                 area, sd = area * mapped.scale, sd * mapped.scale
             else:
                 area, sd, flags = value, RELATIVE_AREA_SD * abs(value), 0
@@ -282,6 +317,7 @@ class _Run:
             stamp = stamp_of_cdr(item.raw)
             if not measured.flags & NOT_WHOLE:
                 self._sticks[stamp] = measured.motion.stick_ratio, measured.motion.stick_ratio_sd
+                self._outlines[stamp] = measured_outline(measured)
             self._add_area(item.log_time_ns, stamp, area, sd, int(measured.flags))
             if self.output is not None:
                 self.output.write_area(measured, stamp, item.log_time_ns)
@@ -300,18 +336,23 @@ class _Run:
                 if used and stick is not None and self.slip is not None:
                     delay = self.estimator.settings.fusion_delay
                     self.slip.expect_stick_ratio(values[0], *stick, delay)
+                outline = self._outlines.pop(values[0], None)
+                if used and outline is not None and self.pose is not None:
+                    delay = self.estimator.settings.fusion_delay
+                    self.pose.expect_outline(values[0], outline, delay)
         for items in self.queue.wrenches_due(now_ns):
             self._estimate(items)
 
     def _estimate(self, items: Sequence[BagMessage]) -> None:
         mapped = self.mapping.topic("wrench")
-        stamps, forces, _ = stamps_and_wrenches([i.raw for i in items], self.decode)
+        stamps, forces, torques = stamps_and_wrenches([i.raw for i in items], self.decode)
         logs = np.array([i.log_time_ns for i in items], np.int64)
         good = stamps >= 0
         if not good.all():
             reason = f"bytes are not a {WRENCH_TYPE}"
             self.malformed.add(self.topics.wrench, reason, int((~good).sum()))
             stamps, forces, logs = stamps[good], forces[good], logs[good]
+            torques = torques[good]
         if mapped.log_time:
             stamps = logs.copy()
         if not len(stamps):
@@ -329,9 +370,35 @@ class _Run:
             slips = (
                 [] if self.slip is None else self._slips(self.slip, block, stamps, forces, wrench)
             )
-            self.output.write_states(block, stamps, logs, wrench, slips)
+            shapes = self._shapes(self.pose, block, stamps, forces, torques, wrench)
+            self.output.write_states(block, stamps, logs, wrench, slips, shapes)
         for sink in self.sinks:
             sink(block)
+
+    def _shapes(
+        self,
+        pose: PoseEstimator | None,
+        block: EstimateBlock,
+        stamps: np.ndarray,
+        forces: np.ndarray,
+        torques: np.ndarray,
+        wrench: bytes,
+    ) -> list[tuple[int, dict[str, Any]]]:
+        """Number of the estimate and fields of each ContactShape of a block; stamps (n,), forces,
+        torques (n, 3) of all its wrenches."""
+        if pose is None:
+            return []
+        frame = frame_id_of_cdr(wrench)
+        place = {stamp: i for i, stamp in reversed(list(enumerate(stamps.tolist())))}
+        found = []
+        for k, estimate in enumerate(block):
+            # One that waited for its successor may be of the block before: without torque then.
+            at = place.get(estimate.stamp_ns)
+            torque = torques[at].tolist() if at is not None else (0.0, 0.0, 0.0)
+            pose.follow(estimate, forces[at or 0].tolist(), torque)
+            if pose.due(estimate.stamp_ns):
+                found.append((k, shape_fields(pose.shape(estimate), frame)))
+        return found
 
     def _slips(
         self,

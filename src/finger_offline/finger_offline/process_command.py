@@ -44,7 +44,7 @@ def add_command(add: AddCommand) -> None:
     )
     model = parser.add_argument_group("model and estimator")
     model.add_argument(
-        "--set", action="append", default=[], metavar="NAME=VALUE", help="estimator setting"
+        "--set", action="append", default=[], metavar="NAME=VALUE", help="estimator or pose setting"
     )
     model.add_argument("--parameters", default="", metavar="FILE", help="parameters.yaml to use")
     model.add_argument("--model", default="", metavar="FILE", help="reduced model to use")
@@ -67,10 +67,12 @@ def run(args: argparse.Namespace) -> int:
     tables = tuple(table for table in (args.csv, args.parquet) if table)
     if several and tables:
         raise InputError("--csv and --parquet take one bag; process the bags one by one")
+    estimator, pose = estimator_settings(args.set)
     options = read_settings_from(
         args,
         ProcessOptions,
-        estimator=estimator_settings(args.set),
+        estimator=estimator,
+        pose=pose,
         parameter_file=args.parameters,
         model_file=args.model,
         geometry_file=args.geometry,
@@ -95,9 +97,10 @@ def run(args: argparse.Namespace) -> int:
     return _report(results, time.perf_counter() - began)
 
 
-def estimator_settings(pairs: Sequence[str]) -> dict[str, Any]:
-    """NAME=VALUE pairs as checked settings of the estimator; raises InputError."""
+def estimator_settings(pairs: Sequence[str]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """NAME=VALUE pairs as checked settings of the estimator and of the pose; raises InputError."""
     from finger_model.estimator import EstimatorSettings
+    from finger_model.pose.settings import PoseSettings
 
     found: dict[str, Any] = {}
     for pair in pairs:
@@ -108,8 +111,10 @@ def estimator_settings(pairs: Sequence[str]) -> dict[str, Any]:
             found[name] = json.loads(text)
         except ValueError:
             found[name] = text
+    pose = {name: found.pop(name) for name in list(found) if name in PoseSettings.parameters()}
     EstimatorSettings.parameters().check(found)
-    return found
+    PoseSettings.parameters().check(pose)
+    return found, pose
 
 
 def _process_one(job: tuple[Path, Path, ProcessOptions]) -> ProcessResult | FingerError:

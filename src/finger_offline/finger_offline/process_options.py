@@ -37,7 +37,9 @@ class ProcessOptions(ReadSettings):
     )
     keep_images: bool = setting(False, "Copy images to the new bag.")
     slip: bool = setting(False, "Estimate stick, slip and friction: writes contact_slip.")
+    shape: bool = setting(False, "Estimate ellipse and tilt of the contact: writes contact_shape.")
     estimator: Mapping[str, Any] = field(default_factory=dict)
+    pose: Mapping[str, Any] = field(default_factory=dict)
     parameter_file: str = ""
     model_file: str = ""
     geometry_file: str = ""

@@ -35,6 +35,8 @@ from .trial_records import Exclusion, TrialRecord, TrialSet
 CONDITION = re.compile(r"(?:\w[\w .,+()%-]{0,63})?")
 """Names of conditions; they name files of a fit too, so none may lead to another folder."""
 
+PULLED = "pulled sideways: a trial for the friction, not for the area"
+
 
 @dataclass(frozen=True)
 class TrialSettings(ReadSettings):
@@ -242,6 +244,8 @@ def _by_messages(
             continue
         best = max(inside, key=lambda p: float(normal[p[0] : p[1]].max()))
         reason = f"marked as failed: {failed.note or 'no reason given'}" if failed else ""
+        if not reason and any(e.phase == TrialPhase.PULL for e in group):
+            reason = PULLED
         chosen.append(_Press(*best, group[-1], reason))
     # A trial that was only prepared in this bag has no press to lose.
     return chosen, without

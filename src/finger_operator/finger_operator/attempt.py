@@ -15,7 +15,8 @@ class Attempt:
     """One attempt at a trial and its result.
 
     verdict: running, done, failed or superseded. Stamps are in ns, forces in N, gaps in s, the
-    size of the bag in bytes; None for an event that did not occur.
+    size of the bag in bytes; None for an event that did not occur. friction: that of a pull that
+    slipped, 0 where there was none.
     """
 
     attempt: int
@@ -33,6 +34,10 @@ class Attempt:
     size: int = 0
     longest_gap: float = 0.0
     longest_frame_gap: float = 0.0
+    pull_ns: int | None = None
+    slip_ns: int | None = None
+    friction: float = 0.0
+    friction_stddev: float = 0.0
     moisture_before: list[float] = field(default_factory=list)
     moisture_after: list[float] = field(default_factory=list)
 
@@ -42,6 +47,13 @@ class Attempt:
         if self.onset_ns is None or self.cue_ns is None:
             return None
         return seconds(self.cue_ns - self.onset_ns)
+
+    @property
+    def found(self) -> str:
+        """What a pull has found, for people; empty for a press."""
+        if self.slip_ns is None:
+            return ""
+        return f"slipped, friction {self.friction:.2f} ± {self.friction_stddev:.2f}"
 
 
 @dataclass

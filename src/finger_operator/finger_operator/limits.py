@@ -60,6 +60,9 @@ class Limits(Settings):
     target_timeout: float = setting(
         10.0, "Longest time from first touch to the target.", "s", 0.5, 600.0, runtime=True
     )
+    pull_timeout: float = setting(
+        10.0, "Longest time from the cue to pull to the slip.", "s", 0.5, 600.0, runtime=True
+    )
     lift_timeout: float = setting(
         10.0, "Longest time from the cue to lift-off.", "s", 0.5, 600.0, runtime=True
     )

@@ -1,10 +1,11 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The normal force in a WrenchStamped message."""
+"""Normal and tangential force in a WrenchStamped message."""
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from finger_common.axes import axis_of
@@ -16,7 +17,13 @@ class NormalForce:
     def __init__(self, normal_axis: str) -> None:
         index, self._sign = axis_of(normal_axis)
         self._component = "xyz"[index]
+        self._others = "xyz"[(index + 1) % 3], "xyz"[(index + 2) % 3]
 
     def __call__(self, message: Any) -> float:
         """Normal force in N, positive in compression."""
         return self._sign * float(getattr(message.wrench.force, self._component))
+
+    def tangential(self, message: Any) -> float:
+        """Size of the force across the normal in N."""
+        force = message.wrench.force
+        return math.hypot(*(getattr(force, name) for name in self._others))

@@ -226,7 +226,7 @@ class PageNode(ManagedNode):
         self._server.publish_cue(header_stamp(message), cue)
         if phase is TrialPhase.PRESS:
             self._curves.press_begins(message.index, began)
-        elif phase is not TrialPhase.LIFT:
+        elif phase not in (TrialPhase.PULL, TrialPhase.LIFT):
             self._curves.press_ends(began)
 
     def _preparation(self, condition: str) -> str:

@@ -22,6 +22,7 @@ class PressEvent(Enum):
 
     TARGET_REACHED = 1
     FINGER_OFF = 2
+    PULL_BEGINS = 3
 
 
 class Press:
@@ -45,7 +46,11 @@ class Press:
             self.problems.append(text)
 
     def add_force(
-        self, stamp_ns: int, normal_force: float, previous_ns: int | None
+        self,
+        stamp_ns: int,
+        normal_force: float,
+        previous_ns: int | None,
+        tangential_force: float = 0.0,
     ) -> PressEvent | None:
         """One force sample in N, NaN for an invalid one. previous_ns: stamp of the one before."""
         attempt, limits = self.attempt, self.limits
@@ -66,10 +71,11 @@ class Press:
         attempt.peak_force = max(attempt.peak_force, normal_force)
         if attempt.onset_ns is None:
             return None
-        if attempt.cue_ns is None and self._is_time_to_lift(stamp_ns, normal_force):
-            attempt.cue_ns = stamp_ns
-            self._below_since = None
-            return PressEvent.TARGET_REACHED
+        if attempt.cue_ns is None:
+            cue = self._cue(stamp_ns, normal_force, tangential_force)
+            if cue is not None:
+                self._below_since = None
+                return cue
         if in_contact(True, normal_force, liftoff_force=limits.liftoff_force):
             self._below_since = None
         elif self._below_since is None:
@@ -79,7 +85,16 @@ class Press:
             return PressEvent.FINGER_OFF
         return None
 
-    def _is_time_to_lift(self, stamp_ns: int, normal_force: float) -> bool:
+    def _cue(
+        self, stamp_ns: int, normal_force: float, tangential_force: float
+    ) -> PressEvent | None:
+        """The cue that a sample before the cue to lift brings."""
+        if not self._is_held(stamp_ns, normal_force):
+            return None
+        self.attempt.cue_ns = stamp_ns
+        return PressEvent.TARGET_REACHED
+
+    def _is_held(self, stamp_ns: int, normal_force: float) -> bool:
         """Whether the target was reached, and held as long as is asked for."""
         guided, onset = self.guided, self.attempt.onset_ns
         assert onset is not None
@@ -100,8 +115,16 @@ class Press:
             self.add_problem(f"let go after {held:.1f} of {guided.hold:g} s")
         return seconds(stamp_ns - self._reached) >= guided.hold
 
-    def add_area(self, stamp_ns: int, area: float, flags: int, previous_ns: int | None) -> None:
-        """One contact area in m². previous_ns: stamp of the one before."""
+    def add_area(
+        self,
+        stamp_ns: int,
+        area: float,
+        flags: int,
+        previous_ns: int | None,
+        stick_ratio: float = math.nan,
+    ) -> None:
+        """One contact area in m². previous_ns: stamp of the one before. stick_ratio: NaN if the
+        camera does not tell."""
         attempt = self.attempt
         if attempt.onset_ns is None or stamp_ns < attempt.onset_ns:
             return

@@ -8,11 +8,13 @@ or stop the recorder) through one callback, and writes its state file at every c
 crash costs at most the attempt that was under way.
 
     idle → prepare → moisture before → clear → press → lift → moisture after → closing → done
+    press → pull → lift, where the trial is a pull
     done → prepare of the next trial;  any of them, when not valid → failed → prepare of the same
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
@@ -23,6 +25,7 @@ from finger_common.cli import one_line
 from finger_common.diagnostics import ERROR
 from finger_common.errors import InputError
 from finger_common.flags import AreaFlag
+from finger_common.guided_pulls import is_pull
 from finger_common.moisture import MOISTURE_RANGE, is_moisture
 from finger_common.stamps import seconds
 from finger_common.trial_phases import TrialPhase
@@ -31,6 +34,7 @@ from .attempt import Attempt, TrialState
 from .event_log import Event, EventLog, note_text, utc_time
 from .limits import Limits
 from .press import Press, PressEvent
+from .pull import Pull
 from .session_store import (
     STATE_FILE,
     SavedSession,
@@ -53,6 +57,7 @@ class Step(str, Enum):
     MOISTURE_BEFORE = "moisture_before"
     CLEAR = "clear"
     PRESS = "press"
+    PULL = "pull"
     LIFT = "lift"
     MOISTURE_AFTER = "moisture_after"
     CLOSING = "closing"
@@ -68,10 +73,10 @@ PHASE_OF = {
 }
 """Announced phases of the steps that are no phase of their own."""
 
-UNDER_WAY = (Step.MOISTURE_BEFORE, Step.CLEAR, Step.PRESS, Step.LIFT, Step.MOISTURE_AFTER)
-"""Steps of an attempt that is being recorded."""
+PRESSING = (Step.PRESS, Step.PULL, Step.LIFT)
 
-PRESSING = (Step.PRESS, Step.LIFT)
+UNDER_WAY = (Step.MOISTURE_BEFORE, Step.CLEAR, *PRESSING, Step.MOISTURE_AFTER)
+"""Steps of an attempt that is being recorded."""
 
 
 @dataclass(frozen=True)
@@ -397,16 +402,19 @@ class Protocol:
 
     # Inputs ----------------------------------------------------------------------------------
 
-    def wrench(self, stamp_ns: int, normal_force: float) -> None:
-        """One force sample: normal force in N, positive in compression; NaN for an invalid one."""
+    def wrench(self, stamp_ns: int, normal_force: float, tangential_force: float = 0.0) -> None:
+        """One force sample: normal force in N, positive in compression, and the size of the force
+        along the plate; NaN for an invalid one."""
         previous = None if self._force is None else self._force[0]
         self._force = (stamp_ns, normal_force)
         self._now = max(self._now, stamp_ns)
         if self.paused or self.step not in PRESSING or self._press is None:
             return
-        event = self._press.add_force(stamp_ns, normal_force, previous)
+        event = self._press.add_force(stamp_ns, normal_force, previous, tangential_force)
         if event is PressEvent.TARGET_REACHED:
             self._enter(Step.LIFT, stamp_ns)
+        elif event is PressEvent.PULL_BEGINS:
+            self._enter(Step.PULL, stamp_ns)
         elif event is PressEvent.FINGER_OFF:
             reason = self._press.verdict(None if self._area is None else self._area[0])
             if reason:
@@ -416,12 +424,12 @@ class Protocol:
             else:
                 self._close()
 
-    def area(self, stamp_ns: int, area: float, flags: int) -> None:
-        """One contact area (m²) with its quality flags."""
+    def area(self, stamp_ns: int, area: float, flags: int, stick_ratio: float = math.nan) -> None:
+        """One contact area (m²) with its quality flags, and the stick ratio where it is known."""
         previous = None if self._area is None else self._area[0]
         self._area = (stamp_ns, area, flags)
         if not self.paused and self.step in PRESSING and self._press is not None:
-            self._press.add_area(stamp_ns, area, flags, previous)
+            self._press.add_area(stamp_ns, area, flags, previous, stick_ratio)
 
     def moisture(self, stamp_ns: int, value: float) -> None:
         """One moisture reading in a.u."""
@@ -575,7 +583,8 @@ class Protocol:
         bag = self.folder / f"{trial.index:03d}_{trial.condition}_{number}"
         attempt = Attempt(number, str(bag), began_ns=self._now)
         trial.attempts.append(attempt)
-        self._press = Press(attempt, self.plan.press_of(trial.condition), self.limits)
+        follow = Pull if is_pull(trial.condition) else Press
+        self._press = follow(attempt, self.plan.press_of(trial.condition), self.limits)
         self.message = ""
         self._clear_since = None
         step = Step.MOISTURE_BEFORE if self.plan.readings else Step.CLEAR
@@ -599,7 +608,8 @@ class Protocol:
         attempt.verdict, attempt.ended_ns = "done", self._now
         attempt.size = folder_size(Path(attempt.bag))
         self.trials[self.current].verdict = "done"
-        self._log("kept", f"trial {self.current + 1} kept")
+        found = f": {attempt.found}" if attempt.found else ""
+        self._log("kept", f"trial {self.current + 1} kept{found}")
 
     def _fail(self, reason: str) -> None:
         attempt = self._attempt
@@ -651,12 +661,13 @@ class Protocol:
         if phase is TrialPhase.FAILED and trial.attempts:
             note = trial.attempts[-1].reason
         elif phase is TrialPhase.DONE:
-            # With the last message of its bag, the operator's notes come into the bag.
+            # With the last message of its bag, what was found and noted comes into the bag.
             last = len(trial.attempts) - 1
             events = self.log.of("note", trial.index, last) + self.log.of(
                 "marker", trial.index, last
             )
-            note = "; ".join(f"{e.text} ({utc_time(e.stamp_ns)})" for e in events)
+            found = [text for text in (trial.attempts[-1].found,) if text]
+            note = "; ".join([*found, *(f"{e.text} ({utc_time(e.stamp_ns)})" for e in events)])
         return TrialEvent(
             self._step_began if self.step in PRESSING else self._now,
             self.plan.session,

@@ -360,12 +360,15 @@ class ProtocolNode(ManagedNode):
         for data, _ in self._wrench.take():
             if self._protocol is not None:
                 message = deserialize_message(data, WrenchStamped)
-                self._protocol.wrench(header_stamp(message), self._normal_force(message))
+                normal, across = self._normal_force(message), self._normal_force.tangential(message)
+                self._protocol.wrench(header_stamp(message), normal, across)
 
     def _on_area(self, message: ContactArea) -> None:
         self._poll()
         if self._protocol is not None:
-            self._protocol.area(header_stamp(message), message.gross_area, message.flags)
+            self._protocol.area(
+                header_stamp(message), message.gross_area, message.flags, message.stick_ratio
+            )
 
     def _on_moisture(self, message: Moisture) -> None:
         if self._protocol is not None:
@@ -395,7 +398,7 @@ class ProtocolNode(ManagedNode):
             self._free_read = time.monotonic()
             self._free = free_space(self._output)
         self._publish_status()
-        pressing = self._protocol is not None and self._protocol.step is Step.PRESS
+        pressing = self._protocol is not None and self._protocol.step in (Step.PRESS, Step.PULL)
         if pressing and self._press_timer.is_canceled():
             self._press_timer.reset()
         elif not pressing:

@@ -28,7 +28,7 @@ STATE_FILE = "session.json"
 TABLE_FILE = "trials.csv"
 COLUMNS = (
     "index,condition,attempt,verdict,time_to_target_s,peak_force_n,frames,moisture_before_au,"
-    "moisture_after_au,bag,reason,notes,markers"
+    "moisture_after_au,bag,reason,notes,markers,friction,friction_stddev"
 ).split(",")
 
 
@@ -150,6 +150,11 @@ def save_table(folder: Path, trials: Sequence[TrialState], log: EventLog) -> Non
                         a.reason,
                         "; ".join(e.text for e in log.of("note", trial.index, a.attempt)),
                         len(log.of("marker", trial.index, a.attempt)),
+                        *(
+                            (f"{a.friction:.4f}", f"{a.friction_stddev:.4f}")
+                            if a.found
+                            else ("",) * 2
+                        ),
                     )
                 )
 

@@ -15,12 +15,13 @@ from itertools import pairwise
 from statistics import median
 from typing import Any
 
+from finger_common.guided_pulls import PULL_TEXT, is_pull
 from finger_common.stamps import seconds
 
 from .attempt import TrialState
 from .event_log import Event
 from .protocol import Protocol, Step
-from .study_plan import CLEAN_PLATE, PlanSettings
+from .study_plan import CLEAN_PLATE, CLEAN_PLATE_PULL, PlanSettings
 
 EVENTS_SHOWN = 60
 
@@ -75,7 +76,7 @@ def session_status(
         "condition": trial.condition,
         "preparation": plan.preparation(trial.condition),
         "preparations": {c: plan.preparation(c) for c in plan.conditions},
-        "prompt": CLEAN_PLATE,
+        "prompt": CLEAN_PLATE_PULL if is_pull(trial.condition) else CLEAN_PLATE,
         "target_force": plan.press_of(trial.condition).target_force,
         "readings": plan.readings,
         "moisture_before": attempt.moisture_before if attempt else [],
@@ -118,14 +119,20 @@ def instruction(protocol: Protocol) -> str:
         return f"{reason[:1].upper()}{reason[1:]}.{again}"
     return {
         Step.IDLE: "Press Space to begin.",
-        Step.PREPARE: plan.press_of(trial.condition).text
+        Step.PREPARE: (plan.is_calibration and plan.press_of(trial.condition).text)
         or "Prepare finger and plate, then press Space.",
         Step.CLEAR: protocol.waiting_for() or "Hands off: the plate must be empty.",
         Step.PRESS: plan.press_of(trial.condition).text or "Press until the cue changes.",
+        Step.PULL: PULL_TEXT,
         Step.LIFT: "Lift the finger.",
         Step.CLOSING: "Saving the trial.",
-        Step.DONE: f"Trial {trial.index + 1} kept.",
+        Step.DONE: f"Trial {trial.index + 1} kept{_found(trial)}.",
     }[step]
+
+
+def _found(trial: TrialState) -> str:
+    found = trial.attempts[-1].found if trial.attempts else ""
+    return f": {found}" if found else ""
 
 
 def summary(protocol: Protocol) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from typing import Any
 
 from finger_common.errors import InputError
 from finger_common.guided_presses import CALIBRATION_PRESSES, PRESS_BY_NAME, GuidedPress
+from finger_common.guided_pulls import is_pull, press_before_pull, skin_of
 from finger_common.settings import Settings, setting
 from finger_common.subject_code import check_subject
 from finger_common.trial_phases import TARGET_FORCE
@@ -36,6 +37,12 @@ CLEAN_PLATE = (
     "it, until the cue changes to Lift."
 )
 """Prompt before each trial."""
+
+CLEAN_PLATE_PULL = (
+    "Clean the plate. Then press at its centre until the cue changes to Pull, and pull sideways "
+    "until it changes to Lift."
+)
+"""Prompt before each pull."""
 
 NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
@@ -60,7 +67,10 @@ class PlanSettings(Settings):
         "", "Id of the session; empty: made from subject, date and time.", runtime=True
     )
     conditions: list = setting(
-        ["dry", "natural", "moist"], "Blocks of the session, in this order.", runtime=True
+        ["dry", "natural", "moist"],
+        "Blocks of the session, in this order. With '_pull' behind its name, such as natural_pull, "
+        "the trials of a block are pulls until the finger slips.",
+        runtime=True,
     )
     trials: int = setting(
         15, "Trials per condition (the paper: 15).", minimum=1, maximum=1000, runtime=True
@@ -140,8 +150,11 @@ class StudyPlan(PlanSettings):
         return all(name in PRESS_BY_NAME for name in self.conditions)
 
     def press_of(self, condition: str) -> GuidedPress:
-        """The press that a trial asks for: of a calibration, or to the target at a free speed."""
+        """The press that a trial asks for: of a calibration, before a pull, or to the target at a
+        free speed."""
         found = PRESS_BY_NAME.get(condition)
+        if is_pull(condition):
+            found = press_before_pull(condition)
         return found or GuidedPress(condition, self.target_force, 0.0, (0.0, math.inf), "")
 
     def for_calibration(self, session: str) -> StudyPlan:
@@ -159,7 +172,10 @@ class StudyPlan(PlanSettings):
 
     def preparation(self, condition: str) -> str:
         """Preparation text of a condition."""
-        return self.preparations.get(condition, "Prepare the finger as in your protocol.")
+        for name in (condition, skin_of(condition)):
+            if name in self.preparations:
+                return self.preparations[name]
+        return "Prepare the finger as in your protocol."
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for the state file."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from finger_common.errors import InputError
 from finger_common.guided_presses import PRESS_BY_NAME
+from finger_common.guided_pulls import skin_of
 from finger_common.moisture import MOISTURE_RANGE
 from finger_model import paper
 from finger_model.material import Material
@@ -48,10 +49,10 @@ STUDY: dict[str, Condition] = {
 def condition(name: str) -> Condition:
     """The condition of that name; raises InputError naming the known ones.
 
-    The presses of a calibration are those of the natural finger.
+    The presses of a calibration are those of the natural finger; a pull is one of its condition.
     """
     try:
-        return STUDY["natural" if name in PRESS_BY_NAME else name]
+        return STUDY["natural" if name in PRESS_BY_NAME else skin_of(name)]
     except KeyError:
         known = ", ".join(STUDY)
         raise InputError(f"condition '{name}' is not simulated; choose one of {known}") from None

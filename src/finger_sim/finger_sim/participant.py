@@ -129,6 +129,22 @@ class Participant:
         since = seconds(now_ns - playing.start_ns)
         return float(np.interp(since, press.time, press.force, left=0.0, right=0.0))
 
+    def tangential_force(self, now_ns: int) -> np.ndarray | None:
+        """Force (2,) on the plate along its x and y in N; None but in a pull."""
+        playing = self._press
+        if playing is None or playing.trial.pull is None:
+            return None
+        return playing.trial.pull.force_on_plate(seconds(now_ns - playing.start_ns))
+
+    def pressure_center(self, now_ns: int) -> np.ndarray:
+        """Point (2,) of the plate in m about which the pressure has no torque."""
+        playing = self._press
+        if playing is None:
+            return np.zeros(2)
+        trial, since = playing.trial, seconds(now_ns - playing.start_ns)
+        x, y = (np.interp(since, trial.frame_time, along) for along in trial.pressure_center.T)
+        return np.array([x, y])
+
     def frame(self, frame_ns: int) -> Path | None:
         """Image file of the contact at a frame's mid-exposure, None for an empty plate."""
         playing = self._press

@@ -16,15 +16,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from finger_common.errors import InputError
+from finger_common.guided_pulls import HOLD, LOAD, skin_of
 
-from .press import Press, PressStyle
+from .press import Press, PressStyle, plan_press
 from .skin_slip import SkinSlip
 
-STYLE = PressStyle(ramp=(0.4, 0.8), hold=(2.6, 2.6))
+STYLE = PressStyle(ramp=(0.4, 0.8), hold=(3.0, 3.0))
 """Of a press that is held while the plate moves."""
-
-LOAD = 1.0
-"""N, normal force of such a press."""
 
 FRAME_RATE = 30.0
 """Images per s: ridges move by less than half their distance between two of them."""
@@ -39,8 +37,9 @@ FRICTION = {"dry": 0.35, "natural": 0.5, "moist": 0.8}
 FRICTION_SD, FRICTION_CHANGE = 0.2, 0.02
 """Standard deviations of its logarithm between fingers, and from pull to pull; assumptions."""
 
-PAUSE, RISE, SLIDE = 0.4, (0.5, 1.2), 0.3
-"""s from the cue to the pull's begin, from there to the slip, and of sliding."""
+PAUSE, RISE, SLIDE = HOLD + 0.3, (0.5, 1.2), 0.5
+"""s from the target to the pull's begin (hold and reaction), from there to the slip, and of
+sliding."""
 
 LAG = 0.35
 """Shift of the stick zone towards the trailing side (docs/vision.md)."""
@@ -67,6 +66,12 @@ class Pull:
     reach: float
     slip: float
 
+    def force_on_plate(self, time: float | np.ndarray) -> np.ndarray:
+        """Force (2,) or (2, k) in N on the plate along its x and y at a time or times (k,) in s;
+        zero beyond the record."""
+        size = np.interp(time, self.time, self.tangential, left=0.0, right=0.0)
+        return np.array([math.cos(self.direction) * size, math.sin(self.direction) * size])
+
     def skin(self, time: float, origin: tuple[float, float]) -> SkinSlip:
         """How the skin of a finger that touched at `origin` (m) lies at a time in s."""
         ratio = float(np.interp(time, self.time, self.ratio))
@@ -78,11 +83,18 @@ class Pull:
 
 def finger_friction(rng: np.random.Generator, condition: str) -> float:
     """Friction of a finger; raises InputError for a condition without one."""
-    if condition not in FRICTION:
-        raise InputError(
-            f"no friction for condition '{condition}'; known are {', '.join(FRICTION)}"
-        )
-    return FRICTION[condition] * math.exp(rng.normal(0.0, FRICTION_SD))
+    skin = skin_of(condition)
+    if skin not in FRICTION:
+        raise InputError(f"no friction for condition '{skin}'; known are {', '.join(FRICTION)}")
+    return FRICTION[skin] * math.exp(rng.normal(0.0, FRICTION_SD))
+
+
+def pressed_and_pulled(
+    press_rng: np.random.Generator, pull_rng: np.random.Generator, friction: float
+) -> tuple[Press, Pull]:
+    """A press that is held, and its pull; friction: of the finger."""
+    press = plan_press(press_rng, None, STYLE, LOAD)
+    return press, plan_pull(pull_rng, press, friction)
 
 
 def plan_pull(rng: np.random.Generator, press: Press, friction: float) -> Pull:

@@ -39,10 +39,11 @@ RIG_READY = "simulated rig is ready"
 """Begins the line of the log after which all devices can be opened."""
 
 NOT_MODELLED = (
-    "force: temperature drift, hysteresis, cross-talk, gravity and inertia of the plate, stroking",
-    "finger: another shape than axisymmetric, tilt, change of skin and size between trials",
+    "force: temperature drift, hysteresis, cross-talk, gravity and inertia of the plate",
+    "finger: change of skin and size between trials; ellipse and tilt are the learned correction's",
     "participant: the cue on the screen (reaction time follows the planned force), correction by "
     "sight",
+    "pull: creep and twist under it, a spring of constant stiffness, Coulomb's friction",
     "moisture: the probe's contact pressure and warm-up, sweat that changes during a press",
     "camera: exposure as an integral over time, lost frames, USB hiccups",
     *(f"picture: {text}" for text in ftir.NOT_MODELLED),
@@ -55,6 +56,9 @@ UNLOADED_WRENCH = np.array([0.21, -0.13, -0.42, 1.1e-3, 0.8e-3, -0.3e-3])
 LATERAL_SHARE = 0.04
 """Standard deviation of the tangential over the normal force of a press that is meant to be
 perpendicular."""
+
+SENSOR_DEPTH = 0.02
+"""m, of the sensor's origin below the surface of the plate; an assumption."""
 
 EXPOSURE = 5e-3
 """s; a frame appears half an exposure after its stamp, plus the time to write it."""
@@ -96,6 +100,7 @@ class SimulatedRig:
                 folder=addresses.planned,
                 view=settings.view,
                 refinement=settings.refinement,
+                pose=settings.pose,
             )
         )
         period_ns = nanoseconds(1 / settings.frame_rate)
@@ -168,8 +173,11 @@ class SimulatedRig:
         """Wrench (6,) in N and N m on the sensor below the plate, whose z axis points up."""
         normal = self.participant.normal_force(stamp_ns)
         wrench = UNLOADED_WRENCH.copy()
-        wrench[2] -= normal
-        wrench[:2] += self._lateral * normal
+        pulled = self.participant.tangential_force(stamp_ns)
+        force = np.array([*(self._lateral * normal if pulled is None else pulled), -normal])
+        place = [*self.participant.pressure_center(stamp_ns), SENSOR_DEPTH]
+        wrench[:3] += force
+        wrench[3:] += np.cross(place, force)
         return wrench
 
     # Camera ------------------------------------------------------------------------------------
@@ -214,5 +222,6 @@ class SimulatedRig:
         self._report(
             f"pressed {trial.request.name}: {trial.press.force.max():.2f} N, "
             f"{trial.frame_area.max() * 1e6:.1f} mm² at most"
+            + (f", slipped at friction {trial.pull.friction:.3f}" if trial.pull else "")
         )
         self._lateral = self._rng.normal(0.0, LATERAL_SHARE, 2)

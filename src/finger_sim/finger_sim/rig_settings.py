@@ -13,6 +13,7 @@ from finger_common.namespaces import DEFAULT_NAMESPACE, default_folder, own_port
 from finger_common.settings import Settings, setting
 from finger_driver import can_bus
 from finger_driver.simulators import images, netcanoem, serial_moisture
+from finger_model.solid3d.mesh import Pose
 
 from .addresses import CAN_CHANNEL, RigAddresses
 from .conditions import condition
@@ -65,6 +66,23 @@ class RigSettings(Settings):
     refinement: float = setting(
         1.0, "Of the simulated finger's mesh; 1 is the default mesh.", minimum=0.3
     )
+    pad_aspect: float = setting(
+        1.0, "Length of the simulated pad over its width.", minimum=1.0, maximum=1.6
+    )
+    plate_pitch: float = setting(
+        0.0,
+        "Tilt of the plate against the simulated finger: its side towards the fingertip rises.",
+        unit="rad",
+        minimum=-0.52,
+        maximum=0.52,
+    )
+    plate_roll: float = setting(
+        0.0,
+        "Tilt of the plate about the simulated finger's long axis.",
+        unit="rad",
+        minimum=-0.52,
+        maximum=0.52,
+    )
     upcoming: list[str] = setting(
         [""],
         "Blocks of trials to plan ahead, CONDITION:TRIALS; without any, the next trial is guessed.",
@@ -88,6 +106,11 @@ class RigSettings(Settings):
         folder = Path(self.folder) if self.folder else default_folder(namespace) / "devices"
         port = self.can_port or own_port(namespace, can_bus.DEFAULT_PORT)
         return RigAddresses(folder.absolute(), port, self.can_channel)
+
+    @property
+    def pose(self) -> Pose:
+        """Of the simulated pad and the plate."""
+        return Pose(self.pad_aspect, self.plate_pitch, self.plate_roll)
 
     @property
     def view(self) -> CameraView:

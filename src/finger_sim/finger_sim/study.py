@@ -23,10 +23,10 @@ from typing import Any
 
 from finger_common.errors import InputError
 from finger_common.files import atomic_write
+from finger_common.guided_pulls import LOAD
 from finger_common.stamps import NANOSECONDS
 from finger_model.paper import TARGET_FORCE, TRIALS_PER_CONDITION
 
-from . import pull
 from .conditions import STUDY, condition
 from .study_bag import START_NS, TRIAL_SECONDS, write_bag
 from .study_trial import EPIDERMIS_FACTORS, REFINEMENT, plan_study_trial, study_friction
@@ -91,7 +91,7 @@ def simulate_study(
         **plan,
         "materials": materials,
         "epidermis_factor": EPIDERMIS_FACTORS[seed % 2] if misfit else 1.0,
-        "target_force": pull.LOAD if slip else TARGET_FORCE,
+        "target_force": LOAD if slip else TARGET_FORCE,
     }
     if slip:
         truth["friction"] = {name: study_friction(seed, name) for name in conditions}

@@ -17,12 +17,13 @@ import numpy as np
 from finger_bag.schema import CALIBRATION_ATTACHMENT
 from finger_bag.writer import BagWriter
 from finger_common.flags import AreaFlag
+from finger_common.guided_pulls import HOLD
 from finger_common.stamps import nanoseconds
 from finger_common.trial_phases import TrialPhase
 
-from .ftir import Contact, FtirRenderer
+from .ftir import FtirRenderer
 from .study_trial import AREA_NOISE, FRAME_RATE, StudyTrial, measured_area, measured_force, stream
-from .trial_plan import PLACEMENT_SD, CameraView, renderer_for
+from .trial_plan import PLACEMENT_SD, CameraView, contact_of, renderer_for
 
 VIEW = CameraView(FRAME_RATE, 640, 512)
 """Area of interest of the paper's camera, 20 × 16 mm of the plate."""
@@ -85,7 +86,7 @@ def _phases(trial: StudyTrial, seed: int) -> Iterator[Record]:
     for time, phase in (
         (-9.0, TrialPhase.MOISTURE_BEFORE),
         (-0.05, TrialPhase.PRESS),
-        (press.cue, TrialPhase.LIFT),
+        *_cues(trial),
         (press.duration, TrialPhase.MOISTURE_AFTER),
         (press.duration + 9.0, TrialPhase.DONE),
     ):
@@ -98,6 +99,14 @@ def _phases(trial: StudyTrial, seed: int) -> Iterator[Record]:
             "target_force": trial.target_force,
         }
         yield time, "trial", "", fields
+
+
+def _cues(trial: StudyTrial) -> list[tuple[float, TrialPhase]]:
+    """Times (s) of the cues after that to press."""
+    press, pull = trial.press, trial.pull
+    if pull is None:
+        return [(press.cue, TrialPhase.LIFT)]
+    return [(press.cue + HOLD, TrialPhase.PULL), (pull.slip, TrialPhase.LIFT)]
 
 
 def _readings(trial: StudyTrial) -> Iterator[Record]:
@@ -136,12 +145,10 @@ def _areas(trial: StudyTrial, seed: int, noise: float) -> Iterator[Record]:
 
 
 def _frames(trial: StudyTrial, seed: int, renderer: FtirRenderer) -> Iterator[Record]:
-    x, y = stream(seed, trial.condition, trial.index, "placement").normal(0.0, PLACEMENT_SD, 2)
+    place = stream(seed, trial.condition, trial.index, "placement").normal(0.0, PLACEMENT_SD, 2)
     for time, area in zip(trial.frame_time, trial.area):
         radius = float(np.sqrt(area / np.pi))
-        place = (float(x), float(y))
-        skin = None if trial.pull is None else trial.pull.skin(float(time), place)
-        contact = Contact(radius, place, trial.misfit.aspect, slip=skin)
+        contact = contact_of(radius, place, trial.misfit.aspect, trial.pull, float(time))
         image = renderer.render_frame([contact]).image
         fields = {
             "height": image.shape[0],

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from finger_common.guided_pulls import LOAD
 from finger_model.geometry import Geometry
 from finger_model.paper import TARGET_FORCE
 
@@ -80,7 +81,7 @@ class StudyTrial:
     @property
     def target_force(self) -> float:
         """Normal force in N that the participant is asked for."""
-        return TARGET_FORCE if self.pull is None else pull.LOAD
+        return TARGET_FORCE if self.pull is None else LOAD
 
 
 def stream(seed: int, name: str, index: int, purpose: str) -> np.random.Generator:
@@ -110,9 +111,8 @@ def plan_study_trial(
     pulled = None
     if slip:
         rate = pull.FRAME_RATE
-        press = plan_press(rng, None, pull.STYLE, pull.LOAD)
-        pulled = pull.plan_pull(
-            stream(seed, name, index, "pull"), press, study_friction(seed, name)
+        press, pulled = pull.pressed_and_pulled(
+            rng, stream(seed, name, index, "pull"), study_friction(seed, name)
         )
     else:
         press = plan_press(rng)
@@ -145,9 +145,7 @@ def measured_force(trial: StudyTrial, seed: int) -> tuple[np.ndarray, np.ndarray
     force = rng.normal(0.0, FORCE_NOISE, (len(time), 3))
     force[:, 2] -= np.interp(time, trial.press.time, trial.press.force)
     if trial.pull is not None:
-        along = np.interp(time, trial.pull.time, trial.pull.tangential)
-        force[:, 0] += along * np.cos(trial.pull.direction)
-        force[:, 1] += along * np.sin(trial.pull.direction)
+        force[:, :2] += trial.pull.force_on_plate(time).T
     return time, np.round(force / FORCE_RESOLUTION) * FORCE_RESOLUTION
 
 

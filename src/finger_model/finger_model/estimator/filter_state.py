@@ -5,12 +5,17 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from finger_common.axes import axis_of
+from finger_common.flags import StateFlag
 from finger_common.stamps import nanoseconds
 
+from ..pose.correction import PoseCorrection
 from ..reduced.model import ReducedModel
+from ..solid3d.mesh import Pose
 from . import members, stream
 from .estimate import ESTIMATE_DTYPE
 from .mismatch import Mismatch, mismatch_of
@@ -29,6 +34,7 @@ class FilterState:
         self.constants: np.ndarray = np.zeros(0)
         self.finger: np.ndarray = np.zeros(0)
         self._stream = self.state["stream"]
+        self._pose_flags = 0
 
     # Configuration ---------------------------------------------------------------------------
 
@@ -46,11 +52,25 @@ class FilterState:
         ):
             config[name] = getattr(settings, name)
         config["fusion_delay"] = nanoseconds(settings.fusion_delay)
+        self._take_pose(settings.pose)
         noise = config["noise"]
         noise["slope_variance"] = settings.slope_sd**2
         noise["contact_variance"] = settings.contact_area_sd**2
         noise["drift_variance"] = settings.drift_sd**2
         noise["outlier_limit"] = settings.outlier_limit
+
+    def _take_pose(self, pose: Pose) -> None:
+        """Correct the model's area for a pad that is not round, or a plate that is tilted."""
+        own = self.configuration["pose"]
+        own[:] = 0.0
+        self._pose_flags = 0
+        if pose == Pose():
+            return
+        correction = PoseCorrection(self.model.geometry, pose)
+        own[:, :3] = correction.area_polynomial
+        own[:, 3] = 1.0 / (math.sqrt(math.pi) * correction.half_width)
+        if not correction.inside:
+            self._pose_flags = int(StateFlag.POSE_OUT_OF_RANGE)
 
     def use_parameters(
         self, selected: SelectedParameters, moisture: tuple[int, float] | None
@@ -59,7 +79,7 @@ class FilterState:
         config = self.configuration
         new = not len(self.finger) or config["moisture_stamp"][0] != (moisture or (0, np.nan))[0]
         config["moisture_stamp"], config["moisture"] = moisture or (0, np.nan)
-        config["flags"] = selected.flags
+        config["flags"] = selected.flags | self._pose_flags
         noise, prior = config["noise"], selected.prior
         noise["prior_mean"], noise["prior_covariance"] = prior.mean, prior.covariance
         noise["moisture_direction"] = prior.moisture_direction

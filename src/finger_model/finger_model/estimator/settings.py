@@ -15,6 +15,7 @@ from finger_common.moisture import MOISTURE_RANGE
 from finger_common.settings import Settings, setting
 
 from ..paper import NATURAL
+from ..solid3d.mesh import Pose
 
 _runtime = partial(setting, runtime=True)
 """A setting that may change while the estimator runs, as all of them may."""
@@ -146,5 +147,35 @@ class EstimatorSettings(Settings):
         maximum=1.0,
     )
 
+    pad_aspect: float = _runtime(
+        1.0,
+        "Length over width of the pad, where it is known; 1: round. The area of the model is "
+        "corrected by it and by the plate's tilt.",
+        minimum=0.5,
+        maximum=2.0,
+        advice="Learned for 1 to 1.6; the width is that of the geometry.",
+    )
+    plate_pitch: float = _runtime(
+        0.0,
+        "Tilt of the plate against the finger: its side towards the fingertip rises.",
+        unit="rad",
+        minimum=-0.78,
+        maximum=0.78,
+        advice="Learned up to 0.52 (30°), with plate_roll.",
+    )
+    plate_roll: float = _runtime(
+        0.0,
+        "Tilt of the plate about the finger's long axis.",
+        unit="rad",
+        minimum=-0.78,
+        maximum=0.78,
+    )
+
+    @property
+    def pose(self) -> Pose:
+        """Pad and plate; raises InputError for a tilt beyond 45°."""
+        return Pose(self.pad_aspect, self.plate_pitch, self.plate_roll)
+
     def validate(self) -> None:
         check_thresholds(self.onset_force, self.liftoff_force)
+        assert self.pose

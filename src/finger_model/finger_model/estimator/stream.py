@@ -20,6 +20,7 @@ from finger_common import contact_threshold
 from finger_common.flags import StateFlag
 
 from ..compiled import njit
+from ..pose.correction import LARGEST_DEPTH
 from ..reduced import kernels as rk
 from . import area_filter, members
 
@@ -63,6 +64,7 @@ CONFIGURATION = np.dtype(
         ("moisture_stamp", "i8"),  # ns
         ("flags", "i8"),  # of moisture and parameters
         ("noise", area_filter.FILTER_NOISE),
+        ("pose", "f8", (4,)),  # see _pose_gain; zeros for a round pad on a level plate
     ]
 )
 """Settings and the parameters in use; the core only reads them."""
@@ -201,6 +203,18 @@ def _follow_contact(config, state, normal_force, stamp):
 
 
 @njit(cache=True)
+def _pose_gain(config, area):
+    """Area of the pad in its pose over `area` (m²), that of a round one on a level plate, and the
+    derivative of its logarithm by that of `area`."""
+    pose = config.pose
+    if pose[3] == 0.0 or not area > 0.0:
+        return 1.0, 0.0
+    s = min(pose[3] * math.sqrt(area), LARGEST_DEPTH)
+    slope = 0.5 * s * (pose[1] + 2.0 * pose[2] * s) if s < LARGEST_DEPTH else 0.0
+    return math.exp(pose[0] + s * (pose[1] + s * pose[2])), slope
+
+
+@njit(cache=True)
 def _remember(memory, stamp, force, area, sensitivity):
     """Keep a sample in the ring."""
     at = memory.next % REMEMBERED
@@ -309,7 +323,8 @@ def _advance_model(net, base, par, finger, work, config, state, stamp, normal_fo
             members.differ(finger, near, j)
     else:
         members.advance(net, par, finger, work, near, stamp, normal_force, False)
-    _remember(state.memory, stamp, normal_force, finger[0].area, near.area)
+    gain, _ = _pose_gain(config, finger[0].area)
+    _remember(state.memory, stamp, normal_force, gain * finger[0].area, near.area)
 
 
 @njit(cache=True)
@@ -329,17 +344,18 @@ def _write_contact(config, state, finger, normal_force, stamp, row):
     offset = _offset(state, near.area)
     error, variance = area_filter.estimate(filters, noise, h, offset, stamp, True)
     deviation = area_filter.deviation_of(variance)
-    area = finger.area * math.exp(error)
-    row.model_area = finger.area
+    own_gain, slope = _pose_gain(config, finger.area)
+    area = finger.area * own_gain * math.exp(error)
+    row.model_area = finger.area * own_gain
     row.area = area
     row.area_stddev = area * deviation
-    row.area_force_slope = finger.area_force_slope * math.exp(error)
+    row.area_force_slope = finger.area_force_slope * own_gain * (1.0 + slope) * math.exp(error)
     row.radius = math.sqrt(area / math.pi)
     row.radius_stddev = row.radius * area_filter.deviation_of(0.25 * variance)
     pressure = normal_force / area
     row.mean_pressure = pressure
     row.mean_pressure_stddev = pressure * deviation
-    row.peak_pressure = finger.peak_pressure * math.exp(-error)
+    row.peak_pressure = finger.peak_pressure * math.exp(-error) / own_gain
     row.peak_pressure_stddev = row.peak_pressure * area_filter.deviation_of(
         variance + PEAK_DEVIATION * PEAK_DEVIATION
     )
@@ -509,8 +525,9 @@ def predicted(net, par, finger, work, near, configuration, states, time, force, 
             area_filter.regressors(noise, phi, sensitivity, 1.0, h)
             offset = _offset(state, sensitivity)
             error, _ = area_filter.estimate(filters, noise, h, offset, filters.stamp, True)
-            table[i, 0] *= math.exp(error)
-            table[i, 2] *= math.exp(-error)
+            own_gain, _ = _pose_gain(config, found[i, 0])
+            table[i, 0] *= own_gain * math.exp(error)
+            table[i, 2] *= math.exp(-error) / own_gain
             sensitivity = found[i, 3 + members.DIRECTIONS :]
             area_filter.regressors(noise, phi, sensitivity, gain, h)
             offset = _offset(state, sensitivity)

@@ -146,6 +146,8 @@ async function tare() {
 
 // Cue -----------------------------------------------------------------------------------------
 
+const PRESSING = ["press", "pull", "lift"];
+
 function showCue(message) {
   const began = message.phase === "press" && (!state.cue || state.cue.phase !== message.phase);
   state.cue = message;
@@ -161,7 +163,7 @@ function showCue(message) {
   if (began) {
     charts.pressBegins(message.index, message.time);
     state.frames = [];
-  } else if (message.phase !== "press" && message.phase !== "lift" && charts.press) {
+  } else if (!PRESSING.includes(message.phase) && charts.press) {
     charts.pressEnds(message.time);
     state.pressFrames = state.frames.slice();
   }
@@ -175,8 +177,8 @@ function cueName() {
   if (s.step === "closed") return "closed";
   if (s.paused) return "paused";
   const name = state.cue ? state.cue.phase : "idle";
-  // Press and lift are the cue's own; the finer steps come with the status.
-  if (name === "press" || name === "lift") return name;
+  // These are the cue's own; the finer steps come with the status.
+  if (PRESSING.includes(name)) return name;
   if (["clear", "closing", "finished"].includes(s.step)) return s.step;
   // A trial is good when it is saved, not before.
   return name === "done" && s.step !== "done" ? "closing" : name;
@@ -192,6 +194,7 @@ function cueText(name) {
   }
   // A calibration's press has words of its own, which come with the status.
   if (name === "press") return (s.step === name && s.instruction) || "Press until the cue changes.";
+  if (name === "pull") return "Keep the force, and pull sideways until the cue changes.";
   if (name === "lift") return "Lift the finger.";
   if (name === "prepare" && s.step === name) return s.message ? s.instruction : s.preparation;
   return name === s.step || s.paused ? s.instruction || "" : "";

@@ -2,6 +2,7 @@
 
 const ARROWS = {
   press: "M40 8h20v46h22L50 92 18 54h22z",
+  pull: "M8 40h46V18l38 32-38 32V60H8z",
   lift: "M40 92h20V46h22L50 8 18 46h22z",
   done: "M14 54l12-12 18 18 42-42 12 12-54 54z",
   failed: "M20 32L32 20l18 18 18-18 12 12-18 18 18 18-12 12-18-18-18 18-12-12 18-18z",
@@ -9,7 +10,8 @@ const ARROWS = {
 };
 
 const WORDS = {
-  idle: "Ready", prepare: "Prepare", moisture_before: "Moisture", press: "Press", lift: "Lift",
+  idle: "Ready", prepare: "Prepare", moisture_before: "Moisture", press: "Press",
+  pull: "Pull", lift: "Lift",
   moisture_after: "Moisture", done: "Good", failed: "Again", paused: "Paused", clear: "Wait",
   closing: "Saving", finished: "Finished", closed: "No session", offline: "Not connected",
 };

@@ -3,7 +3,9 @@
 
 const $ = (id) => document.getElementById(id);
 // Steps of a trial that is under way.
-export const RUNNING = ["moisture_before", "clear", "press", "lift", "moisture_after", "closing"];
+export const RUNNING = [
+  "moisture_before", "clear", "press", "pull", "lift", "moisture_after", "closing",
+];
 const MARK = { done: "✓", skipped: "↷", pending: "", failed: "✗" };
 const LEVELS = [["ok", "✓"], ["warn", "▲"], ["error", "✖"], ["stale", "◌"]];
 

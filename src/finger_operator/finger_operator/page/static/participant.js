@@ -9,6 +9,7 @@ const WORDS = {
 const TEXTS = {
   moisture_before: "The probe is held to your fingertip. Keep still.",
   moisture_after: "The probe is held to your fingertip. Keep still.",
+  pull: "Keep the force, and pull your finger sideways, evenly.",
   paused: "You may rest. It goes on when the operator is ready.",
   failed: "That was not your fault. The press is done again.",
 };

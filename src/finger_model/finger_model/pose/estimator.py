@@ -1,0 +1,384 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Aspect of the pad and tilt of the plate, from the outline and from the centre of pressure.
+
+An extended Kalman filter of five unknowns: logarithm of the aspect, pitch, roll, and the place of
+the pad's centre over the plate. Outlines of a camera tell the ratio and the direction of the
+ellipse's axes and the centre of the contact, torques of a six-axis sensor its centre of pressure;
+what they are in a pose is `correction`'s. A tilt moves the contact by some 0.1 to 0.2 mm a degree:
+it is known as well as the place of the finger is. The aspect stays from contact to contact.
+"""
+
+from __future__ import annotations
+
+import bisect
+import math
+from collections import deque
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from finger_common.axes import DEFAULT_NORMAL_AXIS, axis_of
+from finger_common.flags import ShapeFlag, StateFlag
+from finger_common.stamps import NANOSECONDS, nanoseconds
+
+from ..estimator import ContactEstimate
+from ..geometry import Geometry
+from ..solid3d.mesh import ASPECTS, LARGEST_TILT, Pose
+from .correction import Outline, PoseCorrection
+from .settings import PoseSettings
+
+ASPECT, PITCH, ROLL, PLACE = 0, 1, 2, slice(3, 5)
+STEPS = np.array([0.02, 0.01, 0.01])
+"""Of the derivatives by the logarithm of the aspect, pitch and roll."""
+
+SHAPE_SD, PLACE_SD = 0.03, 0.07e-3
+"""Errors of the correction itself: of ln(a/b), and of the centres (m)."""
+
+LASTING = 1.0
+"""s for which such an error lasts: measurements that follow each other faster share it."""
+
+TILT_WANDER, PLACE_WANDER = 0.03, 0.2e-3
+"""rad and m, by which finger and plate turn and move in a second."""
+
+PRESSURE_PERIOD = nanoseconds(1.0 / 30.0)
+"""ns of torque samples that are taken together."""
+
+SHAPE_PERIOD = nanoseconds(0.02)
+"""ns from one shape to the next, at least."""
+
+SMALLEST_FORCE = 0.1
+"""N; below it neither outline nor centre of pressure is used."""
+
+OUTLIER = 4.0
+"""Standard deviations from which a measurement counts less."""
+
+REMEMBERED = 4096
+"""Samples of the round pad's area that are remembered."""
+
+CERTAIN_TILT = math.radians(3.0)
+
+
+class MeasuredOutline(NamedTuple):
+    """Outline of a contact in the plate's axes: centre (2,) (m), major and minor full axis (m),
+    angle (rad) of the major one from +x towards +y, and their standard deviations."""
+
+    center: tuple[float, float]
+    major: float
+    minor: float
+    angle: float
+    center_sd: float
+    major_sd: float
+    minor_sd: float
+
+    @property
+    def usable(self) -> bool:
+        """Whether all numbers are known."""
+        numbers = (*self.center, *self[1:])
+        return all(map(math.isfinite, numbers)) and 0.0 < self.minor <= self.major
+
+
+class ShapeEstimate(NamedTuple):
+    """Shape of the contact at one instant (SI), in the axes of the plate; see ContactShape.msg."""
+
+    stamp_ns: int
+    area: float
+    semi_axes: tuple[float, float]
+    angle: float
+    center: tuple[float, float]
+    center_of_pressure: tuple[float, float]
+    pad_aspect: float
+    pad_aspect_sd: float
+    pitch: float
+    pitch_sd: float
+    roll: float
+    roll_sd: float
+    flags: int
+
+
+class PoseEstimator:
+    """Shape and pose of one finger's contact; see the module.
+
+    known: aspect and tilt as the estimator of the contact assumes them; also the first guess.
+    """
+
+    def __init__(
+        self,
+        geometry: Geometry,
+        settings: PoseSettings | None = None,
+        known: Pose | None = None,
+        normal_axis: str = DEFAULT_NORMAL_AXIS,
+    ) -> None:
+        self.geometry = geometry
+        self.settings = settings or PoseSettings()
+        self.known = known or Pose()
+        axis, self._sign = axis_of(normal_axis)
+        self._axis, self._first, self._second = axis, (axis + 1) % 3, (axis + 2) % 3
+        self._assumed = PoseCorrection(geometry, self.known)
+        self._waiting: list[tuple[int, int, MeasuredOutline]] = []
+        self.reset()
+
+    def reset(self) -> None:
+        """A finger that was not seen before."""
+        settings = self.settings
+        self.mean = np.zeros(5)
+        self.covariance = np.zeros((5, 5))
+        self.mean[ASPECT] = math.log(self.known.aspect)
+        self.covariance[ASPECT, ASPECT] = settings.pad_aspect_sd**2
+        self._touching = self._outlined = self._pressed = False
+        self._updated = self._given = 0
+        self._areas: deque[tuple[int, float]] = deque(maxlen=REMEMBERED)
+        self._sum, self._count, self._sum_since = np.zeros(2), 0, 0
+        self._pressure = (math.nan, math.nan)
+        self._waiting.clear()
+        self._correction: PoseCorrection | None = None
+        self._begin(0)
+
+    def _begin(self, stamp_ns: int) -> None:
+        """A new contact: another tilt and place, the same pad."""
+        settings = self.settings
+        self.mean[1:] = self.known.pitch, self.known.roll, 0.0, 0.0
+        self.covariance[1:, :] = self.covariance[:, 1:] = 0.0
+        for k, sd in zip((1, 2, 3, 4), 2 * [settings.tilt_sd] + 2 * [settings.pad_place_sd]):
+            self.covariance[k, k] = sd**2
+        self._outlined = self._pressed = False
+        self._outlined_at = self._pressed_at = stamp_ns
+        self._updated = stamp_ns
+        self._sum[:], self._count, self._sum_since = 0.0, 0, stamp_ns
+        self._correction = None
+
+    # Inputs ----------------------------------------------------------------------------------
+
+    def expect_outline(self, stamp_ns: int, outline: MeasuredOutline, delay: float) -> None:
+        """An outline seen at `stamp_ns`; it is used at the first sample stamped that plus `delay`
+        (s) or later, so that the result does not depend on when it comes."""
+        if outline.usable:
+            bisect.insort(self._waiting, (stamp_ns + nanoseconds(delay), stamp_ns, outline))
+
+    def follow(
+        self, estimate: ContactEstimate, force: Sequence[float], torque: Sequence[float]
+    ) -> None:
+        """One sample: the contact's estimate, and the force (3,) in N and torque (3,) in N m that
+        it came with. Torques of zero are those of a sensor without."""
+        stamp = estimate.stamp_ns
+        if estimate.flags & StateFlag.TIME_RESET:
+            self.reset()
+        round_area = self._assumed.round_area(estimate.area) if estimate.area > 0 else 0.0
+        self._areas.append((stamp, round_area))
+        if estimate.in_contact and not self._touching:
+            self._begin(stamp)
+        self._touching = bool(estimate.in_contact)
+        while self._waiting and self._waiting[0][0] <= stamp:
+            _, seen, outline = self._waiting.pop(0)
+            if self._touching and seen >= estimate.onset_ns:
+                self._see_outline(seen, outline)
+        if not self._touching or not estimate.normal_force > SMALLEST_FORCE:
+            self._pressure = (math.nan, math.nan)
+            return
+        self._add_pressure(stamp, round_area, force, torque)
+
+    def _see_outline(self, stamp_ns: int, outline: MeasuredOutline) -> None:
+        area = self._area_at(stamp_ns)
+        if not area > 0.0:
+            return
+        ratio = outline.major / outline.minor
+        double = 2.0 * (outline.angle - self.settings.finger_direction)
+        shape = math.log(ratio) * np.array([math.cos(double), math.sin(double)])
+        shape_sd = math.hypot(outline.major_sd / outline.major, outline.minor_sd / outline.minor)
+        measured = np.concatenate([shape, self._to_finger(outline.center)])
+        shared = self._shared(stamp_ns - self._outlined_at)
+        own = (
+            math.hypot(shape_sd, shared * SHAPE_SD),
+            math.hypot(outline.center_sd, shared * PLACE_SD),
+        )
+        self._correct(stamp_ns, area, measured, np.repeat(own, 2), slice(0, 4))
+        self._outlined, self._outlined_at = True, stamp_ns
+
+    def _add_pressure(
+        self, stamp: int, round_area: float, force: Sequence[float], torque: Sequence[float]
+    ) -> None:
+        """Mean centre of pressure of a thirtieth of a second."""
+        a, b, n = self._first, self._second, self._axis
+        across = force[a], force[b]
+        normal = force[n]
+        if not any(torque) or not all(map(math.isfinite, (*torque, *force))):
+            self._pressure = (math.nan, math.nan)
+            return
+        # M = r × F with r = (x, y, depth towards the finger), the axes in a circle.
+        height = -self._sign * self.settings.sensor_depth
+        x = (height * across[0] - torque[b]) / normal
+        y = (height * across[1] + torque[a]) / normal
+        self._sum += x + self.settings.sensor_x, y + self.settings.sensor_y
+        self._count += 1
+        if stamp - self._sum_since < PRESSURE_PERIOD:
+            return
+        mean = self._sum / self._count
+        self._pressure = float(mean[0]), float(mean[1])
+        self._sum[:], self._count, self._sum_since = 0.0, 0, stamp
+        shared = self._shared(stamp - self._pressed_at)
+        sd = math.hypot(self.settings.torque_noise / abs(normal), shared * PLACE_SD)
+        place = self._to_finger(self._pressure)
+        self._correct(stamp, round_area, place, np.full(2, sd), slice(4, 6))
+        self._pressed, self._pressed_at = True, stamp
+
+    @staticmethod
+    def _shared(passed_ns: int) -> float:
+        """Factor for an error of the correction that measurements within LASTING share."""
+        passed = min(max(passed_ns / NANOSECONDS, 1e-3), LASTING)
+        return math.sqrt(LASTING / passed)
+
+    # Filter ----------------------------------------------------------------------------------
+
+    def _correct(
+        self, stamp_ns: int, area: float, measured: np.ndarray, sds: np.ndarray, which: slice
+    ) -> None:
+        """Update by measurements; `which`: of those that `_expected` gives."""
+        passed = max(stamp_ns - self._updated, 0) / NANOSECONDS
+        self._updated = max(stamp_ns, self._updated)
+        for k, wander in ((1, TILT_WANDER), (2, TILT_WANDER), (3, PLACE_WANDER), (4, PLACE_WANDER)):
+            self.covariance[k, k] += wander**2 * passed
+        prior, spread = self.mean.copy(), self.covariance
+        mean = prior
+        for _ in range(3):
+            expected, slope = self._linear(mean, area)
+            h, expected = slope[which], expected[which]
+            gap = measured - expected - h @ (prior - mean)
+            innovation = h @ spread @ h.T + np.diag(sds**2)
+            size = gap @ np.linalg.solve(innovation, gap) / len(gap)
+            if size > OUTLIER**2:
+                innovation += np.diag(sds**2) * (size / OUTLIER**2 - 1.0)
+            gain = np.linalg.solve(innovation, h @ spread).T
+            found = self._bounded(prior + gain @ gap)
+            step, mean = found - mean, found
+            if np.all(np.abs(step) < 0.3 * np.sqrt(np.diag(spread)) + 1e-9):
+                break
+        self.mean = mean
+        kept = np.eye(5) - gain @ h
+        spread = kept @ spread
+        self.covariance = 0.5 * (spread + spread.T)
+        self._correction = None
+
+    def _bounded(self, mean: np.ndarray) -> np.ndarray:
+        low, high = np.log(ASPECTS)
+        mean[ASPECT] = min(max(mean[ASPECT], 0.9 * low), 0.9 * high)
+        size = math.hypot(mean[PITCH], mean[ROLL])
+        if size > 0.9 * LARGEST_TILT:
+            mean[1:3] *= 0.9 * LARGEST_TILT / size
+        return mean
+
+    def _expected(self, mean: np.ndarray, area: float) -> np.ndarray:
+        """Shape (2), centre (2) and centre of pressure (2) in axes of the finger."""
+        found = self._corrected(mean).outline(area)
+        shape = math.log(found.semi_axes[0] / found.semi_axes[1])
+        double = 2.0 * found.orientation
+        place = mean[PLACE]
+        return np.concatenate(
+            [
+                [shape * math.cos(double), shape * math.sin(double)],
+                found.center + place,
+                found.center_of_pressure + place,
+            ]
+        )
+
+    def _linear(self, mean: np.ndarray, area: float) -> tuple[np.ndarray, np.ndarray]:
+        """What is expected, and its derivatives (6, 5)."""
+        middle = self._expected(mean, area)
+        slope = np.zeros((6, 5))
+        for k, size in enumerate(STEPS):
+            moved = mean.copy()
+            moved[k] += size
+            ahead = self._expected(moved, area)
+            moved[k] -= 2.0 * size
+            slope[:, k] = (ahead - self._expected(moved, area)) / (2.0 * size)
+        slope[2, 3] = slope[3, 4] = slope[4, 3] = slope[5, 4] = 1.0
+        return middle, slope
+
+    def _corrected(self, mean: np.ndarray) -> PoseCorrection:
+        pose = Pose(math.exp(mean[ASPECT]), float(mean[PITCH]), float(mean[ROLL]))
+        return PoseCorrection(self.geometry, pose)
+
+    def _area_at(self, stamp_ns: int) -> float:
+        """Area of the round pad at a past stamp, NaN when it is not remembered."""
+        areas = self._areas
+        back = len(areas) - 1
+        while back >= 0 and areas[back][0] > stamp_ns:
+            back -= 1
+        return areas[back][1] if back >= 0 else math.nan
+
+    def due(self, stamp_ns: int) -> bool:
+        """Whether a shape is due at the sample of this stamp: one in SHAPE_PERIOD."""
+        if 0 <= stamp_ns - self._given < SHAPE_PERIOD:
+            return False
+        self._given = stamp_ns
+        return True
+
+    # Results ---------------------------------------------------------------------------------
+
+    @property
+    def pose(self) -> Pose:
+        """The present estimate."""
+        return self._corrected(self.mean).pose
+
+    def shape(self, estimate: ContactEstimate) -> ShapeEstimate:
+        """Shape at the sample that `follow` had last."""
+        if self._correction is None:
+            self._correction = self._corrected(self.mean)
+        sds = np.sqrt(np.maximum(np.diag(self.covariance), 0.0)).tolist()
+        aspect, pitch, roll = math.exp(self.mean[ASPECT]), float(self.mean[1]), float(self.mean[2])
+        flags = 0
+        if not self._touching:
+            flags |= ShapeFlag.NO_CONTACT
+        if not self._outlined:
+            flags |= ShapeFlag.OUTLINE_MISSING
+        if math.isnan(self._pressure[0]) and not self._pressed:
+            flags |= ShapeFlag.TORQUE_MISSING
+        if max(sds[1:3]) > CERTAIN_TILT:
+            flags |= ShapeFlag.TILT_UNCERTAIN
+        if not self._correction.inside:
+            flags |= ShapeFlag.OUT_OF_RANGE
+        area, axes, angle = 0.0, (0.0, 0.0), math.nan
+        center = (math.nan, math.nan)
+        if self._touching and estimate.area > 0.0:
+            found = self._correction.outline(self._areas[-1][1])
+            area = estimate.area
+            scale = math.sqrt(area / found.area)
+            axes = found.semi_axes[0] * scale, found.semi_axes[1] * scale
+            angle = _half_turn(found.orientation + self.settings.finger_direction)
+            center = self._to_plate(found, self.mean[PLACE])
+        return ShapeEstimate(
+            estimate.stamp_ns,
+            area,
+            axes,
+            angle,
+            center,
+            self._pressure if self._touching else (math.nan, math.nan),
+            aspect,
+            aspect * sds[0],
+            pitch,
+            sds[1],
+            roll,
+            sds[2],
+            int(flags),
+        )
+
+    def _to_finger(self, place: Sequence[float]) -> np.ndarray:
+        """Place (2,) of the plate, from the assumed place of the pad, in axes of the finger."""
+        c, s = math.cos(self.settings.finger_direction), math.sin(self.settings.finger_direction)
+        x, y = place[0] - self.settings.pad_x, place[1] - self.settings.pad_y
+        return np.array([c * x + s * y, c * y - s * x])
+
+    def _to_plate(self, outline: Outline, offset: np.ndarray) -> tuple[float, float]:
+        c, s = math.cos(self.settings.finger_direction), math.sin(self.settings.finger_direction)
+        x, y = outline.center + offset
+        return (
+            float(c * x - s * y) + self.settings.pad_x,
+            float(s * x + c * y) + self.settings.pad_y,
+        )
+
+
+def _half_turn(angle: float) -> float:
+    """The same axis in (−π/2, π/2]."""
+    angle = angle % math.pi
+    return angle - math.pi if angle > 0.5 * math.pi else angle

@@ -1,0 +1,148 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Elliptical pads and tilted plates: first touch, the learned correction, aspect and tilt found."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from finger_common.flags import ShapeFlag
+from finger_model.estimator import ContactEstimate
+from finger_model.estimator.estimate import ESTIMATE_FIELDS
+from finger_model.geometry import Geometry
+from finger_model.pose.correction import PoseCorrection
+from finger_model.pose.estimator import MeasuredOutline, PoseEstimator
+from finger_model.pose.settings import PoseSettings
+from finger_model.pose.touch import first_touch
+from finger_model.solid3d.mesh import Pose
+from finger_model.verification.cases import CALCULIX_FINGER, reference
+
+ROUND = 40e-6
+DIRECTION = 0.7
+TURN = np.array(
+    [
+        [math.cos(DIRECTION), -math.sin(DIRECTION)],
+        [math.sin(DIRECTION), math.cos(DIRECTION)],
+    ]
+)
+
+
+def test_a_round_pad_on_a_level_plate_is_not_corrected():
+    level = PoseCorrection(Geometry(), Pose())
+    found = level.outline(ROUND)
+    assert found.area == ROUND
+    assert found.semi_axes == pytest.approx((math.sqrt(ROUND / math.pi),) * 2)
+    assert np.all(found.center == 0.0) and np.all(found.center_of_pressure == 0.0)
+
+
+def test_first_touch_is_where_calculix_sees_the_contact_begin():
+    touch = first_touch(CALCULIX_FINGER, Pose(pitch=math.radians(20.0)))
+    table = reference("tilt_20deg")
+    assert touch.place[0] * 1e3 == pytest.approx(table["center_x_mm"][0], abs=0.02)
+    assert touch.place[1] == 0.0
+    # The curvatures of a level ellipsoid are known.
+    long = first_touch(CALCULIX_FINGER, Pose(1.35))
+    assert long.elongation == pytest.approx([math.log(1.35), 0.0])
+    assert long.bluntness == pytest.approx(math.log(1.35))
+
+
+@pytest.mark.parametrize(("pitch", "roll"), [(0.3, 0.0), (0.0, 0.3), (0.2, -0.15)])
+def test_opposite_tilts_mirror_the_contact(pitch, roll):
+    one = PoseCorrection(Geometry(), Pose(1.3, pitch, roll)).outline(ROUND)
+    other = PoseCorrection(Geometry(), Pose(1.3, -pitch, roll)).outline(ROUND)
+    assert other.area == pytest.approx(one.area)
+    assert other.center == pytest.approx(one.center * [-1.0, 1.0], abs=0.1e-3)
+    assert math.cos(2 * other.orientation) == pytest.approx(math.cos(2 * one.orientation), abs=0.05)
+
+
+def test_a_longer_pad_has_a_larger_contact_and_its_area_can_be_inverted():
+    areas = [PoseCorrection(Geometry(), Pose(r)).outline(ROUND).area for r in (1.0, 1.2, 1.4, 1.6)]
+    assert np.all(np.diff(areas) > 0.03 * ROUND)
+    tilted = PoseCorrection(Geometry(), Pose(1.4, 0.4, 0.1))
+    assert tilted.round_area(tilted.outline(ROUND).area) == pytest.approx(ROUND, rel=1e-6)
+
+
+def test_poses_and_fingers_that_were_not_learned_are_named():
+    assert PoseCorrection(Geometry(), Pose(1.6, math.radians(30))).inside
+    assert not PoseCorrection(Geometry(), Pose(1.7)).inside
+    assert not PoseCorrection(Geometry(), Pose(1.2, math.radians(35))).inside
+    assert not PoseCorrection(CALCULIX_FINGER, Pose(1.2)).inside
+
+
+def estimate(stamp, area, force):
+    """Of a contact that began a second after the epoch."""
+    values = {field.name: 0 for field in ESTIMATE_FIELDS}
+    values |= {"stamp_ns": stamp, "area": area, "normal_force": force, "in_contact": force > 0.05}
+    return ContactEstimate(**{**values, "onset_ns": 10**9, "parameter_set": ""})
+
+
+def follow(pose, torque=True, camera=True, place_error=0.2e-3, seed=0):
+    """The shape found at the end of a press of a second in this pose."""
+    rng = np.random.default_rng(seed)
+    place = np.array([1e-3, -2e-3])
+    settings = PoseSettings(
+        pad_x=float(place[0] + place_error * rng.standard_normal()),
+        pad_y=float(place[1] + place_error * rng.standard_normal()),
+        pad_place_sd=place_error,
+        finger_direction=DIRECTION,
+        sensor_depth=0.02,
+    )
+    estimator = PoseEstimator(Geometry(), settings)
+    correction = PoseCorrection(Geometry(), pose)
+    for k in range(250):
+        stamp, force = 10**9 + k * 4_000_000, 0.1 + 1.2 * k / 250
+        area = 44e-6 * force**0.6
+        seen = correction.outline(area)
+        if camera and k % 25 == 0:
+            center = place + TURN @ seen.center + 5e-5 * rng.standard_normal(2)
+            major, minor = np.array(seen.semi_axes) * 2 * (1 + 0.01 * rng.standard_normal(2))
+            angle = seen.orientation + DIRECTION
+            outline = MeasuredOutline(
+                (float(center[0]), float(center[1])),
+                max(major, minor),
+                min(major, minor),
+                angle,
+                5e-5,
+                0.01 * major,
+                0.01 * minor,
+            )
+            estimator.expect_outline(stamp, outline, 0.1)
+        pull = np.array([0.1 * force, -0.05 * force, -force])
+        pressed = place + TURN @ seen.center_of_pressure
+        moment = np.cross([*pressed, 0.02], pull) + 3e-4 * rng.standard_normal(3)
+        estimator.follow(estimate(stamp, area, force), pull, moment if torque else (0.0,) * 3)
+    return estimator.shape(estimate(stamp, area, force)), correction.outline(area)
+
+
+@pytest.mark.parametrize(
+    "pose", [Pose(1.3, 0.35, 0.0), Pose(1.2, -0.2, 0.15), Pose(1.5), Pose(1.1, 0.1, -0.25)]
+)
+def test_aspect_and_tilt_are_found_within_three_degrees(pose):
+    shape, true = follow(pose)
+    assert shape.pitch == pytest.approx(pose.pitch, abs=math.radians(3))
+    assert shape.roll == pytest.approx(pose.roll, abs=math.radians(3))
+    assert shape.pad_aspect == pytest.approx(pose.aspect, abs=0.08)
+    assert abs(shape.pitch - pose.pitch) < 3 * shape.pitch_sd
+    assert shape.semi_axes[0] / shape.semi_axes[1] == pytest.approx(
+        true.semi_axes[0] / true.semi_axes[1], rel=0.03
+    )
+    turn = (shape.angle - true.orientation - DIRECTION + 0.5 * math.pi) % math.pi - 0.5 * math.pi
+    if true.semi_axes[0] > 1.1 * true.semi_axes[1]:
+        assert abs(turn) < 0.1
+
+
+def test_torque_alone_tells_the_tilt_of_a_finger_of_known_aspect():
+    shape, _ = follow(Pose(1.0, 0.3, 0.0), camera=False)
+    assert shape.flags & ShapeFlag.OUTLINE_MISSING
+    # Without an outline the aspect is not known, and with it how far a tilt moves the contact.
+    assert abs(shape.pitch - 0.3) < 2 * shape.pitch_sd < math.radians(24)
+
+
+def test_a_finger_whose_place_is_not_known_says_so():
+    shape, _ = follow(Pose(1.3, 0.35), place_error=3e-3)
+    assert shape.flags & ShapeFlag.TILT_UNCERTAIN
+    assert not follow(Pose(1.3, 0.35), torque=False)[0].flags & ShapeFlag.TILT_UNCERTAIN

@@ -1,0 +1,120 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""`finger-bag process --shape` tells the pad's aspect and the plate's tilt from outline and torque,
+and the model's area is that of the pose it is told."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from finger_bag.cli import command
+from finger_bag.reader import open_bag
+from finger_bag.writer import BagWriter
+from finger_common.cli import run
+from finger_common.flags import ShapeFlag
+from finger_model.estimator import ContactEstimator
+from finger_model.geometry import Geometry
+from finger_model.pose.correction import PoseCorrection
+from finger_model.reduced import ReducedModel
+from finger_model.solid3d.mesh import Pose
+
+POSE = Pose(1.3, 0.25, -0.1)
+START = 1_700_000_000_000_000_000
+DEPTH = 0.02
+"""m, of the sensor below the plate."""
+DIRECTION = 0.5 * math.pi
+
+
+def press_of(path: Path) -> None:
+    """A bag of a press of a finger in POSE: wrenches with torque, and outlines."""
+    correction = PoseCorrection(Geometry(), POSE)
+    force = np.minimum(np.linspace(0.0, 1.2, 1000), 1.0)
+    force[:100] = 0.0
+    estimator = ContactEstimator(ReducedModel.load())
+    rng = np.random.default_rng(4)
+    with BagWriter(path, {}) as bag:
+        for k, normal in enumerate(force.tolist()):
+            stamp = START + k * 2_000_000
+            round_area = 0.0
+            for estimate in estimator.add_wrench(stamp, (0.0, 0.0, -normal)):
+                round_area = estimate.model_area
+            found = correction.outline(max(round_area, 1e-7))
+            turn = np.array([[0.0, -1.0], [1.0, 0.0]])
+            pressed = turn @ found.center_of_pressure
+            pull = np.array([0.1 * normal, 0.0, -normal])
+            torque = np.cross([*pressed, DEPTH], pull) + 1e-4 * rng.standard_normal(3)
+            wrench = {
+                part: dict(zip("xyz", values.tolist()))
+                for part, values in (("force", pull), ("torque", torque))
+            }
+            bag.write("wrench", {"header": {"stamp": stamp}, "wrench": wrench})
+            if k % 50 == 0:
+                center = turn @ found.center
+                fields = {
+                    "header": {"stamp": stamp},
+                    "gross_area": found.area if round_area else 0.0,
+                    "area_stddev": 1e-6,
+                    "centroid": dict(zip("xy", center.tolist())),
+                    "ellipse_major": 2 * found.semi_axes[0],
+                    "ellipse_minor": 2 * found.semi_axes[1],
+                    "ellipse_angle": found.orientation + DIRECTION,
+                    "flags": 0 if round_area else 1,
+                    "centroid_stddev": 5e-5,
+                    "ellipse_major_stddev": 1e-4,
+                    "ellipse_minor_stddev": 1e-4,
+                    "ellipse_angle_stddev": 0.05,
+                    "stick_ratio": math.nan,
+                }
+                bag.write("contact_area", fields)
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("pose") / "press"
+    press_of(path)
+    return path
+
+
+def last(path: Path, topic: str):
+    with open_bag(path) as reader:
+        return [m.message for m in reader.messages([topic])][-1]
+
+
+def test_outline_and_torque_tell_aspect_and_tilt(bag: Path, tmp_path: Path) -> None:
+    options = ["--shape", "--set", f"sensor_depth={DEPTH}", "--set", "pad_place_sd=2e-4"]
+    assert run(command, ["process", str(bag), "-o", str(tmp_path / "out"), *options]) == 0
+    shape = last(tmp_path / "out", "/finger/contact_shape")
+    assert shape.flags == 0
+    assert shape.pad_aspect == pytest.approx(POSE.aspect, abs=0.05)
+    assert shape.pitch == pytest.approx(POSE.pitch, abs=math.radians(3))
+    assert shape.roll == pytest.approx(POSE.roll, abs=math.radians(3))
+    assert abs(shape.pitch - POSE.pitch) < 3 * shape.pitch_stddev
+    state = last(tmp_path / "out", "/finger/contact_state")
+    assert shape.area == pytest.approx(state.area, rel=0.02)
+    assert math.pi * shape.semi_axis_major * shape.semi_axis_minor == pytest.approx(shape.area)
+    area = last(bag, "/finger/contact_area")
+    assert shape.center.x == pytest.approx(area.centroid.x, abs=0.1e-3)
+    assert shape.center.y == pytest.approx(area.centroid.y, abs=0.1e-3)
+
+
+def test_a_finger_whose_place_is_not_known_has_an_uncertain_tilt(bag: Path, tmp_path: Path) -> None:
+    assert run(command, ["process", str(bag), "-o", str(tmp_path / "out"), "--shape"]) == 0
+    shape = last(tmp_path / "out", "/finger/contact_shape")
+    assert shape.flags & ShapeFlag.TILT_UNCERTAIN
+    assert shape.pitch_stddev > math.radians(3)
+
+
+def test_the_models_area_is_that_of_the_known_pose(bag: Path, tmp_path: Path) -> None:
+    names = ("pad_aspect", POSE.aspect), ("plate_pitch", POSE.pitch), ("plate_roll", POSE.roll)
+    told = [text for name, value in names for text in ("--set", f"{name}={value}")]
+    told += ["--set", "fuse_area=false"]
+    assert run(command, ["process", str(bag), "-o", str(tmp_path / "out"), *told]) == 0
+    state = last(tmp_path / "out", "/finger/contact_state")
+    area = last(bag, "/finger/contact_area")
+    # The last outline is a tenth of a second old; the finger creeps meanwhile.
+    assert state.model_area == pytest.approx(area.gross_area, rel=0.02)

@@ -1,0 +1,134 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""A guided pull: a press that is held, then pulled sideways until the finger slips. No ROS.
+
+While the skin sticks, an even pull lets the ratio |Q|/P of tangential to normal force grow; in slip
+it stays at the friction. So the finger slips when the ratio has stood still for a while, or when
+the camera sees the whole contact slide. Where the camera follows the ridges and sees skin that
+sticks, a ratio that stands still is a pull that was held.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from statistics import fmean, stdev
+
+from finger_common.flags import AreaFlag
+from finger_common.guided_presses import LET_GO, GuidedPress
+from finger_common.stamps import nanoseconds, seconds
+
+from .attempt import Attempt
+from .limits import Limits
+from .press import Press, PressEvent
+
+STAND_STILL = 0.25
+"""s for which the ratio stands still in slip."""
+
+RISE = 0.03
+"""Relative growth of the ratio within STAND_STILL from which it does not stand still: a pull that
+would take 8 s to the slip grows as much."""
+
+SMALLEST_RATIO = 0.08
+"""Below it the pull has not begun: less friction than that of skin on any plate."""
+
+STICKS = 0.3
+"""Stick ratio seen by the camera from which the finger does not slip."""
+
+SLIDING_FRAMES = 2
+"""Pictures in a row that show the whole contact slide."""
+
+
+class Pull(Press):
+    """Follows a pull as `Press` follows a press; the cue to lift comes with the slip."""
+
+    def __init__(self, attempt: Attempt, guided: GuidedPress, limits: Limits) -> None:
+        super().__init__(attempt, guided, limits)
+        self._ratios: deque[tuple[int, float]] = deque()
+        self._sliding_frames = self._sliding_since = 0
+        self._sticks_at: int | None = None
+        self.ratio = 0.0
+
+    def _cue(
+        self, stamp_ns: int, normal_force: float, tangential_force: float
+    ) -> PressEvent | None:
+        attempt = self.attempt
+        if attempt.pull_ns is None:
+            if not self._is_held(stamp_ns, normal_force):
+                return None
+            attempt.pull_ns = stamp_ns
+            return PressEvent.PULL_BEGINS
+        if normal_force < LET_GO * self.target_force:
+            self._ratios.clear()
+            return None
+        ratio = tangential_force / normal_force
+        if not math.isfinite(ratio):
+            self.add_problem("the force sensor reported invalid samples")
+            return None
+        self.ratio = max(self.ratio, ratio)
+        self._ratios.append((stamp_ns, ratio))
+        while self._ratios[0][0] < stamp_ns - nanoseconds(STAND_STILL):
+            self._ratios.popleft()
+        if not self._slips(stamp_ns):
+            return None
+        # Where the camera saw the slip first, the ratio has risen until then.
+        since = self._sliding_since if self._sliding_frames >= SLIDING_FRAMES else 0
+        values = [value for stamp, value in self._ratios if stamp >= since] or [ratio]
+        attempt.cue_ns = attempt.slip_ns = stamp_ns
+        attempt.friction = fmean(values)
+        attempt.friction_stddev = stdev(values) if len(values) > 1 else 0.0
+        return PressEvent.TARGET_REACHED
+
+    def _slips(self, stamp_ns: int) -> bool:
+        """Whether the last STAND_STILL seconds, or the camera, show the whole contact slip."""
+        if self._sliding_frames >= SLIDING_FRAMES:
+            return True
+        begin, _ = self._ratios[0]
+        if seconds(stamp_ns - begin) < 0.95 * STAND_STILL or len(self._ratios) < 8:
+            return False
+        if self._sticks_at is not None and self._sticks_at >= begin:
+            return False
+        # Means over quarters: a single sample is noisy.
+        values = [value for _, value in self._ratios]
+        part = len(values) // 4
+        quarters = [fmean(values[k * part : (k + 1) * part]) for k in range(4)]
+        level = quarters[-1]
+        still = max(quarters) - min(quarters) < RISE * level
+        return level > SMALLEST_RATIO and still
+
+    def add_area(
+        self,
+        stamp_ns: int,
+        area: float,
+        flags: int,
+        previous_ns: int | None,
+        stick_ratio: float = math.nan,
+    ) -> None:
+        super().add_area(stamp_ns, area, flags, previous_ns, stick_ratio)
+        begin = self.attempt.pull_ns
+        if begin is None or stamp_ns < begin:
+            return
+        slides = bool(flags & AreaFlag.SLIDING)
+        if slides and not self._sliding_frames:
+            self._sliding_since = stamp_ns
+        self._sliding_frames = self._sliding_frames + 1 if slides else 0
+        if not slides and stick_ratio > STICKS:
+            self._sticks_at = stamp_ns
+
+    def overdue(self, now_ns: int, in_step: float) -> str:
+        attempt, limits = self.attempt, self.limits
+        if attempt.pull_ns is None or attempt.cue_ns is not None:
+            return super().overdue(now_ns, in_step)
+        if seconds(now_ns - attempt.pull_ns) > limits.pull_timeout:
+            return f"not slipped within {limits.pull_timeout:g} s: {self._reached_ratio}"
+        return ""
+
+    def verdict(self, newest_area_ns: int | None) -> str:
+        if self.attempt.pull_ns is not None and self.attempt.cue_ns is None:
+            return f"lifted before it slipped: {self._reached_ratio}"
+        return super().verdict(newest_area_ns)
+
+    @property
+    def _reached_ratio(self) -> str:
+        return f"the pull reached {self.ratio:.2f} of the normal force"
