@@ -9,6 +9,7 @@ A reader is a function of a path and a part (sheet, group, dataset; may be empty
 
 from __future__ import annotations
 
+import codecs
 import csv
 import io
 import zipfile
@@ -31,6 +32,7 @@ from finger_common.files import (
     read_bytes,
     read_text,
 )
+from finger_common.files import exists, parse_npz, read_bytes
 from finger_common.stamps import NANOSECONDS
 from finger_common.units import AREA_UNITS, FORCE_UNITS, LENGTH_UNITS, TIME_UNITS, unit_named
 
@@ -226,6 +228,17 @@ def read_table(name: str) -> Table:
 def _read_text(path: Path, part: str) -> Table:
     _no_part(path, part)
     return of_rows(str(path), _text_rows(read_text(path, "table", MAXIMUM_FILE), str(path)))
+    return of_rows(str(path), _text_rows(_decoded(read_bytes(path, "table"))))
+
+
+def _decoded(content: bytes) -> str:
+    """Text as programs for tables save it: UTF-8, UTF-16 with its mark, else Windows-1252."""
+    marked = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    try:
+        return content.decode("utf-16" if marked else "utf-8-sig")
+    except UnicodeDecodeError:
+        # Every byte is a letter here: the five without a meaning become a sign of their own.
+        return content.decode("cp1252", errors="replace")
 
 
 def _text_rows(text: str, where: str) -> list[tuple[int, list[Any]]]:
