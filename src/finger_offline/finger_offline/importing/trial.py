@@ -30,7 +30,7 @@ from finger_vision.calibration import PlateCalibration
 
 from ..image_areas import area_fields
 from ..indentation_checks import indentation_fault
-from ..trial_checks import LARGEST_FORCE, PLAUSIBLE_AREA
+from ..trial_checks import LARGEST_FORCE, LONGEST_PRESS, PLAUSIBLE_AREA, SHORTEST_PRESS
 from ..trial_split import TrialSettings, presses
 from .pictures import Frame, frames_of
 from .settings import PATHS, ImportSettings
@@ -41,9 +41,6 @@ FEWEST_AREAS = 3
 
 PART_OF_PEAK = 0.95
 """Target force over peak force of a press for which none was set."""
-
-SHORTEST_PRESS, LONGEST_PRESS = 0.02, 300.0
-"""s; presses that are all shorter or all longer have times of another unit."""
 
 BEFORE_PRESS = 0.25
 """s before its onset at which a press is announced."""
