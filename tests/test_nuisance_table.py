@@ -81,6 +81,7 @@ def test_a_pad_of_larger_contact_is_read_as_a_softer_finger(script) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 def test_another_pad_and_a_tilted_plate_change_the_area(script, monkeypatch) -> None:
     """By the three-dimensional model: a pad 1.3 times as long has more area, one that is narrower
     too has nearly the same, and a tilt of 20° moves the contact to where the pad is curved more."""
@@ -100,6 +101,7 @@ def test_another_pad_and_a_tilted_plate_change_the_area(script, monkeypatch) -> 
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 def test_a_fit_of_calculix_finds_its_moduli(script) -> None:
     """The finger of an independent program, corrected to full order."""
     row = script.fit_case("CalculiX", 0, {})
