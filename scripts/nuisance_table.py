@@ -569,10 +569,11 @@ def misfit_table(rows: Sequence[dict[str, Any]]) -> str:
         for q in QUANTITIES:
             found = summary(part, q)
             told = q != "tau1" or not rig.curve
+            covered = "yes" if found["coverage"] else "no"
             cells += [
                 f"{100 * math.expm1(found['bias']):+.0f} %",
                 f"{100 * found['deviation']:.0f} %",
-                f"{100 * found['coverage']:.0f} %",
+                f"{100 * found['coverage']:.0f} %" if len(part) > 1 else covered,
             ] if told else ["–"] * 3  # fmt: skip
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
