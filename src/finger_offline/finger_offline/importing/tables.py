@@ -30,9 +30,7 @@ from finger_common.files import (
     exists,
     parse_npz,
     read_bytes,
-    read_text,
 )
-from finger_common.files import exists, parse_npz, read_bytes
 from finger_common.stamps import NANOSECONDS
 from finger_common.units import AREA_UNITS, FORCE_UNITS, LENGTH_UNITS, TIME_UNITS, unit_named
 
@@ -227,18 +225,21 @@ def read_table(name: str) -> Table:
 
 def _read_text(path: Path, part: str) -> Table:
     _no_part(path, part)
-    return of_rows(str(path), _text_rows(read_text(path, "table", MAXIMUM_FILE), str(path)))
-    return of_rows(str(path), _text_rows(_decoded(read_bytes(path, "table"))))
+    content = read_bytes(path, "table", MAXIMUM_FILE)
+    return of_rows(str(path), _text_rows(_decoded(content, str(path)), str(path)))
 
 
-def _decoded(content: bytes) -> str:
-    """Text as programs for tables save it: UTF-8, UTF-16 with its mark, else Windows-1252."""
+def _decoded(content: bytes, where: str) -> str:
+    """Text as programs for tables save it: UTF-8, UTF-16 with its mark, else Windows-1252; raises
+    InputError for what is no text."""
     marked = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
-        return content.decode("utf-16" if marked else "utf-8-sig")
+        text = content.decode("utf-16" if marked else "utf-8-sig")
     except UnicodeDecodeError:
-        # Every byte is a letter here: the five without a meaning become a sign of their own.
-        return content.decode("cp1252", errors="replace")
+        text = content.decode("cp1252", errors="replace")
+    if "\0" in text:
+        raise InputError(f"{where}: table is not text; save it as CSV in UTF-8")
+    return text
 
 
 def _text_rows(text: str, where: str) -> list[tuple[int, list[Any]]]:
