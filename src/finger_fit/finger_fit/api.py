@@ -29,7 +29,13 @@ from finger_common.flags import AreaFlag
 from finger_common.stamps import NANOSECONDS
 from finger_model.finger import load_areas
 from finger_model.geometry import Geometry
-from finger_offline.trial_checks import fault_of
+from finger_offline.trial_checks import (
+    LARGEST_FORCE,
+    LONGEST_PRESS,
+    PLAUSIBLE_AREA,
+    SHORTEST_PRESS,
+    fault_of,
+)
 from finger_offline.trial_records import TrialRecord
 from finger_offline.trial_split import presses
 
@@ -59,11 +65,12 @@ REMEDIES = {
 class Trial:
     """One press.
 
-    time (n,): s; force (n,): normal force in N, tared, positive when the finger presses, from no
-    contact on; area: gross contact area in m², (n,) with NaN where there is no frame, or (k,) at
-    area_time (k,) in s. moisture: readings (a.u.). target_force (N): ends the loading, 95 % of the
-    peak by default. Lists, arrays and pandas columns are taken. Raises InputError for arrays that
-    do not belong together, and for indentations that cannot be a finger's.
+    time (n,): s, or dates as NumPy and pandas have them; force (n,): normal force in N, tared,
+    positive when the finger presses, from no contact on; area: gross contact area in m², (n,) with
+    NaN where there is no frame, or (k,) at area_time (k,) in s. moisture: readings (a.u.).
+    target_force (N): ends the loading, 95 % of the peak by default. Lists, arrays and pandas
+    columns are taken. Raises InputError for arrays that do not belong together, and for times,
+    forces, areas and indentations that cannot be a finger's.
 
     indentation: measured approach of plate and bone in m, positive into the finger, from any zero:
     (n,) with NaN where there is none, or (j,) at indentation_time (j,) in s; None for none.
@@ -120,6 +127,8 @@ class Trial:
         first, end = max(found, key=lambda p: float(force[p[0] : p[1]].max()))
         peak = float(force[first:end].max())
         measured = np.isfinite(area)
+        last = float(time[min(end, len(time) - 1)])
+        _check_units(name, (float(time[first]), last), peak, frames[measured], area[measured])
         readings = np.atleast_1d(np.asarray(self.moisture, dtype=float))
         known = np.isfinite(indentation)
         record = TrialRecord(
@@ -152,7 +161,35 @@ class Trial:
         return record
 
 
+def _check_units(
+    name: str, span: tuple[float, float], peak: float, frames: np.ndarray, area: np.ndarray
+) -> None:
+    """Raise InputError for what no press can be: its span (s) and peak (N), the times of its frames
+    (k,) in s and their areas (k,) in m²."""
+    lasts, (low, high) = span[1] - span[0], PLAUSIBLE_AREA
+    if not SHORTEST_PRESS <= lasts <= LONGEST_PRESS:
+        raise InputError(f"{name}: the press lasts {lasts:.3g} s; give the time in s")
+    if peak > LARGEST_FORCE:
+        raise InputError(
+            f"{name}: force goes up to {peak:.4g} N, more than a finger can press; give it in N"
+        )
+    if not len(area):
+        raise InputError(f"{name}: area holds no number; leave the trial out")
+    if area.max() > high or 0 < area.max() < low:
+        raise InputError(
+            f"{name}: the largest area is {area.max():.3g} m², that of a fingertip lies between "
+            f"{low:g} and {high:g} m²; give the area in m²"
+        )
+    if not ((frames >= span[0]) & (frames <= span[1])).any():
+        raise InputError(
+            f"{name}: no area during the press, which lasts from {span[0]:.6g} to {span[1]:.6g} s; "
+            "give area_time on the clock of time"
+        )
+
+
 def _column(values: Any, name: str, gaps: bool = False) -> np.ndarray:
+    if getattr(getattr(values, "dtype", None), "kind", "") == "M":  # dates: seconds since 1970
+        values = np.asarray(values).astype("datetime64[ns]").astype(np.int64) / NANOSECONDS
     try:
         found = np.asarray(values, dtype=float).reshape(-1)
     except (TypeError, ValueError):

@@ -225,6 +225,16 @@ class FitOptions(NuisancePriors):
             space.index(name)
 
 
+def value_of(text: str, parameter: ParameterSpec) -> float:
+    """A value (SI) of a parameter with or without unit, as "140kPa" or "140e3"; NaN for none."""
+    units = UNITS.get(parameter.unit, {parameter.unit: 1.0})
+    found = _END.fullmatch(text)
+    if found is None:
+        return math.nan
+    unit = unit_named(found[2], units) if found[2] else parameter.unit
+    return math.nan if unit is None else _number(found[1]) * units.get(unit, 1.0)
+
+
 def _span(text: str, span: str, parameter: ParameterSpec) -> tuple[float, float]:
     """LOW and HIGH (SI) of bounds; raises InputError that quotes them."""
     units = UNITS.get(parameter.unit, {parameter.unit: 1.0})

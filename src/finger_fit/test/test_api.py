@@ -162,6 +162,11 @@ def test_saved_tables_hold_what_was_found(result: Fit, tmp_path: Path) -> None:
         ({"time": [0.0] * 200}, "trial 0: time must increase"),
         ({"force": -np.ones(200)}, "positive when the finger presses"),
         ({"area": np.full(200, np.inf)}, "area: value 0 is not finite"),
+        ({"area": np.full(200, np.nan)}, "trial 0: area holds no number"),
+        ({"area": 50.0 * np.sin(np.linspace(0.0, 2.0, 200))}, "is 50 m².*give the area in m²"),
+        ({"force": 1e3 * np.sin(np.linspace(0.0, 2.0, 200))}, "up to 1000 N.*give it in N"),
+        ({"time": np.linspace(0.0, 2000.0, 200)}, "lasts 1.*give the time in s"),
+        ({"area_time": 500.0 + np.linspace(0.0, 2.0, 200)}, "area_time on the clock of time"),
     ],
 )
 def test_bad_arrays_are_named(change: dict[str, Any], sentence: str) -> None:
@@ -173,6 +178,15 @@ def test_bad_arrays_are_named(change: dict[str, Any], sentence: str) -> None:
         fit([])
     with pytest.raises(InputError, match="did you mean 'bootstrap'"):
         fit([Trial(**good)], bootstraps=3)
+
+
+def test_dates_are_times() -> None:
+    time = np.linspace(0.0, 2.0, 201)
+    dates = np.datetime64("2026-05-01T10:00:00") + np.round(time * 1e9).astype("timedelta64[ns]")
+    plain, dated = (Trial(t, np.sin(time), 5e-5 * np.sin(time)).record(0) for t in (time, dates))
+    steps = np.diff(dated.stamp_ns) - np.diff(plain.stamp_ns)
+    assert np.abs(steps).max() < 1000, "ns"
+    np.testing.assert_array_equal(dated.stamp_ns, dated.area_stamp_ns)
 
 
 def test_importing_needs_no_ros() -> None:

@@ -17,11 +17,14 @@ from finger_common.cli import run
 from finger_common.errors import InputError
 from finger_fit.cli import command
 from finger_fit.design import Plan, expected, plan_of, power, presses_for, subjects_for
+from finger_fit.design.command import finger_of
 from finger_fit.design.expected import expected_of
 from finger_fit.design.power import contrast_deviation
 from finger_fit.nuisance.estimate import NuisanceModel
 from finger_fit.options import FitOptions
 from finger_fit.search import all_free, refine
+from finger_model.laws import StandardLinearSolid
+from finger_model.paper import CONDITIONS
 from finger_model.reduced import ReducedModel
 
 SENSOR = 60e-6
@@ -196,6 +199,9 @@ def test_a_sensor_never_widens_what_a_fit_leaves_open() -> None:
         (["--plan", "a:shortest=3,longest=1"], "exchange them"),
         (["--guess", "wet"], "give one of dry"),
         (["--guess", "E0=1e5"], "all of E0"),
+        (["--guess", "E0=80kPa,E1=25kPa,tau1=0.5s,E2=1.8GN"], "all of E0"),
+        (["--guess", "E0=80kPa,E1=25kPa,tau1=0.5s,E2=1.8MPa,E3=1"], "all of E0"),
+        (["--guess", "E0=80,E1=25,tau1=0.5,E2=1800"], "E0 is 80 Pa, outside"),
         (["--wanted", "E=0.1"], "QUANTITY=DEVIATION"),
         (["--subjects", "1"], "at least 2 subjects"),
     ],
@@ -206,6 +212,15 @@ def test_bad_input_is_one_sentence(
     assert run(command, ["design", *arguments]) == 2
     error = capsys.readouterr().err
     assert words in error and len(error.strip().splitlines()) == 1
+
+
+def test_a_finger_is_named_with_or_without_units() -> None:
+    space = StandardLinearSolid.PARAMETERS
+    plain = finger_of("E0=80e3,E1=25.38e3,tau1=0.5,E2=1.8e6", space)
+    named = finger_of("E0=80kPa,E1=25.38 kPa,tau1=500ms,E2=1.8MPa", space)
+    np.testing.assert_allclose(named, plain, rtol=1e-12)
+    for name, condition in CONDITIONS.items():
+        assert space.mapping(finger_of(name, space)) == condition.parameters
 
 
 def test_a_press_that_shows_no_frame_is_refused(double) -> None:

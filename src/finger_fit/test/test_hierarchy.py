@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from pathlib import Path
 
@@ -93,6 +94,19 @@ def test_thirty_subjects_give_means_spread_and_contrast() -> None:
     assert abs(found.subject_sd.mean() - 0.25) < 3 * found.subject_sd.std() < 0.2
 
 
+def test_arviz_finds_the_draws_independent() -> None:
+    """Four parts of the draws as if they were chains: no part knows of another."""
+    stats = pytest.importorskip("arviz_stats.base").array_stats
+    data, *_ = study(np.random.default_rng(1), 10)
+    found = posterior(data, PRIORS, draws=4000, seed=5)
+    for draws in (*found.beta.T, found.subject_sd, found.condition_sd, *found.effect.T[:2]):
+        chains = draws.reshape(4, 1000)
+        assert stats.rhat(chains, chain_axis=0, draw_axis=1) < 1.01
+        for method in ("bulk", "sd"):
+            size = stats.ess(chains, chain_axis=0, draw_axis=1, method=method)
+            assert size > 0.8 * draws.size, method
+
+
 def test_a_subject_of_poor_data_is_drawn_to_the_others() -> None:
     value = np.array([[3.0], [3.1], [2.9], [3.0], [5.0]])
     none = np.zeros((5, 1, 0))
@@ -143,6 +157,12 @@ def test_the_command_reads_fits_and_writes_the_population(
     assert entry["moisture_slope_log_per_10"]["high"] < 0, "moister is softer"
     assert entry["sd_between_subjects_log"]["low"] > 0.0
     assert set(entry["subjects"]) == {f"S{i:02d}" for i in range(8)}
+    header, *rows = csv.reader((tmp_path / "population_draws.csv").read_text().splitlines())
+    draws = dict(zip(header, np.array(rows, dtype=float).T))
+    found = draws["composite_E dry"] / draws["composite_E natural"]
+    assert np.median(found) == pytest.approx(ratio["median"], rel=1e-4), "rows are paired"
+    slope = draws["composite_E moisture_slope_log_per_10"]
+    assert (slope < 0).mean() == entry["probability_slope_negative"]
 
 
 def test_bad_input_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -19,6 +19,9 @@ from .trial_split import TrialSettings, split
 PLAUSIBLE_AREA = (5e-6, 2e-3)
 """m²; the largest area of a press of a fingertip lies between (the paper's: 60 to 150 mm²)."""
 
+SHORTEST_PRESS, LONGEST_PRESS = 0.02, 300.0
+"""s; presses that are all shorter or all longer have times of another unit."""
+
 LARGEST_FORCE = 100.0
 """N; a finger cannot press harder without injury, another unit can."""
 

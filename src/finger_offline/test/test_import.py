@@ -306,6 +306,7 @@ def test_a_table_of_trials_gives_a_folder_of_bags(files: dict[str, str], tmp_pat
         ({"area_per_pixel": 1e-9}, r"--area-per-pixel is for --video"),
         ({"start": "yesterday"}, r"--start 'yesterday' is no date"),
         ({"tare": 2.0}, r"varies by .* --tare"),
+        ({"time_unit": "us"}, r"first press lasts .*e-06 s; give the right --time-unit"),
     ],
 )
 def test_what_cannot_be_meant_is_refused_and_nothing_is_written(
@@ -336,6 +337,47 @@ def test_bad_rows_are_named(
     with pytest.raises(InputError) as caught:
         import_trial(ImportSettings(**files), tmp_path / "bag")
     assert re.search(sentence, str(caught.value)), caught.value
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "utf-16", "utf-8-sig"])
+def test_headings_in_the_encodings_of_other_programs(
+    files: dict[str, str], tmp_path: Path, encoding: str
+) -> None:
+    path = tmp_path / "flaeche.csv"
+    rows = Path(files["area"]).read_text().splitlines()[1:]
+    text = "Messung 3, linker Finger\nZeit [s];Fläche [mm²]\n"
+    text += "\n".join(rows).replace(",", ";").replace(".", ",")
+    path.write_bytes(text.encode(encoding))
+    named = {"area": str(path), "area_time": "Zeit", "area_column": "Fläche"}
+    import_trial(ImportSettings(**{**files, **named}), tmp_path / "bag")
+    check_trials(tmp_path / "bag")
+
+
+def test_rows_without_a_force_are_left_out_and_told(files: dict[str, str], tmp_path: Path) -> None:
+    path = Path(files["force"])
+    heading, *rows = path.read_text().splitlines()
+    for k, cell in ((700, "NaN"), (701, ""), (702, "nan")):
+        rows[k] = f"{rows[k].split(',')[0]},{cell}"
+    path.write_text("\n".join([heading, *rows]) + "\n")
+    found = import_trial(ImportSettings(**files), tmp_path / "bag")
+    assert any("3 rows without a force" in note for note in found.notes)
+    check_trials(tmp_path / "bag")
+
+
+def test_times_in_milliseconds_without_a_unit_are_refused(
+    files: dict[str, str], tmp_path: Path
+) -> None:
+    csv(Path(files["force"]), "time_s,force_n", TIME * 1e3, force_at(TIME))
+    with pytest.raises(InputError, match=r"first press lasts 2.*e\+03 s; .*--time-unit"):
+        import_trial(ImportSettings(**files), tmp_path / "bag")
+
+
+def test_a_force_that_was_not_tared_is_told_the_option(
+    files: dict[str, str], tmp_path: Path
+) -> None:
+    csv(Path(files["force"]), "time_s,force_n", TIME, force_at(TIME) + 0.3)
+    found = import_trial(ImportSettings(**files), tmp_path / "bag")
+    assert any("not tared (0.3 N): give --tare" in note for note in found.notes)
 
 
 @pytest.mark.parametrize("name", ["a.xlsx", "a.parquet", "a.h5", "a.mat", "a.npz"])

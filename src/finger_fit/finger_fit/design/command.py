@@ -25,7 +25,7 @@ from finger_model.paper import CONDITIONS
 
 from ..nuisance.names import name_of
 from ..nuisance.priors import NuisancePriors
-from ..options import FitOptions
+from ..options import FitOptions, value_of
 from .expected import Expected, expected, presses_for
 from .plan import Plan, plan_of
 from .power import contrast_deviation, power, subjects_for
@@ -58,8 +58,8 @@ def parser() -> Parser:
     )
     p.add_argument(
         "--guess", default="natural", metavar="C|N=V,…",
-        help="the finger: a condition of the simulated study (dry, natural, moist), or values in "
-        "SI as in E0=140e3,E1=22e3,tau1=0.5,E2=1.8e6 (default: natural)",
+        help="the finger: a condition of the simulated study (dry, natural, moist), or values "
+        "as in E0=140kPa,E1=22kPa,tau1=0.5s,E2=1.8MPa, SI without units (default: natural)",
     )  # fmt: skip
     settings = ", ".join(f"{s.name} ({s.default}{' ' + s.unit if s.unit else ''})" for s in
                          Plan.parameters())  # fmt: skip
@@ -108,16 +108,23 @@ def finger_of(text: str, space: ParameterSpace) -> np.ndarray:
         values = {}
         for part in text.split(","):
             name, _, number = part.partition("=")
-            try:
-                values[name.strip()] = float(number)
-            except ValueError:
-                values = {}
-                break
-    if set(values) != set(space.names):
+            known = name.strip() in space.names
+            values[name.strip()] = value_of(number, space[name.strip()]) if known else math.nan
+    if set(values) != set(space.names) or not np.isfinite(list(values.values())).all():
         raise InputError(
             f"finger '{text}': give one of {', '.join(CONDITIONS)}, or all of "
-            f"{', '.join(space.names)} in SI, as in E0=140e3,E1=22e3,tau1=0.5,E2=1.8e6"
+            f"{', '.join(space.names)}, as in E0=140kPa,E1=22kPa,tau1=0.5s,E2=1.8MPa (SI without "
+            "units)"
         )
+    for parameter in () if text in CONDITIONS else space.parameters:
+        value, (low, high) = values[parameter.name], parameter.range
+        if not low <= value <= high:
+            factor, unit = parameter.display_factor, parameter.display_unit
+            raise InputError(
+                f"finger '{text}': {parameter.name} is {value:g} {parameter.unit}, outside "
+                f"{low * factor:g} to {high * factor:g} {unit}, for which the model is made; give "
+                "the unit, as in E0=140kPa"
+            )
     return space.checked(np.array([values[name] for name in space.names]))
 
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import csv
 import itertools
 import json
 import math
@@ -32,6 +33,8 @@ MOISTURE_UNIT = 10.0
 LARGEST = 1e12
 """Value in SI or deviation of a logarithm above which no fit was made."""
 
+DRAWS_FILE = "population_draws.csv"
+
 CLEAR = 0.975
 """Probability from which a difference of two conditions is called told apart."""
 
@@ -41,7 +44,8 @@ def parser() -> Parser:
     p = Parser(
         prog="finger-fit population",
         description="Population means of the conditions, spread between subjects and slope over "
-        "moisture, from the fit.json of finger-fit; writes population.json.",
+        "moisture, from the fit.json of finger-fit; writes population.json and "
+        "population_draws.csv.",
         example="finger-fit out/bags/* -o out/fit\nfinger-fit population out/fit -o out/fit",
     )
     p.add_argument(
@@ -68,7 +72,7 @@ def command(argv: Sequence[str]) -> int:
         if name not in space.quantity_names:
             raise InputError(f"--quantity '{name}': choose from {', '.join(space.quantity_names)}")
     subjects = read_subjects(args.fits)
-    data = population(subjects, quantities, space, args.seed)
+    data, draws = population(subjects, quantities, space, args.seed)
     console = Console(width=None if Console().is_terminal else 160)
     console.print(_table(space, data))
     for name, found in data["quantities"].items():
@@ -78,7 +82,8 @@ def command(argv: Sequence[str]) -> int:
     with atomic_write(path) as file:
         json.dump(data, file, indent=1, ensure_ascii=False)
         file.write("\n")
-    print(f"written: {plain(path)}")
+    write_draws(draws, path.with_name(DRAWS_FILE))
+    print(f"written: {plain(path)}, {DRAWS_FILE}")
     return 0
 
 
@@ -116,9 +121,11 @@ def population(
     quantities: Sequence[str],
     space: ParameterSpace,
     seed: int = 0,
-) -> dict[str, Any]:
-    """What population.json holds, of the entries of fit.json."""
+) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """What population.json holds, of the entries of fit.json; and independent draws (d,) of the
+    posterior by column of population_draws.csv."""
     conditions = list(dict.fromkeys(c for part in subjects.values() for c in part))
+    draws: dict[str, np.ndarray] = {}
     out: dict[str, Any] = {"subjects": list(subjects), "conditions": conditions, "quantities": {}}
     moisture = np.array(
         [[_moisture(part.get(c)) for c in conditions] for part in subjects.values()]
@@ -129,11 +136,16 @@ def population(
         priors = HierarchyPriors(level=0.5 * math.log(low * high))
         found = posterior(Estimates.of_conditions(*arrays), priors, seed=seed)
         entry = _entry(found, conditions, list(subjects))
+        for j, condition in enumerate(conditions):
+            draws[f"{name} {condition}"] = np.exp(found.beta[:, j])
+        draws[f"{name} sd_between_subjects_log"] = found.subject_sd
+        draws[f"{name} sd_subject_by_condition_log"] = found.condition_sd
         centre = np.nanmean(moisture) if np.isfinite(moisture).any() else math.nan
         if np.isfinite(moisture).sum() > 3 and np.nanstd(moisture) > 1.0:
             scaled = (moisture - centre) / MOISTURE_UNIT
             slope = posterior(Estimates.of_covariate(*arrays, scaled), priors, seed=seed)
             entry["moisture_slope_log_per_10"] = ends(slope.beta[:, 1])
+            draws[f"{name} moisture_slope_log_per_10"] = slope.beta[:, 1]
             entry["probability_slope_negative"] = float((slope.beta[:, 1] < 0).mean())
         bounded = [
             f"{s} {c}" for s, part in subjects.items() for c in part
@@ -147,7 +159,16 @@ def population(
             )
         out["quantities"][name] = entry
     out["priors"] = {k: v for k, v in vars(HierarchyPriors()).items() if k != "level"}
-    return out
+    return out, draws
+
+
+def write_draws(draws: Mapping[str, np.ndarray], path: Path) -> None:
+    """One row a draw (SI); columns are paired row by row within a quantity, but for the slope."""
+    rows = np.column_stack(list(draws.values()))
+    with atomic_write(path) as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(draws)
+        writer.writerows([f"{value:.6g}" for value in row] for row in rows)
 
 
 def _moisture(entry: Any) -> float:

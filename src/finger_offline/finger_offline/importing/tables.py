@@ -9,6 +9,7 @@ A reader is a function of a path and a part (sheet, group, dataset; may be empty
 
 from __future__ import annotations
 
+import codecs
 import csv
 import io
 import zipfile
@@ -29,7 +30,6 @@ from finger_common.files import (
     exists,
     parse_npz,
     read_bytes,
-    read_text,
 )
 from finger_common.stamps import NANOSECONDS
 from finger_common.units import AREA_UNITS, FORCE_UNITS, LENGTH_UNITS, TIME_UNITS, unit_named
@@ -225,7 +225,21 @@ def read_table(name: str) -> Table:
 
 def _read_text(path: Path, part: str) -> Table:
     _no_part(path, part)
-    return of_rows(str(path), _text_rows(read_text(path, "table", MAXIMUM_FILE), str(path)))
+    content = read_bytes(path, "table", MAXIMUM_FILE)
+    return of_rows(str(path), _text_rows(_decoded(content, str(path)), str(path)))
+
+
+def _decoded(content: bytes, where: str) -> str:
+    """Text as programs for tables save it: UTF-8, UTF-16 with its mark, else Windows-1252; raises
+    InputError for what is no text."""
+    marked = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    try:
+        text = content.decode("utf-16" if marked else "utf-8-sig")
+    except UnicodeDecodeError:
+        text = content.decode("cp1252", errors="replace")
+    if "\0" in text:
+        raise InputError(f"{where}: table is not text; save it as CSV in UTF-8")
+    return text
 
 
 def _text_rows(text: str, where: str) -> list[tuple[int, list[Any]]]:

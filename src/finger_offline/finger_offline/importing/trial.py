@@ -30,7 +30,7 @@ from finger_vision.calibration import PlateCalibration
 
 from ..image_areas import area_fields
 from ..indentation_checks import indentation_fault
-from ..trial_checks import LARGEST_FORCE, PLAUSIBLE_AREA
+from ..trial_checks import LARGEST_FORCE, LONGEST_PRESS, PLAUSIBLE_AREA, SHORTEST_PRESS
 from ..trial_split import TrialSettings, presses
 from .pictures import Frame, frames_of
 from .settings import PATHS, ImportSettings
@@ -125,9 +125,15 @@ def _force(settings: ImportSettings, table: Table, notes: list[str]) -> tuple[Ti
             "Fx,Fy,Fz"
         )
     unit = settings.force_unit or _unit(table, headings[-1], FORCE_UNITS, "--force-unit N")
-    columns = [table.numbers(h) * FORCE_UNITS[unit] for h in headings]
+    columns = [table.numbers(h, gaps=True) * FORCE_UNITS[unit] for h in headings]
     _check_length(table, heading, headings[0], len(times.ns), len(columns[0]))
     keep = _in_order(table, heading, times.ns, notes)
+    known = np.all(np.isfinite(columns), axis=0)
+    if not known.any():
+        raise InputError(f"{table.where}: column '{headings[0]}' holds no number; name another one")
+    if not known.all():
+        notes.append(f"{table.where}: {int((~known).sum())} rows without a force, left out")
+        keep &= known
     times = Times(times.ns[keep], times.absolute)
     force = np.zeros((len(times.ns), 3))
     if len(columns) == 1:
@@ -208,13 +214,22 @@ def _presses(settings: ImportSettings, found: _Force, result: Imported) -> list[
             f"{where}: no press of {split.minimum_peak:g} N or more, the largest force is "
             f"{high:.3g} N; check --force-column, --force-unit and --tare"
         )
+    last_row = len(stamps) - 1
+    lengths = [seconds(int(stamps[min(b, last_row)] - stamps[a])) for a, b in chosen]
+    if min(lengths) > LONGEST_PRESS or max(lengths) < SHORTEST_PRESS:
+        raise InputError(
+            f"{where}: the first press lasts {lengths[0]:.3g} s; give the right --time-unit"
+        )
     items: list[_Item] = []
     for number, (first, end) in enumerate(chosen):
         peak = float(normal[first:end].max())
         last = int(stamps[min(end, len(stamps)) - 1])
         result.presses.append((int(stamps[first]), last, peak))
         if first == 0:
-            result.notes.append(f"press {number}: begins before the recording; it cannot be fitted")
+            result.notes.append(
+                f"press {number}: begins before the recording; it cannot be fitted. If the finger "
+                f"did not touch yet, the force is not tared ({normal[0]:.3g} N): give --tare"
+            )
         earlier = int(stamps[chosen[number - 1][1] - 1]) if number else int(stamps[0])
         begin = max(int(stamps[first]) - nanoseconds(BEFORE_PRESS), earlier)
         target = settings.target_force or math.floor(PART_OF_PEAK * peak * 100) / 100
@@ -367,7 +382,8 @@ def _check_areas(settings: ImportSettings, result: Imported) -> None:
         raise InputError(
             f"{name}: no area during a press; the first press begins "
             f"{seconds(origin - int(stamps[0])):.3g} s after the first area and the last area "
-            f"comes {seconds(int(stamps[-1]) - origin):.3g} s after it; give --time-offset"
+            f"comes {seconds(int(stamps[-1]) - origin):.3g} s after it; give --time-offset, or the "
+            "--time-unit of both"
         )
     for number, count in enumerate(inside):
         if count < FEWEST_AREAS:
