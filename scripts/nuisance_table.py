@@ -61,10 +61,10 @@ from finger_fit.uncertainty import covariance, in_interval
 from finger_model.geometry import Geometry
 from finger_model.laws import MaxwellLaw, StandardLinearSolid, from_branches
 from finger_model.paper import FRICTION, TRIALS_PER_CONDITION
+from finger_model.pose.pose import Pose
 from finger_model.reduced import ReducedModel
 from finger_model.reduced.model import load_population
 from finger_model.solid3d.full_order import SolidModel
-from finger_model.solid3d.mesh import Pose
 from finger_model.verification.cases import CALCULIX_FINGER, reference
 from finger_sim.conditions import STUDY
 from finger_sim.press import Press, plan_press

@@ -29,9 +29,9 @@ from finger_model.estimator.estimate import ESTIMATE_FIELDS
 from finger_model.geometry import Geometry
 from finger_model.pose import correction
 from finger_model.pose.estimator import MeasuredOutline, PoseEstimator, ShapeEstimate
+from finger_model.pose.pose import Pose
 from finger_model.pose.settings import PoseSettings
 from finger_model.pose.touch import first_touch
-from finger_model.solid3d.mesh import Pose
 from finger_model.verification.cases import CALCULIX_FINGER, reference
 
 FINGERS = {"default": Geometry(), "calculix": CALCULIX_FINGER}

@@ -25,8 +25,8 @@ import numpy as np
 
 from finger_model.fem.equilibrium import OPEN
 from finger_model.geometry import Geometry
+from finger_model.pose.pose import Pose
 from finger_model.solid3d.full_order import SolidModel, SolidStepper
-from finger_model.solid3d.mesh import Pose
 from finger_model.verification.cases import CALCULIX_FINGER, elastic
 
 LOADS = (0.2, 0.4, 0.7, 1.2, 2.0)

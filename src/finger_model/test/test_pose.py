@@ -16,9 +16,9 @@ from finger_model.estimator.estimate import ESTIMATE_FIELDS
 from finger_model.geometry import Geometry
 from finger_model.pose.correction import PoseCorrection
 from finger_model.pose.estimator import MeasuredOutline, PoseEstimator
+from finger_model.pose.pose import Pose
 from finger_model.pose.settings import PoseSettings
 from finger_model.pose.touch import first_touch
-from finger_model.solid3d.mesh import Pose
 from finger_model.verification.cases import CALCULIX_FINGER, reference
 
 ROUND = 40e-6

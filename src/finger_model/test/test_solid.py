@@ -16,11 +16,12 @@ from finger_model.fem.equilibrium import SLIP, STICK
 from finger_model.fem.mesh import EPIDERMIS
 from finger_model.geometry import Geometry
 from finger_model.laws import GeneralizedMaxwell2, StandardLinearSolid
+from finger_model.pose.pose import Pose
 from finger_model.solid3d import contact_shape, elements
 from finger_model.solid3d.condensation import Condensation
 from finger_model.solid3d.contact_shape import node_areas, outline
 from finger_model.solid3d.full_order import SOLID_CSV_HEADER, SolidModel
-from finger_model.solid3d.mesh import MeshSize, Pose, solid_mesh
+from finger_model.solid3d.mesh import MeshSize, solid_mesh
 from finger_model.verification.cases import CALCULIX_FINGER, elastic
 
 COARSE = MeshSize(center=0.2, across=4, growth=1.3, bulk=3, bulk_growth=1.5, skin=1)

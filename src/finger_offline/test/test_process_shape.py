@@ -20,8 +20,8 @@ from finger_common.flags import ShapeFlag
 from finger_model.estimator import ContactEstimator
 from finger_model.geometry import Geometry
 from finger_model.pose.correction import PoseCorrection
+from finger_model.pose.pose import Pose
 from finger_model.reduced import ReducedModel
-from finger_model.solid3d.mesh import Pose
 
 POSE = Pose(1.3, 0.25, -0.1)
 START = 1_700_000_000_000_000_000

@@ -13,7 +13,7 @@ from finger_common.namespaces import DEFAULT_NAMESPACE, default_folder, own_port
 from finger_common.settings import Settings, setting
 from finger_driver import can_bus
 from finger_driver.simulators import images, netcanoem, serial_moisture
-from finger_model.solid3d.mesh import Pose
+from finger_model.pose.pose import Pose
 
 from .addresses import CAN_CHANNEL, RigAddresses
 from .conditions import condition

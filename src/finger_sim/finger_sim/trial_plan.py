@@ -25,7 +25,7 @@ from finger_common.guided_presses import PRESS_BY_NAME
 from finger_common.guided_pulls import is_pull
 from finger_model.paper import READINGS_PER_TRIAL, TARGET_FORCE
 from finger_model.pose.correction import PoseCorrection
-from finger_model.solid3d.mesh import Pose
+from finger_model.pose.pose import Pose
 
 from .conditions import condition
 from .finger import SimulatedFinger, area_at

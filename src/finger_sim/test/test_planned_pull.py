@@ -16,7 +16,7 @@ import pytest
 from finger_common.guided_pulls import HOLD, LOAD
 from finger_model.geometry import Geometry
 from finger_model.pose.correction import PoseCorrection
-from finger_model.solid3d.mesh import Pose
+from finger_model.pose.pose import Pose
 from finger_sim import pull
 from finger_sim.participant import FrameClock, Participant, _Press
 from finger_sim.study_trial import plan_study_trial

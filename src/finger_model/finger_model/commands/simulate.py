@@ -153,8 +153,8 @@ def _solid(
     pull: np.ndarray | None,
 ) -> int:
     """History of the full-order model in three dimensions."""
+    from ..pose.pose import Pose
     from ..solid3d.full_order import SolidModel
-    from ..solid3d.mesh import Pose
 
     if arguments.solver == "reduced" or arguments.reduced_model:
         raise InputError(

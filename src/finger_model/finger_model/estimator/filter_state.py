@@ -14,8 +14,8 @@ from finger_common.flags import StateFlag
 from finger_common.stamps import nanoseconds
 
 from ..pose.correction import PoseCorrection
+from ..pose.pose import Pose
 from ..reduced.model import ReducedModel
-from ..solid3d.mesh import Pose
 from . import members, stream
 from .estimate import ESTIMATE_DTYPE
 from .mismatch import Mismatch, mismatch_of

@@ -15,7 +15,7 @@ from finger_common.moisture import MOISTURE_RANGE
 from finger_common.settings import Settings, setting
 
 from ..paper import NATURAL
-from ..solid3d.mesh import Pose
+from ..pose.pose import Pose
 
 _runtime = partial(setting, runtime=True)
 """A setting that may change while the estimator runs, as all of them may."""

@@ -23,7 +23,7 @@ import numpy as np
 from finger_common.files import load_json
 
 from ..geometry import Geometry
-from ..solid3d.mesh import Pose
+from .pose import Pose
 from .touch import Touch, first_touch
 
 FILE = Path(str(resources.files("finger_model") / "data" / "pose_correction.json"))

@@ -26,8 +26,8 @@ from finger_common.stamps import NANOSECONDS, nanoseconds
 
 from ..estimator import ContactEstimate
 from ..geometry import Geometry
-from ..solid3d.mesh import ASPECTS, LARGEST_TILT, Pose
 from .correction import Outline, PoseCorrection
+from .pose import ASPECTS, LARGEST_TILT, Pose
 from .settings import PoseSettings
 
 ASPECT, PITCH, ROLL, PLACE = 0, 1, 2, slice(3, 5)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..geometry import Geometry
-from ..solid3d.mesh import Pose
+from .pose import Pose
 
 
 class Touch(NamedTuple):

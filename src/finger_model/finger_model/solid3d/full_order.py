@@ -24,11 +24,12 @@ from ..fem.mesh_material import Crushed, StepMaterial
 from ..geometry import Geometry
 from ..history import CSV_HEADER, check_force_history, csv_of, mean_pressure
 from ..laws import ConstitutiveLaw, Tissue
+from ..pose.pose import Pose
 from .contact import Contact, Plate, Sliding
 from .contact_shape import node_areas, outline, pressure, stick_ratio
 from .equilibrium import Equilibrium
 from .material import SolidMaterial
-from .mesh import MeshSize, Pose, SolidMesh, solid_mesh
+from .mesh import MeshSize, SolidMesh, solid_mesh
 
 SMALLEST_CUT = 2.0**-12
 """Smallest fraction of a step: a step that does not converge is cut to a quarter, down to this."""

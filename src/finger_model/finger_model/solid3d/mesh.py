@@ -16,59 +16,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from finger_common.errors import InputError
-
 from ..fem.mesh import BULK, EPIDERMIS, NAIL
 from ..geometry import Geometry
+from ..pose.pose import Pose
 
 NAIL_LAYERS = 2
-LARGEST_TILT = math.radians(45.0)
-ASPECTS = (0.5, 2.0)
-
-
-@dataclass(frozen=True)
-class Pose:
-    """Third dimension of a pad and of its plate.
-
-    aspect: lateral semi-axis of pad, skin, bone and nail along x over the one along y, which is
-    that of the geometry. pitch, roll: tilt of the plate in rad; the plate's normal is turned about
-    y by pitch (its side at +x rises), then about x by roll (its side at +y rises). Raises
-    InputError for an aspect outside 0.5 … 2 or a tilt beyond 45°.
-    """
-
-    aspect: float = 1.0
-    pitch: float = 0.0
-    roll: float = 0.0
-
-    def __post_init__(self) -> None:
-        low, high = ASPECTS
-        if not low <= self.aspect <= high:
-            raise InputError(f"pad aspect is {self.aspect:g}, outside {low:g} … {high:g}")
-        if not self.tilt <= LARGEST_TILT:
-            raise InputError(
-                f"plate tilt is {math.degrees(self.tilt):g}°, beyond "
-                f"{math.degrees(LARGEST_TILT):g}°; tilt the plate less"
-            )
-
-    @property
-    def axes(self) -> np.ndarray:
-        """Axes x', y', z' of the plate (rows, 3 × 3) in axes of the finger; z' is its normal."""
-        cp, sp = math.cos(self.pitch), math.sin(self.pitch)
-        cr, sr = math.cos(self.roll), math.sin(self.roll)
-        about_y = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
-        about_x = np.array([[1.0, 0.0, 0.0], [0.0, cr, sr], [0.0, -sr, cr]])
-        return about_y @ about_x
-
-    @property
-    def tilt(self) -> float:
-        """Angle (rad) between the plate's normal and the finger's axis; NaN if not finite."""
-        normal = self.axes[2]
-        return math.atan2(math.hypot(normal[0], normal[1]), normal[2])
-
-    @property
-    def symmetric(self) -> bool:
-        """Whether y = 0 is a plane of symmetry of finger and plate."""
-        return self.roll == 0.0
 
 
 @dataclass(frozen=True)

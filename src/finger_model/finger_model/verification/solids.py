@@ -11,8 +11,8 @@ import numpy as np
 
 from ..fem.full_order import FullOrderModel
 from ..material import Material
+from ..pose.pose import Pose
 from ..solid3d.full_order import SolidModel, SolidPoint
-from ..solid3d.mesh import Pose
 from .cases import CALCULIX_FINGER, elastic, reference
 from .check import Check, Curve, Measure, Panel, largest, percent
 
