@@ -525,3 +525,44 @@ def test_slip_goes_out_where_somebody_listens_as_the_core_has_it(
     assert slips[-1].tangential_force.y == pytest.approx(0.2988)
     assert 0.1 < slips[-1].slip_margin < 0.8
     assert bench.set("friction_prior", 0.9).successful
+
+
+def test_shape_goes_out_where_it_is_wanted_as_the_core_has_it(
+    bench: Bench, process: Callable[..., Any]
+) -> None:
+    from finger_model.estimator import EstimatorSettings
+    from finger_model.messages import shape_numbers
+    from finger_model.pose.estimator import PoseEstimator
+    from finger_msgs.msg import ContactShape
+
+    start(process, "contact_shape:=true", "pad_aspect:=1.3", "plate_pitch:=0.2")
+    shapes: list[ContactShape] = []
+    bench.node.create_subscription(ContactShape, "/finger/contact_shape", shapes.append, RELIABLE)
+    bench.connected()
+    bench.until(lambda: bench.node.count_publishers("/finger/contact_shape") > 0)
+    bench.settle()
+    settings = EstimatorSettings(pad_aspect=1.3, plate_pitch=0.2)
+    estimator = ContactEstimator(ReducedModel.load(), settings=settings)
+    core = PoseEstimator(estimator.model.geometry, known=settings.pose)
+    layout = FixedMessage(ContactShape(header=bench.press(T0, 0.0).header))
+    wanted = []
+    for n in range(300):
+        stamp, force = T0 + n * 2 * MS, (0.0, 0.0, -min(1.0, n / 100))
+        torque = (-1e-3 * force[2], 2e-3 * force[2], 0.0)
+        if n:
+            message = WrenchStamped()
+            message.header.frame_id = "sensor"
+            message.header.stamp = to_time(stamp)
+            message.wrench.force.z = force[2]
+            message.wrench.torque.x, message.wrench.torque.y, _ = torque
+            bench.wrench.publish(message)
+        for estimate in estimator.add_wrench(stamp, force):
+            core.follow(estimate, force, torque)
+            if core.due(estimate.stamp_ns):
+                wanted.append(layout.pack(*shape_numbers(core.shape(estimate))))
+    assert len(wanted) > 10
+    bench.until(lambda: len(shapes) >= len(wanted))
+    for found, values in zip(shapes, wanted):
+        assert repr(found) == repr(deserialize_message(values, ContactShape))
+    assert shapes[-1].semi_axis_major > shapes[-1].semi_axis_minor > 1e-3
+    assert abs(shapes[-1].center_of_pressure.x) == pytest.approx(2e-3, rel=0.2)

@@ -135,7 +135,7 @@ def test_aspect_and_tilt_are_found_within_three_degrees(pose):
         assert abs(turn) < 0.1
 
 
-def test_torque_alone_tells_the_tilt_of_a_finger_of_known_aspect():
+def test_torque_alone_tells_the_tilt_as_well_as_it_says():
     shape, _ = follow(Pose(1.0, 0.3, 0.0), camera=False)
     assert shape.flags & ShapeFlag.OUTLINE_MISSING
     # Without an outline the aspect is not known, and with it how far a tilt moves the contact.
