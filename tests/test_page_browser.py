@@ -604,6 +604,7 @@ def test_a_double_click_is_one_click(rig: StandIn, page: Any) -> None:
     rig.cue("done")
     rig.status(**session("done", instruction="Trial 3 kept."))
     page.wait_for_selector("#cue[data-look=done]")
+    page.wait_for_timeout(500)  # two presses sooner than that are one
     page.dblclick("#start")
     until(lambda: rig.commands, page)
     prepare(rig, page)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import sys
 from collections.abc import Mapping
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Generic, TypeVar
@@ -28,9 +29,9 @@ def _derives(found: Any, base: type) -> bool:
     return isinstance(found, type) and base in found.__mro__
 
 
-@functools.cache
-def _entry_points() -> Any:
-    # Looking through every installed package takes 30 ms.
+@functools.lru_cache(maxsize=1)
+def _entry_points(_path: tuple[str, ...]) -> Any:
+    # Looking through every installed package takes 30 ms, and is done again for another path.
     return entry_points()
 
 
@@ -47,7 +48,9 @@ class Plugins:
         self._loaded: dict[str, Any] = {}
 
     def _found(self) -> dict[str, EntryPoint]:
-        return {entry.name: entry for entry in _entry_points().select(group=self.group)}
+        return {
+            entry.name: entry for entry in _entry_points(tuple(sys.path)).select(group=self.group)
+        }
 
     def names(self) -> tuple[str, ...]:
         """Names of all installed members, sorted."""
