@@ -698,6 +698,16 @@ def test_the_list_of_devices_keeps_the_focus_and_what_is_open(rig: StandIn, page
     assert "samples" in page.inner_text("#health details[open]")
 
 
+def test_a_rate_is_shown_once(rig: StandIn, page: Any) -> None:
+    page.click("#tab-health")
+    row = page.locator("#health li:nth-child(6) summary")
+    values = {**rig.health[5]["values"], "measured_rate_hz": "499.8"}
+    for message, shown in (("streaming", "streaming · 500 Hz"), ("500 Hz, good", "500 Hz, good")):
+        rig.health[5] = {**rig.health[5], "level": 0, "message": message, "values": values}
+        until(lambda shown=shown: shown in row.inner_text(), page)
+        assert row.inner_text().count("Hz") == 1
+
+
 SPOKEN = """() => {
   window.spoken = [];
   for (const e of document.querySelectorAll("[role=status], [role=alert], [aria-live]")) {

@@ -332,7 +332,7 @@ def test_services_and_parameters_answer_and_refuse_with_a_reason(
     assert "moisture" in found["inputs"]["message"]
 
 
-def test_a_contact_without_any_area_is_reported_where_areas_are_expected(
+def test_what_is_missing_or_out_of_range_is_reported_where_it_is_expected(
     bench: Bench, process: Callable[..., Any]
 ) -> None:
     def warns() -> bool:
@@ -360,6 +360,19 @@ def test_a_contact_without_any_area_is_reported_where_areas_are_expected(
     fresh()
     assert not warns()  # a rig without a camera
 
+    reading = Moisture(value=120.0)
+    reading.header.stamp = to_time(T0 + 340 * MS)
+    bench.moisture.publish(reading)
+    bench.settle()
+    bench.press(T0 + 450 * MS, 0.5)
+    bench.answered(201)
+    bench.until(
+        lambda: (
+            "moisture 120 is outside the model's range: estimate less certain"
+            in bench.diagnostics["inputs"]["message"]
+        )
+    )
+
     bench.area = bench.node.create_publisher(ContactArea, "/finger/contact_area", RELIABLE)
     bench.until(warns)  # a vision node that is silent from the onset on
     assert bench.set("fuse_area", False).successful
@@ -374,7 +387,7 @@ def test_a_contact_without_any_area_is_reported_where_areas_are_expected(
     bench.area.publish(area)
     bench.settle()
     bench.press(T0 + 500 * MS, 0.5)
-    bench.answered(201)
+    bench.answered(202)
     assert not bench.states[-1].flags & StateFlag.AREA_MISSING
     fresh()
     assert not warns()
@@ -383,10 +396,10 @@ def test_a_contact_without_any_area_is_reported_where_areas_are_expected(
     bench.node.destroy_publisher(bench.area)
     for n in range(200):
         bench.press(T0 + (600 + 2 * n) * MS, 0.0 if n < 10 else 0.5)
-    bench.answered(401)
+    bench.answered(402)
     bench.until(warns)
     bench.press(T0 + 1100 * MS, 0.0)
-    bench.answered(402)
+    bench.answered(403)
     fresh()
     assert not warns()
 
