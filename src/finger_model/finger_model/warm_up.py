@@ -22,6 +22,7 @@ def warm_up(estimator: ContactEstimator) -> None:
         SlipEstimator().add(estimate, (0.0, 0.0, 0.0))
     estimator.predict(np.array([0.1]), np.array([0.01]))
     estimator.force_for_area(1e-6)
+    estimator.mismatch()
 
 
 if __name__ == "__main__":
