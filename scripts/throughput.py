@@ -11,15 +11,13 @@ folder unless it is there.
 from __future__ import annotations
 
 import argparse
-import os
 import platform
 import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-os.environ["NUMBA_NUM_THREADS"] = "1"
-
+import numba
 import numpy as np
 
 from finger_common.files import atomic_write
@@ -186,6 +184,7 @@ def replace_between(text: str, name: str, content: str) -> str:
 
 
 def main() -> None:
+    numba.set_num_threads(1)
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--study", type=Path, default=ROOT / "out" / "study", metavar="FOLDER")
     parser.add_argument("--write", action="store_true", help="put the result into docs/scaling.md")
