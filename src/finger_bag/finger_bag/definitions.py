@@ -259,7 +259,7 @@ def decoder(message_type: str, definition: str = "", form: str = "ros2msg") -> D
 
 def encode(message_type: str, fields: Mapping[str, Any]) -> bytes:
     """CDR bytes (little endian, with encapsulation) of a message given as nested mappings and
-    sequences.
+    sequences, or messages of `typestore`.
 
     Fields left out are zero, false or empty. A stamp may be given as an int, nanoseconds since the
     epoch. Raises InputError for an unknown type or field and for a value that does not fit.
@@ -277,6 +277,8 @@ _DTYPES = {"byte": "uint8", "char": "uint8", "octet": "uint8", "bool": "bool"}
 
 
 def _build(store: Typestore, message_type: str, fields: Any) -> Any:
+    if isinstance(fields, store.types[message_type]):
+        return fields
     if message_type == "builtin_interfaces/msg/Time" and isinstance(fields, (int, np.integer)):
         seconds, nanoseconds = divmod(int(fields), 1_000_000_000)
         fields = {"sec": seconds, "nanosec": nanoseconds}

@@ -563,6 +563,9 @@ def _indices(block: bytes, pattern: bytes) -> Iterator[int]:
 
 def _zstd(stored: bytes, size: int) -> bytes:
     """Uncompress exactly one chunk without ever holding more than it claims."""
+    if zstandard.frame_content_size(stored) == size:  # In one go, which takes half the time.
+        whole = zstandard.ZstdDecompressor(max_window_size=max(_WINDOW, size))
+        return whole.decompress(stored, max_output_size=size, allow_extra_data=False)
     with zstandard.ZstdDecompressor(max_window_size=max(_WINDOW, size)).stream_reader(
         io.BytesIO(stored), read_across_frames=True
     ) as reader:

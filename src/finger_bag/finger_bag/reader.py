@@ -441,13 +441,13 @@ class BagReader:
             block = mcap.block(mcap.regions[index])
             if len(block.times) and int(block.times.max()) >= LAST_TIME:
                 mcap._problem("messages with a time beyond the year 2262 are left out")
-            used = []
-            for channel_id in np.unique(block.channels).tolist():
+            counts = np.bincount(block.channels)
+            used = np.zeros(len(counts), bool)
+            for channel_id in np.flatnonzero(counts).tolist():
                 if (number, channel_id) not in known:
                     known[(number, channel_id)] = self._channel(mcap, channel_id, wanted)
-                if known[(number, channel_id)] is not None:
-                    used.append(channel_id)
-            keep = (block.times >= low) & (block.times < high) & np.isin(block.channels, used)
+                used[channel_id] = known[(number, channel_id)] is not None
+            keep = (block.times >= low) & (block.times < high) & used[block.channels]
             if keep.any():
                 pending.append(_Part(number, block.data, block.times[keep], block.offsets[keep]))
             bound = regions[place + 1][0] if place + 1 < len(regions) else LAST_TIME

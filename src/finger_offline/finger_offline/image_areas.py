@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from finger_bag.definitions import typestore
 from finger_bag.reader import BagMessage, BagReader
 from finger_bag.schema import CALIBRATION_ATTACHMENT
 from finger_common.errors import FingerError, InputError
@@ -184,5 +185,6 @@ def area_fields(stamp: int, measurement: ContactMeasurement, frame_id: str) -> d
     fields = contact_area_fields(measurement)
     for name in ("centroid", "slip"):
         fields[name] = dict(zip("xyz", fields[name]))
-    fields["hull"] = [{"x": float(u), "y": float(v)} for u, v in fields["hull"]]
+    point = typestore().types["geometry_msgs/msg/Point32"]
+    fields["hull"] = [point(u, v, 0.0) for u, v in fields["hull"].tolist()]
     return {"header": {"stamp": stamp, "frame_id": frame_id}, **fields}
