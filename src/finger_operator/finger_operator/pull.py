@@ -4,9 +4,10 @@
 """A guided pull: a press that is held, then pulled sideways until the finger slips. No ROS.
 
 While the skin sticks, an even pull lets the ratio |Q|/P of tangential to normal force grow; in slip
-it stays at the friction. So the finger slips when the ratio has stood still for a while, or when
-the camera sees the whole contact slide. Where the camera follows the ridges and sees skin that
-sticks, a ratio that stands still is a pull that was held.
+it stays at the friction. So the finger slips when the ratio has stood still for a while. Where the
+camera follows the ridges and sees skin that sticks, a ratio that stands still is a pull that was
+held; where it sees the whole contact slide for as long, the ratio may waver. It sees that a little
+before the last skin lets go, and by itself would give too small a friction.
 """
 
 from __future__ import annotations
@@ -26,9 +27,9 @@ from .press import Press, PressEvent
 STAND_STILL = 0.25
 """s for which the ratio stands still in slip."""
 
-RISE = 0.03
-"""Relative growth of the ratio within STAND_STILL from which it does not stand still: a pull that
-would take 8 s to the slip grows as much."""
+RISE, RISE_SLIDING = 0.03, 0.1
+"""Relative change of the ratio within STAND_STILL from which it does not stand still: a pull that
+would take 8 s to the slip grows by the first. The second is for a contact that is seen to slide."""
 
 SMALLEST_RATIO = 0.08
 """Below it the pull has not begun: less friction than that of skin on any plate."""
@@ -70,32 +71,31 @@ class Pull(Press):
         self._ratios.append((stamp_ns, ratio))
         while self._ratios[0][0] < stamp_ns - nanoseconds(STAND_STILL):
             self._ratios.popleft()
-        if not self._slips(stamp_ns):
+        values = self._ratios_in_slip(stamp_ns)
+        if not values:
             return None
-        # Where the camera saw the slip first, the ratio has risen until then.
-        since = self._sliding_since if self._sliding_frames >= SLIDING_FRAMES else 0
-        values = [value for stamp, value in self._ratios if stamp >= since] or [ratio]
         attempt.cue_ns = attempt.slip_ns = stamp_ns
         attempt.friction = fmean(values)
-        attempt.friction_stddev = stdev(values) if len(values) > 1 else 0.0
+        attempt.friction_stddev = stdev(values)
         return PressEvent.TARGET_REACHED
 
-    def _slips(self, stamp_ns: int) -> bool:
-        """Whether the last STAND_STILL seconds, or the camera, show the whole contact slip."""
-        if self._sliding_frames >= SLIDING_FRAMES:
-            return True
+    def _ratios_in_slip(self, stamp_ns: int) -> list[float]:
+        """The newest ratios where they stand still, the later half; empty where they do not."""
         begin, _ = self._ratios[0]
         if seconds(stamp_ns - begin) < 0.95 * STAND_STILL or len(self._ratios) < 8:
-            return False
+            return []
         if self._sticks_at is not None and self._sticks_at >= begin:
-            return False
+            return []
+        slides = self._sliding_frames >= SLIDING_FRAMES and self._sliding_since <= begin
         # Means over quarters: a single sample is noisy.
         values = [value for _, value in self._ratios]
         part = len(values) // 4
         quarters = [fmean(values[k * part : (k + 1) * part]) for k in range(4)]
         level = quarters[-1]
-        still = max(quarters) - min(quarters) < RISE * level
-        return level > SMALLEST_RATIO and still
+        change = max(quarters) - min(quarters)
+        if level <= SMALLEST_RATIO or change >= (RISE_SLIDING if slides else RISE) * level:
+            return []
+        return values[2 * part :]
 
     def add_area(
         self,
