@@ -14,6 +14,7 @@ from rich.table import Table
 
 from finger_common.files import atomic_write
 from finger_fit.problem import three_digits
+from finger_fit.report.tables import model_error
 
 from . import figures
 from .results import PARAMETERS, ConditionResult, DemoResult, gather, live_press, true_trials
@@ -98,7 +99,7 @@ def page_of(results: list[ConditionResult], result: DemoResult, folder: Path) ->
     trials = sum(len(r.curves) for r in results)
     day = result.fit.sources.get("date")
     date = f" Fitted on {html.escape(day)}." if day else ""
-    seconds = result.seconds
+    seconds, sources = result.seconds, result.fit.sources
     excluded = "".join(
         f"<li>{html.escape(e.label)}: {html.escape(e.reason)}</li>" for e in result.fit.exclusions
     )
@@ -134,7 +135,7 @@ condition.</p>
 <ul>
 <li>recording {seconds.get("record", 0):.0f} s, fit {seconds.get("fit", 0):.0f} s;
 presses repeated during the session: {result.repeated}</li>
-<li>reduced model: {html.escape(error_text(result))}</li>
+<li>reduced model: {html.escape(model_error(sources["reduced_model_error"]))}</li>
 {f"<li>presses excluded from the fit:<ul>{excluded}</ul></li>" if excluded else ""}
 <li>the fit's own report with grid, swarm, profiles and residuals:
 <a href="fit/report.html">fit/report.html</a></li>
@@ -144,14 +145,6 @@ simulated study, not of measured fingers. <a href="suite.log">suite.log</a> list
 rig does not model.</p>
 </main></body></html>
 """
-
-
-def error_text(result: DemoResult) -> str:
-    """The reduced model's error as stored with it."""
-    error = result.fit.sources.get("reduced_model_error")
-    if isinstance(error, dict):
-        return ", ".join(f"{k} {v:.3g}" for k, v in error.items() if isinstance(v, (int, float)))
-    return str(error)
 
 
 def parameter_table(results: list[ConditionResult]) -> str:

@@ -658,7 +658,7 @@ def provenance(result: FitResult) -> str:
         ["reduced model", _code(sources.get("reduced_model_hash", "–"))],
         [
             "measured error of the reduced model",
-            _model_error(dict(sources.get("reduced_model_error", {}))),
+            model_error(dict(sources.get("reduced_model_error", {}))),
         ],
         ["search box", escape(", ".join(options.bounds)) or "default of the law"],
         ["time", escape(f"{seconds} (the paper: {PAPER_TIME})")],
@@ -680,7 +680,7 @@ def _code(text: object) -> str:
     return f"<code>{escape(str(text))}</code>"
 
 
-def _model_error(error: dict[str, float]) -> str:
+def model_error(error: dict[str, float]) -> str:
     """The reduced model's error against full order, as its file records it."""
     if not {"pairs", "rms_p99", "worst_p99"} <= set(error):
         return "–"
