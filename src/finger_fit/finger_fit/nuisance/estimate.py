@@ -41,6 +41,10 @@ SETTLED = 0.01
 """Largest change of a parameter's logarithm, and of a nuisance over its deviation, that ends the
 rounds (nuisances: ten times this)."""
 
+RESPONSE_HOLDS = 0.2
+"""Change of a parameter's logarithm up to which the answers to the lengths are not asked again
+between the rounds; the last linearisation asks again."""
+
 _LAG_STEP, _TARE_STEP = 0.004, 0.002
 """s and N, steps of the differences."""
 
@@ -103,6 +107,7 @@ class NuisanceModel:
         self.tare_sd = np.where(self.unseen, TRIAL_SHARE * max(spread, 1e-4), own)
         self.common_tare_sd = spread if self.unseen.any() else 0.0
         self.state = _State(np.zeros(number), np.zeros(number))
+        self._answered: np.ndarray | None = None
         self.scatter, self.noise = self._first_guess()
 
     def _first_guess(self) -> tuple[float, float]:
@@ -176,7 +181,10 @@ class NuisanceModel:
                 slopes[name] = (found[0] - found[1]) / (2.0 * step)
             problem.redrive(self._drives(0.0, 0.0))
         if self.population is not None:
-            self.responses = self.population.responses(problem, parameters, self.lengths)
+            place = problem.space.to_log(parameters)
+            if self._answered is None or np.abs(place - self._answered).max() > RESPONSE_HOLDS:
+                self.responses = self.population.responses(problem, parameters, self.lengths)
+                self._answered = place
         factor = self._row_factor()
         raw = problem.corrected(parameters)[0]
         outputs = problem.compared(raw) * factor
@@ -259,6 +267,7 @@ class NuisanceModel:
             growth = abs(np.log(self.scatter / scatter)) if scatter > 0 else 0.0
             if max(change, 0.1 * move, 0.1 * growth) < SETTLED:
                 break
+        self._answered = None
         problem.nuisances = self.linearise(at)
         fit = refine(problem, free, at)
         return Settled(fit, problem.nuisances, self.scatter, self.noise)

@@ -95,8 +95,12 @@ class FullOrderGeometry:
 
 
 @functools.lru_cache(maxsize=64)
-def _population(geometry: Geometry, material: ConstitutiveLaw) -> ReducedModel:
-    return load_population(geometry).for_material(material)
+def _population(geometry: Geometry, material: ConstitutiveLaw) -> ReducedModel | None:
+    """None for a finger outside the box, which is kept, too."""
+    try:
+        return load_population(geometry).for_material(material)
+    except InputError:
+        return None
 
 
 @dataclass(frozen=True)
@@ -116,11 +120,7 @@ class PopulationGeometry:
         geometry, material = getattr(model, "geometry", None), material_of(model)
         if geometry is None or not isinstance(material, MaxwellLaw):
             return None
-        try:
-            _population(geometry, material)
-        except InputError:
-            return None
-        return cls(geometry, material)
+        return None if _population(geometry, material) is None else cls(geometry, material)
 
     def areas(
         self, parameters: np.ndarray, geometry: Geometry, trials: Sequence[FitTrial]
@@ -128,6 +128,8 @@ class PopulationGeometry:
         """Areas and indentations (k + q,) of each trial for parameters (N,); raises InputError for
         a finger outside the box."""
         model = _population(geometry, self.material)
+        if model is None:
+            raise InputError("no reduced model of this finger")
         return [found[0] for found in trial_outputs(model, parameters[None], trials)]
 
     def responses(

@@ -277,21 +277,24 @@ def top_candidates(fit: ConditionFit, number: int) -> tuple[np.ndarray, np.ndarr
     costs.append(np.sort(fit.grid.costs.reshape(-1), kind="stable")[:50])
     all_points, all_costs = np.concatenate(points), np.concatenate(costs)
     if not fit.problem.is_plain:
-        # The costs of the search are J of uncorrected areas.
-        keep = np.argsort(all_costs[1:], kind="stable")[:200] + 1
-        all_points = np.concatenate([all_points[:1], all_points[keep]])
+        # The costs of the search are J of uncorrected areas: those of the best are made anew.
+        keep = _distinct(space.to_log(all_points[1:]), all_costs[1:], 10 * number)
+        all_points = np.concatenate([all_points[:1], all_points[1:][keep]])
         all_costs = np.concatenate([all_costs[:1], fit.problem.cost(all_points[1:])])
-    places = space.to_log(all_points)
+    chosen = _distinct(space.to_log(all_points), all_costs, number)
+    return all_points[chosen], all_costs[chosen]
+
+
+def _distinct(places: np.ndarray, costs: np.ndarray, number: int) -> list[int]:
+    """The best of places (C, N) by costs (C,) that are apart, at most a number of them."""
     chosen: list[int] = []
-    for index in np.argsort(all_costs, kind="stable"):
-        if not np.isfinite(all_costs[index]):
+    for index in np.argsort(costs, kind="stable"):
+        if not np.isfinite(costs[index]) or len(chosen) == number:
             break
         distance = np.abs(places[chosen] - places[index]).max(axis=1)
         if np.all(distance > DISTINCT):
             chosen.append(int(index))
-        if len(chosen) == number:
-            break
-    return all_points[chosen], all_costs[chosen]
+    return chosen
 
 
 def drive_areas(problem: FitProblem, parameters: np.ndarray) -> list[np.ndarray]:

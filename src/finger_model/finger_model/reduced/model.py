@@ -175,7 +175,7 @@ class ReducedModel:
             return load_population(self.geometry).for_material(material)
         return ReducedModel(self.arrays, self.meta, model.law, self.geometry, wanted)
 
-    @property
+    @functools.cached_property
     def material(self) -> ConstitutiveLaw:
         """The law's default material with the fixed properties that the model was built for."""
         return replace(self.law(), **self.fixed)  # type: ignore[type-var]
