@@ -5,8 +5,10 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import sys
+import threading
 from collections.abc import Sequence
 
 _BOUND = """
@@ -32,3 +34,17 @@ def bound_to_parent(command: Sequence[str | os.PathLike[str]]) -> list[str]:
         *(sys.executable, "-I", "-S", "-c", _BOUND, str(os.getpid())),
         *(str(part) for part in command),
     ]
+
+
+def end_with_parent() -> None:
+    """Initializer of a pool's processes: they end at once when the process that started them is
+    gone, even by SIGKILL, whatever they compute."""
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+
+    def wait() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=wait, name="parent", daemon=True).start()

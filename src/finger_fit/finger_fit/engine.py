@@ -18,6 +18,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from finger_common.errors import FingerError, InputError
+from finger_common.processes import end_with_parent
 
 Work = Callable[[Any, Any], Any]
 Done = Callable[[int, int], None]
@@ -85,6 +86,7 @@ _job: tuple[Work, Any] | None = None
 
 def _set_job(function: Work, shared: Any) -> None:
     global _job
+    end_with_parent()
     # Ctrl-C is for the parent process, which ends the pool.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _job = (function, shared)

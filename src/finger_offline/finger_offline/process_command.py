@@ -21,6 +21,7 @@ from finger_bag.cli import EXIT_LOST, AddCommand
 from finger_bag.read_settings import add_read_options, read_settings_from
 from finger_common.cli import EXIT_BAD_INPUT, one_line, plain
 from finger_common.errors import FingerError, InputError
+from finger_common.processes import end_with_parent
 from finger_common.progress import Stages
 
 from .process_options import ProcessOptions
@@ -88,7 +89,9 @@ def run(args: argparse.Namespace) -> int:
     with Stages() as stages:
         if several:
             jobs = [(bag, target, options) for bag, target in zip(bags, targets)]
-            with ProcessPoolExecutor(min(args.jobs, len(bags))) as pool:
+            with ProcessPoolExecutor(
+                min(args.jobs, len(bags)), initializer=end_with_parent
+            ) as pool:
                 done = pool.map(_process_one, jobs)
                 results += stages.track(done, f"{len(bags)} bags", len(bags))
         else:

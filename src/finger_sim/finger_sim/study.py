@@ -24,6 +24,7 @@ from typing import Any
 from finger_common.errors import InputError
 from finger_common.files import atomic_write
 from finger_common.guided_pulls import LOAD
+from finger_common.processes import end_with_parent
 from finger_common.stamps import NANOSECONDS
 from finger_model.paper import TARGET_FORCE, TRIALS_PER_CONDITION
 
@@ -81,7 +82,8 @@ def simulate_study(
     )
     write = partial(_write_trial, folder, seed, images, misfit, refinement, slip)
     if processes > 1 and len(jobs) > 1:
-        with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn")) as pool:
+        spawn = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(processes, spawn, initializer=end_with_parent) as pool:
             for number, line in enumerate(pool.map(write, jobs), 1):
                 progress(f"[{number}/{len(jobs)}] {line}")
     else:

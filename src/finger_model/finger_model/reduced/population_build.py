@@ -22,6 +22,7 @@ import numpy as np
 
 from finger_common.errors import ModelError
 from finger_common.files import atomic_write, sha256_of
+from finger_common.processes import end_with_parent
 from finger_common.settings import Settings, setting
 
 from ..fem.full_order import FullOrderModel
@@ -187,6 +188,7 @@ _worker: dict[str, Any] = {}
 
 
 def _begin(task: _Task, seed: int) -> None:
+    end_with_parent()
     os.environ["OMP_NUM_THREADS"] = "1"
     _worker.update(task=task, seed=seed)
 

@@ -25,6 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from finger_common.errors import ModelError
+from finger_common.processes import end_with_parent
 
 from ..fem.full_order import FullOrderModel
 from ..fem.mesh import BULK
@@ -201,6 +202,7 @@ _worker: dict[str, object] = {}
 def _begin(
     geometry: Geometry, refinement: float, friction: float, modes: np.ndarray | None
 ) -> None:
+    end_with_parent()
     os.environ["OMP_NUM_THREADS"] = "1"
     _worker.update(model=FullOrderModel(geometry, refinement), friction=friction, modes=modes)
 
