@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
+import textwrap
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -271,6 +272,10 @@ def main() -> None:
         if path is None:
             continue
         text = make(json.loads(path.read_text(encoding="utf-8")))
+        lines = [
+            line if line[:1] in "|-" else textwrap.fill(line, 100) for line in text.split("\n")
+        ]
+        text = "\n".join(lines)
         print(text)
         page = replace_between(page, marker, text)
     if args.write:
