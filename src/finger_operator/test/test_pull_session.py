@@ -27,13 +27,19 @@ NOISE = 0.005
 
 
 class Rig:
-    """A finger with friction on a plate: force at 500 Hz with noise, areas at 10 Hz."""
+    """A finger with friction on a plate: force at 500 Hz with noise, areas at 10 Hz.
 
-    def __init__(self, folder: Path, ridges: bool = False) -> None:
+    ridges: the camera follows them, and sees the contact slide from a share `sees` of the friction
+    on; tremor: relative, of the normal force.
+    """
+
+    def __init__(
+        self, folder: Path, ridges: bool = False, sees: float = 1.0, tremor: float = 0.0
+    ) -> None:
         self.now = 1_700_000_000 * SECOND
         self.rng = np.random.default_rng(3)
         self.events: list[TrialEvent] = []
-        self.ridges = ridges
+        self.ridges, self.sees, self.tremor = ridges, sees, tremor
         plan = StudyPlan("S01", "S01_pulls", conditions=["natural_pull"], trials=2, readings=0)
         limits = Limits(need_recorder=False, confirm_preparation=False)
         self.protocol = Protocol(plan, folder, self.take, limits)
@@ -53,12 +59,13 @@ class Rig:
             self.now += 2_000_000
             share = k / steps
             normal = force[0] + share * (force[1] - force[0])
+            normal *= 1.0 + self.tremor * math.sin(2 * math.pi * 1.1e-9 * (self.now % (1 << 40)))
             wanted = pull[0] + share * (pull[1] - pull[0])
             across = min(wanted, FRICTION * normal)
             noise = NOISE * self.rng.standard_normal(2)
             self.protocol.wrench(self.now, normal + noise[0], abs(across + noise[1]))
             if k % 50 == 0:
-                slides = normal > 0.05 and wanted >= FRICTION * normal
+                slides = normal > 0.05 and wanted >= self.sees * FRICTION * normal
                 flags = 0 if normal > 0.02 else int(AreaFlag.NO_CONTACT)
                 ratio = math.nan
                 if self.ridges and flags == 0:
@@ -116,6 +123,16 @@ def test_a_pull_that_slips_is_kept_with_its_friction(
     assert float(row["friction"]) == pytest.approx(
         rig.protocol.trials[0].attempts[0].friction, abs=1e-4
     )
+
+
+def test_the_friction_is_that_of_the_slip_though_the_camera_sees_it_early(tmp_path: Path) -> None:
+    rig = Rig(tmp_path, ridges=True, sees=0.85, tremor=0.03)
+    rig.hold()
+    rig.run(1.5, (1.05, 1.05), (0, 1.3 * FRICTION * 1.05))
+    rig.run(0.4, (1.05, 1.05), (1.3 * FRICTION * 1.05, 1.3 * FRICTION * 1.05))
+    rig.lift()
+    assert rig.attempt.verdict == "done"
+    assert rig.attempt.friction == pytest.approx(FRICTION, rel=0.015)
 
 
 def test_a_finger_that_is_lifted_before_it_slips_is_asked_again(tmp_path: Path) -> None:
