@@ -169,6 +169,26 @@ def test_launch_files_and_finger_rig_run_the_same_nodes_with_the_same_parameters
         assert section == written[action.node_name]["ros__parameters"]
 
 
+def test_the_log_level_is_that_of_composed_nodes_too() -> None:
+    from launch import LaunchContext
+    from launch_ros.actions import Node
+
+    from finger_bringup import nodes
+    from finger_bringup.launch.actions import COMMON, COMPOSE, node_actions
+
+    context = LaunchContext()
+    for name, (default, _) in {**COMMON, **COMPOSE}.items():
+        context.launch_configurations[name] = default
+    context.launch_configurations |= {"namespace": "hand", "log_level": "warn"}
+    actions = node_actions(context, nodes.hand(["thumb"]), compose=True)
+    (node,) = [action for action in actions if isinstance(action, Node)]
+    node._perform_substitutions(context)
+    command = ["".join(part.perform(context) for part in word) for word in node.cmd]
+    levels = [word for word, before in zip(command[1:], command) if before == "--log-level"]
+    # Whoever waits for all nodes to be active reads it in the log.
+    assert levels == ["warn", "hand.bring_up:=info"]
+
+
 @pytest.mark.slow
 def test_restarts_are_delayed_as_in_finger_rig(
     environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
