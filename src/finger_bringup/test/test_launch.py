@@ -179,7 +179,7 @@ def test_the_log_level_is_that_of_composed_nodes_too() -> None:
     context = LaunchContext()
     for name, (default, _) in {**COMMON, **COMPOSE}.items():
         context.launch_configurations[name] = default
-    context.launch_configurations |= {"namespace": "hand", "log_level": "warn"}
+    context.launch_configurations.update({"namespace": "hand", "log_level": "warn"})
     actions = node_actions(context, nodes.hand(["thumb"]), compose=True)
     (node,) = [action for action in actions if isinstance(action, Node)]
     node._perform_substitutions(context)
