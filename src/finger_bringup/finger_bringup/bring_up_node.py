@@ -178,7 +178,9 @@ class BringUpNode(ManagedNode):
     def _report(self) -> None:
         taken_down = self._bring_up.taken_down
         if taken_down:
-            names = ", ".join(f"{node} ({_STATES.get(taken_down[node], 'changing')})" for node in taken_down)
+            names = ", ".join(
+                f"{node} ({_STATES.get(state, 'changing')})" for node, state in taken_down.items()
+            )
             text = f"not active by request: {names}; left so until activated again"
             self.log_fault(self._health, "taken_down", text, WARN)
         else:
