@@ -202,6 +202,14 @@ def test_keys_without_a_debian_package_are_in_our_list_or_the_public_one() -> No
 
 
 @pytest.mark.slow
+def test_flake8_with_the_settings_for_ament_reports_nothing() -> None:
+    pytest.importorskip("flake8", reason="flake8 is not installed; ruff is what make test runs")
+    command = [sys.executable, "-m", "flake8", "--config", ".flake8", "src"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0 and not done.stdout, done.stdout[-2000:]
+
+
+@pytest.mark.slow
 def test_the_core_installs_alone_with_pip_and_runs_without_ros(tmp_path: Path) -> None:
     """Without ROS, build isolation and network; the libraries are those of this environment."""
     packages = [str(ROOT / "src" / name) for name in ("finger_common", "finger_model")]
