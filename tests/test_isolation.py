@@ -176,6 +176,10 @@ def test_remapped_topics_reach_their_own_finger_only(
     names = {name for name, _ in hand.observer.get_topic_names_and_types()}
     assert not names & {f"/{f}/{t}" for f in streams for t in ("wrench", "contact_state")}
     assert {n for n, level in hand.levels.items() if level == 2} == set()
+    # Whoever publishes one finger's force as well is a fault of that finger alone.
+    hand.observer.create_publisher(WrenchStamped, "/ft/a", 10)
+    hand.until(lambda: "second_publisher" in hand.nodes["thumb"]["force"].healths[0].faults)
+    assert "second_publisher" not in hand.nodes["index"]["force"].healths[0].faults
 
 
 def test_simulated_time_that_jumps_back_resets_both_fingers_and_no_other(hand: Hand) -> None:

@@ -10,11 +10,13 @@ import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
+from fingers_side_by_side import node_class  # noqa: E402
 from lifecycle_msgs.msg import State, Transition  # noqa: E402
 from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
 from rcl_interfaces.srv import SetParameters  # noqa: E402
 from rclpy.parameter import Parameter as RosParameter  # noqa: E402
 
+from finger_bringup import nodes  # noqa: E402
 from finger_common.node import ManagedNode, managed  # noqa: E402
 from finger_common.node.described import ros_value  # noqa: E402
 from finger_common.parameters import Parameter  # noqa: E402
@@ -133,3 +135,10 @@ def test_every_parameter_that_may_change_is_taken_while_the_nodes_are_active(han
         assert name == "bring_up" or node.active, name
     hand.first(ContactState, "/thumb/contact_state")
     hand.first(ContactArea, "/thumb/contact_area")
+
+
+def test_all_nodes_that_know_the_direction_of_a_press_have_the_same_default() -> None:
+    """With that of the simulated sensor (test_driver_nodes), a newcomer's first press counts."""
+    tables = [node_class(entry).parameter_table() for entry in nodes.NODES.values()]
+    axes = [table["normal_axis"].default for table in tables if "normal_axis" in table]
+    assert len(axes) == 4 and len(set(axes)) == 1
