@@ -71,7 +71,8 @@ def test_every_node_goes_down_and_up_twice_and_leaves_nothing_behind(
     group: dict[str, ManagedNode] = hand.nodes["thumb"]
     hand.nodes["thumb"]["foxglove"].set_parameters([RosParameter("port", value=0)])
     for name, node in group.items():
-        assert node.bring_up(), name
+        # All share a thread: who brings nodes up would take a long transition for a restart.
+        assert name == "bring_up" or node.bring_up(), name
     hand.first(ContactArea, "/thumb/contact_area")
 
     def change(name: str, *transitions: int) -> None:
@@ -81,8 +82,7 @@ def test_every_node_goes_down_and_up_twice_and_leaves_nothing_behind(
             assert answer.success, (name, transition)
 
     for name, node in group.items():
-        if name == "bring_up":
-            continue
+        assert node.active or node.bring_up()
         before, threads = entities(node), threading.active_count()
         for cycle in (PAUSE, (*DOWN, *UP), PAUSE, (*DOWN, *UP)):
             change(name, *cycle)

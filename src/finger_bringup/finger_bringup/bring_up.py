@@ -20,8 +20,8 @@ UNCONFIGURED, INACTIVE, ACTIVE = 1, 2, 3
 CONFIGURE, ACTIVATE = 1, 3
 """Transitions, numbered as in lifecycle_msgs/Transition."""
 
-QUICKEST_RESTART = 0.9
-"""s: a node that ends and runs again takes longer, since it is started after a pause of 1 s."""
+QUICKEST_RESTART = 0.6
+"""s: a node that ends and runs again takes longer, by its imports and the pause before it."""
 
 ALL_ACTIVE = "all nodes are active"
 """Begins the line of `bring_up` that launch files and tests wait for."""

@@ -95,6 +95,11 @@ class BringUpNode(ManagedNode):
     def deactivate(self) -> None:
         self.destroy_timer(self._timer)
 
+    def cleanup(self) -> None:
+        for name in ("_state_clients", "_change_clients"):
+            for client in self.__dict__.pop(name, {}).values():
+                self.destroy_client(client)
+
     def _step(self) -> None:
         now = time.monotonic()
         for node, client in self._state_clients.items():
