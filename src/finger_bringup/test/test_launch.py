@@ -300,6 +300,34 @@ def test_grasp_listens_to_another_vendors_wrench(
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
+def test_a_hand_of_named_fingers_comes_up_and_ends_at_an_impatient_ctrl_c(
+    launch: Callable[..., Launch], environment: dict[str, str]
+) -> None:
+    running = launch("hand.launch.py", "fingers:=thumb index", "simulated:=true")
+    running.logged("all nodes are active: thumb/force, index/force, thumb/model, index/model")
+    options = ("--no-daemon", "--spin-time", "10")
+    for finger in ("thumb", "index"):
+        state = f"/hand/{finger}/contact_state"
+        kind = "finger_msgs/msg/ContactState"
+        said = ros2(environment, "topic", "echo", "--once", state, kind, seconds=30.0)
+        assert f"frame_id: hand/{finger}/force_sensor" in said, said
+    # What somebody takes down stays down, so that a parameter can be changed.
+    for step in ("deactivate", "cleanup"):
+        said = ros2(environment, "lifecycle", "set", "/hand/thumb/model", step, *options)
+        assert "successful" in said, said
+    said = ros2(environment, "param", "set", "/hand/thumb/model", "qos_depth", "50", *options)
+    assert "successful" in said, said
+    for step in ("configure", "activate"):
+        said = ros2(environment, "lifecycle", "set", "/hand/thumb/model", step, *options)
+        assert "successful" in said, said
+    running.child.send_signal(signal.SIGINT)
+    time.sleep(0.2)
+    assert running.end() == 0
+    assert "Traceback" not in running.text
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_replay_of_a_bag_gives_contact_states_and_ends(
     launch: Callable[..., Launch], environment: dict[str, str], project_root: Path, tmp_path: Path
 ) -> None:
