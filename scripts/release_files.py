@@ -56,9 +56,9 @@ def changelog(markdown: str, package: str) -> str:
 def with_header(text: str) -> str:
     """Source text with the copyright lines, behind a line that names the interpreter."""
     if HEADER in text:
-        return text
+        return text.rstrip("\n") + "\n"
     first, rest = text.split("\n", 1) if text.startswith("#!") else ("", text)
-    return (f"{first}\n" if first else "") + HEADER + (f"\n{rest}" if rest else "")
+    return (f"{first}\n" if first else "") + HEADER + (f"\n{rest}" if rest.strip() else "")
 
 
 def wanted() -> dict[Path, str]:

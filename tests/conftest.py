@@ -1,4 +1,4 @@
-"""A headless browser for the page's tests."""
+"""A headless browser for the page's tests; the nodes of several fingers in one process."""
 
 from __future__ import annotations
 
@@ -56,3 +56,18 @@ def chrome() -> Iterator[Any]:
         running = engine.launch(executable_path=path, headless=True, args=OPTIONS)
         yield running
         running.close()
+
+
+@pytest.fixture
+def hand(
+    ros_domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, free_port: Any
+) -> Iterator[Any]:
+    """Nodes of several fingers, in an empty folder."""
+    from fingers_side_by_side import Hand
+
+    monkeypatch.chdir(tmp_path)
+    # The usual port belongs to whoever uses this machine.
+    monkeypatch.setattr("finger_operator.page.server.USUAL_PORT", free_port())
+    hand = Hand(ros_domain)
+    yield hand
+    hand.close()

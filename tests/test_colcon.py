@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import configparser
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -94,3 +95,43 @@ def test_the_images_links_put_the_commands_on_the_path(
             [tmp_path / "bin" / command, "--help"], capture_output=True, text=True, env=env
         )
         assert said.returncode == 0 and command in said.stdout, said.stderr
+
+
+def test_the_images_entry_finds_commands_and_messages(
+    workspace: Path, project_root: Path, tmp_path: Path
+) -> None:
+    """The script that the Dockerfile writes, with the folders of this machine in its lines."""
+    dockerfile = (project_root / "Dockerfile").read_text()
+    written = re.search(r"printf '%s\\n' (.*?) > /entry.sh", dockerfile, re.DOTALL)
+    assert written is not None
+    lines = re.findall(r"'([^']*)'", written[1])
+    folders = {
+        "/opt/ros/jazzy/setup.sh": os.devnull,  # this environment's wheels are in its place
+        "/finger/venv": sys.prefix,
+        "/finger/install": str(workspace),
+    }
+    for theirs, ours in folders.items():
+        assert sum(theirs in line for line in lines) == 1
+        lines = [line.replace(theirs, ours) for line in lines]
+    entry = tmp_path / "entry.sh"
+    entry.write_text("\n".join(lines) + "\n")
+    entry.chmod(0o755)
+    script = project_root / "scripts" / "link_commands.sh"
+    subprocess.run([script, workspace, tmp_path / "bin"], check=True)
+    env = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "AMENT_PREFIX_PATH")}
+    env["PATH"] = f"{tmp_path / 'bin'}{os.pathsep}/usr/bin{os.pathsep}/bin"
+
+    def run(*command: str) -> str:
+        done = subprocess.run(
+            [entry, *command], env=env, cwd=tmp_path, capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    default = re.search(r"^CMD \[(.*)\]$", dockerfile, re.MULTILINE)
+    assert default is not None
+    command = re.findall(r'"([^"]*)"', default[1])
+    assert f"usage: {command[0]} {command[1]}" in run(*command[:2], "--help")
+    code = "import finger_msgs.msg, finger_bringup; print(finger_msgs.__file__); "
+    files = run("python", "-c", code + "print(finger_bringup.__file__)").split()
+    assert all(file.startswith(str(workspace)) for file in files), files

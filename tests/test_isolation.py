@@ -2,121 +2,36 @@
 
 from __future__ import annotations
 
-import importlib
-import inspect
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from builtin_interfaces.msg import Time  # noqa: E402
 from geometry_msgs.msg import WrenchStamped  # noqa: E402
+from rcl_interfaces.srv import GetParameters, SetParameters  # noqa: E402
+from rclpy.action import ActionClient  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
+from rosgraph_msgs.msg import Clock  # noqa: E402
 from sensor_msgs.msg import Image  # noqa: E402
 
 from finger_bringup import nodes  # noqa: E402
+from finger_common.flags import StateFlag  # noqa: E402
 from finger_common.namespaces import default_folder  # noqa: E402
-from finger_common.node import ManagedNode  # noqa: E402
-from finger_msgs.msg import ContactArea  # noqa: E402
+from finger_driver.force_node import ForceNode  # noqa: E402
+from finger_model.model_node import ModelNode  # noqa: E402
+from finger_msgs.action import FitParameters  # noqa: E402
+from finger_msgs.msg import ContactArea, ContactState  # noqa: E402
+
+if TYPE_CHECKING:
+    from fingers_side_by_side import Hand
 
 FINGERS = ("thumb", "hand/index")
 SHARED_TOPICS = {"/diagnostics", "/rosout", "/parameter_events"}
-LIGHT: dict[str, dict[str, Any]] = {
-    "simulated_rig": {"width": 160, "height": 128, "frame_rate": 4.0, "refinement": 0.3},
-    "force": {"rate": 50.0, "response_timeout": 0.5, "connect_timeout": 60.0},
-    "protocol": {"subject": "S01"},
-}
-"""A rig that needs little of the processor; nothing about addresses, which are the defaults."""
-
-
-def node_class(entry: nodes.NodeEntry) -> type[ManagedNode]:
-    """The class of an entry's node."""
-    module = importlib.import_module(entry.module)
-    found = [
-        member
-        for member in vars(module).values()
-        if inspect.isclass(member)
-        and issubclass(member, ManagedNode)
-        and member.__module__ == module.__name__
-    ]
-    assert len(found) == 1, entry.module
-    return found[0]
-
-
-class Hand:
-    """All nodes of the fingers, as `finger-rig up --simulated --namespace …` runs them."""
-
-    def __init__(self, domain: int) -> None:
-        self.context = rclpy.Context()
-        rclpy.init(context=self.context, domain_id=domain)
-        self.executor = rclpy.executors.SingleThreadedExecutor(context=self.context)
-        self.observer = rclpy.create_node("observer", context=self.context)
-        self.executor.add_node(self.observer)
-        self.nodes: dict[str, dict[str, Any]] = {}
-        self.levels: dict[str, int] = {}
-        self.observer.create_subscription(DiagnosticArray, "/diagnostics", self._diagnose, 50)
-
-    def _diagnose(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            self.levels[status.name] = int(status.level[0])
-
-    def add_finger(self, namespace: str) -> None:
-        folder = default_folder(namespace).absolute()
-        entries = nodes.settled(
-            nodes.rig(folder, simulated=True, parameters=LIGHT), namespace, None
-        )
-        self.nodes[namespace] = {}
-        for entry in entries:
-            overrides = [Parameter(name, value=value) for name, value in entry.parameters.items()]
-            node = node_class(entry)(
-                context=self.context, namespace=namespace, parameter_overrides=overrides
-            )
-            self.nodes[namespace][entry.name] = node
-            self.executor.add_node(node)
-
-    def until(self, condition: Callable[[], Any], seconds: float = 120) -> Any:
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            self.executor.spin_once(timeout_sec=0.05)
-            found = condition()
-            if found:
-                return found
-        raise AssertionError(f"nothing came in time; {self.levels}")
-
-    def first(self, kind: Any, topic: str) -> Any:
-        """First message on a topic."""
-        heard: list[Any] = []
-        subscription = self.observer.create_subscription(kind, topic, heard.append, 10)
-        self.until(lambda: heard)
-        self.observer.destroy_subscription(subscription)
-        return heard[0]
-
-    def close(self) -> None:
-        for group in self.nodes.values():
-            for node in reversed(list(group.values())):
-                node.release()
-        self.executor.shutdown()
-        for group in self.nodes.values():
-            for node in group.values():
-                node.destroy_node()
-        self.observer.destroy_node()
-        rclpy.shutdown(context=self.context)
-
-
-@pytest.fixture
-def hand(
-    ros_domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, free_port: Any
-) -> Iterator[Hand]:
-    monkeypatch.chdir(tmp_path)
-    # The usual port belongs to whoever uses this machine.
-    monkeypatch.setattr("finger_operator.page.server.USUAL_PORT", free_port())
-    hand = Hand(ros_domain)
-    yield hand
-    hand.close()
 
 
 @pytest.mark.timeout(600)
@@ -154,6 +69,30 @@ def test_two_fingers_meet_in_no_topic_service_file_port_frame_or_diagnostic(
     assert all(s.startswith("/observer/") for s in lonely), lonely
     for space in own:
         assert f"{space}/force/tare" in services and f"{space}/protocol/start" in services
+
+    # Actions: a goal that one finger's fit refuses is no matter of the other's.
+    assert all(f"{space}/fit/fit/_action/send_goal" in services for space in own)
+    action = ActionClient(hand.observer, FitParameters, "/thumb/fit/fit")
+    hand.until(action.server_is_ready)
+    goal = action.send_goal_async(FitParameters.Goal(bags=[], output="x"))
+    hand.until(goal.done)
+    assert not goal.result().accepted
+    action.destroy()
+    assert "refused" in thumb["fit"].health.faults and not index["fit"].health.faults
+
+    # Parameters: each node has its own, and a change is one finger's.
+    value = Parameter("tare_duration", value=0.7).to_parameter_msg()
+    request = SetParameters.Request(parameters=[value])
+    answer = hand.call(SetParameters, "/thumb/force/set_parameters", request)
+    assert answer.results[0].successful
+    wanted = GetParameters.Request(names=["tare_duration", "can_channel", "frame_prefix"])
+    got = [
+        hand.call(GetParameters, f"{space}/force/get_parameters", wanted).values
+        for space in ("/thumb", "/hand/index")
+    ]
+    assert [values[0].double_value for values in got] == [0.7, 0.5]
+    for one, other in zip(*(values[1:] for values in got)):
+        assert one.string_value != other.string_value
 
     # Files: everything written lies in the finger's folder, and both wrote something.
     folders = {default_folder(finger).absolute() for finger in FINGERS}
@@ -193,3 +132,110 @@ def test_two_fingers_meet_in_no_topic_service_file_port_frame_or_diagnostic(
     assert not [text for text in noted(index) if text.startswith("force")]
     shown = {item["name"].split(":")[0] for item in index["page"]._board.snapshot(time.monotonic())}
     assert shown and all(name.startswith("hand/index/") for name in shown)
+
+
+def test_remapped_topics_reach_their_own_finger_only(
+    hand: Hand, process: Callable[..., Any]
+) -> None:
+    """Force and model of both in one process, where samples pass without the middleware."""
+    streams = {"thumb": ("/ft/a", "/state/a", 0.6), "index": ("/ft/b", "/state/b", 1.2)}
+    _, devices = nodes.simulated_boards(streams)
+    for finger, (wrench, state, press) in streams.items():
+        options = devices[f"{finger}/force"]
+        process(
+            *("-m", "finger_driver.simulators.cli", "netcanoem", "--press", str(press)),
+            *("--axis=-z", "--channel", options["can_channel"]),
+            *("--options", options["can_options"]),
+        )
+        remaps = ["--ros-args", "-r", f"wrench:={wrench}", "-r", f"contact_state:={state}"]
+        settings = {"rate": 50.0, "response_timeout": 0.5, "connect_timeout": 60.0, **options}
+        hand.nodes[finger] = {}
+        for kind, values in ((ForceNode, settings), (ModelNode, {})):
+            overrides = [Parameter(name, value=value) for name, value in values.items()]
+            node = kind(
+                context=hand.context,
+                namespace=finger,
+                parameter_overrides=overrides,
+                cli_args=remaps,
+            )
+            hand.nodes[finger][node.get_name()] = node
+            hand.executor.add_node(node)
+            assert node.bring_up(), finger
+    forces: dict[str, list[float]] = {finger: [] for finger in streams}
+    for finger, (_, state, _) in streams.items():
+        hand.observer.create_subscription(
+            ContactState, state, lambda m, of=forces[finger]: of.append(m.normal_force), 50
+        )
+    # Two presses of each, 1.35 s a press.
+    hand.until(lambda: all(len(f) > 200 and max(f) > 0.5 for f in forces.values()))
+    for finger, (wrench, _, press) in streams.items():
+        assert max(forces[finger]) == pytest.approx(press, abs=0.03), finger
+        # From force to model by a call: nobody reads the topic, and it has no second publisher.
+        assert hand.observer.count_publishers(wrench) == 1
+        assert hand.observer.count_subscribers(wrench) == 0
+    names = {name for name, _ in hand.observer.get_topic_names_and_types()}
+    assert not names & {f"/{f}/{t}" for f in streams for t in ("wrench", "contact_state")}
+    assert {n for n, level in hand.levels.items() if level == 2} == set()
+    # Whoever publishes one finger's force as well is a fault of that finger alone.
+    hand.observer.create_publisher(WrenchStamped, "/ft/a", 10)
+    hand.until(lambda: "second_publisher" in hand.nodes["thumb"]["force"].healths[0].faults)
+    assert "second_publisher" not in hand.nodes["index"]["force"].healths[0].faults
+
+
+def test_simulated_time_that_jumps_back_resets_both_fingers_and_no_other(hand: Hand) -> None:
+    """A bag that begins again, or a simulation that is reset, under two fingers."""
+    clock = hand.observer.create_publisher(Clock, "/clock", 10)
+    start = 1_700_000_000_000_000_000
+
+    def at(seconds: float) -> Time:
+        stamp = start + round(seconds * 1e9)
+        return Time(sec=stamp // 10**9, nanosec=stamp % 10**9)
+
+    states: dict[str, list[ContactState]] = {}
+    wrenches: dict[str, Any] = {}
+    for finger in ("thumb", "index", "live"):
+        overrides = [Parameter("use_sim_time", value=finger != "live")]
+        node = ModelNode(context=hand.context, namespace=finger, parameter_overrides=overrides)
+        hand.nodes[finger] = {"model": node}
+        hand.executor.add_node(node)
+        assert node.bring_up()
+        heard = states[finger] = []
+        hand.observer.create_subscription(
+            ContactState, f"/{finger}/contact_state", heard.append, 200
+        )
+        wrenches[finger] = hand.observer.create_publisher(WrenchStamped, f"/{finger}/wrench", 200)
+    hand.until(lambda: all(w.get_subscription_count() for w in wrenches.values()))
+    hand.until(lambda: all(hand.observer.count_publishers(f"/{f}/contact_state") for f in states))
+
+    def press(finger: str, seconds: float) -> ContactState:
+        """The answer to a force of 1 N."""
+        message = WrenchStamped()
+        message.header.stamp, message.wrench.force.z = at(seconds), -1.0
+        before = len(states[finger])
+        wrenches[finger].publish(message)
+        hand.until(lambda: len(states[finger]) > before)
+        return states[finger][-1]
+
+    def tick(seconds: float) -> None:
+        clock.publish(Clock(clock=at(seconds)))
+        simulated = [group["model"] for f, group in hand.nodes.items() if f != "live"]
+        now = start + round(seconds * 1e9)
+        hand.until(lambda: all(n.get_clock().now().nanoseconds == now for n in simulated))
+
+    tick(0.0)
+    for step in range(40):
+        tick(0.02 * step)
+        for finger in states:
+            grown = press(finger, 0.02 * step)
+    # By less than time_reset_after: the samples alone would count as disorder.
+    tick(0.3)
+    for finger in ("thumb", "index"):
+        first = press(finger, 0.3)
+        assert first.flags & StateFlag.TIME_RESET, finger
+        assert first.model_area < grown.model_area
+        assert not press(finger, 0.32).flags & StateFlag.TIME_RESET
+    # Who does not follow simulated time goes on as if nothing had been.
+    assert not press("live", 0.8).flags & StateFlag.TIME_RESET
+    # Diagnostics do not stand still while the clock does.
+    hand.levels.clear()
+    hand.until(lambda: {f"{f}/model: inputs" for f in states} <= hand.levels.keys())

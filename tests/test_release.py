@@ -60,20 +60,27 @@ def release_files() -> ModuleType:
     return module
 
 
-def libraries(package: str) -> set[str]:
-    """Modules that a package imports, without the standard library, ROS and the suite."""
+ROS = re.compile(r"^(rclpy|launch|launch_ros|ament_\w+|\w+_msgs|\w+_interfaces|std_srvs)$")
+
+
+def imports(package: str, *folders: str) -> set[str]:
+    """Modules that the sources in these folders of a package import, by their first name."""
     found: set[str] = set()
-    for file in (ROOT / "src" / package / package).rglob("*.py"):
+    for file in (path for f in folders for path in (ROOT / "src" / package / f).rglob("*.py")):
         for node in ast.walk(ast.parse(file.read_text())):
             if isinstance(node, ast.Import):
                 found |= {alias.name.split(".")[0] for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and not node.level and node.module:
                 found.add(node.module.split(".")[0])
-    ros = re.compile(r"^(rclpy|launch|launch_ros|ament_\w+|\w+_msgs|\w+_interfaces|std_srvs)$")
+    return found - set(sys.stdlib_module_names) - {"_typeshed"}
+
+
+def libraries(package: str) -> set[str]:
+    """Modules that a package imports, without the standard library, ROS and the suite."""
     return {
         name
-        for name in found - set(sys.stdlib_module_names) - {"_typeshed"}
-        if not ros.match(name) and not name.startswith("finger_")
+        for name in imports(package, package)
+        if not ROS.match(name) and not name.startswith("finger_")
     }
 
 
@@ -164,6 +171,42 @@ def test_every_import_has_a_key_of_rosdep_and_a_requirement_of_pip(package: str)
     xml = (ROOT / "src" / package / "package.xml").read_text()
     keys = set(re.findall(r"<exec_depend>(python3-[^<]+)<", xml))
     assert keys == {LIBRARIES[module][1] for module in imported & LIBRARIES.keys()}
+
+
+@pytest.mark.parametrize("package", PYTHON)
+def test_every_ros_package_that_is_imported_is_a_dependency(package: str) -> None:
+    def of_ros(*folders: str) -> set[str]:
+        found = imports(package, *folders)
+        return {n for n in found if ROS.match(n) or n.startswith("finger_")} - {package}
+
+    suite_messages = {"finger_msgs"}
+    xml = (ROOT / "src" / package / "package.xml").read_text()
+    run = set(re.findall(r"<(?:exec_)?depend>([^<]+)<", xml))
+    test = set(re.findall(r"<test_depend>([^<]+)<", xml))
+    assert not of_ros(package, "launch") - run
+    # A package of the suite that a test needs may need this one: to state it would be a circle.
+    assert not {name for name in of_ros("test") if ROS.match(name)} - suite_messages - run - test
+    assert not run & test, "stated twice"
+
+
+def test_keys_without_a_debian_package_are_in_our_list_or_the_public_one() -> None:
+    """README's rosdep line leaves out keys by pip: those end in -pip, as rosdep's rules ask."""
+    own = set(re.findall(r"^(\S+):$", (ROOT / "rosdep.yaml").read_text(), re.MULTILINE))
+    by_pip = {key for _, key in LIBRARIES.values() if key.endswith("-pip")}
+    assert own <= by_pip and by_pip - own == {"python3-cantools-pip", "python3-rosbags-pip"}
+    readme = (ROOT / "README.md").read_text()
+    find = re.search(r"--skip-keys \"\$\((.*)\)\"", readme)
+    assert find is not None
+    said = subprocess.run(["sh", "-c", find[1]], cwd=ROOT, capture_output=True, text=True)
+    assert set(said.stdout.split()) == by_pip
+
+
+@pytest.mark.slow
+def test_flake8_with_the_settings_for_ament_reports_nothing() -> None:
+    pytest.importorskip("flake8", reason="flake8 is not installed; ruff is what make test runs")
+    command = [sys.executable, "-m", "flake8", "--config", ".flake8", "src"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0 and not done.stdout, done.stdout[-2000:]
 
 
 @pytest.mark.slow

@@ -110,6 +110,10 @@ class LslNode(ManagedNode):
         streams = {topic: Health(f"from LSL '{n}'") for topic, n in self._settings.received.items()}
         self._incoming = streams
         self.healths = [self._health, *streams.values()]
+        self._outputs: dict[str, Any] = {}
+        for topic in self._settings.received:
+            qos = STATE_QOS if topic == "trial" else self.stream_qos()
+            self._outputs[topic] = self.create_stream_publisher(TYPES[topic], topic, qos)
 
     def activate(self) -> None:
         self._senders: dict[str, tuple[Sender, PolledSubscription]] = {}
@@ -133,6 +137,10 @@ class LslNode(ManagedNode):
             subscription.destroy()
         self._senders.clear()
 
+    def cleanup(self) -> None:
+        for publisher in self.__dict__.pop("_outputs", {}).values():
+            self.destroy_publisher(publisher)
+
     def _send(self) -> None:
         for topic, (sender, subscription) in self._senders.items():
             sender.repeat_marker()
@@ -147,9 +155,7 @@ class LslNode(ManagedNode):
 
     def _receiver(self, topic: str, name: str) -> Receiver:
         stream, health = STREAMS[topic], self._incoming[topic]
-        qos = STATE_QOS if topic == "trial" else self.stream_qos()
-        publisher = self.create_stream_publisher(TYPES[topic], topic, qos)
-        message_type = TYPES[topic]
+        publisher, message_type = self._outputs[topic], TYPES[topic]
 
         def publish(stamp_ns: int, sample: Sequence[Any], error: float) -> None:
             message = message_type()

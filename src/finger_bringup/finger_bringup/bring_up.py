@@ -6,7 +6,8 @@
 Groups come up one after the other. A group may begin when all nodes of the groups before it are
 active, or when `patience` has passed since the group before it began: a device that is not plugged
 in must not hold up the rest. A node that refuses is tried again after `retry`. A node that was
-restarted is unconfigured, and is brought up again.
+restarted is unconfigured, and is brought up again. One that somebody else deactivates, cleans up or
+shuts down is left to them until it is active again.
 """
 
 from __future__ import annotations
@@ -18,6 +19,9 @@ UNCONFIGURED, INACTIVE, ACTIVE = 1, 2, 3
 
 CONFIGURE, ACTIVATE = 1, 3
 """Transitions, numbered as in lifecycle_msgs/Transition."""
+
+QUICKEST_RESTART = 0.6
+"""s: a node that ends and runs again takes longer, by its imports and the pause before it."""
 
 ALL_ACTIVE = "all nodes are active"
 """Begins the line of `bring_up` that launch files and tests wait for."""
@@ -34,6 +38,10 @@ class BringUp:
         self.retry = retry
         self._began: list[float | None] = [None] * len(self.groups)
         self._not_before: dict[str, float] = {}
+        self._seen: dict[str, float] = {}
+        """Time of the last answer of each node that has been active since it was started."""
+        self.taken_down: dict[str, int] = {}
+        """State of each node that somebody else took down."""
 
     @property
     def nodes(self) -> list[str]:
@@ -48,7 +56,7 @@ class BringUp:
             if began is None:
                 began = self._began[number] = now
             for node in group:
-                if now < self._not_before.get(node, now):
+                if now < self._not_before.get(node, now) or node in self.taken_down:
                     continue
                 if states.get(node) == UNCONFIGURED:
                     wanted.append((node, CONFIGURE))
@@ -58,10 +66,31 @@ class BringUp:
                 break
         return wanted
 
+    def answered(self, node: str, state: int, asked: float, now: float) -> None:
+        """Note the state that a node gives `now` in answer to a question of the time `asked`.
+
+        A question that was asked shortly after the answer before reached the same process, so that
+        a state below ACTIVE is somebody's wish. A restarted node answers later questions only.
+        """
+        if state == ACTIVE:
+            self._seen[node] = now
+            self.taken_down.pop(node, None)
+        elif node in self._seen:
+            if state == INACTIVE or asked - self._seen[node] < QUICKEST_RESTART:
+                self._seen[node] = now
+                self.taken_down[node] = state
+            else:
+                del self._seen[node]
+                self.taken_down.pop(node, None)
+
     def failed(self, node: str, now: float) -> None:
         """A transition was refused; it is tried again later."""
         self._not_before[node] = now + self.retry
 
     def missing(self, states: Mapping[str, int], of: Sequence[str] | None = None) -> list[str]:
-        """Nodes that are not active, among all or those given."""
-        return [n for n in (self.nodes if of is None else of) if states.get(n) != ACTIVE]
+        """Nodes that should be active and are not, among all or those given."""
+        return [
+            n
+            for n in (self.nodes if of is None else of)
+            if states.get(n) != ACTIVE and n not in self.taken_down
+        ]

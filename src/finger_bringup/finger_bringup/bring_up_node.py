@@ -4,7 +4,8 @@
 """Node that brings the lifecycle nodes of the suite up in order and keeps them up.
 
 A node that refuses or is restarted is configured and activated again; `/diagnostics` names the
-nodes that are not active.
+nodes that are not active. A node that somebody deactivates, cleans up or shuts down is left alone
+until they activate it again.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import time
 from dataclasses import dataclass
 from typing import Any
 
-from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.clock import Clock, ClockType
 
@@ -27,6 +28,11 @@ STATE_TIMEOUT = 5.0
 """s without an answer after which a node's state is unknown: it was killed, or is not there."""
 NEWS = 10.0
 """s between lines that name the nodes that are waited for."""
+_STATES = {
+    State.PRIMARY_STATE_UNCONFIGURED: "unconfigured",
+    State.PRIMARY_STATE_INACTIVE: "inactive",
+    State.PRIMARY_STATE_FINALIZED: "shut down",
+}
 SILENT_AFTER = 1.25
 """s without an answer after which a node is reported as silent."""
 
@@ -89,6 +95,11 @@ class BringUpNode(ManagedNode):
     def deactivate(self) -> None:
         self.destroy_timer(self._timer)
 
+    def cleanup(self) -> None:
+        for name in ("_state_clients", "_change_clients"):
+            for client in self.__dict__.pop(name, {}).values():
+                self.destroy_client(client)
+
     def _step(self) -> None:
         now = time.monotonic()
         for node, client in self._state_clients.items():
@@ -127,8 +138,9 @@ class BringUpNode(ManagedNode):
         def answered(done: Any) -> None:
             if not done.cancelled():
                 self._requested.pop(node, None)
-                self._last_answer[node] = time.monotonic()
+                self._last_answer[node] = answered_at = time.monotonic()
                 self._states[node] = state = done.result().current_state.id
+                self._bring_up.answered(node, state, now, answered_at)
                 if state in (UNCONFIGURED, INACTIVE, ACTIVE):
                     # Asked long after the transition was requested: it ended, or never began.
                     self._forget_change(node)
@@ -155,6 +167,7 @@ class BringUpNode(ManagedNode):
             self._last_answer[node] = now = time.monotonic()
             if done.result().success:
                 self._states[node] = self._target[node]
+                self._bring_up.answered(node, self._target[node], now, now)
             else:
                 self._bring_up.failed(node, now)
             self._advance(now)
@@ -168,10 +181,19 @@ class BringUpNode(ManagedNode):
             change[1].cancel()
 
     def _report(self) -> None:
+        taken_down = self._bring_up.taken_down
+        if taken_down:
+            names = ", ".join(
+                f"{node} ({_STATES.get(state, 'changing')})" for node, state in taken_down.items()
+            )
+            text = f"not active by request: {names}; left so until activated again"
+            self.log_fault(self._health, "taken_down", text, WARN)
+        else:
+            self._health.recovered("taken_down")
         missing = self._bring_up.missing(self._states)
         if not missing:
             self._health.recovered("not_active")
-            if not self._complete:
+            if not self._complete and not taken_down:
                 self._complete = True
                 self.get_logger().info(f"{ALL_ACTIVE}: {', '.join(self._bring_up.nodes)}")
         elif not self._complete:

@@ -24,7 +24,7 @@ import yaml
 from finger_common.axes import DEFAULT_NORMAL_AXIS
 from finger_common.errors import InputError, known_names
 from finger_common.files import atomic_write, load_yaml
-from finger_common.namespaces import DEFAULT_NAMESPACE, own_name
+from finger_common.namespaces import DEFAULT_NAMESPACE, check_namespace, own_name
 from finger_sim.addresses import RigAddresses
 
 from .supervisor import ProcessSpec
@@ -348,8 +348,10 @@ def settled(
 ) -> list[NodeEntry]:
     """The entries with each default that the user's file does not set among their parameters.
 
-    Frames have names of their own in each namespace but the usual one.
+    Frames have names of their own in each namespace but the usual one. Raises InputError for a
+    namespace that ROS does not take.
     """
+    check_namespace(namespace)
     file = {} if parameter_file is None else read_parameter_file(parameter_file)
     result = []
     for entry in entries:

@@ -49,6 +49,30 @@ def test_a_restarted_node_is_brought_up_again_and_a_silent_one_is_left_alone() -
     assert plan.steps({"force": ACTIVE}, 300.0) == []
 
 
+def test_a_node_that_somebody_takes_down_is_left_to_them_until_it_is_active_again() -> None:
+    plan = BringUp([["force"], ["model"]])
+
+    def steps(state: int, asked: float, now: float) -> list[tuple[str, int]]:
+        plan.answered("force", state, asked, now)
+        return plan.steps({"force": state, "model": ACTIVE}, now)
+
+    # Its own transitions are nobody's wish.
+    assert steps(UNCONFIGURED, 0.0, 0.1) == [("force", CONFIGURE)]
+    assert steps(INACTIVE, 0.2, 0.3) == [("force", ACTIVATE)]
+    assert steps(ACTIVE, 0.4, 0.5) == []
+    assert steps(INACTIVE, 0.6, 0.7) == [] and plan.taken_down == {"force": INACTIVE}
+    assert plan.missing({"force": INACTIVE, "model": ACTIVE}) == []
+    # A clean-up that takes long answers the question that was asked before it.
+    assert steps(UNCONFIGURED, 0.9, 4.0) == []
+    assert steps(INACTIVE, 4.2, 4.3) == []
+    assert steps(ACTIVE, 4.4, 4.5) == [] and not plan.taken_down
+    # A process that ended answers later questions only: it is brought up.
+    assert steps(UNCONFIGURED, 6.0, 6.1) == [("force", CONFIGURE)] and not plan.taken_down
+    assert steps(ACTIVE, 6.2, 6.3) == []
+    assert steps(INACTIVE, 6.4, 6.5) == []
+    assert steps(UNCONFIGURED, 8.0, 8.1) == [("force", CONFIGURE)] and not plan.taken_down
+
+
 class Node:
     """What `bring_up` asks of a lifecycle node; the first `lost` requests of a change get lost."""
 
@@ -113,8 +137,10 @@ def test_nodes_come_up_over_dds_and_again_after_a_kill(
 ) -> None:
     pytest.importorskip("rclpy", reason="ROS 2 is not installed")
     import rclpy
+    from diagnostic_msgs.msg import DiagnosticArray
     from lifecycle_msgs.msg import Transition
     from lifecycle_msgs.srv import ChangeState, GetState
+    from rcl_interfaces.srv import SetParameters
 
     def start(module: str, *parameters: str) -> Any:
         flags = [flag for p in parameters for flag in ("-p", p)]
@@ -131,6 +157,8 @@ def test_nodes_come_up_over_dds_and_again_after_a_kill(
     node = rclpy.create_node("observer", context=context)
     executor = rclpy.executors.SingleThreadedExecutor(context=context)
     executor.add_node(node)
+    said: list[Any] = []
+    node.create_subscription(DiagnosticArray, "/diagnostics", said.append, 50)
     clients = {n: node.create_client(GetState, f"{n}/get_state") for n in ("protocol", "page")}
 
     def call(client: Any, request: Any, seconds: float = 3.0) -> Any:
@@ -143,6 +171,15 @@ def test_nodes_come_up_over_dds_and_again_after_a_kill(
         while not condition():
             assert time.monotonic() < end, manager.output.read_text()
 
+    def diagnosis() -> str:
+        """What the next report of bring_up complains of."""
+        said.clear()
+        own: list[Any] = []
+        while not own:
+            executor.spin_once(timeout_sec=0.05)
+            own = [s for m in said for s in m.status if s.name.startswith("bring_up:")]
+        return str(own[-1].message) if own[-1].level != b"\0" else ""
+
     def active(name: str) -> bool:
         answer = call(clients[name], GetState.Request())
         return answer is not None and answer.current_state.id == ACTIVE
@@ -152,15 +189,34 @@ def test_nodes_come_up_over_dds_and_again_after_a_kill(
         wait(lambda: "all nodes are active: protocol, page" in manager.output.read_text())
         # A transition the state does not have is refused and ends nothing.
         change = node.create_client(ChangeState, "page/change_state")
-        request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_CONFIGURE))
+        wrong = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_CONFIGURE))
         wait(change.service_is_ready)
-        answer = call(change, request, 90.0)
+        answer = call(change, wrong, 90.0)
         assert answer is not None and not answer.success
         wait(lambda: active("page"))
+
+        def request(transition: int) -> bool:
+            asked = ChangeState.Request(transition=Transition(id=transition))
+            answer = call(change, asked, 90.0)
+            return answer is not None and answer.success
+
+        # Whoever takes a node down, to change a parameter, is not brought up against.
+        assert request(Transition.TRANSITION_DEACTIVATE)
+        wait(lambda: "by request: page (inactive)" in diagnosis())
+        assert request(Transition.TRANSITION_CLEANUP)
+        wait(lambda: "by request: page (unconfigured)" in diagnosis())
+        value = rclpy.Parameter("display_rate", value=7.0).to_parameter_msg()
+        parameters = node.create_client(SetParameters, "page/set_parameters")
+        wait(parameters.service_is_ready)
+        set_request = SetParameters.Request(parameters=[value])
+        assert call(parameters, set_request, 90.0).results[0].successful
+        assert not active("page")
+        assert request(Transition.TRANSITION_CONFIGURE) and request(Transition.TRANSITION_ACTIVATE)
+        wait(lambda: not diagnosis())
         os.killpg(protocol.pid, signal.SIGKILL)
         protocol.wait(60)
         start_protocol()
-        wait(lambda: active("protocol"))
+        wait(lambda: active("protocol") and active("page"))
     finally:
         executor.shutdown()
         node.destroy_node()

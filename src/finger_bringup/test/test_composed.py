@@ -75,6 +75,11 @@ class Hand:
     def log(self) -> str:
         return str(self.child.output.read_text())
 
+    def node_names(self) -> set[str]:
+        """Full names of the nodes there are."""
+        found = self.node.get_node_names_and_namespaces()
+        return {f"{namespace}/{name}" for name, namespace in found}
+
     def until(self, condition: Callable[[], Any], seconds: float = 150.0) -> None:
         end = time.monotonic() + seconds
         while not condition():
@@ -167,6 +172,39 @@ def test_a_hand_in_one_process(hand: Hand, tmp_path: Path) -> None:
     hand.child.send_signal(signal.SIGINT)
     assert hand.child.wait(60) == 0
     assert hand.log.count("Traceback") == 1, hand.log
+
+
+def test_a_finger_without_its_sensor_holds_up_no_other_and_comes_when_it_is_plugged_in(
+    process: Callable[..., Any], ros_domain: int, tmp_path: Path
+) -> None:
+    boards, devices = nodes.simulated_boards(["thumb", "index"])
+    own = tmp_path / "hand.yaml"
+    quick = {
+        "/**/force": {"connect_timeout": 0.5, "rate": 100.0, "response_timeout": 0.2},
+        "/**/bring_up": {"patience": 2.0, "retry": 0.5},
+    }
+    own.write_text(yaml.safe_dump({node: {"ros__parameters": v} for node, v in quick.items()}))
+    chosen = nodes.hand(["thumb", "index"], parameters=devices)
+    (spec,) = nodes.process_specs(chosen, tmp_path, "hand", own, compose=True)
+    process(*boards[1].command[1:])
+    running = Hand(process(*spec.command[1:]), ros_domain)
+    try:
+        running.until(lambda: len(running.states["index"]) > 100)
+        running.until(lambda: "/hand/thumb/force" in running.node_names())
+        assert not running.states["thumb"]
+        assert "[hand.thumb.force]: configure failed: NETCANOEM" in running.log
+        assert "Traceback" not in running.log and ALL_ACTIVE not in running.log
+        process(*boards[0].command[1:])
+        running.until(lambda: len(running.states["thumb"]) > 100)
+        running.until(lambda: ALL_ACTIVE in running.log)
+        # Ctrl-C by an impatient hand.
+        running.child.send_signal(signal.SIGINT)
+        time.sleep(0.05)
+        running.child.send_signal(signal.SIGINT)
+        assert running.child.wait(60) == 0
+        assert "Traceback" not in running.log
+    finally:
+        running.close()
 
 
 def numbers(message: ContactState) -> str:

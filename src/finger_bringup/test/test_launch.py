@@ -169,6 +169,26 @@ def test_launch_files_and_finger_rig_run_the_same_nodes_with_the_same_parameters
         assert section == written[action.node_name]["ros__parameters"]
 
 
+def test_the_log_level_is_that_of_composed_nodes_too() -> None:
+    from launch import LaunchContext
+    from launch_ros.actions import Node
+
+    from finger_bringup import nodes
+    from finger_bringup.launch.actions import COMMON, COMPOSE, node_actions
+
+    context = LaunchContext()
+    for name, (default, _) in {**COMMON, **COMPOSE}.items():
+        context.launch_configurations[name] = default
+    context.launch_configurations.update({"namespace": "hand", "log_level": "warn"})
+    actions = node_actions(context, nodes.hand(["thumb"]), compose=True)
+    (node,) = [action for action in actions if isinstance(action, Node)]
+    node._perform_substitutions(context)
+    command = ["".join(part.perform(context) for part in word) for word in node.cmd]
+    levels = [word for word, before in zip(command[1:], command) if before == "--log-level"]
+    # Whoever waits for all nodes to be active reads it in the log.
+    assert levels == ["warn", "hand.bring_up:=info"]
+
+
 @pytest.mark.slow
 def test_restarts_are_delayed_as_in_finger_rig(
     environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
@@ -276,6 +296,34 @@ def test_grasp_listens_to_another_vendors_wrench(
     info = ros2(environment, "topic", "info", "/wrist/wrench", "--no-daemon", "--spin-time", "8")
     assert "Subscription count: 1" in info, info
     assert running.end() == 0
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_a_hand_of_named_fingers_comes_up_and_ends_at_an_impatient_ctrl_c(
+    launch: Callable[..., Launch], environment: dict[str, str]
+) -> None:
+    running = launch("hand.launch.py", "fingers:=thumb index", "simulated:=true")
+    running.logged("all nodes are active: thumb/force, index/force, thumb/model, index/model")
+    options = ("--no-daemon", "--spin-time", "10")
+    for finger in ("thumb", "index"):
+        state = f"/hand/{finger}/contact_state"
+        kind = "finger_msgs/msg/ContactState"
+        said = ros2(environment, "topic", "echo", "--once", state, kind, seconds=30.0)
+        assert f"frame_id: hand/{finger}/force_sensor" in said, said
+    # What somebody takes down stays down, so that a parameter can be changed.
+    for step in ("deactivate", "cleanup"):
+        said = ros2(environment, "lifecycle", "set", "/hand/thumb/model", step, *options)
+        assert "successful" in said, said
+    said = ros2(environment, "param", "set", "/hand/thumb/model", "qos_depth", "50", *options)
+    assert "successful" in said, said
+    for step in ("configure", "activate"):
+        said = ros2(environment, "lifecycle", "set", "/hand/thumb/model", step, *options)
+        assert "successful" in said, said
+    running.child.send_signal(signal.SIGINT)
+    time.sleep(0.2)
+    assert running.end() == 0
+    assert "Traceback" not in running.text
 
 
 @pytest.mark.slow

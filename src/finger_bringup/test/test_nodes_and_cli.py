@@ -148,6 +148,9 @@ def test_a_file_that_is_no_parameter_file_is_named(tmp_path: Path, text: str, sa
         (["up", "--without", "cam"], "node 'cam' does not exist; did you mean 'camera'? Known are"),
         (["up", "--without", "simulated_rig"], "'simulated_rig' would not run anyway"),
         (["up", "--parameters", "missing.yaml"], "missing.yaml: no such parameter file"),
+        (["up", "--namespace", "2nd"], "namespace '2nd' is not one of ROS; use letters"),
+        (["up", "--namespace", "hand//thumb"], "namespace 'hand//thumb' is not one of ROS"),
+        (["up", "--namespace", "my rig"], "namespace 'my rig' is not one of ROS"),
     ],
 )
 def test_bad_arguments_end_with_code_2_and_one_sentence(

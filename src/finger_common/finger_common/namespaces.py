@@ -5,11 +5,25 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from zlib import crc32
 
+from .errors import InputError
+
 DEFAULT_NAMESPACE = "finger"
 """Namespace of the only finger; its folder and frames bear no further name."""
+
+
+def check_namespace(namespace: str) -> None:
+    """Raise InputError for a namespace that ROS does not take; "" and "/" are the global one."""
+    parts = namespace.strip("/").split("/") if namespace.strip("/") else []
+    for part in parts:
+        if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", part):
+            raise InputError(
+                f"namespace '{namespace}' is not one of ROS; use letters, digits and _ between "
+                "single slashes, and no digit at the beginning of a part"
+            )
 
 
 def own_name(namespace: str, separator: str) -> str:

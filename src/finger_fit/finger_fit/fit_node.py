@@ -52,6 +52,10 @@ def _model_of(settings: FitNodeSettings) -> ReducedModel:
     return load_reduced(settings.reduced_model, settings.geometry_file)
 
 
+def _steady() -> Clock:
+    return Clock(clock_type=ClockType.STEADY_TIME)
+
+
 def checked_options(goal: Any) -> FitOptions:
     """Options of a FitParameters goal; raises InputError for what no fit could be made of."""
     if not goal.output:
@@ -145,7 +149,8 @@ class FitNode(ManagedNode):
 
     def activate(self) -> None:
         """Check the running job ten times a second."""
-        self._timer = self.create_timer(0.1, self._check_job)
+        # Steady time: a cancel is answered also while simulated time stands still.
+        self._timer = self.create_timer(0.1, self._check_job, clock=_steady())
 
     def deactivate(self) -> None:
         """End the running job and let its client know."""
@@ -158,8 +163,7 @@ class FitNode(ManagedNode):
     def cleanup(self) -> None:
         """Withdraw the action, once the client of a goal that was ended has its answer."""
         if self.answering:
-            steady = Clock(clock_type=ClockType.STEADY_TIME)
-            self._farewell = self.create_timer(0.1, self._withdraw, clock=steady)
+            self._farewell = self.create_timer(0.1, self._withdraw, clock=_steady())
         else:
             self._withdraw()
 

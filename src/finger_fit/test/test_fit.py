@@ -31,7 +31,7 @@ from finger_fit.study import fit_condition, fit_records
 from finger_model.fem.full_order import FullOrderModel
 from finger_model.parameter_sets import ParameterSets
 
-QUICK = dict(full_order=False, profiles=False, bootstrap=0, grid=3, nuisances=False)
+QUICK = {"full_order": False, "profiles": False, "bootstrap": 0, "grid": 3, "nuisances": False}
 """The paper's fit, which minimises J."""
 
 
@@ -154,7 +154,7 @@ def test_interruption_leaves_the_best_so_far(double, stop_at: str, signal: type)
 
 def test_resumed_fit_equals_the_uninterrupted_one(double, tmp_path: Path) -> None:
     problem = double.make_problem(noise=1e-6, trials=4)
-    options = dict(full_order=False, profiles=False, bootstrap=0, grid=3, rounds=12)
+    options = {"full_order": False, "profiles": False, "bootstrap": 0, "grid": 3, "rounds": 12}
     whole = fit_condition(problem, FitOptions(**options))
 
     def stop(condition: str, stage: str, number: int, *_: object) -> None:

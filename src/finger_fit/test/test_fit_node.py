@@ -192,13 +192,17 @@ def slow_fit(ros_domain: int, monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.setattr(fit_node, "fit_bags", fit_bags)
     context = rclpy.Context()
     rclpy.init(context=context, domain_id=ros_domain)
-    node = fit_node.FitNode(context=context)
+    # Nobody publishes /clock: simulated time stands still, which is no reason to wait.
+    node = fit_node.FitNode(
+        context=context, parameter_overrides=[rclpy.Parameter("use_sim_time", value=True)]
+    )
     asker = rclpy.create_node("asker", context=context)
+    other = rclpy.create_node("other", context=context)
     executor = rclpy.executors.SingleThreadedExecutor(context=context)
-    for each in (node, asker):
+    for each in (node, asker, other):
         executor.add_node(each)
     assert node.bring_up()
-    action = ActionClient(asker, FitParameters, "/fit/fit")
+    actions = [ActionClient(each, FitParameters, "/fit/fit") for each in (asker, other)]
 
     def wait(condition: Callable[[], Any], seconds: float = 60) -> Any:
         end = time.monotonic() + seconds
@@ -208,19 +212,20 @@ def slow_fit(ros_domain: int, monkeypatch: pytest.MonkeyPatch) -> Any:
                 return
         raise AssertionError("nothing came in time")
 
-    def send(folder: Path) -> Any:
+    def send(folder: Path, client: int = 0) -> Any:
         begun.clear()
-        asked = action.send_goal_async(FitParameters.Goal(bags=[str(folder)], output=str(folder)))
+        goal = FitParameters.Goal(bags=[str(folder)], output=str(folder))
+        asked = actions[client].send_goal_async(goal)
         wait(asked.done)
         handle = asked.result()
-        assert handle.accepted
-        return handle, handle.get_result_async()
+        return handle, handle.get_result_async() if handle.accepted else None
 
-    wait(action.server_is_ready)
+    for action in actions:
+        wait(action.server_is_ready)
     yield node, wait, send, begun, let_go
     let_go.set()
     executor.shutdown()
-    for each in (node, asker):
+    for each in (node, asker, other):
         each.destroy_node()
     rclpy.shutdown(context=context)
 
@@ -231,38 +236,72 @@ def test_a_cancelled_goal_is_answered_at_once_though_the_fit_cannot_stop(
     from action_msgs.msg import GoalStatus
 
     node, wait, send, begun, let_go = slow_fit
-    handle, result = send(tmp_path)
-    wait(begun.is_set)
-    asked = time.monotonic()
-    wait(handle.cancel_goal_async().done)
-    wait(result.done)
-    assert 1.0 < time.monotonic() - asked < 10.0  # 1.6 s on a machine that is not busy
-    assert result.result().status == GoalStatus.STATUS_CANCELED
-    assert "is written to" in result.result().result.message
-    _, early = send(tmp_path)
-    wait(early.done)
-    assert "busy: an ended fit is finishing" in early.result().result.message
-    let_go.set()
-    wait(lambda: not node._job.thread.is_alive())
-    let_go.clear()
+    times: list[float] = []
+    # A busy machine may hold up one answer; where none comes in time, it is the node.
+    while not times or (times[-1] >= 2.0 and len(times) < 5):
+        handle, result = send(tmp_path)
+        wait(begun.is_set)
+        asked = time.monotonic()
+        wait(handle.cancel_goal_async().done)
+        wait(result.done)
+        times.append(time.monotonic() - asked)
+        assert result.result().status == GoalStatus.STATUS_CANCELED
+        assert "is written to" in result.result().result.message
+        # Whoever comes next, through a client of its own, hears why not.
+        _, early = send(tmp_path, client=1)
+        wait(early.done)
+        assert early.result().status == GoalStatus.STATUS_ABORTED
+        assert "busy: an ended fit is finishing" in early.result().result.message
+        let_go.set()
+        wait(lambda: not node._job.thread.is_alive())
+        let_go.clear()
+    assert 1.0 < times[-1] < 2.0, times
     _, again = send(tmp_path)
     wait(begun.is_set)
     let_go.set()
     wait(again.done)
+    assert again.result().status == GoalStatus.STATUS_ABORTED  # the stand-in fits nothing
 
 
-@pytest.mark.parametrize("transition", ["deactivate", "shutdown"])
+@pytest.mark.parametrize("transition", ["deactivate", "active_shutdown"])
 def test_deactivation_and_shutdown_end_the_goal(
     slow_fit: Any, tmp_path: Path, transition: str
 ) -> None:
+    """By the lifecycle service, as tools ask for them."""
     from action_msgs.msg import GoalStatus
+    from lifecycle_msgs.msg import Transition
+    from lifecycle_msgs.srv import ChangeState
 
-    node, wait, send, begun, _ = slow_fit
+    node, wait, send, begun, let_go = slow_fit
     _, result = send(tmp_path)
     wait(begun.is_set)
-    getattr(node, f"trigger_{transition}")()
+    asker = rclpy.create_node("manager", context=node.context)
+    node.executor.add_node(asker)
+    client = asker.create_client(ChangeState, "/fit/change_state")
+    wait(client.service_is_ready)
+    number = getattr(Transition, f"TRANSITION_{transition.upper()}")
+    answer = client.call_async(ChangeState.Request(transition=Transition(id=number)))
+    wait(answer.done)
+    assert answer.result().success
     wait(result.done)
     assert result.result().status == GoalStatus.STATUS_ABORTED
     assert "the fit node was deactivated" in result.result().result.message
-    if transition == "shutdown":
+    if transition == "active_shutdown":
         wait(lambda: "_server" not in vars(node))
+    else:
+        # An inactive node takes no goal, and says so at once.
+        handle, _ = send(tmp_path, client=1)
+        assert not handle.accepted
+        assert "not active" in node.health.faults["refused"]
+        # Taken down and up again, it serves the next one, once the ended fit is over.
+        let_go.set()
+        wait(lambda: not node._job.thread.is_alive())
+        let_go.clear()
+        node.trigger_cleanup()
+        assert node.bring_up()
+        handle, again = send(tmp_path)
+        wait(begun.is_set)
+        wait(handle.cancel_goal_async().done)
+        wait(again.done)
+        assert again.result().status == GoalStatus.STATUS_CANCELED
+    asker.destroy_node()

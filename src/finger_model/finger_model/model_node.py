@@ -330,8 +330,11 @@ class ModelNode(ManagedNode):
         """New settings or parameter sets, from the next sample on."""
         assert self.estimator is not None
         merged = {**self.values, **changes}
-        settings = EstimatorSettings.select(merged)
+        settings, slip = EstimatorSettings.select(merged), SlipSettings.select(merged)
+        PoseSettings.select(merged)
         sets = self._load_sets(merged["parameter_file"]) if "parameter_file" in changes else None
+        # Nothing is refused from here on; what is made anew has all of the changes.
+        self.values = merged
         self.health.stale_after = merged["force_stale_after"]
         changed = [name for name in changes if name in EstimatorSettings.parameters()]
         with self._lock:
@@ -339,17 +342,17 @@ class ModelNode(ManagedNode):
                 reason = f"parameter {', '.join(changed)} set"
                 self._publish_event(self.estimator.change_settings(settings, reason))
             if "normal_axis" in changes:
-                self._slip = self._new_slip_estimator(settings.normal_axis)
+                self._slip = self._new_slip_estimator()
             elif self._slip is not None:
-                self._slip.configure(SlipSettings.select(merged))
+                self._slip.configure(slip)
             self._pose = None
             if sets is not None:
                 self._sets = sets
                 reason = f"parameter file {changes['parameter_file'] or 'unset, shipped sets'}"
                 self._use_sets(sets, reason, forget=False)
 
-    def _new_slip_estimator(self, normal_axis: str = "") -> SlipEstimator:
-        return SlipEstimator(self.settings(SlipSettings), normal_axis or self.values["normal_axis"])
+    def _new_slip_estimator(self) -> SlipEstimator:
+        return SlipEstimator(self.settings(SlipSettings), self.values["normal_axis"])
 
     def _load_sets(self, path: str) -> ParameterSets:
         sets = ParameterSets.load(path) if path else ParameterSets.default()

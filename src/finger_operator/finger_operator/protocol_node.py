@@ -160,8 +160,8 @@ class ProtocolNode(ManagedNode):
         self._free_read = -math.inf
         self._trial_publisher = self.create_publisher(Trial, "trial", STATE_QOS)
         self._status_publisher = self.create_publisher(SessionStatus, "~/status", STATE_QOS)
-        recorder = self.create_client(Record, self.values["recorder_service"])
-        self._recorder = RecorderRequests(recorder, self._recorded)
+        self._record_client = self.create_client(Record, self.values["recorder_service"])
+        self._recorder = RecorderRequests(self._record_client, self._recorded)
         self._command_services = [
             self.create_service(Trigger, f"~/{name}", self._command(getattr(self, f"_{name}")))
             for name in SERVICES
@@ -205,6 +205,9 @@ class ProtocolNode(ManagedNode):
             if hasattr(self, publisher):
                 self.destroy_publisher(getattr(self, publisher))
         self._command_services = []
+        client = self.__dict__.pop("_record_client", None)
+        if client is not None:
+            self.destroy_client(client)
         if hasattr(self, "_lock"):
             self._lock.close()
 

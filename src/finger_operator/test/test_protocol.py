@@ -728,7 +728,7 @@ def test_orders_hold_every_trial_and_follow_from_seed_and_subject(order: str) ->
     def of(seed: int, subject: str) -> list[str]:
         return trial_conditions(conditions, 5, order, seed, subject)
 
-    assert Counter(of(1, "S01")) == {c: 5 for c in conditions}
+    assert Counter(of(1, "S01")) == dict.fromkeys(conditions, 5)
     assert of(1, "S01") == of(1, "S01")
     different = {tuple(of(seed, f"S{n:02d}")) for seed in range(5) for n in range(1, 6)}
     assert len(different) == 1 if order == "as_given" else len(different) >= 3

@@ -5,12 +5,12 @@
 
 from __future__ import annotations
 
+import threading
+from pathlib import Path
+
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-
-import threading
-from pathlib import Path
 
 import numpy as np
 import rclpy

@@ -101,12 +101,21 @@ def node_actions(
     def composed(entry: nodes.NodeEntry) -> Node:
         own = Path(tempfile.mkdtemp(prefix="finger_launch_")) / "parameters.yaml"
         nodes.write_parameter_file(together, suite, own)
+        bring_up_loggers = [
+            f"{entry.namespace(suite)}/{entry.name}".strip("/").replace("/", ".")
+            for entry in together
+            if entry.name == nodes.BRING_UP.name
+        ]
         # Without a name and a namespace: they would be those of every node in the process.
         return Node(
             package=entry.package,
             executable=entry.executable,
             arguments=nodes.composed_arguments(together, suite, truth(context, "realtime")),
-            ros_arguments=[p for file in (*files, own) for p in ("--params-file", str(file))],
+            ros_arguments=[
+                *(p for file in (*files, own) for p in ("--params-file", str(file))),
+                *("--log-level", level),
+                *(p for logger in bring_up_loggers for p in ("--log-level", f"{logger}:=info")),
+            ],
             output="screen",
         )
 

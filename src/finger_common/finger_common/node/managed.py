@@ -484,6 +484,7 @@ class ManagedNode(LifecycleNode):
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         self.release()
+        self._set_state("unconfigured")
         return TransitionCallbackReturn.SUCCESS
 
     def _clean_up(self) -> None:

@@ -1,0 +1,108 @@
+"""All nodes of several fingers in one process, for tests of what they do side by side."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import time
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.parameter import Parameter
+
+from finger_bringup import nodes
+from finger_common.namespaces import default_folder
+from finger_common.node import ManagedNode
+
+LIGHT: dict[str, dict[str, Any]] = {
+    "simulated_rig": {"width": 160, "height": 128, "frame_rate": 4.0, "refinement": 0.3},
+    "force": {"rate": 50.0, "response_timeout": 0.5, "connect_timeout": 60.0},
+    "protocol": {"subject": "S01"},
+}
+"""A rig that needs little of the processor; nothing about addresses, which are the defaults."""
+
+
+def node_class(entry: nodes.NodeEntry) -> type[ManagedNode]:
+    """The class of an entry's node."""
+    module = importlib.import_module(entry.module)
+    found = [
+        member
+        for member in vars(module).values()
+        if inspect.isclass(member)
+        and issubclass(member, ManagedNode)
+        and member.__module__ == module.__name__
+    ]
+    assert len(found) == 1, entry.module
+    return found[0]
+
+
+class Hand:
+    """All nodes of the fingers, as `finger-rig up --simulated --namespace …` runs them."""
+
+    def __init__(self, domain: int) -> None:
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=domain)
+        self.executor = rclpy.executors.SingleThreadedExecutor(context=self.context)
+        self.observer = rclpy.create_node("observer", context=self.context)
+        self.executor.add_node(self.observer)
+        self.nodes: dict[str, dict[str, Any]] = {}
+        self.levels: dict[str, int] = {}
+        self.observer.create_subscription(DiagnosticArray, "/diagnostics", self._diagnose, 50)
+
+    def _diagnose(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            self.levels[status.name] = int(status.level[0])
+
+    def add_finger(self, namespace: str, further: Iterable[str] = ("fit",)) -> None:
+        """Make the nodes of a simulated rig, in its usual folder, and further ones."""
+        folder = default_folder(namespace).absolute()
+        entries = nodes.settled(
+            nodes.rig(folder, simulated=True, parameters=LIGHT, further=further), namespace, None
+        )
+        self.nodes[namespace] = {}
+        for entry in entries:
+            overrides = [Parameter(name, value=value) for name, value in entry.parameters.items()]
+            node = node_class(entry)(
+                context=self.context, namespace=namespace, parameter_overrides=overrides
+            )
+            self.nodes[namespace][entry.name] = node
+            self.executor.add_node(node)
+
+    def until(self, condition: Callable[[], Any], seconds: float = 120) -> Any:
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.executor.spin_once(timeout_sec=0.05)
+            found = condition()
+            if found:
+                return found
+        raise AssertionError(f"nothing came in time; {self.levels}")
+
+    def call(self, kind: Any, service: str, request: Any) -> Any:
+        """Answer of a service."""
+        client = self.observer.create_client(kind, service)
+        self.until(client.service_is_ready)
+        future = client.call_async(request)
+        self.until(future.done)
+        self.observer.destroy_client(client)
+        return future.result()
+
+    def first(self, kind: Any, topic: str) -> Any:
+        """First message on a topic."""
+        heard: list[Any] = []
+        subscription = self.observer.create_subscription(kind, topic, heard.append, 10)
+        self.until(lambda: heard)
+        self.observer.destroy_subscription(subscription)
+        return heard[0]
+
+    def close(self) -> None:
+        for group in self.nodes.values():
+            for node in reversed(list(group.values())):
+                node.release()
+        self.executor.shutdown()
+        for group in self.nodes.values():
+            for node in group.values():
+                node.destroy_node()
+        self.observer.destroy_node()
+        rclpy.shutdown(context=self.context)
