@@ -49,7 +49,6 @@ def test_a_coarser_mesh_keeps_the_bending_of_the_skin():
     flat = FullOrderModel(CALCULIX_FINGER).start(material).step(1.0, 0.5)
     solid = SolidModel(CALCULIX_FINGER, refinement=0.5).start(material).step(1.0, 0.5)
     assert solid.area == pytest.approx(flat.area, rel=0.03)
-    assert solid.indentation == pytest.approx(flat.indentation, rel=0.03)
 
 
 @pytest.mark.parametrize(
