@@ -49,8 +49,8 @@ LOADS = np.geomspace(0.03, 1.9, 14)
 WRITTEN = (3, 5, 7, 9, 11, 12)
 """Of LOADS."""
 SIZES = {
-    "learn": MeshSize(center=0.2, across=5, growth=1.09, bulk=4, bulk_growth=1.25, skin=2),
-    "test": MeshSize(center=0.22, across=6, growth=1.07, bulk=4, bulk_growth=1.25, skin=2),
+    "learn": MeshSize(center=0.2, across=4, growth=1.12, bulk=3, bulk_growth=1.3, skin=2),
+    "test": MeshSize(center=0.2, across=5, growth=1.09, bulk=4, bulk_growth=1.25, skin=2),
 }
 SEEDS = {"learn": 18, "test": 81}
 POSES = {"learn": 4, "test": 2}
