@@ -36,8 +36,9 @@ from finger_model.verification.cases import CALCULIX_FINGER, reference, smooth_a
 
 PLACE = 0.2e-3
 """m, by which the place of the finger is known where the tilt is judged."""
-RIDGE = 1e-3
-"""Of the least squares, beside the mean square of a term."""
+RIDGE, FINGER_RIDGE = 1e-5, 1e-3
+"""Of the least squares, beside the mean square of a term: for what is the same for all fingers, and
+for what a finger's proportions change of it."""
 SMALL, SMALL_WEIGHT = 0.2, 0.3
 """Depth below which a contact is a few nodes wide, and its weight."""
 FOLDS = 10
@@ -52,6 +53,7 @@ class Row:
         value = {name: float(text) for name, text in row.items()}
         lengths = (value[k] for k in "width height skin bone_width bone_height".split())
         self.geometry = Geometry(*lengths, 0.0, value["nail"])
+        self.skin_ratio = value["skin_ratio"]
         tilt = (math.radians(value[k]) for k in ("pitch_deg", "roll_deg"))
         self.pose = Pose(value["aspect"], *tilt)
         self.touch = first_touch(self.geometry, self.pose)
@@ -83,7 +85,7 @@ class Row:
             terms = np.outer(correction.center_terms(self.touch), self.touch.place)
             wanted = getattr(self, name)
         powers = self.s ** np.arange(correction.POWERS)
-        finger = correction.proportions(self.geometry)
+        finger = correction.proportions(self.geometry, self.skin_ratio)
         matrix = np.einsum("p,tn,f->nptf", powers, terms, finger).reshape(len(wanted), -1)
         return matrix * SCALES[name] * self.weight, wanted * SCALES[name] * self.weight
 
@@ -101,7 +103,10 @@ def solve(matrix: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     size = np.sqrt(np.mean(matrix**2, axis=0)).reshape(shape)[:1, :, :1]
     scale = np.broadcast_to(size, np.reshape(matrix[0], shape).shape).ravel()
     scaled = matrix / scale
-    square = scaled.T @ scaled + RIDGE * len(wanted) * np.eye(scaled.shape[1])
+    drawn = np.full(shape[-1], FINGER_RIDGE)
+    drawn[0] = RIDGE
+    square = scaled.T @ scaled
+    square += len(wanted) * np.diag(np.tile(drawn, len(square) // len(drawn)))
     return (np.linalg.solve(square, scaled.T @ wanted) / scale).reshape(shape)
 
 
@@ -128,7 +133,7 @@ def errors(rows: list[Row]) -> np.ndarray:
     centre of pressure (mm)."""
     table = []
     for r in rows:
-        found = correction.PoseCorrection(r.geometry, r.pose).outline(r.round_area)
+        found = correction.PoseCorrection(r.geometry, r.pose, r.skin_ratio).outline(r.round_area)
         ratio = found.semi_axes[0] / found.semi_axes[1]
         turn = (found.orientation - 0.5 * math.atan2(r.shape[1], r.shape[0])) % math.pi
         table.append(

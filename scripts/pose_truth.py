@@ -186,6 +186,9 @@ def press(finger: Finger, pose: Pose, size: MeshSize) -> Press:
         share = node_areas(mesh, skin) * np.where(np.abs(mesh.disc[:, 1]) < 1e-12, 2.0, 1.0)
         spacings.append(float(np.sqrt(share[edge]).mean()))
     count = len(skins)
+    if count < 3:
+        none = np.zeros((0, 2))
+        return Press(none[:, 0], none, none, none, none[:, 0])
     root = np.cbrt(LOADS[:count])
     touch, place = touching(np.array(skins), np.array(gaps), root)
     shapes = [inside(model.mesh, place, touch, limit) for limit in root]

@@ -34,6 +34,10 @@ FILE = Path(str(resources.files("finger_model") / "data" / "pose_correction.json
 LARGEST_DEPTH = 0.65
 """s from which on the correction stays as it is: few of those learned from are larger."""
 
+SKIN_RATIO = 60.0
+"""Modulus of the epidermis over that of the tissue where nothing else is known: the shipped sets
+have 51 to 93 in the long term."""
+
 POWERS = 3
 """Powers 0, 1 and 2 of s."""
 
@@ -65,14 +69,16 @@ def coefficients() -> dict[str, np.ndarray]:
     return {name: np.array(values) for name, values in data["coefficients"].items()}
 
 
-def proportions(geometry: Geometry) -> np.ndarray:
-    """1 and the finger's proportions (n,), about −1 to 1 in the population box."""
+def proportions(geometry: Geometry, skin_ratio: float = SKIN_RATIO) -> np.ndarray:
+    """1 and the finger's proportions (n,), about −1 to 1 in the population box: depth of the pad,
+    the length over which the skin bends, t (E₂/E)^⅓, width and depth of the bone."""
     a, c = geometry.pad_semi_axis_radial, geometry.pad_semi_axis_axial
+    bending = geometry.epidermis_thickness * (skin_ratio / SKIN_RATIO) ** (1 / 3)
     return np.array(
         [
             1.0,
             2.0 * math.log(c / (0.7 * a)),
-            0.7 * math.log(geometry.epidermis_thickness / (0.06 * a)),
+            0.7 * math.log(bending / (0.06 * a)),
             4.0 * (geometry.bone_semi_axis_radial / a - 0.4),
             4.0 * (geometry.bone_semi_axis_axial / c - 0.4),
         ]
@@ -81,8 +87,8 @@ def proportions(geometry: Geometry) -> np.ndarray:
 
 def area_terms(touch: Touch) -> np.ndarray:
     """Terms (n,) of ln(area over that of the round pad)."""
-    u = _size(touch.aside)
-    return np.array([touch.bluntness, float(touch.elongation @ touch.elongation), u, u * u])
+    b, k, u = touch.bluntness, touch.thickness, _size(touch.aside)
+    return np.array([b, float(touch.elongation @ touch.elongation), u, u * u, k, k * u])
 
 
 def shape_terms(touch: Touch) -> np.ndarray:
@@ -114,14 +120,17 @@ def _size(vector: np.ndarray) -> float:
 
 class PoseCorrection:
     """Correction for one finger and one pose; `area_polynomial` (3,): coefficients of 1, s, s² in
-    ln(area over that of the round pad on a level plate)."""
+    ln(area over that of the round pad on a level plate). skin_ratio: modulus of the epidermis over
+    that of the tissue."""
 
-    def __init__(self, geometry: Geometry, pose: Pose) -> None:
+    def __init__(
+        self, geometry: Geometry, pose: Pose, skin_ratio: float = SKIN_RATIO
+    ) -> None:
         self.pose = pose
         self.touch = first_touch(geometry, pose)
         self.half_width = geometry.pad_semi_axis_radial
         self._known_finger = is_learned(geometry)
-        finger = proportions(geometry)
+        finger = proportions(geometry, skin_ratio)
         learned = {name: values @ finger for name, values in coefficients().items()}
         self.area_polynomial = learned["area"] @ area_terms(self.touch)
         self._shape = learned["shape"] @ shape_terms(self.touch)
