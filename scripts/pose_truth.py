@@ -26,6 +26,7 @@ import argparse
 import csv
 import math
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import astuple, dataclass, fields, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -261,10 +262,15 @@ def center_of_pressure(stepper: SolidStepper) -> np.ndarray:
 def rows_of(finger: Finger, poses: list[Pose], size: MeshSize) -> list[list[float]]:
     """Rows of one finger."""
     stepper = FullOrderModel(finger.geometry).start(material(finger))
-    flat = np.array([stepper.step(float(k), f).area for k, f in enumerate(forces(finger), 1)])
+    areas: list[float] = []
+    with suppress(ModelError):
+        for k, force in enumerate(forces(finger).tolist(), 1):
+            areas.append(stepper.step(float(k), force).area)
+    flat = np.array(areas)
     level = press(finger, Pose(), size)
-    ahead = np.sqrt(level.area / math.pi) - np.sqrt(flat[: len(level.area)] / math.pi)
-    ahead /= level.spacing
+    count = min(len(flat), len(level.area))
+    ahead = np.sqrt(level.area[:count] / math.pi) - np.sqrt(flat[:count] / math.pi)
+    ahead /= level.spacing[:count]
     print(finger, "ahead", ahead.round(2), flush=True)
     rows = []
     for pose in poses:

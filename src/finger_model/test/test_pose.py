@@ -49,6 +49,9 @@ def test_first_touch_is_where_calculix_sees_the_contact_begin():
     long = first_touch(CALCULIX_FINGER, Pose(1.35))
     assert long.elongation == pytest.approx([math.log(1.35), 0.0])
     assert long.bluntness == pytest.approx(math.log(1.35))
+    assert long.thickness == pytest.approx(0.0)
+    # Beside the bone the tissue is thicker; at 90° it would be 5 mm where it was 4 mm.
+    assert 0.0 < touch.thickness < math.log(5.0 / 4.0)
 
 
 @pytest.mark.parametrize(("pitch", "roll"), [(0.3, 0.0), (0.0, 0.3), (0.2, -0.15)])

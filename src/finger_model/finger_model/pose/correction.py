@@ -24,7 +24,7 @@ import numpy as np
 from finger_common.files import load_json
 
 from ..geometry import Geometry
-from ..reduced.population import BOX
+from ..reduced.population import BOX, NAIL_INSIDE
 from .pose import Pose
 from .touch import Touch, first_touch
 
@@ -71,8 +71,10 @@ def coefficients() -> dict[str, np.ndarray]:
 
 def proportions(geometry: Geometry, skin_ratio: float = SKIN_RATIO) -> np.ndarray:
     """1 and the finger's proportions (n,), about −1 to 1 in the population box: depth of the pad,
-    the length over which the skin bends, t (E₂/E)^⅓, width and depth of the bone."""
+    the length over which the skin bends, t (E₂/E)^⅓, width and depth of the bone, and width of the
+    nail, which holds the pad's sides."""
     a, c = geometry.pad_semi_axis_radial, geometry.pad_semi_axis_axial
+    nail = min(geometry.nail_radius, NAIL_INSIDE * geometry.bulk_semi_axes[0])
     bending = geometry.epidermis_thickness * (skin_ratio / SKIN_RATIO) ** (1 / 3)
     return np.array(
         [
@@ -81,6 +83,7 @@ def proportions(geometry: Geometry, skin_ratio: float = SKIN_RATIO) -> np.ndarra
             0.7 * math.log(bending / (0.06 * a)),
             4.0 * (geometry.bone_semi_axis_radial / a - 0.4),
             4.0 * (geometry.bone_semi_axis_axial / c - 0.4),
+            5.0 * (nail / a - 0.78),
         ]
     )
 
@@ -88,7 +91,7 @@ def proportions(geometry: Geometry, skin_ratio: float = SKIN_RATIO) -> np.ndarra
 def area_terms(touch: Touch) -> np.ndarray:
     """Terms (n,) of ln(area over that of the round pad)."""
     b, k, u = touch.bluntness, touch.thickness, _size(touch.aside)
-    return np.array([b, float(touch.elongation @ touch.elongation), u, u * u, k, k * u])
+    return np.array([b, float(touch.elongation @ touch.elongation), u, u * u, k])
 
 
 def shape_terms(touch: Touch) -> np.ndarray:
@@ -106,12 +109,16 @@ def is_learned(geometry: Geometry) -> bool:
     """Whether a finger's proportions lie in the population box."""
     a, c = geometry.pad_semi_axis_radial, geometry.pad_semi_axis_axial
     skin, width = BOX["epidermis_thickness"], BOX["pad_semi_axis_radial"]
-    limits = [(BOX[name].low, BOX[name].high) for name in ("aspect", "bone_radial", "bone_axial")]
-    limits.append((skin.low / width.high, skin.high / width.low))
-    values = [c / a, geometry.bone_semi_axis_radial / a, geometry.bone_semi_axis_axial / c]
-    values.append(geometry.epidermis_thickness / a)
-    inside = (low * (1 - 1e-9) <= v <= high * (1 + 1e-9) for v, (low, high) in zip(values, limits))
-    return geometry.bone_center_height == 0.0 and all(inside)
+    shares = {
+        "aspect": c / a,
+        "bone_radial": geometry.bone_semi_axis_radial / a,
+        "bone_axial": geometry.bone_semi_axis_axial / c,
+        "nail_radius": min(geometry.nail_radius / a, BOX["nail_radius"].high),
+    }
+    limits = [(value, BOX[name].low, BOX[name].high) for name, value in shares.items()]
+    limits.append((geometry.epidermis_thickness / a, skin.low / width.high, skin.high / width.low))
+    inside = all(low * (1 - 1e-9) <= value <= high * (1 + 1e-9) for value, low, high in limits)
+    return inside and geometry.bone_center_height == 0.0 and geometry.nail_thickness > 0.0
 
 
 def _size(vector: np.ndarray) -> float:
@@ -123,9 +130,7 @@ class PoseCorrection:
     ln(area over that of the round pad on a level plate). skin_ratio: modulus of the epidermis over
     that of the tissue."""
 
-    def __init__(
-        self, geometry: Geometry, pose: Pose, skin_ratio: float = SKIN_RATIO
-    ) -> None:
+    def __init__(self, geometry: Geometry, pose: Pose, skin_ratio: float = SKIN_RATIO) -> None:
         self.pose = pose
         self.touch = first_touch(geometry, pose)
         self.half_width = geometry.pad_semi_axis_radial
