@@ -59,6 +59,7 @@ class Row:
         tilt = (math.radians(value[k]) for k in ("pitch_deg", "roll_deg"))
         self.pose = Pose(value["aspect"], *tilt)
         self.touch = first_touch(self.geometry, self.pose)
+        self.default = self.geometry == Geometry()
         self.number, self.force = int(value["number"]), value["force_n"]
         self.area, self.round_area = value["area_m2"], value["round_area_m2"]
         self.s = min(
@@ -164,8 +165,10 @@ def judge(rows: list[Row], table: np.ndarray, what: str, each: bool) -> None:
             groups[f"depth above {SMALL}"].append(k)
             steep = float(np.hypot(*r.touch.aside)) > STEEP
             groups[f"of these, aside {'above' if steep else 'to'} {STEEP}"].append(k)
-        if r.number == 0:
+        if r.default:
             groups["default finger"].append(k)
+        else:
+            groups["other fingers"].append(k)
         groups["all"].append(k)
     for name, members in groups.items():
         part = np.abs(table[members])

@@ -9,7 +9,8 @@
 writes a row for each finger, pose and force. `learn` gives the fingers that `finger_model.pose` is
 fitted to: the default one in six poses, then such as lie all over the population box; `test` those
 kept aside, on a finer mesh. Fingers that the file has already are kept, so that a run may be broken
-off and taken up again. One pose takes 5 to 10 s of a core.
+off and taken up again. In the shipped table of `learn` fingers 0 to 3 are on the finer mesh too. One
+pose takes 2 to 5 s of a core.
 
 The area is that inside the line where the skin touches just then: each skin node touches at some
 force, known between two steps from how its gap closes, and between nodes that force is
