@@ -9,8 +9,8 @@
 writes a row for each finger, pose and force. `learn` gives the fingers that `finger_model.pose` is
 fitted to: the default one in six poses, then such as lie all over the population box; `test` those
 kept aside, on a finer mesh. Fingers that the file has already are kept, so that a run may be broken
-off and taken up again. In the shipped table of `learn` fingers 0 to 3 are on the finer mesh too. One
-pose takes 2 to 5 s of a core.
+off and taken up again. In the shipped table of `learn` fingers 0 to 3 are on the finer mesh too.
+One pose takes 2 to 5 s of a core.
 
 The area is that inside the line where the skin touches just then: each skin node touches at some
 force, known between two steps from how its gap closes, and between nodes that force is
@@ -39,6 +39,7 @@ from finger_common.errors import ModelError
 from finger_model.fem.equilibrium import OPEN
 from finger_model.fem.full_order import FullOrderModel
 from finger_model.geometry import Geometry
+from finger_model.laws import StandardLinearSolid
 from finger_model.pose.pose import Pose
 from finger_model.reduced.population import BOX
 from finger_model.solid3d.contact_shape import node_areas
@@ -148,7 +149,7 @@ def fingers(which: str) -> Iterator[tuple[Finger, list[Pose]]]:
         yield finger, poses
 
 
-def material(finger: Finger):
+def material(finger: Finger) -> StandardLinearSolid:
     """Elastic tissue under an elastic skin."""
     return elastic(MODULUS, E2=finger.skin_ratio * MODULUS, friction=finger.friction)
 
