@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from finger_model.pose.estimator import MeasuredOutline, PoseEstimator
 from finger_model.pose.pose import Pose
 from finger_model.pose.settings import PoseSettings
 from finger_model.pose.touch import first_touch
-from finger_model.verification.cases import CALCULIX_FINGER, reference
+from finger_model.verification.cases import CALCULIX_FINGER, reference, smooth_area
 
 ROUND = 40e-6
 DIRECTION = 0.7
@@ -48,6 +49,9 @@ def test_first_touch_is_where_calculix_sees_the_contact_begin():
     long = first_touch(CALCULIX_FINGER, Pose(1.35))
     assert long.elongation == pytest.approx([math.log(1.35), 0.0])
     assert long.bluntness == pytest.approx(math.log(1.35))
+    assert long.thickness == pytest.approx(0.0)
+    # Beside the bone the tissue is thicker; at 90° it would be 5 mm where it was 4 mm.
+    assert 0.0 < touch.thickness < math.log(5.0 / 4.0)
 
 
 @pytest.mark.parametrize(("pitch", "roll"), [(0.3, 0.0), (0.0, 0.3), (0.2, -0.15)])
@@ -70,7 +74,24 @@ def test_poses_and_fingers_that_were_not_learned_are_named():
     assert PoseCorrection(Geometry(), Pose(1.6, math.radians(30))).inside
     assert not PoseCorrection(Geometry(), Pose(1.7)).inside
     assert not PoseCorrection(Geometry(), Pose(1.2, math.radians(35))).inside
-    assert not PoseCorrection(CALCULIX_FINGER, Pose(1.2)).inside
+    assert PoseCorrection(CALCULIX_FINGER, Pose(1.2)).inside
+    flat = replace(Geometry(), pad_semi_axis_axial=4.5e-3)
+    assert not PoseCorrection(flat, Pose(1.2)).inside
+    assert not PoseCorrection(replace(Geometry(), bone_center_height=1e-3), Pose(1.2)).inside
+
+
+@pytest.mark.parametrize(
+    ("name", "pose", "error"),
+    [("tilt_20deg", Pose(pitch=math.radians(20.0)), 0.02), ("ellipse_135", Pose(1.35), 0.04)],
+)
+def test_areas_of_a_finger_that_was_not_learned_are_those_of_calculix(name, pose, error):
+    table = reference(name)
+    load = table["normal_force_n"]
+    known = load > 0.1
+    # The tissue of these runs is a little stiffer than that of the round pad's, 30.23 kPa.
+    level = 1e-6 * smooth_area("dry_frictionless", load[known] * 30.0 / 30.23)
+    found = [PoseCorrection(CALCULIX_FINGER, pose).outline(area).area for area in level]
+    assert found == pytest.approx(1e-6 * table["area_mm2"][known], rel=error)
 
 
 def estimate(stamp, area, force):

@@ -13,6 +13,7 @@ from finger_common.cli import run
 from finger_common.errors import InputError
 from finger_model.cli import _main
 from finger_model.fem.equilibrium import SLIP, STICK
+from finger_model.fem.full_order import FullOrderModel
 from finger_model.fem.mesh import EPIDERMIS
 from finger_model.geometry import Geometry
 from finger_model.laws import GeneralizedMaxwell2, StandardLinearSolid
@@ -41,6 +42,13 @@ def body(mesh, law):
     bulk = np.full(len(mesh.cells), law.bulk_modulus)
     tangent = np.zeros((len(mesh.cells), elements.UNKNOWNS, elements.UNKNOWNS))
     return bricks, elements.Stiffness(metric, elements.NO_SLOPE, bulk), tangent
+
+
+def test_a_coarser_mesh_keeps_the_bending_of_the_skin():
+    material = elastic(30e3, E2=1652e3)
+    flat = FullOrderModel(CALCULIX_FINGER).start(material).step(1.0, 0.5)
+    solid = SolidModel(CALCULIX_FINGER, refinement=0.5).start(material).step(1.0, 0.5)
+    assert solid.area == pytest.approx(flat.area, rel=0.03)
 
 
 @pytest.mark.parametrize(

@@ -4,10 +4,11 @@
 """Area, outline and centre of pressure of an elliptical pad on a tilted plate.
 
 The round pad on a level plate, with the same force and history, is known (the reduced model). What
-aspect and tilt change is a correction of it, in two parts: how the unloaded pad is curved where the
-plate touches it (`touch`; Hertz's contact would need no more), and smooth functions of the depth
-s = √(A₀/π)/a, contact radius over half the width of the round pad, learned from the
-three-dimensional model (`scripts/pose_truth.py`). Without aspect and tilt the correction is none.
+aspect and tilt change is a correction of it: products of what the plate first touches (`touch`;
+Hertz's contact would need no more), of the finger's proportions, and of powers of the depth
+s = √(A₀/π)/a, contact radius over half the width of the round pad. Their coefficients are learned
+from the three-dimensional model (`scripts/pose_truth.py`), with fingers from all over the
+population box. Without aspect and tilt the correction is none.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ import numpy as np
 from finger_common.files import load_json
 
 from ..geometry import Geometry
+from ..reduced.population import BOX, NAIL_INSIDE
 from .pose import Pose
 from .touch import Touch, first_touch
 
@@ -30,24 +32,17 @@ FILE = Path(str(resources.files("finger_model") / "data" / "pose_correction.json
 """Learned coefficients; `scripts/pose_correction.py` writes it."""
 
 LARGEST_DEPTH = 0.65
-"""s from which on the correction stays as it is: it was learned to 0.6."""
+"""s from which on the correction stays as it is: few of those learned from are larger."""
 
-AREA_TERMS = tuple("b,b s,b s²,e²,e² s,u,u s,u s²,u²,u² s,u² s²,b u,b u s".split(","))
-"""Of ln(area over that of the round pad): b bluntness, e elongation, u aside of `Touch`."""
+SKIN_RATIO = 60.0
+"""Modulus of the epidermis over that of the tissue where nothing else is known: the shipped sets
+have 51 to 93 in the long term."""
 
-SHAPE_TERMS = tuple("e,e s,e s²,u,u s,|u| u,|u| u s,|u| e,|u| e s".split(","))
-"""Of ln(a/b) times cosine and sine of twice the orientation."""
-
-CENTER_TERMS = tuple("1,s,s²,u,u s,u s²,b,b s".split(","))
-"""Of the centre's coordinates over those of the first touch, and of the centre of pressure's."""
+POWERS = 3
+"""Powers 0, 1 and 2 of s."""
 
 LARGEST_ASPECT, LARGEST_TILT = 1.6, math.radians(30.0)
 """Up to which the correction was learned; a smaller aspect than 1 was not."""
-
-LEARNED, OTHER_HEIGHT, OTHER_SKIN = Geometry(), 0.1, 1.9
-"""The finger that it was learned for, and by how much (relative) another one's height over width,
-and by which factor its skin over width, may differ. Fingers of the same proportions have the same
-correction."""
 
 
 class Outline(NamedTuple):
@@ -68,42 +63,62 @@ class Outline(NamedTuple):
 
 @functools.cache
 def coefficients() -> dict[str, np.ndarray]:
-    """Learned coefficients by the names "area", "shape", "center" and "pressure"."""
+    """Learned coefficients (POWERS, terms, proportions) by the names "area", "shape", "center" and
+    "pressure"."""
     data = load_json(FILE, "pose correction")
     return {name: np.array(values) for name, values in data["coefficients"].items()}
 
 
-def area_terms(touch: Touch, s: float) -> np.ndarray:
-    """Values of AREA_TERMS."""
-    b, e, u = touch.bluntness, float(touch.elongation @ touch.elongation), _size(touch.aside)
-    of_depth = np.array([1.0, s, s * s])
-    return np.concatenate(
-        [b * of_depth, e * of_depth[:2], u * of_depth, u * u * of_depth, b * u * of_depth[:2]]
+def proportions(geometry: Geometry, skin_ratio: float = SKIN_RATIO) -> np.ndarray:
+    """1 and the finger's proportions (n,), about −1 to 1 in the population box: depth of the pad,
+    the length over which the skin bends, t (E₂/E)^⅓, width and depth of the bone, and width of the
+    nail, which holds the pad's sides."""
+    a, c = geometry.pad_semi_axis_radial, geometry.pad_semi_axis_axial
+    nail = min(geometry.nail_radius, NAIL_INSIDE * geometry.bulk_semi_axes[0])
+    bending = geometry.epidermis_thickness * (skin_ratio / SKIN_RATIO) ** (1 / 3)
+    return np.array(
+        [
+            1.0,
+            2.0 * math.log(c / (0.7 * a)),
+            0.7 * math.log(bending / (0.06 * a)),
+            4.0 * (geometry.bone_semi_axis_radial / a - 0.4),
+            4.0 * (geometry.bone_semi_axis_axial / c - 0.4),
+            5.0 * (nail / a - 0.78),
+        ]
     )
 
 
-def shape_terms(touch: Touch, s: float) -> np.ndarray:
-    """Values (2, n) of SHAPE_TERMS."""
-    e, u = touch.elongation, touch.aside
-    far = _size(u)
-    return np.stack(
-        [e, e * s, e * s * s, u, u * s, far * u, far * u * s, far * e, far * e * s], axis=1
-    )
+def area_terms(touch: Touch) -> np.ndarray:
+    """Terms (n,) of ln(area over that of the round pad)."""
+    b, k, u = touch.bluntness, touch.thickness, _size(touch.aside)
+    return np.array([b, float(touch.elongation @ touch.elongation), u, u * u, k])
 
 
-def center_terms(touch: Touch, s: float) -> np.ndarray:
-    """Values (n,) of CENTER_TERMS."""
-    u, b = _size(touch.aside), touch.bluntness
-    return np.array([1.0, s, s * s, u, u * s, u * s * s, b, b * s])
+def shape_terms(touch: Touch) -> np.ndarray:
+    """Terms (n, 2) of ln(a/b) times cosine and sine of twice the orientation."""
+    return np.array([touch.elongation, touch.aside])
 
 
-def _has_learned_proportions(geometry: Geometry) -> bool:
-    def proportions(finger: Geometry) -> np.ndarray:
-        lengths = np.array([finger.pad_semi_axis_axial, finger.epidermis_thickness])
-        return lengths / finger.pad_semi_axis_radial
+def center_terms(touch: Touch) -> np.ndarray:
+    """Terms (n,) of the centre's coordinates over those of the first touch, and of the centre of
+    pressure's."""
+    return np.array([1.0, _size(touch.aside)])
 
-    height, skin = proportions(geometry) / proportions(LEARNED)
-    return abs(height - 1.0) < OTHER_HEIGHT and 1.0 / OTHER_SKIN < skin < OTHER_SKIN
+
+def is_learned(geometry: Geometry) -> bool:
+    """Whether a finger's proportions lie in the population box."""
+    a, c = geometry.pad_semi_axis_radial, geometry.pad_semi_axis_axial
+    skin, width = BOX["epidermis_thickness"], BOX["pad_semi_axis_radial"]
+    shares = {
+        "aspect": c / a,
+        "bone_radial": geometry.bone_semi_axis_radial / a,
+        "bone_axial": geometry.bone_semi_axis_axial / c,
+        "nail_radius": min(geometry.nail_radius / a, BOX["nail_radius"].high),
+    }
+    limits = [(value, BOX[name].low, BOX[name].high) for name, value in shares.items()]
+    limits.append((geometry.epidermis_thickness / a, skin.low / width.high, skin.high / width.low))
+    inside = all(low * (1 - 1e-9) <= value <= high * (1 + 1e-9) for value, low, high in limits)
+    return inside and geometry.bone_center_height == 0.0 and geometry.nail_thickness > 0.0
 
 
 def _size(vector: np.ndarray) -> float:
@@ -112,18 +127,21 @@ def _size(vector: np.ndarray) -> float:
 
 class PoseCorrection:
     """Correction for one finger and one pose; `area_polynomial` (3,): coefficients of 1, s, s² in
-    ln(area over that of the round pad on a level plate)."""
+    ln(area over that of the round pad on a level plate). skin_ratio: modulus of the epidermis over
+    that of the tissue."""
 
-    def __init__(self, geometry: Geometry, pose: Pose) -> None:
+    def __init__(self, geometry: Geometry, pose: Pose, skin_ratio: float = SKIN_RATIO) -> None:
         self.pose = pose
         self.touch = first_touch(geometry, pose)
         self.half_width = geometry.pad_semi_axis_radial
-        self._known_finger = _has_learned_proportions(geometry)
-        learned = coefficients()
-        at = [float(area_terms(self.touch, s) @ learned["area"]) for s in (0.0, 1.0, -1.0)]
-        linear, square = 0.5 * (at[1] - at[2]), 0.5 * (at[1] + at[2]) - at[0]
-        self.area_polynomial = np.array([at[0], linear, square])
-        self._polynomial: tuple[float, float, float] = (at[0], linear, square)
+        self._known_finger = is_learned(geometry)
+        finger = proportions(geometry, skin_ratio)
+        learned = {name: values @ finger for name, values in coefficients().items()}
+        self.area_polynomial = learned["area"] @ area_terms(self.touch)
+        self._shape = learned["shape"] @ shape_terms(self.touch)
+        terms = center_terms(self.touch)
+        self._center, self._pressure = learned["center"] @ terms, learned["pressure"] @ terms
+        self._polynomial: list[float] = self.area_polynomial.tolist()
 
     @property
     def inside(self) -> bool:
@@ -151,16 +169,16 @@ class PoseCorrection:
 
     def outline(self, round_area: float) -> Outline:
         """Contact where the round pad on a level plate has `round_area` (m²)."""
-        learned, s = coefficients(), self.depth(round_area)
+        s = self.depth(round_area)
+        powers = s ** np.arange(POWERS)
         area = round_area * math.exp(self.log_area(round_area))
-        double = shape_terms(self.touch, s) @ learned["shape"]
-        ratio = math.exp(math.hypot(double[0], double[1]))
+        double = powers @ self._shape
+        ratio = math.exp(_size(double))
         minor = math.sqrt(area / (math.pi * ratio))
-        terms = center_terms(self.touch, s)
         return Outline(
             area,
             (minor * ratio, minor),
             0.5 * math.atan2(double[1], double[0]),
-            self.touch.place * float(terms @ learned["center"]),
-            self.touch.place * float(terms @ learned["pressure"]),
+            self.touch.place * float(powers @ self._center),
+            self.touch.place * float(powers @ self._pressure),
         )

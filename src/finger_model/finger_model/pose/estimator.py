@@ -34,7 +34,7 @@ ASPECT, PITCH, ROLL, PLACE = 0, 1, 2, slice(3, 5)
 STEPS = np.array([0.02, 0.01, 0.01])
 """Of the derivatives by the logarithm of the aspect, pitch and roll."""
 
-SHAPE_SD, PLACE_SD = 0.03, 0.07e-3
+SHAPE_SD, PLACE_SD = 0.03, 0.12e-3
 """Errors of the correction itself: of ln(a/b), and of the centres (m)."""
 
 LASTING = 1.0

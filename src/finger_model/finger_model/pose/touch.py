@@ -29,12 +29,15 @@ class Touch(NamedTuple):
     sine of twice the direction of the smaller one, along which the contact is longer. aside
     (2,): squared distance of the place from the pad's axis over that of the pad's side in its
     direction, 0 at the tip and 1 at the side, times cosine and sine of twice its direction.
+    thickness: logarithm of the distance between the planes along the plate that touch pad and bone,
+    over that on a level plate.
     """
 
     place: np.ndarray
     bluntness: float
     elongation: np.ndarray
     aside: np.ndarray
+    thickness: float
 
 
 def first_touch(geometry: Geometry, pose: Pose) -> Touch:
@@ -59,4 +62,12 @@ def first_touch(geometry: Geometry, pose: Pose) -> Touch:
     double = np.array([x * x - y * y, 2.0 * x * y]) / way if way > 0 else np.zeros(2)
     flat = c / a**2
     bluntness = -0.5 * math.log(smaller * larger / flat**2)
-    return Touch(place, bluntness, elongation, far * double)
+    return Touch(place, bluntness, elongation, far * double, _thickness(geometry, pose, height))
+
+
+def _thickness(geometry: Geometry, pose: Pose, height: float) -> float:
+    across, up = geometry.bone_semi_axis_radial, geometry.bone_semi_axis_axial
+    bone, normal = np.array([across * pose.aspect, across, up]), pose.axes[2]
+    raised = geometry.bone_center_height
+    level = geometry.pad_semi_axis_axial - up + raised
+    return math.log((height - float(np.linalg.norm(bone * normal)) + raised * normal[2]) / level)

@@ -40,7 +40,8 @@ class MeshSize:
     skin: int = 2
 
     def refined(self, refinement: float) -> MeshSize:
-        """With the node spacing divided by a factor."""
+        """With the node spacing divided by a factor; the skin keeps two layers, as one would not
+        resist bending."""
         if refinement == 1.0:
             return self
         return MeshSize(
@@ -49,7 +50,7 @@ class MeshSize:
             1.0 + (self.growth - 1.0) / refinement,
             max(2, round(self.bulk * refinement)),
             self.bulk_growth ** (1.0 / refinement),
-            max(1, round(self.skin * refinement)),
+            max(2, round(self.skin * refinement)),
         )
 
 
