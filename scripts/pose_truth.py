@@ -294,7 +294,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("which", choices=sorted(SIZES))
     parser.add_argument("table", type=Path)
-    parser.add_argument("--fingers", type=int, default=48)
+    parser.add_argument("--fingers", type=int, default=110)
     arguments = parser.parse_args()
     done = set()
     if arguments.table.exists():
