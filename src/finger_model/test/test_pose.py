@@ -82,9 +82,10 @@ def test_poses_and_fingers_that_were_not_learned_are_named():
 
 @pytest.mark.parametrize(
     ("name", "pose", "error"),
-    [("tilt_20deg", Pose(pitch=math.radians(20.0)), 0.02), ("ellipse_135", Pose(1.35), 0.04)],
+    [("tilt_20deg", Pose(pitch=math.radians(20.0)), 0.025), ("ellipse_135", Pose(1.35), 0.04)],
 )
 def test_areas_of_a_finger_that_was_not_learned_are_those_of_calculix(name, pose, error):
+    """CalculiX's own areas scatter by 2 and 2.5 %."""
     table = reference(name)
     load = table["normal_force_n"]
     known = load > 0.1
