@@ -376,7 +376,7 @@ def test_a_dead_sensor_looks_dead_within_a_second(rig: StandIn, page: Any) -> No
     assert not any(name == "start" for name, _ in rig.commands)
     rig.gone, rig.problems = set(), []
     page.wait_for_selector("#start:enabled")
-    assert page.inner_text("#force-value") != "–"
+    until(lambda: page.inner_text("#force-value") != "–", page)
 
 
 def test_values_of_camera_and_model_blank_too(rig: StandIn, page: Any) -> None:
@@ -393,7 +393,7 @@ def test_untared_is_said_before_ready(rig: StandIn, page: Any) -> None:
     prepare(rig, page)
     rig.tared, rig.problems = False, [TARE_NEEDED]
     page.wait_for_selector("#start:disabled")
-    assert "Tare needed" in page.inner_text("#banner")
+    until(lambda: "Tare needed" in page.inner_text("#banner"), page)
     until(lambda: "not tared" in page.inner_text("#force-panel h2"), page)
     assert page.inner_text("#estimate-value") == "–", "an estimate of a force without zero"
     page.keyboard.press("t")
@@ -404,7 +404,7 @@ def test_a_silent_server_stops_cue_and_buttons(rig: StandIn, page: Any) -> None:
     prepare(rig, page)
     rig.silent = True
     page.wait_for_selector("#cue[data-look=offline]", timeout=5000)
-    assert page.inner_text("#link") == "● not connected"
+    until(lambda: page.inner_text("#link") == "● not connected", page)
     for name in ("start", "pause", "redo", "skip", "tare", "note", "end"):
         assert page.is_disabled(f"#{name}"), name
     assert page.inner_text("#force-value") == "–"
@@ -505,7 +505,7 @@ def test_a_trial_is_good_only_when_it_is_saved(rig: StandIn, page: Any) -> None:
     assert page.inner_text("#cue-word") != "Good"
     rig.status(**session("done", instruction="Trial 3 kept."))
     page.wait_for_selector("#cue[data-look=done]")
-    assert page.inner_text("#cue-text") == "Trial 3 kept."
+    until(lambda: page.inner_text("#cue-text") == "Trial 3 kept.", page)
 
 
 def test_a_session_begins_with_all_that_was_typed(rig: StandIn, page: Any) -> None:
