@@ -112,17 +112,21 @@ def npz(header: str) -> bytes:
     return out.getvalue()
 
 
+def edited(file: str, member: str, old: bytes, new: bytes) -> bytes:
+    """A workbook of the corpus with some bytes of one of its parts replaced."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(CORPUS / file) as before:
+        with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as after:
+            for name in before.namelist():
+                data = before.read(name)
+                after.writestr(name, data.replace(old, new) if name == member else data)
+    return out.getvalue()
+
+
 def xlsx(cell: int) -> bytes:
     """A table with one cell of that many characters."""
-    out = io.BytesIO()
-    with zipfile.ZipFile(CORPUS / "readings.xlsx") as old:
-        with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as new:
-            for name in old.namelist():
-                data = old.read(name)
-                if name == "xl/sharedStrings.xml":
-                    data = data.replace(b"<t>phase</t>", b"<t>" + b"x" * cell + b"</t>")
-                new.writestr(name, data)
-    return out.getvalue()
+    text = b"<t>" + b"x" * cell + b"</t>"
+    return edited("readings.xlsx", "xl/sharedStrings.xml", b"<t>phase</t>", text)
 
 
 def zeros_npz(count: int) -> bytes:
@@ -156,15 +160,8 @@ def zeros_parquet(count: int) -> bytes:
 
 def sheet(rows: bytes) -> bytes:
     """A workbook with such rows below its own."""
-    out = io.BytesIO()
-    with zipfile.ZipFile(CORPUS / "table.xlsx") as old:
-        with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as new:
-            for name in old.namelist():
-                data = old.read(name)
-                if name == "xl/worksheets/sheet1.xml":
-                    data = data.replace(b"</sheetData>", rows + b"</sheetData>")
-                new.writestr(name, data)
-    return out.getvalue()
+    end = b"</sheetData>"
+    return edited("table.xlsx", "xl/worksheets/sheet1.xml", end, rows + end)
 
 
 def xdf(channels: int) -> bytes:
