@@ -21,7 +21,6 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from rclpy.clock import Clock, ClockType
 from rclpy.qos import ReliabilityPolicy
 
 from finger_common.diagnostics import ERROR, WARN, Health
@@ -153,10 +152,9 @@ class RecorderNode(ManagedNode):
                 self._unsubscribe()
                 raise
         # Steady time: recording continues when simulated time stands still or jumps.
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._rounds = [
-            self.create_timer(POLL, self._poll, clock=steady),
-            self.create_timer(1.0, self._each_second, clock=steady),
+            self.create_steady_timer(POLL, self._poll),
+            self.create_steady_timer(1.0, self._each_second),
         ]
 
     def deactivate(self) -> None:

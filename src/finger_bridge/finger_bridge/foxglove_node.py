@@ -21,7 +21,6 @@ from typing import Any, TypeVar
 
 from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
-from rclpy.clock import Clock, ClockType
 from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
@@ -141,10 +140,9 @@ class FoxgloveNode(ManagedNode):
         self._changes = self.create_subscription(
             ParameterEvent, "/parameter_events", self._on_parameter_event, 100
         )
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._periodic = [
-            self.create_timer(POLL, self._poll, clock=steady),
-            self.create_timer(1.0, self._look_around, clock=steady),
+            self.create_steady_timer(POLL, self._poll),
+            self.create_steady_timer(1.0, self._look_around),
         ]
         self._look_around()
 

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from geometry_msgs.msg import WrenchStamped
-from rclpy.clock import Clock, ClockType
 from rclpy.serialization import deserialize_message
 
 from finger_common.diagnostics import WARN, Health
@@ -123,9 +122,7 @@ class LslNode(ManagedNode):
             sender = Sender(STREAMS[topic], self.resolve_topic_name(topic), self._clocks)
             self._senders[topic] = sender, PolledSubscription(self, TYPES[topic], topic, chosen)
         self._receivers = [self._receiver(t, n) for t, n in self._settings.received.items()]
-        self._timer = self.create_timer(
-            POLL, self._send, clock=Clock(clock_type=ClockType.STEADY_TIME)
-        )
+        self._timer = self.create_steady_timer(POLL, self._send)
         for receiver in self._receivers:
             receiver.start()
 

@@ -16,7 +16,6 @@ from typing import Any
 
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from rclpy.clock import Clock, ClockType
 
 from finger_common.diagnostics import ERROR, WARN, Health
 from finger_common.node import ManagedNode, main_of
@@ -89,8 +88,7 @@ class BringUpNode(ManagedNode):
         self._told = time.monotonic()
 
     def activate(self) -> None:
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = self.create_timer(0.25, self._step, clock=steady)
+        self._timer = self.create_steady_timer(0.25, self._step)
 
     def deactivate(self) -> None:
         self.destroy_timer(self._timer)

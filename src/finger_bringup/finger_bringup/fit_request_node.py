@@ -14,7 +14,6 @@ from typing import Any
 from lifecycle_msgs.msg import State
 from lifecycle_msgs.srv import GetState
 from rclpy.action import ActionClient
-from rclpy.clock import Clock, ClockType
 
 from finger_common.diagnostics import Health
 from finger_common.errors import FingerError, InputError
@@ -67,8 +66,7 @@ class FitRequestNode(ManagedNode):
         self._state: Any = None
         self._failure = ""
         self._stage = ""
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = self.create_timer(0.5, self._check, clock=steady)
+        self._timer = self.create_steady_timer(0.5, self._check)
 
     def _check(self) -> None:
         if self._failure:

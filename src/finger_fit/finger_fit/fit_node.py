@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
-from rclpy.clock import Clock, ClockType
 from rclpy.task import Future
 
 from finger_common.cli import one_line
@@ -50,10 +49,6 @@ class FitNodeSettings(Settings):
 
 def _model_of(settings: FitNodeSettings) -> ReducedModel:
     return load_reduced(settings.reduced_model, settings.geometry_file)
-
-
-def _steady() -> Clock:
-    return Clock(clock_type=ClockType.STEADY_TIME)
 
 
 def checked_options(goal: Any) -> FitOptions:
@@ -150,7 +145,7 @@ class FitNode(ManagedNode):
     def activate(self) -> None:
         """Check the running job ten times a second."""
         # Steady time: a cancel is answered also while simulated time stands still.
-        self._timer = self.create_timer(0.1, self._check_job, clock=_steady())
+        self._timer = self.create_steady_timer(0.1, self._check_job)
 
     def deactivate(self) -> None:
         """End the running job and let its client know."""
@@ -163,7 +158,7 @@ class FitNode(ManagedNode):
     def cleanup(self) -> None:
         """Withdraw the action, once the client of a goal that was ended has its answer."""
         if self.answering:
-            self._farewell = self.create_timer(0.1, self._withdraw, clock=_steady())
+            self._farewell = self.create_steady_timer(0.1, self._withdraw)
         else:
             self._withdraw()
 

@@ -18,7 +18,6 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.srv import GetParameters, SetParameters
-from rclpy.clock import Clock, ClockType
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
@@ -59,10 +58,6 @@ class CalibrateSettings(Settings):
     patience: float = setting(15.0, "Longest wait for the rig.", "s", 1.0, 3600.0)
 
 
-def _steady() -> Clock:
-    return Clock(clock_type=ClockType.STEADY_TIME)
-
-
 class CalibrateNode(ManagedNode):
     """Follows one calibration of the protocol node."""
 
@@ -91,7 +86,7 @@ class CalibrateNode(ManagedNode):
         self._model = self.create_client(GetParameters, "model/get_parameters")
         self._protocol = self.create_client(SetParameters, "protocol/set_parameters")
         self._say("waiting for the rig")
-        self._timer = self.create_timer(PERIOD, self._await_rig, clock=_steady())
+        self._timer = self.create_steady_timer(PERIOD, self._await_rig)
 
     def deactivate(self) -> None:
         if self._under_way:
@@ -117,7 +112,7 @@ class CalibrateNode(ManagedNode):
             return
         self.destroy_timer(self._timer)
         self._since = time.monotonic()
-        self._timer = self.create_timer(PERIOD, self._watch, clock=_steady())
+        self._timer = self.create_steady_timer(PERIOD, self._watch)
         request = GetParameters.Request(names=["subjects_folder"])
         self._model.call_async(request).add_done_callback(self._on_folder)
 

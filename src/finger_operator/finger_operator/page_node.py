@@ -22,7 +22,6 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.srv import SetParameters
-from rclpy.clock import Clock, ClockType
 from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Image
@@ -137,10 +136,9 @@ class PageNode(ManagedNode):
             self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50),
             self.create_subscription(String, "heartbeat", self._on_heartbeat, 50),
         ]
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._alive_timer = self.create_timer(ALIVE, self._alive, clock=steady)
-        self._poll_timer = self.create_timer(POLL, self._poll, clock=steady)
-        self._slow_timer = self.create_timer(0.5, self._slow, clock=steady)
+        self._alive_timer = self.create_steady_timer(ALIVE, self._alive)
+        self._poll_timer = self.create_steady_timer(POLL, self._poll)
+        self._slow_timer = self.create_steady_timer(0.5, self._slow)
 
     def deactivate(self) -> None:
         for timer in (self._poll_timer, self._slow_timer, self._alive_timer):

@@ -20,7 +20,6 @@ from typing import Any
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
-from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.serialization import deserialize_message
 from std_srvs.srv import Trigger
@@ -181,9 +180,8 @@ class ProtocolNode(ManagedNode):
         ]
         self._resume_pointer()
         # Steady time, so that the tick continues when simulated time jumps.
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._tick_timer = self.create_timer(TICK, self._tick, clock=steady)
-        self._press_timer = self.create_timer(POLL, self._poll, clock=steady)
+        self._tick_timer = self.create_steady_timer(TICK, self._tick)
+        self._press_timer = self.create_steady_timer(POLL, self._poll)
         self._press_timer.cancel()
 
     def deactivate(self) -> None:

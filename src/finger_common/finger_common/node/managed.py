@@ -15,7 +15,7 @@ from __future__ import annotations
 import copy
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -143,10 +143,9 @@ class ManagedNode(LifecycleNode):
         self._shared_since: dict[str, float] = {}
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # Steady time: diagnostics continue when simulated time stands still or jumps.
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._diagnostics_timer = self.create_timer(1.0, self.publish_diagnostics, clock=steady)
+        self._diagnostics_timer = self.create_steady_timer(1.0, self.publish_diagnostics)
         self._heartbeat = self.create_publisher(String, "heartbeat", 10)
-        self._heartbeat_timer = self.create_timer(HEARTBEAT, self._beat, clock=steady)
+        self._heartbeat_timer = self.create_steady_timer(HEARTBEAT, self._beat)
 
     # What a node overrides -------------------------------------------------------------------
 
@@ -396,6 +395,10 @@ class ManagedNode(LifecycleNode):
         except Exception:
             if rclpy.ok(context=self.context):
                 raise
+
+    def create_steady_timer(self, period: float, callback: Callable[[], None]) -> Any:
+        """Timer of a period in s that goes on while simulated time stands still or jumps."""
+        return self.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def fail(self, error: Exception) -> None:
         """Let an error in another thread count as one in a callback of this node."""
