@@ -186,18 +186,21 @@ def processes_of(mark: str, module: str) -> list[int]:
 def test_the_demo_recovers_what_the_finger_is_made_of(demo: tuple[Path, str]) -> None:
     """Composite E within 15 % of the truth from three presses, and J well below the power law's.
 
-    (Physics: one sigma of 8–10 % from fifteen presses with more noise.)
+    (Physics: one sigma of 8–10 % from fifteen presses with more noise.) The least J that the search
+    found is compared, since the power law's is a least one too; J of the estimate leaves a common
+    factor of the three presses to their scatter.
     """
     folder, output = demo
     found = json.loads((folder / "summary.json").read_text())["conditions"]["moist"]
     ratio = found["fitted"]["composite_E"] / found["true"]["composite_E"]
     assert 0.85 < ratio < 1.15
-    assert found["J"] < 0.5 * found["J_power_law"]
+    fit = json.loads((folder / "fit" / "fit.json").read_text())["conditions"]["moist"]
+    assert fit["polish"]["J"] < 0.5 * found["J_power_law"]
     page = (folder / "report.html").read_text()
     assert page.count("data:image/png;base64,") == 5 and "moist" in page
     assert "http" not in page.replace("http-equiv", "")
     assert "report:" in output and "report.html" in output
-    assert (folder / "fit" / "report.html").exists() and (folder / "fit" / "fit.json").exists()
+    assert (folder / "fit" / "report.html").exists()
 
 
 def test_axe_finds_nothing_in_the_reports_and_they_fit_a4(
