@@ -8,8 +8,8 @@ Simulated presses with known truth: the reduced model makes the areas and fits t
 bias is that of the error alone (the bias of the reduced model itself: scripts/recovery.py). What
 another epidermis does to the true areas comes from the full-order model; the fit knows it from the
 reduced model of all fingers. Every seed gives the same presses new noise. "scatter" cases: gains
-of whole presses so large that the power law's J is the published one. "all" draws every error from
-its prior.
+of whole presses so large that the power law's J is the published one; "by images": their areas are
+rendered as FTIR frames and measured by vision. "all" draws every error from its prior.
 
 `--misfit` takes fingers that the fit's model does not hold instead: another tissue (by the reduced
 model of all fingers), another pad or a tilted plate (areas times the ratio of two runs of the
@@ -19,7 +19,8 @@ order.
 Columns: mean error of E; mean standard deviation that the fits state; the larger goal, 3 % or half
 of it; share of 95 % intervals that hold the truth. Writes nuisances.json, from which a stopped run
 goes on, and with --write the table of docs/nuisance_parameters.md, or with --misfit that of
-docs/study.md. One fit takes 3 s of a core, one corrected to full order a minute.
+docs/study.md. One fit takes 3 s of a core, one by images 8 s more, one corrected to full order a
+minute.
 """
 
 from __future__ import annotations
@@ -67,8 +68,9 @@ from finger_model.reduced.model import load_population
 from finger_model.solid3d.full_order import SolidModel
 from finger_model.verification.cases import CALCULIX_FINGER, reference
 from finger_sim.conditions import STUDY
+from finger_sim.ftir import Contact
 from finger_sim.press import Press, plan_press
-from finger_sim.study_bag import START_NS
+from finger_sim.study_bag import START_NS, VIEW
 from finger_sim.study_trial import (
     AREA_NOISE,
     FORCE_NOISE,
@@ -77,6 +79,8 @@ from finger_sim.study_trial import (
     FRAME_RATE,
     stream,
 )
+from finger_sim.trial_plan import PLACEMENT_SD, renderer_for
+from finger_vision.area_sensor import AREA_SENSORS
 
 SPACE = StandardLinearSolid.PARAMETERS
 QUANTITIES = ("composite_E", "E2", "tau1")
@@ -92,8 +96,9 @@ DOCS = Path(__file__).parents[1] / "docs"
 class Rig:
     """Errors of one study (SI; gains and lengths as logarithms).
 
-    rest: whether the record holds the unloaded plate; scatter: of the presses' gains; collapse:
-    share of the area that the hull loses at 0 N; trials: presses; tissue: another material law or
+    rest: whether the record holds the unloaded plate; scatter: of the presses' gains; images:
+    whether areas are measured in rendered frames; collapse: share of the area that the hull loses
+    at 0 N; trials: presses; tissue: another material law or
     constant than the fit assumes, a key of `TISSUES`; shape: another pad or plate, a key of
     `SHAPES`; curve: areas of another program, a key of `CURVES`.
     """
@@ -107,6 +112,7 @@ class Rig:
     rest: bool = True
     trials: int = TRIALS_PER_CONDITION
     drawn: bool = False
+    images: bool = False
     tissue: str = ""
     shape: str = ""
     curve: str = ""
@@ -201,6 +207,10 @@ CASES: dict[str, tuple[str, Rig]] = {
     "all, no rest recorded": ("natural", Rig(scatter=0.05, drawn=True, rest=False)),
     "three presses": ("natural", Rig(trials=3)),
     **{f"published J, {name}": (name, Rig(scatter=-1.0)) for name in PUBLISHED_J},
+    **{
+        f"published J, {name}, by images": (name, Rig(scatter=-1.0, images=True))
+        for name in PUBLISHED_J
+    },
     "published J, natural, three presses": ("natural", Rig(scatter=-1.0, trials=3)),
 }
 
@@ -363,8 +373,12 @@ def record(
     # A bow that the fit's straight line does not have.
     lost = 1.0 - rig.collapse * np.clip(1.0 - pressed / options.low_force, 0.0, 1.0) ** 0.7
     measured = area * np.exp(log) * lost
-    noisy = np.maximum(measured + rng.normal(0.0, AREA_NOISE, len(area)), 0.0)
-    noisy = np.where(area > 0, noisy, 0.0)
+    if rig.images:
+        areas, deviations, flags = by_images(name, index, seed, measured)
+    else:
+        noisy = np.maximum(measured + rng.normal(0.0, AREA_NOISE, len(area)), 0.0)
+        areas = np.where(area > 0, noisy, 0.0)
+        deviations, flags = np.full(len(area), AREA_NOISE), np.where(area > 0, 0, 1)
     inside, seen = np.ones(len(time), bool), np.ones(len(frames), bool)
     if not rig.rest:
         inside = (time > drawn.onset) & (time < drawn.lift_off)
@@ -377,19 +391,33 @@ def record(
         stamp_ns=START_NS + np.round(time[inside] * 1e9).astype(np.int64),
         force=force[inside],
         area_stamp_ns=START_NS + np.round((frames[seen] + rig.lag) * 1e9).astype(np.int64),
-        area=noisy[seen],
-        area_sd=np.full(int(seen.sum()), AREA_NOISE),
-        area_flags=np.where(area > 0, 0, 1)[seen],
+        area=areas[seen],
+        area_sd=deviations[seen],
+        area_flags=flags[seen],
         moisture_before=[70.0],
         moisture_after=[70.0],
     )
 
 
-def problem_of(
-    name: str, rig: Rig, seed: int, options: FitOptions, answer: Response | None = None
-) -> FitProblem:
-    """The presses of one seed, prepared."""
-    records = [record(name, i, rig, seed, answer, options) for i in range(rig.trials)]
+def by_images(
+    name: str, index: int, seed: int, area: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What vision measures of areas (k,) in m² that a camera sees: areas, deviations and flags."""
+    renderer = renderer_for(name, VIEW, seed)
+    chosen = {"area_sensor": AREA_SENSORS.default}
+    sensor = AREA_SENSORS.open(chosen, renderer.calibration())
+    place = stream(seed, name, index, "placement").normal(0.0, PLACEMENT_SD, 2)
+    rows = []
+    for radius in np.sqrt(area / math.pi):
+        contact = Contact(float(radius), (float(place[0]), float(place[1])))
+        found = sensor.process(renderer.render_frame([contact]).image)
+        rows.append((found.gross_area, found.area_sd, found.flags))
+    areas, deviations, flags = np.array(rows, dtype=float).T
+    return areas, deviations, flags.astype(int)
+
+
+def problem_of(name: str, rig: Rig, records: Sequence[Any], options: FitOptions) -> FitProblem:
+    """Recorded presses, prepared."""
     if rig.curve:
         options = replace(options, target_force=CURVES[rig.curve].target)
     trials, _ = prepare_all(records, options)
@@ -402,7 +430,8 @@ def responses_of(name: str, folder: Path | None) -> dict[str, Response]:
     if path is not None and path.exists():
         return pickle.loads(path.read_bytes())
     options = FitOptions(step=STEP)
-    problem = problem_of(name, Rig(), 0, options)
+    records = [record(name, i, Rig(), 0, None, options) for i in range(TRIALS_PER_CONDITION)]
+    problem = problem_of(name, Rig(), records, options)
     better = FullOrderGeometry(FullOrder.like(model(), InProcess()))
     truth = STUDY[name].material.vector()
     found = geometry_responses(problem, truth, better, {"epidermis_thickness": 0.25})
@@ -441,9 +470,10 @@ def fit_case(
     answer = responses.get("shape" if rig.shape else "epidermis_thickness")
     assumed, truth = finger_of(name, rig)
     out: dict[str, Any] = {"case": case, "seed": seed}
-    plain = problem_of(name, rig, seed, replace(options, nuisances=False), answer)
+    records = [record(name, i, rig, seed, answer, options) for i in range(rig.trials)]
+    plain = problem_of(name, rig, records, replace(options, nuisances=False))
     alone = refine(plain, all_free(plain), truth)
-    problem = problem_of(name, rig, seed, options, answer)
+    problem = problem_of(name, rig, records, options)
     population = PopulationGeometry.like(assumed) if options.lengths() else None
     nuisances = NuisanceModel(problem, options, population=population)
     found = nuisances.settle(np.vstack([truth, alone.parameters]))

@@ -20,7 +20,12 @@ def script(module_of: Callable[[str], Any]) -> Any:
 @pytest.fixture(scope="module")
 def rows(script: Any) -> dict[str, dict]:
     """One seed of a few cases, with the finger's lengths known: their priors hide the rest."""
-    cases = ("tare +0.05 N", "lag +80 ms", "published J, natural, three presses")
+    cases = (
+        "tare +0.05 N",
+        "lag +80 ms",
+        "published J, natural, three presses",
+        "published J, natural, by images",
+    )
     options = FitOptions(step=script.STEP, geometry_sd=[])
     return {case: script.fit_case(case, 0, {}, options) for case in cases}
 
@@ -42,6 +47,9 @@ def test_scatter_of_the_published_size_is_stated(rows, script) -> None:
     few, many = rows["published J, natural, three presses"], rows["lag +80 ms"]
     assert few["scatter"] > 0.2 > 5 * many["scatter"]
     assert few["E2"]["deviation"] > 2 * many["E2"]["deviation"]
+    seen = rows["published J, natural, by images"]
+    assert seen["scatter"] > 0.2
+    assert seen["noise"] < 0.5 * many["noise"], "frames tell areas better than the assumed noise"
 
 
 def test_the_table_has_a_row_for_each_case(rows, script) -> None:
