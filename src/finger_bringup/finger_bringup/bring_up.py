@@ -12,6 +12,7 @@ shuts down is left to them until it is active again.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 UNCONFIGURED, INACTIVE, ACTIVE = 1, 2, 3
@@ -40,6 +41,8 @@ class BringUp:
         self._not_before: dict[str, float] = {}
         self._seen: dict[str, float] = {}
         """Time of the last answer of each node that has been active since it was started."""
+        self._moved: dict[str, float] = {}
+        """Time of the last transition that each node reported, until its state is known."""
         self.taken_down: dict[str, int] = {}
         """State of each node that somebody else took down."""
 
@@ -66,17 +69,26 @@ class BringUp:
                 break
         return wanted
 
+    def moved(self, node: str, now: float) -> None:
+        """Note that a node reports a transition of its own: it runs, and was not restarted."""
+        self._moved[node] = now
+
     def answered(self, node: str, state: int, asked: float, now: float) -> None:
         """Note the state that a node gives `now` in answer to a question of the time `asked`.
 
         A question that was asked shortly after the answer before reached the same process, so that
-        a state below ACTIVE is somebody's wish. A restarted node answers later questions only.
+        a state below ACTIVE is somebody's wish; so it is after a transition that the node reported.
+        A restarted node reports none, and answers later questions only.
         """
         if state == ACTIVE:
             self._seen[node] = now
             self.taken_down.pop(node, None)
+            if asked >= self._moved.get(node, math.inf):
+                del self._moved[node]
         elif node in self._seen:
-            if state == INACTIVE or asked - self._seen[node] < QUICKEST_RESTART:
+            reported = self._moved.pop(node, None) is not None
+            soon = asked - self._seen[node] < QUICKEST_RESTART
+            if state == INACTIVE or reported or soon:
                 self._seen[node] = now
                 self.taken_down[node] = state
             else:

@@ -10,11 +10,13 @@ until they activate it again.
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
-from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.msg import State, Transition, TransitionEvent
 from lifecycle_msgs.srv import ChangeState, GetState
 
 from finger_common.diagnostics import ERROR, WARN, Health
@@ -32,7 +34,12 @@ _STATES = {
     State.PRIMARY_STATE_INACTIVE: "inactive",
     State.PRIMARY_STATE_FINALIZED: "shut down",
 }
-SILENT_AFTER = 1.25
+STEP = 0.25
+"""s between looks at the nodes that are not active."""
+ROUND = 3
+"""Steps in which all active nodes are asked once, some in each: every question costs two rounds of
+rclpy's executor, 1 ms or more beside the samples of a hand."""
+SILENT_AFTER = 1.6
 """s without an answer after which a node is reported as silent."""
 
 
@@ -79,7 +86,14 @@ class BringUpNode(ManagedNode):
         self._change_clients = {
             n: self.create_client(ChangeState, f"{n}/change_state") for n in nodes
         }
+        self._transitions = [
+            self.create_subscription(
+                TransitionEvent, f"{n}/transition_event", partial(self._on_transition, n), 10
+            )
+            for n in nodes
+        ]
         self._states: dict[str, int] = {}
+        self._asked: dict[str, float] = {}
         self._last_answer: dict[str, float] = {}
         self._requested: dict[str, tuple[float, Any]] = {}
         self._changing: dict[str, tuple[float, Any]] = {}
@@ -88,7 +102,7 @@ class BringUpNode(ManagedNode):
         self._told = time.monotonic()
 
     def activate(self) -> None:
-        self._timer = self.create_steady_timer(0.25, self._step)
+        self._timer = self.create_steady_timer(STEP, self._step)
 
     def deactivate(self) -> None:
         self.destroy_timer(self._timer)
@@ -97,14 +111,26 @@ class BringUpNode(ManagedNode):
         for name in ("_state_clients", "_change_clients"):
             for client in self.__dict__.pop(name, {}).values():
                 self.destroy_client(client)
+        for subscription in self.__dict__.pop("_transitions", ()):
+            self.destroy_subscription(subscription)
+
+    def _on_transition(self, node: str, _: TransitionEvent) -> None:
+        """A node changed its state: ask for it, unless the change is ours."""
+        if node not in self._changing:
+            now = time.monotonic()
+            self._bring_up.moved(node, now)
+            self._request_state(node, now)
 
     def _step(self) -> None:
         now = time.monotonic()
-        for node, client in self._state_clients.items():
+        active = [n for n, state in self._states.items() if state == ACTIVE]
+        active.sort(key=lambda node: self._asked[node])
+        later = set(active[math.ceil(len(active) / ROUND) :])
+        for node in self._state_clients:
             begun = self._changing.get(node)
             # A node that does not answer may have changed: on a busy machine replies get lost.
-            if begun is None or now - begun[0] > STATE_TIMEOUT:
-                self._request_state(node, client, now)
+            if node not in later and (begun is None or now - begun[0] > STATE_TIMEOUT):
+                self._request_state(node, now)
         self._advance(now)
         for node, (since, _) in list(self._changing.items()):
             if now - since > self._answer_timeout:
@@ -119,7 +145,8 @@ class BringUpNode(ManagedNode):
             if node not in self._changing and self._change_clients[node].service_is_ready():
                 self._change(node, transition, now)
 
-    def _request_state(self, node: str, client: Any, now: float) -> None:
+    def _request_state(self, node: str, now: float) -> None:
+        client = self._state_clients[node]
         if now - self._last_answer.get(node, now) > STATE_TIMEOUT:
             self._states.pop(node, None)
         pending = self._requested.get(node)
@@ -132,6 +159,7 @@ class BringUpNode(ManagedNode):
             return
         future = client.call_async(GetState.Request())
         self._requested[node] = (now, future)
+        self._asked[node] = now
 
         def answered(done: Any) -> None:
             if not done.cancelled():

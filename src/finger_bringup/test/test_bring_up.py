@@ -66,11 +66,19 @@ def test_a_node_that_somebody_takes_down_is_left_to_them_until_it_is_active_agai
     assert steps(UNCONFIGURED, 0.9, 4.0) == []
     assert steps(INACTIVE, 4.2, 4.3) == []
     assert steps(ACTIVE, 4.4, 4.5) == [] and not plan.taken_down
+    # A clean-up between two questions: the node itself reports it, so that it is somebody's wish,
+    # whether the question was asked before it or after it.
+    for asked in (6.0, 7.0):
+        plan.moved("force", asked - 0.3)
+        assert steps(ACTIVE, asked - 0.4, asked - 0.2) == [], "the answer is older"
+        assert steps(UNCONFIGURED, asked + 0.7, asked + 0.8) == []
+        assert plan.taken_down == {"force": UNCONFIGURED}
+        assert steps(ACTIVE, asked + 0.9, asked + 0.9) == [] and not plan.taken_down
     # A process that ended answers later questions only: it is brought up.
-    assert steps(UNCONFIGURED, 6.0, 6.1) == [("force", CONFIGURE)] and not plan.taken_down
-    assert steps(ACTIVE, 6.2, 6.3) == []
-    assert steps(INACTIVE, 6.4, 6.5) == []
-    assert steps(UNCONFIGURED, 8.0, 8.1) == [("force", CONFIGURE)] and not plan.taken_down
+    assert steps(UNCONFIGURED, 9.0, 9.1) == [("force", CONFIGURE)] and not plan.taken_down
+    assert steps(ACTIVE, 9.2, 9.3) == []
+    assert steps(INACTIVE, 9.4, 9.5) == []
+    assert steps(UNCONFIGURED, 11.0, 11.1) == [("force", CONFIGURE)] and not plan.taken_down
 
 
 class Node:
@@ -200,10 +208,15 @@ def test_nodes_come_up_over_dds_and_again_after_a_kill(
             answer = call(change, asked, 90.0)
             return answer is not None and answer.success
 
-        # Whoever takes a node down, to change a parameter, is not brought up against.
+        # Whoever takes a node down, to change a parameter, is not brought up against, slowly ...
         assert request(Transition.TRANSITION_DEACTIVATE)
         wait(lambda: "by request: page (inactive)" in diagnosis())
         assert request(Transition.TRANSITION_CLEANUP)
+        wait(lambda: "by request: page (unconfigured)" in diagnosis())
+        assert request(Transition.TRANSITION_CONFIGURE) and request(Transition.TRANSITION_ACTIVATE)
+        wait(lambda: not diagnosis())
+        # ... or faster than states are asked for.
+        assert request(Transition.TRANSITION_DEACTIVATE) and request(Transition.TRANSITION_CLEANUP)
         wait(lambda: "by request: page (unconfigured)" in diagnosis())
         value = rclpy.Parameter("display_rate", value=7.0).to_parameter_msg()
         parameters = node.create_client(SetParameters, "page/set_parameters")
