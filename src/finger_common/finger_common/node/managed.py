@@ -39,13 +39,13 @@ from ..parameters import ParameterTable
 from ..plugins import PluginKind
 from ..settings import S, Settings, parameters_of, setting
 from .described import descriptor_of, ros_value, type_of
+from .heartbeat import Heartbeats
 from .polling import PolledSubscription
 from .qos import AUTO, BEST_EFFORT, RELIABLE, stream_qos
 from .waiting import WaitedSubscription
 
-HEARTBEAT = 0.25
-"""s between heartbeats: what no diagnostic at 1 Hz can, they show a dead node within a second."""
-
+HANGING = 2.5
+"""s without a callback after which a node's heart stops: its diagnostics alone come each second."""
 
 REMEMBERED = 30.0
 """s for which the middleware may still show the publishers of a node that was killed."""
@@ -143,9 +143,10 @@ class ManagedNode(LifecycleNode):
         self._shared_since: dict[str, float] = {}
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # Steady time: diagnostics continue when simulated time stands still or jumps.
-        self._diagnostics_timer = self.create_steady_timer(1.0, self.publish_diagnostics)
+        self._diagnostics_timer = self.create_steady_timer(1.0, self._on_second)
         self._heartbeat = self.create_publisher(String, "heartbeat", 10)
-        self._heartbeat_timer = self.create_steady_timer(HEARTBEAT, self._beat)
+        self._served = time.monotonic()
+        Heartbeats.of(self.context).add(self._beat)
 
     # What a node overrides -------------------------------------------------------------------
 
@@ -363,6 +364,10 @@ class ManagedNode(LifecycleNode):
 
     # Diagnostics -----------------------------------------------------------------------------
 
+    def _on_second(self) -> None:
+        self._served = time.monotonic()
+        self.publish_diagnostics()
+
     def publish_diagnostics(self) -> None:
         """One DiagnosticStatus per health."""
         if not self.healths:
@@ -386,8 +391,14 @@ class ManagedNode(LifecycleNode):
             )
         self._publish_if_running(self._diagnostics, array)
 
+    def destroy_node(self) -> None:
+        """End the node."""
+        Heartbeats.of(self.context).remove(self._beat)
+        super().destroy_node()
+
     def _beat(self) -> None:
-        self._publish_if_running(self._heartbeat, String(data=self.get_name()))
+        if time.monotonic() - self._served < HANGING:
+            self._publish_if_running(self._heartbeat, String(data=self.get_name()))
 
     def _publish_if_running(self, publisher: Any, message: Any) -> None:
         try:
