@@ -10,7 +10,6 @@ until they activate it again.
 
 from __future__ import annotations
 
-import math
 import time
 from dataclasses import dataclass
 from functools import partial
@@ -18,9 +17,12 @@ from typing import Any
 
 from lifecycle_msgs.msg import State, Transition, TransitionEvent
 from lifecycle_msgs.srv import ChangeState, GetState
+from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
+from std_msgs.msg import String
 
 from finger_common.diagnostics import ERROR, WARN, Health
-from finger_common.node import ManagedNode, main_of
+from finger_common.node import HEARTBEAT, ManagedNode, PolledSubscription, main_of
 from finger_common.settings import Settings, setting
 
 from .bring_up import ACTIVE, ALL_ACTIVE, CONFIGURE, INACTIVE, UNCONFIGURED, BringUp
@@ -35,12 +37,19 @@ _STATES = {
     State.PRIMARY_STATE_FINALIZED: "shut down",
 }
 STEP = 0.25
-"""s between looks at the nodes that are not active."""
-ROUND = 3
-"""Steps in which all active nodes are asked once, some in each: every question costs two rounds of
-rclpy's executor, 1 ms or more beside the samples of a hand."""
-SILENT_AFTER = 1.6
-"""s without an answer after which a node is reported as silent."""
+"""s between looks at the nodes. Of the active ones whose heart beats one is asked at each: every
+question costs two rounds of rclpy's executor, a millisecond or more beside the samples of a hand.
+"""
+UNHEARD = 2.5 * HEARTBEAT
+"""s without a sign of life after which an active node is asked for its state: it may have been
+restarted, or be no node of the suite."""
+SILENT_AFTER = 1.25
+"""s without a sign of life after which a node is reported as silent."""
+
+
+def _namespace(node: str) -> str:
+    """What stands before the last part of a node's name, with its slash."""
+    return node[: node.rfind("/") + 1]
 
 
 @dataclass(frozen=True)
@@ -94,7 +103,12 @@ class BringUpNode(ManagedNode):
         ]
         self._states: dict[str, int] = {}
         self._asked: dict[str, float] = {}
-        self._last_answer: dict[str, float] = {}
+        self._last_sign: dict[str, float] = {}
+        """Time of the last answer or heartbeat of each node that ever answered."""
+        self._beating = {
+            space: PolledSubscription(self, String, f"{space}heartbeat", QoSProfile(depth=100))
+            for space in {_namespace(n) for n in nodes}
+        }
         self._requested: dict[str, tuple[float, Any]] = {}
         self._changing: dict[str, tuple[float, Any]] = {}
         self._target: dict[str, int] = {}
@@ -113,6 +127,8 @@ class BringUpNode(ManagedNode):
                 self.destroy_client(client)
         for subscription in self.__dict__.pop("_transitions", ()):
             self.destroy_subscription(subscription)
+        for beating in self.__dict__.pop("_beating", {}).values():
+            beating.destroy()
 
     def _on_transition(self, node: str, _: TransitionEvent) -> None:
         """A node changed its state: ask for it, unless the change is ours."""
@@ -123,9 +139,10 @@ class BringUpNode(ManagedNode):
 
     def _step(self) -> None:
         now = time.monotonic()
-        active = [n for n, state in self._states.items() if state == ACTIVE]
-        active.sort(key=lambda node: self._asked[node])
-        later = set(active[math.ceil(len(active) / ROUND) :])
+        unheard = {n for n, at in self._last_sign.items() if now - at > UNHEARD}
+        self._hear(now)
+        well = [n for n, state in self._states.items() if state == ACTIVE and n not in unheard]
+        later = set(sorted(well, key=lambda node: self._asked[node])[1:])
         for node in self._state_clients:
             begun = self._changing.get(node)
             # A node that does not answer may have changed: on a busy machine replies get lost.
@@ -138,6 +155,14 @@ class BringUpNode(ManagedNode):
         self._report()
         self._report_silent(now)
 
+    def _hear(self, now: float) -> None:
+        """Take in the heartbeats that came."""
+        for space, beating in self._beating.items():
+            for raw, _ in beating.take():
+                node = space + deserialize_message(raw, String).data
+                if node in self._last_sign:
+                    self._last_sign[node] = now
+
     def _advance(self, now: float) -> None:
         """Request the transitions that are due."""
         for node, transition in self._bring_up.steps(self._states, now):
@@ -147,7 +172,7 @@ class BringUpNode(ManagedNode):
 
     def _request_state(self, node: str, now: float) -> None:
         client = self._state_clients[node]
-        if now - self._last_answer.get(node, now) > STATE_TIMEOUT:
+        if now - self._last_sign.get(node, now) > STATE_TIMEOUT:
             self._states.pop(node, None)
         pending = self._requested.get(node)
         if pending is not None:
@@ -164,7 +189,7 @@ class BringUpNode(ManagedNode):
         def answered(done: Any) -> None:
             if not done.cancelled():
                 self._requested.pop(node, None)
-                self._last_answer[node] = answered_at = time.monotonic()
+                self._last_sign[node] = answered_at = time.monotonic()
                 self._states[node] = state = done.result().current_state.id
                 self._bring_up.answered(node, state, now, answered_at)
                 if state in (UNCONFIGURED, INACTIVE, ACTIVE):
@@ -190,7 +215,7 @@ class BringUpNode(ManagedNode):
             if done.cancelled():
                 return
             self._changing.pop(node, None)
-            self._last_answer[node] = now = time.monotonic()
+            self._last_sign[node] = now = time.monotonic()
             if done.result().success:
                 self._states[node] = self._target[node]
                 self._bring_up.answered(node, self._target[node], now, now)
@@ -227,7 +252,7 @@ class BringUpNode(ManagedNode):
         else:
             # A node's state is unknown while it changes and until it answers after that.
             now = time.monotonic()
-            silent = {n for n, at in self._last_answer.items() if now - at > STATE_TIMEOUT}
+            silent = {n for n, at in self._last_sign.items() if now - at > STATE_TIMEOUT}
             known = (self._states.keys() | silent) - self._changing.keys()
             lost = [node for node in missing if node in known]
             if lost:
@@ -245,7 +270,7 @@ class BringUpNode(ManagedNode):
         """Name nodes that do not answer, at once: they cannot report it themselves."""
         silent = [
             node
-            for node, at in self._last_answer.items()
+            for node, at in self._last_sign.items()
             if now - at > SILENT_AFTER and node not in self._changing
         ]
         text = f"no answer from: {', '.join(silent)}"

@@ -88,6 +88,9 @@ from .slip import SlipEstimator, SlipSettings
 from .subjects import PressCollector, save_subject, subject_file
 from .warm_up import warm_up
 
+LOOK = 0.1
+"""s between looks whether anybody listens to the slip: asking costs as much as a sample's slip."""
+
 
 @dataclass(frozen=True)
 class ModelSettings(Settings):
@@ -206,6 +209,8 @@ class ModelNode(ManagedNode):
         self._slip: SlipEstimator | None = None
         self._force: tuple[float, float, float] = (0.0, 0.0, 0.0)
         self._slip_serializer: tuple[str, FixedMessage] | None = None
+        self._slip_wanted = False
+        self._slip_look = 0.0
         self._pose: PoseEstimator | None = None
         self._torque: tuple[float, float, float] = (0.0, 0.0, 0.0)
         self._shape_serializer: tuple[str, FixedMessage] | None = None
@@ -448,7 +453,11 @@ class ModelNode(ManagedNode):
         """Slip of the sample; after the state, which nothing shall delay."""
         assert self._slip is not None
         found = self._slip.add(estimate, force)
-        if not self._slip_publisher.get_subscription_count():
+        now = time.monotonic()
+        if now >= self._slip_look:
+            self._slip_look = now + LOOK
+            self._slip_wanted = self._slip_publisher.get_subscription_count() > 0
+        if not self._slip_wanted:
             return
         if self._slip_serializer is None or self._slip_serializer[0] != frame:
             prototype = ContactSlip(header=Header(frame_id=frame))

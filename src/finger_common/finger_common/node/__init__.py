@@ -4,13 +4,14 @@
 """The base of every node of the suite, over rclpy.
 
 `managed`: the lifecycle node with described parameters, diagnostics and autostart. `polling`:
-streams that a node reads when it needs them. `waiting`: streams that the nodes of a
-process wait for in one thread. `local`: samples between nodes of one process.
-`serialized`: messages as bytes. `qos`: quality of service of latched topics. `running`: a node as a
-process.
+streams that a node reads when it needs them. `waiting`: streams that the nodes of a process wait
+for in one thread. `heartbeat`: the heartbeats of these nodes. `local`: samples between nodes of one
+process. `serialized`: messages as bytes. `qos`: quality of service of latched topics. `running`: a
+node as a process.
 """
 
 from .fields import message_of
+from .heartbeat import HEARTBEAT
 from .local import LocalPublisher, LocalSubscription
 from .managed import FrameSettings, ManagedNode, NodeSettings
 from .polling import POLLED_DEPTH, PolledSubscription
@@ -21,6 +22,7 @@ from .waiting import WaitedSubscription
 
 __all__ = [
     "EVENTS_QOS",
+    "HEARTBEAT",
     "LATCHED_QOS",
     "POLLED_DEPTH",
     "STATE_QOS",

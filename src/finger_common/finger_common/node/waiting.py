@@ -10,6 +10,7 @@ takes a millisecond or more beside other work. Here a wait is for the streams al
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any
@@ -23,6 +24,10 @@ from .polling import PolledSubscription
 
 _LONGEST_WAIT = 1.0
 """s after which the thread looks whether the context has ended."""
+
+_TOGETHER = 0.001
+"""s after a message in which the others of its instant come, those of a hand's other fingers: one
+wait costs as much for all of them as for one."""
 
 
 class WaitedSubscription:
@@ -126,37 +131,36 @@ class _Waiter:
                     self._running = False
                     return
             try:
-                ready = self._ready(streams)
+                self._wait(streams)
             except Exception:
                 # The context may end at any time.
                 if self.context.ok():
                     raise
                 continue
-            for stream in ready:
+            time.sleep(_TOGETHER)
+            for stream in streams:
                 stream.deliver()
 
-    def _ready(self, streams: tuple[WaitedSubscription, ...]) -> list[WaitedSubscription]:
-        """Wait for messages; the streams that have some."""
+    def _wait(self, streams: tuple[WaitedSubscription, ...]) -> None:
+        """Wait for a message."""
         context = self.context.handle
         if context is None:
-            return []
+            return
         with ExitStack() as held:
             held.enter_context(context)
             held.enter_context(self._guard)
-            by_pointer = {}
+            handles = []
             for stream in streams:
                 handle = stream.polled.handle
                 try:
                     held.enter_context(handle)
                 except rclpy_implementation.InvalidHandle:
                     continue
-                by_pointer[handle.pointer] = stream
-            waiting = rclpy_implementation.WaitSet(len(by_pointer), 1, 0, 0, 0, 0, context)
+                handles.append(handle)
+            waiting = rclpy_implementation.WaitSet(len(handles), 1, 0, 0, 0, 0, context)
             with waiting:
                 waiting.clear_entities()
-                for stream in by_pointer.values():
-                    waiting.add_subscription(stream.polled.handle)
+                for handle in handles:
+                    waiting.add_subscription(handle)
                 waiting.add_guard_condition(self._guard)
                 waiting.wait(int(_LONGEST_WAIT * 1e9))
-                ready = waiting.get_ready_entities("subscription")
-        return [stream for pointer, stream in by_pointer.items() if pointer in ready]
