@@ -10,9 +10,9 @@ until they activate it again.
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 from lifecycle_msgs.msg import State, Transition, TransitionEvent
@@ -37,9 +37,10 @@ _STATES = {
     State.PRIMARY_STATE_FINALIZED: "shut down",
 }
 STEP = 0.25
-"""s between looks at the nodes. Of the active ones whose heart beats one is asked at each: every
-question costs two rounds of rclpy's executor, a millisecond or more beside the samples of a hand.
-"""
+"""s between looks at the nodes."""
+TURN = 1.0
+"""s between questions to one of the active nodes whose heart beats, in turn: every question costs
+two rounds of rclpy's executor, a millisecond or more beside the samples of a hand."""
 UNHEARD = 2.5 * HEARTBEAT
 """s without a sign of life after which an active node is asked for its state: it may have been
 restarted, or be no node of the suite."""
@@ -95,19 +96,18 @@ class BringUpNode(ManagedNode):
         self._change_clients = {
             n: self.create_client(ChangeState, f"{n}/change_state") for n in nodes
         }
-        self._transitions = [
-            self.create_subscription(
-                TransitionEvent, f"{n}/transition_event", partial(self._on_transition, n), 10
-            )
-            for n in nodes
-        ]
         self._states: dict[str, int] = {}
         self._asked: dict[str, float] = {}
         self._last_sign: dict[str, float] = {}
         """Time of the last answer or heartbeat of each node that ever answered."""
+        depth = QoSProfile(depth=100)
         self._beating = {
-            space: PolledSubscription(self, String, f"{space}heartbeat", QoSProfile(depth=100))
+            space: PolledSubscription(self, String, f"{space}heartbeat", depth)
             for space in {_namespace(n) for n in nodes}
+        }
+        self._moving = {
+            n: PolledSubscription(self, TransitionEvent, f"{n}/transition_event", depth)
+            for n in nodes
         }
         self._requested: dict[str, tuple[float, Any]] = {}
         self._changing: dict[str, tuple[float, Any]] = {}
@@ -125,24 +125,20 @@ class BringUpNode(ManagedNode):
         for name in ("_state_clients", "_change_clients"):
             for client in self.__dict__.pop(name, {}).values():
                 self.destroy_client(client)
-        for subscription in self.__dict__.pop("_transitions", ()):
-            self.destroy_subscription(subscription)
-        for beating in self.__dict__.pop("_beating", {}).values():
-            beating.destroy()
-
-    def _on_transition(self, node: str, _: TransitionEvent) -> None:
-        """A node changed its state: ask for it, unless the change is ours."""
-        if node not in self._changing:
-            now = time.monotonic()
-            self._bring_up.moved(node, now)
-            self._request_state(node, now)
+        for name in ("_beating", "_moving"):
+            for subscription in self.__dict__.pop(name, {}).values():
+                subscription.destroy()
 
     def _step(self) -> None:
         now = time.monotonic()
         unheard = {n for n, at in self._last_sign.items() if now - at > UNHEARD}
-        self._hear(now)
-        well = [n for n, state in self._states.items() if state == ACTIVE and n not in unheard]
-        later = set(sorted(well, key=lambda node: self._asked[node])[1:])
+        moved = self._hear(now)
+        well = [
+            n for n, state in self._states.items() if state == ACTIVE and n not in unheard | moved
+        ]
+        well.sort(key=lambda node: self._asked[node])
+        asked = max((self._asked[node] for node in well), default=-math.inf)
+        later = set(well[1:] if now - asked >= TURN else well)
         for node in self._state_clients:
             begun = self._changing.get(node)
             # A node that does not answer may have changed: on a busy machine replies get lost.
@@ -155,13 +151,18 @@ class BringUpNode(ManagedNode):
         self._report()
         self._report_silent(now)
 
-    def _hear(self, now: float) -> None:
-        """Take in the heartbeats that came."""
+    def _hear(self, now: float) -> set[str]:
+        """Take in heartbeats and transitions that came; nodes that somebody else changed."""
         for space, beating in self._beating.items():
             for raw, _ in beating.take():
                 node = space + deserialize_message(raw, String).data
                 if node in self._last_sign:
                     self._last_sign[node] = now
+        moved = {n for n, moving in self._moving.items() if list(moving.take())}
+        moved -= self._changing.keys()
+        for node in moved:
+            self._bring_up.moved(node, now)
+        return moved
 
     def _advance(self, now: float) -> None:
         """Request the transitions that are due."""
@@ -189,6 +190,8 @@ class BringUpNode(ManagedNode):
         def answered(done: Any) -> None:
             if not done.cancelled():
                 self._requested.pop(node, None)
+                # A transition that the node reported came before this answer.
+                self._hear(time.monotonic())
                 self._last_sign[node] = answered_at = time.monotonic()
                 self._states[node] = state = done.result().current_state.id
                 self._bring_up.answered(node, state, now, answered_at)

@@ -20,7 +20,7 @@ HEARTBEAT = 0.25
 
 
 class Heartbeats:
-    """The thread of one context, which calls every beat each 0.25 s."""
+    """The thread of one context, which calls every beat each 0.25 s, spread over that time."""
 
     _all: dict[int, Heartbeats] = {}
     _making = threading.Lock()
@@ -60,7 +60,10 @@ class Heartbeats:
             self._thread.join(1.0)
 
     def _run(self) -> None:
-        while not self._ended.wait(HEARTBEAT):
+        turn = 0
+        # One after the other, so that a moment's work stays short.
+        while not self._ended.wait(HEARTBEAT / max(len(self._beats), 1)):
             with self._lock:
-                for beat in self._beats:
-                    beat()
+                if self._beats:
+                    turn = (turn + 1) % len(self._beats)
+                    self._beats[turn]()
