@@ -19,6 +19,8 @@ from finger_common.cli import run
 from finger_common.flags import ShapeFlag
 from finger_model.estimator import ContactEstimator
 from finger_model.geometry import Geometry
+from finger_model.material import Material
+from finger_model.paper import NATURAL
 from finger_model.pose.correction import PoseCorrection
 from finger_model.pose.pose import Pose
 from finger_model.reduced import ReducedModel
@@ -32,7 +34,8 @@ DIRECTION = 0.5 * math.pi
 
 def press_of(path: Path) -> None:
     """A bag of a press of a finger in POSE: wrenches with torque, and outlines."""
-    correction = PoseCorrection(Geometry(), POSE)
+    material = Material(**NATURAL.parameters)
+    correction = PoseCorrection(Geometry(), POSE, material.skin_ratio)
     force = np.minimum(np.linspace(0.0, 1.2, 1000), 1.0)
     force[:100] = 0.0
     estimator = ContactEstimator(ReducedModel.load())
