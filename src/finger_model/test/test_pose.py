@@ -25,6 +25,7 @@ from finger_model.pose.pose import Pose
 from finger_model.pose.settings import PoseSettings
 from finger_model.pose.touch import first_touch
 from finger_model.reduced import ReducedModel
+from finger_model.reduced.model import load_population
 from finger_model.verification.cases import CALCULIX_FINGER, STUDY, reference, smooth_area
 
 ROUND = 40e-6
@@ -274,7 +275,7 @@ def test_laws_of_branches_are_corrected_by_their_own_skin():
         E2=solid.E2,
     )
     assert branches.skin_ratio == pytest.approx(30.0)
-    model = ReducedModel.load()
+    model = load_population(Geometry())
     one = pressed(ContactEstimator(model, sets_of(solid), TILTED))[-1]
     other = ContactEstimator(model.for_law(type(branches)), sets_of(branches), TILTED)
     assert other.pose_correction.skin_ratio == pytest.approx(30.0)
