@@ -113,6 +113,7 @@ class PoseEstimator:
         axis, self._sign = axis_of(normal_axis)
         self._axis, self._first, self._second = axis, (axis + 1) % 3, (axis + 2) % 3
         self._assumed = assumed
+        self._correction: PoseCorrection | None = None
         self._waiting: list[tuple[int, int, MeasuredOutline]] = []
         self._areas: deque[tuple[int, float]] = deque(maxlen=REMEMBERED)
         self.reset()
@@ -145,7 +146,7 @@ class PoseEstimator:
         self._updated = self._given = 0
         self._sum, self._count, self._sum_since = np.zeros(2), 0, 0
         self._pressure = (math.nan, math.nan)
-        self._correction: PoseCorrection | None = None
+        self._correction = None
         self._begin(0)
 
     def _begin(self, stamp_ns: int) -> None:
