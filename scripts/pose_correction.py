@@ -32,7 +32,7 @@ from finger_model.pose.estimator import MeasuredOutline, PoseEstimator, ShapeEst
 from finger_model.pose.pose import Pose
 from finger_model.pose.settings import PoseSettings
 from finger_model.pose.touch import first_touch
-from finger_model.verification.cases import CALCULIX_FINGER, reference, smooth_area
+from finger_model.verification.cases import CALCULIX_FINGER, STUDY, reference, smooth_area
 
 PLACE = 0.2e-3
 """m, by which the place of the finger is known where the tilt is judged."""
@@ -101,7 +101,8 @@ def rows_of(path: Path) -> list[Row]:
 
 def solve(matrix: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """Least squares, slightly drawn to zero: coefficients (powers, terms, proportions)."""
-    shape = correction.POWERS, -1, len(correction.proportions(Geometry()))
+    number = len(correction.proportions(Geometry(), correction.MIDDLE_SKIN_RATIO))
+    shape = correction.POWERS, -1, number
     # Powers of s and proportions are at most about 1: the terms alone have a scale.
     size = np.sqrt(np.mean(matrix**2, axis=0)).reshape(shape)[:1, :, :1]
     scale = np.broadcast_to(size, np.reshape(matrix[0], shape).shape).ravel()
@@ -136,7 +137,7 @@ def errors(rows: list[Row], skin_known: bool = True) -> np.ndarray:
     centre of pressure (mm); skin_known: with the modulus of the finger's own epidermis."""
     table = []
     for r in rows:
-        skin = r.skin_ratio if skin_known else correction.SKIN_RATIO
+        skin = r.skin_ratio if skin_known else correction.MIDDLE_SKIN_RATIO
         found = correction.PoseCorrection(r.geometry, r.pose, skin).outline(r.round_area)
         ratio = found.semi_axes[0] / found.semi_axes[1]
         turn = (found.orientation - 0.5 * math.atan2(r.shape[1], r.shape[0])) % math.pi
@@ -220,7 +221,8 @@ def _pressed(press: list[Row], rng: np.random.Generator) -> ShapeEstimate:
     settings = PoseSettings(
         pad_x=told[0], pad_y=told[1], pad_place_sd=PLACE, finger_direction=0.0, sensor_depth=0.02
     )
-    estimator = PoseEstimator(press[0].geometry, settings)
+    assumed = correction.PoseCorrection(press[0].geometry, Pose(), press[0].skin_ratio)
+    estimator = PoseEstimator(assumed, settings)
     loads = [r.force for r in press]
 
     def between(values: list) -> np.ndarray:
@@ -268,7 +270,7 @@ def calculix() -> None:
         inside = (load > 0.1) & (load < 1.4)
         # The tissue of these runs is a little stiffer, 30.23 in place of 30 kPa.
         level = smooth_area("dry_frictionless", load * 30.0 / 30.23)
-        fixed = correction.PoseCorrection(CALCULIX_FINGER, pose)
+        fixed = correction.PoseCorrection(CALCULIX_FINGER, pose, STUDY["dry"].skin_ratio)
         found = np.array([fixed.outline(a * 1e-6).area * 1e6 for a in level])
         error = 100.0 * (found / table["area_mm2"] - 1.0)[inside]
         text = " ".join(f"{e:+.1f}" for e in error)

@@ -40,6 +40,7 @@ from finger_model.fem.equilibrium import OPEN
 from finger_model.fem.full_order import FullOrderModel
 from finger_model.geometry import Geometry
 from finger_model.laws import StandardLinearSolid
+from finger_model.pose.correction import SKIN_RATIOS
 from finger_model.pose.pose import Pose
 from finger_model.reduced.population import BOX
 from finger_model.solid3d.contact_shape import node_areas
@@ -60,9 +61,8 @@ POSES = {"learn": 4, "test": 2}
 """Of a finger."""
 MODULUS = 30e3
 """Pa; only ratios count."""
-SKIN_RATIO, FRICTION = (12.0, 120.0), (-0.3, 0.6)
-"""Of the modulus of the epidermis over that of the tissue, and the coefficients of friction: none
-where it is negative."""
+FRICTION = (-0.3, 0.6)
+"""Coefficients of friction: none where it is negative."""
 SAMPLES = 12
 """Across a face, of the force at which the skin touches."""
 
@@ -130,7 +130,7 @@ def fingers(which: str) -> Iterator[tuple[Finger, list[Pose]]]:
     names = "pad_semi_axis_radial aspect bone_radial bone_axial nail_radius epidermis_thickness"
     ranges = [(BOX[name].low, BOX[name].high) for name in names.split()]
     ranges[-1] = (math.log(ranges[-1][0]), math.log(ranges[-1][1]))
-    ranges += [(math.log(SKIN_RATIO[0]), math.log(SKIN_RATIO[1])), FRICTION]
+    ranges += [(math.log(SKIN_RATIOS[0]), math.log(SKIN_RATIOS[1])), FRICTION]
     low, high = np.transpose(ranges)
     of_finger, of_pose = (qmc.Sobol(n, seed=SEEDS[which]) for n in (len(ranges), 2))
     for number in range(1 if which == "learn" else 2, 10**6):

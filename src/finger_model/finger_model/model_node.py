@@ -350,7 +350,9 @@ class ModelNode(ManagedNode):
                 self._slip = self._new_slip_estimator()
             elif self._slip is not None:
                 self._slip.configure(slip)
-            self._pose = None
+            of_pose = PoseSettings.parameters()
+            if any(name == "normal_axis" or name in of_pose for name in changes):
+                self._pose = None
             if sets is not None:
                 self._sets = sets
                 reason = f"parameter file {changes['parameter_file'] or 'unset, shipped sets'}"
@@ -479,12 +481,10 @@ class ModelNode(ManagedNode):
         assert self.estimator is not None
         if self._pose is None:
             settings = self.estimator.settings
-            self._pose = PoseEstimator(
-                self.estimator.model.geometry,
-                self.settings(PoseSettings),
-                settings.pose,
-                settings.normal_axis,
-            )
+            found = self.estimator.pose_correction
+            pose_settings = self.settings(PoseSettings)
+            self._pose = PoseEstimator(found, pose_settings, settings.normal_axis)
+        self._pose.assume(self.estimator.pose_correction)
         self._pose.follow(estimate, force, torque)
         if not self._pose.due(estimate.stamp_ns):
             return
@@ -592,15 +592,19 @@ class ModelNode(ManagedNode):
             # A finger of other lengths begins anew. The event of the start names sets and model.
             self.estimator = ContactEstimator(model, sets, self.settings(EstimatorSettings))
             self._started = False
-            if self._slip is not None:
-                self._slip.reset()
+            self._forget_contacts()
             return
         if sets.hash != self.estimator.parameter_sets.hash:
             self._publish_event(self.estimator.change_parameters(sets, reason))
         if forget:
             self._publish_event(self.estimator.reset(reason))
-            if self._slip is not None:
-                self._slip.reset()
+            self._forget_contacts()
+
+    def _forget_contacts(self) -> None:
+        """Friction and pose of a finger that was not seen before."""
+        if self._slip is not None:
+            self._slip.reset()
+        self._pose = None
 
     def _calibrate(
         self,

@@ -556,7 +556,7 @@ def test_shape_goes_out_where_it_is_wanted_as_the_core_has_it(
     bench.settle()
     settings = EstimatorSettings(pad_aspect=1.3, plate_pitch=0.2)
     estimator = ContactEstimator(ReducedModel.load(), settings=settings)
-    core = PoseEstimator(estimator.model.geometry, known=settings.pose)
+    core = PoseEstimator(estimator.pose_correction)
     layout = FixedMessage(ContactShape(header=bench.press(T0, 0.0).header))
     wanted = []
     for n in range(300):

@@ -15,7 +15,6 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -36,6 +35,7 @@ from finger_model.estimator import (
     EstimatorSettings,
     EventType,
 )
+from finger_model.estimator.estimate import ESTIMATE_DTYPE
 from finger_model.finger import load_for
 from finger_model.messages import (
     NO_OUTLINE,
@@ -48,7 +48,7 @@ from finger_model.messages import (
     stick_of,
 )
 from finger_model.parameter_sets import ParameterSets
-from finger_model.pose.estimator import MeasuredOutline, PoseEstimator
+from finger_model.pose.estimator import MeasuredOutline, PoseEstimator, ShapeEstimate
 from finger_model.pose.settings import PoseSettings
 from finger_model.slip import SlipEstimator
 from finger_vision.area_sensor import ContactMeasurement
@@ -196,8 +196,7 @@ class _Run:
         self.pose = None
         if options.shape:
             settings = PoseSettings.from_mapping(options.pose)
-            known = estimator.settings.pose
-            self.pose = PoseEstimator(estimator.model.geometry, settings, known, axis)
+            self.pose = PoseEstimator(estimator.pose_correction, settings, axis)
         self._outlines: dict[int, MeasuredOutline] = {}
         self.last_force = np.zeros(3)
         self._sticks: dict[int, tuple[float, float]] = {}
@@ -363,33 +362,37 @@ class _Run:
             if self.output is not None:
                 self.output.write_event(event, int(logs[0]))
         forces = forces * mapped.scale
-        block = self.estimator.add_wrenches(stamps, forces)
+        wrench = items[int(np.argmax(good))].raw
+        frame = frame_id_of_cdr(wrench)
+        place = {stamp: i for i, stamp in reversed(list(enumerate(stamps.tolist())))}
+        rows, shapes, done = [np.empty(0, ESTIMATE_DTYPE)], [], 0
+        for part in self.estimator.wrench_parts(stamps, forces):
+            rows.append(part.rows)
+            if self.pose is not None:
+                self.pose.assume(self.estimator.pose_correction)
+                for k, shape in self._shapes(self.pose, part, place, forces, torques):
+                    shapes.append((done + k, shape_fields(shape, frame)))
+            done += len(part)
+        block = EstimateBlock(np.concatenate(rows))
         self.states += len(block)
         if self.output is not None and len(block):
-            wrench = items[int(np.argmax(good))].raw
             slips = (
                 [] if self.slip is None else self._slips(self.slip, block, stamps, forces, wrench)
             )
-            shapes = self._shapes(self.pose, block, stamps, forces, torques, wrench)
             self.output.write_states(block, stamps, logs, wrench, slips, shapes)
         for sink in self.sinks:
             sink(block)
 
     def _shapes(
         self,
-        pose: PoseEstimator | None,
+        pose: PoseEstimator,
         block: EstimateBlock,
-        stamps: np.ndarray,
+        place: dict[int, int],
         forces: np.ndarray,
         torques: np.ndarray,
-        wrench: bytes,
-    ) -> list[tuple[int, dict[str, Any]]]:
-        """Number of the estimate and fields of each ContactShape of a block; stamps (n,), forces,
-        torques (n, 3) of all its wrenches."""
-        if pose is None:
-            return []
-        frame = frame_id_of_cdr(wrench)
-        place = {stamp: i for i, stamp in reversed(list(enumerate(stamps.tolist())))}
+    ) -> list[tuple[int, ShapeEstimate]]:
+        """The shapes of a block, each with the number of its estimate; place: row of a stamp in the
+        forces and torques (n, 3) of all wrenches."""
         found = []
         for k, estimate in enumerate(block):
             # One that waited for its successor may be of the block before: without torque then.
@@ -397,7 +400,7 @@ class _Run:
             torque = torques[at].tolist() if at is not None else (0.0, 0.0, 0.0)
             pose.follow(estimate, forces[at or 0].tolist(), torque)
             if pose.due(estimate.stamp_ns):
-                found.append((k, shape_fields(pose.shape(estimate), frame)))
+                found.append((k, pose.shape(estimate)))
         return found
 
     def _slips(

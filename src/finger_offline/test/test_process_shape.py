@@ -13,16 +13,22 @@ import numpy as np
 import pytest
 
 from finger_bag.cli import command
+from finger_bag.definitions import encode
 from finger_bag.reader import open_bag
 from finger_bag.writer import BagWriter
 from finger_common.cli import run
 from finger_common.flags import ShapeFlag
-from finger_model.estimator import ContactEstimator
+from finger_model.estimator import ContactEstimator, EstimatorSettings
 from finger_model.geometry import Geometry
+from finger_model.material import Material
+from finger_model.messages import event_fields, outline_of, shape_fields
+from finger_model.paper import NATURAL
 from finger_model.pose.correction import PoseCorrection
+from finger_model.pose.estimator import PoseEstimator
 from finger_model.pose.pose import Pose
 from finger_model.reduced import ReducedModel
 
+SHAPE = "finger_msgs/msg/ContactShape"
 POSE = Pose(1.3, 0.25, -0.1)
 START = 1_700_000_000_000_000_000
 DEPTH = 0.02
@@ -32,7 +38,8 @@ DIRECTION = 0.5 * math.pi
 
 def press_of(path: Path) -> None:
     """A bag of a press of a finger in POSE: wrenches with torque, and outlines."""
-    correction = PoseCorrection(Geometry(), POSE)
+    material = Material(**NATURAL.parameters)
+    correction = PoseCorrection(Geometry(), POSE, material.skin_ratio)
     force = np.minimum(np.linspace(0.0, 1.2, 1000), 1.0)
     force[:100] = 0.0
     estimator = ContactEstimator(ReducedModel.load())
@@ -118,3 +125,56 @@ def test_the_models_area_is_that_of_the_known_pose(bag: Path, tmp_path: Path) ->
     area = last(bag, "/finger/contact_area")
     # The last outline is a tenth of a second old; the finger creeps meanwhile.
     assert state.model_area == pytest.approx(area.gross_area, rel=0.02)
+
+
+def live_recording(path: Path, pressed: Path) -> list[bytes]:
+    """`pressed` as a live model node has it: moisture and the settings change on the way. Gives
+    the shapes that it published."""
+    settings = EstimatorSettings(pad_aspect=1.2)
+    estimator = ContactEstimator(ReducedModel.load(), settings=settings)
+    core = PoseEstimator(estimator.pose_correction)
+    shapes, samples, sequence = [], 0, 0
+    with open_bag(pressed) as source, BagWriter(path, {}) as bag:
+
+        def tell(event, log: int) -> None:
+            nonlocal sequence
+            bag.write("model_events", event_fields(event, sequence), log)
+            sequence += 1
+
+        tell(estimator.start_event(START), START)
+        for item in source.messages():
+            stamp, message = item.log_time_ns, item.message
+            bag.write_raw(item.topic.rsplit("/", 1)[-1], item.raw, stamp)
+            if item.topic == "/finger/contact_area":
+                sd, flags = message.area_stddev, message.flags
+                if estimator.add_area(stamp, message.gross_area, sd, flags):
+                    core.expect_outline(stamp, outline_of(message), settings.fusion_delay)
+                continue
+            samples += 1
+            if samples in (301, 403, 705):
+                value = {301: 40.0, 403: 72.5, 705: 100.0}[samples]
+                fields = {"header": {"stamp": stamp}, "value": value}
+                bag.write("moisture", fields, stamp)
+                assert estimator.add_moisture(stamp, value)
+            if samples == 611:
+                settings = EstimatorSettings(pad_aspect=1.3, plate_pitch=0.2)
+                tell(estimator.change_settings(settings, "asked"), stamp)
+            force, torque = message.wrench.force, message.wrench.torque
+            force, torque = ([v.x, v.y, v.z] for v in (force, torque))
+            for estimate in estimator.add_wrench(stamp, force):
+                core.assume(estimator.pose_correction)
+                core.follow(estimate, force, torque)
+                if core.due(estimate.stamp_ns):
+                    shapes.append(encode(SHAPE, shape_fields(core.shape(estimate))))
+    return shapes
+
+
+def test_shapes_of_a_recording_are_those_of_the_live_node(bag: Path, tmp_path: Path) -> None:
+    """While moisture changes the skin's stiffness over the tissue's, and the pose is set anew."""
+    live = live_recording(tmp_path / "live", bag)
+    source, target = str(tmp_path / "live"), str(tmp_path / "out")
+    assert run(command, ["process", source, "-o", target, "--shape"]) == 0
+    with open_bag(tmp_path / "out") as made:
+        found = [item.raw for item in made.messages(["/finger/contact_shape"])]
+    assert len(live) > 50
+    assert found == live

@@ -118,7 +118,8 @@ def plan_trial(
     finger = SimulatedFinger(setting.material, refinement=refinement)
     history = finger.plan(press.time, press.force, instants)
     round_areas = area_at(history, instants)
-    correction = PoseCorrection(finger.geometry, pose or Pose())
+    skin_ratio = setting.material.skin_ratio
+    correction = PoseCorrection(finger.geometry, pose or Pose(), skin_ratio)
 
     folder.mkdir(parents=True, exist_ok=True)
     renderer = renderer_for(setting.name, view, request.seed)

@@ -18,6 +18,7 @@ from finger_model.geometry import Geometry
 from finger_model.pose.correction import PoseCorrection
 from finger_model.pose.pose import Pose
 from finger_sim import pull
+from finger_sim.conditions import condition
 from finger_sim.participant import FrameClock, Participant, _Press
 from finger_sim.study_trial import plan_study_trial
 from finger_sim.trial_plan import (
@@ -116,7 +117,7 @@ def test_frames_of_a_tilted_finger_show_the_ellipse_where_it_is(tmp_path: Path) 
     images = [cv2.imread(str(tilted.frames[n]), cv2.IMREAD_GRAYSCALE) for n in (0, 1, k)]
     measured = [sensor.process(image) for image in images][-1]
     assert measured.gross_area == pytest.approx(tilted.frame_area[k], rel=0.06)
-    correction = PoseCorrection(Geometry(), pose)
+    correction = PoseCorrection(Geometry(), pose, condition("natural").material.skin_ratio)
     expected = correction.outline(level.frame_area[k])
     assert tilted.frame_area[k] == pytest.approx(expected.area)
     moved = tilted.pressure_center[k] - level.pressure_center[k]

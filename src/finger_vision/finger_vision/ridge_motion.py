@@ -483,7 +483,7 @@ class RidgeMotion:
             sites = sites[strength[rows, columns] > FLAT * typical]
         # Ridges that have turned or widened are found in fewer and fewer images.
         changed = len(points) > 0 and float(points.good.mean()) < WORN
-        if changed or len(sites) > max(3, 0.03 * len(points)):
+        if len(sites) > (0 if changed else max(3, 0.03 * len(points))):
             number = self._next_key
             self._next_key += 1
             self._keys[number] = texture

@@ -266,3 +266,12 @@ def test_ellipse_lies_within_its_deviations() -> None:
     spread = np.sqrt(np.mean(np.square(scores), axis=0))
     print("SPREAD", spread)
     assert (spread > 0.2).all() and (spread < 2.0).all()
+
+
+def test_worn_points_stay_where_no_new_ones_are_found() -> None:
+    """Ridges of this pull wear out where no others are; that raised an error."""
+    camera = Camera("moist", 31)
+    camera.press()
+    slip = replace(PULL, direction=1.5, lag=0.35)
+    found = [seen.stick_ratio for _, seen in pulled(camera, slip, np.linspace(0.0, 0.96, 14))]
+    assert np.isfinite(found).all() and found[-1] < 0.2

@@ -47,6 +47,7 @@ from finger_common.stamps import NANOSECONDS, nanoseconds
 
 from ..history import ContactHistory
 from ..parameter_sets import ParameterSets
+from ..pose.correction import PoseCorrection
 from ..reduced.model import ReducedModel
 from . import prediction
 from .estimate import ESTIMATE_DTYPE, ContactEstimate, EstimateBlock
@@ -117,19 +118,26 @@ class ContactEstimator:
 
         stamps_ns (n,), forces (n, 3) in N. Rows of dropped samples are left out of the block.
         """
+        parts = [part.rows for part in self.wrench_parts(stamps_ns, forces)]
+        return EstimateBlock(np.concatenate([np.empty(0, ESTIMATE_DTYPE), *parts]))
+
+    def wrench_parts(self, stamps_ns: np.ndarray, forces: np.ndarray) -> Iterator[EstimateBlock]:
+        """As `add_wrenches`, in parts; between two of them settings and parameters may change, and
+        until the next is asked for the estimator has those of the last."""
         stamps = np.ascontiguousarray(stamps_ns, dtype=np.int64)
         forces = np.ascontiguousarray(forces, dtype=float)
         if forces.shape != (len(stamps), 3):
             raise InputError(f"forces have shape {forces.shape}, ({len(stamps)}, 3) is needed")
-        blocks = [np.empty(0, ESTIMATE_DTYPE)]
         at = 0
         while at < len(stamps):
             admitted = self._admit(int(stamps[at]), forces[at])
             if len(admitted) != 1:
+                rows = [np.empty(0, ESTIMATE_DTYPE)]
                 for sample in admitted:
                     self._estimate(*sample)
-                    blocks.append(self._one_row.copy())
+                    rows.append(self._one_row.copy())
                 at += 1
+                yield EstimateBlock(np.concatenate(rows))
                 continue
             self._apply_due(int(stamps[at]))
             # As far as stamps increase by little and no event or reading comes due.
@@ -140,10 +148,10 @@ class ContactEstimator:
             if due is not None:
                 end = min(end, at + int(np.searchsorted(stamps[at:end], due)))
             end = max(end, at + 1)
-            blocks.append(new_rows(end - at, self._selected.name))
-            self._process(stamps[at:end], forces[at:end], blocks[-1])
+            block = EstimateBlock(new_rows(end - at, self._selected.name))
+            self._process(stamps[at:end], forces[at:end], block.rows)
             at = end
-        return EstimateBlock(np.concatenate(blocks))
+            yield block
 
     def add_area(
         self, stamp_ns: int, area: float, sd: float, flags: int = 0, live: bool = False
@@ -258,6 +266,11 @@ class ContactEstimator:
     def parameters(self) -> np.ndarray:
         """Material parameters (n,) in force, in the order of the sets' space."""
         return self._selected.parameters.copy()
+
+    @property
+    def pose_correction(self) -> PoseCorrection:
+        """Correction of the area for the settings' pose, with the parameters in force."""
+        return self._state.pose_correction
 
     @property
     def force_limit(self) -> float:

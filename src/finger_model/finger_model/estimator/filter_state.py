@@ -34,12 +34,14 @@ class FilterState:
         self.constants: np.ndarray = np.zeros(0)
         self.finger: np.ndarray = np.zeros(0)
         self._stream = self.state["stream"]
-        self._pose_flags = 0
+        self._pose = Pose()
+        self._correction: PoseCorrection | None = None
+        self._skin_ratio = math.nan
 
     # Configuration ---------------------------------------------------------------------------
 
     def configure(self, settings: EstimatorSettings) -> None:
-        """Take over settings; the state stays."""
+        """Take over settings, before `use_parameters`; the state stays."""
         config = self.configuration
         config["axis"], config["sign"] = axis_of(settings.normal_axis)
         for name in (
@@ -52,25 +54,35 @@ class FilterState:
         ):
             config[name] = getattr(settings, name)
         config["fusion_delay"] = nanoseconds(settings.fusion_delay)
-        self._take_pose(settings.pose)
+        self._pose = settings.pose
         noise = config["noise"]
         noise["slope_variance"] = settings.slope_sd**2
         noise["contact_variance"] = settings.contact_area_sd**2
         noise["drift_variance"] = settings.drift_sd**2
         noise["outlier_limit"] = settings.outlier_limit
 
-    def _take_pose(self, pose: Pose) -> None:
-        """Correct the model's area for a pad that is not round, or a plate that is tilted."""
+    @property
+    def pose_correction(self) -> PoseCorrection:
+        """What corrects the area of the round pad on a level plate, with the pose of the settings
+        and the parameters in use. The same object until one of them changes."""
+        if self._correction is None:
+            self._correction = PoseCorrection(self.model.geometry, self._pose, self._skin_ratio)
+        return self._correction
+
+    def _take_pose(self, skin_ratio: float) -> int:
+        """Correct the model's area for a pad that is not round, or a plate that is tilted; gives
+        bits of StateFlag."""
+        known = self._correction
+        if known is None or known.pose != self._pose or known.skin_ratio != skin_ratio:
+            self._skin_ratio, self._correction = skin_ratio, None
         own = self.configuration["pose"]
         own[:] = 0.0
-        self._pose_flags = 0
-        if pose == Pose():
-            return
-        correction = PoseCorrection(self.model.geometry, pose)
+        if self._pose == Pose():
+            return 0
+        correction = self.pose_correction
         own[:, :3] = correction.area_polynomial
         own[:, 3] = 1.0 / (math.sqrt(math.pi) * correction.half_width)
-        if not correction.inside:
-            self._pose_flags = int(StateFlag.POSE_OUT_OF_RANGE)
+        return 0 if correction.inside else int(StateFlag.POSE_OUT_OF_RANGE)
 
     def use_parameters(
         self, selected: SelectedParameters, moisture: tuple[int, float] | None
@@ -79,7 +91,7 @@ class FilterState:
         config = self.configuration
         new = not len(self.finger) or config["moisture_stamp"][0] != (moisture or (0, np.nan))[0]
         config["moisture_stamp"], config["moisture"] = moisture or (0, np.nan)
-        config["flags"] = selected.flags | self._pose_flags
+        config["flags"] = selected.flags | self._take_pose(selected.skin_ratio)
         noise, prior = config["noise"], selected.prior
         noise["prior_mean"], noise["prior_covariance"] = prior.mean, prior.covariance
         noise["moisture_direction"] = prior.moisture_direction

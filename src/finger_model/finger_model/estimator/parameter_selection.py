@@ -49,11 +49,13 @@ class SelectedParameters:
     """Parameters in use.
 
     parameters (n,): in the order of the sets' space; constants: the reduced model's record of them;
-    name: of the parameter set; flags: of StateFlag; prior: of the finger.
+    skin_ratio: see `ConstitutiveLaw`; name: of the parameter set; flags: of StateFlag; prior: of
+    the finger.
     """
 
     parameters: np.ndarray
     constants: np.ndarray
+    skin_ratio: float
     name: str
     flags: StateFlag
     prior: SelectedPrior
@@ -77,6 +79,7 @@ def select_parameters(
     return SelectedParameters(
         found.parameters,
         model.constants(found.parameters),
+        model.material.with_vector(found.parameters).skin_ratio,
         found.name,
         flags,
         _prior(model, sets, settings, moisture, found),

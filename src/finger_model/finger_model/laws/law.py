@@ -189,6 +189,12 @@ class ConstitutiveLaw(ABC):
         return self.instantaneous_shear_modulus
 
     @property
+    def skin_ratio(self) -> float:
+        """Modulus of the epidermis over the long-term one of the bulk tissue, E₂/E."""
+        tissue = 2.0 * (1.0 + self.poisson_ratio_bulk) * self.long_term_shear_modulus
+        return self.epidermis_modulus / tissue
+
+    @property
     def bulk_modulus(self) -> float:
         """K = 2 G (1 + ν)/(3 (1 − 2ν)) of the bulk tissue in Pa, constant in time."""
         ratio = self.poisson_ratio_bulk

@@ -34,9 +34,12 @@ FILE = Path(str(resources.files("finger_model") / "data" / "pose_correction.json
 LARGEST_DEPTH = 0.65
 """s from which on the correction stays as it is: few of those learned from are larger."""
 
-SKIN_RATIO = 60.0
-"""Modulus of the epidermis over that of the tissue where nothing else is known: the shipped sets
-have 51 to 93 in the long term."""
+SKIN_RATIOS = (12.0, 120.0)
+"""Moduli of the epidermis over that of the tissue, E₂/E, of the fingers learned from; a ratio
+outside is held at the end."""
+
+MIDDLE_SKIN_RATIO = 60.0
+"""By which the proportions are scaled."""
 
 POWERS = 3
 """Powers 0, 1 and 2 of s."""
@@ -69,13 +72,14 @@ def coefficients() -> dict[str, np.ndarray]:
     return {name: np.array(values) for name, values in data["coefficients"].items()}
 
 
-def proportions(geometry: Geometry, skin_ratio: float = SKIN_RATIO) -> np.ndarray:
+def proportions(geometry: Geometry, skin_ratio: float) -> np.ndarray:
     """1 and the finger's proportions (n,), about −1 to 1 in the population box: depth of the pad,
     the length over which the skin bends, t (E₂/E)^⅓, width and depth of the bone, and width of the
     nail, which holds the pad's sides."""
     a, c = geometry.pad_semi_axis_radial, geometry.pad_semi_axis_axial
     nail = min(geometry.nail_radius, NAIL_INSIDE * geometry.bulk_semi_axes[0])
-    bending = geometry.epidermis_thickness * (skin_ratio / SKIN_RATIO) ** (1 / 3)
+    ratio = min(max(skin_ratio, SKIN_RATIOS[0]), SKIN_RATIOS[1])
+    bending = geometry.epidermis_thickness * (ratio / MIDDLE_SKIN_RATIO) ** (1 / 3)
     return np.array(
         [
             1.0,
@@ -127,14 +131,16 @@ def _size(vector: np.ndarray) -> float:
 
 class PoseCorrection:
     """Correction for one finger and one pose; `area_polynomial` (3,): coefficients of 1, s, s² in
-    ln(area over that of the round pad on a level plate). skin_ratio: modulus of the epidermis over
-    that of the tissue."""
+    ln(area over that of the round pad on a level plate). skin_ratio: of the finger's material, see
+    `ConstitutiveLaw.skin_ratio`."""
 
-    def __init__(self, geometry: Geometry, pose: Pose, skin_ratio: float = SKIN_RATIO) -> None:
-        self.pose = pose
+    def __init__(self, geometry: Geometry, pose: Pose, skin_ratio: float) -> None:
+        self.geometry, self.pose, self.skin_ratio = geometry, pose, skin_ratio
         self.touch = first_touch(geometry, pose)
         self.half_width = geometry.pad_semi_axis_radial
-        self._known_finger = is_learned(geometry)
+        low, high = SKIN_RATIOS
+        known_skin = low * (1 - 1e-9) <= skin_ratio <= high * (1 + 1e-9)
+        self._known_finger = known_skin and is_learned(geometry)
         finger = proportions(geometry, skin_ratio)
         learned = {name: values @ finger for name, values in coefficients().items()}
         self.area_polynomial = learned["area"] @ area_terms(self.touch)

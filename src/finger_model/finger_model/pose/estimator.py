@@ -25,7 +25,6 @@ from finger_common.flags import ShapeFlag, StateFlag
 from finger_common.stamps import NANOSECONDS, nanoseconds
 
 from ..estimator import ContactEstimate
-from ..geometry import Geometry
 from .correction import Outline, PoseCorrection
 from .pose import ASPECTS, LARGEST_TILT, Pose
 from .settings import PoseSettings
@@ -101,45 +100,60 @@ class ShapeEstimate(NamedTuple):
 class PoseEstimator:
     """Shape and pose of one finger's contact; see the module.
 
-    known: aspect and tilt as the estimator of the contact assumes them; also the first guess.
+    assumed: as for `assume`.
     """
 
     def __init__(
         self,
-        geometry: Geometry,
+        assumed: PoseCorrection,
         settings: PoseSettings | None = None,
-        known: Pose | None = None,
         normal_axis: str = DEFAULT_NORMAL_AXIS,
     ) -> None:
-        self.geometry = geometry
         self.settings = settings or PoseSettings()
-        self.known = known or Pose()
         axis, self._sign = axis_of(normal_axis)
         self._axis, self._first, self._second = axis, (axis + 1) % 3, (axis + 2) % 3
-        self._assumed = PoseCorrection(geometry, self.known)
+        self._assumed = assumed
+        self._correction: PoseCorrection | None = None
         self._waiting: list[tuple[int, int, MeasuredOutline]] = []
+        self._areas: deque[tuple[int, float]] = deque(maxlen=REMEMBERED)
         self.reset()
+
+    def assume(self, assumed: PoseCorrection) -> None:
+        """What the contact's estimator corrects its area by from the next sample on.
+
+        Its finger and skin are taken over. Its pose is the first guess: with another one the
+        search begins anew.
+        """
+        if assumed is self._assumed:
+            return
+        before, self._assumed = self._assumed, assumed
+        self._correction = None
+        if assumed.pose != before.pose:
+            self._begin_search()
 
     def reset(self) -> None:
         """A finger that was not seen before."""
+        self._areas.clear()
+        self._begin_search()
+
+    def _begin_search(self) -> None:
         settings = self.settings
         self.mean = np.zeros(5)
         self.covariance = np.zeros((5, 5))
-        self.mean[ASPECT] = math.log(self.known.aspect)
+        self.mean[ASPECT] = math.log(self._assumed.pose.aspect)
         self.covariance[ASPECT, ASPECT] = settings.pad_aspect_sd**2
         self._touching = self._outlined = self._pressed = False
         self._updated = self._given = 0
-        self._areas: deque[tuple[int, float]] = deque(maxlen=REMEMBERED)
         self._sum, self._count, self._sum_since = np.zeros(2), 0, 0
         self._pressure = (math.nan, math.nan)
-        self._waiting.clear()
-        self._correction: PoseCorrection | None = None
+        self._correction = None
         self._begin(0)
 
     def _begin(self, stamp_ns: int) -> None:
         """A new contact: another tilt and place, the same pad."""
         settings = self.settings
-        self.mean[1:] = self.known.pitch, self.known.roll, 0.0, 0.0
+        known = self._assumed.pose
+        self.mean[1:] = known.pitch, known.roll, 0.0, 0.0
         self.covariance[1:, :] = self.covariance[:, 1:] = 0.0
         for k, sd in zip((1, 2, 3, 4), 2 * [settings.tilt_sd] + 2 * [settings.pad_place_sd]):
             self.covariance[k, k] = sd**2
@@ -164,7 +178,9 @@ class PoseEstimator:
         it came with. Torques of zero are those of a sensor without."""
         stamp = estimate.stamp_ns
         if estimate.flags & StateFlag.TIME_RESET:
+            # Time jumped back to this stamp: outlines near it are still to come.
             self.reset()
+            self._waiting = [w for w in self._waiting if abs(w[1] - stamp) < NANOSECONDS]
         round_area = self._assumed.round_area(estimate.area) if estimate.area > 0 else 0.0
         self._areas.append((stamp, round_area))
         if estimate.in_contact and not self._touching:
@@ -297,7 +313,7 @@ class PoseEstimator:
 
     def _corrected(self, mean: np.ndarray) -> PoseCorrection:
         pose = Pose(math.exp(mean[ASPECT]), float(mean[PITCH]), float(mean[ROLL]))
-        return PoseCorrection(self.geometry, pose)
+        return PoseCorrection(self._assumed.geometry, pose, self._assumed.skin_ratio)
 
     def _area_at(self, stamp_ns: int) -> float:
         """Area of the round pad at a past stamp, NaN when it is not remembered."""
