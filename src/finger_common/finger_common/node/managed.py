@@ -16,6 +16,7 @@ import copy
 import time
 import traceback
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -26,6 +27,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.exceptions import ParameterException
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import QoSCompatibility, QoSPolicyKind, QoSProfile, qos_check_compatible
@@ -39,10 +41,12 @@ from ..parameters import ParameterTable
 from ..plugins import PluginKind
 from ..settings import S, Settings, parameters_of, setting
 from .described import descriptor_of, ros_value, type_of
-from .heartbeat import Heartbeats
+from .heartbeat import HEARTBEAT, Heartbeats
 from .polling import PolledSubscription
 from .qos import AUTO, BEST_EFFORT, RELIABLE, stream_qos
 from .waiting import WaitedSubscription
+
+BEATS_PER_SECOND = round(1.0 / HEARTBEAT)
 
 HANGING = 2.5
 """s without a callback after which a node's heart stops: its diagnostics alone come each second."""
@@ -142,10 +146,10 @@ class ManagedNode(LifecycleNode):
         self._mismatches: dict[str, QoSProfile] = {}
         self._shared_since: dict[str, float] = {}
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        # Steady time: diagnostics continue when simulated time stands still or jumps.
-        self._diagnostics_timer = self.create_steady_timer(1.0, self._on_second)
         self._heartbeat = self.create_publisher(String, "heartbeat", 10)
+        self._beats = 0
         self._served = time.monotonic()
+        self._second: Any = None
         Heartbeats.of(self.context).add(self._beat)
 
     # What a node overrides -------------------------------------------------------------------
@@ -397,8 +401,17 @@ class ManagedNode(LifecycleNode):
         super().destroy_node()
 
     def _beat(self) -> None:
+        """In the thread of heartbeats, which go on while simulated time stands still or jumps."""
         if time.monotonic() - self._served < HANGING:
             self._publish_if_running(self._heartbeat, String(data=self.get_name()))
+        self._beats += 1
+        executor = self.executor
+        # Diagnostics of several nodes come one after the other, as their heartbeats do.
+        if self._beats % BEATS_PER_SECOND == 0 and executor is not None:
+            if self._second is None or self._second.done():
+                # An executor that was shut down meanwhile takes no task.
+                with suppress(AttributeError, rclpy_implementation.InvalidHandle):
+                    self._second = executor.create_task(self._on_second)
 
     def _publish_if_running(self, publisher: Any, message: Any) -> None:
         try:
