@@ -8,6 +8,7 @@ from __future__ import annotations
 import signal
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -305,3 +306,54 @@ def test_transitions_in_an_odd_order_are_refused_and_change_nothing(ros_domain: 
         node.destroy_node()
     finally:
         rclpy.shutdown()
+
+
+def test_the_heart_stops_while_no_callback_is_served_and_an_executor_may_change(
+    ros_domain: int,
+) -> None:
+    from diagnostic_msgs.msg import DiagnosticArray
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.qos import QoSProfile
+    from std_msgs.msg import String
+
+    from finger_common.diagnostics import Health
+    from finger_common.node import ManagedNode, PolledSubscription
+
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=ros_domain)
+    node = ManagedNode(context=context)
+    node.healths = [Health("gauge")]
+    observer = rclpy.create_node("observer", context=context)
+    beats, reports = (
+        PolledSubscription(observer, kind, topic, QoSProfile(depth=50))
+        for kind, topic in ((String, "heartbeat"), (DiagnosticArray, "/diagnostics"))
+    )
+
+    def heard(stream: PolledSubscription) -> int:
+        return len(list(stream.take()))
+
+    def idle() -> None:
+        time.sleep(0.05)
+
+    try:
+        for _ in range(2):  # a task that waits in the first executor does not stop the second
+            executor = SingleThreadedExecutor(context=context)
+            executor.add_node(node)
+            wait_for(lambda: heard(reports), partial(executor.spin_once, 0.05))
+            heard(beats)
+            wait_for(lambda: heard(beats), idle, 2.0)
+            silent_since = time.monotonic()
+
+            def silent() -> bool:
+                nonlocal silent_since
+                if heard(beats):
+                    silent_since = time.monotonic()
+                return time.monotonic() - silent_since > 1.0
+
+            wait_for(silent, idle, 20.0)
+            executor.remove_node(node)
+            executor.shutdown()
+    finally:
+        node.destroy_node()
+        observer.destroy_node()
+        rclpy.shutdown(context=context)

@@ -149,7 +149,7 @@ class ManagedNode(LifecycleNode):
         self._heartbeat = self.create_publisher(String, "heartbeat", 10)
         self._beats = 0
         self._served = time.monotonic()
-        self._second: Any = None
+        self._second: tuple[Any, Any] = (None, None)
         Heartbeats.of(self.context).add(self._beat)
 
     # What a node overrides -------------------------------------------------------------------
@@ -408,10 +408,11 @@ class ManagedNode(LifecycleNode):
         executor = self.executor
         # Diagnostics of several nodes come one after the other, as their heartbeats do.
         if self._beats % BEATS_PER_SECOND == 0 and executor is not None:
-            if self._second is None or self._second.done():
+            asked, task = self._second
+            if asked is not executor or task.done():
                 # An executor that was shut down meanwhile takes no task.
                 with suppress(AttributeError, rclpy_implementation.InvalidHandle):
-                    self._second = executor.create_task(self._on_second)
+                    self._second = executor, executor.create_task(self._on_second)
 
     def _publish_if_running(self, publisher: Any, message: Any) -> None:
         try:
