@@ -30,12 +30,12 @@ class Heartbeats:
         """That of a context; it is made when it is first needed."""
         with cls._making:
             found = cls._all.get(id(context))
-            if found is None or found._context is not context:
+            if found is None or found.context is not context:
                 found = cls._all[id(context)] = cls(context)
             return found
 
     def __init__(self, context: Context) -> None:
-        self._context = context
+        self.context = context
         self._beats: list[Callable[[], None]] = []
         self._lock = threading.Lock()
         self._ended = threading.Event()
