@@ -120,11 +120,6 @@ def check_force_history(
     return time, force
 
 
-def read_force_csv(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
-    """Time (n,) in s and force (n,) in N of columns `time_s,force_n`; raises InputError."""
-    return read_load_csv(path)[:2]
-
-
 def read_load_csv(path: str | Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Time (n,) in s, force (n,) in N and, where there is a column `tangential_force_n`, that force
     (n,) in N along x; raises InputError."""

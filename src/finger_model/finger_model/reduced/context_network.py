@@ -38,9 +38,6 @@ class Rows:
         return Rows(*(v[chosen] for v in (self.context, self.inputs, self.targets, self.weights)))
 
 
-NAMES = ("V1", "d1", "V2", "d2", "V3", "d3", "W1", "W2", "W3")
-
-
 class ContextNetwork:
     """The two networks; inputs and outputs are scaled to mean 0 and deviation 1 of the data."""
 

@@ -33,7 +33,7 @@ class Equilibrium:
     """Solver for one mesh; all that does not change between solves is kept here.
 
     stick_stiffness: of sticking skin against the plate, per area (N/m³); infinite by Coulomb's law.
-    residuals: relative residual of every iteration of the last solve; factorizations: so far.
+    residuals: relative residual of every iteration of the last solve.
     """
 
     def __init__(self, mesh: SolidMesh, stick_stiffness: float = math.inf) -> None:
@@ -47,7 +47,6 @@ class Equilibrium:
         self.force = np.zeros(mesh.nodes.shape)
         self.length = float(np.ptp(mesh.nodes[:, 2]))
         self.residuals: list[float] = []
-        self.factorizations = 0
         self.possible = np.empty(0, dtype=int)
         """Indices into the mesh's surface of the nodes that are condensed onto."""
         self._condensation: Condensation | None = None
@@ -162,7 +161,6 @@ class Equilibrium:
                     step = 0.5 * step
                     x = x - step
                     continue
-                self.factorizations += 1
             assert self._stiffness is not None
             nodes = self.possible
             total = self.force.copy()
