@@ -24,7 +24,7 @@ from finger_sim.study import simulate_study
 from finger_sim.study_bag import START_NS, write_bag
 from finger_sim.study_trial import FRAME_RATE, Misfit, StudyTrial, plan_study_trial, stream
 
-QUICK = ["--no-full-order", "--no-profiles", "--bootstrap", "0", "--grid", "3", "--quiet"]
+QUICK = "--no-full-order --no-profiles --bootstrap 0 --bias-pairs 0 --grid 3 --quiet".split()
 
 
 def reduced_trial(name: str, index: int, model: ReducedModel) -> StudyTrial:
@@ -115,7 +115,7 @@ def test_a_mapping_file_names_the_topic_of_the_force_and_its_unit(
 ) -> None:
     mapping = tmp_path / "map.yaml"
     mapping.write_text("topics: {wrench: {topic: /finger/wrench, unit: N}}\n")
-    quick = [*QUICK, "--bias-pairs", 0, "--rounds", 2, "--mapping", mapping]
+    quick = [*QUICK, "--rounds", 2, "--mapping", mapping]
     assert in_process(bags, "-o", tmp_path / "a", *quick) == 0
     mapping.write_text("topics: {wrench: {topic: /finger/wrench, unit: mN}}\n")
     assert in_process(bags, "-o", tmp_path / "b", *quick) == 2

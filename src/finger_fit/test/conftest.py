@@ -10,6 +10,7 @@ epidermis: smooth, monotone in every parameter and exact to fit, but no finger.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -18,7 +19,9 @@ from numba import njit
 
 from finger_fit.options import FitOptions
 from finger_fit.problem import FitProblem, prepare_all
+from finger_fit.report import write_report
 from finger_fit.study import fit_records
+from finger_model.fem.full_order import FullOrderModel
 from finger_model.laws import StandardLinearSolid
 
 PARAMETERS = StandardLinearSolid.PARAMETERS
@@ -169,7 +172,25 @@ def study():
                 make_record(i, 0.5 + 0.25 * i, 1e-6, condition=name, truth=np.array(truth))
             )
     records.append(make_record(6, peak=1.0, condition="dry"))
-    options = FitOptions(full_order=False, bootstrap=12, grid=3, rounds=20, optimizer=["pso", "de"])
+    options = FitOptions(
+        full_order=False, bootstrap=12, bias_pairs=4, grid=3, rounds=20, optimizer=["pso", "de"]
+    )
     result = fit_records(records, HereditaryModel(), options)
     result.sources = {"geometry_hash": "abc", "reduced_model_hash": "def"}
     return result
+
+
+@pytest.fixture(scope="session")
+def written(study, tmp_path_factory) -> Path:
+    """report.html of the study, figures beside it, written while no model can run. A test that
+    writes into the folder takes a copy.
+    """
+
+    def refuse(*_: object) -> None:
+        raise AssertionError("the report runs a model")
+
+    with pytest.MonkeyPatch.context() as patch:
+        for fit in study.fits.values():
+            patch.setattr(type(fit.problem.model), "batch", refuse)
+        patch.setattr(FullOrderModel, "start", refuse)
+        return write_report(study, tmp_path_factory.mktemp("report"))

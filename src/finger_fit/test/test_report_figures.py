@@ -14,7 +14,7 @@ import pytest
 from matplotlib.text import Text
 
 from finger_common.errors import InputError
-from finger_fit.report import figure, write_report
+from finger_fit.report import figure
 from finger_fit.report.figures import PALETTE, all_figures
 
 COLUMN = 7.2
@@ -81,15 +81,15 @@ def test_panels_have_letters_and_conditions_share_their_axes(figures: dict[str, 
     assert (model.get_xlim(), model.get_ylim()) == (law.get_xlim(), law.get_ylim())
 
 
-def test_every_figure_comes_as_png_svg_and_pdf(study: Any, tmp_path: Path) -> None:
-    write_report(study, tmp_path)
-    names = {p.stem for p in (tmp_path / "figures").iterdir()}
+def test_every_figure_comes_as_png_svg_and_pdf(written: Path) -> None:
+    folder = written.parent / "figures"
+    names = {p.stem for p in folder.iterdir()}
     starts = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
     for name in names:
         for kind, start in starts.items():
-            content = (tmp_path / "figures" / f"{name}.{kind}").read_bytes()
+            content = (folder / f"{name}.{kind}").read_bytes()
             assert content.startswith(start) and len(content) > 2000
-    page = (tmp_path / "report.html").read_text()
+    page = written.read_text()
     order = [page.index(f"<h2>{words}") for words in ("Data quality", "Parameters", "Provenance")]
     assert order == sorted(order)
     for words in ("lag (ms)", "tare (N)", "gain", "RMS error", "Contrasts", "Covariance"):
