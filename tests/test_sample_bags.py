@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections import Counter
 from pathlib import Path
 
@@ -12,6 +10,7 @@ import pytest
 import yaml
 
 from finger_bag.reader import open_bag
+from finger_bag.validate import validate
 from finger_model.paper import CONDITIONS, TARGET_FORCE
 from finger_offline.trials import load_trials
 
@@ -32,9 +31,14 @@ def bag(request: pytest.FixtureRequest, project_root: Path) -> Path:
     return project_root / "bags" / request.param
 
 
+@pytest.fixture(scope="module")
 def our_counts(bag: Path) -> dict[str, int]:
+    """Messages by topic, as our reader finds them."""
     with open_bag(bag) as reader:
-        return dict(Counter(item.topic for item in reader.messages()))
+        counts = Counter(item.topic for item in reader.messages())
+        assert reader.info.complete and reader.all_problems() == []
+        assert {name: topic.count for name, topic in reader.info.topics.items()} == counts
+    return dict(counts)
 
 
 def check_stamps(stamps: dict[str, list[int]]) -> None:
@@ -42,7 +46,7 @@ def check_stamps(stamps: dict[str, list[int]]) -> None:
         assert np.all(np.diff(stamps[topic]) > 0), topic
 
 
-def test_rosbags_reads_types_counts_and_stamps(bag: Path) -> None:
+def test_rosbags_reads_types_counts_and_stamps(bag: Path, our_counts: dict[str, int]) -> None:
     rosbags = pytest.importorskip("rosbags.rosbag2", reason="rosbags is not installed")
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -67,18 +71,18 @@ def test_rosbags_reads_types_counts_and_stamps(bag: Path) -> None:
                 stamp = message.header.stamp
                 stamps.setdefault(connection.topic, []).append(stamp.sec * 10**9 + stamp.nanosec)
     assert set(TYPES) <= set(counts)
-    assert dict(counts) == our_counts(bag)
+    assert dict(counts) == our_counts
     check_stamps(stamps)
 
 
-def test_mcap_ros2_support_reads_the_same_messages(bag: Path) -> None:
+def test_mcap_ros2_support_reads_the_same_messages(bag: Path, our_counts: dict[str, int]) -> None:
     from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory
 
     counts: Counter[str] = Counter()
     stamps: dict[str, list[int]] = {}
     with next(bag.glob("*.mcap")).open("rb") as file:
-        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
         summary = reader.get_summary()
         assert summary is not None and summary.statistics is not None
         for schema, channel, _, message in reader.iter_decoded_messages():
@@ -88,17 +92,16 @@ def test_mcap_ros2_support_reads_the_same_messages(bag: Path) -> None:
                 stamp = message.header.stamp
                 stamps.setdefault(channel.topic, []).append(stamp.sec * 10**9 + stamp.nanosec)
         assert summary.statistics.message_count == sum(counts.values())
-    assert dict(counts) == our_counts(bag)
+    assert dict(counts) == our_counts
     check_stamps(stamps)
 
 
-def test_metadata_is_that_of_rosbag2(bag: Path) -> None:
+def test_metadata_is_that_of_rosbag2(bag: Path, our_counts: dict[str, int]) -> None:
     information = yaml.safe_load((bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
     assert information["storage_identifier"] == "mcap"
-    counts = our_counts(bag)
-    assert information["message_count"] == sum(counts.values())
+    assert information["message_count"] == sum(our_counts.values())
     for topic in information["topics_with_message_count"]:
-        assert topic["message_count"] == counts[topic["topic_metadata"]["name"]]
+        assert topic["message_count"] == our_counts[topic["topic_metadata"]["name"]]
     assert [bag / path for path in information["relative_file_paths"]] == sorted(bag.glob("*.mcap"))
 
 
@@ -116,9 +119,9 @@ def test_a_bag_is_small_and_holds_three_complete_trials_of_its_condition(bag: Pa
 
 
 def test_finger_bag_finds_it_fit_for_use(bag: Path) -> None:
-    command = [sys.executable, "-m", "finger_bag.cli", "validate", str(bag)]
-    result = subprocess.run(command, capture_output=True, text=True)
-    assert result.returncode == 0, result.stdout + result.stderr
+    result = validate(bag)
+    assert result.fit, [c for c in result.checks if c.status == "fail"]
+    assert set(load_trials(bag).conditions) == {bag.name}
 
 
 def test_no_person_is_named_in_it(bag: Path) -> None:
