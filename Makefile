@@ -3,7 +3,8 @@ PYTHON ?= python3
 ENV := .venv
 RUN := $(ENV)/bin/python
 export OMP_NUM_THREADS ?= 1
-WORKERS ?= auto
+# One worker more than cores: many tests wait for nodes, devices and browsers.
+WORKERS ?= $(shell echo $$(($$(nproc) + 1)))
 
 .PHONY: help setup setup-test demo test test-slow test-compat lint bench soak faults bags \
   reference clean
