@@ -59,7 +59,7 @@ def headings(space: ParameterSpace, names: Sequence[str]) -> list[str]:
 def show(space: ParameterSpace, name: str, value: float) -> str:
     """A value (SI) in the quantity's display unit, thousands separated."""
     quantity = space.describe(name)
-    return f"{value * quantity.display_factor:,.{quantity.decimals}f}"
+    return f"{value * quantity.display_factor:,.{quantity.decimals}f}".replace("-", "−")
 
 
 def area_cost(cost: float) -> str:
