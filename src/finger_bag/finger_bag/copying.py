@@ -33,6 +33,7 @@ class BagCopy:
 
     @property
     def message_count(self) -> int:
+        """Messages in the copy."""
         return sum(self.counts.values())
 
 

@@ -91,10 +91,12 @@ class RecordingResult:
 
     @property
     def message_count(self) -> int:
+        """Messages recorded, of all topics."""
         return sum(self.counts.values())
 
     @property
     def lost_count(self) -> int:
+        """Messages lost, of all topics."""
         return sum(self.lost.values())
 
 

@@ -67,6 +67,7 @@ class Validation:
     checks: list[Check] = field(default_factory=list)
 
     def add(self, name: str, status: str, detail: str) -> None:
+        """Append a check; status: OK, NOTE or FAIL."""
         self.checks.append(Check(name, status, detail))
 
     @property

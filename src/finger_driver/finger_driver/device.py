@@ -142,6 +142,7 @@ class DeviceThread(Generic[Sample]):
 
     @property
     def running(self) -> bool:
+        """Whether the thread was started and has not ended."""
         return self._thread is not None and self._thread.is_alive()
 
     def _run(self) -> None:

@@ -38,6 +38,7 @@ class CameraCalibration:
 
     @property
     def calibrated(self) -> bool:
+        """Whether there is a focal length: zero means uncalibrated (sensor_msgs/CameraInfo)."""
         return self.k[0] != 0.0
 
     @classmethod

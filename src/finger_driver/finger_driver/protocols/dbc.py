@@ -42,6 +42,7 @@ class SignalMask:
     mask: int
 
     def set_in(self, signals: Mapping[str, Any]) -> bool:
+        """Whether a decoded frame has one of the bits; a frame without the signal has none."""
         return bool(int(signals.get(self.signal, 0)) & self.mask)
 
 

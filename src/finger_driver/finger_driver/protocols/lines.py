@@ -79,4 +79,5 @@ class LineSplitter:
 
     @property
     def unfinished(self) -> bool:
+        """Whether bytes wait for the rest of their line."""
         return bool(self._rest)

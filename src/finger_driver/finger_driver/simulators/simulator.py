@@ -64,6 +64,7 @@ class Simulator:
 
     @property
     def ending(self) -> bool:
+        """Whether the simulator was asked to end."""
         return self._ending.is_set()
 
     def each(self, period: Callable[[], float]) -> Iterator[int]:
