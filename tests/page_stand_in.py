@@ -103,7 +103,7 @@ class ForwardedPort:
 
     def __enter__(self) -> ForwardedPort:
         self._thread.start()
-        assert self._ready.wait(10)
+        assert self._ready.wait(60)
         return self
 
     def __exit__(self, *_: Any) -> None:

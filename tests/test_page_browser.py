@@ -62,7 +62,7 @@ def prepare(rig: StandIn, page: Any, **fields: Any) -> None:
     until(lambda: "Trial 3 of 6" in page.inner_text("#cue-trial"), page)
 
 
-def until(condition: Callable[[], Any], page: Any, seconds: float = 20.0) -> Any:
+def until(condition: Callable[[], Any], page: Any, seconds: float = 60.0) -> Any:
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         if result := condition():
@@ -434,7 +434,7 @@ def test_after_a_restart_of_the_rig_the_page_reloads_itself(
     page.wait_for_selector("#link.bad")
     assert page.get_attribute("#cue", "data-look") == "offline"
     with StandIn(port) as second:
-        page.wait_for_selector("#link.good", timeout=20000)
+        page.wait_for_selector("#link.good", timeout=60000)
         assert page.evaluate("window.same") is None, "the old page had the old token"
         page.keyboard.press("t")
         until(lambda: ("tare", {}) in second.commands, page)
@@ -475,7 +475,7 @@ def test_a_slow_link_drops_frames_and_lags_less_than_a_second(browser: Any) -> N
         address = f"http://localhost:{link.port}/"
         assert page.goto(address).status == 403
         page.goto(f"{address}?token={rig.server.token}")
-        page.wait_for_selector("#link.good", timeout=30000)
+        page.wait_for_selector("#link.good", timeout=60000)
         until(lambda: page.is_visible("#image"), page)
         page.wait_for_timeout(3000)
         for _ in range(3):

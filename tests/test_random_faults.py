@@ -13,12 +13,13 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 
 @pytest.mark.alone
+@pytest.mark.timeout(900)
 def test_each_fault_is_named_and_gone_and_nothing_is_lost_silently(project_root: Path) -> None:
     """The bounds are those of a busy machine; the script's own are 2 s and 5 s."""
     command = [sys.executable, project_root / "scripts" / "random_faults.py", "--minutes", "0.3"]
     bounds = ["--named", "30", "--gone", "30"]
     done = subprocess.run(
-        [*map(str, command), "--seed", "7", *bounds], capture_output=True, text=True, timeout=280
+        [*map(str, command), "--seed", "7", *bounds], capture_output=True, text=True, timeout=800
     )
     assert done.returncode == 0, done.stdout + done.stderr
 

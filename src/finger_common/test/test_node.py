@@ -46,7 +46,7 @@ class Gauge(ManagedNode):
     def deactivate(self):
         self.destroy_timer(self.timer)
         self.publisher.publish(Float64(data=-1.0))
-        self.publisher.wait_for_all_acked(Duration(seconds=30))
+        self.publisher.wait_for_all_acked(Duration(seconds=60))
 
 sys.exit(run_node(Gauge))
 """
@@ -198,7 +198,7 @@ def test_messages_that_are_polled_for_neither_wake_the_executor_nor_get_lost(
         wait_for(publisher.get_subscription_count, lambda: time.sleep(0.02))
         for number in range(100):
             publisher.publish(Float64(data=float(number)))
-        publisher.wait_for_all_acked(Duration(seconds=30))
+        publisher.wait_for_all_acked(Duration(seconds=60))
         # One round to see what there is, then it sleeps although messages lie unread.
         executor.spin_once(timeout_sec=0.1)
         executor.rounds = 0

@@ -147,7 +147,7 @@ class Observer:
         self._rclpy.shutdown(context=self.context)
 
 
-def wait_until(condition: Callable[[], Any], seconds: float = 15, what: str = "") -> Any:
+def wait_until(condition: Callable[[], Any], seconds: float = 60, what: str = "") -> Any:
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         result = condition()

@@ -74,7 +74,7 @@ def hand():
         finger.close()
 
 
-def came(finger: Finger, number: int, seconds: float = 10.0) -> bool:
+def came(finger: Finger, number: int, seconds: float = 60.0) -> bool:
     """Whether so many further samples come."""
     goal, end = len(finger.stamps) + number, time.monotonic() + seconds
     while len(finger.stamps) < goal and time.monotonic() < end:

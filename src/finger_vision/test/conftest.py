@@ -73,7 +73,7 @@ class Peer:
         message.data = picture.tobytes()
         return message
 
-    def wait(self, condition: Callable[[], Any], seconds: float = 30.0) -> bool:
+    def wait(self, condition: Callable[[], Any], seconds: float = 90.0) -> bool:
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             if condition():
