@@ -3,7 +3,7 @@
 
 """How well slip is foretold: simulated pulls of random fingers on a plate, friction not known.
 
-    python scripts/slip_study.py --fingers 120 [-o slip.json]
+    python scripts/slip_study.py --fingers 120 [--alarm 0.05 0.15 0.4] [-o slip.json]
 
 A finger presses, the plate moves sideways at a constant speed until the finger slips after 0.1 to
 2 s, or it stops before and is held; then it goes back and the finger lifts off; six such pulls for
@@ -17,6 +17,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,7 +28,9 @@ from finger_model.slip import SlipEstimator, SlipSettings, backbone
 RATE = 500.0
 FRAMES = 30.0
 CAMERA_LATENCY = 0.06
-STICK_NOISE = 0.05
+STICK_NOISE, STICK_BIAS = 0.06, 0.03
+"""Standard deviations of a camera's stick ratio: from image to image, and from pull to pull, as
+measured on rendered pulls (docs/vision.md)."""
 ALARM = 0.15
 AHEAD = 0.02
 FALSE_TIME, FALSE_RATIO = 0.25, 0.85
@@ -137,18 +140,24 @@ def pull(rng: np.random.Generator, finger: Finger, slips: bool) -> Pull:
 
 def study(fingers: int, seed: int, camera: bool, alarm_at: float = ALARM) -> dict[str, float]:
     """Figures over fingers of PULLS pulls each; `camera`: stick ratios at FRAMES come in late."""
-    announced: dict[str, list[bool]] = {"first": [], "later": []}
-    false_alarms: list[bool] = []
-    leads: list[float] = []
-    errors: dict[str, list[float]] = {"first": [], "later": []}
-    friction_errors: list[float] = []
-    covered: list[float] = []
+    return trade_off(fingers, seed, camera, (alarm_at,))[0]
+
+
+def trade_off(
+    fingers: int, seed: int, camera: bool, alarms: tuple[float, ...]
+) -> list[dict[str, float]]:
+    """The figures of `study` for each probability that alarms."""
+    runs = list(followed(fingers, seed, camera))
+    return [figures(runs, alarm_at) for alarm_at in alarms]
+
+
+def followed(fingers: int, seed: int, camera: bool) -> Iterator[tuple[Finger, list]]:
+    """Each finger with its pulls and what the estimator says of them, rows (n,)."""
     for number in range(fingers):
         rng = np.random.default_rng([seed, number])
         finger = random_finger(rng)
         estimator = SlipEstimator(SlipSettings(tangential_noise=0.005))
-        start = 0
-        slips = 0
+        start, found = 0, []
         for _ in range(PULLS):
             one = pull(rng, finger, bool(rng.random() < 0.6))
             stamps = start + (one.time * 1e9).astype(np.int64)
@@ -159,13 +168,33 @@ def study(fingers: int, seed: int, camera: bool, alarm_at: float = ALARM) -> dic
                 rows = with_camera(rng, estimator, one, stamps, touching, depth)
             else:
                 rows = estimator.add_many(stamps, one.normal, one.lateral, touching, depth)
+            found.append((one, rows))
+        yield finger, found
+
+
+def figures(runs: list[tuple[Finger, list]], alarm_at: float) -> dict[str, float]:
+    """Figures of what `followed` gives."""
+    announced: dict[str, list[bool]] = {"first": [], "later": []}
+    false_alarms: dict[str, list[bool]] = {"first": [], "later": []}
+    held: list[bool] = []
+    leads: list[float] = []
+    errors: dict[str, list[float]] = {"first": [], "later": []}
+    friction_errors: list[float] = []
+    covered: list[float] = []
+    for finger, pulls in runs:
+        slips = 0
+        for one, rows in pulls:
             alarm = (rows["slip_probability"] >= alarm_at) & (one.time > 0.45)
             pulled = ~np.isnan(one.stick)
+            if math.isnan(one.slip):
+                stop = one.time[pulled][-1] + FORGIVEN
+                stands = (one.time > stop) & (one.time < stop + 0.1) & (one.ratio < FALSE_RATIO)
+                held.append(bool((alarm & stands).any()))
             alarm &= pulled
             first = float(one.time[np.argmax(alarm)]) if alarm.any() else math.inf
             early = alarm & (one.left > FALSE_TIME) & (one.ratio < FALSE_RATIO)
-            false_alarms.append(early.any())
             known = slips > 0
+            false_alarms["later" if known else "first"].append(bool(early.any()))
             if not math.isnan(one.slip):
                 kind = "first" if slips == 0 else "later"
                 announced[kind].append(first <= one.slip - AHEAD)
@@ -179,12 +208,16 @@ def study(fingers: int, seed: int, camera: bool, alarm_at: float = ALARM) -> dic
             errors["later" if known else "first"].append(np.mean(found**2))
             covered.append(np.mean(np.abs(found) < 1.96 * rows["stick_ratio_stddev"][before]))
     both = announced["first"] + announced["later"]
+    false = false_alarms["first"] + false_alarms["later"]
     return {
         "slips": len(both),
         "announced_percent": 100.0 * float(np.mean(both)),
         "announced_first_percent": 100.0 * float(np.mean(announced["first"])),
         "announced_later_percent": 100.0 * float(np.mean(announced["later"])),
-        "false_alarms_percent": 100.0 * float(np.mean(false_alarms)),
+        "false_alarms_percent": 100.0 * float(np.mean(false)),
+        "false_alarms_first_percent": 100.0 * float(np.mean(false_alarms["first"])),
+        "false_alarms_later_percent": 100.0 * float(np.mean(false_alarms["later"])),
+        "alarms_while_held_percent": 100.0 * float(np.mean(held)),
         "lead_median_ms": 1e3 * float(np.median(leads)),
         "stick_ratio_rms_before_a_slip": math.sqrt(np.mean(errors["first"])),
         "stick_ratio_rms_later": math.sqrt(np.mean(errors["later"])),
@@ -203,6 +236,7 @@ def with_camera(
 ) -> np.ndarray:
     """Rows of a pull with stick ratios of frames, each known CAMERA_LATENCY after its exposure."""
     rows = []
+    bias = rng.normal(0.0, STICK_BIAS)
     frames = np.arange(0.0, one.time[-1], 1.0 / FRAMES)
     ends = np.searchsorted(one.time, frames + CAMERA_LATENCY)
     at = 0
@@ -219,7 +253,7 @@ def with_camera(
         at = end
         index = min(int(np.searchsorted(one.time, frame)), len(one.time) - 1)
         if end < len(one.time) and not np.isnan(one.stick[index]):
-            seen = float(np.clip(one.stick[index] + rng.normal(0.0, STICK_NOISE), 0.0, 1.0))
+            seen = float(np.clip(one.stick[index] + bias + rng.normal(0.0, STICK_NOISE), 0, 1))
             estimator.add_stick_ratio(int(stamps[index]), seen, STICK_NOISE)
     rows.append(
         estimator.add_many(
@@ -234,17 +268,25 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--fingers", type=int, default=120, help="fingers, of six pulls each")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--alarm", type=float, default=ALARM, help="probability that alarms")
+    parser.add_argument(
+        "--alarm",
+        type=float,
+        nargs="+",
+        default=[ALARM],
+        metavar="P",
+        help="probabilities that alarm: several give the trade-off (default: %(default)s)",
+    )
     parser.add_argument("-o", "--output", type=Path, help="JSON file of the figures")
     values = parser.parse_args()
-    found = {
-        name: study(values.fingers, values.seed, camera, values.alarm)
-        for name, camera in (("force alone", False), ("with camera", True))
-    }
-    for name, figures in found.items():
-        print(name)
-        for key, value in figures.items():
-            print(f"  {key:32s} {value:8.3g}")
+    found = {}
+    for name, camera in (("force alone", False), ("with camera", True)):
+        table = trade_off(values.fingers, values.seed, camera, tuple(values.alarm))
+        print(f"{name + ', alarm at':32s}", *(f"{alarm:8.3g}" for alarm in values.alarm))
+        for key in table[0]:
+            print(f"  {key:30s}", *(f"{column[key]:8.3g}" for column in table))
+        found[name] = [
+            {"alarm": alarm, **column} for alarm, column in zip(values.alarm, table, strict=True)
+        ]
     if values.output:
         values.output.write_text(json.dumps(found, indent=1) + "\n")
 

@@ -86,14 +86,25 @@ FRONT_SD = 0.15e-3
 STROKE = 6.0
 """Thresholds by which the fastest skin moves before standing skin counts as sticking again."""
 
+BACK, AWAY = 0.5, 3.0
+"""Of its threshold: how near a point must be to where it stuck, and how far away at most it was,
+to be taken for one that has not slipped."""
+
 FINEST = 0.06
 """Smallest threshold, pixels of the flow."""
 
-NOISE = 8.0
+NOISE = 5.0
 """Threshold over the motion of standing skin from image to image, which is noise."""
 
-FLAT = 0.35
-"""Share of the plain texture's strength below which a patch has too little to be followed."""
+USUAL_ERROR = 4.0
+"""Mean difference of a patch from itself in another image, before it was measured."""
+
+NOISIER = 0.5, 10.0
+"""Smallest and largest noise of a point's travel over that of the usual one."""
+
+FLAT, FLAT_OF_STRONG = 0.35, 0.35
+"""Shares of the median strength of a contact's texture, and of that of its strongest tenth, below
+which a patch has too little to be followed."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +135,9 @@ class _Points:
     found. own (n, 2): travel of the point itself, from that of its neighbours when it was taken up;
     travel (n, 2): the same smoothed over neighbours; stuck (n, 2): travel when it last stuck; rest
     (n, 2): when it last stuck or went on slipping, area (n,): logarithm of the contact's area then;
-    mark (n, 2): travel at the last stroke; slipped: whether it has left `stuck`.
+    mark (n, 2): travel at the last stroke; slipped: whether it has left `stuck`; far: how far (flow
+    pixels) since. error: mean difference of its patch from that of its key; noise: of its travel,
+    over that of the usual point.
     """
 
     begin: np.ndarray
@@ -139,6 +152,9 @@ class _Points:
     area: np.ndarray
     mark: np.ndarray
     slipped: np.ndarray
+    far: np.ndarray
+    error: np.ndarray
+    noise: np.ndarray
 
     @classmethod
     def at(
@@ -160,6 +176,9 @@ class _Points:
             area=np.full(number, area),
             mark=travel,
             slipped=np.zeros(number, bool),
+            far=np.zeros(number),
+            error=np.full(number, USUAL_ERROR),
+            noise=np.ones(number),
         )
 
     @property
@@ -350,11 +369,12 @@ class RidgeMotion:
         points.place = place.astype(np.float32)
         points.missed = np.where(found, 0, points.missed + 1)
         points.own = points.own + step
-        points.travel = self._smoothed(points.own)
+        points.travel, points.noise = self._smoothed(points.own)
         return step
 
-    def _smoothed(self, travel: np.ndarray) -> np.ndarray:
-        """Travel (n, 2) of points and their neighbours together.
+    def _smoothed(self, travel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Travel (n, 2) of points and their neighbours together, and its noise (n,) in the
+        direction in which it is known worst, over that of the usual point.
 
         Each counts across its ridges, where it is known, not along them.
         """
@@ -367,7 +387,11 @@ class RidgeMotion:
         rows = np.column_stack([xx, xy, yy, xx * x + xy * y, xy * x + yy * y])
         xx, xy, yy, bx, by = (weight @ rows).T
         root = np.maximum(xx * yy - xy * xy, 1e-3 * (xx + yy) ** 2) + 1e-9
-        return np.column_stack([yy * bx - xy * by, xx * by - xy * bx]) / root[:, None]
+        smoothed = np.column_stack([yy * bx - xy * by, xx * by - xy * bx]) / root[:, None]
+        error = (weight @ points.error) / np.maximum(weight.sum(axis=1), 1e-9)
+        noise = error * np.sqrt((xx + yy) / root)
+        usual = float(np.median(noise[points.good])) if points.good.any() else 0.0
+        return smoothed, np.clip(noise / max(usual, 1e-9), *NOISIER)
 
     def _flow(self, texture: np.ndarray, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Places (n, 2) of the points in a new image, and which of them are to be trusted."""
@@ -405,6 +429,7 @@ class RidgeMotion:
                 # Mean difference of the patches, of textures whose own is about 42.
                 found[mine] = (status[:, 0] > 0) & (error[:, 0] < 22.0)
                 good = found[mine]
+                points.error[mine[good]] = error[good, 0]
                 if not turning or good.sum() < 4:
                     break
                 turn = _rotation(there[good, 0], there[good, 0] - begin[good])
@@ -479,8 +504,10 @@ class RidgeMotion:
             sites = sites[distance > 0.8 * SPACING / self._pitch]
         if len(sites):
             columns, rows = np.rint(sites).astype(int).T
-            typical = float(np.median(strength[mask > 0]))
-            sites = sites[strength[rows, columns] > FLAT * typical]
+            # Where sweat fills the furrows there is nothing to follow.
+            median, strong = np.percentile(strength[mask > 0], [50, 90])
+            least = max(FLAT * float(median), FLAT_OF_STRONG * float(strong))
+            sites = sites[strength[rows, columns] > least]
         # Ridges that have turned or widened are found in fewer and fewer images.
         changed = len(points) > 0 and float(points.good.mean()) < WORN
         if len(sites) > (0 if changed else max(3, 0.03 * len(points))):
@@ -524,12 +551,13 @@ class RidgeMotion:
         good, travel = points.good, points.travel
         if good.any():
             # Of the slowest skin: what moves slips.
-            quiet = float(np.percentile(np.hypot(*(travel - before)[good].T), 30))
-            self._noise = min(quiet, 1.1 * self._noise)
-        limit = max(self.threshold / self._pitch, NOISE * self._noise)
+            quiet = np.hypot(*(travel - before).T) / points.noise
+            self._noise = min(float(np.percentile(quiet[good], 30)), 1.1 * self._noise)
+        limits = np.maximum(self.threshold / self._pitch, NOISE * self._noise * points.noise)
+        limit = float(np.median(limits[good])) if good.any() else float(np.median(limits))
         change = area - points.area
         far = np.hypot(*(travel - points.rest).T)
-        goes_on = good & (far > limit + CHANGE / self._pitch * np.abs(change))
+        goes_on = good & (far > limits + CHANGE / self._pitch * np.abs(change))
         fresh = goes_on & ~points.slipped
         points.slipped = points.slipped | goes_on
         settled = good & ~goes_on & (np.abs(change) > SETTLED)
@@ -537,9 +565,15 @@ class RidgeMotion:
         again = settled & (~points.slipped | (change > 0.0))
         moved = np.hypot(*(travel - points.mark).T)
         if good.any() and np.percentile(moved[good], 90) > STROKE * limit:
-            again |= points.slipped & good & (moved < limit)
+            again |= points.slipped & good & (moved < limits)
             points.mark = travel.copy()
-        new = goes_on | settled | again
+        # What is back where it was, and never was far, has not slipped: its place was not known.
+        from_stuck = np.hypot(*(travel - points.stuck).T)
+        points.far = np.where(points.slipped, np.maximum(points.far, from_stuck), 0.0)
+        back = points.slipped & good & (from_stuck < BACK * limits) & (points.far < AWAY * limits)
+        points.slipped &= ~back
+        points.rest[back] = points.stuck[back]
+        new = goes_on & ~back | settled | again
         points.rest[new], points.area[new] = travel[new], area
         points.stuck[again], points.slipped[again] = travel[again], False
         from_stuck = travel - points.stuck

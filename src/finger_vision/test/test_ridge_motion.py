@@ -200,7 +200,7 @@ def test_images_that_cannot_be_followed_say_so_and_the_next_one_goes_on() -> Non
     for bad in (blurred, white):
         seen = camera.motion.follow(bad, contact)
         assert math.isnan(seen.stick_ratio) and not seen.sliding
-    assert camera.show(held).stick_ratio == pytest.approx(before, abs=0.05)
+    assert camera.show(held).stick_ratio == pytest.approx(before, abs=0.06)
     other = Camera("natural", seed=77)
     assert math.isnan(camera.see(other.image()).stick_ratio), "another finger is not followed"
 
@@ -275,3 +275,15 @@ def test_worn_points_stay_where_no_new_ones_are_found() -> None:
     slip = replace(PULL, direction=1.5, lag=0.35)
     found = [seen.stick_ratio for _, seen in pulled(camera, slip, np.linspace(0.0, 0.96, 14))]
     assert np.isfinite(found).all() and found[-1] < 0.2
+
+
+def test_a_print_flooded_with_sweat_does_not_seem_to_slip() -> None:
+    """Half of this print has no ridges. Points there were followed in noise and taken to slip: the
+    error was 0.27."""
+    scene = Scene(noise=1.6, vignetting=0.2)
+    camera = Camera("moist", 208, radius=3.7e-3, scene=scene)
+    camera.press()
+    slip = replace(PULL, direction=-1.0, reach=74e-6, lag=0.2)
+    found = pulled(camera, slip, np.linspace(0.0, 0.96, 13))
+    error = np.array([seen.stick_ratio - true for true, seen in found])
+    assert np.sqrt(np.nanmean(error**2)) < 0.18 and np.isfinite(error).sum() > 8
