@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
+import cv2
 import numpy as np
 
 from finger_bag.definitions import typestore
@@ -42,8 +43,6 @@ def grey_image(message: Any) -> np.ndarray:
     """
     if not hasattr(message, "format"):
         return image_of(message)
-    import cv2
-
     data = np.frombuffer(bytes(message.data), np.uint8)
     check_image(data.data, f"compressed image ('{message.format[:40]}')")
     try:
@@ -151,14 +150,18 @@ class MeasuringThread:
 
     def __init__(self, areas: ImageAreas) -> None:
         self.areas = areas
+        self._opencv_threads = cv2.getNumThreads()
         self._pool = ThreadPoolExecutor(1, "vision")
         self._pending: deque[tuple[BagMessage, Future[ContactMeasurement]]] = deque()
 
     def __enter__(self) -> MeasuringThread:
+        # OpenCV's own threads take processor time from the estimator and save none.
+        cv2.setNumThreads(1)
         return self
 
     def __exit__(self, *_: object) -> None:
         self._pool.shutdown(cancel_futures=True)
+        cv2.setNumThreads(self._opencv_threads)
 
     def add(self, item: BagMessage) -> None:
         """Measure an image, later."""

@@ -219,7 +219,8 @@ def _surface(level: np.ndarray, plate: np.ndarray, sign: float) -> np.ndarray:
     surface = z
     for _ in range(5):
         scaled = terms * weight[:, None]
-        normal = scaled.T @ terms + 1e-3 * np.eye(terms.shape[1])
+        # Not `@`: BLAS would wake a thread that spins beside the one that waits for it.
+        normal = np.einsum("ij,ik->jk", scaled, terms) + 1e-3 * np.eye(terms.shape[1])
         surface = terms @ np.linalg.solve(normal, scaled.T @ z)
         below = sign * (surface - z)
         trust = 1 / (1 + (np.maximum(below, 0) / 8) ** 4)
