@@ -17,7 +17,7 @@ from finger_common.host_clock import HostClock
 from finger_common.retry import Pauses
 from finger_common.settings import Settings
 
-from .shared_polling import SHARED, Polled
+from .shared_polling import SHARED, Polled, Rest
 
 Sample = TypeVar("Sample")
 Log = Callable[[int, str], None]
@@ -96,11 +96,12 @@ class DeviceThread(Generic[Sample]):
     """Reads a device in a thread of its own and connects again when it is lost.
 
     `on_sample` is called in that thread, or in the one that polls several devices, while this one
-    waits. A sample resets the pause between attempts.
+    waits. What it returns is called afterwards; where several devices replied at once, after the
+    samples of all of them. A sample resets the pause between attempts.
     """
 
     def __init__(
-        self, device: Device[Sample], on_sample: Callable[[Sample], Any], pauses: Pauses
+        self, device: Device[Sample], on_sample: Callable[[Sample], Rest], pauses: Pauses
     ) -> None:
         self._device = device
         self._on_sample = on_sample
@@ -161,8 +162,9 @@ class DeviceThread(Generic[Sample]):
                     SHARED.serve(polled, self._deliver, self._stop.is_set)
                     continue
                 sample = device.read(0.1)
-                if sample is not None:
-                    self._deliver(sample)
+                rest = None if sample is None else self._deliver(sample)
+                if rest is not None:
+                    rest()
             except FingerError as error:
                 connected = False
                 device.note("connection", one_line(error), ERROR)
@@ -175,6 +177,6 @@ class DeviceThread(Generic[Sample]):
                 device.note("internal", f"{type(error).__name__}: {one_line(error)}", ERROR)
                 self._stop.wait(self._pauses.next())
 
-    def _deliver(self, sample: Sample) -> None:
+    def _deliver(self, sample: Sample) -> Rest:
         self._pauses.reset()
-        self._on_sample(sample)
+        return self._on_sample(sample)

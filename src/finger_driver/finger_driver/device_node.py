@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from finger_common.diagnostics import ERROR, WARN
@@ -18,6 +20,7 @@ from finger_common.settings import setting
 
 from .clock import IncreasingStamps, StampStatistics
 from .device import Device, DeviceThread
+from .shared_polling import Rest
 
 
 @dataclass(frozen=True)
@@ -67,8 +70,12 @@ class DeviceNode(ManagedNode):
         """What `create_interfaces` made."""
         raise NotImplementedError
 
-    def on_sample(self, sample: Any) -> None:
-        """Publish one sample; called in the reading thread."""
+    def on_sample(self, sample: Any) -> Rest:
+        """Publish one sample; called in the reading thread.
+
+        May return a function for what can wait until the samples of other devices that came at the
+        same time were taken; it is called in that thread too.
+        """
         raise NotImplementedError
 
     # Lifecycle -------------------------------------------------------------------------------
@@ -125,13 +132,18 @@ class DeviceNode(ManagedNode):
         self.device.health.count("backwards")
         return False
 
-    def _deliver(self, sample: Any) -> None:
+    def _deliver(self, sample: Any) -> Rest:
+        rest = self._unless_ended(self.on_sample, sample)
+        return None if rest is None else partial(self._unless_ended, rest)
+
+    def _unless_ended(self, call: Callable[..., Any], *arguments: Any) -> Any:
         try:
-            self.on_sample(sample)
+            return call(*arguments)
         except Exception:
             # The context ends before the thread does when the process is ended.
             if self.context.ok():
                 raise
+        return None
 
     def _log(self, level: int, message: str) -> None:
         logger = self.get_logger()

@@ -9,6 +9,7 @@ import math
 import threading
 import time
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from finger_common.stamps import NANOSECONDS
 
 from .device_node import DeviceNode, DeviceNodeSettings
 from .force import GOOD, SOURCES, ForceSource, WrenchSample
+from .shared_polling import Rest
 from .tare import TareCollector, TareResult
 
 TARE_NEEDED = "tare needed: take the finger off the plate, then call ~/tare"
@@ -105,11 +107,11 @@ class ForceNode(DeviceNode):
         self.destroy_publisher(self._raw)
         self.destroy_publisher(self._tared)
 
-    def on_sample(self, sample: WrenchSample) -> None:
+    def on_sample(self, sample: WrenchSample) -> Rest:
         received = time.time_ns()
         sample = self.device.checked(sample)
         if not self.accept_stamp(sample.stamp_ns):
-            return
+            return None
         good = sample.quality == GOOD
         if good:
             self.device.health.sample()
@@ -126,7 +128,7 @@ class ForceNode(DeviceNode):
                     "another sensor or calibration is in use; the tare is not valid, tare again",
                 )
         if not good and self.values["bad_samples"] == "drop":
-            return
+            return None
         raw = tared = [math.nan] * 6
         if good:
             raw = tared = [*sample.force.tolist(), *sample.torque.tolist()]
@@ -135,10 +137,12 @@ class ForceNode(DeviceNode):
                 tared = self.device.wrench_of(sample.channels - bias).tolist()
         # First to whom a delay matters.
         self._local.send(sample.stamp_ns, tuple(tared[:3]), self._frame, received, tuple(tared[3:]))
-        stamp = divmod(sample.stamp_ns, NANOSECONDS)
+        self._newest = tared
+        return partial(self._publish, divmod(sample.stamp_ns, NANOSECONDS), tared, raw)
+
+    def _publish(self, stamp: tuple[int, int], tared: list[float], raw: list[float]) -> None:
         self._tared.publish(self._message.pack(*stamp, *tared))
         self._raw.publish(self._message.pack(*stamp, *raw))
-        self._newest = tared
 
     # Services --------------------------------------------------------------------------------
 

@@ -26,6 +26,10 @@ _IDLE = 5.0
 """s without a device after which the thread ends."""
 
 
+Rest = Callable[[], None] | None
+"""What is left to do with a sample when the others have been delivered."""
+
+
 class Polled(Protocol):
     """A device that is asked for each sample. Methods do not wait; they may raise.
 
@@ -59,7 +63,7 @@ class _Seat:
     """A device while the shared thread polls it."""
 
     def __init__(
-        self, device: Polled, deliver: Callable[[Any], Any], ended: Callable[[], bool]
+        self, device: Polled, deliver: Callable[[Any], Rest], ended: Callable[[], bool]
     ) -> None:
         self.device = device
         self.deliver = deliver
@@ -78,11 +82,13 @@ class SharedPolling:
         self._woken, self._wake = os.pipe()
 
     def serve(
-        self, device: Polled, deliver: Callable[[Any], Any], ended: Callable[[], bool]
+        self, device: Polled, deliver: Callable[[Any], Rest], ended: Callable[[], bool]
     ) -> None:
         """Have the device polled until it needs its own thread, the caller's, or `ended()`.
 
-        Samples go to `deliver`, in the shared thread. Raises what the device or `deliver` raised.
+        Samples go to `deliver`, in the shared thread. What it returns is called once the samples of
+        all devices that replied at the same time were delivered: work that nobody waits for. Raises
+        what the device or `deliver` raised.
         """
         seat = _Seat(device, deliver, ended)
         with self._change:
@@ -118,9 +124,10 @@ class SharedPolling:
             except Exception:
                 # One was closed meanwhile; it will say so itself.
                 found = [seat.device for seat in asked]
-            for seat in asked:
-                if seat.device in found:
-                    self._take(seat)
+            ready = [seat for seat in asked if seat.device in found]
+            rests = [self._take(seat) for seat in ready]
+            for seat, rest in zip(ready, rests):
+                self._finish(seat, rest)
 
     def _admit(self, seats: list[_Seat]) -> bool:
         """Take in the devices that join; False when there are none for long."""
@@ -154,11 +161,19 @@ class SharedPolling:
             return False
         return True
 
-    def _take(self, seat: _Seat) -> None:
+    def _take(self, seat: _Seat) -> Rest:
         try:
             sample = seat.device.reply()
             if sample is not None and not seat.ended():
-                seat.deliver(sample)
+                return seat.deliver(sample)
+        except BaseException as error:
+            seat.error = error
+        return None
+
+    def _finish(self, seat: _Seat, rest: Rest) -> None:
+        try:
+            if rest is not None:
+                rest()
         except BaseException as error:
             seat.error = error
 

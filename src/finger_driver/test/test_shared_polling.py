@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import threading
 import time
@@ -18,6 +19,7 @@ from finger_driver import shared_polling
 from finger_driver.can_bus import HostMulticastBus
 from finger_driver.device import DeviceThread
 from finger_driver.force.netcanoem import NetcanoemSettings, NetcanoemSource
+from finger_driver.shared_polling import SharedPolling
 from finger_driver.simulators.netcanoem import NetcanoemSimulator
 
 CHANNEL = "239.74.163.2"
@@ -177,3 +179,79 @@ def test_the_thread_ends_without_devices(monkeypatch):
         assert came(finger, 20)
     finally:
         finger.close()
+
+
+class PipeDevice:
+    """A device that is always due, and whose reply is there as soon as it is asked."""
+
+    period, due, deadline = 0.0, 0.0, float("inf")
+
+    def __init__(self, name: str) -> None:
+        self.name, self.asked = name, False
+        self._reader, self._writer = os.pipe()
+
+    def fileno(self) -> int:
+        return self._reader
+
+    def needs_own_thread(self, now: float) -> bool:
+        return False
+
+    def request(self) -> None:
+        self.asked = True
+        os.write(self._writer, b"\0")
+
+    def reply(self) -> str:
+        self.asked = False
+        os.read(self._reader, 1)
+        return self.name
+
+    def close(self) -> None:
+        os.close(self._reader)
+        os.close(self._writer)
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_what_can_wait_is_done_when_all_that_replied_were_served(fails):
+    done: list[str] = []
+    errors: list[str] = []
+
+    def deliver(name: str):
+        done.append(f"state {name}")
+
+        def rest() -> None:
+            done.append(f"rest {name}")
+            if fails and name == "b":
+                raise DeviceError("not to be published")
+
+        return rest
+
+    def ended() -> bool:
+        after = done[done.index("rest b") :] if "rest b" in done else []
+        return after.count("rest a") >= 5
+
+    polling, devices = SharedPolling(), [PipeDevice("a"), PipeDevice("b")]
+
+    def serve(device: PipeDevice) -> None:
+        try:
+            polling.serve(device, deliver, ended)
+        except DeviceError as error:
+            errors.append(str(error))
+
+    threads = [threading.Thread(target=serve, args=(d,), daemon=True) for d in devices]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(20.0)
+        assert not thread.is_alive()
+    for device in devices:
+        device.close()
+    assert errors == (["not to be published"] if fails else [])
+    if fails:
+        assert "state b" not in done[done.index("rest b") :]
+        return
+    first = done.index("state b")
+    turns = done[first - 1 :] if done[first - 1 : first] == ["state a"] else done[first:]
+    assert len(turns) >= 16
+    for begin in range(0, 16, 4):
+        assert sorted(turns[begin : begin + 2]) == ["state a", "state b"]
+        assert sorted(turns[begin + 2 : begin + 4]) == ["rest a", "rest b"]
