@@ -368,7 +368,9 @@ def _read_parquet(path: Path, part: str) -> Table:
     except ImportError:
         raise InputError(f"{path}: Parquet needs pyarrow; pip install pyarrow") from None
     try:
-        found = parquet.read_table(path)
+        # In this thread alone: under the reader's limit of memory pyarrow's pool can wait for ever.
+        with parquet.ParquetFile(path, pre_buffer=False) as file:
+            found = file.read(use_threads=False)
         columns = {str(n): found.column(n).to_numpy() for n in found.column_names}
     except MemoryError:
         raise
