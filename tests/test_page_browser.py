@@ -422,6 +422,27 @@ def test_without_protocol_there_is_no_cue(rig: StandIn, page: Any) -> None:
     assert page.is_disabled("#pause") and page.is_disabled("#skip")
 
 
+def test_a_rig_that_starts_is_no_fault(rig: StandIn, page: Any) -> None:
+    starts = "Please wait. The very first start of a rig takes a few minutes."
+    rig.problems = [Problem("protocol", "The protocol is starting.", starts, starting=True)]
+    until(lambda: page.inner_text("#cue-word") == "Starting", page)
+    assert "Please wait" in page.inner_text("#banner-remedy")
+    assert page.is_disabled("#start")
+    assert violations(page) == []
+    page.emulate_media(color_scheme="dark")
+    assert violations(page) == []
+    rig.problems = []
+    page.wait_for_selector("#cue[data-look=closed]")
+
+
+def test_the_room_on_the_disk_is_told_in_trials_when_it_is_scarce(rig: StandIn, page: Any) -> None:
+    prepare(rig, page)
+    assert page.inner_text("#left") == "≈ 9 min left · 34.5 GB free"
+    disk = {"free_gb": 0.1, "needed_gb": 0.3, "trials_left": 2, "enough": False}
+    rig.status(**session("prepare", disk=disk))
+    until(lambda: "0.1 GB free (2 trials)" in page.inner_text("#left"), page)
+
+
 def test_after_a_restart_of_the_rig_the_page_reloads_itself(
     browser: Any, free_port: Callable[[], int]
 ) -> None:

@@ -21,7 +21,7 @@ from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 
-from finger_common.diagnostics import ERROR, WARN, Health
+from finger_common.diagnostics import ERROR, STARTING, WARN, Health
 from finger_common.node import HEARTBEAT, ManagedNode, PolledSubscription, main_of
 from finger_common.settings import Settings, setting
 
@@ -112,7 +112,7 @@ class BringUpNode(ManagedNode):
         self._requested: dict[str, tuple[float, Any]] = {}
         self._changing: dict[str, tuple[float, Any]] = {}
         self._target: dict[str, int] = {}
-        self._complete = False
+        self._complete = self._begun = False
         self._told = time.monotonic()
 
     def activate(self) -> None:
@@ -245,6 +245,7 @@ class BringUpNode(ManagedNode):
         else:
             self._health.recovered("taken_down")
         missing = self._bring_up.missing(self._states)
+        self._tell_starting(missing)
         if not missing:
             self._health.recovered("not_active")
             if not self._complete and not taken_down:
@@ -261,6 +262,16 @@ class BringUpNode(ManagedNode):
             if lost:
                 self._complete = False
                 self.log_fault(self._health, "not_active", f"not active: {', '.join(lost)}", WARN)
+
+    def _tell_starting(self, missing: list[str]) -> None:
+        """Name the nodes that are not up for the first time yet: they are no fault."""
+        self._begun = self._begun or not missing
+        if self._begun:
+            self._health.activity = ""
+            self._health.notes.pop(STARTING, None)
+        else:
+            self._health.activity = f"starting: {', '.join(missing)}"
+            self._health.notes[STARTING] = " ".join(missing)
 
     def _tell(self, missing: list[str]) -> None:
         """Say now and then what is waited for, so that a slow start is no riddle."""

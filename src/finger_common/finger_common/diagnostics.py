@@ -18,6 +18,9 @@ from dataclasses import dataclass, field
 OK, WARN, ERROR, STALE = 0, 1, 2, 3
 """Levels of diagnostic_msgs/DiagnosticStatus."""
 
+STARTING = "starting"
+"""Value of the node `bring_up` that names, with spaces between, the nodes that were not up yet."""
+
 
 def full_node_name(name: str, namespace: str) -> str:
     """A node's name with its namespace, as in /diagnostics: "left/force". "/a/b" has its own."""

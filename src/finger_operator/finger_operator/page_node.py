@@ -239,6 +239,7 @@ class PageNode(ManagedNode):
         now = time.monotonic()
         ages = {kind: self._readiness.age(kind, now) for kind in ("force", "area", "model")}
         problems = [vars(problem) for problem in self._readiness.problems(now)]
+        self._server.hold_cue(any(problem["source"] == "protocol" for problem in problems))
         self._server.publish(
             "alive",
             {

@@ -380,6 +380,31 @@ def test_loopback_addresses() -> None:
     assert not any(map(is_loopback, ["192.168.0.7", "::ffff:10.0.0.1", "fe80::1%eth0", "", None]))
 
 
+def test_participants_see_no_cue_of_a_protocol_that_is_silent(served: Served) -> None:
+    async def phase(socket: Any) -> str:
+        return str((await next_of(socket, "cue"))["phase"])
+
+    async def body(session: aiohttp.ClientSession) -> None:
+        async with served.connect(session, "participant") as participant:
+            served.server.hold_cue(True)  # there is no cue yet
+            served.server.publish_cue(time.time_ns(), {"phase": "press", "index": 0})
+            assert await phase(participant) == "press"
+            for _ in range(2):
+                served.server.hold_cue(True)
+            assert await phase(participant) == "idle"
+            async with served.connect(session, "participant") as later:
+                assert await phase(later) == "idle"
+            async with served.connect(session) as operator:
+                assert await phase(operator) == "press", "the operator's page says what is wrong"
+            served.server.hold_cue(False)
+            assert await phase(participant) == "press"
+            served.server.hold_cue(True)
+            served.server.publish_cue(time.time_ns(), {"phase": "paused", "index": 0})
+            assert [await phase(participant) for _ in range(2)] == ["idle", "paused"]
+
+    run(body)
+
+
 def test_shown_cue_gives_its_delay_from_the_force_sample(served: Served) -> None:
     async def body(session: aiohttp.ClientSession) -> None:
         async with served.connect(session) as socket:

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from finger_common.diagnostics import ERROR, OK, WARN
+from finger_common.diagnostics import ERROR, OK, STARTING, WARN
 from finger_operator.page.readiness import Readiness, refusal
 
 NODES = ("force", "camera", "vision", "moisture", "model", "recorder", "protocol")
@@ -49,6 +49,34 @@ def ready() -> Rig:
 
 def test_nothing_is_ready_before_it_was_seen() -> None:
     assert Rig().texts == ["The protocol is not running.", "The force driver is not running."]
+
+
+def test_a_node_that_comes_up_for_the_first_time_is_starting_and_not_dead() -> None:
+    rig = Rig()
+    rig.silent = {"model", "protocol"}
+    rig.run(1.0)
+    rig.tare()
+
+    def bring_up(*starting: str) -> None:
+        values = {STARTING: " ".join(starting)} if starting else {}
+        rig.board.report("bring_up", "finger/bring_up", OK, "active", values, rig.now)
+
+    bring_up("model", "protocol")
+    rig.board.beat("model", rig.now - 2.0)
+    assert rig.texts == ["The protocol is starting.", "The model is starting."]
+    # Its heart beats, but no estimate comes before it is active; a fault is never hidden.
+    rig.board.beat("model", rig.now)
+    assert rig.texts == ["The protocol is starting.", "The model is starting."]
+    rig.board.report("model", "finger/model", ERROR, "no such parameter file", {}, rig.now)
+    assert rig.texts[1] == "No estimate: no such parameter file."
+    rig.silent = set()
+    rig.board.report("model", "finger/model", OK, "active", {}, rig.now)
+    rig.run(0.2)
+    assert rig.texts == []
+    bring_up()
+    rig.silent = {"model"}
+    rig.run(1.0)
+    assert rig.texts == ["The model is not running."]
 
 
 def test_silent_streams_and_dead_nodes_show_within_a_second() -> None:

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from finger_common.diagnostics import ERROR
+from finger_common.diagnostics import ERROR, STARTING
 
 STREAM_SILENT = 0.6
 """s without a sample of a stream until it counts as silent."""
@@ -46,6 +46,7 @@ class Device:
 
 CABLE = "Check its power and its cable; the driver connects again by itself."
 NODE_REMEDY = "It is started again by itself. If it stays away, read the rig's terminal."
+START_REMEDY = "Please wait. The very first start of a rig takes a few minutes."
 
 DEVICES = (
     Device("protocol", "protocol", ("protocol",)),
@@ -75,7 +76,7 @@ class Problem:
     """One thing that is wrong.
 
     age: s since the last sign of life, None when there was none. detail: the device's own words,
-    where they are too long to be read from afar.
+    where they are too long to be read from afar. starting: it needs nothing but time.
     """
 
     source: str
@@ -83,6 +84,7 @@ class Problem:
     remedy: str
     age: float | None = None
     detail: str = ""
+    starting: bool = False
 
 
 @dataclass(frozen=True)
@@ -101,6 +103,7 @@ class Readiness:
         self._beats: dict[str, float] = {}
         self._reports: dict[str, dict[str, _Report]] = {}
         self._tared: tuple[float, bool] | None = None
+        self._starting: set[str] = set()
 
     def sample(self, stream: str, now: float) -> None:
         """A sample of a stream came."""
@@ -118,6 +121,8 @@ class Readiness:
     ) -> None:
         """A status of /diagnostics came. part: which health of the node."""
         self._reports.setdefault(node, {})[part] = _Report(level, message)
+        if node == "bring_up":
+            self._starting = set(values.get(STARTING, "").split())
         if node == "force" and "tared" in values:
             self._tared = (now, values["tared"] == "yes")
 
@@ -160,6 +165,8 @@ class Readiness:
         flowing = bool(device.stream) and not self._silent(device.stream, now)
         for node in device.nodes:
             if not self.running(node, now) and (node in self._beats or not flowing):
+                if node in self._starting:
+                    return _starts(device.key, node)
                 last = self._beats.get(node)
                 age = None if last is None else now - last
                 return Problem(
@@ -177,6 +184,9 @@ class Readiness:
         if device.stream and not flowing:
             if device.key == "model" and self._silent("force", now):
                 return None  # the missing force says it already
+            starting = [node for node in device.nodes if node in self._starting]
+            if starting and not fault:
+                return _starts(device.key, starting[0])
             age = self.age(device.stream, now)
             short = f": {fault}" if 0 < len(fault) <= SHORT else ""
             return Problem(
@@ -199,6 +209,10 @@ class Readiness:
         if self.tared is None and "force" in self._beats:
             return Problem("tare", "Looking for the force sensor's zero.", "Wait a moment.")
         return None
+
+
+def _starts(key: str, node: str) -> Problem:
+    return Problem(key, f"The {NODE_NAMES[node]} is starting.", START_REMEDY, starting=True)
 
 
 def _capital(text: str) -> str:

@@ -70,6 +70,9 @@ HEADERS = {
     "Cache-Control": "no-store",
 }
 
+NO_CUE = json.dumps({"type": "cue", "id": -1, "phase": "idle"})
+"""What participants see while there is no cue."""
+
 
 def operator_page(token: str) -> str:
     """The operator's page, its inputs limited as the parameters that they set."""
@@ -109,6 +112,7 @@ class PageServer:
         self._cue_stamps: dict[int, int] = {}
         self._next_cue = 0
         self._last_cue = ""
+        self._held = False
         self._latencies: deque[float] = deque(maxlen=1000)
         self._curve: deque[tuple[str, list[float]]] = deque(maxlen=5000)
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -282,7 +286,7 @@ class PageServer:
         if operator:
             browser.newest.update(self._newest)
         if self._last_cue:
-            browser.add_cue(self._last_cue)
+            browser.add_cue(NO_CUE if self._held and not operator else self._last_cue)
         transport = request.transport
         browser.transport = transport
         self._browsers.add(browser)
@@ -392,6 +396,22 @@ class PageServer:
             browser.add_cue(text)
         # A browser that connects later shows the cue; its delay is not measured.
         self._last_cue = json.dumps({"type": "cue", "id": -1, **data})
+        self._held = False
+
+    def hold_cue(self, held: bool) -> None:
+        """Whether participants are told to wait, because what gave the cue is silent.
+
+        The cue stands there again when it is held no longer. Operators see more, and why.
+        """
+        self._call(self._hold_cue, held)
+
+    def _hold_cue(self, held: bool) -> None:
+        if held == self._held or not self._last_cue:
+            return
+        self._held = held
+        for browser in self._browsers:
+            if not browser.operator:
+                browser.add_cue(NO_CUE if held else self._last_cue)
 
     def publish_point(self, kind: str, point: list[Any]) -> None:
         """A point of the curve `kind` ("force", "measured" or "model"), beginning with its time."""

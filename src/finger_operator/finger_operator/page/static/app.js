@@ -169,8 +169,6 @@ function showCue(message) {
   }
 }
 
-const NO_STATUS = "The protocol is not running, so there is no cue.";
-
 function cueName() {
   const s = state.status;
   if (state.away || missing("protocol")) return "offline";
@@ -190,7 +188,8 @@ function cueText(name) {
     return "This address is no longer valid. Open the page's new address from the rig's terminal.";
   }
   if (name === "offline") {
-    return state.away ? "The page shows nothing until the rig answers again." : NO_STATUS;
+    return state.away ? "The page shows nothing until the rig answers again."
+      : "Without the protocol there is no cue.";
   }
   // A calibration's press has words of its own, which come with the status.
   if (name === "press") return (s.step === name && s.instruction) || "Press until the cue changes.";
@@ -202,7 +201,8 @@ function cueText(name) {
 
 function drawCue() {
   const name = cueName();
-  const word = name === "offline" && !state.away ? "No protocol" : undefined;
+  const word = name === "offline" && !state.away
+    ? (missing("protocol").starting ? "Starting" : "No protocol") : undefined;
   draw(name, word);
   const text = cueText(name);
   set($("cue-text"), text);
@@ -232,7 +232,7 @@ const LABELS = {
   closed: "New session", prepare: "Ready", idle: "Begin", finished: "Close session",
 };
 
-const missing = (source) => state.alive.problems.some((p) => p.source === source);
+const missing = (source) => state.alive.problems.find((p) => p.source === source);
 
 // Whether what is wrong keeps the next trial from beginning.
 const blocked = () => state.status.step === "prepare" && !state.status.paused
@@ -260,7 +260,7 @@ function showStatus(s) {
 
 function showButtons() {
   const s = state.status;
-  const gone = state.away || missing("protocol");
+  const gone = state.away || Boolean(missing("protocol"));
   const open = s.step !== "closed" && !gone;
   const running = RUNNING.includes(s.step);
   set($("start").querySelector("span"), s.paused ? "Resume" : LABELS[s.step] || "Next");
@@ -285,8 +285,10 @@ function left(s) {
   if (s.time_left) parts.push(`≈ ${Math.max(Math.round(s.time_left / 60), 1)} min left`);
   const disk = s.disk || {};
   if (disk.free_gb != null) {
-    parts.push(`${disk.free_gb} GB free`
-      + (disk.trials_left != null ? ` (${disk.trials_left} trials)` : ""));
+    // The number of trials that fit matters once it is of the size of what is still to come.
+    const open = (s.trials || []).filter((t) => t.verdict === "pending").length;
+    const scarce = disk.trials_left != null && disk.trials_left < 3 * open;
+    parts.push(`${disk.free_gb} GB free${scarce ? ` (${disk.trials_left} trials)` : ""}`);
   }
   return parts.join(" · ");
 }
@@ -340,6 +342,7 @@ function showProblems(since) {
   const problems = state.away ? [] : state.alive.problems;
   const [first] = problems;
   $("banner").hidden = !first;
+  $("banner").classList.toggle("starting", Boolean(first?.starting));
   let alarm = state.away ? "Not connected to the rig." : "";
   if (first) {
     const age = first.age === null ? "" : ` Silent for ${seconds(first.age + since)}\u00a0s.`;
