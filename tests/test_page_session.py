@@ -61,6 +61,8 @@ class Rig:
                 "reading_time": 1.0,
                 "upcoming": upcoming,
             },
+            # A fifth of the usual rate: the machine also runs the browser.
+            "force": {"rate": 100.0},
             "protocol": BUSY,
             "page": {"port": page_port},
         }

@@ -15,17 +15,16 @@ import multiprocessing
 import os
 import shutil
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from finger_common.cli import Parser, run
 from finger_common.errors import FingerError, InputError
+from finger_fit.cli import Screen
 
 from .report import print_summary, write_report
 from .results import DemoResult
@@ -112,19 +111,14 @@ class Demo:
             arguments.seed,
             domain=arguments.domain,
         )
-        self.progress = Progress(
-            TextColumn("{task.description:<34}"),
-            BarColumn(28),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TextColumn("{task.fields[state]}", style="dim"),
-            console=console,
-        )
+        self._presses = len(self.request.conditions) * self.request.trials
+        self.progress = Screen()
         self.clock = time.monotonic()
 
     def log(self, text: str) -> None:
         """Print a line above the progress bars."""
-        self.progress.print(f"[dim]{time.monotonic() - self.clock:5.0f} s[/dim]  {text}")
+        seconds = time.monotonic() - self.clock
+        self.console.print(f"[dim]{seconds:5.0f} s[/dim]  {text}", soft_wrap=True)
 
     def run(self) -> DemoResult:
         """All stages; raises FingerError."""
@@ -137,9 +131,8 @@ class Demo:
         return self.result
 
     def _record_and_replay(self) -> None:
-        number = len(self.request.conditions) * self.request.trials
-        recording = self.progress.add_task("record presses", total=number, state="starting")
-        replaying = self.progress.add_task("replay bags", total=number, state="", start=False)
+        self._recorded, self._state = 0, "starting"
+        self._show_recorded()
         target = self.result.folder / "processed"
         start = time.monotonic()
         context = multiprocessing.get_context("spawn")
@@ -148,44 +141,38 @@ class Demo:
 
             def replay_next(bag: Path) -> None:
                 self.result.bags.append(bag)
-                if not futures:
-                    self.progress.start_task(replaying)
-                future = pool.submit(replay, bag, target / bag.name)
-                future.add_done_callback(lambda _: self.progress.advance(replaying))
-                futures.append(future)
+                futures.append(pool.submit(replay, bag, target / bag.name))
 
             # Closed also after an error, so that no process outlives the demo.
             with contextlib.closing(record_session(self.request)) as events:
                 for event in events:
-                    self._on_event(event, recording, replay_next)
+                    self._on_event(event, replay_next)
             self.result.seconds["record"] = time.monotonic() - start
-            self.progress.update(recording, state="")
-            for future in futures:
-                path, states, areas = future.result()
+            for future in self.progress.track(futures, "replay bags", self._presses):
+                path, _, _ = future.result()
                 self.result.processed.append(path)
-                self.progress.update(replaying, state=f"{states} states, {areas} areas")
-        self.progress.update(replaying, state="")
         self.result.seconds["replay after recording"] = (
             time.monotonic() - start - self.result.seconds["record"]
         )
         self.log(f"{len(self.result.processed)} bags replayed through vision and model")
 
-    def _on_event(self, event: dict[str, Any], recording: Any, replay_next: Any) -> None:
+    def _show_recorded(self) -> None:
+        self.progress.update("record presses", self._recorded, self._presses, self._state)
+
+    def _on_event(self, event: dict[str, Any], replay_next: Callable[[Path], None]) -> None:
         kind = event["event"]
         if kind == "started":
             self.log(f"{event['processes']} processes started")
-            self.progress.update(recording, state="waiting for all topics")
+            self._state = "waiting for all topics"
         elif kind == "ready":
             self.log("force, images, areas and contact states arrive")
         elif kind == "tared":
             self.log(event["message"])
         elif kind == "step":
             stage = event["waiting_for"] or STAGES.get(event["step"], event["step"])
-            self.progress.update(
-                recording, state=f"{event['condition']} {event['index'] + 1}: {stage}"
-            )
+            self._state = f"{event['condition']} {event['index'] + 1}: {stage}"
         elif kind == "trial" and event["verdict"] == "done":
-            self.progress.advance(recording)
+            self._recorded += 1
             self.log(
                 f"press {event['index'] + 1} ({event['condition']}): "
                 f"{event['time_to_target']:.2f} s to the cue, {event['peak_force']:.2f} N at most"
@@ -197,6 +184,7 @@ class Demo:
             self.log(
                 f"press {event['index'] + 1} ({event['condition']}) is redone: {event['reason']}"
             )
+        self._show_recorded()
 
     def _fit(self) -> None:
         from finger_fit.options import FitOptions
@@ -211,33 +199,16 @@ class Demo:
             bootstrap=0,
             seed=self.arguments.seed,
         )
-        task = self.progress.add_task("fit parameters", total=None, state="reading bags")
         start = time.monotonic()
-        last: list[str] = [""]
-
-        def report(
-            condition: str, stage: str, number: int, rounds: int, cost: float, best: np.ndarray
-        ) -> None:
-            state = f"{condition} {stage}"
-            if np.isfinite(cost):
-                state += f", J = {cost * 1e12:.4g} mm⁴"
-            if last[0] != stage + condition:
-                last[0] = stage + condition
-                self.progress.reset(task, total=rounds)
-            self.progress.update(task, completed=number, total=rounds, state=state)
-
         self.result.fit = fit_bags(
-            self.result.processed, options, self.result.folder / "fit", report=report
+            self.result.processed, options, self.result.folder / "fit", report=self.progress
         )
-        self.progress.update(task, completed=1, total=1, state="")
         self.result.seconds["fit"] = time.monotonic() - start
         self.log(f"{len(self.result.fit.fits)} conditions fitted")
 
     def _write(self) -> None:
-        task = self.progress.add_task("write report", total=1, state="")
         start = time.monotonic()
         write_report(self.result, self.request)
-        self.progress.update(task, completed=1)
         self.result.seconds["report"] = time.monotonic() - start
 
 

@@ -149,7 +149,9 @@ def _add_calibrate(commands: Any) -> None:
         description=(
             "Guide nine presses on the rig that runs, fit them, and use the result in the model "
             "node at once. It is kept as SUBJECT.yaml in the model node's subjects_folder and is "
-            "used whenever a session of this subject begins. Ctrl-C aborts; nothing is written."
+            "used whenever a session of this subject begins. With --width, the fit takes the "
+            "lengths that 'finger-model geometry' makes of the readings, and SUBJECT.yaml carries "
+            "them. Ctrl-C aborts; nothing is written."
         ),
         example=(
             "finger-rig calibrate --subject S01\n"
@@ -158,12 +160,11 @@ def _add_calibrate(commands: Any) -> None:
         ),
     )
     calibrate.add_argument("--subject", required=True, metavar="CODE", help="such as S01")
-    for name in ("width", "depth"):
+    for name, example in (("width", "14mm"), ("depth", "11mm")):
         calibrate.add_argument(
             f"--{name}",
             metavar="LENGTH",
-            help=f"{name} of the fingertip by calipers, such as 14mm; the fit takes the lengths "
-            "that 'finger-model geometry' makes of it, and SUBJECT.yaml carries them",
+            help=f"{name} of the fingertip by calipers, such as {example}",
         )
     calibrate.add_argument("--age", type=int, metavar="YEARS", help="age of the subject")
     calibrate.add_argument("--finger", choices=FINGER_NAMES, help="finger that presses")

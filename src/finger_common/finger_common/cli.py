@@ -150,12 +150,13 @@ def add_settings(parser: Any, cls: type[Settings], without: str = "") -> None:
             )
         else:
             default = "none" if item.default == "" else item.default
+            shown = item.name.upper() if isinstance(item.default, str) else "VALUE"
             parser.add_argument(
                 flag,
                 type=integer if type(item.default) is int else type(item.default),
                 default=item.default,
                 choices=item.choices,
-                metavar=None if item.choices else item.name.upper(),
+                metavar=None if item.choices else shown,
                 help=f"{meaning} (default: {default})",
             )
 

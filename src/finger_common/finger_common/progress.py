@@ -46,7 +46,8 @@ class Stages:
     """Shows the progress of named stages; a context manager.
 
     quiet: shows nothing. terminal: whether bars may be drawn, None to find out. line: receives the
-    plain lines; None writes them to standard error.
+    plain lines; None writes them to standard error. brief: nothing is left of a stage that was over
+    before its first line was due, and of a bar.
     """
 
     def __init__(
@@ -55,9 +56,11 @@ class Stages:
         terminal: bool | None = None,
         line: Callable[[str], None] | None = None,
         clock: Callable[[], float] = time.monotonic,
+        brief: bool = False,
     ) -> None:
         terminal = sys.stderr.isatty() if terminal is None else terminal
         self._quiet = quiet
+        self._brief = brief
         self._own_lines = line is None
         self._line = line or self._write
         self._clock = clock
@@ -77,6 +80,7 @@ class Stages:
                 TimeRemainingColumn(elapsed_when_finished=True),
                 TextColumn("{task.fields[note]}"),
                 console=Console(stderr=True),
+                transient=brief,
             )
 
     def __enter__(self: S) -> S:
@@ -126,7 +130,8 @@ class Stages:
             self._began[stage] = (now, done)
             self._shown[stage] = now
         first, at_first = self._began.setdefault(stage, (now, done))
-        due = finished or now - self._shown.get(stage, first) >= LINE_PERIOD
+        due = now - self._shown.get(stage, first) >= LINE_PERIOD
+        due = due or (finished and not (self._brief and stage not in self._shown))
         if stage in self._finished or not due:
             return
         self._shown[stage] = now

@@ -138,6 +138,16 @@ def test_a_stage_that_tells_nothing_is_said_to_be_working() -> None:
     ]
 
 
+@pytest.mark.parametrize(("step", "lines"), [(0.1, 0), (6.0, 2)])
+def test_brief_progress_tells_of_long_stages_only(step: float, lines: int) -> None:
+    now = [0.0]
+    told: list[str] = []
+    stages = Stages(terminal=False, line=told.append, clock=lambda: now[0], brief=True)
+    for _ in stages.track("ab", "full-order model", 2):
+        now[0] += step
+    assert len(told) == lines, told
+
+
 def test_quiet_progress_writes_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     with Stages(quiet=True) as stages:
         assert list(stages.track("ab", "letters", 2)) == ["a", "b"]

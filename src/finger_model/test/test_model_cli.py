@@ -135,4 +135,4 @@ def test_verify_prints_numbers_and_refuses_unknown_checks(capsys):
     assert run(_main, ["verify", "disc"]) == 0
     assert "error of the rim's displacement" in capsys.readouterr().out
     assert run(_main, ["verify", "nothing"]) == 2
-    assert "no check 'nothing'" in capsys.readouterr().err
+    assert "check 'nothing' does not exist" in capsys.readouterr().err

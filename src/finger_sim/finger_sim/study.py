@@ -15,7 +15,8 @@ from __future__ import annotations
 
 import json
 import multiprocessing
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -25,6 +26,7 @@ from finger_common.errors import InputError
 from finger_common.files import atomic_write
 from finger_common.guided_pulls import LOAD
 from finger_common.processes import end_with_parent
+from finger_common.progress import duration_text
 from finger_common.stamps import NANOSECONDS
 from finger_model.paper import TARGET_FORCE, TRIALS_PER_CONDITION
 
@@ -84,11 +86,9 @@ def simulate_study(
     if processes > 1 and len(jobs) > 1:
         spawn = multiprocessing.get_context("spawn")
         with ProcessPoolExecutor(processes, spawn, initializer=end_with_parent) as pool:
-            for number, line in enumerate(pool.map(write, jobs), 1):
-                progress(f"[{number}/{len(jobs)}] {line}")
+            _tell(pool.map(write, jobs), len(jobs), progress)
     else:
-        for number, job in enumerate(jobs, 1):
-            progress(f"[{number}/{len(jobs)}] {write(job)}")
+        _tell(map(write, jobs), len(jobs), progress)
     truth = {
         **plan,
         "materials": materials,
@@ -101,6 +101,15 @@ def simulate_study(
         json.dump(truth, file, indent=1)
     progress(f"{len(jobs)} bags in {folder}")
     return [_bag(folder, name, index) for name, index in names]
+
+
+def _tell(lines: Iterable[str], total: int, progress: Callable[[str], None]) -> None:
+    """A line per trial, with the time that the others take at the pace so far."""
+    began = time.monotonic()
+    for number, line in enumerate(lines, 1):
+        left = (time.monotonic() - began) / number * (total - number)
+        rest = f", {duration_text(left)} left" if number < total else ""
+        progress(f"[{number}/{total}] {line}{rest}")
 
 
 def _bag(folder: Path, name: str, index: int) -> Path:

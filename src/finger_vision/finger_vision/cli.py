@@ -32,7 +32,11 @@ Result = TypeVar("Result")
 
 
 def _parser(area_sensor: str) -> Parser:
-    parser = Parser(prog="finger-vision", description="Contact area of a finger from FTIR images.")
+    parser = Parser(
+        prog="finger-vision",
+        description="Contact area of a finger from FTIR images.",
+        example="finger-vision area press_01.png press_02.png --calibration plate.yaml",
+    )
     commands = parser.add_subparsers(dest="command", required=True, parser_class=Parser)
     area = commands.add_parser(
         "area",

@@ -19,7 +19,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from finger_common.cli import Parser, plain
-from finger_common.errors import InputError
+from finger_common.errors import InputError, known_names
 from finger_common.files import atomic_write, load_json, number
 from finger_common.moisture import is_moisture
 from finger_model.laws import ParameterSpace, StandardLinearSolid
@@ -70,7 +70,9 @@ def command(argv: Sequence[str]) -> int:
     quantities = args.quantity or ["composite_E", "E2", "tau1"]
     for name in quantities:
         if name not in space.quantity_names:
-            raise InputError(f"--quantity '{name}': choose from {', '.join(space.quantity_names)}")
+            raise InputError(
+                f"--quantity '{name}' does not exist; {known_names(name, space.quantity_names)}"
+            )
     subjects = read_subjects(args.fits)
     data, draws = population(subjects, quantities, space, args.seed)
     console = Console(width=None if Console().is_terminal else 160)

@@ -11,17 +11,19 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.progress import Progress
 
 from finger_common.errors import InputError
 from finger_common.files import check_output
+from finger_common.progress import Stages
 
 from ..fem.elasticity import ELASTICITIES, NEO_HOOKE
 from ..geometry import Geometry
 from ..history import ContactHistory, read_load_csv
 from ..laws import ConstitutiveLaw, StandardLinearSolid, load_material
 from ..slip.pull import PullHistory, pull_history
+
+FULL_ORDER = "full-order model"
+"""Name of the stage in the progress."""
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
@@ -36,11 +38,11 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
             "the reduced model is used where there is one for the geometry, material and load, "
             "and the full-order model otherwise. A column tangential_force_n in the input, "
             "--pad-aspect and --tilt-deg call for the full-order model in three dimensions "
-            "(seconds a row); its output has the columns semi_axis_a_mm,semi_axis_b_mm,"
-            "stick_ratio,slip_margin,tangential_displacement_mm,orientation_deg,center_x_mm,"
+            "(seconds a row); its output has the columns semi_axis_a_mm, semi_axis_b_mm, "
+            "stick_ratio, slip_margin, tangential_displacement_mm, orientation_deg, center_x_mm, "
             "center_y_mm besides (docs/third_dimension.md). With --solver reduced a column "
-            "tangential_force_n gives stick_ratio,slip_margin,tangential_displacement_mm at once, "
-            "by the law of the live estimate (docs/slip.md)."
+            "tangential_force_n gives stick_ratio, slip_margin, tangential_displacement_mm at "
+            "once, by the law of the live estimate (docs/slip.md)."
         ),
         example=(
             "finger-model simulate --force force.csv -o contact.csv\n"
@@ -172,11 +174,9 @@ def _solid(
     pose = Pose(aspect, *(math.radians(angle) for angle in tilt))
     _check_output(arguments.output)
     model = SolidModel(geometry, pose, arguments.refinement)
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("full-order model", total=1.0)
+    with Stages(brief=True) as stages:
         history = model.simulate(
-            material, time, force, pull, lambda done: progress.update(task, completed=done)
+            material, time, force, pull, lambda done: stages.update(FULL_ORDER, done)
         )
     if arguments.output:
         history.to_csv(arguments.output)
@@ -235,9 +235,8 @@ def _full(
     model = FullOrderModel(geometry, arguments.refinement, elasticity=arguments.elasticity)
     stepper = model.start(material, float(time[0]))
     points = []
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        for index in progress.track(range(len(time)), description="full-order model"):
+    with Stages(brief=True) as stages:
+        for index in stages.track(range(len(time)), FULL_ORDER, len(time)):
             points.append(stepper.step(float(time[index]), float(force[index])))
             if index != row:
                 continue

@@ -12,8 +12,10 @@ from pathlib import Path
 from rich.console import Console
 
 from finger_common.cli import plain
-from finger_common.errors import InputError
+from finger_common.errors import InputError, known_names
+from finger_common.progress import Stages
 
+from ..verification.check import Check
 from . import verify_published, verify_reduced
 
 EXIT_CHECK_FAILS = 1
@@ -63,21 +65,28 @@ def run(arguments: argparse.Namespace) -> int:
         return 0
     unknown = [name for name in arguments.checks if name not in CHECKS]
     if unknown:
-        raise InputError(f"no check '{unknown[0]}'; the checks are {', '.join(CHECKS)}")
+        raise InputError(f"check '{unknown[0]}' does not exist; {known_names(unknown[0], CHECKS)}")
     if arguments.output and arguments.checks:
         raise InputError("-o writes the page of all checks: leave out the names")
     done = []
-    for name in arguments.checks or CHECKS:
-        begin = time.perf_counter()
-        check = CHECKS[name]()
-        done.append(check)
-        mark = "[green]passes[/]" if check.passes else "[red]fails[/]"
-        console.print(f"[bold]{check.title}[/] {mark} ({time.perf_counter() - begin:.1f} s)")
-        for measure in check.measures:
-            colour = "" if measure.passes else "[red]"
-            console.print(
-                f"  {colour}{measure.what}: {measure.value:.3g} {measure.unit} ({measure.limit()})"
-            )
+    names = list(arguments.checks or CHECKS)
+    with Stages(brief=True) as stages:
+        for name in stages.track(names, "checks", len(names)):
+            begin = time.perf_counter()
+            check = CHECKS[name]()
+            done.append(check)
+            _show(check, time.perf_counter() - begin, console)
     if arguments.output:
         print(f"written: {plain(write_page(done, Path(arguments.output)))}")
     return 0 if all(check.passes for check in done) else EXIT_CHECK_FAILS
+
+
+def _show(check: Check, duration: float, console: Console) -> None:
+    """A check's numbers with their limits. duration: s."""
+    mark = "[green]passes[/]" if check.passes else "[red]fails[/]"
+    console.print(f"[bold]{check.title}[/] {mark} ({duration:.1f} s)")
+    for measure in check.measures:
+        colour = "" if measure.passes else "[red]"
+        console.print(
+            f"  {colour}{measure.what}: {measure.value:.3g} {measure.unit} ({measure.limit()})"
+        )
