@@ -48,6 +48,9 @@ from .study_plan import StudyPlan
 ERROR_MEMORY = 3.0
 """s for which an error in /diagnostics counts; each node repeats it once a second."""
 
+LOGGED_SILENCE = 1.0
+"""s without a sample from which silence is an event of the log."""
+
 
 class Step(str, Enum):
     """State of the machine; finer than the announced phases."""
@@ -139,6 +142,7 @@ class Protocol:
         self._force: tuple[int, float] | None = None
         self._area: tuple[int, float, int] | None = None
         self._errors: dict[str, tuple[int, str]] = {}
+        self._silent: set[str] = set()
         self._announced: tuple[object, ...] = ()
         self._clear_since: int | None = None
         self._press: Press | None = None
@@ -504,6 +508,7 @@ class Protocol:
     def tick(self, now_ns: int) -> None:
         """Let time pass; to be called ten times a second or more."""
         self._now = max(self._now, now_ns)
+        self._log_silence()
         if self.paused:
             return
         limits = self.limits
@@ -531,6 +536,18 @@ class Protocol:
             self.recorder_answered(False, False, "no answer", self._now)
         elif self.step in (Step.DONE, Step.FAILED) and in_step >= limits.verdict_time:
             self._next()
+
+    def _log_silence(self) -> None:
+        """Note in the event log when force or camera falls silent, and when it is back."""
+        newest = {"force sensor": self._force and self._force[0]}
+        if self.limits.need_camera:
+            newest["camera"] = self._area and self._area[0]
+        for name, stamp in newest.items():
+            age = 0.0 if stamp is None else seconds(self._now - stamp)
+            silent = age > max(self.limits.stale_after, LOGGED_SILENCE)
+            if silent != (name in self._silent):
+                self._silent ^= {name}
+                self._log("fault", f"{name}: {'silent' if silent else 'over'}")
 
     def calibrated(self, success: bool, result: str, now_ns: int) -> None:
         """What the model node made of the presses; a sentence."""

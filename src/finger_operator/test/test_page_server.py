@@ -20,7 +20,7 @@ from served_page import Served, next_of, received, run, served_all
 
 from finger_common.errors import InputError
 from finger_operator.page.access import is_loopback
-from finger_operator.page.browser import Browser, smaller_image
+from finger_operator.page.browser import IMAGE_BYTES, READABLE, Browser, smaller_image
 from finger_operator.page.commands import COMMANDS, check_command
 from finger_operator.page.feed import (
     CurveMemory,
@@ -280,6 +280,18 @@ def test_images_get_smaller_as_rounds_take_long() -> None:
         browser.confirmed, browser.sending_since = False, time.monotonic() - took
         browser.confirm(browser.rounds)
         assert (browser.image_bytes > before) is larger
+
+    def after(*rounds: float) -> int:
+        for took in rounds:
+            browser.confirmed, browser.sending_since = False, time.monotonic() - took
+            browser.confirm(browser.rounds)
+        return browser.image_bytes
+
+    # A busy machine leaves the picture readable; a slow link does not, as long as it is slow.
+    assert after(*[0.3] * 20) == READABLE[0]
+    assert after(*[0.9] * 20) == IMAGE_BYTES[0]
+    assert after(*[0.3] * 20) == IMAGE_BYTES[0]
+    assert READABLE[0] <= after(*[0.15] * 20) <= 1.25 * READABLE[0]
 
 
 def test_late_browser_learns_state_and_cue_participant_only_the_cue(served: Served) -> None:

@@ -898,6 +898,26 @@ def test_size_of_a_bag_is_measured_when_the_trial_is_kept(rig: Rig) -> None:
     assert rig.attempt.size == 1234
 
 
+def test_silence_of_force_and_camera_is_logged_with_its_end(rig: Rig) -> None:
+    rig.protocol.start(rig.now)
+    rig.run(0.5)
+    rig.force_on = False
+    rig.run(0.5)
+    assert not [e for e in rig.protocol.log.events if e.kind == "fault"], "a hiccup"
+    rig.run(3.0)
+    rig.force_on, rig.camera_on = True, False
+    rig.protocol.pause(rig.now)
+    rig.run(3.0)
+    rig.camera_on = True
+    rig.run(1.0)
+    faults = [e.text for e in rig.protocol.log.events if e.kind == "fault"]
+    sensor, camera = (
+        [text for text in faults if text.startswith(name)] for name in ("force", "camera")
+    )
+    assert sensor == ["force sensor: silent", "force sensor: over"]
+    assert camera == ["camera: silent", "camera: over"]
+
+
 def test_device_faults_are_logged_once_with_their_end(rig: Rig) -> None:
     for _ in range(3):
         rig.protocol.health("camera", 2, "no frame for 2 s", rig.now)

@@ -33,6 +33,10 @@ ROUND = (0.1, 0.2)
 IMAGE_BYTES = (2_000, 50_000, 1_000_000)
 """Bytes of an image: the smallest limit, the first, the largest."""
 
+READABLE = (12_000, 0.5)
+"""Bytes that leave an outline and a scale bar readable, and s that a round may take before an image
+has fewer: a machine that is busy for a moment must not spoil the picture."""
+
 
 def smaller_image(jpeg: bytes, limit: int) -> bytes:
     """A JPEG of no more than `limit` bytes, or an eighth of the width: with fewer pixels."""
@@ -109,9 +113,12 @@ class Browser:
         took = time.monotonic() - (self.sending_since or time.monotonic())
         low, high = ROUND
         smallest, _, largest = IMAGE_BYTES
+        readable, patience = READABLE
         if took > high:
+            if took < patience:
+                smallest = min(self.image_bytes, readable)
             self.image_bytes = max(self.image_bytes // 2, smallest)
-        elif took < low:
+        elif took < low or self.image_bytes < readable:
             self.image_bytes = min(self.image_bytes * 5 // 4, largest)
         self.confirmed, self.sending_since = True, None
         self.wake.set()

@@ -33,7 +33,8 @@ class Device:
     """A part of the rig that a trial needs.
 
     nodes: all must run. stream: whose samples must come; empty for none. name: as the operator
-    calls it. silence: what is said when its stream is silent, and the remedy.
+    calls it. silence: what is said when its stream is silent. remedy: in place of that of a device
+    with a cable.
     """
 
     key: str
@@ -43,15 +44,20 @@ class Device:
     silence: str = ""
     remedy: str = ""
 
+    @property
+    def advice(self) -> str:
+        """What the operator does when it is silent or has a fault."""
+        cable = f"Check power and cable of the {self.name}; its driver connects again by itself."
+        return self.remedy or cable
 
-CABLE = "Check its power and its cable; the driver connects again by itself."
+
 NODE_REMEDY = "It is started again by itself. If it stays away, read the rig's terminal."
 START_REMEDY = "Please wait. The very first start of a rig takes a few minutes."
 
 DEVICES = (
     Device("protocol", "protocol", ("protocol",)),
-    Device("force", "force sensor", ("force",), "force", "No force", CABLE),
-    Device("camera", "camera", ("camera", "vision"), "area", "No contact area", CABLE),
+    Device("force", "force sensor", ("force",), "force", "No force"),
+    Device("camera", "camera", ("camera", "vision"), "area", "No contact area"),
     Device("recorder", "recorder", ("recorder",)),
     Device("moisture", "moisture probe", ("moisture",)),
     Device("model", "model", ("model",), "model", "No estimate", NODE_REMEDY),
@@ -190,15 +196,15 @@ class Readiness:
             age = self.age(device.stream, now)
             short = f": {fault}" if 0 < len(fault) <= SHORT else ""
             return Problem(
-                device.key, f"{device.silence}{short}.", device.remedy, age, "" if short else fault
+                device.key, f"{device.silence}{short}.", device.advice, age, "" if short else fault
             )
         if device.key == "force":
             return self._tare_problem()
         if fault:
-            remedy = device.remedy or CABLE
             if len(fault) > SHORT:
-                return Problem(device.key, f"The {device.name} has a fault.", remedy, None, fault)
-            return Problem(device.key, f"{_capital(device.name)}: {fault}.", remedy)
+                text = f"The {device.name} has a fault."
+                return Problem(device.key, text, device.advice, None, fault)
+            return Problem(device.key, f"{_capital(device.name)}: {fault}.", device.advice)
         return None
 
     def _tare_problem(self) -> Problem | None:

@@ -129,7 +129,7 @@ export function showHealth(items) {
     row.dataset.level = level;
     set(parts.mark, mark);
     const hertz = item.values.measured_rate_hz;
-    const rate = hertz && level !== "stale" && !/\bHz\b/.test(item.message)
+    const rate = hertz >= 0.5 && level !== "stale" && !/\bHz\b/.test(item.message)
       ? ` · ${Number(hertz).toFixed(0)} Hz` : "";
     set(parts.message, item.message + rate);
     if (!details.open) return;
@@ -149,6 +149,9 @@ export function showHealth(items) {
 
 // Log -----------------------------------------------------------------------------------------
 
+// Steps whose own words say too little.
+const STEPS = { clear: "waiting for a free plate", closing: "saving the trial" };
+
 export function showLog(events) {
   const list = $("log").querySelector("ol");
   const newest = [...(events || [])].reverse();
@@ -163,7 +166,8 @@ export function showLog(events) {
     list.children[i].dataset.kind = event.kind;
     set(time, new Date(event.time * 1e3).toLocaleTimeString("en-GB"));
     set(what, event.index >= 0 ? `trial ${event.index + 1}` : "session");
-    set(text, event.kind === "note" ? `note: ${event.text}` : event.text);
+    set(text, event.kind === "note" ? `note: ${event.text}`
+      : (event.kind === "step" && STEPS[event.text]) || event.text);
   });
 }
 
