@@ -133,7 +133,7 @@ LONG = Problem(
 def test_long_texts_fit_every_size(rig: StandIn, page: Any, width: int, height: int) -> None:
     page.set_viewport_size({"width": width, "height": height})
     text = "Restarted. Trial 3 will begin again: press Space."
-    warning = "The disk has room for 3 more trials only; make room, or end the session before."
+    warning = "The disk has room for only 3 more trials. Delete files that are not needed, or end early."
     for step, paused, problems in (
         ("prepare", True, [LONG]),
         ("moisture_before", False, [NO_FORCE, LONG]),
@@ -291,7 +291,7 @@ def test_axe_finds_nothing(rig: StandIn, page: Any, browser: Any, scheme: str) -
     until(lambda: "used before" in page.inner_text("#subject-used"), page)
     assert violations(page) == []
     page.click("#plan-cancel")
-    prepare(rig, page, warnings=["The disk has room for 3 more trials only."])
+    prepare(rig, page, warnings=["The disk has room for only 3 more trials."])
     for key, dialog in (("s", "ask"), ("n", "text"), ("?", "keys")):
         page.keyboard.press(key)
         page.wait_for_selector(f"#{dialog}-dialog[open]")
@@ -611,6 +611,8 @@ def test_calibrate_subject_begins_a_calibration_with_what_was_typed(
     )  # fmt: skip
     until(lambda: page.inner_text("#cue-text") == press.text, page)
     assert f"Trial 1 of {len(presses)}" in page.inner_text("#cue-trial")
+    # Nine chips would leave no room for the rest of the header.
+    assert page.locator("#progress li").all_inner_texts() == [f"{press.name} 0/1", "all trials 0/9"]
     assert page.evaluate(OVERFLOW) == []
 
 

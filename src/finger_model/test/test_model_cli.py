@@ -117,8 +117,9 @@ def test_moduli_in_kilopascals_and_a_crushed_finger_are_refused(tmp_path, force_
     assert error.count("\n") == 1 and "give moduli in Pa" in error and "m.yaml" in error
     (tmp_path / "high.csv").write_text("time_s,force_n\n0,0\n1,300\n")
     assert run(_main, ["simulate", "--force", str(tmp_path / "high.csv"), "--solver", "full"]) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1 and "s, " in error and "N: tissue is squeezed" in error
+    # A busy machine takes so long that lines of progress come before.
+    *_, error = capsys.readouterr().err.splitlines()
+    assert "s, " in error and "N: tissue is squeezed" in error
 
 
 def test_help_shows_an_example():

@@ -100,8 +100,8 @@ Effect = TrialEvent | StartRecording | StopRecording
 GUIDANCE_TIME = 3.0
 """s for which the text of a calibration's press is shown before the plate has to be clear."""
 
-FIT_TIME = 30.0
-"""s to wait for the result of a calibration."""
+FIT_TIME = 120.0
+"""s to wait for the result of a calibration: a second of work, on a busy machine a minute."""
 
 FITTING = "The presses are being fitted."
 
@@ -520,7 +520,9 @@ class Protocol:
             if in_step >= limits.verdict_time:
                 self._begin_attempt()
         elif self.step is Step.FINISHED and self.message == FITTING and in_step > FIT_TIME:
-            self.calibrated(False, "no result came; is the model node running?", self._now)
+            self.calibrated(
+                False, f"the model node gave no result within {FIT_TIME:.0f} s", self._now
+            )
         elif self.step is Step.CLEAR:
             if self.waiting_for():
                 self._clear_since = None

@@ -200,9 +200,11 @@ def _warnings(protocol: Protocol, disk: dict[str, Any], earlier_sessions: list[s
     if protocol.save_problem:
         found.append(f"{protocol.save_problem}. Make room or give access; it is tried again.")
     if disk["enough"] is False:
+        number = disk["trials_left"]
+        room = f"room for only {number} more {'trial' if number == 1 else 'trials'}"
         found.append(
-            f"The disk has room for {disk['trials_left']} more trials only; make room, or end the "
-            "session before."
+            f"The disk has {room if number else 'no room for another trial'}. Delete files that "
+            "are not needed, or end the session early."
         )
     if earlier_sessions:
         found.append(used_subject(protocol.plan.subject, earlier_sessions))

@@ -74,24 +74,34 @@ export function showTrials(s, repeat) {
   showProgress(s, trials);
 }
 
+// More conditions than these leave no room in the header: the present one and all together then.
+const CHIPS = 4;
+
+function chipsOf(s, trials) {
+  const part = (name, of) => ({ name, of, now: name === s.condition && s.step !== "finished" });
+  const names = s.conditions || [];
+  const parts = names.map((name) => part(name, trials.filter((t) => t.condition === name)));
+  if (names.length <= CHIPS) return parts;
+  return [...parts.filter((p) => p.now), part("all trials", trials)];
+}
+
 function showProgress(s, trials) {
   const list = $("progress");
-  const names = s.conditions || [];
-  while (list.children.length > names.length) list.lastChild.remove();
-  while (list.children.length < names.length) {
+  const parts = chipsOf(s, trials);
+  while (list.children.length > parts.length) list.lastChild.remove();
+  while (list.children.length < parts.length) {
     const item = document.createElement("li");
     item.append(document.createElement("span"), document.createElement("span"));
     item.firstChild.className = "name";
     list.append(item);
   }
-  names.forEach((name, i) => {
-    const of = trials.filter((t) => t.condition === name);
+  parts.forEach(({ name, of, now }, i) => {
     const closed = of.filter((t) => t.verdict !== "pending").length;
     const item = list.children[i];
     set(item.firstChild, name);
     set(item.lastChild, ` ${closed}/${of.length}`);
     item.title = name;
-    item.className = name === s.condition && s.step !== "finished" ? "now" : "";
+    item.className = now ? "now" : "";
     item.style.setProperty("--share", of.length ? closed / of.length : 0);
   });
 }
