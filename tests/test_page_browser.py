@@ -133,7 +133,10 @@ LONG = Problem(
 def test_long_texts_fit_every_size(rig: StandIn, page: Any, width: int, height: int) -> None:
     page.set_viewport_size({"width": width, "height": height})
     text = "Restarted. Trial 3 will begin again: press Space."
-    warning = "The disk has room for only 3 more trials. Delete files that are not needed, or end early."
+    warning = (
+        "The disk has room for only 3 more trials. Delete files that are not needed, or end the "
+        "session early."
+    )
     for step, paused, problems in (
         ("prepare", True, [LONG]),
         ("moisture_before", False, [NO_FORCE, LONG]),

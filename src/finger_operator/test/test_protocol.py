@@ -884,7 +884,8 @@ def test_time_left_and_disk_space_follow_from_the_trials_that_were_kept(rig: Rig
     ends = [t.attempts[-1].ended_ns for t in rig.protocol.trials[:2]]
     assert told["time_left"] == pytest.approx(2 * (ends[1] - ends[0]) / SECOND, abs=0.1)
     told = session_status(rig.protocol, 300_000_000)
-    assert told["disk"]["enough"] is False and "room for only 1 more trial. Delete" in told["warnings"][0]
+    assert told["disk"]["enough"] is False
+    assert "room for only 1 more trial. Delete" in told["warnings"][0]
 
 
 def test_size_of_a_bag_is_measured_when_the_trial_is_kept(rig: Rig) -> None:
