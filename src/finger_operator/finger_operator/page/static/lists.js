@@ -39,6 +39,11 @@ function trialRow(body, index, repeat) {
   body.append(row, why);
 }
 
+// The presses of a calibration without what all their names begin with.
+const PRESS = /^calibration_/;
+const shortName = (name) => (PRESS.test(name)
+  ? name.replace(PRESS, "").replaceAll("_", " ") : name);
+
 export function showTrials(s, repeat) {
   const trials = s.trials || [];
   const body = $("trials").querySelector("tbody");
@@ -52,7 +57,7 @@ export function showTrials(s, repeat) {
     const word = { pending: here ? "now" : "", done: "kept" }[verdict] ?? verdict;
     row.dataset.verdict = verdict;
     row.className = here ? "here" : "";
-    [t.index + 1, t.condition,
+    [t.index + 1, shortName(t.condition),
       `${MARK[verdict] || ""} ${word}${t.attempts > 1 ? ` ×${t.attempts}` : ""}`,
       t.time_to_target == null ? "" : `${t.time_to_target.toFixed(2)} s`,
       t.peak_force ? `${t.peak_force.toFixed(2)} N` : "",
