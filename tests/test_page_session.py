@@ -294,8 +294,9 @@ def watched(page: Any) -> Iterator[None]:
     page.wait_for_selector("#cue-word")
     page.evaluate(HISTORY)
     yield
-    # A busy machine may lose the link for a moment; the cue stands there again.
-    found = [word for word in page.evaluate("window.cues") if word != "Not connected"]
+    # A busy machine may lose link or protocol for a moment; the cue stands there again.
+    lost = ("Not connected", "No protocol", "Please wait")
+    found = [word for word in page.evaluate("window.cues") if word not in lost]
     cues = [word for word, _ in itertools.groupby(found)]
     before = [cues[i - 1] for i, word in enumerate(cues) if word == "Lift"]
     assert set(before) == {"Press"}, cues
