@@ -615,7 +615,8 @@ def test_calibrate_subject_begins_a_calibration_with_what_was_typed(
     until(lambda: page.inner_text("#cue-text") == press.text, page)
     assert f"Trial 1 of {len(presses)}" in page.inner_text("#cue-trial")
     # Nine chips would leave no room for the rest of the header.
-    assert page.locator("#progress li").all_inner_texts() == [f"{press.name} 0/1", "all trials 0/9"]
+    chips = page.locator("#progress li").all_text_contents()
+    assert chips == [f"{press.name} 0/1", "all trials 0/9"]
     assert "light slow" in page.inner_text("#trials")
     assert page.evaluate(OVERFLOW) == []
 
