@@ -44,9 +44,17 @@ TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
 """Seconds per unit of time."""
 
 
+_WEIGHTS = {"g": "gf", "kg": "kgf", "lb": "lbf"}
+"""Units of mass in which scales show a force."""
+
+
 def unit_named(text: str, units: Mapping[str, float]) -> str | None:
-    """The unit that a text such as "mm²", "MM^2" or "n" means, None for none of them."""
+    """The unit that a text such as "mm²", "MM^2" or "n" means, None for none of them; of forces,
+    "g" is the weight of a gram."""
     plain = text.strip().replace("²", "2").replace("^", "").replace("µ", "u").replace("μ", "u")
     if plain in units:
         return plain
+    weight = _WEIGHTS.get(plain.casefold())
+    if weight in units:
+        return weight
     return next((unit for unit in units if unit.casefold() == plain.casefold()), None)

@@ -24,9 +24,10 @@ from finger_bag.validate import validate
 from finger_common.cli import run
 from finger_common.errors import InputError
 from finger_common.files import read_csv
+from finger_common.units import FORCE_UNITS
 from finger_driver.protocols.export_table import TableFormat, parse_table
 from finger_offline.importing.settings import ImportSettings
-from finger_offline.importing.tables import read_table
+from finger_offline.importing.tables import of_rows, read_table
 from finger_offline.importing.trial import import_trial
 from finger_offline.trial_records import TrialRecord
 from finger_offline.trials import load_trials
@@ -457,14 +458,58 @@ def test_what_is_cut_off_of_a_video_is_named(
 
 
 def test_numbers_of_other_countries() -> None:
-    from finger_offline.importing.tables import of_rows
-
     rows = [(1, ["a", "b"]), (2, ["1.234,5", "1,234.5"]), (3, ["-0,5", ""])]
     table = of_rows("t", rows)
     assert table.numbers("a").tolist() == [1234.5, -0.5]
     assert table.numbers("b", gaps=True)[0] == 1234.5
     with pytest.raises(InputError, match="row 3"):
         table.numbers("b")
+
+
+@pytest.mark.parametrize(
+    "before",
+    [
+        [["Subject", "S01"], ["Date", "2024-05-01"], ["Rate", "500 Hz"]],
+        [["Logger 3", ""], ["Channel", "Value"]],
+        [],
+    ],
+)
+@pytest.mark.parametrize("units", [[], [["s", "g"]], [["[s]", "[g]"]]])
+def test_headings_stand_above_the_numbers(before: list[Any], units: list[Any]) -> None:
+    values = [[str(k / 10), str(50 * k)] for k in range(8)]
+    rows = [*before, ["Time", "Load"], *units, *values, ["0.8", "n/a"]]
+    table = of_rows("t", list(enumerate(rows, 1)))
+    assert list(table.columns) == ["Time", "Load"]
+    expected = [*(50.0 * k for k in range(8)), np.nan]
+    assert np.array_equal(table.numbers("Load", gaps=True), expected, equal_nan=True)
+    assert table.unit("Load", FORCE_UNITS) == ("gf" if units else None)
+    assert table.first_row == len(before) + len(units) + 2
+
+
+def test_a_table_of_texts_has_its_headings_first() -> None:
+    """A table of trials may hold no number, or a row of nothing but numbers."""
+    for first in ("f1.csv", "-"):
+        rows = [["force", "subject"], [first, "S01"], ["f2.csv", "S01"], ["3", "4"]]
+        assert list(of_rows("t", list(enumerate(rows, 1))).columns) == ["force", "subject"]
+
+
+def test_scales_show_the_weight_of_a_gram(files: dict[str, str], tmp_path: Path) -> None:
+    scale = csv(tmp_path / "scale.csv", "time_s,load_g", TIME, force_at(TIME) / 9.80665e-3)
+    named = {"force": scale, "force_column": "load_g"}
+    import_trial(ImportSettings(**{**files, **named}), tmp_path / "bag")
+    check_trials(tmp_path / "bag")
+
+
+def test_another_sheet_is_named_where_the_first_one_does_not_do(tmp_path: Path) -> None:
+    write_excel(tmp_path / "log.xlsx")
+    other = r"another part as FILE::PART \(press\)"
+    with pytest.raises(InputError, match=f"no row of values.*{other}"):
+        read_table(str(tmp_path / "log.xlsx"))
+    book = openpyxl.load_workbook(tmp_path / "log.xlsx")
+    book.worksheets[0].append([1.0])
+    book.save(tmp_path / "log.xlsx")
+    with pytest.raises(InputError, match=f"'area_mm2' does not exist.*{other}"):
+        read_table(str(tmp_path / "log.xlsx")).heading("area_mm2", "--area-column")
 
 
 def test_streams_of_the_lab_streaming_layer_make_a_bag_fit_for_use(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ import io
 import zipfile
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import date, datetime, time, timezone
 from pathlib import Path
 from typing import Any
@@ -43,11 +43,17 @@ FREE_VALUES, VALUES_PER_BYTE = 4_000_000, 4
 FREE_CELLS, CELLS_PER_BYTE = 200_000, 0.5
 """The same for cells of a workbook, which take at least five bytes of its archive."""
 
+MOST_ROWS_LOOKED_AT = 200
+"""Rows by which it is judged whether a table is one of numbers."""
+
 MAXIMUM_ROWS = 1_048_576
 """Rows of a sheet, Excel's own limit."""
 
 FREE_UNPACKED, UNPACKED_PER_BYTE = 10_000_000, 20
 """Bytes that a workbook may unpack to, and further ones for each of its own."""
+
+MISSING = frozenset({"", "-", "--", "na", "n/a", "#n/a", "#nv", "nan", "null", "none"})
+"""What programs write into a cell without a value, in lower case."""
 
 _UNITS = (FORCE_UNITS, LENGTH_UNITS, AREA_UNITS, TIME_UNITS)
 
@@ -66,7 +72,8 @@ class Table:
 
     units: a row of units below the headings, where there was one. first_row: number of the first
     row of values, for errors. twice: headings of several columns, none of which is in `columns`.
-    problems: what of the file could not be read.
+    problems: what of the file could not be read. parts: names of the file's other parts, where
+    none was named.
     """
 
     where: str
@@ -75,6 +82,12 @@ class Table:
     first_row: int = 1
     twice: frozenset[str] = frozenset()
     problems: tuple[str, ...] = ()
+    parts: tuple[str, ...] = ()
+
+    @property
+    def others(self) -> str:
+        """Words that name the other parts of the file; empty without any."""
+        return f", or another part as FILE::PART ({', '.join(self.parts)})" if self.parts else ""
 
     def heading(self, name: str, option: str) -> str:
         """The heading that a name means: equal, or equal but for case and a unit at its end.
@@ -89,7 +102,7 @@ class Table:
         reason = "is there twice" if alike or name in self.twice else "does not exist"
         raise InputError(
             f"{self.where}: column '{name}' {reason} ({known_names(name, self.columns)}); "
-            f"name it with {option}"
+            f"name it with {option}{self.others}"
         )
 
     def unit(self, heading: str, units: Mapping[str, float]) -> str | None:
@@ -112,7 +125,11 @@ class Table:
             values = np.array([self._number(heading, row) for row in range(len(cells))])
         bad = np.isinf(values) if gaps else ~np.isfinite(values)
         if bad.any():
-            self._refuse(heading, int(np.flatnonzero(bad)[0]), "is no finite number")
+            self._refuse(
+                heading,
+                int(np.flatnonzero(bad)[0]),
+                "is no finite number; correct it or leave the row out",
+            )
         return values
 
     def times(self, heading: str, unit: str = "") -> Times:
@@ -144,7 +161,7 @@ class Table:
 
     def _number(self, heading: str, row: int) -> float:
         cell = self.columns[heading][row]
-        if cell is None or (isinstance(cell, str) and not cell.strip()):
+        if _is_missing(cell):
             return float("nan")
         try:
             return float(cell)
@@ -219,7 +236,7 @@ def read_table(name: str) -> Table:
         if sum(map(len, table.columns.values())) > FREE_VALUES + VALUES_PER_BYTE * size:
             raise InputError(f"{file}: holds more values than {size} bytes explain; not read")
     if not table.columns or not len(next(iter(table.columns.values()))):
-        raise InputError(f"{name}: holds no row of values; export it again")
+        raise InputError(f"{name}: holds no row of values; export it again{table.others}")
     return table
 
 
@@ -276,6 +293,7 @@ def of_rows(where: str, rows: Sequence[tuple[int, Sequence[Any]]]) -> Table:
     start = next((i for i, (_, row) in enumerate(rows) if _filled(row) >= wide), len(rows))
     if start == len(rows):
         return Table(where, {})
+    start = _headings_of_numbers(rows, start, wide)
     header = [str(cell if cell is not None else "").strip() for cell in rows[start][1]]
     units: dict[str, str] = {}
     if any(_is_value(cell) for cell in rows[start][1]):
@@ -283,11 +301,8 @@ def of_rows(where: str, rows: Sequence[tuple[int, Sequence[Any]]]) -> Table:
     else:
         start += 1
         below = rows[start][1] if start < len(rows) else ()
-        stated = [str(cell or "").strip(" []()") for cell in below]
-        named = [any(unit_named(text, known) for known in _UNITS) for text in stated if text]
-        # A first row of values may hold a unit too, as the option of a table of trials.
-        if named and 2 * sum(named) >= len(named):
-            units = dict(zip(header, stated))
+        if _are_units(below):
+            units = dict(zip(header, map(_bracketless, below)))
             start += 1
     body = rows[start:]
     twice = _twice(header)
@@ -297,6 +312,41 @@ def of_rows(where: str, rows: Sequence[tuple[int, Sequence[Any]]]) -> Table:
         if name and name not in twice
     }
     return Table(where, columns, units, body[0][0] if body else 1, twice)
+
+
+def _headings_of_numbers(rows: Sequence[tuple[int, Sequence[Any]]], start: int, wide: int) -> int:
+    """The row of headings above the first row of numbers; `start`, the first row as wide as the
+    table, where there is none: what a program writes before the headings may be as wide."""
+    first = next((i for i in range(start + 1, len(rows)) if _is_numbers(rows[i][1])), len(rows))
+    before, after = first - start, rows[first : first + MOST_ROWS_LOOKED_AT]
+    # Texts with some numbers, as a table of trials, have their headings first.
+    if len(after) < before or sum(_is_numbers(row) for _, row in after) < 0.8 * len(after):
+        return start
+    above = first - 1 - (before > 1 and _are_units(rows[first - 1][1]))
+    texts = [cell for cell in rows[above][1] if not _is_missing(cell)]
+    fits = _filled(rows[above][1]) >= wide and not any(map(_is_value, texts))
+    return above if texts and fits else start
+
+
+def _is_numbers(row: Sequence[Any]) -> bool:
+    cells = [cell for cell in row if not _is_missing(cell)]
+    return bool(cells) and all(map(_is_value, cells))
+
+
+def _are_units(row: Sequence[Any]) -> bool:
+    """Whether a row below the headings states units. A first row of values may hold a unit too, as
+    the option of a table of trials."""
+    stated = [text for text in map(_bracketless, row) if text]
+    named = [any(unit_named(text, known) for known in _UNITS) for text in stated]
+    return bool(named) and 2 * sum(named) >= len(named)
+
+
+def _bracketless(cell: Any) -> str:
+    return str(cell or "").strip(" []()")
+
+
+def _is_missing(cell: Any) -> bool:
+    return cell is None or (isinstance(cell, str) and cell.strip().casefold() in MISSING)
 
 
 def _twice(headings: Sequence[str]) -> frozenset[str]:
@@ -358,7 +408,8 @@ def _read_excel(path: Path, part: str) -> Table:
         raise InputError(
             f"{path}: not a workbook that can be read ({type(error).__name__}); save it as .xlsx"
         ) from None
-    return of_rows(f"{path}, sheet {part or names[0]}", rows)
+    found = of_rows(f"{path}, sheet {part or names[0]}", rows)
+    return found if part else replace(found, parts=tuple(names[1:]))
 
 
 def _read_parquet(path: Path, part: str) -> Table:

@@ -379,10 +379,10 @@ def _check_areas(settings: ImportSettings, result: Imported) -> None:
     inside = [int(((stamps >= a) & (stamps <= b)).sum()) for a, b, _ in result.presses]
     if not any(inside):
         origin = result.presses[0][0]
+        first, last = (seconds(int(stamps[i]) - origin) for i in (0, -1))
         raise InputError(
-            f"{name}: no area during a press; the first press begins "
-            f"{seconds(origin - int(stamps[0])):.3g} s after the first area and the last area "
-            f"comes {seconds(int(stamps[-1]) - origin):.3g} s after it; give --time-offset, or the "
+            f"{name}: no area during a press; counted from the beginning of the first press, the "
+            f"areas lie between {first:.6g} and {last:.6g} s; give --time-offset, or the "
             "--time-unit of both"
         )
     for number, count in enumerate(inside):
