@@ -37,7 +37,7 @@ from finger_offline.trial_checks import (
     fault_of,
 )
 from finger_offline.trial_records import TrialRecord
-from finger_offline.trial_split import presses
+from finger_offline.trial_split import TrialSettings, presses
 
 from .options import FitOptions
 from .results import ConditionFit, FitResult, write
@@ -119,13 +119,15 @@ class Trial:
             if len(values) < 2 or not np.all(np.diff(values) > 0):
                 raise InputError(f"{name}: {what} must increase; sort the rows by time")
         found = presses(_stamps(time), force, ONSET_FORCE, LIFTOFF_FORCE)
-        if not found:
+        peaks = [float(force[begin:end].max()) for begin, end in found]
+        least = TrialSettings().minimum_peak
+        if max(peaks, default=0.0) < least:
             raise InputError(
-                f"{name}: force stays below {ONSET_FORCE} N; give the normal force in N, positive "
-                "when the finger presses"
+                f"{name}: no press of {least:g} N or more, the largest force is "
+                f"{force.max():.3g} N; give the normal force in N, positive when the finger presses"
             )
-        first, end = max(found, key=lambda p: float(force[p[0] : p[1]].max()))
-        peak = float(force[first:end].max())
+        first, end = found[int(np.argmax(peaks))]
+        peak = max(peaks)
         measured = np.isfinite(area)
         last = float(time[min(end, len(time) - 1)])
         _check_units(name, (float(time[first]), last), peak, frames[measured], area[measured])
@@ -188,8 +190,10 @@ def _check_units(
 
 
 def _column(values: Any, name: str, gaps: bool = False) -> np.ndarray:
-    if getattr(getattr(values, "dtype", None), "kind", "") == "M":  # dates: seconds since 1970
-        values = np.asarray(values).astype("datetime64[ns]").astype(np.int64) / NANOSECONDS
+    kind = getattr(getattr(values, "dtype", None), "kind", "")
+    if kind in ("M", "m"):  # dates: seconds since 1970; spans: seconds
+        unit = "datetime64[ns]" if kind == "M" else "timedelta64[ns]"
+        values = np.asarray(values).astype(unit).astype(np.int64) / NANOSECONDS
     try:
         found = np.asarray(values, dtype=float).reshape(-1)
     except (TypeError, ValueError):
@@ -245,7 +249,8 @@ class Fit:
 
     @property
     def intervals(self) -> ByCondition:
-        """Condition → quantity → 95 % interval (low, high) by profile likelihood, else bootstrap.
+        """Condition → quantity → 95 % interval (low, high) by profile likelihood, without
+        profiles by the covariance.
 
         They hold all that is unknown, also the assumed lengths of the finger and the gain of all
         areas. An end at the bound of the search box means that the data do not limit it.
@@ -366,7 +371,7 @@ class Fit:
 def _interval(found: ConditionFit, name: str) -> tuple[float, float] | None:
     if name in found.profiles:
         return found.profiles[name].interval
-    return found.bootstrap_interval(name)
+    return found.whole_interval(name) or found.bootstrap_interval(name)
 
 
 def fit(
@@ -382,14 +387,23 @@ def fit(
     geometry: of the finger, as an object, a mapping or a geometry.yaml; the shipped one by default.
     law: another installed material law; one without a reduced model is slow. model: any object
     with `space` and `batch` in place of both. options: fields of `FitOptions`, such as
-    bootstrap=0, full_order=False, seed=1, bounds=["E2=500kPa:3MPa"]. Raises InputError for data
-    that cannot be fitted.
+    bootstrap=0, full_order=False, seed=1, bounds=["E2=500kPa:3MPa"] or {"E2": (500e3, 3e6)}.
+    Raises InputError for data that cannot be fitted.
     """
     if isinstance(geometry, Mapping):
         geometry = Geometry.from_dict(dict(geometry))
+    if "bounds" in options:
+        options["bounds"] = _bounds(options["bounds"])
     chosen = FitOptions.from_mapping(options, "fit")
     model = model or load_areas("", geometry or "", law)
     chosen.check_names(model.space)
+    trials = [trials] if isinstance(trials, Trial) else list(trials)
+    for number, trial in enumerate(trials):
+        if not isinstance(trial, Trial):
+            raise InputError(
+                f"fit: trial {number} is of type {type(trial).__name__}; give a list of "
+                "Trial(time, force, area, …)"
+            )
     records = [trial.record(number) for number, trial in enumerate(trials)]
     if not records:
         raise InputError("fit: no trial was given; give a list of Trial")
@@ -401,3 +415,13 @@ def fit(
         found[name] = Fit(part)
     result.sources = provenance(model, chosen, (), f"finger_fit.fit(…{changed})")
     return Fit(result, found)
+
+
+def _bounds(given: Any) -> Any:
+    """Bounds as texts: of one text, or of a mapping of names to two ends in SI or with units."""
+    if isinstance(given, str):
+        return [given]
+    if isinstance(given, Mapping):
+        ends = {n: e if isinstance(e, (list, tuple)) else (e,) for n, e in given.items()}
+        return [f"{name}={':'.join(map(str, span))}" for name, span in ends.items()]
+    return given

@@ -161,6 +161,7 @@ def test_saved_tables_hold_what_was_found(result: Fit, tmp_path: Path) -> None:
         ({"force": "much"}, "trial 0: force holds something else than numbers"),
         ({"time": [0.0] * 200}, "trial 0: time must increase"),
         ({"force": -np.ones(200)}, "positive when the finger presses"),
+        ({"force": np.sin(np.linspace(0.0, 2.0, 200)) / 9.80665}, "no press of 0.2 N.*0.102 N"),
         ({"area": np.full(200, np.inf)}, "area: value 0 is not finite"),
         ({"area": np.full(200, np.nan)}, "trial 0: area holds no number"),
         ({"area": 50.0 * np.sin(np.linspace(0.0, 2.0, 200))}, "is 50 m².*give the area in m²"),
@@ -176,8 +177,42 @@ def test_bad_arrays_are_named(change: dict[str, Any], sentence: str) -> None:
         fit([Trial(**{**good, **change})])
     with pytest.raises(InputError, match="no trial was given"):
         fit([])
+    with pytest.raises(InputError, match=r"trial 1 is of type dict; give a list of Trial\("):
+        fit([Trial(**good), good])
+    with pytest.raises(InputError, match=r"'dry' has 1 trial, 3 are needed.*left out.*same press"):
+        fit([Trial(**good, condition="dry")] * 3)
     with pytest.raises(InputError, match="did you mean 'bootstrap'"):
         fit([Trial(**good)], bootstraps=3)
+
+
+@pytest.mark.parametrize(
+    "bounds",
+    [
+        {"E2": (500e3, 3e6)},
+        {"E2": ("500kPa", "3MPa")},
+        {"E2": "500kPa:3MPa"},
+        "E2=500kPa:3MPa",
+        ["E2=500kPa:3MPa"],
+    ],
+)
+def test_bounds_may_be_a_mapping(double: SimpleNamespace, bounds: Any) -> None:
+    quick = {**QUICK, "bootstrap": 0, "grid": 3, "rounds": 2, "nuisances": False}
+    found = fit(trials_of(double, 3), model=double.HereditaryModel(), bounds=bounds, **quick)
+    (one,) = found.result.fits.values()
+    assert one.problem.box[one.space.index("E2")].tolist() == [500e3, 3e6]
+
+
+def test_without_profiles_the_covariance_gives_the_intervals(
+    double: SimpleNamespace, result: Fit
+) -> None:
+    quick = {**QUICK, "bootstrap": 0, "profiles": False}
+    plain = fit(trials_of(double), model=double.HereditaryModel(), **quick)
+    low, high = plain.intervals["composite_E"]
+    inner = plain.data_intervals["composite_E"]
+    assert low < inner[0] < plain.parameters["composite_E"] < inner[1] < high
+    # The gain of all areas is assumed in both: the whole interval is wider than that of the data.
+    profiled = result.intervals["composite_E"]
+    assert np.log(high / low) == pytest.approx(np.log(profiled[1] / profiled[0]), rel=0.3)
 
 
 def test_dates_are_times() -> None:
@@ -187,6 +222,9 @@ def test_dates_are_times() -> None:
     steps = np.diff(dated.stamp_ns) - np.diff(plain.stamp_ns)
     assert np.abs(steps).max() < 1000, "ns"
     np.testing.assert_array_equal(dated.stamp_ns, dated.area_stamp_ns)
+    spans = np.round(time * 1e9).astype("timedelta64[ns]")
+    spanned = Trial(spans, np.sin(time), 5e-5 * np.sin(time)).record(0)
+    np.testing.assert_array_equal(spanned.stamp_ns, plain.stamp_ns)
 
 
 def test_importing_needs_no_ros() -> None:

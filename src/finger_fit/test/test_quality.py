@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -55,6 +56,7 @@ def test_clean_presses_pass_every_check(double: SimpleNamespace, presses: list[A
         "lag of the areas": "ok",
         "tare": "ok",
         "scatter between presses": "ok",
+        "model against areas": "ok",
         "moisture": "ok",
     }
     assert all(t.gain == pytest.approx(1.0, abs=0.02) for t in fit.quality.trials)
@@ -123,8 +125,9 @@ def test_two_subjects_are_fitted_apart_unless_pooled(
         ),
         (lambda r: {"force": r.force + 0.12}, "tare", "without contact"),
         (lambda r: {"area": r.area * (0.6 + 0.35 * r.index)}, "scatter between presses", "differ"),
+        (lambda r: {"area": 2.5 * r.area}, "model against areas", "check the units"),
     ],
-    ids=["saturated", "late", "tare", "scatter"],
+    ids=["saturated", "late", "tare", "scatter", "unit"],
 )
 def test_a_failing_check_is_named_and_keeps_a_fit_from_being_final(
     double: SimpleNamespace, presses: list[Any], change: Any, name: str, words: str
@@ -134,6 +137,31 @@ def test_a_failing_check_is_named_and_keeps_a_fit_from_being_final(
     assert status == "fail" and words in detail
     (fit,) = result.fits.values()
     assert any(reason.startswith(f"data: {name}") for reason in fit.reasons)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda force, ramp: force**0.1, r"depend on the force, by . ?\d"),
+        (lambda force, ramp: ramp**0.1, r"slow presses have \+\d"),
+    ],
+    ids=["force", "duration"],
+)
+def test_areas_that_follow_another_law_are_noted(
+    double: SimpleNamespace, change: Any, words: str
+) -> None:
+    """Presses of a finger whose areas depend on force or speed otherwise than the model's."""
+    records = []
+    for index, ramp in enumerate(np.tile([0.5, 0.7, 1.0, 1.4, 2.0], 2)):
+        record = double.make_record(index, ramp, 0.5e-6)
+        force = np.interp(record.area_stamp_ns, record.stamp_ns, record.force)
+        factor = change(np.maximum(force, 0.05), ramp)
+        records.append(replace(record, area=record.area * factor))
+    box = ["E0=115kPa:125kPa", "E1=24kPa:26kPa", "E2=1400kPa:1600kPa", "tau1=0.19:0.21"]
+    narrow = replace(QUICK, bounds=box, nuisances=False)
+    status, detail = status_of(fitted(double, records, narrow), "model against areas")
+    assert status == "note" and re.search(words, detail), detail
+    assert "another law" in detail
 
 
 def test_stamps_that_ran_back_fail(double: SimpleNamespace, presses: list[Any]) -> None:

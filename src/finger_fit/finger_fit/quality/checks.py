@@ -19,6 +19,7 @@ from finger_offline.trial_checks import fault_of
 from ..problem import FitTrial
 from ..problem.trials import label_of
 from ..results import ConditionFit
+from .misfit import Misfit, misfit
 
 DOUBTFUL = {
     AreaFlag.SATURATED: "saturated",
@@ -38,6 +39,17 @@ before the fit (`problem.unloaded`)."""
 
 SCATTER_NOTE, SCATTER_LIMIT = 0.10, 0.25
 """Standard deviation of the trials' gain from which it is noted, and from which it fails."""
+
+GAIN_NOTE, GAIN_LIMIT = 0.05, 0.15
+"""Logarithm of measured over modelled area, mean of the presses, from which it is noted, and from
+which it fails: no parameters inside the search box give such areas."""
+
+RESIDUAL_NOTE, RESIDUAL_LIMIT = 0.10, 0.25
+"""RMS difference within a press over the area from which it is noted, and from which it fails."""
+
+TREND_NOTE = 0.015
+"""Residual over area that depends on the force alike in all presses, and change of the presses'
+gain with their duration, from which it is noted: an installed model errs by less."""
 
 INDENTATION_NOTE, INDENTATION_LIMIT = 2.0, 0.25
 """RMS difference of indentation and model, over the stated deviation, from which it is noted; over
@@ -117,6 +129,7 @@ def quality_of(fit: ConditionFit, records: Sequence[Any]) -> Quality:
     _check_lag(out)
     _check_tare(out)
     _check_scatter(out)
+    _check_misfit(out, misfit(fit, np.array([t.gain for t in out.trials])))
     _check_indentation(out, fit, records)
     _check_moisture(out, fit)
     return out
@@ -208,6 +221,33 @@ def _check_scatter(out: Quality) -> None:
         status,
         f"areas of whole presses differ from the model by {100 * spread:.1f} % (SD of the gain)",
     )
+
+
+def _check_misfit(out: Quality, found: Misfit) -> None:
+    """Whether the model gives areas like these at all, and follows them within a press."""
+    gain, words, status = float(np.log(found.gain)), [], OK
+    if abs(gain) > GAIN_NOTE or found.residual > RESIDUAL_NOTE:
+        bad = abs(gain) > GAIN_LIMIT or found.residual > RESIDUAL_LIMIT
+        status = FAIL if bad else NOTE
+        words.append("check the units of force and area, the geometry and the bounds")
+    trend = found.trend
+    if trend is not None and trend.size > TREND_NOTE:
+        worst = int(np.argmax(np.abs(trend.residual)))
+        low, high = trend.force[worst]
+        words.append(
+            f"they depend on the force, by {100 * trend.residual[worst]:+.1f} % between {low:.2g} "
+            f"and {high:.2g} N" + ("" if trend.loading[worst] else " of the release")
+        )
+    if abs(found.duration) > TREND_NOTE:
+        words.append(
+            f"slow presses have {100 * np.expm1(found.duration):+.1f} % of area against fast ones"
+        )
+    if words and status == OK:
+        status = NOTE
+        words.append("the tissue may follow another law, which no interval allows for")
+    middle = f"{100 * np.expm1(gain):+.1f} % from the model on average"
+    text = f"areas differ by {middle}, by {100 * found.residual:.1f} % within a press (RMS)"
+    out.add("model against areas", status, "; ".join([text, *words]).replace("-", "−"))
 
 
 def _check_indentation(out: Quality, fit: ConditionFit, records: Sequence[Any]) -> None:

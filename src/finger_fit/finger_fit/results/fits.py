@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.stats import t as student
 
-from ..uncertainty import BiasCorrected, Covariance, Goodness, Profile
+from ..uncertainty import NORMAL_95, BiasCorrected, Covariance, Goodness, Profile
 
 if TYPE_CHECKING:
     from finger_model.fem.fields import Fields
@@ -144,7 +144,21 @@ class ConditionFit:
             return None
         if name in self.profiles:
             return self.profiles[name].data_interval
-        reach = student.ppf(0.975, max(len(self.problem) - 1, 1)) * self.data_deviation(name)
+        return self._around(name, self._reach(name))
+
+    def whole_interval(self, name: str) -> tuple[float, float] | None:
+        """95 % interval of a quantity with all that is unknown, by the covariance, inside the
+        search box; None without one."""
+        if self.covariance is None:
+            return None
+        assumed = NORMAL_95 * self.assumed_deviation(name)
+        return self._around(name, float(np.hypot(self._reach(name), assumed)))
+
+    def _reach(self, name: str) -> float:
+        degrees = max(len(self.problem) - 1, 1)
+        return float(student.ppf(0.975, degrees)) * self.data_deviation(name)
+
+    def _around(self, name: str, reach: float) -> tuple[float, float]:
         low, high = self.space.quantity_bounds(name, self.problem.box)
         ends = self.quantity(name) * np.exp(np.array([-reach, reach]))
         return float(max(ends[0], low)), float(min(ends[1], high))

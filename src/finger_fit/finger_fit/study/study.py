@@ -65,9 +65,12 @@ def fit_records(
         if len(subjects) == 1 or options.pool:
             if len(subjects) > 1:
                 notes.append(f"{len(subjects)} subjects are pooled: {', '.join(subjects)}")
-            part = _fit_subject(
-                trials, of_trial, model, options, conditions, engine, folder, report
-            )
+            try:
+                part = _fit_subject(
+                    trials, of_trial, model, options, conditions, engine, folder, report
+                )
+            except InputError as error:
+                raise InputError(f"{error}{_left_out(exclusions)}") from None
             return dataclasses.replace(
                 part, exclusions=exclusions, problems=[*notes, *part.problems]
             )
@@ -92,7 +95,7 @@ def fit_records(
             if parts[name].interrupted:
                 break
     if not parts:
-        raise InputError(f"no subject can be fitted ({'; '.join(notes)})")
+        raise InputError(f"no subject can be fitted ({'; '.join(notes)}){_left_out(exclusions)}")
     return FitResult(
         options,
         {f"{name} {c}": fit for name, part in parts.items() for c, fit in part.fits.items()},
@@ -126,8 +129,8 @@ def _fit_subject(
     for name, group in groups.items():
         if len(group) < SMALLEST_CONDITION:
             notes.append(
-                f"condition '{name}' has {len(group)} trials, {SMALLEST_CONDITION} are needed: "
-                "not fitted"
+                f"condition '{name}' has {len(group)} trial{'s' * (len(group) != 1)}, "
+                f"{SMALLEST_CONDITION} are needed: not fitted"
             )
             continue
         problem = FitProblem(group, model, options)
@@ -159,8 +162,17 @@ def _fit_subject(
 
 def nothing_to_fit(exclusions: Sequence[Exclusion]) -> InputError:
     """The error of a fit without a usable trial."""
-    reasons = "; ".join(f"{e.label}: {e.reason}" for e in exclusions[:3])
-    return InputError(f"no trial can be fitted ({reasons or 'the bags hold none'})")
+    return InputError(f"no trial can be fitted ({_reasons(exclusions) or 'the bags hold none'})")
+
+
+def _left_out(exclusions: Sequence[Exclusion]) -> str:
+    return f"; left out: {_reasons(exclusions)}" if exclusions else ""
+
+
+def _reasons(exclusions: Sequence[Exclusion]) -> str:
+    """The first reasons, and how many there are besides."""
+    more = f"; and {len(exclusions) - 3} more" if len(exclusions) > 3 else ""
+    return "; ".join(f"{e.label}: {e.reason}" for e in exclusions[:3]) + more
 
 
 def _further(result: FitResult, records: Sequence[Any], engine: Engine) -> None:

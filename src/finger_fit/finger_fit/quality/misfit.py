@@ -1,0 +1,117 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Does the model hold? What is left of the areas once noise and scatter of the presses are out.
+
+Residuals that depend on the force in the same way in all presses, or gains of presses that follow
+their duration, are no noise: another law of the tissue, another finger, a wrong unit. The intervals
+of a fit do not allow for them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from ..results import ConditionFit
+
+BINS = 4
+"""Parts of the loading by force, each with as many frames."""
+
+SIGNIFICANT = 1e-3
+"""Probability of chance below which a trend counts."""
+
+
+@dataclass(frozen=True)
+class Trend:
+    """Mean residual over mean area (B,) of B parts of the presses, in the order of the force.
+
+    force (B, 2): N, span of each part; loading (B,): false for frames after the peak; chance:
+    probability of so much without a trend.
+    """
+
+    force: np.ndarray
+    loading: np.ndarray
+    residual: np.ndarray
+    chance: float
+
+    @property
+    def size(self) -> float:
+        """Largest mean residual over mean area; 0 where it may be chance."""
+        return float(np.abs(self.residual).max()) if self.chance < SIGNIFICANT else 0.0
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """Of one condition.
+
+    gain: measured area over the model's, geometric mean of the presses; residual: RMS difference
+    within a press over the RMS area; trend: None with too few frames; duration: change of the
+    logarithm of a press's gain between the shortest and the longest loading, 0 where it may be
+    chance.
+    """
+
+    gain: float
+    residual: float
+    trend: Trend | None
+    duration: float
+
+
+def misfit(fit: ConditionFit, gains: np.ndarray) -> Misfit:
+    """Of a fitted condition; gains (T,): measured area over the model's of each press."""
+    problem = fit.problem
+    measured, trial = problem.measured, problem.trial_of
+    left = measured - gains[trial] * fit.areas
+    residual = float(np.sqrt((left**2).sum() / (measured**2).sum()))
+    return Misfit(
+        float(np.exp(np.log(gains).mean())), residual, _trend(fit, left), _by_duration(fit, gains)
+    )
+
+
+def _trend(fit: ConditionFit, left: np.ndarray) -> Trend | None:
+    """Of residuals (n,) in m², by force; below the low force an outline loses area."""
+    problem = fit.problem
+    force, trial = problem.force, problem.trial_of
+    high = force >= problem.options.low_force
+    loading = np.concatenate([_before_peak(t.frame_time, t.time, t.force) for t in problem.trials])
+    parts = []
+    for side in (True, False):
+        rows = np.flatnonzero(high & (loading == side))
+        number = min(BINS, len(rows) // max(len(problem), 1))
+        if number:
+            order = rows[np.argsort(force[rows], kind="stable")]
+            parts += [(part, side) for part in np.array_split(order, number)]
+    means, weight, between, degrees = [], [], 0.0, 0
+    for part, _ in parts:
+        presses = np.unique(trial[part])
+        own = np.array([left[part[trial[part] == t]].mean() for t in presses])
+        means.append(float(own.mean()))
+        weight.append(len(own))
+        between += float(((own - own.mean()) ** 2).sum())
+        degrees += len(own) - 1
+    if degrees < 2 or between <= 0.0:
+        return None
+    ratio = float(np.array(weight) @ np.square(means)) / len(parts) / (between / degrees)
+    return Trend(
+        np.array([[force[p].min(), force[p].max()] for p, _ in parts]),
+        np.array([side for _, side in parts]),
+        np.array([m / problem.measured[p].mean() for m, (p, _) in zip(means, parts)]),
+        float(stats.f.sf(ratio, len(parts), degrees)),
+    )
+
+
+def _before_peak(frames: np.ndarray, time: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """Mask (k,) of the frames up to the largest force of a press."""
+    return frames <= time[int(np.argmax(force))]
+
+
+def _by_duration(fit: ConditionFit, gains: np.ndarray) -> float:
+    """Change of log gains (T,) between the shortest and the longest loading."""
+    durations = np.array([t.time[int(np.argmax(t.force))] for t in fit.problem.trials])
+    if len(gains) < 4 or not durations.min() > 0 or durations.max() < 1.2 * durations.min():
+        return 0.0
+    found = stats.linregress(np.log(durations), np.log(gains))
+    span = float(np.log(durations.max() / durations.min()))
+    return float(found.slope) * span if found.pvalue < SIGNIFICANT else 0.0
