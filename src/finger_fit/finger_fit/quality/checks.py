@@ -225,7 +225,8 @@ def _check_scatter(out: Quality) -> None:
 
 def _check_misfit(out: Quality, found: Misfit) -> None:
     """Whether the model gives areas like these at all, and follows them within a press."""
-    gain, words, status = float(np.log(found.gain)), [], OK
+    gain, status = float(np.log(found.gain)), OK
+    words: list[str] = []
     if abs(gain) > GAIN_NOTE or found.residual > RESIDUAL_NOTE:
         bad = abs(gain) > GAIN_LIMIT or found.residual > RESIDUAL_LIMIT
         status = FAIL if bad else NOTE

@@ -76,14 +76,16 @@ def _trend(fit: ConditionFit, left: np.ndarray) -> Trend | None:
     force, trial = problem.force, problem.trial_of
     high = force >= problem.options.low_force
     loading = np.concatenate([_before_peak(t.frame_time, t.time, t.force) for t in problem.trials])
-    parts = []
+    parts: list[tuple[np.ndarray, bool]] = []
     for side in (True, False):
         rows = np.flatnonzero(high & (loading == side))
         number = min(BINS, len(rows) // max(len(problem), 1))
         if number:
             order = rows[np.argsort(force[rows], kind="stable")]
             parts += [(part, side) for part in np.array_split(order, number)]
-    means, weight, between, degrees = [], [], 0.0, 0
+    means: list[float] = []
+    weight: list[int] = []
+    between, degrees = 0.0, 0
     for part, _ in parts:
         presses = np.unique(trial[part])
         own = np.array([left[part[trial[part] == t]].mean() for t in presses])
