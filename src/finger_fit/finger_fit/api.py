@@ -257,7 +257,7 @@ class Fit:
         """
         found = ByCondition()
         for name, condition in self.result.fits.items():
-            ends = {q: _interval(condition, q) for q in condition.space.quantity_names}
+            ends = {q: condition.interval(q) for q in condition.space.quantity_names}
             found[name] = {q: interval for q, interval in ends.items() if interval is not None}
         return found
 
@@ -335,7 +335,7 @@ class Fit:
         for name, found in self.result.fits.items():
             lines.append(f"{name or 'all'} ({len(found.problem)} presses): {found.status}")
             for quantity in map(found.space.describe, found.space.quantity_names):
-                ends = _interval(found, quantity.name)
+                ends = found.interval(quantity.name)
                 text = quantity.text(found.quantity(quantity.name))
                 span = f"  [{quantity.text(ends[0])}, {quantity.text(ends[1])}]" if ends else ""
                 alone = found.data_interval(quantity.name)
@@ -366,12 +366,6 @@ class Fit:
             draw(self.result)
         self.save(folder)
         return write_report(self.result, Path(folder))
-
-
-def _interval(found: ConditionFit, name: str) -> tuple[float, float] | None:
-    if name in found.profiles:
-        return found.profiles[name].interval
-    return found.whole_interval(name) or found.bootstrap_interval(name)
 
 
 def fit(

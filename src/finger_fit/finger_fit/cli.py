@@ -154,9 +154,9 @@ def command(argv: Sequence[str] | None = None) -> int:
         print(f"excluded: {plain(exclusion.label)}: {plain(exclusion.reason)}")
     for name, fit in result.fits.items():
         headline = fit.space.describe(fit.space.headline)
-        ends, alone = fit.profiles.get(headline.name), fit.data_interval(headline.name)
+        ends, alone = fit.interval(headline.name), fit.data_interval(headline.name)
         if ends is not None and alone is not None:
-            whole, part = (" to ".join(map(headline.text, e)) for e in (ends.interval, alone))
+            whole, part = (" to ".join(map(headline.text, e)) for e in (ends, alone))
             print(
                 f"{plain(name)}: {headline.symbol} {whole} {headline.display_unit} (95 %); from "
                 f"the data alone, with lengths and gain as assumed, {part}"

@@ -131,13 +131,13 @@ def parameters(result: FitResult) -> str:
 
 
 def _interval(fit: ConditionFit, name: str) -> str:
-    profile = fit.profiles.get(name)
-    if profile is None:
+    profile, ends = fit.profiles.get(name), fit.interval(name)
+    if ends is None:
         return ""
-    if not profile.identifiable:
+    if profile is not None and not profile.identifiable:
         return "<small>not identifiable</small>"
-    low, high = (show(fit.space, name, v) for v in profile.interval)
-    before, after = "≤ " * profile.open_low, " ≤" * profile.open_high
+    low, high = (show(fit.space, name, v) for v in ends)
+    before, after = ("≤ " * profile.open_low, " ≤" * profile.open_high) if profile else ("", "")
     return f"<small>{before}{low} – {high}{after}</small>"
 
 

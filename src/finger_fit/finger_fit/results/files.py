@@ -111,17 +111,8 @@ def condition_dict(fit: ConditionFit) -> dict[str, Any]:
             out[f"correlation_{first}_{second}"] = c.correlation(first, second)
         out["sd_log"] = {name: c.deviation(name) for name in space.quantity_names}
         out["from_data"] = {name: _from_data(fit, name) for name in space.quantity_names}
-    if fit.profiles:
-        out["interval_95"] = {
-            name: {
-                "low": p.interval[0],
-                "high": p.interval[1],
-                "low_is_bound": p.open_low,
-                "high_is_bound": p.open_high,
-                "identifiable": p.identifiable,
-            }
-            for name, p in fit.profiles.items()
-        }
+    if fit.profiles or fit.covariance is not None:
+        out["interval_95"] = {name: _whole(fit, name) for name in space.quantity_names}
     if fit.bias_corrected:
         out["bias_corrected"] = {
             name: {
@@ -143,6 +134,20 @@ def _shifted(fit: ConditionFit, name: str, bias: float) -> dict[str, float]:
         return {}
     low, high = shifted_interval(fit.profiles[name], bias)
     return {"low": low, "high": high}
+
+
+def _whole(fit: ConditionFit, name: str) -> dict[str, Any]:
+    """Interval with all that is unknown; whether its ends are those of the search box."""
+    low, high = fit.interval(name) or (math.nan, math.nan)
+    profile = fit.profiles.get(name)
+    first, last = fit.space.quantity_bounds(name, fit.problem.box)
+    return {
+        "low": low,
+        "high": high,
+        "low_is_bound": low <= first if profile is None else profile.open_low,
+        "high_is_bound": high >= last if profile is None else profile.open_high,
+        "identifiable": None if profile is None else profile.identifiable,
+    }
 
 
 def _from_data(fit: ConditionFit, name: str) -> dict[str, Any]:

@@ -146,11 +146,13 @@ class ConditionFit:
             return self.profiles[name].data_interval
         return self._around(name, self._reach(name))
 
-    def whole_interval(self, name: str) -> tuple[float, float] | None:
-        """95 % interval of a quantity with all that is unknown, by the covariance, inside the
-        search box; None without one."""
+    def interval(self, name: str) -> tuple[float, float] | None:
+        """95 % interval of a quantity with all that is unknown, inside the search box: by the
+        profile, without one by the covariance, else by the bootstrap; None without any."""
+        if name in self.profiles:
+            return self.profiles[name].interval
         if self.covariance is None:
-            return None
+            return self.bootstrap_interval(name)
         assumed = NORMAL_95 * self.assumed_deviation(name)
         return self._around(name, float(np.hypot(self._reach(name), assumed)))
 

@@ -57,7 +57,7 @@ def parameter_rows(result: FitResult) -> Rows:
             quantity = fit.space.describe(name)
             profile, found = fit.profiles.get(name), fit.bias_corrected.get(name)
             factor, unit = quantity.display_factor, quantity.display_unit
-            ends = profile.interval if profile else (np.nan, np.nan)
+            ends = fit.interval(name) or (np.nan, np.nan)
             resampled = fit.bootstrap_interval(name) or (np.nan, np.nan)
             alone = fit.data_interval(name) or (np.nan, np.nan)
             rows.append(
