@@ -481,7 +481,10 @@ def _plain_log_ticks(panel: Axes, low: float, high: float) -> None:
     wanted = [inside[i] for i in sorted({0, len(inside) // 2, len(inside) - 1})] if inside else []
     panel.xaxis.set_major_locator(FixedLocator(wanted))
     panel.xaxis.set_minor_locator(NullLocator())
-    panel.set_xticklabels([f"{v:g}" for v in wanted])
+    labels = panel.set_xticklabels([f"{v:g}" for v in wanted])
+    if len(labels) > 1:  # the ends would run into the next panel's
+        labels[0].set_ha("left")
+        labels[-1].set_ha("right")
 
 
 def residuals_figure(report: FitResult) -> Figure:

@@ -208,7 +208,7 @@ def contrast_table(result: FitResult) -> str:
                 f"{escape(c.first)} – {escape(c.second)}",
                 *headings(space, [c.quantity]),
                 f"{c.ratio:.3f}<small>{c.ratio_95[0]:.3f} – {c.ratio_95[1]:.3f}</small>",
-                f"{show(space, c.quantity, c.difference)}<small>{low} – {high}</small>",
+                f"{show(space, c.quantity, c.difference)}<small>{low} to {high}</small>",
                 f"{c.probability_greater:.3f}",
                 "differ" if c.separated else "<i>not separated</i>",
             ]
@@ -266,8 +266,8 @@ def covariances(result: FitResult) -> str:
     header = ["condition", "", *(space[n].html for n in space.names)]
     return table(header, rows, (1,)) + (
         "<p class=lead>Covariance of the logarithms: standard deviations on the diagonal, "
-        "correlations below it; of the bootstrap where there is one. A parameter on a bound has "
-        "none.</p>"
+        "correlations below it; without nuisance parameters that of the bootstrap, where there is "
+        "one. A parameter on a bound has none.</p>"
     )
 
 
