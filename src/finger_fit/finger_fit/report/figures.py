@@ -483,8 +483,8 @@ def _plain_log_ticks(panel: Axes, low: float, high: float) -> None:
     panel.xaxis.set_minor_locator(NullLocator())
     labels = panel.set_xticklabels([f"{v:g}" for v in wanted])
     if len(labels) > 1:  # the ends would run into the next panel's
-        labels[0].set_ha("left")
-        labels[-1].set_ha("right")
+        labels[0].set_horizontalalignment("left")
+        labels[-1].set_horizontalalignment("right")
 
 
 def residuals_figure(report: FitResult) -> Figure:
