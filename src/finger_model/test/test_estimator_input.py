@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -311,6 +313,30 @@ def test_an_old_reading_and_an_old_area_are_flagged(model: ReducedModel) -> None
     assert seen[260] & StateFlag.AREA_STALE
     assert not seen[490] & StateFlag.MOISTURE_STALE
     assert seen[510] & StateFlag.MOISTURE_STALE
+
+
+@pytest.mark.parametrize("again", ["start", "reset", "parameters"])
+def test_an_area_is_less_certain_the_older_the_reading_is(model: ReducedModel, again: str) -> None:
+    """In the first contact, when nothing was learned yet; an old one is worth none."""
+
+    def certainty(age: float | None) -> float:
+        estimator = ContactEstimator(model)
+        if age is not None:
+            estimator.add_moisture(T0 - round(age * 1e9), 69.31)
+        one(estimator, 0, 0.0)
+        if again == "reset":
+            estimator.reset()
+        elif again == "parameters":
+            sets = ParameterSets.default()
+            assert sets.prior is not None
+            prior = replace(sets.prior, misfit_sd=0.5 * sets.prior.misfit_sd)
+            estimator.change_parameters(sets.with_prior(prior, model.geometry))
+        found = [one(estimator, ms, min(ms / 1000, 1.0))[0] for ms in range(5, 1500, 5)][-1]
+        return found.area_stddev / found.area
+
+    fresh, stale, old, none = map(certainty, (1.0, 900.0, 3600.0, None))
+    assert fresh < 0.95 * stale < 0.9 * old
+    assert old == pytest.approx(none, rel=1e-3)
 
 
 def test_every_unknown_value_is_nan_and_flagged(model: ReducedModel) -> None:

@@ -71,6 +71,7 @@ FILTER_BANK = np.dtype(
         ("newest", "f8"),  # ln of the newest fused area over the model's
         ("tolerance", "f8"),  # HULL deviations of it
         ("stamp", "i8"),  # ns, time of mean and covariance
+        ("moisture_stamp", "i8"),  # ns, until which the reading of the moisture has aged
         ("outliers", "i8"),  # in a row
         ("surprise", "f8"),  # running mean of squared normalised innovations, 1 when consistent
         ("mismatch", "?"),  # surprise is, or recently was, too large
@@ -147,8 +148,8 @@ def _widen(bank, noise):
 
 
 @njit(cache=True)
-def initialise(bank, noise):
-    """Filters as for a finger not seen before."""
+def initialise(bank, noise, moisture_stamp):
+    """Filters as for a finger not seen before; moisture_stamp: ns, of the reading in use."""
     for k in range(FILTERS):
         bank.mean[k] = 0.0
         for i in range(FINGER_STATES):
@@ -157,6 +158,7 @@ def initialise(bank, noise):
     bank.surprise = 1.0
     bank.mismatch = False
     bank.measured = False
+    bank.moisture_stamp = moisture_stamp
     mixture_mean(bank, bank.start)
 
 
@@ -168,16 +170,18 @@ def keep(bank, copy):
     copy.log_weight[:] = bank.log_weight
     copy.surprise = bank.surprise
     copy.mismatch = bank.mismatch
+    copy.moisture_stamp = bank.moisture_stamp
 
 
 @njit(cache=True)
-def new_reading(bank, noise):
-    """The moisture's error as after a new reading, or without one."""
+def new_reading(bank, noise, stamp):
+    """The moisture's error as after a new reading of this stamp (ns), or without one."""
     for k in range(FILTERS):
         bank.mean[k, MOISTURE] = 0.0
         bank.covariance[k, MOISTURE, :] = 0.0
         bank.covariance[k, :, MOISTURE] = 0.0
         bank.covariance[k, MOISTURE, MOISTURE] = noise.moisture_variance
+    bank.moisture_stamp = stamp
     mixture_mean(bank, bank.start)
 
 
@@ -198,7 +202,7 @@ def mixture_mean(bank, out):
 @njit(cache=True)
 def begin_contact(bank, noise, stamp):
     """Draw the contact's own errors d and e again; the reading of the moisture has aged."""
-    aged = noise.moisture_wander * max((stamp - bank.stamp) * 1e-9, 0.0)
+    aged = noise.moisture_wander * max((stamp - bank.moisture_stamp) * 1e-9, 0.0)
     for k in range(FILTERS):
         bank.mean[k, CONTACT:] = 0.0
         _draw_contact(bank, noise, k)
@@ -207,6 +211,7 @@ def begin_contact(bank, noise, stamp):
         )
         bank.log_weight[k] *= MEMORY_BETWEEN_CONTACTS
     bank.stamp = stamp
+    bank.moisture_stamp = max(stamp, bank.moisture_stamp)
     bank.outliers = 0
     bank.measured = False
     mixture_mean(bank, bank.start)

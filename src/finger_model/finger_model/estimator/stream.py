@@ -486,8 +486,8 @@ def process(net, base, par, finger, work, configuration, states, stamps, forces,
 @njit(cache=True)
 def initialise_filters(net, base, par, finger, work, configuration, states):
     """Filters and members as for a finger not seen before, with no area fused."""
-    state = states[0]
-    area_filter.initialise(state.filters, configuration[0].noise)
+    config, state = configuration[0], states[0]
+    area_filter.initialise(state.filters, config.noise, config.moisture_stamp)
     state.contact.has_fused = False
     members.shift_to(state.members, state.filters.start[2:])
     members.place(net, base, par, finger, work, state.members)
@@ -496,7 +496,8 @@ def initialise_filters(net, base, par, finger, work, configuration, states):
 @njit(cache=True)
 def new_reading(configuration, states):
     """The filters' error of the moisture as after a new reading."""
-    area_filter.new_reading(states[0].filters, configuration[0].noise)
+    config = configuration[0]
+    area_filter.new_reading(states[0].filters, config.noise, config.moisture_stamp)
 
 
 @njit(cache=True)
