@@ -91,6 +91,7 @@ FILTER_NOISE = np.dtype(
         ("contact_variance", "f8"),  # of d
         ("drift_variance", "f8"),  # of d within 1 s
         ("model_variance", "f8"),  # of ln A by the reduced model itself
+        ("gain_variance", "f8"),  # of the factor that all measured areas share
         ("outlier_limit", "f8"),  # standard deviations
     ]
 )
@@ -365,6 +366,7 @@ def estimate(bank, noise, h, offset, stamp, bounded):
         )
     mean /= weight
     variance = max(square / weight - mean * mean, 0.0) + noise.model_variance
+    variance += noise.gain_variance * h[CONTACT] * h[CONTACT]
     if bounded and bank.measured:
         predicted = _product(h, bank.start) - offset
         low = min(predicted, bank.newest - bank.tolerance)

@@ -59,6 +59,7 @@ class FilterState:
         noise["slope_variance"] = settings.slope_sd**2
         noise["contact_variance"] = settings.contact_area_sd**2
         noise["drift_variance"] = settings.drift_sd**2
+        noise["gain_variance"] = settings.area_gain_sd**2
         noise["outlier_limit"] = settings.outlier_limit
 
     @property

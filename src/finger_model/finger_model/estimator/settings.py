@@ -132,6 +132,16 @@ class EstimatorSettings(Settings):
         minimum=0.001,
         maximum=1.0,
     )
+    area_gain_sd: float = _runtime(
+        0.0,
+        "Standard deviation (logarithm) of the factor that all measured areas share: calibration "
+        "of the plate, threshold of the images. No later area shows it, so it widens every "
+        "area_stddev.",
+        minimum=0.0,
+        maximum=1.0,
+        advice="0.05 is what a fit assumes; at 0 the estimate is of the area that the camera "
+        "would see without noise.",
+    )
     slope_sd: float = _runtime(
         0.017,
         "Standard deviation of the model's error in the exponent of area over force, "
