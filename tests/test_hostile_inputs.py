@@ -17,6 +17,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import zstandard
@@ -62,6 +63,31 @@ def bag_of(content: bytes, chunks: int) -> bytes:
     return MAGIC + record(1, text("ros2") + text("")) + chunk * chunks
 
 
+def channels(count: int) -> bytes:
+    """A file that announces so many topics, each with one message."""
+    parts = [messages(WRENCH, b"", 0)]
+    for k in range(2, count):
+        head = struct.pack("<HH", k, 1) + text(f"/t{k}") + text("cdr") + struct.pack("<I", 0)
+        parts.append(record(4, head) + record(5, struct.pack("<HIQQ", k, 0, START, START)))
+    return bag_of(b"".join(parts), 1)
+
+
+def overlapping(count: int, later: bool) -> bytes:
+    """Chunks of two messages that all lie within the time of all others; with `later`, each begins
+    after the one before.
+    """
+    chunks = [messages(WRENCH, b"", 0)]
+    for k in range(count):
+        first = START + k if later else 0
+        content = b"".join(
+            record(5, struct.pack("<HIQQ", 1, 0, stamp, stamp))
+            for stamp in (START + k, START + k + 1_000_000_000)
+        )
+        head = struct.pack("<QQQI", first, 2**62, len(content), 0) + text("")
+        chunks.append(record(6, head + struct.pack("<Q", len(content)) + content))
+    return MAGIC + record(1, text("ros2") + text("")) + b"".join(chunks)
+
+
 def messages(message_type: str, cdr: bytes, count: int) -> bytes:
     schema = struct.pack("<H", 1) + text(message_type) + text("ros2msg")
     channel = struct.pack("<HH", 1, 1) + text("/finger/wrench") + text("cdr") + struct.pack("<I", 0)
@@ -83,6 +109,24 @@ def jpeg(size: int) -> bytes:
     at = data.index(b"\xff\xc0")
     data[at + 5 : at + 9] = struct.pack(">HH", size, size)
     return bytes(data)
+
+
+def scans() -> bytes:
+    """A progressive image of 9 megapixels, its last scan repeated until the file is large."""
+    mode = [cv2.IMWRITE_JPEG_PROGRESSIVE, 1, cv2.IMWRITE_JPEG_QUALITY, 10]
+    data = cv2.imencode(".jpg", np.zeros((3000, 3000), np.uint8), mode)[1].tobytes()
+    last = data[data.rindex(b"\xff\xda") : -2]
+    return data[:-2] + last * ((900_000 - len(data)) // len(last)) + data[-2:]
+
+
+def tile() -> bytes:
+    """A TIFF of 256 × 256 pixels in a tile of 16,000 × 16,000, which is all black."""
+    packed = zlib.compress(bytes(16_000 * 16_000), 9)
+    one = {256: 256, 257: 256, 258: 8, 259: 8, 262: 1, 277: 1, 322: 16_000, 323: 16_000}
+    tags = {**one, 324: 8 + 2 + 12 * 10 + 4, 325: len(packed)}
+    entries = [struct.pack("<HHII", tag, 4, 1, value) for tag, value in tags.items()]
+    head = b"II*\x00" + struct.pack("<IH", 8, len(tags))
+    return head + b"".join(entries) + bytes(4) + packed
 
 
 def png(size: int) -> bytes:
@@ -239,12 +283,18 @@ BOMBS: dict[str, Callable[[], bytes]] = {
         + b"\xff" * 30
         + (record(6, bytes(28) + b"\x04\x00\x00\x00zstd" + bytes(8)) + b"\x00") * 15_000
     ),
+    "bag-channels.mcap": lambda: channels(60_000),
+    "bag-overlapping.mcap": lambda: overlapping(7000, False),
+    "bag-overlapping_later.mcap": lambda: overlapping(7000, True),
     "bag-idle.mcap": lambda: MAGIC + (b"\x80" + bytes(8)) * 100_000,
     "image-30000.jpg": lambda: jpeg(30_000),
     "image-65500.jpg": lambda: jpeg(65_500),
     "image-4000.jpg": lambda: jpeg(4000),
     "image-16_megapixels.png": lambda: png(4000),
     "image-64_megapixels.png": lambda: png(8000),
+    "image-10_megapixels.png": lambda: png(3200),
+    "image-scans.jpg": scans,
+    "image-tile.tif": tile,
     "image-claims.bmp": lambda: (
         b"BM" + bytes(12) + struct.pack("<IiiHHI", 40, 60000, 60000, 1, 24, 0)
     ),
@@ -322,6 +372,7 @@ def test_bombs_end_with_one_sentence(tmp_path: Path) -> None:
     tables = {name for name in BOMBS if name.startswith(("table-", "fits-"))}
     assert refused >= tables - {"table-wide.csv"}
     assert refused >= {"image-30000.jpg", "image-65500.jpg", "model-800_gigabytes.npz"}
+    assert refused >= {"image-scans.jpg", "image-tile.tif"}
     assert outcomes["bag-attached.mcap", "process"] == "refused"
     assert outcomes["bag-wide.mcap", "process"] == "success"
     assert report["longest"] < 10 and report["most_megabytes"] < 500

@@ -85,6 +85,12 @@ def _vision(path: Path, out: Path) -> int:
     return int(vision_main(["area", str(path), "-o", str(out)]) or 0)
 
 
+def _coarse(path: Path, out: Path) -> int:
+    """With pixels larger than those that are measured: the image is not reduced."""
+    arguments = ["area", str(path), "--area-per-pixel", "1e-8", "-o", str(out)]
+    return int(vision_main(arguments) or 0)
+
+
 def _table(path: Path, out: Path) -> None:
     parse_table(path.read_bytes(), path.name, TableFormat())
 
@@ -212,7 +218,7 @@ READERS: dict[str, dict[str, Reader]] = {
     "database": {"sensor": _dbc},
     "netft": {"netft": lambda path, out: parse_netft(path.read_bytes())},
     "model": {"reduced model": _model},
-    "image": {"area": _vision},
+    "image": {"area": _vision, "coarse area": _coarse},
 }
 
 

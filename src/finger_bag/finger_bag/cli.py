@@ -17,7 +17,15 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from finger_common.cli import Parser, add_settings, one_line, plain, run, settings_from
+from finger_common.cli import (
+    EXIT_LOST,
+    Parser,
+    add_settings,
+    one_line,
+    plain,
+    run,
+    settings_from,
+)
 from finger_common.errors import InputError
 from finger_common.plugins import Plugins
 
@@ -28,8 +36,6 @@ from .replay import ReplaySettings, lateness_text
 from .schema import full_name
 
 EXIT_CHECK_FAILS = 1
-EXIT_LOST = 1
-"""Done, but something that the bag holds could not be read."""
 
 COMMANDS = Plugins("finger_bag.commands", "subcommand")
 """Further subcommands of installed packages: functions that add theirs with an `AddCommand`."""

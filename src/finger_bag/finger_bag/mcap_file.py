@@ -23,7 +23,7 @@ from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import lz4.frame
 import numpy as np
@@ -49,6 +49,9 @@ ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX = 9, 10, 11, 
 
 MAXIMUM_SMALL_RECORD = 4 << 20
 """Bytes of a schema, channel or metadata record above which it is not read."""
+
+MAXIMUM_TOPICS = 5000
+"""Channels, and schemas, of a file that are read; a robot's recording has hundreds."""
 
 MAXIMUM_ATTACHMENT = 256 << 20
 """Bytes of an attachment above which it is not read."""
@@ -349,10 +352,10 @@ class McapFile:
                 self.profile, self.library = header.profile, header.library
             elif opcode == SCHEMA:
                 schema = Schema.read(stream)
-                self.schemas.setdefault(schema.id, schema)
+                self._keep(self.schemas, schema, "schemas")
             elif opcode == CHANNEL:
                 channel = Channel.read(stream)
-                self.channels.setdefault(channel.id, channel)
+                self._keep(self.channels, channel, "channels")
             elif opcode == METADATA:
                 record = Metadata.read(stream)
                 if len(self.metadata) < 1000:
@@ -365,6 +368,12 @@ class McapFile:
                 self._take_at(METADATA, MetadataIndex.read(stream).offset)
         except _BROKEN:
             self._problem(f"record at byte {where} cannot be parsed")
+
+    def _keep(self, known: dict[int, Any], record: Any, what: str) -> None:
+        if len(known) < MAXIMUM_TOPICS or record.id in known:
+            known.setdefault(record.id, record)
+        else:
+            self._problem(f"more than {MAXIMUM_TOPICS} {what}; not all are read")
 
     def _take_at(self, opcode: int, position: int) -> None:
         """Take the record that an index names; raises ValueError when it is not there."""

@@ -25,6 +25,7 @@ from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 
+from finger_common.cli import one_line, plain
 from finger_common.errors import InputError
 from finger_common.files import parse_yaml
 from finger_common.node import use_large_shared_memory
@@ -120,7 +121,8 @@ def _publishers(
             if not reader.decoder(name, topic.type).standard and type_hash(topic.type):
                 raise InputError(f"its definition of '{topic.type}' differs from the installed one")
         except InputError as error:
-            print(f"finger-bag: topic '{name}' is not played: {error}", file=sys.stderr)
+            reason = one_line(error)
+            print(f"finger-bag: topic '{plain(name)}' is not played: {reason}", file=sys.stderr)
             continue
         depth = IMAGE_DEPTH if "Image" in topic.type else STREAM_DEPTH
         publisher = node.create_publisher(kind, name, qos_of(topic.qos, reliability, depth))

@@ -435,7 +435,7 @@ class BagReader:
         regions.sort()
         known: dict[tuple[int, int], tuple[str, str] | None] = {}
         # What was uncompressed and may still be overtaken by the next region.
-        pending: list[_Part] = []
+        pending = _Pending()
         for place, (_, number, index) in enumerate(regions):
             mcap = self._mcaps[number]
             block = mcap.block(mcap.regions[index])
@@ -449,14 +449,14 @@ class BagReader:
                 used[channel_id] = known[(number, channel_id)] is not None
             keep = (block.times >= low) & (block.times < high) & used[block.channels]
             if keep.any():
-                pending.append(_Part(number, block.data, block.times[keep], block.offsets[keep]))
+                pending.add(_Part(number, block.data, block.times[keep], block.offsets[keep]))
             bound = regions[place + 1][0] if place + 1 < len(regions) else LAST_TIME
-            if bound < LAST_TIME and sum(part.size for part in pending) > MAXIMUM_PENDING:
-                if any(int(part.times.max()) >= bound for part in pending):
+            if bound < LAST_TIME and pending.size > MAXIMUM_PENDING:
+                if pending.reach(bound):
                     text = "messages lie too far out of order to be sorted by log time"
                     mcap._problem(text, lost=False)
                 bound = LAST_TIME
-            for part, offset in _before(pending, bound):
+            for part, offset in pending.before(bound):
                 _, length, channel_id, sequence, time_ns, publish_time_ns = part.head(offset)
                 data = part.content(offset, length)
                 if self._message_compression:
@@ -631,24 +631,52 @@ class _Part:
         return self._data[begin : offset + RECORD_HEAD + length]
 
 
-def _before(parts: list[_Part], bound: int) -> Iterator[tuple[_Part, int]]:
-    """Messages of parts before a time (ns), in its order; finished parts leave the list."""
-    taken = [(part, *part.take(bound)) for part in parts]
-    parts[:] = [part for part in parts if len(part.times)]
-    taken = [item for item in taken if len(item[1])]
-    if not taken:
-        return
-    offsets = np.concatenate([item[2] for item in taken])
-    if len(taken) == 1:
-        part = taken[0][0]
-        for begin in range(0, len(offsets), _AT_ONCE):
-            for offset in offsets[begin : begin + _AT_ONCE].tolist():
-                yield part, offset
-        return
-    # Stable: of equal times, the one of the earlier part is first.
-    order = np.argsort(np.concatenate([item[1] for item in taken]), kind="stable")
-    owner = np.repeat(np.arange(len(taken)), [len(item[1]) for item in taken])
-    for begin in range(0, len(order), _AT_ONCE):
-        now = order[begin : begin + _AT_ONCE]
-        for place, offset in zip(owner[now].tolist(), offsets[now].tolist()):
-            yield taken[place][0], offset
+class _Pending:
+    """Parts that wait for what may come before their messages; size: their bytes.
+
+    A part is looked at when some of its messages are due, not for each of the parts that follow: a
+    small file can have ten thousand that overlap.
+    """
+
+    def __init__(self) -> None:
+        self.size = 0
+        self._added = 0
+        self._parts: list[tuple[int, int, _Part]] = []  # heap: first time, number of the part
+
+    def add(self, part: _Part) -> None:
+        self.size += part.size
+        self._added += 1
+        heapq.heappush(self._parts, (int(part.times[0]), self._added, part))
+
+    def reach(self, bound: int) -> bool:
+        """Whether a message is at a time (ns) or later."""
+        return any(int(part.times[-1]) >= bound for _, _, part in self._parts)
+
+    def before(self, bound: int) -> Iterator[tuple[_Part, int]]:
+        """Messages before a time (ns), in its order; they no longer wait then."""
+        due = []
+        while self._parts and self._parts[0][0] < bound:
+            due.append(heapq.heappop(self._parts)[1:])
+        due.sort(key=lambda item: item[0])
+        taken = [(part, *part.take(bound)) for _, part in due]
+        for number, part in due:
+            if len(part.times):
+                heapq.heappush(self._parts, (int(part.times[0]), number, part))
+            else:
+                self.size -= part.size
+        if not taken:
+            return
+        offsets = np.concatenate([item[2] for item in taken])
+        if len(taken) == 1:
+            part = taken[0][0]
+            for begin in range(0, len(offsets), _AT_ONCE):
+                for offset in offsets[begin : begin + _AT_ONCE].tolist():
+                    yield part, offset
+            return
+        # Stable: of equal times, the one of the earlier part is first.
+        order = np.argsort(np.concatenate([item[1] for item in taken]), kind="stable")
+        owner = np.repeat(np.arange(len(taken)), [len(item[1]) for item in taken])
+        for begin in range(0, len(order), _AT_ONCE):
+            now = order[begin : begin + _AT_ONCE]
+            for place, offset in zip(owner[now].tolist(), offsets[now].tolist()):
+                yield taken[place][0], offset

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import struct
@@ -151,10 +152,14 @@ class BagWriter:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        if kind is None:
-            self.close()
-        else:
+        if kind is not None:
             self.abandon()
+            return
+        try:
+            self.close()
+        except BaseException:  # such as a disk that is full now
+            self.abandon()
+            raise
 
     # Files -----------------------------------------------------------------------------------
 
@@ -418,7 +423,8 @@ class BagWriter:
         if self._mcap is not None:
             self._account(self._mcap)
         if self._stream is not None:
-            self._stream.close()
+            with contextlib.suppress(OSError):  # what is buffered may not fit on the disk
+                self._stream.close()
         self._mcap = self._stream = None
         if self._folder != self.path:
             shutil.rmtree(self._folder, ignore_errors=True)

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import subprocess
@@ -140,4 +141,21 @@ def test_trial_whose_condition_is_no_name_is_left_out(condition: str, tmp_path: 
 def test_surrogates_are_not_written_into_a_bag(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="not valid text"):
         BagWriter(tmp_path / "bag", {"subject": "S\udcff1"})
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("at", ["finish", "write"])
+def test_a_disk_that_is_full_leaves_nothing_half_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: str
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with pytest.raises(OSError, match="No space left"):
+        with BagWriter(tmp_path / "bag") as bag:
+            bag.write("moisture", {"header": {"stamp": 10**18}, "value": 1.0})
+            if at == "finish":
+                monkeypatch.setattr("finger_bag.writer.os.fsync", full)
+            else:
+                full()
     assert not list(tmp_path.iterdir())

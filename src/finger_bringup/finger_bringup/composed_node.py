@@ -148,7 +148,7 @@ def _main(argv: Sequence[str]) -> int:
     try:
         members = [Member(text) for text in arguments.nodes]
     except InputError as error:
-        print(f"composed_node: {error}", file=sys.stderr)
+        print(f"composed_node: {one_line(error)}", file=sys.stderr)
         return EXIT_BAD_INPUT
     use_large_shared_memory()
     try:

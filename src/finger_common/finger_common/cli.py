@@ -3,7 +3,8 @@
 
 """Conventions of all commands: exit codes, error lines, help with an example.
 
-Exit codes: 0 done; 1 done, but a check it made fails; 2 bad input; 130 ended by Ctrl-C.
+Exit codes: 0 done; 1 done, but a check it made fails or part of a file could not be
+read; 2 bad input; 130 ended by Ctrl-C.
 """
 
 from __future__ import annotations
@@ -19,6 +20,9 @@ from typing import Any, NoReturn
 
 from .errors import FingerError, nearest
 from .settings import S, Settings
+
+EXIT_LOST = 1
+"""Something that a bag holds could not be read; the rest was."""
 
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130

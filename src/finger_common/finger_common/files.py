@@ -18,6 +18,7 @@ import json
 import math
 import os
 import re
+import stat
 import sys
 import tempfile
 import time
@@ -40,6 +41,9 @@ Record = TypeVar("Record", bound="DataclassInstance")
 
 MAXIMUM_FILE = 1 << 30
 """Bytes above which a file is not read into memory."""
+
+MAXIMUM_PIPE = 128 << 20
+"""The same for what is no plain file, such as a pipe or a device: some of them never end."""
 
 MAXIMUM_TEXT = 16 << 20
 """Bytes of a text (YAML, JSON, DBC; not a table) above which it is not parsed."""
@@ -79,7 +83,11 @@ def atomic_write(path: str | Path, mode: str = "w", **options: Any) -> Iterator[
     if "b" not in mode:
         options.setdefault("encoding", "utf-8")
         options.setdefault("newline", "")
-    target = Path(os.path.realpath(path))  # a link stays one
+    try:
+        os.fsencode(path)
+        target = Path(os.path.realpath(path))  # a link stays one
+    except ValueError:  # a null byte, a lone surrogate
+        raise InputError(f"{str(path)!r}: not a file name; choose another") from None
     device = exists(target) and not target.is_file()
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -129,7 +137,10 @@ def read_bytes(path: str | Path, what: str = "file", maximum: int = MAXIMUM_FILE
     """
     try:
         with open(path, "rb") as file:
-            data = file.read(min(maximum, os.fstat(file.fileno()).st_size) + 1)
+            status = os.fstat(file.fileno())
+            if not stat.S_ISREG(status.st_mode):
+                maximum = min(maximum, MAXIMUM_PIPE)
+            data = file.read(min(maximum, status.st_size) + 1)
             parts, size = [data], len(data)
             # What is no plain file, such as a pipe, has no size.
             while size <= maximum and (data := file.read(min(_PIECE, maximum + 1 - size))):

@@ -22,8 +22,22 @@ A dark photograph has about 2 pixels a byte as JPEG and 1 as PNG.
 MAX_PIXELS = 200_000_000
 """Pixels above which no image is decoded."""
 
-BAG_PIXELS, BAG_PIXELS_PER_BYTE = 500_000_000, 100
-"""The same for all images of a bag together; the camera's have one to four pixels a byte."""
+ALL_PIXELS, ALL_PIXELS_PER_BYTE = 500_000_000, 100
+"""The same for all images of a bag, a folder or a command line together; the camera's have one to
+four pixels a byte."""
+
+VIDEO_PIXELS_PER_BYTE = 400
+"""In place of it, for the frames of a video: a still scene takes little."""
+
+MAX_SCANS = 100
+"""Scans of a JPEG above which it is not decoded: each goes over the whole image again, and takes
+20 bytes. Encoders write ten."""
+
+PIXEL_BYTES = 8
+"""Bytes of a TIFF file's pixel above which it is not decoded: 16-bit colour, or a float64."""
+
+_WIDTH, _HEIGHT, _BITS, _SAMPLES, _TILE_WIDTH, _TILE_HEIGHT = 256, 257, 258, 277, 322, 323
+_TIFF_TAGS = {_WIDTH, _HEIGHT, _BITS, _SAMPLES, _TILE_WIDTH, _TILE_HEIGHT}
 
 _KINDS = "PNG, TIFF, JPEG, BMP or PGM"
 
@@ -37,6 +51,31 @@ def check_image(data: bytes | memoryview, where: str) -> None:
     if size is None or min(size) <= 0:
         raise InputError(f"{where}: not an image that can be decoded; give {_KINDS}")
     check_claim(*size, len(data), where)
+    if data[:2] == b"\xff\xd8" and bytes(data).count(b"\xff\xda") > MAX_SCANS:
+        raise InputError(f"{where}: JPEG of more than {MAX_SCANS} scans; not decoded, save it anew")
+
+
+class PixelBudget:
+    """What may be decoded from files of `size` bytes together: a small file can hold a thousand
+    large images.
+    """
+
+    def __init__(self, size: int = 0, per_byte: int = ALL_PIXELS_PER_BYTE) -> None:
+        self._per_byte = per_byte
+        self._left = ALL_PIXELS + per_byte * size
+
+    def add(self, size: int) -> None:
+        """Allow for a further file of so many bytes."""
+        self._left += self._per_byte * size
+
+    @property
+    def spent(self) -> bool:
+        """Whether nothing more may be decoded."""
+        return self._left <= 0
+
+    def take(self, pixels: int) -> None:
+        """Count an image that was decoded."""
+        self._left -= pixels
 
 
 def check_claim(width: int, height: int, size: int, where: str) -> None:
@@ -89,13 +128,26 @@ def _jpeg(data: memoryview) -> tuple[int, int] | None:
 
 
 def _tiff(data: memoryview, order: str) -> tuple[int, int] | None:
-    """From the first directory (TIFF 6.0, section 2): tags 256 and 257, short or long."""
+    """From the first directory (TIFF 6.0, section 2): short or long tags of width and height.
+
+    A decoder takes memory for a whole tile, however small the image. None for pixels of more bytes
+    than `PIXEL_BYTES`.
+    """
     (place,) = struct.unpack_from(order + "I", data, 4)
-    (count,) = struct.unpack_from(order + "H", data, place)
+    (entries,) = struct.unpack_from(order + "H", data, place)
     found: dict[int, int] = {}
-    for entry in range(place + 2, place + 2 + 12 * count, 12):
-        tag, kind = struct.unpack_from(order + "HH", data, entry)
-        if tag in (256, 257) and kind in (3, 4):
-            value = struct.unpack_from(order + ("H" if kind == 3 else "I"), data, entry + 8)[0]
+    for entry in range(place + 2, place + 2 + 12 * entries, 12):
+        tag, kind, count = struct.unpack_from(order + "HHI", data, entry)
+        if tag in _TIFF_TAGS and kind in (3, 4):
+            # The bits of three and more samples are elsewhere.
+            at = entry + 8
+            if count > (2 if kind == 3 else 1):
+                (at,) = struct.unpack_from(order + "I", data, at)
+            value = struct.unpack_from(order + ("H" if kind == 3 else "I"), data, at)[0]
             found[tag] = max(found.get(tag, 0), value)
-    return (found[256], found[257]) if len(found) == 2 else None
+    if _WIDTH not in found or _HEIGHT not in found:
+        return None
+    if found.get(_BITS, 1) * found.get(_SAMPLES, 1) > 8 * PIXEL_BYTES:
+        return None
+    width, height = found[_WIDTH], found[_HEIGHT]
+    return max(width, found.get(_TILE_WIDTH, 0)), max(height, found.get(_TILE_HEIGHT, 0))

@@ -7,12 +7,18 @@ messages.
 
 from __future__ import annotations
 
+import math
 from typing import Any, overload
 
 import numpy as np
 
+from .errors import InputError
+
 NANOSECONDS = 1_000_000_000
 """Nanoseconds in a second."""
+
+LAST_STAMP = (1 << 31) * NANOSECONDS - 1
+"""Last stamp that a message can hold: its seconds have 32 bits, which end in January 2038."""
 
 
 def stamp_of(time: Any) -> int:
@@ -21,6 +27,18 @@ def stamp_of(time: Any) -> int:
     """
     nanoseconds = time.nanosec if hasattr(time, "nanosec") else time.nanoseconds
     return int(time.sec) * NANOSECONDS + int(nanoseconds)
+
+
+def check_stamp(stamp_ns: int, where: str) -> None:
+    """Raise InputError, naming `where`, for a stamp before 1970 or after the last one of a
+    message.
+    """
+    if not 0 <= stamp_ns <= LAST_STAMP:
+        year = math.floor(1970 + stamp_ns / NANOSECONDS / 86400 / 365.2425)
+        raise InputError(
+            f"{where}: a time is in the year {year}, messages hold 1970 to 2037; correct the "
+            "times or their unit"
+        )
 
 
 def header_stamp(message: Any) -> int:

@@ -14,7 +14,7 @@ import pytest
 
 from finger_common import cli, files
 from finger_common.errors import InputError
-from finger_common.files import bounded_memory, read_text
+from finger_common.files import bounded_memory, read_csv, read_text
 
 
 def test_atomic_write_replaces_only_when_the_block_succeeds(tmp_path: Path) -> None:
@@ -35,6 +35,22 @@ def test_atomic_write_names_a_folder_that_is_a_file(tmp_path: Path) -> None:
         files.atomic_write(tmp_path / "f" / "a"),
     ):
         pass
+
+
+@pytest.mark.parametrize("name", ["a\0b", "\ud800"])
+def test_an_output_that_cannot_be_a_file_name_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match="not a file name"):
+        with files.atomic_write(tmp_path / name):
+            raise AssertionError
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_device_without_end_is_not_read_to_the_limit_of_files(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("finger_common.files.MAXIMUM_PIPE", 1 << 20)
+    with pytest.raises(InputError, match="/dev/zero: CSV file has more than 1048576 bytes"):
+        read_csv("/dev/zero", ["time_s"])
 
 
 def test_devices_pipes_and_links_stay_what_they_are(tmp_path: Path) -> None:

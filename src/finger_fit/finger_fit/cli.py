@@ -17,7 +17,15 @@ from rich.table import Table
 from rich.text import Text
 
 from finger_common.axes import NORMAL_AXES
-from finger_common.cli import EXIT_INTERRUPTED, Parser, add_settings, plain, run, settings_from
+from finger_common.cli import (
+    EXIT_INTERRUPTED,
+    EXIT_LOST,
+    Parser,
+    add_settings,
+    plain,
+    run,
+    settings_from,
+)
 from finger_common.errors import InputError
 from finger_common.progress import Stages
 from finger_model.finger import load_areas
@@ -178,7 +186,11 @@ def command(argv: Sequence[str] | None = None) -> int:
         for name in ("", *result.subjects):
             write_pdf(page.parent / name / page.name, browser)
         print(f"report: {plain(page.with_suffix('.pdf'))}")
-    return EXIT_INTERRUPTED if result.interrupted else 0
+    for bag in result.lost:
+        print(f"finger-fit: {plain(bag)}: not all of the bag could be read", file=sys.stderr)
+    if result.interrupted:
+        return EXIT_INTERRUPTED
+    return EXIT_LOST if result.lost else 0
 
 
 def main(argv: Sequence[str] | None = None) -> None:

@@ -28,6 +28,18 @@ LENGTHS = {
 """Keys of `geometry.yaml`, all in m, and what they mean (drawing: docs/your_finger.md)."""
 
 
+SMALLEST = {
+    "pad_semi_axis_radial": 1e-3,
+    "pad_semi_axis_axial": 1e-3,
+    "bone_semi_axis_radial": 1e-4,
+    "bone_semi_axis_axial": 1e-4,
+}
+"""m; a mesh of smaller ones is none. Other lengths are at least a micrometre, or zero."""
+
+LARGEST = 0.1
+"""m; of any length."""
+
+
 @dataclass(frozen=True)
 class Geometry:
     """Axisymmetric fingertip: half-ellipsoid pad with epidermis, rigid bone and nail disc. Lengths
@@ -80,11 +92,12 @@ class Geometry:
                 raise InputError(
                     f"geometry: '{name}' is {getattr(self, name):g} m, zero or more is needed"
                 )
-        for name in ("pad_semi_axis_radial", "pad_semi_axis_axial"):
-            if not 1e-3 <= getattr(self, name) <= 0.1:
+        for name, value in self.to_dict().items():
+            least = SMALLEST.get(name, 1e-6)
+            if abs(value) > LARGEST or 0 < abs(value) < least:
                 raise InputError(
-                    f"geometry: '{name}' is {getattr(self, name):g} m, outside 0.001 … 0.1 m; "
-                    "give lengths in metres"
+                    f"geometry: '{name}' is {value:g} m, outside {least:g} … {LARGEST:g} m; give "
+                    "lengths in metres"
                 )
         if self.nail_radius > self.pad_semi_axis_radial:
             raise InputError(

@@ -12,6 +12,7 @@ import numpy as np
 
 from finger_bag.reader import open_bag
 from finger_common.errors import InputError
+from finger_common.image_size import PixelBudget
 from finger_common.stamps import header_stamp, seconds
 from finger_vision.images import as_mono8
 
@@ -26,12 +27,21 @@ def images_of_bag(path: Path, topic: str, every: float) -> Iterator[tuple[str, n
     """
     last: int | None = None
     with open_bag(path) as reader:
+        pixels = PixelBudget(reader.info.size)
         found = reader.topic(topic)
         for item in reader.messages([found] if found is not None else []):
             stamp = header_stamp(item.message)
             if last is not None and 0 <= seconds(stamp - last) < every:
                 continue
             last = stamp
-            yield f"{path} at {seconds(stamp):.3f} s", as_mono8(grey_image(item.message))
+            if pixels.spent:
+                raise InputError(f"{path}: more pixels than its bytes can hold; give --every")
+            image = as_mono8(grey_image(item.message))
+            pixels.take(image.size)
+            yield f"{path} at {seconds(stamp):.3f} s", image
+        if reader.lost:
+            raise InputError(
+                f"{path}: not all of the bag could be read; give what 'finger-bag recover' writes"
+            )
     if last is None:
         raise InputError(f"{path}: holds no images on '{topic}'; name their topic with --topic")

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -18,7 +17,7 @@ from finger_bag.definitions import typestore
 from finger_bag.reader import BagMessage, BagReader
 from finger_bag.schema import CALIBRATION_ATTACHMENT
 from finger_common.errors import FingerError, InputError
-from finger_common.image_size import BAG_PIXELS, BAG_PIXELS_PER_BYTE, check_image
+from finger_common.image_size import PixelBudget, check_image
 from finger_common.stamps import header_stamp
 from finger_vision.area_sensor import (
     AREA_SENSORS,
@@ -78,12 +77,16 @@ def calibration_of(
 class ImageAreas:
     """Collects the areas of images; `add` one image message after the other, in order.
 
-    pixels: of all images together; those behind them are not measured, and counted in `left_out`.
+    pixels: of all images together, None: without limit; those behind them are not measured, and
+    counted in `left_out`.
     motion: follows the ridges, None: nobody does.
     """
 
     def __init__(
-        self, sensor: AreaSensor, pixels: float = math.inf, motion: RidgeMotion | None = None
+        self,
+        sensor: AreaSensor,
+        pixels: PixelBudget | None = None,
+        motion: RidgeMotion | None = None,
     ) -> None:
         self._sensor = sensor
         self._motion = motion
@@ -105,17 +108,18 @@ class ImageAreas:
         ridge_motion: whether ridges are followed from image to image.
         """
         found = calibration_of(reader, calibration, area_per_pixel)
-        pixels = BAG_PIXELS + BAG_PIXELS_PER_BYTE * reader.info.size
+        pixels = PixelBudget(reader.info.size)
         sensor = AREA_SENSORS.open({"area_sensor": area_sensor}, found)
         return cls(sensor, pixels, RidgeMotion(calibration=found) if ridge_motion else None)
 
     def measure(self, message: Any) -> ContactMeasurement:
         """Measure one image; raises InputError when it is no usable image."""
-        if self._pixels <= 0:
+        if self._pixels is not None and self._pixels.spent:
             self.left_out += 1
             raise InputError("more pixels than a bag of this size can hold; not measured")
         image = grey_image(message)
-        self._pixels -= image.size
+        if self._pixels is not None:
+            self._pixels.take(image.size)
         return with_motion(self._sensor.process(image), image, self._motion)
 
     def add(self, item: BagMessage) -> None:

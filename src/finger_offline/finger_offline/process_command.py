@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from finger_bag.bag_files import find_bags
-from finger_bag.cli import EXIT_LOST, AddCommand
+from finger_bag.cli import AddCommand
 from finger_bag.read_settings import add_read_options, read_settings_from
-from finger_common.cli import EXIT_BAD_INPUT, one_line, plain
+from finger_common.cli import EXIT_BAD_INPUT, EXIT_LOST, one_line, plain
 from finger_common.errors import FingerError, InputError
 from finger_common.processes import end_with_parent
 from finger_common.progress import Stages

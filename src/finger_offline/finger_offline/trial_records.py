@@ -73,11 +73,15 @@ class Exclusion:
 
 @dataclass
 class TrialSet:
-    """Trials of one or more bags, what was left out, and what was wrong with the bags."""
+    """Trials of one or more bags, what was left out, and what was wrong with the bags.
+
+    lost: bags of which something could not be read.
+    """
 
     trials: list[TrialRecord] = field(default_factory=list)
     exclusions: list[Exclusion] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
+    lost: list[str] = field(default_factory=list)
 
     def __len__(self) -> int:
         return len(self.trials)

@@ -41,14 +41,21 @@ def load_trials(
         result.trials += found.trials
         result.exclusions += found.exclusions
         result.problems += found.problems
+        result.lost += found.lost
     _drop_superseded(result)
     return result
 
 
 def trials_of(reader: BagReader, settings: TrialSettings) -> TrialSet:
     """Trials of one opened bag."""
-    streams = streams_with_areas(reader, settings)
-    return split(streams, reader.info.metadata, settings, str(reader.path))
+    return trials_in(reader, streams_with_areas(reader, settings), settings)
+
+
+def trials_in(reader: BagReader, streams: SessionStreams, settings: TrialSettings) -> TrialSet:
+    """Trials of the streams of a bag that were read to its end."""
+    found = split(streams, reader.info.metadata, settings, str(reader.path))
+    found.lost = [str(reader.path)] if reader.lost else []
+    return found
 
 
 def streams_with_areas(reader: BagReader, settings: TrialSettings) -> SessionStreams:

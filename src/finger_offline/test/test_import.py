@@ -24,10 +24,11 @@ from finger_bag.validate import validate
 from finger_common.cli import run
 from finger_common.errors import InputError
 from finger_common.files import read_csv
+from finger_common.image_size import ALL_PIXELS, PixelBudget
 from finger_common.units import FORCE_UNITS
 from finger_driver.protocols.export_table import TableFormat, parse_table
 from finger_offline.importing.settings import ImportSettings
-from finger_offline.importing.tables import of_rows, read_table
+from finger_offline.importing.tables import Table, of_rows, read_table
 from finger_offline.importing.trial import import_trial
 from finger_offline.trial_records import TrialRecord
 from finger_offline.trials import load_trials
@@ -35,6 +36,9 @@ from finger_offline.trials import load_trials
 TIME = np.arange(0.0, 9.0, 0.004)
 FRAMES = np.arange(0.0, 9.0, 0.1)
 ABOUT = {"subject": "S01", "condition": "dry"}
+
+
+NOISE = "time_s,force_n\n" + "".join(f"{0.1 * i:.1f},{i % 3}\n" for i in range(3100))
 
 
 def force_at(time: np.ndarray) -> np.ndarray:
@@ -306,6 +310,10 @@ def test_a_table_of_trials_gives_a_folder_of_bags(files: dict[str, str], tmp_pat
         ({"force": __file__}, r"no table of a known kind.*\.csv"),
         ({"area_per_pixel": 1e-9}, r"--area-per-pixel is for --video"),
         ({"start": "yesterday"}, r"--start 'yesterday' is no date"),
+        ({"start": "9999-12-31"}, r"--start: a time is in the year 9999, messages hold 1970 to"),
+        ({"start": "1969-12-31"}, r"--start: a time is in the year 1969"),
+        ({"start": "2038-01-19T03:14:06"}, r"force\.csv: a time is in the year 2038"),
+        ({"frame_rate": 1e-300, "area": "", "video": "v", "area_per_pixel": 1e-9}, r"below 0\.001"),
         ({"tare": 2.0}, r"varies by .* --tare"),
         ({"time_unit": "us"}, r"first press lasts .*e-06 s; give the right --time-unit"),
     ],
@@ -325,6 +333,9 @@ def test_what_cannot_be_meant_is_refused_and_nothing_is_written(
         ("time_s,force_n\n0,0\n0.1,0.5\n0.05,1\n", r"row 4, column 'time_s': time runs back"),
         ("time_s,force_n\n0,0\n0.1,much\n", r"row 3, column 'force_n': 'much' is no number"),
         ("time_s,force_n\n0,0\n0.1,inf\n", r"row 3, column 'force_n': 'inf' is no finite"),
+        ("time_s,force_n\n9999-12-31T23:59:59+14:00,1\n", r"row 2, column 'time_s': .* year 9999"),
+        ("time_s,force_n\n0001-01-01T00:00:00,1\n", r"row 2, column 'time_s': .* year 1,"),
+        (NOISE, r"10\d\d presses, 1000 at most are read; check --tare"),
         ("time_s,force_n\n", r"holds no row"),
         ("", r"holds no row"),
         ("time_s,force\n0,0\n1,2\n", r"column 'force_n' does not exist.*did you mean 'force'"),
@@ -455,6 +466,49 @@ def test_what_is_cut_off_of_a_video_is_named(
     said = capfd.readouterr().err
     assert "claims.avi: " in said and said.count("\n") == 1
     assert not (tmp_path / "claims").exists()
+
+
+def test_a_video_or_a_folder_holds_no_more_pixels_than_its_bytes_explain(
+    files: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def budget(*_: int) -> PixelBudget:
+        made = PixelBudget()
+        made.take(ALL_PIXELS - 29 * 320 * 240)
+        return made
+
+    rng = np.random.default_rng(0)
+    code = cv2.VideoWriter_fourcc(*"MJPG")
+    video = cv2.VideoWriter(str(tmp_path / "v.avi"), code, 10.0, (320, 240), False)
+    (tmp_path / "images").mkdir()
+    for number, time in enumerate(np.arange(0.0, 4.0, 0.1)):
+        image = picture(float(area_at(time)), rng)
+        video.write(image)
+        cv2.imwrite(str(tmp_path / "images" / f"{number}.png"), image)
+    video.release()
+    monkeypatch.setattr("finger_offline.importing.pictures.PixelBudget", budget)
+    for what, name in (("video", "v.avi"), ("images", "images")):
+        source: dict[str, Any] = {what: str(tmp_path / name), "frame_rate": 10.0}
+        settings = ImportSettings(force=files["force"], area_per_pixel=PIXEL, **source, **ABOUT)
+        result = import_trial(settings, tmp_path / f"bag_{what}")
+        assert len(result.areas) == 29
+        assert "only the first 29 " in " ".join(result.problems)
+
+
+def test_a_date_that_64_bits_do_not_hold_is_refused() -> None:
+    stamps = np.array([10**18, 2 * 10**18], "datetime64[s]")
+    with pytest.raises(InputError, match=r"t\.parquet, row 1, column 'time'.* is no time"):
+        Table("t.parquet", {"time": stamps}).times("time")
+
+
+@pytest.mark.parametrize("name", ["..", ".hidden", "-o", "a/b", "\x1b[2J", "x" * 300])
+def test_names_of_bags_in_a_table_of_trials(
+    files: dict[str, str], tmp_path: Path, name: str
+) -> None:
+    cells = [f'"{name}"', "S01", "dry", files["force"], files["area"]]
+    (tmp_path / "t.csv").write_text("name,subject,condition,force,area\n" + ",".join(cells) + "\n")
+    with pytest.raises(InputError, match=r"row 2: .* is no name for a bag"):
+        command(["import", "-o", str(tmp_path / "no"), "--trials", str(tmp_path / "t.csv")])
+    assert not (tmp_path / "no").exists()
 
 
 def test_numbers_of_other_countries() -> None:

@@ -18,6 +18,7 @@ from finger_bag.reader import open_bag
 from finger_bag.writer import BagWriter
 from finger_common.cli import run
 from finger_common.errors import InputError
+from finger_common.image_size import PixelBudget
 from finger_common.stamps import time_fields
 from finger_model.estimator import (
     ContactEstimate,
@@ -268,8 +269,8 @@ def test_images_left_out_by_the_limit_are_counted_as_lost(
     path = session(trials=1, images=True)
     arguments = ["process", str(path), "--images", "yes", "--area-per-pixel", "4e-8", "-o"]
     assert run(command, [*arguments, str(tmp_path / "all")]) == 0
-    monkeypatch.setattr("finger_offline.image_areas.BAG_PIXELS", 100_000)
-    monkeypatch.setattr("finger_offline.image_areas.BAG_PIXELS_PER_BYTE", 0)
+    monkeypatch.setattr("finger_common.image_size.ALL_PIXELS", 100_000)
+    monkeypatch.setattr("finger_offline.image_areas.PixelBudget", lambda size: PixelBudget(0))
     capsys.readouterr()
     assert run(command, [*arguments, str(tmp_path / "some")]) == 1
     assert "more pixels than a bag of this size can hold" in capsys.readouterr().err

@@ -49,6 +49,23 @@ def test_trials_are_found_with_force_areas_and_moisture(
         assert trial.moisture == 66.0
 
 
+def test_a_bag_of_which_something_could_not_be_read_is_named(
+    session: Callable[..., Path], tmp_path: Path
+) -> None:
+    path = session(trials=3)
+    assert load_trials(path).lost == []
+    (file,) = path.glob("*.mcap")
+    content = bytearray(file.read_bytes())
+    middle = content.index(b"\x04\x00\x00\x00zstd", len(content) // 2) + 100
+    content[middle : middle + 100] = bytes(100)
+    (tmp_path / "damaged.mcap").write_bytes(content)
+    found = load_trials(tmp_path / "damaged.mcap")
+    assert found.lost == [str(tmp_path / "damaged.mcap")] and len(found) > 0
+    # What a killed recorder left is whole up to its end.
+    (tmp_path / "cut.mcap").write_bytes(file.read_bytes()[: len(content) // 2])
+    assert load_trials(tmp_path / "cut.mcap").lost == []
+
+
 def test_failed_redone_and_touching_presses_are_excluded_with_reasons(tmp_path: Path) -> None:
     path = tmp_path / "bag"
     with BagWriter(path, {"condition": "dry"}) as bag:

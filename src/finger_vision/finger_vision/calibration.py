@@ -29,6 +29,8 @@ FILE_VERSION = 1
 PAPER_AREA_PER_PIXEL = 0.000986e-6
 """m²; Nam and Kuchenbecker, IEEE Trans. Haptics 14(2), 2021."""
 
+_CORNERS = 250_000  # of pixels that are mapped to the plate at once
+
 
 @dataclass(frozen=True)
 class PlateCalibration:
@@ -128,15 +130,20 @@ class PlateCalibration:
     def pixel_areas(self, width: int, height: int, step: int = 1) -> np.ndarray:
         """Area (m²) on the plate of one pixel at the centre of each step × step block, float32."""
         columns, rows = width // step, height // step
-        # Corners of the blocks, mapped once; areas by the shoelace formula.
+        areas = np.empty((rows, columns), np.float32)
         u = np.arange(columns + 1) * step - 0.5
-        v = np.arange(rows + 1) * step - 0.5
-        grid = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-        corner = self.to_plate(grid, width, height).reshape(rows + 1, columns + 1, 2)
-        diagonal = corner[1:, 1:] - corner[:-1, :-1]
-        other = corner[1:, :-1] - corner[:-1, 1:]
-        area = 0.5 * np.abs(diagonal[..., 0] * other[..., 1] - diagonal[..., 1] * other[..., 0])
-        return (area / step**2).astype(np.float32)
+        at_once = max(1, _CORNERS // (columns + 1))  # rows: the corners of all take 100 B a pixel
+        for first in range(0, rows, at_once):
+            last = min(first + at_once, rows)
+            # Corners of the blocks, mapped once; areas by the shoelace formula.
+            v = np.arange(first, last + 1) * step - 0.5
+            grid = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+            corner = self.to_plate(grid, width, height).reshape(last - first + 1, columns + 1, 2)
+            diagonal = corner[1:, 1:] - corner[:-1, :-1]
+            other = corner[1:, :-1] - corner[:-1, 1:]
+            double = diagonal[..., 0] * other[..., 1] - diagonal[..., 1] * other[..., 0]
+            areas[first:last] = 0.5 * np.abs(double) / step**2
+        return areas
 
     # Files -----------------------------------------------------------------------------------
 

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
 
@@ -12,12 +14,16 @@ from finger_common.errors import InputError
 
 from .calibration import PlateCalibration
 
+MAXIMUM_PIXELS = 6_000_000
+"""Pixels of a working image: a plate of 150 × 140 mm at 60 µm. Larger frames are reduced more."""
+
 Box = tuple[slice, slice]
 """Rows and columns of a part of the working image."""
 
 
 class WorkingGrid:
-    """Pixels of about `working_pixel` (m), made of step × step pixels of the frame.
+    """Pixels of about `working_pixel` (m), made of step × step pixels of the frame; larger ones
+    for a frame of which these would be too many.
 
     size: (width, height) of the frame. shape: (rows, columns) of the working image. pitch: side of
     a working pixel, m. areas: (rows, columns) area of each on the plate, m². period: ridge period
@@ -38,7 +44,8 @@ class WorkingGrid:
         middle = np.array([[width / 2, height / 2], [width / 2 + 1, height / 2]])
         plate = calibration.to_plate(middle, width, height)
         pitch = float(np.hypot(*(plate[1] - plate[0])))
-        self.step = max(1, round(working_pixel / pitch))
+        fewest = math.ceil(math.sqrt(width * height / MAXIMUM_PIXELS))
+        self.step = max(1, round(working_pixel / pitch), fewest)
         self.pitch = pitch * self.step
         # Multiples of 4, so that coarser grids fit: up to three working pixels at the far borders
         # are left out.

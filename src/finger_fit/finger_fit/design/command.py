@@ -16,7 +16,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from finger_common.cli import Parser, add_settings, settings_from
+from finger_common.cli import Parser, add_settings, plain, settings_from
 from finger_common.errors import InputError
 from finger_common.files import atomic_write
 from finger_model.finger import load_areas
@@ -170,7 +170,7 @@ def command(argv: Sequence[str]) -> int:
         with atomic_write(Path(args.output)) as file:
             json.dump(data, file, indent=1, ensure_ascii=False)
             file.write("\n")
-        print(f"written: {args.output}")
+        print(f"written: {plain(args.output)}")
     return 0
 
 

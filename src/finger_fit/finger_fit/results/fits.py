@@ -201,6 +201,7 @@ class DeformedFinger:
 class FitResult:
     """A whole fit: conditions in order of moisture, exclusions, provenance and time spent (s).
 
+    lost: bags of which something could not be read.
     shared, thickness: the additional fits that were asked for; force_modes: per condition and mode
     of the force, J (mm⁴) and the headline quantity; deformed: for the report's example trial.
     subjects: of several subjects, the result of each; `fits` then holds all of them, named "SUBJECT
@@ -211,6 +212,7 @@ class FitResult:
     fits: dict[str, ConditionFit]
     exclusions: list[Exclusion]
     problems: list[str] = field(default_factory=list)
+    lost: list[str] = field(default_factory=list)
     sources: dict[str, Any] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
     shared: Any = None

@@ -18,8 +18,8 @@ from finger_bag.reader import open_bag
 from finger_common.errors import InputError
 from finger_common.files import sha256_of, sha256_of_file
 from finger_offline.trial_records import TrialRecord, TrialSet
-from finger_offline.trial_split import TrialSettings, split
-from finger_offline.trials import streams_with_areas, trials_of
+from finger_offline.trial_split import TrialSettings
+from finger_offline.trials import streams_with_areas, trials_in, trials_of
 
 from ..options import FitOptions
 from ..problem import Exclusion
@@ -33,13 +33,14 @@ it."""
 class Loaded:
     """Trials of all bags.
 
-    exclusions, problems: of reading; sources: per bag its hash, where areas and force came from,
-    and what made the bag.
+    exclusions, problems: of reading; lost: bags of which something could not be read; sources: per
+    bag its hash, where areas and force came from, and what made the bag.
     """
 
     records: list[TrialRecord] = field(default_factory=list)
     exclusions: list[Exclusion] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
+    lost: list[str] = field(default_factory=list)
     sources: list[dict[str, Any]] = field(default_factory=list)
 
 
@@ -81,6 +82,7 @@ def load(
             for e in found.exclusions
         ]
         out.problems += found.problems
+        out.lost += found.lost
         out.sources.append(
             {
                 "bag": bag.name,
@@ -112,7 +114,7 @@ def _read(bag: Path, settings: TrialSettings) -> tuple[TrialSet, str, str]:
         streams = streams_with_areas(reader, replace(settings, wrench_topic="wrench_raw"))
         tare = recorded_tare(metadata.extra, streams.force, streams.wrench_stamp_ns)
         streams.force = streams.force - tare
-        return split(streams, metadata, settings, str(bag)), "wrench_raw less tare", made_by
+        return trials_in(reader, streams, settings), "wrench_raw less tare", made_by
 
 
 def recorded_tare(extra: dict[str, str], force: np.ndarray, stamp_ns: np.ndarray) -> np.ndarray:

@@ -236,6 +236,7 @@ def fit_bags(
     result = fit_records(loaded.records, model, options, conditions, folder, report)
     result.exclusions = [*loaded.exclusions, *result.exclusions]
     result.problems = [*loaded.problems, *result.problems]
+    result.lost = loaded.lost
     for part in (result, *result.subjects.values()):
         part.sources = provenance(model, options, loaded.sources, command)
     result.seconds.update(progress.seconds)

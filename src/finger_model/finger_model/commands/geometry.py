@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import sys
 
+from finger_common.cli import plain
 from finger_common.files import atomic_write
 
 from ..anthropometry import FINGERS, estimate_geometry, parse_length
@@ -60,5 +61,5 @@ def run(arguments: argparse.Namespace) -> int:
         return 0
     with atomic_write(arguments.output) as file:
         file.write(estimate.yaml_text())
-    print(f"written: {arguments.output} (from {estimate.measured})")
+    print(f"written: {plain(arguments.output)} (from {estimate.measured})")
     return 0

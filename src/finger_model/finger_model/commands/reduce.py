@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from finger_common.cli import add_settings, settings_from
+from finger_common.cli import add_settings, plain, settings_from
 from finger_common.errors import InputError
 from finger_common.progress import Stages
 
@@ -50,6 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
         model, table = build(geometry, arguments.output, settings, arguments.workers, stages.update)
     print(table.text())
     print(
-        f"{arguments.output}: reduced model {model.hash[:8]} of geometry {model.geometry_hash[:8]}"
+        f"{plain(arguments.output)}: reduced model {model.hash[:8]} of geometry "
+        f"{model.geometry_hash[:8]}"
     )
     return 0

@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from finger_common.cli import add_settings, settings_from
+from finger_common.cli import add_settings, plain, settings_from
 from finger_common.errors import InputError
 from finger_common.progress import Stages
 
@@ -50,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
     with Stages() as stages:
         model, tables = build(arguments.output, settings, arguments.workers, stages.update)
     print(tables_text(tables))
-    print(f"{arguments.output}: reduced model {model.hash[:8]} of the population box")
+    print(f"{plain(arguments.output)}: reduced model {model.hash[:8]} of the population box")
     return 0
 
 

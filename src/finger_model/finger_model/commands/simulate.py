@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from finger_common.cli import one_line
 from finger_common.errors import InputError
 from finger_common.files import check_output
 from finger_common.progress import Stages
@@ -209,7 +210,7 @@ def _reduced(
     except InputError as error:
         if arguments.solver == "reduced" or arguments.reduced_model:
             raise
-        print(f"using the full-order model: {error}", file=sys.stderr)
+        print(f"using the full-order model: {one_line(error)}", file=sys.stderr)
         return None
 
 

@@ -10,6 +10,7 @@ import json
 
 from rich.console import Console
 
+from finger_common.cli import plain
 from finger_common.errors import InputError
 from finger_common.files import atomic_write
 
@@ -50,5 +51,5 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.output:
         with atomic_write(arguments.output) as file:
             json.dump([row.to_dict() for row in rows], file, indent=1, ensure_ascii=False)
-        console.print(f"written: {arguments.output}")
+        print(f"written: {plain(arguments.output)}")
     return 0

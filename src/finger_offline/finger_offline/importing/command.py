@@ -21,6 +21,7 @@ from finger_common.errors import InputError, known_names
 from finger_common.files import sha256_of_file
 from finger_common.progress import Stages
 
+from ..trial_split import CONDITION
 from .settings import PATHS, ImportSettings
 
 NAME = "name"
@@ -130,8 +131,11 @@ def rows_of(args: argparse.Namespace) -> Iterator[tuple[str, ImportSettings]]:
             settings = dataclasses.replace(settings, index=settings.index + numbers[group])
         numbers[group] += 1
         name = cells.get(NAME) or f"{group[0]}_{group[1]}_{settings.index:02d}".replace(" ", "_")
-        if name in names or Path(name).name != name:
-            raise InputError(f"{where}: '{name}' is no name for a bag, or is there twice")
+        if name in names or not CONDITION.fullmatch(name):
+            raise InputError(
+                f"{where}: '{name}' is no name for a bag (letters, digits, blanks and .,+()%-), or "
+                "is there twice"
+            )
         names.add(name)
         yield name, settings
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from finger_common.errors import InputError
 from finger_common.files import bounded_memory
-from finger_common.image_size import check_claim
+from finger_common.image_size import VIDEO_PIXELS_PER_BYTE, PixelBudget, check_claim
 from finger_common.stamps import NANOSECONDS, nanoseconds
 from finger_vision.images import as_mono8, read_image, silent_libraries
 
@@ -56,8 +56,25 @@ def frames_of(settings: ImportSettings, problems: list[str]) -> tuple[Iterator[F
             f"{settings.image_times}: {len(times.ns)} times for {len(files)} images in "
             f"{settings.images}; give one row per image"
         )
-    frames = ((int(t), read_image(f)) for t, f in zip(times.ns, files))
-    return frames, len(files), times.absolute
+    return _images(times, files, settings.images, problems), len(files), times.absolute
+
+
+def _images(times: Times, files: list[Path], where: str, problems: list[str]) -> Iterator[Frame]:
+    pixels = PixelBudget(sum(file.stat().st_size for file in files))
+    for number, (stamp, file) in enumerate(zip(times.ns, files)):
+        if pixels.spent:
+            problems.append(_left_out(where, number, "images"))
+            return
+        image = read_image(file)
+        pixels.take(image.size)
+        yield int(stamp), image
+
+
+def _left_out(where: str, number: int, what: str) -> str:
+    return (
+        f"{where}: more pixels than its bytes can hold; only the first {number} {what} are read, "
+        "give less at once"
+    )
 
 
 def _times_of(settings: ImportSettings) -> Times:
@@ -93,15 +110,21 @@ def _video(settings: ImportSettings, times: Times | None, problems: list[str]) -
     width, height = (
         int(video.get(p)) for p in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
     )
-    check_claim(width, height, Path(name).stat().st_size, name)
+    size = Path(name).stat().st_size
+    check_claim(width, height, size, name)
+    pixels = PixelBudget(size, VIDEO_PIXELS_PER_BYTE)
     expected = video.get(cv2.CAP_PROP_FRAME_COUNT)
     rate = settings.frame_rate or video.get(cv2.CAP_PROP_FPS)
     number, last = 0, -1
     try:
         while True:
+            if pixels.spent:
+                problems.append(_left_out(name, number, "frames"))
+                return
             read, image = video.read()
             if not read:
                 break
+            pixels.take(image.size // image.shape[2] if image.ndim == 3 else image.size)
             if times is not None:
                 if number >= len(times.ns):
                     raise InputError(

@@ -26,6 +26,10 @@ PATHS = ("force", "area", "indentation", "video", "images", "image_times", "cali
 """Settings that name a file; in a table of trials they are relative to the table."""
 
 
+SLOWEST_RATE = 1e-3
+"""Hz; an image in a quarter of an hour."""
+
+
 @dataclass(frozen=True)
 class ImportSettings(Settings):
     """One recording: force, areas from a table, a video or images, and perhaps indentation.
@@ -197,6 +201,10 @@ class ImportSettings(Settings):
             raise InputError(
                 f"areas from --{given[0]}: give either --calibration (finger-vision calibrate "
                 "makes it) or --area-per-pixel in m², such as 9.86e-10"
+            )
+        if 0.0 < self.frame_rate < SLOWEST_RATE:
+            raise InputError(
+                f"--frame-rate {self.frame_rate:g}: below {SLOWEST_RATE:g} Hz; give images a second"
             )
         _ = self.readings
 

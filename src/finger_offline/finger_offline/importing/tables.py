@@ -31,7 +31,7 @@ from finger_common.files import (
     parse_npz,
     read_bytes,
 )
-from finger_common.stamps import NANOSECONDS
+from finger_common.stamps import NANOSECONDS, check_stamp
 from finger_common.units import AREA_UNITS, FORCE_UNITS, LENGTH_UNITS, TIME_UNITS, unit_named
 
 EPOCH_SECONDS = 1e8
@@ -140,7 +140,11 @@ class Table:
         cells = self.columns[heading]
         first = cells[0] if len(cells) else None
         if isinstance(cells, np.ndarray) and cells.dtype.kind == "M":
-            return Times(cells.astype("datetime64[ns]").astype(np.int64), True)
+            stamps = cells.astype("datetime64[ns]")
+            wrong = stamps.astype(cells.dtype) != cells  # none, or beyond what 64 bits hold
+            if wrong.any():
+                self._refuse(heading, int(np.argmax(wrong)), "is no time; correct it")
+            return Times(stamps.astype(np.int64), True)
         if isinstance(first, (datetime, time)) or (isinstance(first, str) and ":" in first):
             found = [self._date(heading, row) for row in range(len(cells))]
             clock = isinstance(first, time) or (isinstance(first, str) and "-" not in first)
@@ -191,7 +195,9 @@ class Table:
             since = cell - datetime(1970, 1, 1, tzinfo=timezone.utc)
         except (AttributeError, TypeError, ValueError):
             self._refuse(heading, row, "is no time as in 2024-05-01 13:45:10.250; correct it")
-        return (since.days * 86400 + since.seconds) * NANOSECONDS + since.microseconds * 1000
+        stamp = (since.days * 86400 + since.seconds) * NANOSECONDS + since.microseconds * 1000
+        check_stamp(stamp, f"{self.where}, row {row + self.first_row}, column '{heading}'")
+        return stamp
 
 
 def _endings(heading: str) -> list[str]:

@@ -16,13 +16,14 @@ from typing import Any
 import cv2
 import numpy as np
 
+from finger_bag.definitions import typestore
 from finger_bag.schema import CALIBRATION_ATTACHMENT
 from finger_bag.writer import BagWriter
 from finger_common.axes import axis_of
 from finger_common.errors import InputError
 from finger_common.files import sha256_of_file
 from finger_common.flags import AreaFlag
-from finger_common.stamps import NANOSECONDS, nanoseconds, seconds
+from finger_common.stamps import NANOSECONDS, check_stamp, nanoseconds, seconds, time_fields
 from finger_common.trial_phases import TrialPhase
 from finger_common.units import AREA_UNITS, FORCE_UNITS, LENGTH_UNITS
 from finger_vision.area_sensor import AREA_SENSORS, ContactMeasurement
@@ -39,6 +40,9 @@ from .tables import Table, Times, read_table
 FEWEST_AREAS = 3
 """Areas during a press without which a fit cannot use it."""
 
+MAXIMUM_PRESSES = 1000
+"""Presses of one recording; thousands are the noise of a force that was not tared."""
+
 PART_OF_PEAK = 0.95
 """Target force over peak force of a press for which none was set."""
 
@@ -48,8 +52,8 @@ BEFORE_PRESS = 0.25
 Progress = Callable[[str, float, float], None]
 """Called with a stage, what is done and its total."""
 
-_Item = tuple[int, str, dict[str, Any]]
-"""Stamp in ns, topic, fields."""
+_Item = tuple[int, str, Any]
+"""Stamp in ns, topic, fields or a message of `typestore`."""
 
 
 @dataclass
@@ -91,6 +95,8 @@ def import_trial(
     times, force = _force(settings, table, result.notes)
     start = _start(settings.start)
     stamps = times.ns if times.absolute else times.ns + start
+    for stamp in (int(stamps[0]), int(stamps[-1])):
+        check_stamp(stamp, settings.force)
     found = _Force(stamps, force, -force[:, 2])
     events = _presses(settings, found, result)
     indentations = _indentations(settings, times.absolute, start, found, result)
@@ -103,8 +109,11 @@ def import_trial(
         for stamp, topic, fields in heapq.merge(
             events, _wrenches(found), indentations, areas, key=lambda item: item[0]
         ):
-            header = {**fields.pop("header", {}), "stamp": stamp}
-            bag.write(topic, {"header": header, **fields}, stamp)
+            check_stamp(stamp, topic)
+            if isinstance(fields, dict):
+                header = {**fields.pop("header", {}), "stamp": stamp}
+                fields = {"header": header, **fields}
+            bag.write(topic, fields, stamp)
         _check_areas(settings, result)
     return result
 
@@ -214,6 +223,11 @@ def _presses(settings: ImportSettings, found: _Force, result: Imported) -> list[
             f"{where}: no press of {split.minimum_peak:g} N or more, the largest force is "
             f"{high:.3g} N; check --force-column, --force-unit and --tare"
         )
+    if len(chosen) > MAXIMUM_PRESSES:
+        raise InputError(
+            f"{where}: {len(chosen)} presses, {MAXIMUM_PRESSES} at most are read; check --tare and "
+            "--force-unit, or give a part of the recording"
+        )
     last_row = len(stamps) - 1
     lengths = [seconds(int(stamps[min(b, last_row)] - stamps[a])) for a, b in chosen]
     if min(lengths) > LONGEST_PRESS or max(lengths) < SHORTEST_PRESS:
@@ -249,9 +263,22 @@ def _presses(settings: ImportSettings, found: _Force, result: Imported) -> list[
 
 
 def _wrenches(found: _Force) -> Iterator[_Item]:
+    # Messages, not their fields: there are far more of them than of all others.
+    types = typestore().types
+    message, wrench, vector, head, time = (
+        types[name]
+        for name in (
+            "geometry_msgs/msg/WrenchStamped",
+            "geometry_msgs/msg/Wrench",
+            "geometry_msgs/msg/Vector3",
+            "std_msgs/msg/Header",
+            "builtin_interfaces/msg/Time",
+        )
+    )
+    nothing = vector(0.0, 0.0, 0.0)
     for stamp, (x, y, z) in zip(found.stamp_ns.tolist(), found.force.tolist()):
-        header = {"frame_id": "force_sensor"}
-        yield stamp, "wrench", {"header": header, "wrench": {"force": {"x": x, "y": y, "z": z}}}
+        header = head(time(**time_fields(stamp)), "force_sensor")
+        yield stamp, "wrench", message(header, wrench(vector(x, y, z), nothing))
 
 
 # Areas ---------------------------------------------------------------------------------------
@@ -437,7 +464,9 @@ def _start(text: str) -> int:
         ) from None
     if at.tzinfo is None:
         at = at.replace(tzinfo=timezone.utc)
-    return round(at.timestamp()) * NANOSECONDS
+    start = round(at.timestamp()) * NANOSECONDS
+    check_stamp(start, "--start")
+    return start
 
 
 def _metadata(settings: ImportSettings) -> dict[str, Any]:
