@@ -15,11 +15,13 @@ import pytest
 
 from finger_common.errors import InputError
 from finger_model.anthropometry import estimate_geometry
+from finger_model.compiled import njit
 from finger_model.fem.full_order import FullOrderModel
 from finger_model.geometry import Geometry
 from finger_model.laws import StandardLinearSolid
 from finger_model.laws.generalized_maxwell import LAWS_BY_BRANCHES
 from finger_model.reduced import ReducedModel
+from finger_model.reduced.kernels import _drive, _drive_jacobian
 from finger_model.reduced.model import load_population
 from finger_model.reduced.population_build import PopulationSettings, build, held_out_runs
 from finger_model.reduced.population_runs import run, training_case
@@ -222,3 +224,31 @@ def test_fingers_do_not_depend_on_those_computed_beside_them() -> None:
     vectors = [model.space.default * factor for factor in (0.9, 1.0, 1.1)]
     together = model.constants(*vectors)
     assert all(np.array_equal(one, model.constants(v)[0]) for one, v in zip(together, vectors))
+
+
+@pytest.mark.parametrize("share", [0.05, 0.5])
+def test_the_jacobian_of_the_drive_is_that_of_its_outputs(share: float) -> None:
+    model = ReducedModel.load(geometry=SLIM)
+    record = model.constants(replace(SOFT, E1=share / (1.0 - share) * SOFT.E0))
+    latents = model.latents
+    x, place = 0.5, np.linspace(0.12, 0.02, latents) * np.array([1, 1, 1, -1, 1, -1])
+
+    def drive(amplitudes: np.ndarray) -> np.ndarray:
+        found = np.empty(1 + latents)
+        _drive_and_jacobian(model.networks, record, model.work, x, amplitudes, found)
+        return found[1:]
+
+    drive(place)
+    jacobian = model.work[0]["jacobian"].copy()
+    for column in range(latents):
+        change = np.zeros(latents)
+        change[column] = 1e-5
+        slope = (drive(place + change) - drive(place - change)) / 2e-5
+        np.testing.assert_allclose(jacobian[:, column], slope, atol=1e-5)
+
+
+@njit
+def _drive_and_jacobian(net, par, work, x, amplitudes, out):
+    _drive(net[0], par[0], work[0], x, amplitudes, work[0].drive)
+    out[:] = work[0].drive
+    _drive_jacobian(net[0], par[0], work[0], x, amplitudes)
