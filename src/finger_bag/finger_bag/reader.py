@@ -32,7 +32,7 @@ from .definitions import FORMS, Decoder, decoder
 from .mcap_file import MAXIMUM_CHUNK, RECORD_HEAD, WHOLE_MESSAGE, AttachmentEntry, McapFile
 from .schema import SESSION_RECORD, SessionMetadata
 
-MAXIMUM_PENDING = 128 << 20
+MAXIMUM_PENDING = 64 << 20
 """Bytes of messages held back to give them in the order of log time."""
 
 MAXIMUM_PROBLEMS = 100
