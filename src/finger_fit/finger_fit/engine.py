@@ -37,10 +37,14 @@ class LocalEngine:
     """This machine.
 
     `map` runs in this process, one item after another, for work that uses all cores itself (the
-    compiled reduced model). `spread` runs in one process per core, for work that uses one.
+    compiled reduced model). `spread` runs in one process per core, for work that uses one, in at
+    most `processes` of them (None: no limit).
     """
 
     name = "this machine"
+
+    def __init__(self, processes: int | None = None) -> None:
+        self._processes = available_cores() if processes is None else processes
 
     def map(
         self, function: Work, shared: Any, items: Sequence[Any], done: Done | None = None
@@ -57,7 +61,7 @@ class LocalEngine:
         self, function: Work, shared: Any, items: Sequence[Any], done: Done | None = None
     ) -> list[Any]:
         """As `map`, in one process per core."""
-        workers = min(available_cores(), len(items))
+        workers = min(self._processes, len(items))
         if workers < 2:
             return self.map(function, shared, items, done)
         # Forking a process whose kernels run threads can deadlock.

@@ -132,6 +132,27 @@ def test_subjects_are_fitted_apart_and_conditions_compared(
     assert data["provenance"]["command"].startswith("finger_fit.fit(")
 
 
+def test_a_cluster_fits_each_subject_as_this_machine_does(double: SimpleNamespace) -> None:
+    distributed = pytest.importorskip("distributed")
+    trials = [
+        *trials_of(double, 3, condition="dry", subject="S01"),
+        *trials_of(double, 3, condition="dry", subject="S02", truth=double.TRUTH * 0.9),
+        *trials_of(double, 2, condition="dry", subject="S03", truth=double.TRUTH * 0.8),
+    ]
+    here = fit(trials, model=double.HereditaryModel(), **QUICK)
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+    ) as cluster:
+        address = cluster.scheduler_address
+        there = fit(trials, model=double.HereditaryModel(), dask=address, **QUICK)
+    assert list(there.subjects) == list(here.subjects) == ["S01", "S02"]
+    for name in here.subjects:
+        ours, theirs = here.subjects[name], there.subjects[name]
+        assert theirs.parameters == ours.parameters and theirs.intervals == ours.intervals
+    assert there.result.problems == here.result.problems
+    assert any("S03" in note and "2 trials" in note for note in there.result.problems)
+
+
 def test_saved_tables_hold_what_was_found(result: Fit, tmp_path: Path) -> None:
     folder = result.save(tmp_path / "out")
     with (folder / "tables" / "frames.csv").open() as file:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from finger_model.fem.area_model import FullOrderAreas
 from finger_model.reduced import ReducedModel
 
 from .. import results
-from ..engine import Engine, engine_for
+from ..engine import Engine, LocalEngine, engine_for
 from ..full_order import FullOrder
 from ..options import FitOptions
 from ..problem import Exclusion, FitProblem, FitTrial, prepare_all
@@ -74,26 +74,22 @@ def fit_records(
             return dataclasses.replace(
                 part, exclusions=exclusions, problems=[*notes, *part.problems]
             )
+        jobs = {
+            subject or "unnamed": (own, {trial.label: of_trial[trial.label] for trial in own})
+            for subject, own in sorted(subjects.items())
+        }
+        outcomes = (
+            _on_cluster(jobs, model, options, conditions, engine, report)
+            if options.dask
+            else _one_by_one(jobs, model, options, conditions, engine, folder, report)
+        )
         parts: dict[str, FitResult] = {}
-        for subject in sorted(subjects):
-            name = subject or "unnamed"
-            try:
-                parts[name] = _fit_subject(
-                    subjects[subject],
-                    of_trial,
-                    model,
-                    options,
-                    conditions,
-                    engine,
-                    None if folder is None else folder / name,
-                    _told(report, name),
-                )
-            except InputError as error:
-                notes.append(f"subject {name}: {error}")
+        for name, found in outcomes:
+            if isinstance(found, InputError):
+                notes.append(f"subject {name}: {found}")
                 continue
-            notes += [f"subject {name}: {note}" for note in parts[name].problems]
-            if parts[name].interrupted:
-                break
+            parts[name] = found
+            notes += [f"subject {name}: {note}" for note in found.problems]
     if not parts:
         raise InputError(f"no subject can be fitted ({'; '.join(notes)}){_left_out(exclusions)}")
     return FitResult(
@@ -104,6 +100,63 @@ def fit_records(
         subjects=parts,
         contrasts=[found for part in parts.values() for found in part.contrasts],
     )
+
+
+_Job = tuple[Sequence[FitTrial], Mapping[str, Any]]
+"""Trials of one subject, and their records by label."""
+
+_Outcome = FitResult | InputError
+"""Result of one subject, or why it cannot be fitted."""
+
+
+def _one_by_one(
+    jobs: Mapping[str, _Job],
+    model: Any,
+    options: FitOptions,
+    conditions: Sequence[str],
+    engine: Engine,
+    folder: Path | None,
+    report: Report | None,
+) -> Iterator[tuple[str, _Outcome]]:
+    """Each subject's fit on this machine, up to one that was interrupted."""
+    for name, (trials, of_trial) in jobs.items():
+        within = None if folder is None else folder / name
+        try:
+            part = _fit_subject(
+                trials, of_trial, model, options, conditions, engine, within, _told(report, name)
+            )
+        except InputError as error:
+            yield name, error
+            continue
+        yield name, part
+        if part.interrupted:
+            return
+
+
+def _on_cluster(
+    jobs: Mapping[str, _Job],
+    model: Any,
+    options: FitOptions,
+    conditions: Sequence[str],
+    engine: Engine,
+    report: Report | None,
+) -> Iterator[tuple[str, _Outcome]]:
+    """Each subject's fit as one piece of work of a cluster, without checkpoints."""
+    done = Progress("", len(model.space), report).count("subjects")
+    shared = (model, options, conditions)
+    return zip(jobs, engine.map(_fit_alone, shared, list(jobs.values()), done), strict=True)
+
+
+def _fit_alone(shared: tuple[Any, FitOptions, Sequence[str]], job: _Job) -> _Outcome:
+    """One subject's fit in a worker of a cluster, which may have no processes of its own."""
+    trials, of_trial = job
+    model, options, conditions = shared
+    try:
+        return _fit_subject(
+            trials, of_trial, model, options, conditions, LocalEngine(1), None, None
+        )
+    except InputError as error:
+        return error
 
 
 def _told(report: Report | None, subject: str) -> Report | None:
