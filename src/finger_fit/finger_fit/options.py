@@ -178,8 +178,8 @@ class FitOptions(NuisancePriors):
     resume: bool = setting(False, "Continue from the checkpoints in the output folder.", group=RUN)
     dask: str = setting(
         "",
-        "Address of a Dask scheduler that runs profiles, bias, bootstrap and full order, of several "
-        "subjects the whole fits; empty: this machine.",
+        "Address of a Dask scheduler that runs profiles, bias, bootstrap and full order, or the "
+        "whole fits of several subjects; empty: this machine.",
         group=RUN,
     )
 
