@@ -173,7 +173,7 @@ def test_bad_input_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture
     (tmp_path / "other.json").write_text("[1]")
     for arguments, words in (
         ([str(tmp_path / "none")], "no fit.json there"),
-        ([str(folder), "--quantity", "E9"], "choose from E0"),
+        ([str(folder), "--quantity", "E9"], "known are E0"),
         ([str(few)], "at least three"),
         ([str(tmp_path / "old")], "fit again"),
         ([str(folder), str(folder)], "is there twice"),
