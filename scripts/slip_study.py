@@ -29,8 +29,8 @@ RATE = 500.0
 FRAMES = 30.0
 CAMERA_LATENCY = 0.06
 STICK_NOISE, STICK_BIAS = 0.06, 0.03
-"""Standard deviations of a camera's stick ratio: from image to image, and from pull to pull, as
-measured on rendered pulls (docs/vision.md)."""
+"""Standard deviations of a camera's stick ratio: from image to image, and from pull to pull. Fresh
+rendered pulls err more, and alike from image to image (docs/vision.md)."""
 ALARM = 0.15
 AHEAD = 0.02
 FALSE_TIME, FALSE_RATIO = 0.25, 0.85
