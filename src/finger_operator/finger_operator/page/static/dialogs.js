@@ -8,16 +8,16 @@ export function ask(title, text, answers) {
   $("ask-title").textContent = title;
   $("ask-text").textContent = text;
   return new Promise((resolve) => {
-    let chosen = null;
     const button = (value, words) => {
       const element = document.createElement("button");
       element.textContent = words;
-      element.onclick = () => { chosen = value; dialog.close(); };
+      element.onclick = () => { dialog.close(); resolve(value); };
       return element;
     };
     const cancel = button(null, "Cancel");
     $("ask-buttons").replaceChildren(...answers.map(([v, words]) => button(v, words)), cancel);
-    dialog.onclose = () => resolve(chosen);
+    // Escape. The event comes late: it may be that of a question before, answered just now.
+    dialog.onclose = () => { if (!dialog.open) resolve(null); };
     dialog.showModal();
     cancel.focus();
   });
