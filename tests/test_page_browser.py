@@ -713,6 +713,29 @@ def test_space_on_a_focused_button_is_that_buttons_and_skip_asks(rig: StandIn, p
     until(lambda: list(rig.commands)[1:] == [("marker", {}), ("start", {})], page)
 
 
+def test_a_question_asked_at_once_after_another_is_answered_for_itself(
+    rig: StandIn, page: Any
+) -> None:
+    prepare(rig, page)
+    page.keyboard.press("s")
+    page.wait_for_selector("#ask-dialog[open]")
+    # The first dialog tells that it closed only after the second one is open.
+    page.evaluate("""() => {
+      document.querySelector("#ask-buttons button:last-child").click();
+      document.body.dispatchEvent(new KeyboardEvent("keydown", {key: "s", bubbles: true}));
+    }""")
+    page.wait_for_selector("#ask-dialog[open]")
+    page.click("#ask-buttons button:has-text('Skip the trial')")
+    until(lambda: list(rig.commands) == [("skip", {})], page)
+    # Escape answers no.
+    page.keyboard.press("s")
+    page.wait_for_selector("#ask-dialog[open]")
+    page.keyboard.press("Escape")
+    page.wait_for_selector("#ask-dialog:not([open])", state="attached")
+    page.click("#marker")
+    until(lambda: list(rig.commands)[1:] == [("marker", {})], page)
+
+
 def test_the_list_of_devices_keeps_the_focus_and_what_is_open(rig: StandIn, page: Any) -> None:
     page.click("#tab-health")
     page.wait_for_selector("#health summary")
