@@ -19,7 +19,7 @@ from geometry_msgs.msg import WrenchStamped  # noqa: E402
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 
 from finger_bringup.cli import calibration_entries, main, parser  # noqa: E402
-from finger_common.guided_presses import CALIBRATION_PRESSES  # noqa: E402
+from finger_common.guided_presses import CALIBRATION_PRESSES, FITTING  # noqa: E402
 from finger_common.node import LATCHED_QOS, STATE_QOS, message_of  # noqa: E402
 from finger_common.parameter_values import parameter_fields  # noqa: E402
 from finger_common.stamps import fill_time  # noqa: E402
@@ -76,10 +76,10 @@ class Rig:
         while time.monotonic() < end:
             rclpy.spin_once(self.node, timeout_sec=0.02)
 
-    def announce(self, index: int, phase: TrialPhase, subject: str = "S01") -> None:
+    def announce(self, index: int, phase: TrialPhase, subject: str = "S01", note: str = "") -> None:
         name = CALIBRATION_PRESSES[index].name
         message = Trial(session=f"{subject}_a", subject=subject, condition=name, index=index)
-        message.phase = int(phase)
+        message.phase, message.note = int(phase), note
         self.trial.publish(message)
         self.settle()
 
@@ -180,6 +180,65 @@ def test_the_model_node_calibrates_the_subject_of_the_trials(
         assert "without calipers" in result.message
         assert geometry == Geometry()
         assert {e.model_hash for e in rig.events} == {model.hash}
+
+
+def test_what_cannot_be_kept_is_live_and_says_so(
+    rig: Rig, process: Callable[..., Any], tmp_path: Path
+) -> None:
+    (tmp_path / "S01.yaml").mkdir()
+    start_model(rig, process, tmp_path)
+    at = 1.0
+    for index in range(len(CALIBRATION_PRESSES)):
+        rig.announce(index, TrialPhase.PREPARE)
+        at = rig.press(index, at)
+        rig.announce(index, TrialPhase.DONE)
+    rig.announce(len(CALIBRATION_PRESSES) - 1, TrialPhase.IDLE)
+    rig.until(lambda: rig.results)
+    (result,) = rig.results
+    assert result.level == b"\x01"
+    assert "area under 1 N" in result.message and "not kept in a file" in result.message
+    assert "file" not in {item.key for item in result.values}
+    rig.sample(T0 + round(at * 1e9), 0.0)
+    rig.until(lambda: any("calibration of subject" in e.reason for e in rig.events))
+
+
+@pytest.mark.parametrize(
+    ("folder", "index", "phase", "note", "said"),
+    [
+        ("file/subjects", 0, TrialPhase.PREPARE, "", "no subject can be kept there"),
+        ("subjects", 3, TrialPhase.PREPARE, "", "has not seen all presses"),
+        ("subjects", 0, TrialPhase.LIFT, "", "has not seen all presses"),
+        ("subjects", 8, TrialPhase.IDLE, FITTING, "has not seen all presses"),
+    ],
+)
+def test_a_calibration_that_cannot_succeed_is_refused_before_it_costs_presses(
+    rig: Rig,
+    process: Callable[..., Any],
+    tmp_path: Path,
+    folder: str,
+    index: int,
+    phase: TrialPhase,
+    note: str,
+    said: str,
+) -> None:
+    (tmp_path / "file").write_text("")
+    # What was announced before the node began to listen, as after its restart.
+    rig.announce(index, phase, note=note)
+    start_model(rig, process, tmp_path / folder)
+    rig.until(lambda: rig.results)
+    (result,) = rig.results
+    assert (result.level, result.name, result.hardware_id) == (b"\x02", "S01", "S01_a")
+    assert said in result.message
+
+
+def test_the_end_of_an_earlier_calibration_is_no_refusal(
+    rig: Rig, process: Callable[..., Any], tmp_path: Path
+) -> None:
+    rig.announce(8, TrialPhase.IDLE, note="Calibrated: area under 1 N 46 mm².")
+    start_model(rig, process, tmp_path)
+    rig.announce(0, TrialPhase.PREPARE, "S02")
+    rig.settle(1.0)
+    assert not rig.results
 
 
 def test_the_subject_of_the_session_chooses_its_file_and_forgets_the_one_before(

@@ -46,6 +46,7 @@ class FitRequestNode(ManagedNode):
 
     SETTINGS = (FitRequestSettings,)
     NAME = "fit_request"
+    ONE_TASK = True
 
     def configure(self) -> None:
         self._health = Health("fit_request")

@@ -309,6 +309,19 @@ def simulated_boards(fingers: Iterable[str]) -> tuple[list[ProcessSpec], dict[st
     return specs, parameters
 
 
+class QuotingDumper(yaml.SafeDumper):
+    """Writes all text in quotes: ROS takes more of it for numbers and truth values than YAML 1.1
+    does, such as 1e3 and y.
+    """
+
+    def represent_str(self, data: str) -> yaml.ScalarNode:
+        """As text, whatever it looks like."""
+        return self.represent_scalar("tag:yaml.org,2002:str", data, style='"')
+
+
+QuotingDumper.add_representer(str, QuotingDumper.represent_str)
+
+
 def write_parameter_file(entries: Iterable[NodeEntry], namespace: str, path: Path) -> Path:
     """Write the settled entries' own parameters as a ROS parameter file and return its path."""
     data = {
@@ -319,7 +332,7 @@ def write_parameter_file(entries: Iterable[NodeEntry], namespace: str, path: Pat
         if entry.parameters
     }
     with atomic_write(path) as file:
-        yaml.safe_dump(data, file, sort_keys=False, allow_unicode=True)
+        yaml.dump(data, file, QuotingDumper, sort_keys=False, allow_unicode=True)
     return path
 
 

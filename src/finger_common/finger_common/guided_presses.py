@@ -50,6 +50,9 @@ CALIBRATION_PRESSES = (
 
 PRESS_BY_NAME = {press.name: press for press in CALIBRATION_PRESSES}
 
+FITTING = "The presses are being fitted."
+"""Note of the announcement with which the last press of a calibration is over."""
+
 TOO_HARD = 2.5
 """Force over the target from which a press is not the one that was asked for; a tap overshoots."""
 

@@ -32,7 +32,7 @@ from std_srvs.srv import Trigger
 from finger_common.axes import axis_of
 from finger_common.cli import one_line
 from finger_common.diagnostics import ERROR, OK, WARN, Health
-from finger_common.errors import FingerError
+from finger_common.errors import FingerError, InputError
 from finger_common.flags import StateFlag
 from finger_common.moisture import MOISTURE_TEXT
 from finger_common.node import (
@@ -50,6 +50,7 @@ from finger_common.node import (
 from finger_common.parameter_values import parameter_values
 from finger_common.settings import Settings, setting
 from finger_common.stamps import seconds
+from finger_common.trial_phases import TrialPhase
 from finger_msgs.msg import (
     ContactArea,
     ContactShape,
@@ -85,7 +86,7 @@ from .pose.estimator import PoseEstimator
 from .pose.settings import PoseSettings
 from .reduced.model import ReducedModel, load_population
 from .slip import SlipEstimator, SlipSettings
-from .subjects import PressCollector, save_subject, subject_file
+from .subjects import PressCollector, check_folder, save_subject, subject_file
 from .warm_up import warm_up
 
 LOOK = 0.1
@@ -549,17 +550,37 @@ class ModelNode(ManagedNode):
             if not self._active or self.estimator is None:
                 return
             self._collector.rejected_flags = self.estimator.settings.rejected_area_flags
+            if self._collector.begins(message.session, message.condition):
+                self._check_calibration(message)
             of_trial = message.session, message.condition, message.index, message.attempt
             if not self._collector.announce(*of_trial, message.phase):
                 return
             presses, moisture = self._collector.presses(), self._collector.moisture()
             if self._calibration is not None and self._calibration.is_alive():
+                self._refuse_calibration(message, "the one before is still being computed")
                 return
             arguments = message.session, message.subject, presses, moisture, self._sets
             self._calibration = threading.Thread(
                 target=self._calibrate, args=arguments, name="calibration", daemon=True
             )
             self._calibration.start()
+
+    def _check_calibration(self, message: Trial) -> None:
+        """Refuse a calibration that cannot succeed, before somebody presses for it in vain."""
+        if self._collector.presses_before(message.index, message.phase, message.note):
+            reason = "the model node was started meanwhile and has not seen all presses; begin anew"
+            self._refuse_calibration(message, reason)
+        elif message.phase != TrialPhase.IDLE and self.values["subjects_folder"]:
+            try:
+                check_folder(self.values["subjects_folder"])
+            except InputError as error:
+                self._refuse_calibration(message, one_line(error))
+
+    def _refuse_calibration(self, message: Trial, reason: str) -> None:
+        self.get_logger().error(f"subject {message.subject} not calibrated: {reason}")
+        status = DiagnosticStatus(level=bytes([ERROR]), name=message.subject, message=reason)
+        status.hardware_id = message.session
+        self._calibration_publisher.publish(status)
 
     def _calipers_of(self, session: str) -> GeometryEstimate | None:
         """What calipers told of the finger of a session, as the protocol node's status has it."""
@@ -627,17 +648,31 @@ class ModelNode(ManagedNode):
                     self._use_sets(found.sets, f"calibration of subject {subject}", forget=False)
             status.message = found.sentence()
             status.values = _values(found, taken)
-            folder = self.values["subjects_folder"]
-            if folder:
-                path = save_subject(folder, subject, found.sets)
-                status.values.append(KeyValue(key="file", value=str(path)))
-                self.get_logger().info(f"subject {subject} calibrated: {found.sentence()}; {path}")
+            kept = self._keep(subject, found.sets)
+            status.values.append(kept)
+            self.get_logger().info(
+                f"subject {subject} calibrated: {found.sentence()}; {kept.value}"
+            )
+            if kept.key != "file":
+                status.level = bytes([WARN])
+                status.message += f"; {kept.value}"
         except Exception as error:
             reason = one_line(error) if isinstance(error, FingerError) else repr(error)
-            status.level, status.message = bytes([ERROR]), f"not calibrated: {reason}"
-            self.get_logger().error(f"subject {subject} {status.message}")
+            status.level, status.message = bytes([ERROR]), reason
+            self.get_logger().error(f"subject {subject} not calibrated: {reason}")
         if rclpy.ok(context=self.context):
             self._calibration_publisher.publish(status)
+
+    def _keep(self, subject: str, sets: ParameterSets) -> KeyValue:
+        """Write a subject's parameters: the file, or why there is none."""
+        folder = self.values["subjects_folder"]
+        reason = "the model node has no 'subjects_folder'"
+        if folder:
+            try:
+                return KeyValue(key="file", value=str(save_subject(folder, subject, sets)))
+            except InputError as error:
+                reason = one_line(error)
+        return KeyValue(key="not_kept", value=f"not kept in a file: {reason}")
 
     def _on_jump(self, jump: Any) -> None:
         self._jumped = True

@@ -6,6 +6,8 @@
 from __future__ import annotations
 
 import math
+import shutil
+import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,7 +17,7 @@ import numpy as np
 from finger_common.contact_threshold import ONSET_FORCE
 from finger_common.errors import InputError
 from finger_common.flags import AreaFlag
-from finger_common.guided_presses import CALIBRATION_PRESSES, PRESS_BY_NAME
+from finger_common.guided_presses import CALIBRATION_PRESSES, FITTING, PRESS_BY_NAME
 from finger_common.moisture import is_moisture
 from finger_common.stamps import seconds
 from finger_common.subject_code import check_subject
@@ -36,6 +38,21 @@ def subject_file(folder: str | Path, subject: str) -> Path:
     return Path(folder).expanduser() / f"{check_subject(subject)}.yaml"
 
 
+def check_folder(folder: str | Path) -> None:
+    """Make the folder of the subjects' parameters if need be; raises InputError where nothing can
+    be written into it.
+    """
+    path = Path(folder).expanduser()
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=path).close()
+    except OSError as error:
+        raise InputError(
+            f"{path}: no subject can be kept there ({error.strerror}); choose another "
+            "'subjects_folder'"
+        ) from None
+
+
 def save_subject(folder: str | Path, subject: str, sets: ParameterSets) -> Path:
     """Write a subject's parameters; those of before are kept beside them with their date.
 
@@ -46,11 +63,10 @@ def save_subject(folder: str | Path, subject: str, sets: ParameterSets) -> Path:
         if path.exists():
             made = time.strftime("%Y%m%dT%H%M%S", time.localtime(path.stat().st_mtime))
             earlier = path.with_name(f"{subject}.{made}.yaml")
-            earlier.unlink(missing_ok=True)
-            earlier.hardlink_to(path)
+            shutil.copy2(path, earlier)
+        sets.save(path)
     except OSError as error:
-        raise InputError(f"{path}: the earlier file cannot be kept ({error.strerror})") from None
-    sets.save(path)
+        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
     return path
 
 
@@ -82,6 +98,17 @@ class PressCollector:
     def collecting(self) -> bool:
         """Whether an attempt at a press of a calibration is under way."""
         return self._key is not None
+
+    def begins(self, session: str, condition: str) -> bool:
+        """Whether this is the first announcement of a calibration that comes."""
+        return session != self._session and condition in PRESS_BY_NAME
+
+    @staticmethod
+    def presses_before(index: int, phase: int, note: str) -> bool:
+        """Whether presses were begun before this announcement of a calibration."""
+        if phase == TrialPhase.IDLE:
+            return note == FITTING
+        return index > 0 or phase in (TrialPhase.PRESS, TrialPhase.LIFT, TrialPhase.DONE)
 
     def announce(self, session: str, condition: str, index: int, attempt: int, phase: int) -> bool:
         """A trial is in this phase now; true, once, when all presses of a calibration are done."""

@@ -25,6 +25,7 @@ from finger_common.cli import one_line
 from finger_common.diagnostics import ERROR
 from finger_common.errors import InputError
 from finger_common.flags import AreaFlag
+from finger_common.guided_presses import FITTING
 from finger_common.guided_pulls import is_pull
 from finger_common.moisture import MOISTURE_RANGE, is_moisture
 from finger_common.stamps import seconds
@@ -102,8 +103,6 @@ GUIDANCE_TIME = 3.0
 
 FIT_TIME = 120.0
 """s to wait for the result of a calibration: a second of work, on a busy machine a minute."""
-
-FITTING = "The presses are being fitted."
 
 
 class Protocol:
@@ -351,9 +350,9 @@ class Protocol:
         """End the session early; a trial under way is completed first. All data are kept."""
         self._finish_early(now_ns, "ended early by the operator")
 
-    def abort(self, now_ns: int) -> None:
+    def abort(self, now_ns: int, how: str = "aborted by the operator") -> None:
         """End the session at once; a trial under way is void, its bag is kept."""
-        self._finish_early(now_ns, "aborted by the operator")
+        self._finish_early(now_ns, how)
         if self.step in UNDER_WAY:
             self._fail(self.ended)
             self._enter(Step.FINISHED)
@@ -552,8 +551,14 @@ class Protocol:
                 self._log("fault", f"{name}: {'silent' if silent else 'over'}")
 
     def calibrated(self, success: bool, result: str, now_ns: int) -> None:
-        """What the model node made of the presses; a sentence."""
+        """What the model node made of the presses, in a sentence; a refusal ends the presses. There
+        is one result.
+        """
         self._now = max(self._now, now_ns)
+        if self.step is not Step.FINISHED and not success:
+            self.abort(now_ns, f"given up ({result})")
+        elif self.message != FITTING:
+            return
         self.message = f"Calibrated: {result}." if success else f"Not calibrated: {result}."
         self._log("calibration", self.message, of_trial=False)
         self._announce()
@@ -716,7 +721,8 @@ class Protocol:
         # The announcement goes out first: the cue to lift must not wait for a disk.
         if step is Step.FINISHED and self.plan.is_calibration:
             done = all(trial.verdict == "done" for trial in self.trials)
-            self.message = FITTING if done else "Not calibrated: not all presses were made."
+            why = self.ended or "not all presses were made"
+            self.message = FITTING if done else f"Not calibrated: {why}."
         self.step = step
         self._step_began = self._now if stamp_ns is None else stamp_ns
         self._announce()

@@ -27,7 +27,7 @@ from std_srvs.srv import Trigger
 from finger_bag.streams import TrialEvent
 from finger_common.axes import DEFAULT_NORMAL_AXIS, NORMAL_AXES
 from finger_common.cli import one_line
-from finger_common.diagnostics import ERROR, WARN, Health, full_node_name, status_node
+from finger_common.diagnostics import ERROR, OK, WARN, Health, full_node_name, status_node
 from finger_common.errors import FingerError, InputError
 from finger_common.files import atomic_write, read_text
 from finger_common.folder_lock import lock_folder
@@ -254,7 +254,8 @@ class ProtocolNode(ManagedNode):
             preparations=parse_preparations(values["preparations"]),
         )
         if calibration:
-            plan = plan.for_calibration(f"{session}_calibration")
+            probe = self.count_publishers("moisture") > 0
+            plan = plan.for_calibration(f"{session}_calibration", probe)
         folder = self._output / session
         if (folder / STATE_FILE).exists():
             raise InputError(
@@ -393,6 +394,8 @@ class ProtocolNode(ManagedNode):
         self._poll()
         self.check_mismatch(self._wrench)
         if self._protocol is not None:
+            if self._protocol.plan.is_calibration:
+                self._watch_model(self._protocol)
             self._protocol.tick(self._now())
         self._recorder.step(self._limits.record_timeout)
         if time.monotonic() - self._free_read > FREE_SPACE_PERIOD:
@@ -404,6 +407,12 @@ class ProtocolNode(ManagedNode):
             self._press_timer.reset()
         elif not pressing:
             self._press_timer.cancel()
+
+    def _watch_model(self, protocol: Protocol) -> None:
+        """A press that the model node does not see is lost for the calibration."""
+        running = self.count_publishers("contact_state") > 0
+        level, text = (OK, "") if running else (ERROR, "the node is not running")
+        protocol.health("model", level, text, self._now())
 
     # Effects ---------------------------------------------------------------------------------
 

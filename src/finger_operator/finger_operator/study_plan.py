@@ -157,14 +157,17 @@ class StudyPlan(PlanSettings):
             found = press_before_pull(condition)
         return found or GuidedPress(condition, self.target_force, 0.0, (0.0, math.inf), "")
 
-    def for_calibration(self, session: str) -> StudyPlan:
-        """The same subject's calibration, with one moisture reading where any are taken."""
+    def for_calibration(self, session: str, probe: bool = True) -> StudyPlan:
+        """The same subject's calibration, with one moisture reading where any are taken.
+
+        probe: whether there is one to take them with.
+        """
         values = {
             **PlanSettings.to_dict(self),
             "session": session,
             "conditions": [press.name for press in CALIBRATION_PRESSES],
             "trials": 1,
-            "readings": min(self.readings, 1),
+            "readings": min(self.readings, int(probe)),
             "order": "as_given",
         }
         texts = {press.name: press.text for press in CALIBRATION_PRESSES}

@@ -108,6 +108,8 @@ class ManagedNode(LifecycleNode):
     SETTINGS: tuple[type[Settings], ...] = ()
     PLUGINS: PluginKind[Any] | None = None
     NAME = "node"
+    ONE_TASK = False
+    """Whether the node does one thing and ends, as a command does."""
 
     @classmethod
     def parameter_table(cls) -> ParameterTable:
@@ -123,6 +125,8 @@ class ManagedNode(LifecycleNode):
         self.values: dict[str, Any] = {}
         self.exit_code = 0
         """Of the node's process when a signal ends it."""
+        self.refused: FingerError | None = None
+        """Why the newest transition that failed did."""
         self._live = False
         self._active = False
         self._all = self.parameter_table()
@@ -462,7 +466,9 @@ class ManagedNode(LifecycleNode):
             try:
                 action()
             except FingerError as error:
-                self.get_logger().error(f"{what} failed: {one_line(error)}")
+                self.refused = error
+                if not self.ONE_TASK:  # one that ends, and says why
+                    self.get_logger().error(f"{what} failed: {one_line(error)}")
                 return False
             except Exception:
                 # rclpy turns it into a failed transition silently; a defect must be visible.

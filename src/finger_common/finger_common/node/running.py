@@ -97,7 +97,8 @@ def run_node(node_class: type[ManagedNode], argv: Sequence[str] | None = None) -
     """Run one node until a signal ends it; returns the exit code.
 
     A configuration that fails leaves the node up, unconfigured, so that parameters can be corrected
-    and the transition tried again. SIGINT and SIGTERM end it with the device released.
+    and the transition tried again; it ends a node of one task, which nobody corrects. SIGINT and
+    SIGTERM end it with the device released.
     """
     use_large_shared_memory()
     try:
@@ -118,8 +119,8 @@ def run_node(node_class: type[ManagedNode], argv: Sequence[str] | None = None) -
     try:
         node = node_class()
         executor.add_node(node)
-        if node.autostart:
-            node.bring_up()
+        if node.autostart and not node.bring_up() and node.ONE_TASK and node.refused is not None:
+            raise node.refused
         handler.spin()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
