@@ -380,6 +380,11 @@ def test_force_beyond_the_range_is_flagged_not_extrapolated(estimator: ContactEs
     assert not inside.flags & StateFlag.FORCE_OUT_OF_RANGE
     assert beyond.flags & StateFlag.FORCE_OUT_OF_RANGE
     assert beyond.model_area < 1.05 * inside.model_area
+    for n, force in enumerate((10 * limit, 1e12, 1e300), 2):
+        (far,) = one(estimator, 2 * n, force)
+        assert far.flags & StateFlag.FORCE_OUT_OF_RANGE
+        for name in ("area", "area_stddev", "radius", "indentation", "peak_pressure"):
+            assert getattr(far, name) == pytest.approx(getattr(beyond, name), rel=0.05), name
 
 
 def test_parameters_beyond_the_range_are_flagged(model: ReducedModel) -> None:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import bisect
+import itertools
 import math
 from collections.abc import Callable, Iterator
 
@@ -154,8 +155,18 @@ def test_a_plate_that_pulls_for_long(model: ReducedModel) -> None:
     same_again(estimator, model, 12.0)
 
 
-@pytest.mark.parametrize("area", [30e-6, math.inf, math.nan, -1e-6])
-@pytest.mark.parametrize("sd", [math.inf, math.nan, 0.0, -1e-6])
+@pytest.mark.parametrize(
+    ("area", "sd"),
+    [
+        *itertools.product(
+            [30e-6, math.inf, math.nan, -1e-6], [math.inf, math.nan, 0.0, -1e-6, 1e30, 1e300]
+        ),
+        # No area of a finger, among them 30 mm² in cm² and in mm².
+        *itertools.product(
+            [5e-324, 1e-300, 1e-12, 1e-9, 0.01, 0.3, 30.0, 1e30, 1e308], [1e-6, 1e-300]
+        ),
+    ],
+)
 def test_an_area_or_deviation_that_is_no_number(
     model: ReducedModel, area: float, sd: float
 ) -> None:

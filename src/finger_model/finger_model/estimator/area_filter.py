@@ -106,9 +106,9 @@ MOST_SURPRISE = 25.0
 
 
 @njit(cache=True)
-def log_force(force):
-    """φ = ln(F / 1 N), held below 0.05 N."""
-    return math.log(max(force, 0.05))
+def log_force(force, limit):
+    """φ = ln(F / 1 N), held below 0.05 N and above the model's limit (N)."""
+    return math.log(min(max(force, 0.05), limit))
 
 
 @njit(cache=True)

@@ -133,6 +133,9 @@ STATE = np.dtype(
 
 NO_CONTACT = -1.0
 """In place of an area: the camera saw none."""
+LEAST_AREA, LARGEST_AREA = 1e-7, 1e-3
+"""m² between which an area may be that of a finger; a deviation that is larger tells nothing."""
+
 LEAST_DEVIATION = 1e-3
 """Of an area, relative: none is known better."""
 
@@ -262,8 +265,11 @@ def _offset(state, sensitivity):
 
 
 @njit(cache=True)
-def _fuse(config, state, stamp, area, sd):
-    """Correct the filters by an area measured at `stamp`; false when it cannot be used."""
+def _fuse(config, state, stamp, area, sd, limit):
+    """Correct the filters by an area measured at `stamp`; false when it cannot be used.
+
+    limit: force (N) the model was built for.
+    """
     contact = state.contact
     if state.counters.contacts == 0 or stamp < contact.onset:
         return False
@@ -276,11 +282,12 @@ def _fuse(config, state, stamp, area, sd):
     if area == NO_CONTACT:
         contact.empty += 1
         return False
-    if not 0.0 < area < math.inf or not 0.0 < sd < math.inf:
+    if not LEAST_AREA < area < LARGEST_AREA or not 0.0 < sd < LARGEST_AREA:
         return False
     sd = max(sd, LEAST_DEVIATION * area)
     h = np.empty(area_filter.STATES)
-    area_filter.regressors(config.noise, area_filter.log_force(force), sensitivity, 1.0, h)
+    phi = area_filter.log_force(force, limit)
+    area_filter.regressors(config.noise, phi, sensitivity, 1.0, h)
     offset = _offset(state, sensitivity)
     if not area_filter.correct(state.filters, config.noise, stamp, h, offset, model_area, area, sd):
         return False
@@ -328,8 +335,8 @@ def _advance_model(net, base, par, finger, work, config, state, stamp, normal_fo
 
 
 @njit(cache=True)
-def _write_contact(config, state, finger, normal_force, stamp, row):
-    """Fields of the contact at a sample that the model followed."""
+def _write_contact(config, state, finger, normal_force, limit, stamp, row):
+    """Fields of the contact at a sample that the model followed, to its `limit` of force (N)."""
     row.indentation = finger.indentation
     row.model_area = row.area = row.area_stddev = row.area_force_slope = 0.0
     row.radius = row.mean_pressure = row.peak_pressure = 0.0
@@ -338,7 +345,7 @@ def _write_contact(config, state, finger, normal_force, stamp, row):
     if not state.contact.touching or not finger.area > 0.0:
         return
     noise, filters, near = config.noise, state.filters, state.members
-    phi = area_filter.log_force(normal_force)
+    phi = area_filter.log_force(normal_force, limit)
     h = np.empty(area_filter.STATES)
     area_filter.regressors(noise, phi, near.area, 1.0, h)
     offset = _offset(state, near.area)
@@ -455,8 +462,10 @@ def process(net, base, par, finger, work, configuration, states, stamps, forces,
                 flags |= FLAG.LATERAL_LOAD
         else:
             flags |= FLAG.FORCE_INVALID
+        limit = par[0].force_limit  # of the finger that an onset may have moved
         while used < len(areas) and areas[used].stamp + config.fusion_delay <= stamp:
-            if not _fuse(config, state, areas[used].stamp, areas[used].area, areas[used].sd):
+            area = areas[used]
+            if not _fuse(config, state, area.stamp, area.area, area.sd, limit):
                 state.counters.rejected_areas += 1
                 flags |= FLAG.AREA_REJECTED
             used += 1
@@ -464,7 +473,7 @@ def process(net, base, par, finger, work, configuration, states, stamps, forces,
         if valid and failed:
             flags |= FLAG.MODEL_FAILED
         if valid and not failed:
-            _write_contact(config, state, finger[0], normal_force, stamp, row)
+            _write_contact(config, state, finger[0], normal_force, limit, stamp, row)
         else:
             _write_unknown(row)
         if state.filters.mismatch:
@@ -521,7 +530,7 @@ def predicted(net, par, finger, work, near, configuration, states, time, force, 
     for i in range(len(time)):
         table[i] = found[i, :3]
         if found[i, 0] > 0.0:
-            phi = area_filter.log_force(force[i])
+            phi = area_filter.log_force(force[i], par[0].force_limit)
             sensitivity = found[i, 3 : 3 + members.DIRECTIONS]
             area_filter.regressors(noise, phi, sensitivity, 1.0, h)
             offset = _offset(state, sensitivity)
