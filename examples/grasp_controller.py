@@ -5,20 +5,28 @@
 The node subscribes to `contact_state` and answers every state with the force to press with, on
 `grasp_force` (std_msgs/Float64, N). The controller itself, `AreaController`, uses no ROS. It moves
 slower the less certain the area is. When states are stale or not valid it holds its force, and goes
-on only after they have been good for a while; when they come but stay invalid it opens (0 N).
+on only after they have been good for a while. Only when states come that know nothing of the
+contact, for a second on end, it opens (0 N).
 """
 
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass
 
 from finger_common.flags import StateFlag
 
-INVALID_FLAGS = (
-    StateFlag.FORCE_INVALID | StateFlag.MODEL_FAILED | StateFlag.TIME_RESET | StateFlag.FORCE_OFFSET
-)
-"""Flags of ContactState at which the area is not to be controlled."""
+BLIND_FLAGS = StateFlag.FORCE_INVALID | StateFlag.MODEL_FAILED
+"""Flags of ContactState at which nothing is known of the contact."""
+
+INVALID_FLAGS = BLIND_FLAGS | StateFlag.TIME_RESET | StateFlag.FORCE_OFFSET
+"""Flags at which the area is not to be controlled. A model node that starts again while an object
+is held, without a camera, cannot tell that force from a tare (FORCE_OFFSET): no reason to open.
+"""
+
+DOUBT = 0.3
+"""Of the full speed, while the model is not yet that of this finger (MODEL_MISMATCH)."""
 
 
 @dataclass
@@ -28,9 +36,9 @@ class AreaController:
     target_area: m²; gain: 1/s, of the error in area; approach_rate: N/s before contact;
     largest_force: N; largest_rate: N/s; largest_step: s, a longer time between two states counts as
     this; stale_after: s without a state until it holds; settle: s of good states before it goes on;
-    open_after: s of invalid states until it opens; sure: relative deviation of the area up to which
-    it moves at full speed. `force` is the force to press with (N), `reason` why it does not
-    control.
+    open_after: s of states that know nothing until it opens; sure: relative deviation of the area
+    up to which it moves at full speed. `force` is the force to press with (N), `reason` why it does
+    not control. Raises ValueError for an area that no fingertip has.
     """
 
     target_area: float
@@ -49,6 +57,13 @@ class AreaController:
     _stamp: float = -math.inf
     _good_since: float = math.inf
     _bad_since: float = math.inf
+
+    def __post_init__(self) -> None:
+        if not 1e-7 <= self.target_area <= 1e-3:
+            raise ValueError(
+                f"target_area is {self.target_area:g} m², not that of a fingertip; 30 mm² are "
+                "30.0e-6"
+            )
 
     def on_state(
         self,
@@ -71,22 +86,29 @@ class AreaController:
         elapsed = min(max(stamp - self._stamp, 0.0), self.largest_step)
         self._stamp = stamp
         known = math.isfinite(area) and math.isfinite(slope) and math.isfinite(area_stddev)
-        if flags & INVALID_FLAGS or not known:
-            self._bad_since = min(self._bad_since, received)
+        blind = bool(flags & BLIND_FLAGS) or not known
+        self._bad_since = min(self._bad_since, received) if blind else math.inf
+        if flags & INVALID_FLAGS or blind:
             if received - self._bad_since > self.open_after:
                 self.force = 0.0
             return self._hold(f"contact state not valid (flags {flags})")
-        self._bad_since = math.inf
         self._good_since = min(self._good_since, stamp)
         if stamp - self._good_since < self.settle:
             return self.force
         self.reason = ""
-        if not in_contact or slope <= 0:
+        if not in_contact or area == 0:
             rate = self.approach_rate
+        elif slope <= 0:
+            rate = 0.0
         else:
             # Slower by as much as the deviation is larger than what counts as sure.
             caution = min(1.0, self.sure * self.target_area / max(area_stddev, 1e-12))
+            if flags & StateFlag.MODEL_MISMATCH:
+                caution = min(caution, DOUBT)
             rate = caution * self.gain * (self.target_area - area) / slope
+        if flags & StateFlag.FORCE_OUT_OF_RANGE:
+            # More force would change what the model does not know; less is always safe.
+            rate = min(rate, 0.0)
         rate = min(max(rate, -self.largest_rate), self.largest_rate)
         self.force = min(max(self.force + rate * elapsed, 0.0), self.largest_force)
         return self.force
@@ -106,6 +128,7 @@ class AreaController:
 def main() -> None:
     """Run the node."""
     import rclpy
+    from rclpy.exceptions import ParameterException
     from rclpy.executors import ExternalShutdownException
     from rclpy.qos import QoSProfile, ReliabilityPolicy
     from std_msgs.msg import Float64
@@ -115,10 +138,13 @@ def main() -> None:
 
     rclpy.init()
     node = rclpy.create_node("grasp_controller")
-    controller = AreaController(
-        target_area=node.declare_parameter("target_area", 30.0e-6).value,
-        stale_after=node.declare_parameter("stale_after", 0.05).value,
-    )
+    try:
+        controller = AreaController(
+            target_area=node.declare_parameter("target_area", 30.0e-6).value,
+            stale_after=node.declare_parameter("stale_after", 0.05).value,
+        )
+    except (ValueError, ParameterException) as error:
+        sys.exit(f"grasp_controller: {error}")
     publisher = node.create_publisher(Float64, "grasp_force", 1)
     # A steady clock: what is stale must not depend on a clock that may stop or be set.
     steady = rclpy.clock.Clock(clock_type=rclpy.clock.ClockType.STEADY_TIME)

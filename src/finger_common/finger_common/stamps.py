@@ -23,10 +23,10 @@ LAST_STAMP = (1 << 31) * NANOSECONDS - 1
 
 def stamp_of(time: Any) -> int:
     """Nanoseconds of a builtin_interfaces/Time: of rclpy, of a bag reader, or with `nanoseconds`
-    for `nanosec`.
+    for `nanosec`. At most LAST_STAMP, whatever the nanoseconds claim.
     """
     nanoseconds = time.nanosec if hasattr(time, "nanosec") else time.nanoseconds
-    return int(time.sec) * NANOSECONDS + int(nanoseconds)
+    return min(int(time.sec) * NANOSECONDS + int(nanoseconds), LAST_STAMP)
 
 
 def check_stamp(stamp_ns: int, where: str) -> None:

@@ -69,6 +69,7 @@ from .estimator import ContactEstimate, ContactEstimator, EstimatorEvent, Estima
 from .estimator.parameter_selection import check_sets
 from .finger import load_for, load_reduced
 from .geometry import Geometry
+from .lateness import Lateness
 from .messages import (
     area_of,
     event_fields,
@@ -205,6 +206,10 @@ class ModelNode(ManagedNode):
         self._sequence = 0
         self._last: ContactEstimate | None = None
         self._area_received = False
+        self._late = {
+            "late_areas": Lateness("contact areas"),
+            "late_moistures": Lateness("moisture readings"),
+        }
         self._lock = threading.RLock()
         self._serializer: tuple[tuple[str, str], FixedMessage] | None = None
         self._slip: SlipEstimator | None = None
@@ -510,13 +515,21 @@ class ModelNode(ManagedNode):
                 area = area_of(message)
                 if self._collector.collecting:
                     self._collector.add_area(*area)
-                if not self.estimator.add_area(*area, live=True):
+                used = self.estimator.add_area(*area, live=True)
+                self._late["late_areas"].add(not used, self._behind(area[0]))
+                if not used:
                     self._publish_event(self.estimator.note_late(areas=[area[0]]))
                 elif self._slip is not None:
                     delay = self.estimator.settings.fusion_delay
                     self._slip.expect_stick_ratio(area[0], *stick_of(message), delay)
                     if self._pose is not None:
                         self._pose.expect_outline(area[0], outline_of(message), delay)
+
+    def _behind(self, stamp: int) -> float:
+        """s by which a stamp is behind the newest force's."""
+        assert self.estimator is not None
+        newest = self.estimator.last_stamp
+        return 0.0 if newest is None else seconds(newest - stamp)
 
     def _on_moisture(self, message: Moisture) -> None:
         with self._lock:
@@ -528,6 +541,7 @@ class ModelNode(ManagedNode):
             late = self.estimator.counters["late_moistures"]
             if not self.estimator.add_moisture(*reading, live=True):
                 if self.estimator.counters["late_moistures"] > late:
+                    self._late["late_moistures"].add(True, self._behind(reading[0]))
                     self._publish_event(self.estimator.note_late(moistures=[reading[0]]))
                 else:
                     self.log_fault(
@@ -731,6 +745,9 @@ class ModelNode(ManagedNode):
                 moisture = math.nan if self._last is None else self._last.moisture
                 self._warn_while(bool(flags & flag), key, sentence.format(moisture=moisture))
             self._warn_while(self._area_is_overdue(), "area_missing", _NO_AREA)
+            for key, late in self._late.items():
+                sentence = late.look()
+                self._warn_while(bool(sentence), key, sentence)
             found = self.estimator.mismatch()
             self._warn_while(
                 bool(flags & StateFlag.MODEL_MISMATCH),

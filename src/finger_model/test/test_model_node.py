@@ -244,6 +244,19 @@ def test_one_stamp_of_another_time_is_flagged_and_changes_nothing(
         bench.answered(sent)
 
     press(100)
+    # A camera with a clock of its own: its areas are left out, and diagnostics name the cause.
+    for shift, text in ((-5_000, "5 s behind the force"), (3_600_000, "3600 s ahead of the force")):
+        known = len(bench.events)
+        for k in range(3):
+            area = ContactArea(gross_area=3e-4, area_stddev=1e-6)
+            area.header.stamp = to_time(T0 + 2 * sent * MS + shift * MS + k)
+            bench.area.publish(area)
+        bench.until(lambda known=known: len(bench.events) == known + 3)
+        bench.until(
+            lambda text=text: text in bench.diagnostics.get("inputs", {"message": ""})["message"]
+        )
+    bench.until(lambda: "left out" not in bench.diagnostics["inputs"]["message"])
+    press(1)
     for wrong in (T0 + 3600 * 10**9, 5 * 10**9):
         for publisher, message, flag in (
             (bench.wrench, None, StateFlag.OUT_OF_ORDER),
@@ -278,6 +291,75 @@ def test_one_stamp_of_another_time_is_flagged_and_changes_nothing(
     assert [s.area for s in bench.states] == [e.area for e in expected]
     assert bench.states[-1].moisture == 50.0
     assert any(s.measured_area == 30e-6 for s in bench.states)
+
+
+def test_no_message_ends_the_node_and_each_is_forgotten(
+    bench: Bench, process: Callable[..., Any]
+) -> None:
+    child = start(process)
+    bench.connected()
+    bench.until(lambda: bench.moisture.get_subscription_count() > 0)
+    reference = ContactEstimator(ReducedModel.load())
+    sent = 0
+
+    def press(number: int) -> list[tuple[ContactState, ContactEstimate]]:
+        """Samples of a press of 2 s every 4 s, beside what an untroubled estimator makes of it."""
+        nonlocal sent
+        expected = []
+        for _ in range(number):
+            phase = (0.005 * sent) % 4.0
+            normal = max(0.0, math.sin(math.pi * phase / 2.0)) if phase < 2.0 else 0.0
+            bench.press(T0 + 5 * sent * MS, normal)
+            expected += reference.add_wrench(T0 + 5 * sent * MS, (0.0, 0.0, -normal))
+            sent += 1
+        known = len(bench.states)
+        bench.answered(known + number)
+        return list(zip(bench.states[known:], expected))
+
+    # The first sample of all may be the wrong one.
+    times = [Time(sec=2**31 - 1, nanosec=2**32 - 1), Time(sec=-(2**31)), Time(nanosec=2**32 - 1)]
+    message = WrenchStamped()
+    message.header.stamp = times[0]
+    bench.wrench.publish(message)
+    bench.answered(1)
+    press(100)
+    odd = [math.nan, math.inf, -math.inf, -1e-6, 0.0, 5e-324, 30.0, 1e300]
+    now = to_time(T0 + 5 * sent * MS)
+    for stamp in (now, *times):
+        for area, sd in itertools.product([*odd, 30e-6], odd):
+            message = ContactArea(gross_area=area, area_stddev=sd)
+            message.header.stamp = stamp
+            bench.area.publish(message)
+        for value in odd:
+            message = Moisture(value=value)
+            message.header.stamp = stamp
+            bench.moisture.publish(message)
+    for stamp in times:
+        message = WrenchStamped()
+        message.header.stamp = stamp
+        message.wrench.force.z = -0.9
+        bench.wrench.publish(message)
+        for k in range(3):
+            # Two samples of another time in a row would begin that time.
+            press(20 if k == 0 else 1)
+    bench.settle()
+    for force in ((0.0, 0.0, -1e300), (1e300, 0.0, -0.5), (0.0, math.nan, -0.5)):
+        message = WrenchStamped()
+        message.header.stamp = to_time(T0 + 5 * sent * MS)
+        message.wrench.force.x, message.wrench.force.y, message.wrench.force.z = force
+        bench.wrench.publish(message)
+        known = len(bench.states)
+        bench.answered(known + 1)
+        reference.add_wrench(T0 + 5 * sent * MS, (0.0, 0.0, 0.0))
+        sent += 1
+        state = bench.states[-1]
+        assert state.flags & (StateFlag.FORCE_INVALID | StateFlag.FORCE_OUT_OF_RANGE)
+        assert not state.area > 1e-3
+    press(2 * 800 - sent)  # the pad is at rest again
+    for state, estimate in press(800):
+        assert not state.flags & (StateFlag.FORCE_INVALID | StateFlag.FORCE_OFFSET)
+        assert state.area == pytest.approx(estimate.area, rel=0.02, abs=1e-7)
+    assert child.poll() is None
 
 
 def test_services_and_parameters_answer_and_refuse_with_a_reason(

@@ -1,0 +1,38 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Areas or readings that come too late to be used: whether most do, and by how much."""
+
+from __future__ import annotations
+
+
+class Lateness:
+    """Of the inputs of one kind since the last look. kind: in the plural, for people."""
+
+    def __init__(self, kind: str) -> None:
+        self._kind = kind
+        self._came = self._late = 0
+        self._lag = 0.0
+
+    def add(self, late: bool, lag: float) -> None:
+        """Count one; lag: s by which its stamp is behind that of the newest force."""
+        self._came += 1
+        if late:
+            self._late += 1
+            self._lag = lag
+
+    def look(self) -> str:
+        """What is wrong and what to do where most were late, else empty; counts anew."""
+        most = 2 * self._late > self._came
+        self._came = self._late = 0
+        if not most:
+            return ""
+        lag = abs(self._lag)
+        by = f"{lag:.3g} s" if lag < 100.0 else f"{lag:.0f} s"
+        where, remedy = "ahead of", ""
+        if self._lag >= 0.0:
+            where, remedy = "behind", ", or raise fusion_delay"
+        return (
+            f"{self._kind} are stamped {by} {where} the force and left out: set the clocks of both "
+            f"alike{remedy}"
+        )
