@@ -40,12 +40,21 @@ AREA_UNITS = {"m2": 1.0, "cm2": 1e-4, "mm2": 1e-6}
 MODULUS_UNITS = {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9}
 """Pascals per unit of a modulus or pressure."""
 
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "d": 86400.0}
 """Seconds per unit of time."""
 
 
 _WEIGHTS = {"g": "gf", "kg": "kgf", "lb": "lbf"}
 """Units of mass in which scales show a force."""
+_WORDS = {
+    **dict.fromkeys(("sec", "secs", "second", "seconds", "sek", "sekunde", "sekunden"), "s"),
+    **dict.fromkeys(("msec", "msek", "millisecond", "milliseconds", "millisekunden"), "ms"),
+    **dict.fromkeys(("newton", "newtons"), "N"),
+    **dict.fromkeys(("day", "days"), "d"),
+    **dict.fromkeys(("sqmm", "mm**2"), "mm2"),
+    **dict.fromkeys(("pixel", "pixels"), "px"),
+}
+"""Other names of units."""
 
 
 def unit_named(text: str, units: Mapping[str, float]) -> str | None:
@@ -54,7 +63,8 @@ def unit_named(text: str, units: Mapping[str, float]) -> str | None:
     plain = text.strip().replace("²", "2").replace("^", "").replace("µ", "u").replace("μ", "u")
     if plain in units:
         return plain
-    weight = _WEIGHTS.get(plain.casefold())
-    if weight in units:
-        return weight
+    for names in (_WEIGHTS, _WORDS):
+        other = names.get(plain.casefold())
+        if other in units:
+            return other
     return next((unit for unit in units if unit.casefold() == plain.casefold()), None)

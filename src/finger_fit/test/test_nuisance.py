@@ -24,13 +24,14 @@ from finger_fit.nuisance.geometry import (
 )
 from finger_fit.nuisance.names import COLLAPSE, LAG, TARE
 from finger_fit.options import FitOptions
-from finger_fit.problem import MM4, FitProblem, Goal, Nuisances, prepare_all, unloaded_tare
+from finger_fit.problem import MM4, FitProblem, Goal, Nuisances, prepare_all
 from finger_fit.results import fit_dict
 from finger_fit.search import all_free, refine
 from finger_fit.study import fit_records
 from finger_fit.uncertainty import bias_pair, covariance, in_interval
 from finger_model.geometry import Geometry
 from finger_model.reduced import ReducedModel
+from finger_offline.unloaded import unloaded_tare
 
 NOISE = 1e-6
 """m², of the areas of these presses."""
@@ -157,9 +158,12 @@ def rig_force(rest: float, tare: float, ramp: float = 0.5, noise: float = 0.004)
     return time, smooth + np.random.default_rng(3).normal(0, noise, len(time)), smooth
 
 
-@pytest.mark.parametrize("tare", [-0.05, -0.02, 0.0, 0.02, 0.05])
+NONE = np.empty(0)
+
+
+@pytest.mark.parametrize("tare", [-2.0, -0.3, -0.05, -0.02, 0.0, 0.02, 0.05])
 def test_the_tare_is_measured_at_rest(tare: float) -> None:
-    found = unloaded_tare(*rig_force(0.4, tare), np.empty(0))
+    found = unloaded_tare(*rig_force(0.4, tare), NONE, NONE)
     assert found is not None
     assert found.force == pytest.approx(tare, abs=0.002)
     assert found.deviation < 0.003 and 0.4 < found.seconds < 1.0
@@ -168,19 +172,27 @@ def test_the_tare_is_measured_at_rest(tare: float) -> None:
 def test_a_difference_of_the_ends_counts_as_drift() -> None:
     time, force, smooth = rig_force(0.4, 0.0)
     drift = 0.02 * (time > 1.5)
-    found = unloaded_tare(time, force + drift, smooth + drift, np.empty(0))
+    found = unloaded_tare(time, force + drift, smooth + drift, NONE, NONE)
     assert found is not None and found.deviation > 0.009
 
 
 def test_what_is_no_rest_gives_no_tare() -> None:
     time, force, smooth = rig_force(0.4, 0.0)
     pressed = (time > 0.5) & (time < 1.8)
-    assert unloaded_tare(time[pressed], force[pressed], smooth[pressed], np.empty(0)) is None
+    assert unloaded_tare(time[pressed], force[pressed], smooth[pressed], NONE, NONE) is None
     # A finger that rests on the plate is steady too: the camera sees it.
-    resting = unloaded_tare(time, force + 0.05, smooth + 0.05, np.arange(0.0, 2.4, 0.1))
+    resting = unloaded_tare(time, force + 0.05, smooth + 0.05, np.arange(0.0, 2.4, 0.1), NONE)
     assert resting is None
-    heavy = unloaded_tare(time, force + 0.3, smooth + 0.3, np.empty(0))
+    heavy = unloaded_tare(time, force + 0.3, smooth + 0.3, NONE, NONE)
     assert heavy is None
+
+
+def test_a_large_tare_is_believed_where_the_camera_saw_no_contact() -> None:
+    time, force, smooth = rig_force(0.4, 0.3)
+    frames = np.arange(0.01, 2.4, 0.1)
+    contact = (frames > 0.4) & (frames < 1.9)
+    found = unloaded_tare(time, force, smooth, frames[contact], frames[~contact])
+    assert found is not None and found.force == pytest.approx(0.3, abs=0.002)
 
 
 # Recovery of what the rig leaves unknown ---------------------------------------------------------

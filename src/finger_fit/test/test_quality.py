@@ -74,6 +74,33 @@ def test_the_same_press_three_times_counts_once(
     assert len(reasons) == 8 and all("the same press as" in r for r in reasons)
 
 
+def test_a_press_that_began_before_the_recording_is_left_out(
+    double: SimpleNamespace, presses: list[Any]
+) -> None:
+    late = [
+        replace(p, stamp_ns=p.stamp_ns[a:], force=p.force[a:])
+        for p in presses
+        for a in [int(np.argmax(p.force > 0.4))]
+    ]
+    result = fitted(double, [*presses, *late])
+    (fit,) = result.fits.values()
+    assert len(fit.problem) == 4
+    reasons = [e.reason for e in result.exclusions]
+    assert len(reasons) == 4 and all("began before the recording" in r for r in reasons)
+
+
+@pytest.mark.parametrize("tare", [-0.3, 0.3])
+def test_a_large_tare_is_taken_off_and_fails(
+    double: SimpleNamespace, presses: list[Any], tare: float
+) -> None:
+    options = replace(QUICK, target_force=1.35)
+    clean = fitted(double, presses, options).fits["natural"]
+    result = fitted(double, [replace(p, force=p.force + tare) for p in presses], options)
+    status, words = status_of(result, "tare")
+    assert status == "fail" and f"{tare:+.3f} N (median)".replace("-", "−") in words
+    assert result.fits["natural"].cost == pytest.approx(clean.cost, rel=0.02)
+
+
 def test_areas_and_forces_in_another_unit_are_excluded(presses: list[Any]) -> None:
     wrong = [
         replace(presses[0], area=presses[0].area * 1e6),

@@ -308,7 +308,7 @@ def test_a_table_of_trials_gives_a_folder_of_bags(files: dict[str, str], tmp_pat
         ({"area": "", "video": "no.mp4", "area_per_pixel": 1e-9}, r"no\.mp4: no such video"),
         ({"force": "nothing.csv"}, r"nothing\.csv: no such file"),
         ({"force": __file__}, r"no table of a known kind.*\.csv"),
-        ({"area_per_pixel": 1e-9}, r"--area-per-pixel is for --video"),
+        ({"area_per_pixel": 1e-9}, r"areas in mm2; --area-per-pixel"),
         ({"start": "yesterday"}, r"--start 'yesterday' is no date"),
         ({"start": "9999-12-31"}, r"--start: a time is in the year 9999, messages hold 1970 to"),
         ({"start": "1969-12-31"}, r"--start: a time is in the year 1969"),
@@ -384,12 +384,28 @@ def test_times_in_milliseconds_without_a_unit_are_refused(
         import_trial(ImportSettings(**files), tmp_path / "bag")
 
 
+@pytest.mark.parametrize("offset", [-0.3, 0.3])
 def test_a_force_that_was_not_tared_is_told_the_option(
-    files: dict[str, str], tmp_path: Path
+    files: dict[str, str], tmp_path: Path, offset: float
 ) -> None:
-    csv(Path(files["force"]), "time_s,force_n", TIME, force_at(TIME) + 0.3)
-    found = import_trial(ImportSettings(**files), tmp_path / "bag")
-    assert any("not tared (0.3 N): give --tare" in note for note in found.notes)
+    csv(Path(files["force"]), "time_s,force_n", TIME, force_at(TIME) + offset)
+    words = rf"force is {offset:.2f} N while nothing touches the plate .*--tare"
+    with pytest.raises(InputError, match=words):
+        import_trial(ImportSettings(**files), tmp_path / "bag")
+    import_trial(ImportSettings(**files, tare=0.4), tmp_path / "bag")
+    check_trials(tmp_path / "bag", 3e-3)
+
+
+def test_a_press_that_began_before_the_recording_is_a_problem(
+    files: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    late = TIME > 1.0
+    csv(Path(files["force"]), "time_s,force_n", TIME[late], force_at(TIME)[late])
+    options = [text for n in ("force", "area") for text in (f"--{n}", files[n])]
+    about = ["--subject", "S01", "--condition", "dry"]
+    assert command(["import", "-o", str(tmp_path / "bag"), *options, *about]) == 1
+    shown = capsys.readouterr().out
+    assert "NOT fit for use" in shown and "0.76 N at its first sample" in shown
 
 
 @pytest.mark.parametrize("name", ["a.xlsx", "a.parquet", "a.h5", "a.mat", "a.npz"])
@@ -509,6 +525,268 @@ def test_names_of_bags_in_a_table_of_trials(
     with pytest.raises(InputError, match=r"row 2: .* is no name for a bag"):
         command(["import", "-o", str(tmp_path / "no"), "--trials", str(tmp_path / "t.csv")])
     assert not (tmp_path / "no").exists()
+
+
+@pytest.mark.parametrize(
+    ("cells", "expected"),
+    [
+        (["0,5", "12,25", "3"], [0.5, 12.25, 3.0]),
+        (["1.234,5", "1.234", "12.345"], [1234.5, 1234.0, 12345.0]),
+        (["1,234", "12,345,678"], [1234.0, 12345678.0]),
+        (["0.419", "1.234", "999"], [0.419, 1.234, 999.0]),
+        (["1.234", "2.500", "99"], [1.234, 2.5, 99.0]),
+        (["1,5e-3", "n/a"], [0.0015, np.nan]),
+    ],
+)
+def test_the_decimal_mark_is_that_of_the_column(cells: list[str], expected: list[float]) -> None:
+    table = Table("t", {"a": cells})
+    assert np.array_equal(table.numbers("a", gaps=True), expected, equal_nan=True)
+
+
+@pytest.mark.parametrize("mark", [".", ","])
+def test_thousands_that_may_be_decimals_are_refused(mark: str) -> None:
+    """1.419 mN beside 998 mN: 1419 or 1.419?"""
+    table = Table("t.csv", {"mN": ["5", "998", f"1{mark}419"]}, first_row=2)
+    with pytest.raises(InputError, match=r"row 4, column 'mN': .* may have a mark between"):
+        table.numbers("mN")
+    with pytest.raises(InputError, match=r"row 3, .* no number with the decimal mark ','"):
+        Table("t.csv", {"mN": ["0,5", "1.5"]}, first_row=2).numbers("mN")
+
+
+@pytest.mark.parametrize(
+    ("cells", "absolute"),
+    [
+        (["2024-05-01 13:45:10.25", "2024-05-01T13:45:10.5000000"], True),
+        (["01.05.2024 13:45:10,250", "1.5.2024 13:45:10,500"], True),
+        (["2024/05/01 13:45:10.25", "2024/5/1 13:45:10.5"], True),
+        (["9:45:10.25", "9:45:10.5"], False),
+        (np.array([10_250, 10_500], "timedelta64[ms]"), False),
+        (["45413.573", "45413.5730028935185"], True),
+        (["739373.573", "739373.5730028935185"], True),
+    ],
+)
+def test_times_as_programs_write_them(cells: Any, absolute: bool) -> None:
+    table = Table("t", {"Zeit [d]": cells})
+    times = table.times("Zeit [d]")
+    assert times.absolute == absolute and times.known.all()
+    assert np.diff(times.ns)[0] == pytest.approx(0.25e9, abs=1e4)
+    if absolute:
+        day = times.ns[0] // (86400 * 10**9)
+        assert np.datetime64(int(day), "D") == np.datetime64("2024-05-01")
+
+
+def test_two_blocks_of_one_sheet_may_differ_in_length(
+    files: dict[str, str], tmp_path: Path
+) -> None:
+    book = openpyxl.Workbook()
+    sheet = book.active
+    sheet.append(["Sensor", None, None, "Kamera"])
+    sheet.merge_cells("A1:B1")
+    sheet.append(["Zeit [s]", "Fz [N]", None, "Zeit [s]", "Fläche [mm²]"])
+    for row, (time, force) in enumerate(zip(TIME, force_at(TIME)), 3):
+        sheet.cell(row, 1, float(time))
+        sheet.cell(row, 2, float(force))
+    for row, (time, area) in enumerate(zip(FRAMES, area_at(FRAMES)), 3):
+        sheet.cell(row, 4, float(time))
+        sheet.cell(row, 5, float(area))
+    book.save(tmp_path / "two.xlsx")
+    one = {"force": str(tmp_path / "two.xlsx"), "area": str(tmp_path / "two.xlsx"), **ABOUT}
+    named = {"force_column": "Fz", "area_column": "Fläche", "force_time": "Zeit"}
+    with pytest.raises(InputError, match=r"'Zeit' is there twice; name one of 'Zeit \[s\] #1', "):
+        import_trial(ImportSettings(**one, **named, area_time="Zeit"), tmp_path / "bag")
+    named["force_time"] = "Zeit [s] #1"
+    import_trial(ImportSettings(**one, **named, area_time="Zeit [s] #2"), tmp_path / "bag")
+    check_trials(tmp_path / "bag")
+
+
+@pytest.mark.parametrize("separator", [" ", "  ", "|", "\t"])
+def test_columns_between_blanks_and_bars(
+    files: dict[str, str], tmp_path: Path, separator: str
+) -> None:
+    rows = Path(files["force"]).read_text().splitlines()[1:]
+    text = "\n".join([separator.join(["# Zeit [s]", "Fz [N]"]), *rows, ","])
+    (tmp_path / "force.dat").write_text(text.replace(",", separator))
+    named = {"force": str(tmp_path / "force.dat"), "force_time": "Zeit", "force_column": "Fz"}
+    import_trial(ImportSettings(**{**files, **named}), tmp_path / "bag")
+    check_trials(tmp_path / "bag")
+
+
+def test_commas_that_are_decimal_marks_and_separators_are_refused(
+    files: dict[str, str], tmp_path: Path
+) -> None:
+    text = "time_s,force_n\n" + "".join(f"{i // 10},{i % 10},0,{i % 7}\n" for i in range(30))
+    Path(files["force"]).write_text(text)
+    with pytest.raises(InputError, match=r"decimal mark and separator at once, .*semicolons"):
+        import_trial(ImportSettings(**files), tmp_path / "bag")
+
+
+def test_formulas_without_values_are_told_the_remedy(tmp_path: Path) -> None:
+    book = openpyxl.Workbook()
+    book.active.append(["time_s", "raw", "force_n"])
+    for row in range(2, 9):
+        book.active.append([0.1 * row, 1.0, f"=B{row}*2"])
+    book.save(tmp_path / "f.xlsx")
+    with pytest.raises(InputError, match=r"'force_n' holds no number.*formulas.*save it"):
+        read_table(str(tmp_path / "f.xlsx")).numbers("force_n", gaps=True)
+
+
+def test_times_to_the_second_are_refused(files: dict[str, str], tmp_path: Path) -> None:
+    csv(Path(files["force"]), "time_s,force_n", np.floor(TIME), force_at(TIME))
+    with pytest.raises(InputError, match=r"of 2250 rows of column 'time_s' repeat .*milliseconds"):
+        import_trial(ImportSettings(**files), tmp_path / "bag")
+    even = {"force_rate": 250.0, "frame_rate": 10.0}
+    import_trial(ImportSettings(**files, **even), tmp_path / "bag")
+    check_trials(tmp_path / "bag")
+
+
+def test_areas_in_pixels(files: dict[str, str], tmp_path: Path) -> None:
+    pixels = area_at(FRAMES) * 1e-6 / 9.86e-10
+    named = {"area": csv(tmp_path / "p.csv", "time_s,Area [px]", FRAMES, pixels)}
+    settings = {**files, **named, "area_column": "Area"}
+    with pytest.raises(InputError, match=r"areas in px; --area-per-pixel"):
+        import_trial(ImportSettings(**settings), tmp_path / "bag")
+    import_trial(ImportSettings(**settings, area_per_pixel=9.86e-10), tmp_path / "bag")
+    check_trials(tmp_path / "bag")
+
+
+def test_columns_tell_recordings_apart(
+    files: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Time begins anew in each; the areas have a table of their own."""
+    names = ("Proband", "Haut", "Versuch")
+    whose = [("S01", "trocken", 1), ("S01", "trocken", 2), ("S02", "feucht", 1)]
+    for name, heading, clock, values in (
+        ("force", "force_n", TIME, force_at(TIME)),
+        ("area", "area_mm2", FRAMES, area_at(FRAMES)),
+    ):
+        lines = [",".join([*names, "time_s", heading])]
+        for number, about in enumerate(whose):
+            scale = (1.0 + 0.1 * number) if name == "force" else 1.0
+            lines += [
+                ",".join([*map(str, about), f"{t:.4f}", f"{scale * v:.6f}"])
+                for t, v in zip(clock, values)
+            ]
+        (tmp_path / f"{name}.csv").write_text("\n".join(lines))
+    options = [text for n in ("force", "area") for text in (f"--{n}", files[n])]
+    columns = ["--subject-column", "Proband", "--condition-column", "Haut"]
+    with pytest.raises(InputError, match=r"time runs back by 9 s.*--trial-column"):
+        command(["import", "-o", str(tmp_path / "no"), *options, *columns])
+    columns += ["--trial-column", "Versuch"]
+    assert command(["import", "-o", str(tmp_path / "study"), *options, *columns]) == 0
+    assert "3 of 3 bags are fit for use" in capsys.readouterr().out
+    found = load_trials(tmp_path / "study")
+    assert [(t.subject, t.condition, t.index) for t in found] == [
+        ("S01", "trocken", 0), ("S01", "trocken", 1),
+        ("S01", "trocken", 1), ("S01", "trocken", 2),
+        ("S02", "feucht", 0), ("S02", "feucht", 1),
+    ]  # fmt: skip
+    assert [round(t.peak_force / 1.5, 1) for t in list(found)[::2]] == [1.0, 1.1, 1.2]
+
+
+def test_images_by_name_of_one_size_and_without_a_gap(
+    files: dict[str, str], tmp_path: Path
+) -> None:
+    folder = tmp_path / "images"
+    folder.mkdir()
+    for number in range(len(FRAMES)):
+        cv2.imwrite(str(folder / f"{number + 1}.png"), plate(area_at(FRAMES[number])))
+    # The order of a text column: 1, 10, 11, …
+    order = sorted(range(len(FRAMES)), key=lambda i: f"{i + 1}.png")
+    lines = ["file,time_s", *(f"{i + 1}.png,{FRAMES[i]:.3f}" for i in order)]
+    (tmp_path / "times.csv").write_text("\n".join(lines))
+    settings = {"force": files["force"], "images": str(folder), "area_per_pixel": 1e-8, **ABOUT}
+    timed = ImportSettings(**settings, image_times=str(tmp_path / "times.csv"))
+    found = import_trial(timed, tmp_path / "bag")
+    assert np.corrcoef(found.areas, area_at(FRAMES))[0, 1] > 0.99
+    cv2.imwrite(str(folder / "7.png"), np.zeros((60, 80), np.uint8))
+    with pytest.raises(InputError, match=r"7\.png: has 80 × 60 pixels, .*one size"):
+        import_trial(timed, tmp_path / "sizes")
+    (folder / "7.png").unlink()
+    with pytest.raises(InputError, match=r"column 'file': image '7\.png' does not exist"):
+        import_trial(timed, tmp_path / "missing")
+    with pytest.raises(InputError, match=r"missing between 6\.png and 8\.png.*--image-times"):
+        import_trial(ImportSettings(**settings, frame_rate=10.0), tmp_path / "gap")
+
+
+def plate(area: float) -> np.ndarray:
+    """A disc of an area (mm²) with ridges; 0.1 mm a pixel."""
+    rows, columns = np.mgrid[:120, :160]
+    inside = (rows - 60) ** 2 + (columns - 80) ** 2 < area * 100 / np.pi
+    return np.where(inside, 120 + 90 * np.sin(rows * 0.8), 12).astype(np.uint8)
+
+
+def test_a_table_of_trials_as_people_write_it(files: dict[str, str], tmp_path: Path) -> None:
+    for name in ("force", "area"):
+        Path(files[name]).rename(tmp_path / f"{name} 1.csv")
+    heads = "Force;Area;Subject;Condition;Moisture;Time offset;_remark"
+
+    def run_of(*rows: str) -> int:
+        (tmp_path / "t.csv").write_text("\n".join([heads, *rows]))
+        output = tmp_path / f"study{len(list(tmp_path.iterdir()))}"
+        return command(["import", "-o", str(output), "--trials", str(tmp_path / "t.csv")])
+
+    assert run_of(".\\force 1.csv;area 1.csv;S01;kalt;40,5 42;0,0;ok") == 0
+    for row, words in (
+        ("force 1.csv;area 1.csv;S01;kalt;40,5;0,0;", "'40,5' may be one number or two"),
+        ("force 2.csv;area 1.csv;S01;kalt;;;", r"row 2, Force: .*force 2\.csv does not exist"),
+    ):
+        with pytest.raises(InputError, match=words):
+            run_of(row)
+    content = (tmp_path / "force 1.csv").read_text()
+    (tmp_path / "force 2.csv").write_text(content + "8.9999,0\n")
+    with pytest.raises(InputError, match=r"row 3: 's01' and 'S01' differ in case alone"):
+        run_of("force 1.csv;area 1.csv;S01;kalt;;;", "force 2.csv;area 1.csv;s01;kalt;;;")
+
+
+@pytest.fixture
+def matlab_parts(tmp_path: Path) -> dict[str, Path]:
+    """The same structs as MATLAB writes them in its older and its HDF5 files."""
+    import h5py
+    from scipy.io import savemat
+
+    camera = {"t": FRAMES, "A": area_at(FRAMES)}
+    one = {"t": TIME, "F": force_at(TIME), "camera": camera}
+    old, new = tmp_path / "old.mat", tmp_path / "new.mat"
+    savemat(old, {"data": one, "trial": [one, one]})
+    with h5py.File(new, "w", userblock_size=512) as file:
+        for name in ("data", "#refs#/a"):
+            group = file.create_group(name)
+            for key, value in (("t", TIME), ("F", force_at(TIME))):
+                group[key] = value[None, :]
+            for key, value in camera.items():
+                group.create_group("camera") if "camera" not in group else None
+                group["camera"][key] = value[None, :]
+        trial = file.create_group("trial")
+        for key in ("t", "F", "camera"):
+            cell = trial.create_dataset(key, (1, 2), dtype=h5py.ref_dtype)
+            cell[0, 0] = cell[0, 1] = file["#refs#/a"][key].ref
+        file["both"] = np.stack([TIME, force_at(TIME)])
+    with open(new, "r+b") as raw:
+        raw.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
+    return {"old": old, "new": new}
+
+
+@pytest.mark.parametrize("kind", ["old", "new"])
+@pytest.mark.parametrize("part", ["data", "trial(2)"])
+def test_structs_of_matlab(
+    matlab_parts: dict[str, Path], tmp_path: Path, kind: str, part: str
+) -> None:
+    file = matlab_parts[kind]
+    named = {"force": f"{file}::{part}", "area": f"{file}::{part}.camera", **ABOUT}
+    columns = {"force_time": "t", "force_column": "F", "area_time": "t", "area_column": "A"}
+    units = {"force_unit": "N", "area_unit": "mm2"}
+    import_trial(ImportSettings(**named, **columns, **units), tmp_path / "bag")
+    check_trials(tmp_path / "bag")
+    with pytest.raises(InputError, match=r"'trial\(3\)' does not exist"):
+        read_table(f"{file}::trial(3)")
+    with pytest.raises(InputError, match=r"PART.*data.*trial\(1\)"):
+        read_table(str(file)).heading("time_s", "--force-time")
+
+
+def test_matrices_lie_either_way(matlab_parts: dict[str, Path], tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.column_stack([TIME, force_at(TIME)]))
+    for name in (f"{matlab_parts['new']}::both", str(tmp_path / "a.npy")):
+        assert np.allclose(read_table(name).numbers("2"), force_at(TIME))
 
 
 def test_numbers_of_other_countries() -> None:
@@ -697,7 +975,7 @@ def test_indentations_of_a_table_of_trials(files: dict[str, str], tmp_path: Path
         ({"indentation_sign": "negative"}, r"falls by 0\.8\d+ mm while the force rises.*-sign"),
         ({"indentation_time_offset": 100.0}, r"0 readings .*--indentation-time-offset"),
         ({"indentation_column": "z"}, r"'z' does not exist.*--indentation-column"),
-        ({"indentation_column": "empty_mm"}, r"holds no indentation.*--indentation-column"),
+        ({"indentation_column": "empty_mm"}, r"'empty_mm' holds no number; name another"),
         ({"indentation_column": "raw"}, r"'raw' does not say its unit.*--indentation-unit mm"),
         ({"indentation": "none.csv"}, r"none\.csv: no such file"),
     ],

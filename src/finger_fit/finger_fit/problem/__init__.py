@@ -9,4 +9,3 @@ from .outputs import batch_areas, batch_contacts, in_rows, trial_outputs
 from .power_law import PowerLaw, fit_power_law, power_law_of
 from .report_units import MM, MM2, MM4, three_digits
 from .trials import Exclusion, FitTrial, Recording, TrialRejected, prepare, prepare_all
-from .unloaded import Tare, unloaded_tare

@@ -19,9 +19,9 @@ from scipy.signal import butter, sosfiltfilt
 
 from finger_common.contact_threshold import contacts
 from finger_common.flags import AreaFlag
+from finger_offline.unloaded import LATE_START, Tare, unloaded_tare
 
 from ..options import FitOptions
-from .unloaded import Tare, unloaded_tare
 
 REST_FORCE = 0.005
 """N; a smoothed force up to this is no touch: 1/171 N, the resolution of the Nano17 (paper)."""
@@ -180,18 +180,27 @@ def prepare(record: Any, options: FitOptions) -> FitTrial:
     smooth = low_passed(force, rate, options.force_cutoff)
     rest = None
     if options.nuisances:
-        touched = frame_time[np.isfinite(area) & (area > 0) & ((flags & AreaFlag.NO_CONTACT) == 0)]
-        rest = unloaded_tare(time, force, smooth, touched)
+        without = (flags & AreaFlag.NO_CONTACT) != 0
+        touched = frame_time[np.isfinite(area) & (area > 0) & ~without]
+        rest = unloaded_tare(time, force, smooth, touched, frame_time[without])
     tare = rest.force if rest else 0.0
     unshifted, smooth = smooth, smooth - tare
 
     reached = np.flatnonzero(smooth >= options.target_force)
     if not len(reached):
+        less = f" without its tare of {tare:+.2f} N" if abs(tare) > 0.005 else ""
         raise TrialRejected(
-            f"force stays at {smooth.max():.2f} N, below the target of {options.target_force:g} N"
+            f"force stays at {smooth.max():.2f} N{less}, below the target of "
+            f"{options.target_force:g} N".replace("-", "−")
         )
     onset = options.onset_force
     first, end = next(c for c in contacts(smooth, onset, onset) if c[0] <= reached[0] < c[1])
+    if first == 0 and smooth[0] > LATE_START:
+        raise TrialRejected(
+            f"the force is {smooth[0]:.2f} N at its first sample: the press began before the "
+            "recording, and what the skin did then is unknown; record from before the contact on, "
+            "or take the tare off"
+        )
     last = end - 1
     gaps = np.diff(time[first : last + 1])
     if len(gaps) and gaps.max() > 0.05:

@@ -35,7 +35,7 @@ MANY_FRAMES = 0.25
 
 TARE_NOTE, TARE_LIMIT = 0.01, 0.1
 """N of force on the unloaded plate from which it is noted, and from which it fails. It is taken off
-before the fit (`problem.unloaded`)."""
+before the fit (`finger_offline.unloaded`)."""
 
 SCATTER_NOTE, SCATTER_LIMIT = 0.10, 0.25
 """Standard deviation of the trials' gain from which it is noted, and from which it fails."""

@@ -7,22 +7,24 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import re
 import shutil
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from finger_bag.cli import EXIT_CHECK_FAILS, AddCommand
 from finger_common.cli import add_settings, plain, settings_from
 from finger_common.errors import InputError, known_names
-from finger_common.files import sha256_of_file
+from finger_common.files import exists, sha256_of_file
 from finger_common.progress import Stages
 
 from ..trial_split import CONDITION
+from .grouped import cell_text, recordings
 from .settings import PATHS, ImportSettings
+from .tables import Table, read_table
 
 NAME = "name"
 """Column of a table of trials with the name of the bag."""
@@ -41,10 +43,15 @@ def add_command(add: AddCommand) -> None:
         "press2.mp4 --calibration plate.yaml --subject S01 --condition wet\n"
         "finger-bag import -o S01_dry --force force.csv --area area.csv --indentation laser.csv "
         "--subject S01 --condition dry\n"
-        "finger-bag import -o study --trials trials.csv --area-per-pixel 9.86e-10",
+        "finger-bag import -o study --trials trials.csv --area-per-pixel 9.86e-10\n"
+        "finger-bag import -o study --force all.csv --area all.csv --subject-column Subject "
+        "--condition-column Skin --trial-column Trial",
     )
     parser.add_argument(
-        "-o", "--output", required=True, help="bag to write; with --trials, the folder of bags"
+        "-o",
+        "--output",
+        required=True,
+        help="bag to write; the folder of bags with --trials and columns that tell trials apart",
     )
     parser.add_argument(
         "--trials",
@@ -62,21 +69,23 @@ def run(args: argparse.Namespace) -> int:
     output = Path(args.output)
     done: list[Imported] = []
     with Stages() as stages:
-        if not args.trials:
-            done.append(import_trial(settings_from(args, ImportSettings), output, stages.update))
+        settings = None if args.trials else settings_from(args, ImportSettings)
+        if settings is not None and not settings.grouping:
+            done.append(import_trial(settings, output, stages.update))
         else:
-            rows = list(rows_of(args))
+            rows = list(rows_of(args) if settings is None else named_recordings(settings))
             if output.exists() and (output.is_file() or any(output.iterdir())):
                 raise InputError(f"{output}: exists already; choose another name or remove it")
             # Nothing half-written is left: the folder takes its name when all bags are complete.
             partial = output.with_name(f".{output.name}.partial")
             shutil.rmtree(partial, ignore_errors=True)
             try:
-                for name, settings in stages.track(rows, "recordings", len(rows)):
+                for row in stages.track(rows, "recordings", len(rows)):
                     try:
-                        done.append(import_trial(settings, partial / name))
+                        found = import_trial(row.settings, partial / row.name, tables=row.tables)
                     except InputError as error:
-                        raise InputError(f"{args.trials}, {name}: {error}") from None
+                        raise InputError(f"{row.where}: {error}") from None
+                    done.append(found)
                 if output.exists():
                     output.rmdir()
                 partial.rename(output)
@@ -87,32 +96,87 @@ def run(args: argparse.Namespace) -> int:
     return _report(done)
 
 
-def rows_of(args: argparse.Namespace) -> Iterator[tuple[str, ImportSettings]]:
-    """Name and settings of every row of the table of trials; raises InputError."""
-    from .tables import read_table
+@dataclass(frozen=True)
+class Recording:
+    """What becomes one bag: where it is described, its name, settings, and tables in place of its
+    files."""
 
+    where: str
+    name: str
+    settings: ImportSettings
+    tables: dict[str, Table] = field(default_factory=dict)
+
+
+class _Names:
+    """Numbers and names of the bags of one folder."""
+
+    def __init__(self) -> None:
+        self.numbers: Counter[tuple[str, str]] = Counter()
+        self.names: set[str] = set()
+        self.subjects: dict[str, str] = {}
+
+    def add(
+        self, where: str, settings: ImportSettings, name: str = "", numbered: bool = False
+    ) -> tuple[str, ImportSettings]:
+        """Name of a bag and its settings, with the next number of its subject and condition unless
+        they are `numbered`; raises InputError."""
+        group = (settings.subject, settings.condition)
+        for text in group:
+            if self.subjects.setdefault(text.casefold(), text) != text:
+                raise InputError(
+                    f"{where}: '{text}' and '{self.subjects[text.casefold()]}' differ in case "
+                    "alone; write one name in one way"
+                )
+        if not numbered:
+            settings = dataclasses.replace(settings, index=settings.index + self.numbers[group])
+        self.numbers[group] += 1
+        name = name or f"{group[0]}_{group[1]}_{settings.index:02d}".replace(" ", "_")
+        if name.casefold() in self.names or not CONDITION.fullmatch(name):
+            raise InputError(
+                f"{where}: '{name}' is no name for a bag (letters, digits, blanks and .,+()%-), or "
+                "is there twice"
+            )
+        self.names.add(name.casefold())
+        return name, settings
+
+
+def named_recordings(settings: ImportSettings) -> Iterator[Recording]:
+    """The recordings that columns of the tables tell apart; raises InputError."""
+    names = _Names()
+    for words, own, tables in recordings(settings):
+        where = f"{settings.force}, {words}"
+        yield Recording(where, *names.add(where, own), tables)
+
+
+def rows_of(args: argparse.Namespace) -> Iterator[Recording]:
+    """The recordings of the rows of the table of trials; raises InputError."""
     table = read_table(args.trials)
     folder = Path(args.trials.partition("::")[0]).parent
     known = {p.name: p for p in ImportSettings.parameters()}
+    headings: dict[str, str] = {}
     for heading in table.columns:
-        if heading not in known and heading != NAME:
+        name = re.sub(r"[ -]+", "_", heading.strip().casefold())
+        if name.startswith("_"):
+            continue
+        if name not in known and name != NAME:
             raise InputError(
-                f"{table.where}: column '{heading}' is no option; {known_names(heading, known)}"
+                f"{table.where}: column '{heading}' is no option; {known_names(name, known)}; "
+                "begin the heading of a remark with _"
             )
+        headings[name] = heading
     common = {name: getattr(args, name) for name in known}
-    numbers: Counter[tuple[str, str]] = Counter()
-    names: set[str] = set()
+    names = _Names()
     seen: dict[str, int] = {}
     for row in range(len(next(iter(table.columns.values())))):
         where = f"{table.where}, row {row + table.first_row}"
-        cells = {h: _text(column[row]) for h, column in table.columns.items()}
+        cells = {n: cell_text(table.columns[h][row]) for n, h in headings.items()}
         values = dict(common)
-        for heading, text in cells.items():
-            if text and heading in known:
-                values[heading] = _value(known[heading].default, text, f"{where}, {heading}")
+        for name, text in cells.items():
+            if text and name in known:
+                values[name] = _value(known[name].default, text, f"{where}, {headings[name]}")
         for name in PATHS:
             if cells.get(name):
-                values[name] = str(folder / values[name])
+                values[name] = _path(folder, values[name], f"{where}, {headings[name]}")
         try:
             settings = ImportSettings(**values)
         except InputError as error:
@@ -126,27 +190,20 @@ def rows_of(args: argparse.Namespace) -> Iterator[tuple[str, ImportSettings]]:
                     f"{where}: the force is that of row {seen[content] + table.first_row} once "
                     "more; one recording counts once"
                 )
-        group = (settings.subject, settings.condition)
-        if not cells.get("index"):
-            settings = dataclasses.replace(settings, index=settings.index + numbers[group])
-        numbers[group] += 1
-        name = cells.get(NAME) or f"{group[0]}_{group[1]}_{settings.index:02d}".replace(" ", "_")
-        if name in names or not CONDITION.fullmatch(name):
-            raise InputError(
-                f"{where}: '{name}' is no name for a bag (letters, digits, blanks and .,+()%-), or "
-                "is there twice"
-            )
-        names.add(name)
-        yield name, settings
+        if settings.grouping and cells.get(NAME):
+            raise InputError(f"{where}: gives several bags; leave '{NAME}' empty")
+        for words, own, tables in recordings(settings):
+            named = names.add(where, own, cells.get(NAME, ""), bool(cells.get("index")))
+            yield Recording(f"{where}{words and ', '}{words}", *named, tables)
 
 
-def _text(cell: Any) -> str:
-    """Text of a cell; whole numbers of spreadsheets without '.0'."""
-    if cell is None or (isinstance(cell, float) and np.isnan(cell)):
-        return ""
-    if isinstance(cell, float) and cell.is_integer():
-        cell = int(cell)
-    return str(cell).strip()
+def _path(folder: Path, text: str, where: str) -> str:
+    """A path of a table, relative to its folder; raises InputError where there is nothing."""
+    name, separator, part = text.partition("::")
+    for spelling in (name, name.replace("\\", "/")):  # as Windows writes it
+        if exists(folder / spelling):
+            return f"{folder / spelling}{separator}{part}"
+    raise InputError(f"{where}: {folder / name} does not exist; paths are relative to the table")
 
 
 def _value(default: Any, text: str, where: str) -> Any:
@@ -156,11 +213,22 @@ def _value(default: Any, text: str, where: str) -> Any:
             raise InputError(f"{where}: '{text}' is neither yes nor no; correct it")
         return text.lower() in ("yes", "true", "1")
     if isinstance(default, list):
-        return text.replace(";", " ").replace(",", " ").split()
+        return _list(text, where)
     try:
-        return type(default)(text)
+        return type(default)(text.replace(",", ".") if isinstance(default, float) else text)
     except ValueError:
         raise InputError(f"{where}: '{text}' is no number; correct it") from None
+
+
+def _list(text: str, where: str) -> list[str]:
+    """Texts between blanks or semicolons, or between commas; raises InputError for one comma, which
+    may be a decimal one."""
+    if re.search(r"[;\s]", text.strip()):
+        parts = re.split(r"[;\s]+", text.strip(" ;"))
+        return [part.rstrip(",").replace(",", ".") for part in parts]
+    if re.fullmatch(r"\d+,\d+", text):
+        raise InputError(f"{where}: '{text}' may be one number or two; separate readings by blanks")
+    return [part for part in text.split(",") if part]
 
 
 def _report(done: list[Any]) -> int:
@@ -174,11 +242,12 @@ def _report(done: list[Any]) -> int:
         forces = f"{peaks[0]:.2f} N" if len(peaks) == 1 else f"{min(peaks):.2f} to {max(peaks):.2f}"
         presses = f"1 press to {forces}" if len(peaks) == 1 else f"{len(peaks)} presses to {forces}"
         checked = validate(result.path)
-        good += checked.fit and not result.problems
+        fit = checked.fit and not result.problems
+        good += fit
         print(
             f"{plain(result.path)}: {presses}, {len(result.areas)} areas "
             f"({min(touching):.3g} to {max(touching):.3g} mm²): "
-            + ("fit for use" if checked.fit else "NOT fit for use")
+            + ("fit for use" if fit else "NOT fit for use")
         )
         for problem in result.problems:
             print(f"  problem: {plain(problem)}")

@@ -38,19 +38,22 @@ def frames_of(settings: ImportSettings, problems: list[str]) -> tuple[Iterator[F
     problems: gets what of the video could not be read, once all frames were taken. Raises
     InputError, from the iterator too, naming file and remedy.
     """
-    times = _times_of(settings) if settings.image_times else None
+    times = _times_of(settings) if settings.image_times and settings.video else None
     if settings.video:
         count = len(times.ns) if times else 0
         return _video(settings, times, problems), count, bool(times and times.absolute)
     files = _image_files(settings.images)
+    if settings.image_times:
+        times, files = _by_name(settings, files)
     if times is None:
         if not settings.frame_rate:
             raise InputError(
                 f"{settings.images}: images have no times; give a table with --image-times, or "
                 "--frame-rate"
             )
+        _check_numbers(settings.images, files)
         period = NANOSECONDS / settings.frame_rate
-        times = Times(np.round(np.arange(len(files)) * period).astype(np.int64), False)
+        times = Times.of(np.round(np.arange(len(files)) * period).astype(np.int64), False)
     if len(times.ns) != len(files):
         raise InputError(
             f"{settings.image_times}: {len(times.ns)} times for {len(files)} images in "
@@ -61,11 +64,18 @@ def frames_of(settings: ImportSettings, problems: list[str]) -> tuple[Iterator[F
 
 def _images(times: Times, files: list[Path], where: str, problems: list[str]) -> Iterator[Frame]:
     pixels = PixelBudget(sum(file.stat().st_size for file in files))
+    shape: tuple[int, ...] | None = None
     for number, (stamp, file) in enumerate(zip(times.ns, files)):
         if pixels.spent:
             problems.append(_left_out(where, number, "images"))
             return
         image = read_image(file)
+        if shape not in (None, image.shape):
+            raise InputError(
+                f"{file}: has {image.shape[1]} × {image.shape[0]} pixels, the images before have "
+                f"{shape[1]} × {shape[0]}; give images of one camera and one size"
+            )
+        shape = image.shape
         pixels.take(image.size)
         yield int(stamp), image
 
@@ -79,7 +89,59 @@ def _left_out(where: str, number: int, what: str) -> str:
 
 def _times_of(settings: ImportSettings) -> Times:
     table = read_table(settings.image_times)
-    return table.times(table.heading(settings.area_time, "--area-time"), settings.time_unit)
+    heading = table.heading(settings.area_time, "--area-time")
+    times = table.times(heading, settings.time_unit)
+    if not times.known.all():
+        row = int(np.argmin(times.known)) + table.first_row
+        raise InputError(f"{table.where}, row {row}, column '{heading}': no time; give one a frame")
+    return times
+
+
+def _by_name(settings: ImportSettings, files: list[Path]) -> tuple[Times, list[Path]]:
+    """Times of images, and the images in their order: by their names, where a column of the table
+    names them, else row by row. Raises InputError."""
+    times = _times_of(settings)
+    table = read_table(settings.image_times)
+    known = {name: file for file in files for name in (file.name, file.stem)}
+    found = None
+    for heading, cells in table.columns.items():
+        names = [re.split(r"[/\\]", str(cell))[-1].strip() for cell in cells]
+        # Plain numbers may count something else than the images.
+        if any(re.search(r"\D", name) and name in known for name in names):
+            found = heading, names
+            break
+    if found is None or len(found[1]) != len(times.ns):
+        return times, files
+    heading, names = found
+    for row, name in enumerate(names):
+        if name not in known or names.index(name) != row:
+            fault = "is there twice" if name in known else f"does not exist in {settings.images}"
+            raise InputError(
+                f"{table.where}, row {row + table.first_row}, column '{heading}': image "
+                f"'{name[:40]}' {fault}; give one row per image"
+            )
+    order = np.argsort(times.ns, kind="stable")
+    return times.at(order), [known[names[row]] for row in order]
+
+
+def _check_numbers(folder: str, files: list[Path]) -> None:
+    """Refuse numbered images of which some are missing: at an even rate all after a gap would be
+    early."""
+    parts = [re.split(r"(\d+)", file.name) for file in files]
+    counting = [{part[i] for part in parts} for i in range(min(map(len, parts)))]
+    varying = [i for i, texts in enumerate(counting) if len(texts) > 1]
+    if len(files) < 3 or len({len(part) for part in parts}) > 1 or len(varying) != 1:
+        return
+    texts = [part[varying[0]] for part in parts]
+    if not all(map(str.isdigit, texts)):
+        return
+    steps = np.diff([int(text) for text in texts])
+    if (steps != np.median(steps)).any():
+        row = int(np.argmax(steps != np.median(steps)))
+        raise InputError(
+            f"{folder}: images are missing between {files[row].name} and {files[row + 1].name}; "
+            "--frame-rate needs all of them, give their times with --image-times"
+        )
 
 
 def _image_files(folder: str) -> list[Path]:

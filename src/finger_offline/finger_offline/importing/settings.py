@@ -16,6 +16,9 @@ from finger_vision.area_sensor import AREA_SENSORS
 
 from ..trial_split import CONDITION
 
+PIXELS = "px"
+"""Unit of an area in pixels, which `area_per_pixel` brings to m²."""
+
 FILES = "files"
 COLUMNS = "columns and units"
 IMAGES = "areas from images"
@@ -86,8 +89,9 @@ class ImportSettings(Settings):
     area_column: str = setting("area_mm2", "Column of the gross contact area.", group=COLUMNS)
     area_unit: str = setting(
         "",
-        "Unit of the area; empty: as the heading says (area_mm2, Area [cm²]).",
-        choices=("", *AREA_UNITS),
+        "Unit of the area; empty: as the heading says (area_mm2, Area [cm²]). px needs "
+        "--area-per-pixel.",
+        choices=("", *AREA_UNITS, PIXELS),
         group=COLUMNS,
     )
     indentation_time: str = setting("time_s", "Column of the indentation's time.", group=COLUMNS)
@@ -130,6 +134,26 @@ class ImportSettings(Settings):
         1e9,
         group=COLUMNS,
     )
+    force_rate: float = setting(
+        0.0,
+        "Samples a second, where the table of the force has no times; 0: it has.",
+        "Hz",
+        0.0,
+        1e6,
+        group=COLUMNS,
+    )
+    trial_column: str = setting(
+        "",
+        "Column by which the tables hold several recordings, in rows of one value each: a bag for "
+        "every value.",
+        group=COLUMNS,
+    )
+    subject_column: str = setting(
+        "", "Column with the subject of each row, in place of --subject.", group=COLUMNS
+    )
+    condition_column: str = setting(
+        "", "Column with the condition of each row, in place of --condition.", group=COLUMNS
+    )
     area_per_pixel: float = setting(
         0.0,
         "Area of a pixel on the plate, in place of a calibration; 0: not given.",
@@ -141,7 +165,8 @@ class ImportSettings(Settings):
     calibration: str = setting("", "Plate calibration (finger-vision calibrate).", group=IMAGES)
     frame_rate: float = setting(
         0.0,
-        "Frames a second, where neither the video nor a table says it; 0: not given.",
+        "Frames or areas a second, where neither the video nor a table has their times; 0: not "
+        "given.",
         "Hz",
         0.0,
         1e5,
@@ -185,18 +210,35 @@ class ImportSettings(Settings):
             what = " and ".join(f"--{name}" for name in given) or "none"
             raise InputError(f"areas: {what} given; give one of --area, --video and --images")
         for name in ("subject", "condition"):
-            value = getattr(self, name)
+            value, column = getattr(self, name), getattr(self, f"{name}_column")
+            if value and column:
+                raise InputError(f"--{name} and --{name}-column are given; give one of them")
+            if column:
+                continue
             if not value:
-                raise InputError(f"no {name}; give it with --{name}, or as a column of --trials")
+                raise InputError(
+                    f"no {name}; give it with --{name}, with --{name}-column, or as a column of "
+                    "--trials"
+                )
             if not CONDITION.fullmatch(value):
                 raise InputError(
                     f"{name} {value[:40]!r} is no name of letters, digits, blanks and .,+()%-"
                 )
         if self.area:
-            for name in ("area_per_pixel", "calibration", "frame_rate", "image_times"):
+            for name in ("calibration", "image_times"):
                 if getattr(self, name):
                     option = name.replace("_", "-")
                     raise InputError(f"--{option} is for --video and --images, not for --area")
+            if self.area_unit == PIXELS and not self.area_per_pixel:
+                raise InputError(
+                    "--area-unit px: give the area of a pixel in m² with --area-per-pixel, such as "
+                    "9.86e-10"
+                )
+        elif self.grouping:
+            raise InputError(
+                f"--{next(iter(self.grouping)).replace('_', '-')} is for areas in a table; give "
+                "videos and images of several recordings with --trials"
+            )
         elif bool(self.area_per_pixel) == bool(self.calibration):
             raise InputError(
                 f"areas from --{given[0]}: give either --calibration (finger-vision calibrate "
@@ -207,6 +249,12 @@ class ImportSettings(Settings):
                 f"--frame-rate {self.frame_rate:g}: below {SLOWEST_RATE:g} Hz; give images a second"
             )
         _ = self.readings
+
+    @property
+    def grouping(self) -> dict[str, str]:
+        """Option → column, of the columns that tell recordings apart."""
+        names = ("subject_column", "condition_column", "trial_column")
+        return {name: getattr(self, name) for name in names if getattr(self, name)}
 
     @property
     def readings(self) -> list[float]:

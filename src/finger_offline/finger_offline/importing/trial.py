@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from pathlib import Path
@@ -15,6 +15,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from finger_bag.definitions import typestore
 from finger_bag.schema import CALIBRATION_ATTACHMENT
@@ -33,8 +34,9 @@ from ..image_areas import area_fields
 from ..indentation_checks import indentation_fault
 from ..trial_checks import LARGEST_FORCE, LONGEST_PRESS, PLAUSIBLE_AREA, SHORTEST_PRESS
 from ..trial_split import TrialSettings, presses
+from ..unloaded import LATE_START, unloaded_tare
 from .pictures import Frame, frames_of
-from .settings import PATHS, ImportSettings
+from .settings import PATHS, PIXELS, ImportSettings
 from .tables import Table, Times, read_table
 
 FEWEST_AREAS = 3
@@ -45,6 +47,15 @@ MAXIMUM_PRESSES = 1000
 
 PART_OF_PEAK = 0.95
 """Target force over peak force of a press for which none was set."""
+
+MOST_REPEATED = 0.9
+"""Share of rows with the time of the row before from which the times are too coarse to use."""
+
+LARGEST_TARE = 0.1
+"""N of force without contact from which it is refused: a fit of such a force is not final."""
+
+TARE_SMOOTHING = 0.04
+"""s over which the force is averaged to see whether it rests."""
 
 BEFORE_PRESS = 0.25
 """s before its onset at which a press is announced."""
@@ -82,15 +93,21 @@ class _Force:
 
 
 def import_trial(
-    settings: ImportSettings, target: str | Path, show: Progress | None = None
+    settings: ImportSettings,
+    target: str | Path,
+    show: Progress | None = None,
+    tables: Mapping[str, Table] | None = None,
 ) -> Imported:
     """Write the bag `target` of one recording; may hold several presses.
+
+    tables: in place of the files that the settings name, by their names.
 
     Raises InputError, and writes nothing, for files that cannot be read, or whose values cannot be
     those of a finger (unit, sign, clock).
     """
     result = Imported(Path(target))
-    table = read_table(settings.force)
+    tables = tables or {}
+    table = tables.get(settings.force) or read_table(settings.force)
     result.problems += table.problems
     times, force = _force(settings, table, result.notes)
     start = _start(settings.start)
@@ -99,8 +116,8 @@ def import_trial(
         check_stamp(stamp, settings.force)
     found = _Force(stamps, force, -force[:, 2])
     events = _presses(settings, found, result)
-    indentations = _indentations(settings, times.absolute, start, found, result)
-    areas = _areas(settings, times.absolute, start, result, show)
+    indentations = _indentations(settings, times.absolute, start, found, result, tables)
+    areas = _areas(settings, times.absolute, start, result, show, tables)
     with BagWriter(target, _metadata(settings)) as bag:
         if settings.calibration or settings.area_per_pixel:
             bag.attach(
@@ -115,6 +132,7 @@ def import_trial(
                 fields = {"header": header, **fields}
             bag.write(topic, fields, stamp)
         _check_areas(settings, result)
+        _check_tare(settings, found, result)
     return result
 
 
@@ -123,8 +141,7 @@ def import_trial(
 
 def _force(settings: ImportSettings, table: Table, notes: list[str]) -> tuple[Times, np.ndarray]:
     """Times, and forces (n, 3) in N in the bag's axes: negative in z under a press."""
-    heading = table.heading(settings.force_time, "--force-time")
-    times = table.times(heading, settings.time_unit)
+    heading, times = _times(table, settings, "force_time", "force_rate")
     headings = [
         table.heading(name.strip(), "--force-column") for name in settings.force_column.split(",")
     ]
@@ -136,14 +153,13 @@ def _force(settings: ImportSettings, table: Table, notes: list[str]) -> tuple[Ti
     unit = settings.force_unit or _unit(table, headings[-1], FORCE_UNITS, "--force-unit N")
     columns = [table.numbers(h, gaps=True) * FORCE_UNITS[unit] for h in headings]
     _check_length(table, heading, headings[0], len(times.ns), len(columns[0]))
-    keep = _in_order(table, heading, times.ns, notes)
     known = np.all(np.isfinite(columns), axis=0)
-    if not known.any():
-        raise InputError(f"{table.where}: column '{headings[0]}' holds no number; name another one")
-    if not known.all():
-        notes.append(f"{table.where}: {int((~known).sum())} rows without a force, left out")
-        keep &= known
-    times = Times(times.ns[keep], times.absolute)
+    keep = _in_order(table, heading, times, known, notes)
+    unknown = int((times.known & ~known).sum())
+    if unknown:
+        notes.append(f"{table.where}: {unknown} rows without a force, left out")
+    keep &= known
+    times = times.at(keep)
     force = np.zeros((len(times.ns), 3))
     if len(columns) == 1:
         force[:, 2] = columns[0][keep] * (1.0 if settings.force_sign == "negative" else -1.0)
@@ -181,19 +197,50 @@ def _check_length(table: Table, a: str, b: str, first: int, second: int) -> None
         )
 
 
-def _in_order(table: Table, heading: str, stamps: np.ndarray, notes: list[str]) -> np.ndarray:
-    """Mask of the rows that count: of rows with one time, the first. Refuses a step back."""
-    steps = np.diff(stamps)
+def _times(table: Table, settings: ImportSettings, column: str, rate: str) -> tuple[str, Times]:
+    """Heading and times (n,) of the column that a setting names, or of rows at an even rate (Hz)
+    where the setting `rate` gives one."""
+    hertz = getattr(settings, rate)
+    if not hertz:
+        heading = table.heading(getattr(settings, column), f"--{column.replace('_', '-')}")
+        return heading, table.times(heading, settings.time_unit)
+    heading = next(iter(table.columns))
+    rows = np.arange(len(table.columns[heading]))
+    return heading, Times.of(np.round(rows * (NANOSECONDS / hertz)).astype(np.int64), False)
+
+
+def _in_order(
+    table: Table, heading: str, times: Times, valued: np.ndarray, notes: list[str]
+) -> np.ndarray:
+    """Mask of the rows that count: those with a time, and of rows with one time, the first.
+
+    valued (n,): rows that hold a value. Refuses a step back, and times that hardly ever step.
+    """
+    keep = times.known.copy()
+    timeless = int((valued & ~keep).sum())
+    if timeless:
+        notes.append(f"{table.where}: {timeless} rows without a time, left out")
+    rows = np.flatnonzero(keep)
+    steps = np.diff(times.ns[rows])
     if (steps < 0).any():
-        row = int(np.flatnonzero(steps < 0)[0]) + 1 + table.first_row
+        row = int(rows[np.flatnonzero(steps < 0)[0] + 1]) + table.first_row
         raise InputError(
             f"{table.where}, row {row}, column '{heading}': time runs back by "
-            f"{-steps.min() / NANOSECONDS:.3g} s; export the rows in the order of time"
+            f"{-steps.min() / NANOSECONDS:.3g} s; export the rows in the order of time, or name "
+            "the column that tells recordings apart with --trial-column"
         )
-    keep = np.concatenate([[True], steps > 0])
-    if not keep.all():
-        count = int((~keep).sum())
-        notes.append(f"{table.where}: {count} rows repeat the time of the row before, left out")
+    repeated = rows[1:][steps == 0]
+    if len(repeated) > MOST_REPEATED * len(rows):
+        raise InputError(
+            f"{table.where}: {len(repeated)} of {len(rows)} rows of column '{heading}' repeat the "
+            "time of the row before; export times with milliseconds, name the column that has "
+            "them, or give the rate of the rows (--force-rate, --frame-rate)"
+        )
+    if len(repeated):
+        keep[repeated] = False
+        notes.append(
+            f"{table.where}: {len(repeated)} rows repeat the time of the row before, left out"
+        )
     return keep
 
 
@@ -239,11 +286,6 @@ def _presses(settings: ImportSettings, found: _Force, result: Imported) -> list[
         peak = float(normal[first:end].max())
         last = int(stamps[min(end, len(stamps)) - 1])
         result.presses.append((int(stamps[first]), last, peak))
-        if first == 0:
-            result.notes.append(
-                f"press {number}: begins before the recording; it cannot be fitted. If the finger "
-                f"did not touch yet, the force is not tared ({normal[0]:.3g} N): give --tare"
-            )
         earlier = int(stamps[chosen[number - 1][1] - 1]) if number else int(stamps[0])
         begin = max(int(stamps[first]) - nanoseconds(BEFORE_PRESS), earlier)
         target = settings.target_force or math.floor(PART_OF_PEAK * peak * 100) / 100
@@ -285,7 +327,12 @@ def _wrenches(found: _Force) -> Iterator[_Item]:
 
 
 def _areas(
-    settings: ImportSettings, absolute: bool, start: int, result: Imported, show: Progress | None
+    settings: ImportSettings,
+    absolute: bool,
+    start: int,
+    result: Imported,
+    show: Progress | None,
+    tables: Mapping[str, Table],
 ) -> Iterator[_Item]:
     """Areas, and images where they are kept, in the order of time."""
 
@@ -293,7 +340,8 @@ def _areas(
         return _based(settings, name, theirs, absolute, start, "time_offset")
 
     if settings.area:
-        stamps, areas, theirs = _column(settings, "area", AREA_UNITS, "mm2", result)
+        units = {**AREA_UNITS, PIXELS: settings.area_per_pixel}
+        stamps, areas, theirs = _column(settings, "area", units, "mm2", result, tables)
         result.area_stamps = (stamps + based(settings.area, theirs)).tolist()
         result.areas = areas.tolist()
         return _area_items(result)
@@ -303,20 +351,34 @@ def _areas(
 
 
 def _column(
-    settings: ImportSettings, what: str, units: dict[str, float], example: str, result: Imported
+    settings: ImportSettings,
+    what: str,
+    units: dict[str, float],
+    example: str,
+    result: Imported,
+    tables: Mapping[str, Table],
 ) -> tuple[np.ndarray, np.ndarray, bool]:
     """Times (n,) in ns and values (n,) in SI of the table of "area" or "indentation", without its
     gaps, and whether its times count from 1970."""
-    table = read_table(getattr(settings, what))
+    table = tables.get(getattr(settings, what)) or read_table(getattr(settings, what))
     result.problems += table.problems
-    heading = table.heading(getattr(settings, f"{what}_time"), f"--{what}-time")
-    times = table.times(heading, settings.time_unit)
+    if what == "area":
+        heading, times = _times(table, settings, "area_time", "frame_rate")
+    else:
+        heading = table.heading(getattr(settings, f"{what}_time"), f"--{what}-time")
+        times = table.times(heading, settings.time_unit)
     column = table.heading(getattr(settings, f"{what}_column"), f"--{what}-column")
     unit = getattr(settings, f"{what}_unit")
     unit = unit or _unit(table, column, units, f"--{what}-unit {example}")
+    if what == "area" and (unit == PIXELS) != bool(settings.area_per_pixel):
+        raise InputError(
+            f"{table.where}: areas in {unit}; --area-per-pixel (m²) belongs to areas in pixels, "
+            "and to them alone"
+        )
     values = table.numbers(column, gaps=True) * units[unit]
     _check_length(table, heading, column, len(times.ns), len(values))
-    keep = _in_order(table, heading, times.ns, result.notes) & np.isfinite(values)
+    keep = _in_order(table, heading, times, np.isfinite(values), result.notes)
+    keep &= np.isfinite(values)
     return times.ns[keep], values[keep], times.absolute
 
 
@@ -417,17 +479,46 @@ def _check_areas(settings: ImportSettings, result: Imported) -> None:
             result.notes.append(f"press {number}: {count} areas, {FEWEST_AREAS} are needed to fit")
 
 
+def _check_tare(settings: ImportSettings, found: _Force, result: Imported) -> None:
+    """Refuse a force that was not tared, as the plate shows while nothing touches it; say which
+    presses begin before the recording."""
+    time = seconds(found.stamp_ns - found.stamp_ns[0])
+    stamps, areas = np.array(result.area_stamps, np.int64), np.array(result.areas)
+    frames = seconds(stamps - found.stamp_ns[0])
+    period = float(np.median(np.diff(time))) if len(time) > 1 else TARE_SMOOTHING
+    smooth = uniform_filter1d(found.normal, max(round(TARE_SMOOTHING / period), 1), mode="nearest")
+    tare = unloaded_tare(time, found.normal, smooth, frames[areas > 0], frames[areas <= 0])
+    if tare is not None and abs(tare.force) > LARGEST_TARE:
+        raise InputError(
+            f"{settings.force}: the force is {tare.force:.2f} N while nothing touches the plate "
+            f"({tare.seconds:.2g} s at the beginning or end); give a tared force, or the seconds "
+            "without contact at its beginning with --tare"
+        )
+    begins = found.normal[0] - (tare.force if tare is not None else 0.0)
+    if result.presses[0][0] == found.stamp_ns[0] and begins > LATE_START:
+        result.problems.append(
+            f"press 0: the force is {found.normal[0]:.2f} N at its first sample: the press began "
+            "before the recording and cannot be fitted. If the finger did not touch yet, give "
+            "--tare"
+        )
+
+
 # Indentation ---------------------------------------------------------------------------------
 
 
 def _indentations(
-    settings: ImportSettings, absolute: bool, start: int, found: _Force, result: Imported
+    settings: ImportSettings,
+    absolute: bool,
+    start: int,
+    found: _Force,
+    result: Imported,
+    tables: Mapping[str, Table],
 ) -> list[_Item]:
     """Measured indentations; raises InputError for values that are not those of the presses."""
     name = settings.indentation
     if not name:
         return []
-    times, values, theirs = _column(settings, "indentation", LENGTH_UNITS, "mm", result)
+    times, values, theirs = _column(settings, "indentation", LENGTH_UNITS, "mm", result, tables)
     stamps = times + _based(settings, name, theirs, absolute, start, "indentation_time_offset")
     values = values * (-1.0 if settings.indentation_sign == "negative" else 1.0)
     if not len(values):
