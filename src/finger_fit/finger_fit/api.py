@@ -134,7 +134,7 @@ class Trial:
         readings = np.atleast_1d(np.asarray(self.moisture, dtype=float))
         known = np.isfinite(indentation)
         record = TrialRecord(
-            bag=self.label or "trials",
+            bag=self.label or f"{self.subject} {self.condition}".strip() or "trials",
             session="python",
             subject=str(self.subject),
             condition=str(self.condition),

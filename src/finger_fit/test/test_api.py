@@ -124,12 +124,29 @@ def test_subjects_are_fitted_apart_and_conditions_compared(
     true = double.composite(double.TRUTH) / double.composite(soft)
     assert contrast.ratio_95[0] < contrast.ratio < contrast.ratio_95[1]
     assert contrast.ratio == pytest.approx(true, rel=0.1)
-    assert contrast.separated and contrast.probability_greater > 0.99
+    assert contrast.separated and contrast.probability_greater > 0.99 and not contrast.on_bound
 
     result.save(tmp_path)
     data = json.loads((tmp_path / "fit.json").read_text())
     assert data["contrasts"][0]["subject"] == "S01" and "S02" in data["subjects"]
     assert data["provenance"]["command"].startswith("finger_fit.fit(")
+
+
+def test_estimates_on_a_bound_are_not_compared(double: SimpleNamespace, tmp_path: Path) -> None:
+    """Both held at the same bound, they would be equal for certain."""
+    soft = np.array([80e3, 15e3, 0.2, 1000e3])
+    trials = [
+        *trials_of(double, 4, condition="dry", subject="S01"),
+        *trials_of(double, 4, condition="moist", subject="S01", truth=soft),
+    ]
+    bounds = {"tau1": (0.3, 0.8)}
+    result = fit(trials, model=double.HereditaryModel(), bounds=bounds, **QUICK)
+    found = {c.quantity: c for c in result.result.contrasts}["tau1"]
+    assert found.on_bound == ("dry", "moist") and not found.separated
+    page = result.report(tmp_path).read_text()
+    assert "<i>at a bound</i>" in page
+    assert "8 presses of S01 in 2 conditions: dry, moist." in page
+    assert "S01 dry trial 0" in page and "−0.000" not in page
 
 
 def test_a_cluster_fits_each_subject_as_this_machine_does(double: SimpleNamespace) -> None:

@@ -169,7 +169,7 @@ def test_trials_with_and_without_indentation_are_fitted_together(double: SimpleN
     result = fit(mixed, model=double.HereditaryModel(), **QUICK, **ALONE)
     found = result.result.fits["dry"]
     assert found.indentation is not None
-    assert list(found.indentation.zeros) == [f"trials trial {i}" for i in (1, 3, 5)]
+    assert list(found.indentation.zeros) == [f"S01 dry trial {i}" for i in (1, 3, 5)]
     checks = {c.name: c for c in found.quality.checks}
     assert checks["indentation"].status == "note"
     assert "3 of 6 presses" in checks["indentation"].detail

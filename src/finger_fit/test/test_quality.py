@@ -74,6 +74,16 @@ def test_the_same_press_three_times_counts_once(
     assert len(reasons) == 8 and all("the same press as" in r for r in reasons)
 
 
+def test_codes_of_subjects_that_differ_in_case_are_noted(
+    double: SimpleNamespace, presses: list[Any]
+) -> None:
+    other = [double.make_record(i, 0.7 + 0.4 * i, 0.3e-6) for i in range(4)]
+    result = fitted(double, [*presses, *(replace(p, subject="s01") for p in other)])
+    assert any("'S01' and 's01' differ in case alone" in note for note in result.problems)
+    with pytest.raises(InputError, match=r"subject '\.\./S01' is no code"):
+        fitted(double, [replace(p, subject="../S01") for p in presses])
+
+
 def test_a_press_that_began_before_the_recording_is_left_out(
     double: SimpleNamespace, presses: list[Any]
 ) -> None:

@@ -7,5 +7,5 @@ from .cost import AreaCorrection, AreaModel, FitProblem, material_of
 from .goal import PRESS_GAIN, Goal, Nuisances, losses
 from .outputs import batch_areas, batch_contacts, in_rows, trial_outputs
 from .power_law import PowerLaw, fit_power_law, power_law_of
-from .report_units import MM, MM2, MM4, three_digits
+from .report_units import MM, MM2, MM4, minus, three_digits
 from .trials import Exclusion, FitTrial, Recording, TrialRejected, prepare, prepare_all

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 
@@ -26,3 +27,8 @@ def three_digits(value: float) -> str:
     rounded = float(f"{value:.2e}")
     digits = 2 - math.floor(math.log10(abs(rounded))) if rounded else 2
     return f"{rounded:.{max(digits, 0)}f}"
+
+
+def minus(text: str) -> str:
+    """Text with the minus sign of print; a zero has no sign."""
+    return re.sub(r"[+-](0(?:\.0+)?)(?![\d.])", r"\1", text).replace("-", "−")

@@ -16,7 +16,7 @@ from finger_common.flags import AreaFlag
 from finger_offline.lag import MAXIMUM_LAG, WORTH_A_NOTE, log_lag
 from finger_offline.trial_checks import fault_of
 
-from ..problem import FitTrial
+from ..problem import FitTrial, minus
 from ..problem.trials import label_of
 from ..results import ConditionFit
 from .misfit import Misfit, misfit
@@ -190,7 +190,7 @@ def _check_lag(out: Quality) -> None:
     middle = float(np.median(lags))
     size = abs(middle)
     status = FAIL if size > MAXIMUM_LAG else NOTE if size > WORTH_A_NOTE else OK
-    milliseconds = str(round(1e3 * middle)).replace("-", "−")
+    milliseconds = minus(str(round(1e3 * middle)))
     text = f"{milliseconds} ms behind the fitted model (median of {len(lags)} presses)"
     if status == FAIL:
         text += "; correct the clocks, image_time_offset or --time-offset"
@@ -209,7 +209,7 @@ def _check_tare(out: Quality) -> None:
         f"force without contact {np.median(tares):+.3f} N (median), at most {worst:+.3f} N; it is "
         "taken off"
     )
-    out.add("tare", status, text.replace("-", "−"))
+    out.add("tare", status, minus(text))
 
 
 def _check_scatter(out: Quality) -> None:
@@ -248,7 +248,7 @@ def _check_misfit(out: Quality, found: Misfit) -> None:
         words.append("the tissue may follow another law, which no interval allows for")
     middle = f"{100 * np.expm1(gain):+.1f} % from the model on average"
     text = f"areas differ by {middle}, by {100 * found.residual:.1f} % within a press (RMS)"
-    out.add("model against areas", status, "; ".join([text, *words]).replace("-", "−"))
+    out.add("model against areas", status, minus("; ".join([text, *words])))
 
 
 def _check_indentation(out: Quality, fit: ConditionFit, records: Sequence[Any]) -> None:

@@ -9,6 +9,7 @@ from html import escape
 
 from ..nuisance.names import name_of
 from ..nuisance.result import NuisanceResult, NuisanceValue
+from ..problem import minus
 from ..results import FitResult
 from .tables import listing, table
 
@@ -50,7 +51,7 @@ def nuisances(result: FitResult) -> str:
 def _with_deviation(kind: NuisanceValue, value: float, deviation: float) -> str:
     factor, unit, decimals = DISPLAY[kind.unit]
     text = f"{factor * value:.{decimals}f} ± {factor * deviation:.{decimals}f} {unit}"
-    return text.replace("-", "−")
+    return minus(text)
 
 
 def _sentence(block: NuisanceResult) -> str:
@@ -72,4 +73,4 @@ def _sentence(block: NuisanceResult) -> str:
     if block.left_out:
         names = ", ".join(map(name_of, block.left_out))
         text += f"; not allowed for: {names}"
-    return escape(text.replace("-", "−"))
+    return escape(minus(text))

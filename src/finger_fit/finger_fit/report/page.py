@@ -171,9 +171,10 @@ def _lead(result: FitResult) -> str:
     names = {"topic": "recorded contact_area", "images": "images, measured again"}
     areas = [names.get(a, a) for a in sorted({a for bag in bags for a in bag["areas"]})]
     made = sorted({bag["made_by"] for bag in bags if bag["made_by"]})
+    conditions = list(dict.fromkeys(t.condition for p in problems for t in p.trials))
     text = (
-        f"{sum(map(len, problems))} presses{who} in {len(problems)} "
-        f"condition{'s' if len(problems) != 1 else ''}: {', '.join(result.fits)}. "
+        f"{sum(map(len, problems))} presses{who} in {len(conditions)} "
+        f"condition{'s' if len(conditions) != 1 else ''}: {', '.join(conditions)}. "
     )
     if areas:
         text += f"Areas from {', '.join(areas)}."

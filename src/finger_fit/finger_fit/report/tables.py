@@ -14,7 +14,7 @@ import numpy as np
 
 from finger_model.laws import ParameterSpace
 
-from ..problem.report_units import MM2, MM4, three_digits
+from ..problem.report_units import MM2, MM4, minus, three_digits
 from ..results import ConditionFit, FitResult
 from ..uncertainty import shifted_interval
 
@@ -59,12 +59,12 @@ def headings(space: ParameterSpace, names: Sequence[str]) -> list[str]:
 def show(space: ParameterSpace, name: str, value: float) -> str:
     """A value (SI) in the quantity's display unit, thousands separated."""
     quantity = space.describe(name)
-    return f"{value * quantity.display_factor:,.{quantity.decimals}f}".replace("-", "−")
+    return minus(f"{value * quantity.display_factor:,.{quantity.decimals}f}")
 
 
 def area_cost(cost: float) -> str:
     """J (m⁴) in mm⁴."""
-    return three_digits(cost * MM4).replace("-", "−")
+    return minus(three_digits(cost * MM4))
 
 
 def with_interval(value: float, low: float, high: float, decimals: int) -> str:
@@ -202,15 +202,26 @@ def contrast_table(result: FitResult) -> str:
         if several and c.quantity != space.headline:
             continue
         low, high = (show(space, c.quantity, v) for v in c.difference_95)
+        spans = (
+            f"<small>{c.ratio_95[0]:.3f} – {c.ratio_95[1]:.3f}</small>",
+            f"<small>{low} to {high}</small>",
+        )
+        words, chance = (
+            "differ" if c.separated else "<i>not separated</i>",
+            f"{c.probability_greater:.3f}",
+        )
+        if c.on_bound:
+            # What the box holds back has no spread: neither interval nor probability means much.
+            spans, words, chance = ("", ""), "<i>at a bound</i>", "–"
         rows.append(
             [
                 *([escape(c.subject)] if several else []),
                 f"{escape(c.first)} – {escape(c.second)}",
                 *headings(space, [c.quantity]),
-                f"{c.ratio:.3f}<small>{c.ratio_95[0]:.3f} – {c.ratio_95[1]:.3f}</small>",
-                f"{show(space, c.quantity, c.difference)}<small>{low} to {high}</small>",
-                f"{c.probability_greater:.3f}",
-                "differ" if c.separated else "<i>not separated</i>",
+                f"{c.ratio:.3f}{spans[0]}",
+                f"{show(space, c.quantity, c.difference)}{spans[1]}",
+                chance,
+                words,
             ]
         )
     header = ["conditions", "quantity", "ratio", "difference", "P(first greater)", "95 %"]
@@ -220,7 +231,10 @@ def contrast_table(result: FitResult) -> str:
         + table(["subject", *header] if several else header, rows, (0, 1))
         + f"<p class=lead>First condition over and less the second, with 95 % intervals ({source}; "
         "the assumed lengths and gain are the same in both, their other errors independent). Not "
-        "separated: the interval of the ratio holds 1, so these data do not tell the two apart.</p>"
+        "separated: the interval of the ratio holds 1, so these data do not tell the two apart. "
+        "At a bound: an estimate lies on a bound of the search box, so these data do not compare "
+        "the two."
+        "</p>"
     )
 
 
@@ -261,7 +275,7 @@ def covariances(result: FitResult) -> str:
             for j in range(len(space)):
                 scale = deviation[i] * deviation[j]
                 text = f"{matrix[i, j] / scale:.2f}" if j < i and scale > 0 else ""
-                cells.append(f"{100 * deviation[i]:.1f} %" if i == j else text.replace("-", "−"))
+                cells.append(f"{100 * deviation[i]:.1f} %" if i == j else minus(text))
             rows.append([escape(condition) if not i else "", space[name].html, *cells])
     header = ["condition", "", *(space[n].html for n in space.names)]
     return table(header, rows, (1,)) + (
@@ -408,7 +422,7 @@ def trials(result: FitResult) -> str:
                     area_cost(costs[index]),
                     area_cost(by_law[index]),
                     *(
-                        f"{value:{form}}".replace("-", "−") if np.isfinite(value) else "–"
+                        minus(f"{value:{form}}") if np.isfinite(value) else "–"
                         for value, form in (
                             (found.lag * 1e3 if found else np.nan, ".0f"),
                             (found.tare if found else np.nan, ".3f"),
@@ -499,7 +513,7 @@ def _correlations(fit: ConditionFit) -> str:
     ]
     strongest = sorted((p for p in pairs if np.isfinite(p[0])), key=lambda p: -abs(p[0]))[:2]
     cells = [f"{fit.space[a].html}, {fit.space[b].html}: {value:.2f}" for value, a, b in strongest]
-    return "; ".join(cells).replace("-", "−")
+    return minus("; ".join(cells))
 
 
 def bootstrap(result: FitResult) -> str:

@@ -30,6 +30,8 @@ class Contrast:
 
     ratio: first over second; difference: first less second (SI); each with its 95 % interval;
     probability_greater: that first is greater; separated: the interval of the ratio leaves out 1;
+    on_bound: the conditions whose estimate lies on a bound of the search box: their samples have no
+    spread of it, so that they are never called separated;
     source: "bootstrap" over trials, or "covariance" of the logarithms.
     """
 
@@ -44,6 +46,7 @@ class Contrast:
     probability_greater: float
     separated: bool
     source: str
+    on_bound: tuple[str, ...] = ()
 
 
 def contrasts(fits: Mapping[str, ConditionFit], subject: str = "") -> list[Contrast]:
@@ -63,6 +66,7 @@ def contrasts(fits: Mapping[str, ConditionFit], subject: str = "") -> list[Contr
         for name in space.quantity_names:
             x, y = space.quantity(name, a), space.quantity(name, b)
             ratio, difference = _ends(x / y), _ends(x - y)
+            held = tuple(n for n in (first, second) if name in _active(fits[n]))
             one, other = fits[first].quantity(name), fits[second].quantity(name)
             found.append(
                 Contrast(
@@ -75,11 +79,16 @@ def contrasts(fits: Mapping[str, ConditionFit], subject: str = "") -> list[Contr
                     one - other,
                     difference,
                     float(np.mean((x > y) + 0.5 * (x == y))),
-                    not ratio[0] <= 1.0 <= ratio[1],
+                    not held and not ratio[0] <= 1.0 <= ratio[1],
                     source_a if source_a == source_b else f"{source_a}, {source_b}",
+                    held,
                 )
             )
     return found
+
+
+def _active(fit: ConditionFit) -> dict[str, str]:
+    return {} if fit.covariance is None else fit.covariance.active
 
 
 def _ends(values: np.ndarray) -> tuple[float, float]:

@@ -134,6 +134,7 @@ def contrast_rows(result: FitResult, found: Sequence[Contrast]) -> Rows:
                 "difference_high_95": c.difference_95[1] * factor,
                 "probability_greater": c.probability_greater,
                 "separated": c.separated,
+                "on_bound": " ".join(c.on_bound),
             }
         )
     return rows

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ import numpy as np
 from finger_common.errors import InputError, ModelError
 from finger_model.fem.area_model import FullOrderAreas
 from finger_model.reduced import ReducedModel
+from finger_offline.trial_split import CONDITION
 
 from .. import results
 from ..engine import Engine, LocalEngine, engine_for
@@ -61,6 +62,7 @@ def fit_records(
     subjects: dict[str, list[FitTrial]] = {}
     for trial in trials:
         subjects.setdefault(trial.subject, []).append(trial)
+    notes += _check_codes(subjects)
     with engine_for(options.dask) as engine:
         if len(subjects) == 1 or options.pool:
             if len(subjects) > 1:
@@ -100,6 +102,26 @@ def fit_records(
         subjects=parts,
         contrasts=[found for part in parts.values() for found in part.contrasts],
     )
+
+
+def _check_codes(subjects: Iterable[str]) -> list[str]:
+    """Notes on codes of subjects that may be meant as one; raises InputError for one that cannot
+    name a folder."""
+    spelled: dict[str, str] = {}
+    notes = []
+    for code in subjects:
+        if not CONDITION.fullmatch(code):
+            raise InputError(
+                f"subject {code[:40]!r} is no code of letters, digits, blanks and .,+()%-; correct "
+                "it, a name or a path does not belong there"
+            )
+        first = spelled.setdefault(code.casefold(), code)
+        if first != code:
+            notes.append(
+                f"subjects '{first}' and '{code}' differ in case alone and are fitted apart; write "
+                "the code in one way if they are one person"
+            )
+    return notes
 
 
 _Job = tuple[Sequence[FitTrial], Mapping[str, Any]]
