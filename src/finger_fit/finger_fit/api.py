@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,7 +38,7 @@ from finger_offline.trial_checks import (
     fault_of,
 )
 from finger_offline.trial_records import TrialRecord
-from finger_offline.trial_split import TrialSettings, presses
+from finger_offline.trial_split import CONDITION, TrialSettings, presses
 
 from .options import FitOptions
 from .results import ConditionFit, FitResult, write
@@ -52,6 +53,9 @@ EPOCH = 946_684_800 * NANOSECONDS
 PART_OF_PEAK = 0.95
 """Target force over peak force of a trial for which none is given."""
 
+
+ABOUT = ("subject", "condition")
+"""Fields of a trial that tell where it belongs."""
 
 REMEDIES = {
     "unit": "give the indentation in m",
@@ -70,7 +74,7 @@ class Trial:
     NaN where there is no frame, or (k,) at area_time (k,) in s. moisture: readings (a.u.).
     target_force (N): ends the loading, 95 % of the peak by default. Lists, arrays and pandas
     columns are taken. Raises InputError for arrays that do not belong together, and for times,
-    forces, areas and indentations that cannot be a finger's.
+    forces, areas and indentations that cannot be a finger's. None for subject or condition is none.
 
     indentation: measured approach of plate and bone in m, positive into the finger, from any zero:
     (n,) with NaN where there is none, or (j,) at indentation_time (j,) in s; None for none.
@@ -116,8 +120,13 @@ class Trial:
         ):  # fmt: skip
             if what == "indentation_time" and self.indentation is None:
                 continue
-            if len(values) < 2 or not np.all(np.diff(values) > 0):
-                raise InputError(f"{name}: {what} must increase; sort the rows by time")
+            late = np.flatnonzero(~(np.diff(values) > 0))
+            if len(values) < 2 or len(late):
+                at = f" (values {late[0]} and {late[0] + 1} do not)" if len(late) else ""
+                raise InputError(
+                    f"{name}: {what} must increase{at}; sort the rows by time, and drop rows that "
+                    "repeat one"
+                )
         found = presses(_stamps(time), force, ONSET_FORCE, LIFTOFF_FORCE)
         peaks = [float(force[begin:end].max()) for begin, end in found]
         least = TrialSettings().minimum_peak
@@ -131,16 +140,27 @@ class Trial:
         measured = np.isfinite(area)
         last = float(time[min(end, len(time) - 1)])
         _check_units(name, (float(time[first]), last), peak, frames[measured], area[measured])
-        readings = np.atleast_1d(np.asarray(self.moisture, dtype=float))
+        readings = _column(
+            [] if self.moisture is None else self.moisture, f"{name}: moisture", True
+        )
+        subject, condition = (_code(getattr(self, w), f"{name}: {w}") for w in ABOUT)
         known = np.isfinite(indentation)
+        index, target = (
+            _scalar(getattr(self, w), f"{name}: {w}") for w in ("index", "target_force")
+        )
+        if not 0.0 <= target <= peak:
+            raise InputError(
+                f"{name}: target_force is {target:g} N, the press goes up to {peak:.3g} N; give "
+                "the force at which the loading ends, or 0"
+            )
         record = TrialRecord(
-            bag=self.label or f"{self.subject} {self.condition}".strip() or "trials",
+            bag=self.label or f"{subject} {condition}".strip() or "trials",
             session="python",
-            subject=str(self.subject),
-            condition=str(self.condition),
-            index=self.index if self.index >= 0 else number,
+            subject=subject,
+            condition=condition,
+            index=index if index >= 0 else number,
             attempt=0,
-            target_force=self.target_force or PART_OF_PEAK * peak,
+            target_force=target or PART_OF_PEAK * peak,
             stamp_ns=_stamps(time),
             force=force,
             lateral_force=np.zeros(len(force)),
@@ -177,6 +197,8 @@ def _check_units(
         )
     if not len(area):
         raise InputError(f"{name}: area holds no number; leave the trial out")
+    if not area.max() > 0:
+        raise InputError(f"{name}: area is nowhere above zero; give gross contact areas in m²")
     if area.max() > high or 0 < area.max() < low:
         raise InputError(
             f"{name}: the largest area is {area.max():.3g} m², that of a fingertip lies between "
@@ -190,18 +212,45 @@ def _check_units(
 
 
 def _column(values: Any, name: str, gaps: bool = False) -> np.ndarray:
+    """Numbers (n,) of a list, an array, a masked array (NaN where it is masked) or a column of
+    pandas; dates as s since 1970, spans of time as s. gaps: NaN may be among them."""
     kind = getattr(getattr(values, "dtype", None), "kind", "")
-    if kind in ("M", "m"):  # dates: seconds since 1970; spans: seconds
-        unit = "datetime64[ns]" if kind == "M" else "timedelta64[ns]"
-        values = np.asarray(values).astype(unit).astype(np.int64) / NANOSECONDS
+    if not kind and isinstance(values, (list, tuple)) and values:
+        kind = {datetime: "M", timedelta: "m"}.get(type(values[0]), "")
     try:
-        found = np.asarray(values, dtype=float).reshape(-1)
+        if kind in ("M", "m"):
+            unit = "datetime64[ns]" if kind == "M" else "timedelta64[ns]"
+            # pandas brings dates of a time zone to UTC itself.
+            dates = (
+                values.to_numpy(unit) if hasattr(values, "to_numpy") else np.asarray(values, unit)
+            )
+            found = np.where(np.isnat(dates), np.nan, dates.astype(np.int64) / NANOSECONDS)
+        elif isinstance(values, np.ma.MaskedArray):
+            found = values.astype(float).filled(np.nan).reshape(-1)
+        elif kind == "c":
+            raise TypeError
+        else:
+            found = np.asarray(values, dtype=float).reshape(-1)
     except (TypeError, ValueError):
         raise InputError(f"{name} holds something else than numbers; convert it") from None
     bad = np.isinf(found) if gaps else ~np.isfinite(found)
     if bad.any():
         raise InputError(f"{name}: value {int(np.flatnonzero(bad)[0])} is not finite; leave it out")
     return found
+
+
+def _code(value: Any, name: str) -> str:
+    """Code of a subject or name of a condition, which name files too; empty for None."""
+    text = "" if value is None else str(value)
+    if not CONDITION.fullmatch(text):
+        raise InputError(f"{name} {text[:40]!r} is no name of letters, digits, blanks and .,+()%-")
+    return text
+
+
+def _scalar(value: Any, name: str) -> Any:
+    if isinstance(value, (bool, str)) or not np.isscalar(value) or not np.isfinite(value):
+        raise InputError(f"{name} is {value!r}; give a number")
+    return value
 
 
 def _stamps(time: np.ndarray) -> np.ndarray:

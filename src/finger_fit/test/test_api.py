@@ -206,6 +206,16 @@ def test_saved_tables_hold_what_was_found(result: Fit, tmp_path: Path) -> None:
         ({"force": 1e3 * np.sin(np.linspace(0.0, 2.0, 200))}, "up to 1000 N.*give it in N"),
         ({"time": np.linspace(0.0, 2000.0, 200)}, "lasts 1.*give the time in s"),
         ({"area_time": 500.0 + np.linspace(0.0, 2.0, 200)}, "area_time on the clock of time"),
+        ({"time": np.round(np.linspace(0.0, 2.0, 200), 1)}, r"increase \(values 0 and 1 do not"),
+        ({"force": np.ones(200) * 1j}, "force holds something else than numbers"),
+        ({"force": np.ma.masked_less(np.sin(np.linspace(0, 2, 200)), 0.1)}, "force: value 0"),
+        ({"area": np.full(200, -5e-5)}, "area is nowhere above zero"),
+        ({"moisture": "wet"}, "moisture holds something else than numbers"),
+        ({"target_force": 30.0}, r"target_force is 30 N, the press goes up to 1 N"),
+        ({"target_force": "1 N"}, "target_force is '1 N'; give a number"),
+        ({"index": "first"}, "index is 'first'; give a number"),
+        ({"condition": "dry/left"}, "condition 'dry/left' is no name"),
+        ({"subject": "../S01"}, r"subject '\.\./S01' is no name"),
     ],
 )
 def test_bad_arrays_are_named(change: dict[str, Any], sentence: str) -> None:
@@ -221,6 +231,35 @@ def test_bad_arrays_are_named(change: dict[str, Any], sentence: str) -> None:
         fit([Trial(**good, condition="dry")] * 3)
     with pytest.raises(InputError, match="did you mean 'bootstrap'"):
         fit([Trial(**good)], bootstraps=3)
+
+
+class Foreign:
+    """A column of another library: only `__array__`."""
+
+    def __init__(self, values: Any) -> None:
+        self.values = np.asarray(values)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        return self.values if dtype is None else self.values.astype(dtype)
+
+
+def test_columns_of_many_kinds_are_taken() -> None:
+    pandas = pytest.importorskip("pandas")
+    time = np.arange(0.0, 2.0, 0.01)
+    force, area = np.sin(time), 5e-5 * np.sin(time)
+    dates = pandas.to_datetime(1.7e9 + time, unit="s", utc=True)
+    wanted = Trial(time, force, area).record(0)
+    for kind in (
+        Foreign, list, tuple, pandas.Series, np.ma.asarray, lambda a: np.asarray(a)[:, None],
+    ):  # fmt: skip
+        found = Trial(kind(time), kind(force), kind(area), condition=None, subject=None).record(0)
+        assert np.array_equal(found.force, wanted.force) and found.subject == ""
+        assert np.array_equal(found.stamp_ns, wanted.stamp_ns) and found.condition == ""
+    for clock in (dates, list(dates.to_pydatetime()), dates.tz_convert("Asia/Tokyo")):
+        found = Trial(clock, force, area).record(0)
+        assert np.allclose(np.diff(found.stamp_ns), 1e7, atol=1e3)
+    hidden = np.ma.masked_where(time < 1.0, area)
+    assert len(Trial(time, force, hidden).record(0).area) == 100
 
 
 @pytest.mark.parametrize(
