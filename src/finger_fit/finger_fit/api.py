@@ -226,7 +226,7 @@ def _column(values: Any, name: str, gaps: bool = False) -> np.ndarray:
             )
             found = np.where(np.isnat(dates), np.nan, dates.astype(np.int64) / NANOSECONDS)
         elif isinstance(values, np.ma.MaskedArray):
-            found = values.astype(float).filled(np.nan).reshape(-1)
+            found = np.ma.filled(values.astype(float), np.nan).reshape(-1)
         elif kind == "c":
             raise TypeError
         else:
