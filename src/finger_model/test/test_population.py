@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import gc
 import itertools
 import time
 from dataclasses import replace
@@ -21,7 +22,7 @@ from finger_model.geometry import Geometry
 from finger_model.laws import StandardLinearSolid
 from finger_model.laws.generalized_maxwell import LAWS_BY_BRANCHES
 from finger_model.reduced import ReducedModel
-from finger_model.reduced.kernels import _drive, _drive_jacobian
+from finger_model.reduced.kernels import _drive, _drive_jacobian, record_types
 from finger_model.reduced.model import load_population
 from finger_model.reduced.population_build import PopulationSettings, build, held_out_runs
 from finger_model.reduced.population_runs import run, training_case
@@ -182,7 +183,14 @@ def test_a_busy_machine_does_not_cut_training_runs_short(monkeypatch: pytest.Mon
 
 def test_a_small_build_resumes(tmp_path: Path) -> None:
     settings = PopulationSettings(
-        histories=60, soft_histories=6, corrections=8, held_out=4, pilots=6, epochs=1, seed=3
+        histories=60,
+        soft_histories=6,
+        corrections=8,
+        refining=4,
+        held_out=4,
+        pilots=6,
+        epochs=1,
+        seed=3,
     )
     output = tmp_path / "small.npz"
 
@@ -252,3 +260,13 @@ def _drive_and_jacobian(net, par, work, x, amplitudes, out):
     _drive(net[0], par[0], work[0], x, amplitudes, work[0].drive)
     out[:] = work[0].drive
     _drive_jacobian(net[0], par[0], work[0], x, amplitudes)
+
+
+def test_the_types_of_a_model_outlive_it() -> None:
+    # Compiled code knows a record type by its address: a model of other widths, whose type came to
+    # lie where that of a former model had been, crashed.
+    address = id(record_types(2, 1, 3, 4).networks)
+    gc.collect()
+    others = [record_types(2, 1, 3, width).networks for width in range(5, 60)]
+    assert address not in map(id, others)
+    assert id(record_types(2, 1, 3, 4).networks) == address

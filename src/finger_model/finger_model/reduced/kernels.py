@@ -17,12 +17,13 @@ biases b hold what the map needs to know of the finger (`maps`), give indentatio
 
 Where a finger has elastic curves (`elastic_contact`), the networks only add to what these say
 (`_guess`). Sudden and slow loads give the strains d₀(x) and d∞(x); with ρ = a·d∞/((1 − E∞/E0)
-|d∞|²), d is d₀ + ρ (d∞ − d₀), as in linear viscoelasticity. The finger then looks like an elastic
-one of modulus E0/(1 + ρ (E0/E∞ − 1)), and ln A, ln p_max/p_mean and ln δ are taken between their
-curves by its logarithm: y₀ + w (y∞ − y₀), w = ln(1 + ρ (E0/E∞ − 1))/ln(E0/E∞). What the drive
-network adds to the strain is in units of R, 1/R² = 1/S² + 1/(|d₀| + |e| + ρ |1 − ρ| |d∞ − d₀|)²,
-with e = a − ρ (1 − E∞/E0) d∞: where E∞ is small, near ρ = 1 only a force of the order of d₀ brings
-the strain back. The contact network also sees w, ρ and e/S.
+|d∞|²), d is d₀ + ρ (d∞ − d₀) + Kᵀe, as in linear viscoelasticity: e = a − ρ (1 − E∞/E0) d∞ is what
+is not in the pattern of a slow load, and K the response of the strain to it. The finger then looks
+like an elastic one of modulus E0/(1 + ρ (E0/E∞ − 1)), and ln A, ln p_max/p_mean and ln δ are taken
+between their curves by its logarithm: y₀ + w (y∞ − y₀), w = ln(1 + ρ (E0/E∞ − 1))/ln(E0/E∞). What
+the drive network adds to the strain is in units of R, 1/R² = 1/S² + 1/(|d₀| + |e|)²: where E∞ is
+small, only a force of the order of d₀ brings the strain back. The contact network also sees w, ρ
+and e/S.
 
 All Maxwell branches (g_b, τ_b) share the total strain d, and the state follows
 
@@ -41,6 +42,7 @@ one element. Widths of layers are multiples of four: four rows of a layer are ad
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import NamedTuple
 
@@ -91,8 +93,13 @@ class RecordTypes(NamedTuple):
     work: np.dtype
 
 
+@functools.cache
 def record_types(latents: int, frictions: int, drive_width: int, contact_width: int) -> RecordTypes:
-    """Records of a model with k latents, m friction states and hidden layers of these widths."""
+    """Records of a model with k latents, m friction states and hidden layers of these widths.
+
+    Kept for ever: compiled code knows a record type by its address, and would take another one that
+    came to lie there for it.
+    """
     k, m = latents, frictions
 
     def layers(width: int, outputs: int) -> list[tuple]:
@@ -117,6 +124,7 @@ def record_types(latents: int, frictions: int, drive_width: int, contact_width: 
                 ("drive", layers(drive_width, 1 + k)),
                 ("contact", [*layers(contact_width, CONTACT_OUTPUTS), *contact_only]),
                 ("betas", "f8", (m,)),
+                ("response", "f8", (k, k)),  # K
             ]
         ),
         parameters=np.dtype(
@@ -157,6 +165,8 @@ def record_types(latents: int, frictions: int, drive_width: int, contact_width: 
                 ("rest", "f8"),  # R
                 ("rest_slope", "f8", (k,)),  # ∂R/∂a
                 ("toward", "f8", (k,)),  # ∂ρ/∂a
+                ("odd", "f8", (k,)),  # e
+                ("pull", "f8", (k,)),  # ∂d/∂ρ at the same a
                 ("trial", "f8", (k,)),
                 ("base", "f8", (k,)),
                 ("weights", "f8", (3, MOST_BRANCHES)),
@@ -240,7 +250,7 @@ def _curve(curve, u, out):
 
 
 @njit(cache=True)
-def _guess(par, work, x, amplitudes):
+def _guess(net, par, work, x, amplitudes):
     """What the elastic curves say of x and the amplitudes (k,), into work.guess, .mix and .toward.
 
     ln(A/(L² x²)), ln(p_max/p_mean), ln(δ/(L x²)) and the strain d (3 + k,).
@@ -268,40 +278,37 @@ def _guess(par, work, x, amplitudes):
     mixed = math.log1p(relaxed * (1.0 - par.share) / par.share) / -log_share
     for o in range(3):
         guess[o] = sudden[o] + mixed * (slow[o] - sudden[o])
-    for j in range(len(amplitudes)):
-        guess[3 + j] = sudden[3 + j] + relaxed * (slow[3 + j] - sudden[3 + j])
-        work.toward[j] = slow[3 + j] / square if free else 0.0
     own_size = 0.0
-    apart = 0.0
-    for j in range(len(amplitudes)):
-        own_size += sudden[3 + j] * sudden[3 + j]
-        apart += (slow[3 + j] - sudden[3 + j]) ** 2
-    apart = math.sqrt(apart)
     odd = _LEAST_STRAIN * _LEAST_STRAIN
     for j in range(len(amplitudes)):
-        odd += (amplitudes[j] - relaxed * (1.0 - par.share) * slow[3 + j]) ** 2
+        work.toward[j] = slow[3 + j] / square if free else 0.0
+        work.odd[j] = amplitudes[j] - relaxed * (1.0 - par.share) * slow[3 + j]
+        odd += work.odd[j] * work.odd[j]
+        own_size += sudden[3 + j] * sudden[3 + j]
     odd = math.sqrt(odd)
-    near = math.sqrt(own_size) + odd + apart * relaxed * abs(1.0 - relaxed)
+    for i in range(len(amplitudes)):
+        apart = slow[3 + i] - sudden[3 + i]
+        guess[3 + i] = sudden[3 + i] + relaxed * apart
+        work.pull[i] = apart
+        for j in range(len(amplitudes)):
+            guess[3 + i] += net.response[j, i] * work.odd[j]
+            work.pull[i] -= net.response[j, i] * (1.0 - par.share) * slow[3 + j]
+    near = math.sqrt(own_size) + odd
     scale = strain_scale(x, amplitudes)
     work.rest = near * scale / math.hypot(near, scale)
-    slope = apart * (1.0 - 2.0 * relaxed if relaxed < 1.0 else 2.0 * relaxed - 1.0)
-    for j in range(len(amplitudes)):
-        own = relaxed * (1.0 - par.share) * slow[3 + j]
-        rise = (amplitudes[j] - own) / odd + slope * work.toward[j]
-        work.rest_slope[j] = rise * (work.rest / near) ** 3
-        work.rest_slope[j] += amplitudes[j] / scale * (work.rest / scale) ** 3
     work.mix[0] = mixed
     work.mix[1] = min(relaxed, _MOST_RELAXED_INPUT)
     for j in range(len(amplitudes)):
-        own = relaxed * (1.0 - par.share) * slow[3 + j]
-        work.mix[MIX_INPUTS + j] = (amplitudes[j] - own) / scale
+        work.rest_slope[j] = work.odd[j] / odd * (work.rest / near) ** 3
+        work.rest_slope[j] += amplitudes[j] / scale * (work.rest / scale) ** 3
+        work.mix[MIX_INPUTS + j] = work.odd[j] / scale
 
 
 @njit(cache=True)
-def guesses(par, work, x, amplitudes, out):
+def guesses(net, par, work, x, amplitudes, out):
     """Rows (n, 1 + 3 + k + 2 + k) of `_guess` at x (n,) and amplitudes (n, k): R, guess, mix."""
     for row in range(len(x)):
-        _guess(par[0], work[0], x[row], amplitudes[row])
+        _guess(net[0], par[0], work[0], x[row], amplitudes[row])
         end = 1 + len(work[0].guess)
         out[row, 0] = work[0].rest
         out[row, 1:end] = work[0].guess
@@ -345,7 +352,7 @@ def _drive(net, par, work, x, amplitudes, out):
     _add_rows(work.drive_2, net.drive.weights_3, out)
     out[0] = scale ** (2.0 / 3.0) * out[0] - par.drive_at_rest[0]
     if par.curved:
-        _guess(par, work, x, amplitudes)
+        _guess(net, par, work, x, amplitudes)
         scale = work.rest
     for o in range(1, len(out)):
         out[o] = scale * out[o] - par.drive_at_rest[o]
@@ -362,7 +369,7 @@ def _contact(net, par, state, work, x):
     _first_layer(net.contact, x, scale, state.amplitudes, work.contact_1)
     _add_rows(state.friction, net.contact.friction, work.contact_1)
     if par.curved:
-        _guess(par, work, x, state.amplitudes)
+        _guess(net, par, work, x, state.amplitudes)
         _add_rows(work.mix, net.contact.mix, work.contact_1)
     _second_layer(net.contact, par.contact, work.contact_1, work.contact_2)
     for o in range(CONTACT_OUTPUTS):
@@ -423,7 +430,7 @@ def _drive_jacobian(net, par, work, x, amplitudes):
             output -= work.guess[3 + i] - amplitudes[i]
             output /= work.rest
             for j in range(k):
-                rise = (work.slow[3 + i] - work.sudden[3 + i]) * work.toward[j]
+                rise = work.pull[i] * work.toward[j] + net.response[j, i]
                 jacobian[i, j] += rise + output * work.rest_slope[j]
             jacobian[i, i] -= 1.0
 

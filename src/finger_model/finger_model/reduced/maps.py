@@ -50,7 +50,10 @@ class Maps:
     """Networks as the kernels take them. Raises ValueError for layers that do not fit together."""
 
     def __init__(
-        self, layers: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]], betas: np.ndarray
+        self,
+        layers: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]],
+        betas: np.ndarray,
+        response: np.ndarray | None = None,
     ) -> None:
         first = {name: values[0] for name, values in layers.items()}
         self.latents = k = layers["drive"][2].shape[1] - 1
@@ -66,6 +69,10 @@ class Maps:
         self.types = rk.record_types(k, frictions, widths["drive"], widths["contact"])
         self.networks = np.zeros(1, self.types.networks)
         self.networks["betas"] = betas
+        if response is not None:
+            if response.shape != (k, k):
+                raise ValueError("response is no square matrix of the coordinates")
+            self.networks["response"] = response
         self.work = np.zeros(1, self.types.work)
         for name, (one, two, three) in layers.items():
             width = widths[name]
@@ -208,7 +215,7 @@ class PopulationMaps(Maps):
             first = a["W1"] / a["input_scale"][:, None]
             layers[name] = (first, a["W2"], a["W3"] * a["output_scale"])
             self._context[name] = {**a, "shift": a["input_mean"] @ first}
-        super().__init__(layers, arrays["betas"])
+        super().__init__(layers, arrays["betas"], arrays["response"])
         self.elastic = ElasticContacts.of_arrays(arrays)
         self._check(np.zeros(len(self._context["drive"]["context_mean"])))
         self._load = arrays["largest_load"]

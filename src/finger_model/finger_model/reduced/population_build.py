@@ -33,7 +33,16 @@ from .build import parts_folder
 from .error import ErrorTable
 from .model import LAW, ReducedModel
 from .population import STIFFENING
-from .population_runs import WHOLE, Case, Run, held_out_case, run, soft_case, training_case
+from .population_runs import (
+    WHOLE,
+    Case,
+    Run,
+    held_out_case,
+    refining_case,
+    run,
+    soft_case,
+    training_case,
+)
 from .population_training import LATENTS, measured_error, train
 from .training_runs import principal_modes, weight_of
 
@@ -50,19 +59,25 @@ class PopulationSettings(Settings):
     """What a build of the population's model depends on."""
 
     histories: int = setting(
-        25_000, "Training histories, each of a finger of its own.", minimum=50, maximum=1_000_000
+        11_500, "Training histories, each of a finger of its own.", minimum=50, maximum=1_000_000
     )
     soft_histories: int = setting(
-        6000,
+        4600,
         "Further histories of tissue that keeps little of its modulus.",
         minimum=0,
         maximum=1_000_000,
     )
     corrections: int = setting(
-        1200,
+        1100,
         "Fingers whose elastic presses are run on the default mesh too.",
         minimum=5,
         maximum=100_000,
+    )
+    refining: int = setting(
+        1400,
+        "Histories of further fingers on the default mesh, for the contact network.",
+        minimum=0,
+        maximum=1_000_000,
     )
     held_out: int = setting(
         340, "Histories on which the error is measured.", minimum=4, maximum=100_000
@@ -99,10 +114,12 @@ def build(
     coarse = runs_of("runs on the coarse mesh", _Task("coarse", modes), settings.histories)
     soft = runs_of("runs of soft tissue", _Task("soft", modes), settings.soft_histories)
     fine = runs_of("presses on the default mesh", _Task("fine", None), settings.corrections)
+    refining = runs_of("runs on the default mesh", _Task("refine", None), settings.refining)
     held_out = runs_of("held-out runs", _Task("held_out", None), settings.held_out)
     model, tables = assemble(
         coarse + soft,
         fine,
+        refining,
         held_out,
         settings,
         report,
@@ -116,13 +133,17 @@ def build(
 def assemble(
     runs: list[Run],
     fine: list[Run],
+    refining: list[Run],
     held_out: list[Run],
     settings: PopulationSettings,
     report: Progress,
     began: float,
 ) -> tuple[ReducedModel, dict[str, ErrorTable]]:
     """Train on the runs and measure the error. `fine` are presses of the same fingers as the first
-    of the runs. Raises ModelError when too few are usable."""
+    of the runs, `refining` runs of others on the default mesh.
+
+    Raises ModelError when too few are usable.
+    """
     usable = sum(map(_usable, runs))
     if usable < 0.8 * len(runs):
         raise ModelError(
@@ -132,6 +153,7 @@ def assemble(
     arrays = train(
         [found for found, good in zip(runs, own) if good],
         [found for found, good in zip(fine, own) if good],
+        [found for found in refining if len(found.time) > 3 and found.area.max() > 0],
         settings.epochs,
         report,
     )
@@ -180,7 +202,7 @@ class _Task:
     modes: np.ndarray | None
 
     def case(self, seed: int, index: int) -> Case:
-        makers = {"held_out": held_out_case, "soft": soft_case}
+        makers = {"held_out": held_out_case, "soft": soft_case, "refine": refining_case}
         return makers.get(self.name, training_case)(seed, index)
 
 
@@ -202,7 +224,7 @@ def _work(indices: range) -> list[Run]:
             task.modes,
             coarse,
             history=task.name != "fine",
-            pressed=task.name != "held_out",
+            pressed=task.name not in ("held_out", "refine"),
         )
         for i in indices
     ]

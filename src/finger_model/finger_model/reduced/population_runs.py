@@ -40,6 +40,10 @@ TIMES = (1e-3, 10.0)
 SOFT_SHARE = 0.15
 """E∞/E0 below which further histories are run."""
 
+LONG_HOLD = "long hold"
+REFINING = ("ramp", "hold", "release", "release", "reload", "reload", "tapping", "human", "random")
+"""Kinds of the histories that refine the networks, beside LONG_HOLD."""
+
 SUDDEN_STEP, SLOW_STEP = 1e-9, 1e7
 """s between two loads: far from all relaxation times."""
 
@@ -176,9 +180,30 @@ def held_out_case(seed: int, index: int) -> Case:
     middle = bool(index % 2)
     geometry = random_geometry(rng, middle)
     material = random_material(rng, middle, int(rng.choice([1, 2, 3])), plain=index % 4 < 2)
+    kind = (*KINDS, LONG_HOLD)[(index // 2) % (len(KINDS) + 1)]
+    return _judged_case(rng, geometry, material, kind, middle)
+
+
+def refining_case(seed: int, index: int) -> Case:
+    """The index-th history that refines the networks: such as those on which the error is measured,
+    more of them of tissue that keeps little of its modulus, with much unloading."""
+    rng = np.random.default_rng([seed, index, 3])
+    middle = bool(index % 2)
+    geometry = random_geometry(rng, middle)
+    largest_share = SOFT_SHARE if index % 4 < 2 else 1.0
+    while True:
+        material = random_material(rng, middle, int(rng.choice([1, 2, 3])), rng.random() < 0.3)
+        if material.long_term_fraction < largest_share:
+            break
+    kind = str(rng.choice((*REFINING, LONG_HOLD)))
+    return _judged_case(rng, geometry, material, kind, middle)
+
+
+def _judged_case(
+    rng: np.random.Generator, geometry: Geometry, material: MaxwellLaw, kind: str, middle: bool
+) -> Case:
     peak = _between(rng, (0.3, 2.0) if middle else (0.2, 10.0))
-    kind = (*KINDS, "long hold")[(index // 2) % (len(KINDS) + 1)]
-    if kind == "long hold":
+    if kind == LONG_HOLD:
         rise = rng.uniform(0.2, 2.0)
         share = np.arange(1, 17) / 16
         time = np.concatenate([[0.0], rise * share**1.4, rise + 60.0 * share**3])

@@ -29,16 +29,18 @@ from .training import features, strain_scales
 Progress = Callable[[str, float], None]
 
 LATENTS = 6
-DRIVE, CONTACT = (40, 96), (48, 128)
+DRIVE, CONTACT = (48, 128), (64, 160)
 """Width of the hidden layers of each network, and of the network of its gains and biases."""
 BETAS = (0.03, 0.15)
 FIRST_FORCE = 0.06
 """N; below it the area is not trained on."""
-MIDDLE_COUNT = 1.5
-"""How much a run of the middle box counts beside one of the rest."""
+MIDDLE_COUNT = 2.0
+"""How much a run of the middle box counts beside one of the rest: its goal is half as large."""
+REFINING_COUNT = 1.5
+"""How much a run on the default mesh counts in the contact network beside one on the coarse."""
 DECAY = 0.1
-LEAST_REST = 0.05
-"""R over S below which errors of the strain count in proportion to R/S."""
+PIECE = 24
+"""Rows of one piece of a history in training."""
 
 
 def stiffening_of(run: Run) -> float:
@@ -79,17 +81,22 @@ def padded(
     columns: Callable[[Run], tuple[np.ndarray, ...]],
     contexts: dict[int, np.ndarray],
 ) -> Rows:
-    """Rows of all runs; `columns` gives inputs (n, i), targets (n, o), weights (n, o) of one;
-    contexts: of each run, by its identity."""
-    parts = [columns(run) for run in runs]
+    """Rows of all runs, in pieces of PIECE; `columns` gives inputs (n, i), targets (n, o), weights
+    (n, o) of one; contexts: of each run, by its identity."""
+    parts, owners = [], []
+    for run in runs:
+        whole = columns(run)
+        for begin in range(0, len(whole[0]), PIECE):
+            parts.append([values[begin : begin + PIECE] for values in whole])
+            owners.append(contexts[id(run)])
     longest = max(len(part[0]) for part in parts)
     arrays = []
     for which in range(3):
-        values = np.zeros((len(runs), longest, parts[0][which].shape[1]), np.float32)
+        values = np.zeros((len(parts), longest, parts[0][which].shape[1]), np.float32)
         for index, part in enumerate(parts):
             values[index, : len(part[which])] = part[which]
         arrays.append(values)
-    return Rows(np.array([contexts[id(run)] for run in runs], np.float32), *arrays)
+    return Rows(np.array(owners, np.float32), *arrays)
 
 
 def _inputs(run: Run, states: np.ndarray | None = None) -> np.ndarray:
@@ -142,8 +149,11 @@ def _own_curves(run: Run) -> np.ndarray:
     return extended(curves)
 
 
-def guessed(types: rk.RecordTypes, run: Run) -> Guessed:
-    """Guesses along a run from its presses on the coarse mesh, at its own internal strain."""
+def guessed(types: rk.RecordTypes, run: Run, response: np.ndarray) -> Guessed:
+    """Guesses along a run from its presses on the coarse mesh, at its own internal strain, with the
+    response K (k, k) of the strain."""
+    networks = np.zeros(1, types.networks)
+    networks["response"] = response
     record = np.zeros(1, types.parameters)
     record["share"] = run.share
     fill_curves(record, _own_curves(run))
@@ -151,10 +161,29 @@ def guessed(types: rk.RecordTypes, run: Run) -> Guessed:
     internal = np.ascontiguousarray(run.internal[:, :LATENTS])
     end = 1 + 3 + LATENTS
     table = np.empty((len(x), end + rk.MIX_INPUTS + LATENTS))
-    rk.guesses(record, np.zeros(1, types.work), x, internal, table)
+    rk.guesses(networks, record, np.zeros(1, types.work), x, internal, table)
     reached = [NODES[np.isfinite(c[:, 0])].max() for c in run.presses]
     inside = (x <= reached[0] * 1.01) & (x <= reached[1] * run.share ** (1 / 3) * 1.01)
     return Guessed(table[:, 0], table[:, 1:end], table[:, end:], inside)
+
+
+def response_of(types: rk.RecordTypes, runs: list[Run]) -> np.ndarray:
+    """Response K (k, k) of the strain to internal strain e that is not in the pattern of a slow
+    load: d is d₀ + ρ (d∞ − d₀) + Kᵀe, in least squares relative to |d₀| + |e|."""
+    none = np.zeros((LATENTS, LATENTS))
+    square, product = none.copy(), none.copy()
+    for run in runs:
+        own = guessed(types, run, none)
+        internal = run.internal[:, :LATENTS]
+        scale = strain_scales(load_measure_of(run), internal)
+        used = own.inside & (run.force >= FIRST_FORCE)
+        # 1/(|d₀| + |e|)², as the kernels have it.
+        weights = (own.rest[used] ** -2 - scale[used] ** -2)[:, None]
+        odd = own.mix[used, rk.MIX_INPUTS :] * scale[used, None]
+        more = run.total[used, :LATENTS] - own.guess[used, 3:]
+        square += (weights * odd).T @ odd
+        product += (weights * odd).T @ more
+    return np.linalg.solve(square + 1e-9 * np.eye(LATENTS), product)
 
 
 def _press_inputs(runs: list[Run]) -> tuple[np.ndarray, np.ndarray]:
@@ -174,68 +203,101 @@ def fit_elastic(runs: list[Run], fine: list[Run], report: Progress) -> ElasticCo
     )
 
 
-def train(runs: list[Run], fine: list[Run], epochs: int, report: Progress) -> dict[str, np.ndarray]:
+def drive_columns(run: Run, own: Guessed) -> tuple[np.ndarray, ...]:
+    """Inputs, targets and weights (n, …) of the drive along a run on the coarse mesh."""
+    x, internal = load_measure_of(run), run.internal[:, :LATENTS]
+    depth = run.indentation / run.length - x * x * np.exp(own.guess[:, 2])
+    scale = strain_scales(x, internal)
+    strain = (run.total[:, :LATENTS] - own.guess[:, 3:]) / own.rest[:, None]
+    targets = np.column_stack([depth / scale ** (2 / 3), strain])
+    # Errors count somewhat more than in proportion to the strain: early ones stay in the state.
+    share = scale / scale.max()
+    count = counts(run) * own.inside
+    weights = np.repeat((count * share**0.5)[:, None], 1 + LATENTS, axis=1)
+    weights[:, 0] = 2.0 * count * share ** (2 / 3)
+    weights[scale < 1e-4] = 0.0
+    return _inputs(run), targets, weights
+
+
+@dataclass
+class Visited:
+    """What is seen along a run: amplitudes a and friction states q (n, k + m), guess (n, 3 + k),
+    mix (n, 2 + k), and which rows (n,) count."""
+
+    states: np.ndarray
+    guess: np.ndarray
+    mix: np.ndarray
+    inside: np.ndarray
+
+
+def contact_columns(run: Run, seen: Visited, count: float = 1.0) -> tuple[np.ndarray, ...]:
+    """Inputs, targets and weights (n, …) of the contact along a run that counts so much."""
+    touching = _touching(run)
+    share = count * counts(run) * run.area / run.area.max() * touching * seen.inside
+    targets = _contact_targets(run) - np.where(touching[:, None], seen.guess[:, :2], 0.0)
+    inputs = np.column_stack([_inputs(run, seen.states), seen.mix])
+    return inputs, targets, np.column_stack([share, 0.1 * share])
+
+
+def train(
+    runs: list[Run], fine: list[Run], refining: list[Run], epochs: int, report: Progress
+) -> dict[str, np.ndarray]:
     """Arrays of the population's maps.
 
-    runs: on the coarse mesh; fine: presses of the first of these fingers on the default mesh. The
-    networks learn what a run adds to its own elastic curves on the coarse mesh, and are used with
-    the curves of the default mesh.
+    runs: on the coarse mesh; fine: presses of the first of these fingers on the default mesh;
+    refining: runs of other fingers on the default mesh. The networks learn what a run adds to its
+    own elastic curves on the coarse mesh, and are used with the predicted curves of the default
+    mesh, with which the contact network learns from the refining runs, too.
     """
     elastic = fit_elastic(runs, fine, report)
     types = rk.record_types(LATENTS, len(BETAS), DRIVE[0], CONTACT[0])
-    along = {id(run): guessed(types, run) for run in runs}
-    curves = elastic.curves(*_press_inputs(runs))[0]
-    contexts = {
-        id(run): network_context(run.context, run.share, curves[:, i]) for i, run in enumerate(runs)
+    response = response_of(types, runs)
+    along = {id(run): guessed(types, run, response) for run in runs}
+    fingers = {
+        id(run): finger._replace(curves=_own_curves(run))
+        for run, finger in zip(runs, _fingers(elastic, runs, 0))
     }
-
-    def drive_columns(run: Run) -> tuple[np.ndarray, ...]:
-        own = along[id(run)]
-        x, internal = load_measure_of(run), run.internal[:, :LATENTS]
-        depth = run.indentation / run.length - x * x * np.exp(own.guess[:, 2])
-        scale = strain_scales(x, internal)
-        strain = (run.total[:, :LATENTS] - own.guess[:, 3:]) / own.rest[:, None]
-        targets = np.column_stack([depth / scale ** (2 / 3), strain])
-        # Errors count somewhat more than in proportion to the strain: early ones stay in the state.
-        share = scale / scale.max()
-        count = counts(run) * own.inside
-        # Where a load is taken back through ρ = 1, R is small beside what friction does.
-        strict = np.minimum(1.0, own.rest / (LEAST_REST * scale))
-        weights = np.repeat((count * share**0.5 * strict)[:, None], 1 + LATENTS, axis=1)
-        weights[:, 0] = 2.0 * count * share ** (2 / 3)
-        weights[scale < 1e-4] = 0.0
-        return _inputs(run), targets, weights
-
-    def rows_of(columns: Callable[[Run], tuple[np.ndarray, ...]]) -> Rows:
-        return padded(runs, columns, contexts)
-
-    rows = rows_of(drive_columns)
+    contexts = {key: finger.inputs for key, finger in fingers.items()}
+    rows = padded(runs, lambda run: drive_columns(run, along[id(run)]), contexts)
     drive = ContextNetwork(rows, *DRIVE)
     fit(drive, rows, epochs, 128, decay=DECAY, report=lambda s: report("training the drive", s))
 
-    def contact_rows(states: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]]) -> Rows:
-        def columns(run: Run) -> tuple[np.ndarray, ...]:
-            state, guess, mix = states[id(run)]
-            share = counts(run) * run.area / run.area.max() * _touching(run)
-            share = share * along[id(run)].inside
-            targets = _contact_targets(run) - np.where(_touching(run)[:, None], guess[:, :2], 0.0)
-            weights = np.column_stack([share, 0.1 * share])
-            inputs = np.column_stack([_inputs(run, state), mix])
-            return inputs, targets, weights
-
-        return rows_of(columns)
-
     # States need a drive only: an untrained contact network takes its place.
     exact = {
-        id(run): (_exact_states(run), along[id(run)].guess, along[id(run)].mix) for run in runs
+        id(run): Visited(_exact_states(run), own.guess, own.mix, own.inside)
+        for run, own in ((run, along[id(run)]) for run in runs)
     }
-    contact = ContextNetwork(contact_rows(exact), *CONTACT)
-    maps = PopulationMaps({**arrays_of(drive, contact), **elastic.arrays()})
-    visits = {id(run): visited(maps, run, contexts[id(run)]) for run in runs}
-    rows = contact_rows(visits)
+    contact = ContextNetwork(
+        padded(runs, lambda run: contact_columns(run, exact[id(run)]), contexts), *CONTACT
+    )
+    fixed = {"response": response, **elastic.arrays()}
+    maps = PopulationMaps({**arrays_of(drive, contact), **fixed})
+    fingers |= {id(run): own for run, own in zip(refining, _fingers(elastic, refining, 1))}
+    contexts = {key: finger.inputs for key, finger in fingers.items()}
+    seen = {id(run): visited(maps, run, fingers[id(run)]) for run in [*runs, *refining]}
+    for run in runs:
+        seen[id(run)].inside &= along[id(run)].inside
+    count = {id(run): REFINING_COUNT for run in refining}
+
+    def columns(run: Run) -> tuple[np.ndarray, ...]:
+        return contact_columns(run, seen[id(run)], count.get(id(run), 1.0))
+
+    rows = padded([*runs, *refining], columns, contexts)
     contact = ContextNetwork(rows, *CONTACT)
     fit(contact, rows, epochs, 128, decay=DECAY, report=lambda s: report("training the contact", s))
-    return {**arrays_of(drive, contact), **elastic.arrays()}
+    return {**arrays_of(drive, contact), **fixed}
+
+
+def _fingers(elastic: ElasticContacts, runs: list[Run], mesh: int) -> list[Finger]:
+    """What the maps know of the fingers of runs, with predicted curves on the coarse mesh (0) or
+    the default one (1)."""
+    if not runs:
+        return []
+    curves = elastic.curves(*_press_inputs(runs))
+    return [
+        Finger(network_context(run.context, run.share, curves[0][:, i]), curves[mesh][:, i])
+        for i, run in enumerate(runs)
+    ]
 
 
 def arrays_of(drive: ContextNetwork, contact: ContextNetwork) -> dict[str, np.ndarray]:
@@ -247,12 +309,8 @@ def arrays_of(drive: ContextNetwork, contact: ContextNetwork) -> dict[str, np.nd
     return found
 
 
-def visited(
-    maps: PopulationMaps, run: Run, context: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What the maps visit along a run with its own curves on the coarse mesh: amplitudes a and
-    friction states q (n, k + m), guess (n, 3 + k) and mix (n, 2)."""
-    finger = Finger(context, _own_curves(run))
+def visited(maps: PopulationMaps, run: Run, finger: Finger) -> Visited:
+    """What the maps visit along a run of a finger."""
     record = maps.parameters_of(run.length, run.scale, run.fractions, run.times, finger)
     record["force_limit"] = np.inf
     state = maps.at_rest(record)
@@ -265,8 +323,8 @@ def visited(
     end = 1 + 3 + maps.latents
     found = np.empty((len(run.time), end + rk.MIX_INPUTS + maps.latents))
     amplitudes = np.ascontiguousarray(table[:, : maps.latents])
-    rk.guesses(record, maps.work, load_measure_of(run), amplitudes, found)
-    return table, found[:, 1:end], found[:, end:]
+    rk.guesses(maps.networks, record, maps.work, load_measure_of(run), amplitudes, found)
+    return Visited(table, found[:, 1:end], found[:, end:], np.ones(len(run.time), bool))
 
 
 def measured_error(arrays: dict[str, np.ndarray], runs: list[Run]) -> dict[str, ErrorTable]:
