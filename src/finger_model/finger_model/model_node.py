@@ -205,6 +205,7 @@ class ModelNode(ManagedNode):
         self._jumped = False
         self._sequence = 0
         self._last: ContactEstimate | None = None
+        self._flags = 0
         self._area_received = False
         self._late = {
             "late_areas": Lateness("contact areas"),
@@ -306,6 +307,7 @@ class ModelNode(ManagedNode):
         self._started = False
         self._jumped = False
         self._last = None
+        self._flags = 0
         self._area_received = False
         self._latency, self._age = LatencyHistogram(), LatencyHistogram()
         # What exists now lives as long as the node; the garbage collector leaves it alone.
@@ -448,6 +450,7 @@ class ModelNode(ManagedNode):
                 self._latency.add(now - received)
                 self._age.add(now - stamp)
                 self._last = estimate
+                self._flags |= estimate.flags
                 self.health.sample()
                 # A sample that waited for its successor comes with it.
                 own = force if estimate.stamp_ns == stamp else before
@@ -737,9 +740,10 @@ class ModelNode(ManagedNode):
     # Diagnostics -----------------------------------------------------------------------------
 
     def publish_diagnostics(self) -> None:
-        """Warnings of the last estimate's flags; counters and latency as notes."""
+        """Warnings of the estimates' flags; counters and latency as notes."""
         if self.estimator is not None and self._active:
-            flags = 0 if self._last is None else self._last.flags
+            # Also what came and went since the diagnostics before.
+            flags, self._flags = self._flags, 0
             for flag, sentence in _WARNINGS.items():
                 key = flag.name.lower()  # type: ignore[union-attr]
                 moisture = math.nan if self._last is None else self._last.moisture

@@ -62,6 +62,7 @@ class Bench:
         self.states: list[ContactState] = []
         self.events: list[ModelEvent] = []
         self.diagnostics: dict[str, Any] = {}
+        self.said: set[str] = set()
         make = self.node.create_publisher
         self.wrench = make(WrenchStamped, "/finger/wrench", RELIABLE)
         self.area = make(ContactArea, "/finger/contact_area", RELIABLE)
@@ -77,6 +78,7 @@ class Bench:
             name = status.name.split(": ")[-1]
             self.diagnostics[name] = {v.key: v.value for v in status.values}
             self.diagnostics[name]["message"] = status.message
+            self.said |= set(status.message.split("; "))
 
     def until(self, condition: Callable[[], Any], seconds: float = 250.0) -> None:
         """Spin until the condition holds."""
@@ -356,6 +358,8 @@ def test_no_message_ends_the_node_and_each_is_forgotten(
         assert state.flags & (StateFlag.FORCE_INVALID | StateFlag.FORCE_OUT_OF_RANGE)
         assert not state.area > 1e-3
     press(2 * 800 - sent)  # the pad is at rest again
+    # A flag of one sample is told, too.
+    bench.until(lambda: "the force is not a finite number" in bench.said)
     for state, estimate in press(800):
         assert not state.flags & (StateFlag.FORCE_INVALID | StateFlag.FORCE_OFFSET)
         assert state.area == pytest.approx(estimate.area, rel=0.02, abs=1e-7)

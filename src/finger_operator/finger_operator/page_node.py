@@ -327,7 +327,9 @@ class PageNode(ManagedNode):
 
     def _begin(self, name: str, arguments: dict[str, Any], future: Answer) -> None:
         step = self._status.get("step")
-        if name == "start" and step == "prepare" and not self._status.get("paused"):
+        # A calibration's presses begin without a key.
+        begins = name == "start" and step == "prepare" and not self._status.get("paused")
+        if begins or name == "calibrate":
             reason = refusal(self._readiness.problems(time.monotonic()))
             if reason:
                 future.set_result((False, reason))

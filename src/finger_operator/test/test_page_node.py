@@ -86,6 +86,9 @@ def test_commands_reach_the_protocol_and_its_cues_come_back(
                 refused = await command("configure", subject="S01", **{**plan, "trials": 0})
                 assert not refused["success"] and "1 … 1000" in refused["message"]
                 assert (await command("configure", subject="S01", **plan))["success"]
+                refused = await command("calibrate")
+                assert not refused["success"]
+                assert "Not ready: The force driver is not running" in refused["message"]
                 assert (await command("start"))["success"]
                 assert (await receive("cue", phase="prepare"))["index"] == 0
                 assert (await receive("status", step="prepare"))["target_force"] == 1.2
