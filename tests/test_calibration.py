@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -211,6 +211,18 @@ def test_presses_of_several_fingers_are_refused(fingers: list[Finger]) -> None:
     ]
     with pytest.raises(InputError, match="same finger"):
         calibrate(ReducedModel.load(), ParameterSets.default(), mixed)
+
+
+def test_presses_that_may_be_of_two_fingers_are_questioned(fingers: list[Finger]) -> None:
+    """Two fingers whose areas differ by a quarter pass for one whose presses scatter more."""
+    finger = fingers[0]
+    presses = finger.presses[: len(CALIBRATION_PRESSES)]
+    mixed = [replace(p, area=(1.25 if i % 2 else 1.0) * p.area) for i, p in enumerate(presses)]
+    sets, reading = ParameterSets.default(), finger.person.reading
+    found = calibrate(ReducedModel.load(), sets, mixed, reading)
+    assert found.press_scatter > 0.08
+    assert "the same finger each time?" in found.sentence()
+    assert "each time?" not in calibrated(finger).sentence()
 
 
 def test_without_a_reading_the_moisture_is_found_with_the_finger() -> None:

@@ -54,6 +54,8 @@ MISFIT_MEMORY = 0.3
 """s over which what the states cannot describe stays alike; an assumption."""
 MOST_SCATTER = 0.15
 """Relative deviation from press to press above which the presses are not those of one finger."""
+DOUBTFUL_SCATTER = 0.08
+"""The same, above which the result asks whether they are: as of areas that differ by a fifth."""
 
 _ROUNDS = 30
 _CONVERGED = 2e-3
@@ -118,8 +120,11 @@ class Calibration:
             f"{q.meaning} {q.value:.3g} ± {q.deviation:.2g} {q.unit}".strip()
             for q in self.quantities
         )
+        doubt = ""
+        if self.press_scatter > DOUBTFUL_SCATTER:
+            doubt = ", more than is usual: was it the same part of the same finger each time?"
         return (
-            f"{shown}; presses differ by {100 * self.press_scatter:.1f} % "
+            f"{shown}; presses differ by {100 * self.press_scatter:.1f} %{doubt} "
             f"({self.presses} presses, {self.areas} areas); {self.note}"
         )
 
