@@ -194,7 +194,13 @@ def test_a_sensor_never_widens_what_a_fit_leaves_open() -> None:
     [
         (["--indentation-sd", "20"], "indentation_sd' is 20.0, outside 0 … 0.001 m"),
         (["--plan", "a:press=3"], "'press' is no setting"),
-        (["--plan", "a:presses=many"], "a number is needed"),
+        (["--plan", "a:presses=many"], "'many'; give a whole number"),
+        (["--plan", "a:peak=500mN"], "'500mN'; give a number in N, without the unit"),
+        (
+            ["--plan", "a:frame_rate=2"],
+            "in 0.5 s at frame_rate 2 Hz; give longer presses",
+        ),
+        (["--against", "wet"], "'wet': give one of dry"),
         (["--plan", ":presses=5"], "a name is needed"),
         (["--plan", "a:shortest=3,longest=1"], "exchange them"),
         (["--guess", "wet"], "give one of dry"),

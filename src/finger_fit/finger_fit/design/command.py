@@ -142,6 +142,7 @@ def command(argv: Sequence[str]) -> int:
     space = model.space
     wanted = _wanted(args.wanted, space)
     guess = finger_of(args.guess, space)
+    other = finger_of(args.against, space) if args.against else None
     plans = dict(map(plan_of, args.plan or PLANS))
     plans = with_indentation(plans, priors.indentation_sd)
     found = {name: expected(plan, model, guess, options) for name, plan in plans.items()}
@@ -151,8 +152,7 @@ def command(argv: Sequence[str]) -> int:
         "guess": space.mapping(guess),
         "plans": {name: _entry(e, wanted) for name, e in found.items()},
     }
-    if args.against:
-        other = finger_of(args.against, space)
+    if other is not None:
         second = {name: expected(plan, model, other, options) for name, plan in plans.items()}
         data["contrast"] = {
             "against": space.mapping(other), "subjects": args.subjects, "between": args.between,

@@ -27,6 +27,9 @@ LARGEST_ZERO = 5e-3
 FORCE_RATE = 500.0
 """Hz of the planned force."""
 
+FEWEST_FRAMES = 3
+"""Frames of a loading without which a fit cannot use a press."""
+
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 
@@ -56,11 +59,20 @@ class Plan(Settings):
     )
 
     def validate(self) -> None:
-        """The shortest loading is no longer than the longest."""
+        """The shortest loading is no longer than the longest, and has enough frames."""
         if self.shortest > self.longest:
             raise InputError(
                 f"plan: shortest is {self.shortest:g} s, longer than longest ({self.longest:g} s); "
                 "exchange them"
+            )
+        counted = self.shortest
+        if self.window == "contact":
+            counted += self.hold + self.release
+        if counted * self.frame_rate < FEWEST_FRAMES:
+            raise InputError(
+                f"plan: the shortest press has fewer than {FEWEST_FRAMES} frames that count, in "
+                f"{counted:g} s at frame_rate {self.frame_rate:g} Hz; give longer presses or more "
+                "images"
             )
 
     def force(self, index: int) -> tuple[np.ndarray, np.ndarray]:
@@ -145,7 +157,9 @@ def plan_of(text: str) -> tuple[str, Plan]:
             values[found.name] = type(found.default)(value.strip())
         except ValueError:
             raise InputError(
-                f"plan '{text}': {found.name} is '{value.strip()}', a number is needed"
+                f"plan '{text}': {found.name} is '{value.strip()}'; give a "
+                f"{'whole number' if isinstance(found.default, int) else 'number'}"
+                f"{f' in {found.unit}, without the unit' if found.unit else ''}"
             ) from None
     if not name.strip():
         raise InputError(f"plan '{text}': a name is needed, as in slow:shortest=2,longest=8")
