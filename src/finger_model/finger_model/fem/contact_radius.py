@@ -13,20 +13,22 @@ contrast, shows steps from element to element.
 
 Where tissue creeps faster than one event follows another, the response of the last step gives the
 two events beside the present load well, but the one before and the one after them only to about 8 %
-of their distance. The curve would have a corner at every event. In steps fine enough to see each
-event in advance, the curve is therefore continued from step to step (`Edge`): load and slope of the
-last event stay as they were when it happened, and the gap to the event after the next is corrected
-by the error of the previous such prediction.
+of their distance. The curve would have a corner at every event, and a smaller one wherever a node
+inside the contact begins to stick or slip, since that changes the response. In steps fine enough to
+see each event in advance, the curve is therefore continued from step to step (`Edge`): load and
+slope of the last event stay as they were when it happened, and the gap to the event after the next
+is corrected by the error of the previous such prediction. Where a node inside begins to stick or
+slip, the curve goes on from the last radius and slope.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .equilibrium import OPEN, SLIP, Contact, ContactSet, Equilibrium, NotConverged, Tangent
+from .equilibrium import OPEN, SLIP, STICK, Contact, ContactSet, Equilibrium, NotConverged, Tangent
 
 EDGE_FRACTION = 0.39
 """Distance of a node from the true edge, in node spacings, at the load at which it touches.
@@ -40,7 +42,7 @@ MINIMUM_STEPS, MINIMUM_CREEP_TIMES = 2.7, 1.25
 """Steps, and creep times, between two events from which the curve is continued. With slower creep
 the four predicted events have similar errors, and the curve through them is the smoother one."""
 
-MAXIMUM_CHANGE = 0.02
+MAXIMUM_CHANGE, MAXIMUM_CHANGE_INSIDE = 0.02, 0.1
 """Largest change, from step to step, of the last event's predicted force over the distance of two
 events. Beyond it the load path has changed, and the curve starts again."""
 
@@ -52,17 +54,20 @@ CORRECTION_RANGE = (0.8, 1.25)
 class Edge:
     """History of the contact's edge while the force rises; forces in N/rad, slopes in m per N/rad.
 
-    last: outermost skin node in contact; force, slope: at which it touched, and dr/dF there.
-    predicted_force: the same force as the present step alone predicts it. next_force, next_slope:
-    predicted for the next node. next_gap: predicted force from the next event to the one after it.
-    previous_gap: what was predicted for the present gap when it was the next one, NaN if unknown.
-    gap_correction: true over predicted gap at the last event.
+    last: outermost skin node in contact; touched: force at which it touched; predicted: the same
+    as the present step alone predicts it. start: where the curve to the next event begins; present:
+    where it is; both force, radius (m) beyond that of the last event, and dr/dF. sticking: number of
+    sticking nodes. next_force, next_slope: predicted for the next node. next_gap: predicted force from the
+    next event to the one after it. previous_gap: what was predicted for the present gap when it was
+    the next one, NaN if unknown. gap_correction: true over predicted gap at the last event.
     """
 
     last: int
-    predicted_force: float
-    force: float
-    slope: float
+    touched: float
+    predicted: float
+    start: tuple[float, float, float]
+    present: tuple[float, float, float]
+    sticking: int
     next_force: float
     next_slope: float
     next_gap: float
@@ -119,12 +124,15 @@ def contact_edge(
         return gap_radius(skin, contact), reserve, None
     steps = (loads[2] - loads[1]) / force_rate
     continued = creeping and steps > max(MINIMUM_STEPS, MINIMUM_CREEP_TIMES * creep)
-    edge = _continued(force + loads, events, last, before if continued else None)
-    radius = _hermite(force, edge, float(events[1]), float(events[2]))
-    return radius, reserve, edge if creeping else None
+    sticking = int(np.count_nonzero(contact.status == STICK)) if friction > 0.0 else 0
+    edge = _continued(force + loads, events, last, sticking, before if continued else None)
+    edge = _moved(edge, force, float(events[2] - events[1]))
+    return float(events[1]) + edge.present[1], reserve, edge if creeping else None
 
 
-def _continued(forces: np.ndarray, radii: np.ndarray, last: int, before: Edge | None) -> Edge:
+def _continued(
+    forces: np.ndarray, radii: np.ndarray, last: int, sticking: int, before: Edge | None
+) -> Edge:
     """The edge between the inner two of four events (forces, radii), the second of which is of node
     `last`.
 
@@ -132,26 +140,34 @@ def _continued(forces: np.ndarray, radii: np.ndarray, last: int, before: Edge | 
     """
     gaps = np.diff(forces)
     rates = np.diff(radii) / gaps
+    touched = predicted = float(forces[1])
     slope = float((rates[0] * gaps[1] + rates[1] * gaps[0]) / (gaps[0] + gaps[1]))
-    force, previous_gap, gap_correction = float(forces[1]), math.nan, 1.0
+    start = touched, 0.0, slope
+    previous_gap, gap_correction = math.nan, 1.0
     if before is not None and before.last in (last - 1, last):
         touched_now = before.last == last - 1
-        predicted = before.next_force if touched_now else before.predicted_force
-        if abs(predicted - force) < MAXIMUM_CHANGE * gaps[1]:
-            force, slope = before.force, before.slope
-            previous_gap, gap_correction = before.previous_gap, before.gap_correction
+        expected = before.next_force if touched_now else before.predicted
+        changed = sticking != before.sticking
+        limit = MAXIMUM_CHANGE_INSIDE if changed else MAXIMUM_CHANGE
+        if abs(expected - predicted) < limit * gaps[1]:
             if touched_now:
-                error = (before.next_force - before.force) / before.previous_gap
+                error = (before.next_force - before.touched) / before.previous_gap
                 known = math.isfinite(error)
                 gap_correction = float(np.clip(error, *CORRECTION_RANGE)) if known else 1.0
-                force, slope, previous_gap = before.next_force, before.next_slope, before.next_gap
-    gap, next_gap = float(forces[2]) - force, gap_correction * float(gaps[2])
+                touched, previous_gap = before.next_force, before.next_gap
+                start = touched, 0.0, before.next_slope
+            else:
+                touched, start = before.touched, before.present if changed else before.start
+                previous_gap, gap_correction = before.previous_gap, before.gap_correction
+    gap, next_gap = float(forces[2]) - touched, gap_correction * float(gaps[2])
     rates = np.diff(radii[1:]) / [gap, next_gap]
     return Edge(
         last=last,
-        predicted_force=float(forces[1]),
-        force=force,
-        slope=slope,
+        touched=touched,
+        predicted=predicted,
+        start=start,
+        present=start,
+        sticking=sticking,
         next_force=float(forces[2]),
         next_slope=float((rates[0] * next_gap + rates[1] * gap) / (gap + next_gap)),
         next_gap=float(gaps[2]),
@@ -160,15 +176,15 @@ def _continued(forces: np.ndarray, radii: np.ndarray, last: int, before: Edge | 
     )
 
 
-def _hermite(force: float, edge: Edge, inner: float, outer: float) -> float:
-    """Radius (m) at a force (N/rad) between events at radii `inner` and `outer` (m)."""
-    width = edge.next_force - edge.force
-    u = (force - edge.force) / width
-    return float(
-        (1 + 2 * u) * (1 - u) ** 2 * inner
-        + u * u * (3 - 2 * u) * outer
-        + width * u * (1 - u) * ((1 - u) * edge.slope - u * edge.next_slope)
-    )
+def _moved(edge: Edge, force: float, rise: float) -> Edge:
+    """The edge at a force (N/rad), on the cubic to the next event `rise` (m) beyond the last."""
+    begin, radius, slope = edge.start
+    width = edge.next_force - begin
+    u, first, last = (force - begin) / width, width * slope, width * edge.next_slope
+    square, cube = 3 * (rise - radius) - 2 * first - last, first + last - 2 * (rise - radius)
+    radius += u * (first + u * (square + u * cube))
+    slope = (first + u * (2 * square + 3 * u * cube)) / width
+    return replace(edge, present=(force, radius, slope))
 
 
 def _event_loads(
