@@ -56,10 +56,11 @@ class Edge:
 
     last: outermost skin node in contact; touched: force at which it touched; predicted: the same
     as the present step alone predicts it. start: where the curve to the next event begins; present:
-    where it is; both force, radius (m) beyond that of the last event, and dr/dF. sticking: number of
-    sticking nodes. next_force, next_slope: predicted for the next node. next_gap: predicted force from the
-    next event to the one after it. previous_gap: what was predicted for the present gap when it was
-    the next one, NaN if unknown. gap_correction: true over predicted gap at the last event.
+    where it is; both force, radius (m) beyond that of the last event, and dr/dF. sticking: number
+    of sticking nodes. next_force, next_slope: predicted for the next node. next_gap: predicted
+    force from the next event to the one after it. previous_gap: what was predicted for the present
+    gap when it was the next one, NaN if unknown. gap_correction: true over predicted gap at the
+    last event.
     """
 
     last: int
