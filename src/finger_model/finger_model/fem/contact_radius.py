@@ -44,7 +44,8 @@ the four predicted events have similar errors, and the curve through them is the
 
 MAXIMUM_CHANGE, MAXIMUM_CHANGE_INSIDE = 0.02, 0.1
 """Largest change, from step to step, of the last event's predicted force over the distance of two
-events. Beyond it the load path has changed, and the curve starts again."""
+events; the second where a node inside began to stick or slip. Beyond it the load path has changed,
+and the curve starts again."""
 
 CORRECTION_RANGE = (0.8, 1.25)
 """Smallest and largest correction of a predicted gap between events."""
