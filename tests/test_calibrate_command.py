@@ -178,24 +178,22 @@ def test_the_zero_is_taken_with_nothing_on_the_plate(
     assert "touched during the tare" in child.output.read_text()
 
 
-@pytest.mark.parametrize("when", ["during the presses", "while they are fitted"])
-def test_ctrl_c_says_what_became_of_the_session(
-    rig: Rig,
-    protocol: Callable[..., Any],
-    calibrate: Callable[..., Any],
-    tmp_path: Path,
-    when: str,
+def test_ctrl_c_during_the_presses_ends_the_session(
+    rig: Rig, protocol: Callable[..., Any], calibrate: Callable[..., Any]
 ) -> None:
-    if when == "during the presses":
-        protocol()
-        child = calibrate()
-        until(said(child, "press 1 of 9"))
-        child.send_signal(signal.SIGINT)
-        assert child.wait(30) == 0
-        assert child.output.read_text().endswith("aborted; nothing was written\n")
-        until(lambda: rig.trials[-1].phase == TrialPhase.IDLE)
-        assert "aborted" in rig.trials[-1].note
-        return
+    protocol()
+    child = calibrate()
+    until(said(child, "press 1 of 9"))
+    child.send_signal(signal.SIGINT)
+    assert child.wait(30) == 0
+    assert child.output.read_text().endswith("aborted; nothing was written\n")
+    until(lambda: rig.trials[-1].phase == TrialPhase.IDLE)
+    assert "aborted" in rig.trials[-1].note
+
+
+def test_ctrl_c_while_the_presses_are_fitted_leaves_the_result(
+    rig: Rig, calibrate: Callable[..., Any], tmp_path: Path
+) -> None:
     # In the place of the protocol node: a session whose presses are all made.
     node = rclpy.create_node("protocol", namespace="finger", context=rig._context)
     rig._executor.add_node(node)
