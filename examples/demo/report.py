@@ -121,9 +121,10 @@ in images, estimated at the force rate with the shipped parameters, and true.</p
 {parameter_table(results)}
 {picture("parameters", "Fitted over true value of each parameter")}
 <p class="note">Bars are 95 % intervals by profile likelihood; for a parameter that is not
-identifiable from these data, the bar extends to the ends of the search box. Presses of 0.5–2 s
-identify only the composite modulus E and E2: E0 and E1 trade off, and a small τ1 has no visible
-effect.</p>
+identifiable from these data, the bar extends to the ends of the search box. So few presses tell
+little of a single parameter, although the model describes their areas well: E2, E1 and E0 can
+replace one another in part, and a small τ1 has no visible effect. More presses make the intervals
+narrower.</p>
 <h2>J of the model and of the power law</h2>
 {picture("cost", "J of model, truth and power law")}
 <p class="note">J is the sum over presses of the mean squared difference of area, on the same frames
