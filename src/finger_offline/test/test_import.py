@@ -27,6 +27,7 @@ from finger_common.files import read_csv
 from finger_common.image_size import ALL_PIXELS, PixelBudget
 from finger_common.units import FORCE_UNITS
 from finger_driver.protocols.export_table import TableFormat, parse_table
+from finger_offline.importing.cells import stamp_of
 from finger_offline.importing.settings import ImportSettings
 from finger_offline.importing.tables import Table, of_rows, read_table
 from finger_offline.importing.trial import import_trial
@@ -1025,3 +1026,8 @@ def test_an_indentation_of_another_lab_is_read_by_a_mapping(tmp_path: Path) -> N
         TopicMapping.from_mapping({"topics": {"indentation": {**entry, "sign": "up"}}})
     with pytest.raises(InputError, match="'sign', which is for indentation"):
         TopicMapping.from_mapping({"topics": {"wrench": {"topic": "/w", "sign": "negative"}}})
+
+
+def test_times_of_any_number_of_decimals_are_read_by_every_python() -> None:
+    assert stamp_of("2024-05-01T13:45:10.25Z") == 1_714_571_110_250_000_000
+    assert stamp_of("01.05.2024 13:45:10,5") == 1_714_571_110_500_000_000

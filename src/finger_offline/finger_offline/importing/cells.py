@@ -129,7 +129,9 @@ def stamp_of(cell: Any) -> int:
         text = _DAY_FIRST.sub(lambda m: f"{m[3]}-{m[2]:0>2}-{m[1]:0>2}", text, count=1)
         text = _YEAR_FIRST.sub(lambda m: f"{m[1]}-{m[2]:0>2}-{m[3]:0>2}", text, count=1)
         text = re.sub(r"^(\d{4}-\d\d-\d\d)?[ T]*(\d):", r"\1 0\2:", text).strip()
-        text = re.sub(r"(\.\d{6})\d+", r"\1", text)
+        # As Python 3.10 takes them, too: six decimals, no letter for UTC.
+        text = re.sub(r"\.(\d{1,6})\d*", lambda m: "." + m[1].ljust(6, "0"), text)
+        text = re.sub(r"[zZ]$", "+00:00", text)
         cell = datetime.fromisoformat(text if "-" in text[:5] else f"1970-01-01T{text}")
     elif isinstance(cell, time):
         cell = datetime.combine(date(1970, 1, 1), cell)
