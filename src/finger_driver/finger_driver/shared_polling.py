@@ -70,6 +70,7 @@ class _Seat:
         self.ended = ended
         self.released = threading.Event()
         self.error: BaseException | None = None
+        self.rest: Rest = None
 
 
 class SharedPolling:
@@ -86,9 +87,9 @@ class SharedPolling:
     ) -> None:
         """Have the device polled until it needs its own thread, the caller's, or `ended()`.
 
-        Samples go to `deliver`, in the shared thread. What it returns is called once the samples of
-        all devices that replied at the same time were delivered: work that nobody waits for. Raises
-        what the device or `deliver` raised.
+        Samples go to `deliver`, in the shared thread. What it returns is called when no other
+        device's reply waits, and before this device's next sample: work that nobody waits for.
+        Raises what the device or `deliver` raised.
         """
         seat = _Seat(device, deliver, ended)
         with self._change:
@@ -113,21 +114,30 @@ class SharedPolling:
                     wake = min(wake, device.deadline if device.asked else device.due)
                 else:
                     seats.remove(seat)
+                    self._finish(seat)
                     seat.released.set()
             if not seats:
                 continue
-            asked = [seat for seat in seats if seat.device.asked]
             left = max(0.0, wake - time.monotonic())
-            try:
-                awaited: list[Any] = [self._woken, *(seat.device for seat in asked)]
-                found, _, _ = select.select(awaited, [], [], left)
-            except Exception:
-                # One was closed meanwhile; it will say so itself.
-                found = [seat.device for seat in asked]
-            ready = [seat for seat in asked if seat.device in found]
-            rests = [self._take(seat) for seat in ready]
-            for seat, rest in zip(ready, rests):
-                self._finish(seat, rest)
+            replied = self._replied(seats, left)
+            for seat in sorted(replied, key=lambda seat: seat.rest is not None):
+                self._take(seat)
+            for seat in seats:
+                if seat.rest is not None and self._replied(seats, 0.0):
+                    break  # Their samples come first.
+                self._finish(seat)
+
+    def _replied(self, seats: list[_Seat], wait: float) -> list[_Seat]:
+        """Those of which something has come, at the latest after `wait` (s); ends early when a
+        device joins."""
+        asked = [seat for seat in seats if seat.device.asked]
+        try:
+            awaited: list[Any] = [self._woken, *(seat.device for seat in asked)]
+            found, _, _ = select.select(awaited, [], [], wait)
+        except Exception:
+            # One was closed meanwhile; it will say so itself.
+            return asked
+        return [seat for seat in asked if seat.device in found]
 
     def _admit(self, seats: list[_Seat]) -> bool:
         """Take in the devices that join; False when there are none for long."""
@@ -161,16 +171,17 @@ class SharedPolling:
             return False
         return True
 
-    def _take(self, seat: _Seat) -> Rest:
+    def _take(self, seat: _Seat) -> None:
+        self._finish(seat)
         try:
             sample = seat.device.reply()
             if sample is not None and not seat.ended():
-                return seat.deliver(sample)
+                seat.rest = seat.deliver(sample)
         except BaseException as error:
             seat.error = error
-        return None
 
-    def _finish(self, seat: _Seat, rest: Rest) -> None:
+    def _finish(self, seat: _Seat) -> None:
+        rest, seat.rest = seat.rest, None
         try:
             if rest is not None:
                 rest()

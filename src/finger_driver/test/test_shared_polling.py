@@ -255,3 +255,46 @@ def test_what_can_wait_is_done_when_all_that_replied_were_served(fails):
     for begin in range(0, 16, 4):
         assert sorted(turns[begin : begin + 2]) == ["state a", "state b"]
         assert sorted(turns[begin + 2 : begin + 4]) == ["rest a", "rest b"]
+
+
+class LateDevice(PipeDevice):
+    """One whose reply comes when `arrive` is called."""
+
+    def request(self) -> None:
+        self.asked = True
+
+    def arrive(self) -> None:
+        if self.asked:
+            os.write(self._writer, b"\0")
+
+
+def test_a_reply_that_comes_meanwhile_goes_before_what_can_wait():
+    done: list[str] = []
+    first, late = PipeDevice("first"), LateDevice("late")
+
+    def deliver(name: str):
+        done.append(f"state {name}")
+        if name == "first" and late.asked:
+            late.arrive()
+            done[-1] += ", late arrives"
+        return lambda: done.append(f"rest {name}")
+
+    def ended() -> bool:
+        return done.count("state late") > 20
+
+    polling = SharedPolling()
+    threads = [
+        threading.Thread(target=polling.serve, args=(d, deliver, ended), daemon=True)
+        for d in (first, late)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(20.0)
+        assert not thread.is_alive()
+    for device in (first, late):
+        device.close()
+    arrivals = [i for i, what in enumerate(done) if what.endswith("arrives")]
+    assert len(arrivals) > 15
+    for i in arrivals[:15]:
+        assert done[i + 1 : i + 3] == ["state late", "rest first"]
