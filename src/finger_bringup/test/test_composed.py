@@ -44,7 +44,7 @@ class BrokenModel(ModelNode):
         if Path({flag!r}).exists():
             Path({flag!r}).unlink()
             raise ZeroDivisionError("a defect of the model")
-        super()._on_sample(*sample)
+        return super()._on_sample(*sample)
 
 main = main_of(BrokenModel)
 """

@@ -89,3 +89,30 @@ def test_a_subscriber_that_raises_is_left_out_and_the_others_go_on(node: Any) ->
     assert [str(error) for error in failures] == ["a defect"]
     for end in (bad, good, publisher):
         end.close()
+
+
+def test_what_can_wait_is_left_to_the_publisher_and_guarded_too(node: Any) -> None:
+    done: list[str] = []
+    failures: list[Exception] = []
+
+    def listen(number: int):
+        done.append(f"sample {number}")
+
+        def rest() -> None:
+            if number == 1:
+                raise ZeroDivisionError("a defect")
+            done.append(f"rest {number}")
+
+        return rest
+
+    subscription = LocalSubscription(node, "wrench", listen, failures.append)
+    publisher = LocalPublisher(node, "wrench")
+    for number in range(3):
+        rests = publisher.send(number)
+        done.append("sent")
+        for rest in rests:
+            rest()
+    assert done == ["sample 0", "sent", "rest 0", "sample 1", "sent", "sent"]
+    assert [str(error) for error in failures] == ["a defect"]
+    subscription.close()
+    publisher.close()

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -136,11 +137,20 @@ class ForceNode(DeviceNode):
             if bias is not None:
                 tared = self.device.wrench_of(sample.channels - bias).tolist()
         # First to whom a delay matters.
-        self._local.send(sample.stamp_ns, tuple(tared[:3]), self._frame, received, tuple(tared[3:]))
+        force, torque = tuple(tared[:3]), tuple(tared[3:])
+        rests = self._local.send(sample.stamp_ns, force, self._frame, received, torque)
         self._newest = tared
-        return partial(self._publish, divmod(sample.stamp_ns, NANOSECONDS), tared, raw)
+        return partial(self._finish, rests, divmod(sample.stamp_ns, NANOSECONDS), tared, raw)
 
-    def _publish(self, stamp: tuple[int, int], tared: list[float], raw: list[float]) -> None:
+    def _finish(
+        self,
+        rests: list[Callable[[], None]],
+        stamp: tuple[int, int],
+        tared: list[float],
+        raw: list[float],
+    ) -> None:
+        for rest in rests:
+            rest()
         self._tared.publish(self._message.pack(*stamp, *tared))
         self._raw.publish(self._message.pack(*stamp, *raw))
 

@@ -17,6 +17,7 @@ import time
 from array import array
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -408,14 +409,20 @@ class ModelNode(ManagedNode):
         """
         if self._local is None or self._local.fed:
             return
-        self._on_sample(*_sample_of(message, info))
+        self._follow(*_sample_of(message, info))
         handle = self._wrench.handle
         for _ in range(SAMPLES_PER_CALLBACK):
             with handle:
                 taken = handle.take_message(WrenchStamped, False)
             if taken is None:
                 return
-            self._on_sample(*_sample_of(*taken))
+            self._follow(*_sample_of(*taken))
+
+    def _follow(self, *sample: Any) -> None:
+        """All of a sample at once."""
+        rest = self._on_sample(*sample)
+        if rest is not None:
+            rest()
 
     def _on_sample(
         self,
@@ -424,13 +431,14 @@ class ModelNode(ManagedNode):
         frame: str,
         received: int,
         torque: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    ) -> None:
+    ) -> Callable[[], None] | None:
         """One sample: stamp (ns), force (3,) in N, its frame, when it came (ns), torque (3,) in
-        N m."""
+        N m. Returns what is left to do, slip and shape: the states of other fingers come first."""
+        left = []
         with self._lock:
             estimator = self.estimator
             if not self._active or estimator is None:
-                return
+                return None
             if not self._started:
                 self._started = True
                 self._publish_event(estimator.start_event(stamp))
@@ -453,15 +461,24 @@ class ModelNode(ManagedNode):
                 self._flags |= estimate.flags
                 self.health.sample()
                 # A sample that waited for its successor comes with it.
-                own = force if estimate.stamp_ns == stamp else before
-                self._publish_slip(estimate, own, frame)
-                own_torque = torque if estimate.stamp_ns == stamp else before_torque
-                self._publish_shape(estimate, own, own_torque, frame)
+                if estimate.stamp_ns == stamp:
+                    left.append((estimate, force, torque))
+                else:
+                    left.append((estimate, before, before_torque))
+        return partial(self._publish_slip_and_shape, left, frame) if left else None
+
+    def _publish_slip_and_shape(self, estimates: list[tuple[Any, ...]], frame: str) -> None:
+        with self._lock:
+            if not self._active or self.estimator is None:
+                return
+            for estimate, force, torque in estimates:
+                self._publish_slip(estimate, force, frame)
+                self._publish_shape(estimate, force, torque, frame)
 
     def _publish_slip(
         self, estimate: ContactEstimate, force: tuple[float, float, float], frame: str
     ) -> None:
-        """Slip of the sample; after the state, which nothing shall delay."""
+        """Slip of the sample."""
         assert self._slip is not None
         found = self._slip.add(estimate, force)
         now = time.monotonic()

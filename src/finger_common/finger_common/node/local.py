@@ -13,11 +13,14 @@ from __future__ import annotations
 import threading
 from collections import defaultdict
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from rclpy.node import Node
 
-Deliver = Callable[..., None]
+Rest = Callable[[], None]
+"""What is left to do with a sample when those of others have been delivered."""
+Deliver = Callable[..., Rest | None]
 
 _lock = threading.Lock()
 _publishers: dict[tuple[int, str], list[LocalPublisher]] = defaultdict(list)
@@ -36,14 +39,15 @@ class LocalPublisher:
         with _lock:
             _publishers[self._topic].append(self)
 
-    def send(self, *sample: Any) -> None:
-        """Call every subscriber of this process with the sample; returns when all have it.
+    def send(self, *sample: Any) -> list[Rest]:
+        """Call every subscriber of this process with the sample; returns when all have it, with
+        what is left to do, which the caller calls before it sends the next sample.
 
         A subscriber that raises gets no further sample, and its node fails as by an error in any
         other callback of it; publisher and other subscribers go on.
         """
-        for subscription in _subscriptions[self._topic]:
-            subscription.deliver(sample)
+        rests = [subscription.deliver(sample) for subscription in _subscriptions[self._topic]]
+        return [rest for rest in rests if rest is not None]
 
     def close(self) -> None:
         """The topic comes from here no longer."""
@@ -54,8 +58,8 @@ class LocalPublisher:
 class LocalSubscription:
     """Samples of a topic from the nodes of this process.
 
-    callback: called in the publisher's thread with what was sent. fail: called with the error when
-    it raises, in the same thread.
+    callback: called in the publisher's thread with what was sent; it may return what can wait,
+    which is called in that thread too. fail: called with the error when one of them raises.
     """
 
     def __init__(
@@ -72,13 +76,18 @@ class LocalSubscription:
         """Whether a node of this process publishes the topic."""
         return bool(_publishers[self._topic])
 
-    def deliver(self, sample: tuple[Any, ...]) -> None:
-        """Pass a sample on."""
+    def deliver(self, sample: tuple[Any, ...]) -> Rest | None:
+        """Pass a sample on; returns what is left to do with it."""
+        rest = self._guarded(self._callback, *sample)
+        return None if rest is None else partial(self._guarded, rest)
+
+    def _guarded(self, function: Callable[..., Any], *values: Any) -> Any:
         try:
-            self._callback(*sample)
+            return function(*values)
         except Exception as error:
             self.close()
             self._fail(error)
+            return None
 
     def close(self) -> None:
         """Take no more samples. May be called twice."""
