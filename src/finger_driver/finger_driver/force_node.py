@@ -21,7 +21,7 @@ from std_srvs.srv import Trigger
 from finger_common.axes import DEFAULT_NORMAL_AXIS, NORMAL_AXES, normal_force
 from finger_common.diagnostics import WARN
 from finger_common.errors import DeviceError
-from finger_common.node import FixedMessage, LocalPublisher, main_of
+from finger_common.node import FixedMessage, Listeners, LocalPublisher, main_of
 from finger_common.settings import setting
 from finger_common.stamps import NANOSECONDS
 
@@ -94,6 +94,7 @@ class ForceNode(DeviceNode):
         qos = self.stream_qos(publisher=True)
         self._raw = self.create_stream_publisher(WrenchStamped, "wrench_raw", qos)
         self._tared = self.create_stream_publisher(WrenchStamped, "wrench", qos)
+        self._wrenches = [(p, Listeners(p)) for p in (self._tared, self._raw)]
         self._local = LocalPublisher(self, "wrench")
         self._message = FixedMessage(WrenchStamped(header=Header(frame_id=self._frame)))
         self._tare_services = [
@@ -151,8 +152,9 @@ class ForceNode(DeviceNode):
     ) -> None:
         for rest in rests:
             rest()
-        self._tared.publish(self._message.pack(*stamp, *tared))
-        self._raw.publish(self._message.pack(*stamp, *raw))
+        for (publisher, listeners), wrench in zip(self._wrenches, (tared, raw)):
+            if listeners.present():
+                publisher.publish(self._message.pack(*stamp, *wrench))
 
     # Services --------------------------------------------------------------------------------
 

@@ -41,6 +41,7 @@ from finger_common.node import (
     LATCHED_QOS,
     STATE_QOS,
     FixedMessage,
+    Listeners,
     LocalSubscription,
     ManagedNode,
     PolledSubscription,
@@ -90,9 +91,6 @@ from .reduced.model import ReducedModel, load_population
 from .slip import SlipEstimator, SlipSettings
 from .subjects import PressCollector, check_folder, save_subject, subject_file
 from .warm_up import warm_up
-
-LOOK = 0.1
-"""s between looks whether anybody listens to the slip: asking costs as much as a sample's slip."""
 
 
 @dataclass(frozen=True)
@@ -217,8 +215,6 @@ class ModelNode(ManagedNode):
         self._slip: SlipEstimator | None = None
         self._force: tuple[float, float, float] = (0.0, 0.0, 0.0)
         self._slip_serializer: tuple[str, FixedMessage] | None = None
-        self._slip_wanted = False
-        self._slip_look = 0.0
         self._pose: PoseEstimator | None = None
         self._torque: tuple[float, float, float] = (0.0, 0.0, 0.0)
         self._shape_serializer: tuple[str, FixedMessage] | None = None
@@ -253,6 +249,7 @@ class ModelNode(ManagedNode):
         self._slip_publisher = self.create_stream_publisher(
             ContactSlip, "contact_slip", self.stream_qos(publisher=True)
         )
+        self._slip_listeners = Listeners(self._slip_publisher)
         self._shape_publisher = self.create_stream_publisher(
             ContactShape, "contact_shape", self.stream_qos(publisher=True)
         )
@@ -481,11 +478,7 @@ class ModelNode(ManagedNode):
         """Slip of the sample."""
         assert self._slip is not None
         found = self._slip.add(estimate, force)
-        now = time.monotonic()
-        if now >= self._slip_look:
-            self._slip_look = now + LOOK
-            self._slip_wanted = self._slip_publisher.get_subscription_count() > 0
-        if not self._slip_wanted:
+        if not self._slip_listeners.present():
             return
         if self._slip_serializer is None or self._slip_serializer[0] != frame:
             prototype = ContactSlip(header=Header(frame_id=frame))

@@ -17,7 +17,7 @@ from .managed import FrameSettings, ManagedNode, NodeSettings
 from .polling import POLLED_DEPTH, PolledSubscription
 from .qos import EVENTS_QOS, LATCHED_QOS, STATE_QOS
 from .running import main_of, run_node, use_large_shared_memory
-from .serialized import FixedMessage
+from .serialized import FixedMessage, Listeners
 from .waiting import WaitedSubscription
 
 __all__ = [
@@ -28,6 +28,7 @@ __all__ = [
     "STATE_QOS",
     "FixedMessage",
     "FrameSettings",
+    "Listeners",
     "LocalPublisher",
     "LocalSubscription",
     "ManagedNode",

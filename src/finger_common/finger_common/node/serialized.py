@@ -9,7 +9,10 @@ rclpy takes about 40 µs to fill a WrenchStamped and to serialize it; packing it
 from __future__ import annotations
 
 import struct
+import time
 from typing import Any
+
+from rclpy.qos import DurabilityPolicy
 
 _ENCAPSULATION = b"\x00\x01\x00\x00"
 """OMG CDR, little endian."""
@@ -28,6 +31,29 @@ _FORMATS = {
     "float": "f",
     "double": "d",
 }
+
+
+LOOK = 0.1
+"""s between two looks whether somebody listens."""
+
+
+class Listeners:
+    """Whether somebody receives what a publisher sends; samples of a fast stream that nobody
+    receives need not be packed."""
+
+    def __init__(self, publisher: Any) -> None:
+        self._publisher = publisher
+        # What is kept for those that come later is received by them.
+        self._always = publisher.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        self._present, self._next = False, 0.0
+
+    def present(self) -> bool:
+        """Whether there is one; known anew after LOOK."""
+        now = time.monotonic()
+        if now >= self._next:
+            self._next = now + LOOK
+            self._present = self._always or self._publisher.get_subscription_count() > 0
+        return self._present
 
 
 class FixedMessage:
