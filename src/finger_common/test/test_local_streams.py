@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -14,11 +15,17 @@ import pytest
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from geometry_msgs.msg import WrenchStamped  # noqa: E402
+from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
 from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
 from sensor_msgs.msg import Image, Temperature  # noqa: E402
 from std_msgs.msg import Header  # noqa: E402
 
-from finger_common.node import FixedMessage, LocalPublisher, LocalSubscription  # noqa: E402
+from finger_common.node import (  # noqa: E402
+    FixedMessage,
+    Listeners,
+    LocalPublisher,
+    LocalSubscription,
+)
 
 
 @pytest.fixture
@@ -116,3 +123,25 @@ def test_what_can_wait_is_left_to_the_publisher_and_guarded_too(node: Any) -> No
     assert [str(error) for error in failures] == ["a defect"]
     subscription.close()
     publisher.close()
+
+
+def test_listeners_are_seen_when_they_come_and_go(node: Any) -> None:
+    qos = QoSProfile(depth=1)
+    listeners = Listeners(node.create_publisher(WrenchStamped, "seen", qos))
+
+    def seen(wanted: bool) -> bool:
+        end = time.monotonic() + 20.0
+        while listeners.present() != wanted and time.monotonic() < end:
+            time.sleep(0.01)
+        return listeners.present() == wanted
+
+    assert not listeners.present()
+    subscription = node.create_subscription(WrenchStamped, "seen", lambda _: None, qos)
+    assert seen(True)
+    node.destroy_subscription(subscription)
+    assert seen(False)
+
+
+def test_what_is_kept_for_later_listeners_always_has_some(node: Any) -> None:
+    qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    assert Listeners(node.create_publisher(WrenchStamped, "kept", qos)).present()
