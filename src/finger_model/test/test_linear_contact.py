@@ -12,7 +12,7 @@ import pytest
 
 from finger_model.fem.full_order import FullOrderModel
 from finger_model.fem.linear_contact import LinearContact
-from finger_model.fem.mesh import similar_mesh
+from finger_model.fem.mesh import EPIDERMIS, finger_mesh, similar_mesh
 from finger_model.geometry import Geometry
 from finger_model.laws import StandardLinearSolid
 
@@ -40,3 +40,28 @@ def test_moduli_and_lengths_scale_out() -> None:
     stiff = replace(MATERIAL, E0=3 * 60e3, E1=3 * 30e3, E2=3 * 1200e3, nail_modulus=3 * 170e6)
     found = LinearContact(Geometry(**doubled)).curve(stiff, 0.5)
     np.testing.assert_allclose(found, base, rtol=1e-6)
+
+
+def test_compliances_tell_meshes_apart_as_the_full_order_does() -> None:
+    depths, ratios = [], []
+    for change in ({}, {"epidermis_thickness": 0.6e-3}, {"bone_semi_axis_axial": 4.5e-3}):
+        geometry = replace(GEOMETRY, **change)
+        for share, step in ((1.0, 1e-9), (1.0 / 3.0, 1e7)):
+            for mesh in (None, similar_mesh(geometry)):
+                full = FullOrderModel(geometry, mesh=mesh, elasticity="small-strain")
+                depths.append(full.start(MATERIAL).step(step, 0.3 * share).indentation)
+            ratios.append(LinearContact(geometry).meshes(MATERIAL, share)[0])
+    differences = -np.diff(np.log(depths).reshape(-1, 2))[:, 0]
+    assert np.ptp(differences) > 0.01
+    assert np.corrcoef(differences, ratios)[0, 1] > 0.95
+
+
+def test_spacings_are_those_of_the_default_mesh() -> None:
+    along, through = LinearContact(GEOMETRY).meshes(MATERIAL, 1.0)[1:]
+    mesh = finger_mesh(GEOMETRY)
+    skin = mesh.nodes[mesh.surface]
+    length = GEOMETRY.pad_semi_axis_radial
+    assert along == pytest.approx(skin[1, 0] / length)
+    layers = GEOMETRY.epidermis_thickness / (through * length)
+    assert layers == pytest.approx(round(layers))
+    assert np.sum(mesh.part == EPIDERMIS) == round(layers) * (len(skin) - 1)

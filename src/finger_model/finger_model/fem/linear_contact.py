@@ -1,7 +1,7 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Frictionless contact of a linear elastic finger at small strain: rough, but within a millisecond.
+"""Frictionless contact of a linear elastic finger at small strain: rough, but within milliseconds.
 
 The flat plate touches skin nodes 0 … k from the axis outwards; at the last of them the pressure is
 zero. Each k gives one force, area and indentation, by the flexibility of the skin nodes.
@@ -19,31 +19,72 @@ from ..geometry import Geometry
 from ..laws import UNIT, MaxwellLaw
 from . import elements
 from .equilibrium import Equilibrium
-from .mesh import BULK, EPIDERMIS, NAIL, similar_mesh
+from .mesh import BULK, EPIDERMIS, NAIL, Mesh, finger_mesh, similar_mesh
 from .mesh_material import elastic_moduli
 
 FIRST = 3
 """Fewest nodes in contact."""
+PRESSED = 0.35
+"""Radius of the pressure by which two meshes are compared, over the pad's radial semi-axis."""
+HERTZIAN_RINGS = 1000
+"""Rings into which that pressure is divided among the nodes."""
 
 
 class LinearContact:
-    """Linear contact of one geometry on `similar_mesh`."""
+    """Linear contact of one geometry on `similar_mesh`, and how the default mesh differs."""
 
     def __init__(self, geometry: Geometry) -> None:
-        self._mesh = mesh = similar_mesh(geometry)
         self.length = geometry.pad_semi_axis_radial
+        self._coarse = _Linear(similar_mesh(geometry))
+        self._default = _Linear(finger_mesh(geometry))
+
+    def curve(self, material: MaxwellLaw, share: float) -> np.ndarray:
+        """Rows (n, 3) of rising load: ln x, ln(A/L²), ln(δ/L), x = (F/(E L²))^(1/3).
+
+        The bulk tissue has the shear modulus G0 and the modulus E = E0, each times `share`, and its
+        full bulk modulus.
+        """
+        mesh = self._coarse
+        flexibility = mesh.displacements(material, share, np.eye(len(mesh.radius)))
+        scale = material.instantaneous_modulus * share * self.length**2
+        rows = _rows(np.ascontiguousarray(flexibility), mesh.gap)
+        rows = rows[rows[:, 0] > 0.0]
+        x = np.log(rows[:, 0] / scale) / 3.0
+        area = np.log(math.pi * (mesh.radius[rows[:, 2].astype(int)] / self.length) ** 2)
+        rising = np.concatenate([[True], x[1:] > np.maximum.accumulate(x)[:-1]])
+        return np.column_stack([x, area, np.log(rows[:, 1] / self.length)])[rising]
+
+    def meshes(self, material: MaxwellLaw, share: float) -> np.ndarray:
+        """What tells the default mesh from `similar_mesh` (3,): logarithm of the ratio of their
+        compliances to the pressure of Hertz over PRESSED; node spacing on the axis over L, along
+        the skin and through it."""
+        compliances = []
+        for mesh in (self._default, self._coarse):
+            load = mesh.hertzian_load(PRESSED * self.length)
+            compliances.append(load @ mesh.displacements(material, share, load[:, None])[:, 0])
+        ratio = math.log(compliances[0] / compliances[1])
+        return np.array([ratio, *(self._default.spacing / self.length)])
+
+
+class _Linear:
+    """Small elastic displacements of a mesh, its moduli in each part being free."""
+
+    def __init__(self, mesh: Mesh) -> None:
         solver = Equilibrium(mesh)
-        self._parts = [np.flatnonzero(mesh.part == part) for part in (BULK, EPIDERMIS, NAIL)]
+        self._part = mesh.part
+        self._cells = [np.flatnonzero(mesh.part == part) for part in (BULK, EPIDERMIS, NAIL)]
         # The stiffness is a sum over shear and bulk modulus of each part.
         self._bands = np.array(
-            [self._band(solver, cells, shear) for cells in self._parts for shear in (True, False)]
+            [self._band(solver, cells, shear) for cells in self._cells for shear in (True, False)]
         )
         self._fixed = solver.fixed
         self._axial = solver.axial
-        self._loads = np.zeros((solver.unknowns, len(mesh.surface)), order="F")
-        self._loads[solver.axial, np.arange(len(mesh.surface))] = 1.0
         skin = mesh.nodes[mesh.surface]
-        self._radius, self._gap = skin[:, 0].copy(), skin[:, 1] - skin[:, 1].min()
+        self.radius, self.gap = skin[:, 0].copy(), skin[:, 1] - skin[:, 1].min()
+        on_axis = mesh.surface[0]
+        self.spacing = np.array(
+            [skin[1, 0] - skin[0, 0], mesh.nodes[on_axis - 1, 1] - mesh.nodes[on_axis, 1]]
+        )
 
     @staticmethod
     def _band(solver: Equilibrium, cells: np.ndarray, shear: bool) -> np.ndarray:
@@ -55,28 +96,31 @@ class LinearContact:
         solver.assemble(solver.mesh.nodes, elements.Stiffness(metric, elements.NO_SLOPE, bulk))
         return solver.band.copy()
 
-    def curve(self, material: MaxwellLaw, share: float) -> np.ndarray:
-        """Rows (n, 3) of rising load: ln x, ln(A/L²), ln(δ/L), x = (F/(E L²))^(1/3).
-
-        The bulk tissue has the shear modulus G0 and the modulus E = E0, each times `share`, and its
-        full bulk modulus.
-        """
-        shear, bulk = elastic_moduli(material, self._mesh.part)
-        shear[self._parts[0]] = material.instantaneous_shear_modulus * share
+    def displacements(self, material: MaxwellLaw, share: float, loads: np.ndarray) -> np.ndarray:
+        """Axial displacements (S, n) of the skin nodes under axial forces (S, n) on them (N/rad),
+        the bulk tissue having `share` of its shear modulus."""
+        shear, bulk = elastic_moduli(material, self._part)
+        shear[self._cells[0]] = material.instantaneous_shear_modulus * share
         moduli = [
-            m[cells[0]] if len(cells) else 0.0 for cells in self._parts for m in (shear, bulk)
+            m[cells[0]] if len(cells) else 0.0 for cells in self._cells for m in (shear, bulk)
         ]
         band = np.tensordot(np.array(moduli), self._bands, 1)
         elements.hold(band, self._fixed)
         factor, _ = dpbtrf(band.T, lower=1, overwrite_ab=1)
-        flexibility = dpbtrs(factor, self._loads, lower=1)[0][self._axial]
-        scale = material.instantaneous_modulus * share * self.length**2
-        rows = _rows(np.ascontiguousarray(flexibility), self._gap)
-        rows = rows[rows[:, 0] > 0.0]
-        x = np.log(rows[:, 0] / scale) / 3.0
-        area = np.log(math.pi * (self._radius[rows[:, 2].astype(int)] / self.length) ** 2)
-        rising = np.concatenate([[True], x[1:] > np.maximum.accumulate(x)[:-1]])
-        return np.column_stack([x, area, np.log(rows[:, 1] / self.length)])[rising]
+        right = np.zeros((len(band), loads.shape[1]), order="F")
+        right[self._axial] = loads
+        return dpbtrs(factor, right, lower=1, overwrite_b=1)[0][self._axial]
+
+    def hertzian_load(self, radius: float) -> np.ndarray:
+        """Forces (S,) on the skin nodes of a pressure √(1 − (r/radius)²), in all 1 N/rad."""
+        r = radius * (np.arange(HERTZIAN_RINGS) + 0.5) / HERTZIAN_RINGS
+        force = np.sqrt(1.0 - (r / radius) ** 2) * r
+        node = np.searchsorted(self.radius, r) - 1
+        outer = (r - self.radius[node]) / (self.radius[node + 1] - self.radius[node])
+        number = len(self.radius)
+        found = np.bincount(node, force * (1.0 - outer), number)
+        found += np.bincount(node + 1, force * outer, number)
+        return found / found.sum()
 
 
 @njit(cache=True)

@@ -74,7 +74,7 @@ def finger_mesh(geometry: Geometry, refinement: float = 1.0) -> Mesh:
     angles = _surface_angles(geometry, spacing)
     layers = max(3, round(geometry.epidermis_thickness / (SKIN_LAYER * spacing)))
     bulk = _bulk_fractions(max(4, round(BULK_LAYERS * refinement)))
-    columns = [_column(geometry, angle, bulk, layers) for angle in angles[::-1]]
+    columns = _columns(geometry, angles, bulk, layers)
     return _assemble(geometry, columns, len(bulk) - 1, max(1, round(NAIL_LAYERS * refinement)))
 
 
@@ -98,7 +98,7 @@ def similar_mesh(geometry: Geometry) -> Mesh:
     positions = np.concatenate([[0.0], np.cumsum(np.concatenate([contact, beyond(growth)]))])
     angles = np.interp(positions / positions[-1] * arc[-1], arc, dense)
     bulk = _bulk_fractions(SIMILAR_BULK)
-    columns = [_column(geometry, angle, bulk, SIMILAR_SKIN, SIMILAR_NAIL) for angle in angles[::-1]]
+    columns = _columns(geometry, angles, bulk, SIMILAR_SKIN, SIMILAR_NAIL)
     return _assemble(geometry, columns, SIMILAR_BULK, 1)
 
 
@@ -139,52 +139,55 @@ def _bulk_fractions(layers: int) -> np.ndarray:
     return even - 0.3 * np.sin(2.0 * math.pi * even) / (2.0 * math.pi)
 
 
-def _column(
-    geometry: Geometry, angle: float, bulk: np.ndarray, layers: int, nail: int | None = None
+def _columns(
+    geometry: Geometry, angles: np.ndarray, bulk: np.ndarray, layers: int, nail: int | None = None
 ) -> np.ndarray:
-    """Nodes (n, 2) from bone to skin at an eccentric angle; the last column has the nail's edge, at
-    its node number `nail` or else at the nearest one.
+    """Nodes (n, m, 2) of columns from bone to skin at rising eccentric angles (n,) up to the top,
+    the top's first; that one has the nail's edge, at its node number `nail` or else at the nearest.
     """
-    top = angle > 0.5 * math.pi * (1 - 1e-12)
-    sine, cosine = math.sin(angle), 0.0 if top else math.cos(angle)
-    bone = np.array([x[0] for x in geometry.bone_profile(np.array([angle / (0.5 * math.pi)]))])
-    if top:
-        bone[1] = 0.0
+    angles = angles[::-1]
+    sine, cosine = np.sin(angles), np.cos(angles)
+    bone = np.column_stack(geometry.bone_profile(angles / (0.5 * math.pi)))
+    cosine[0] = bone[0, 1] = 0.0
     inner_a, inner_b = geometry.bulk_semi_axes
-    inner = np.array([inner_a * sine, -inner_b * cosine])
-    outer = np.array([geometry.pad_semi_axis_radial * sine, -geometry.pad_semi_axis_axial * cosine])
+    inner = np.column_stack([inner_a * sine, -inner_b * cosine])
+    outer_a, outer_b = geometry.pad_semi_axis_radial, geometry.pad_semi_axis_axial
+    outer = np.column_stack([outer_a * sine, -outer_b * cosine])
     skin = np.arange(1, layers + 1) / layers
-    column = np.concatenate(
-        [bone + bulk[:, None] * (inner - bone), inner + skin[:, None] * (outer - inner)]
+    columns = np.concatenate(
+        [
+            bone[:, None] + bulk[:, None] * (inner - bone)[:, None],
+            inner[:, None] + skin[:, None] * (outer - inner)[:, None],
+        ],
+        axis=1,
     )
-    if not top:
-        # Columns near the top follow the shifted nodes of the last one so that elements keep their
-        # shape.
-        weight = max(0.0, 1.0 - (0.5 * math.pi - angle) / 0.6)
-        straight = _column(geometry, 0.5 * math.pi, bulk, layers, nail)
-        even = np.concatenate(
-            [straight[:1, 0] + bulk * (inner_a - straight[0, 0]), straight[-layers:, 0]]
-        )
-        shift = np.zeros(len(column))
-        width = inner_a - straight[0, 0]
-        shift[: len(bulk)] = (straight[: len(bulk), 0] - even[: len(bulk)]) / width
-        return column + weight * shift[:, None] * (inner - bone)
-    edge = geometry.nail_radius
-    if geometry.nail_thickness > 0 and bone[0] < edge < inner_a:
-        nearest = nail or 1 + int(np.argmin(np.abs(column[1 : len(bulk) - 1, 0] - edge)))
-        r = column[: len(bulk), 0]
-        knots = [r[0], r[nearest], r[-1]]
-        column[: len(bulk), 0] = np.interp(r, knots, [r[0], edge, r[-1]])
-    elif geometry.nail_thickness > 0 and inner_a < edge < outer[0] and layers > 1:
-        r = column[len(bulk) - 1 :, 0]
+    top = columns[0, :, 0]
+    even = top[: len(bulk)].copy()
+    _put_nail_edge(geometry, top, len(bulk), nail)
+    # Columns near the top follow its shifted nodes so that elements keep their shape.
+    shift = (top[: len(bulk)] - even) / (even[-1] - even[0])
+    weight = np.maximum(0.0, 1.0 - (0.5 * math.pi - angles[1:]) / 0.6)
+    columns[1:, : len(bulk)] += weight[:, None, None] * shift[:, None] * (inner - bone)[1:, None]
+    return columns
+
+
+def _put_nail_edge(geometry: Geometry, top: np.ndarray, bulk: int, nail: int | None) -> None:
+    """Shift the radii (m,) of the top's nodes, `bulk` of them in the bulk tissue, so that one of
+    them is the nail's edge."""
+    edge, inner = geometry.nail_radius, top[bulk - 1]
+    if geometry.nail_thickness <= 0:
+        return
+    if top[0] < edge < inner:
+        r = top[:bulk].copy()
+        nearest = nail or 1 + int(np.argmin(np.abs(r[1:-1] - edge)))
+        top[:bulk] = np.interp(r, [r[0], r[nearest], r[-1]], [r[0], edge, r[-1]])
+    elif inner < edge < top[-1] and len(top) > bulk + 1:
+        r = top[bulk - 1 :].copy()
         nearest = 1 + int(np.argmin(np.abs(r[1:-1] - edge)))
-        column[len(bulk) - 1 :, 0] = np.interp(r, [r[0], r[nearest], r[-1]], [r[0], edge, r[-1]])
-    return column
+        top[bulk - 1 :] = np.interp(r, [r[0], r[nearest], r[-1]], [r[0], edge, r[-1]])
 
 
-def _assemble(
-    geometry: Geometry, columns: list[np.ndarray], bulk_layers: int, nail_layers: int
-) -> Mesh:
+def _assemble(geometry: Geometry, columns: np.ndarray, bulk_layers: int, nail_layers: int) -> Mesh:
     """Number nodes and cells: nail rows, top line, then the columns down to the axis."""
     top = columns[0]
     rows = len(top)

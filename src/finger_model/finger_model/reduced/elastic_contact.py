@@ -4,15 +4,15 @@
 """Elastic contact of any finger, under loads so sudden or so slow, by Gaussian processes.
 
 Inputs are the context of a finger and what linear contact theory says of it (`linear_contact`);
-with these a few thousand presses are enough. A second process adds what the default mesh says more
-than the coarse one.
+with these a few thousand presses are enough. Further processes add what the default mesh says more
+than the coarse one, from what tells these meshes apart in linear theory.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -29,9 +29,9 @@ CONTACT = 3
 
 POINTS = 2000
 """Points of a process: presses beyond them enter by projection (subset of regressors)."""
-SAMPLE = 600
+SAMPLE = 1200
 """Presses by which lengths and noise are chosen."""
-ITERATIONS = 25
+ITERATIONS = 30
 LEAST_PRESSES = 150
 """A node of the load that fewer presses (or a quarter of all) reached is continued linearly from
 those before."""
@@ -59,11 +59,28 @@ def press_contexts(context: np.ndarray, share: np.ndarray) -> np.ndarray:
     return np.array([sudden, slow])
 
 
-def linear_guess(contact: LinearContact, material: MaxwellLaw) -> np.ndarray:
-    """ln(A/(L² x²)) and ln(δ/(L x²)) (2, nodes, 2) of linear contact, sudden and slow."""
+class LinearGuess(NamedTuple):
+    """What linear theory says of sudden and slow presses, of one finger or (second axis) of n.
+
+    curves (2, nodes, 2): ln(A/(L² x²)) and ln(δ/(L x²)) on the coarse mesh; meshes (2, 3):
+    `LinearContact.meshes`.
+    """
+
+    curves: np.ndarray
+    meshes: np.ndarray
+
+    @classmethod
+    def of_all(cls, fingers: list[LinearGuess]) -> LinearGuess:
+        """Those of n fingers as one."""
+        return cls(*(np.stack(values, axis=1) for values in zip(*fingers)))
+
+
+def linear_guess(contact: LinearContact, material: MaxwellLaw) -> LinearGuess:
+    """What linear theory says of a finger."""
     nodes = np.log(NODES)
     found = np.empty((2, len(nodes), 2))
-    for which, share in enumerate((1.0, material.long_term_fraction)):
+    shares = (1.0, material.long_term_fraction)
+    for which, share in enumerate(shares):
         curve = contact.curve(material, share)
         x = curve[:, 0]
         for column, beyond in ((0, 1.0), (1, 1.0)):
@@ -73,7 +90,7 @@ def linear_guess(contact: LinearContact, material: MaxwellLaw) -> np.ndarray:
             values[low] = y[0] + 2.0 * (nodes[low] - x[0])
             values[high] = y[-1] + beyond * (nodes[high] - x[-1])
             found[which, :, column] = values - 2.0 * nodes
-    return found
+    return LinearGuess(found, np.array([contact.meshes(material, share) for share in shares]))
 
 
 def network_context(context: np.ndarray, share: float, curves: np.ndarray) -> np.ndarray:
@@ -170,6 +187,17 @@ def _kernel(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def _chosen(z: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float, float]:
     """Lengths (d,), gain and noise of the largest marginal likelihood of y (n,) at z (n, d)."""
+    count = z.shape[1]
+    found = np.concatenate([np.full(count, math.log(3.0)), [0.0, math.log(1e-3)]])
+    # Half of the presses first: from far away the search among all may get stuck.
+    for part in (len(y) // 2, len(y)):
+        found = _likeliest(z[:part], y[:part], found)
+    noise = max(math.exp(found[count + 1]), LEAST_NOISE)
+    return np.exp(found[:count]), math.exp(found[count]), noise
+
+
+def _likeliest(z: np.ndarray, y: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Logarithms of lengths, gain and noise (d + 2,) of the largest likelihood near a start."""
     from scipy.linalg import cho_factor, cho_solve
     from scipy.optimize import minimize
 
@@ -190,18 +218,16 @@ def _chosen(z: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float, float]:
         rest = [0.5 * (slope * kernel).sum(), 0.5 * noise * np.trace(slope)]
         return float(value), np.concatenate([rises, rest])
 
-    start = np.concatenate([np.full(count, math.log(3.0)), [0.0, math.log(1e-3)]])
     bounds = [(-1.0, 5.0)] * count + [(-6.0, 8.0), (-18.0, 0.0)]
-    found = minimize(
+    result = minimize(
         negative,
         start,
         jac=True,
         method="L-BFGS-B",
         bounds=bounds,
         options={"maxiter": ITERATIONS},
-    ).x
-    noise = max(math.exp(found[count + 1]), LEAST_NOISE)
-    return np.exp(found[:count]), math.exp(found[count]), noise
+    )
+    return np.asarray(result.x)
 
 
 def size_and_direction(strains: np.ndarray) -> np.ndarray:
@@ -213,9 +239,9 @@ def size_and_direction(strains: np.ndarray) -> np.ndarray:
 class ElasticContacts:
     """Curves of sudden and slow presses of any finger of the population box.
 
-    `coarse` and `finer`: for each node of the load a pair of processes, of the contact, and of the
-    strain, which takes the contact as inputs too (only of the contact for `finer`), or fewer nodes
-    where too few presses reached.
+    For each node of the load, or fewer nodes where too few presses reached, both have a process of
+    area and pressure and one of the indentation; `coarse` also has one of the strain, which takes
+    the contact as inputs too.
     """
 
     def __init__(self, coarse: list[list[Process]], finer: list[list[Process]]) -> None:
@@ -225,32 +251,31 @@ class ElasticContacts:
     def fit(
         cls,
         contexts: np.ndarray,
-        guesses: np.ndarray,
+        guess: LinearGuess,
         coarse: np.ndarray,
         finer: np.ndarray,
         report: Callable[[float], None],
     ) -> ElasticContacts:
         """Fit presses on the coarse mesh (2, n, nodes, 3 + k) and the first f of them on the
-        default one (2, f, nodes, 3), NaN where there is none; contexts (2, n, 11), guesses (2, n,
-        nodes, 2)."""
+        default one (2, f, nodes, 3), NaN where there is none; contexts (2, n, 11) and guess of the
+        n fingers."""
         sizes = strain_sizes()
-        found: tuple[list[list[Process]], list[list[Process]]] = ([], [])
         more = finer - coarse[:, : finer.shape[1], :, :CONTACT]
+        found: tuple[list[list[Process]], list[list[Process]]] = ([], [])
         for node in range(len(NODES)):
             for which, values in enumerate((coarse, more)):
-                number = values.shape[1]
-                inputs = cls._inputs(contexts[:, :number], guesses[:, :number, node])
-                inputs = inputs.reshape(-1, inputs.shape[-1])
+                inputs = cls._inputs(contexts, guess, node, meshes=which == 1)
+                inputs = inputs[:, : values.shape[1]].reshape(-1, inputs.shape[-1])
                 outputs = values[:, :, node].reshape(len(inputs), -1).copy()
                 reached = np.isfinite(outputs[:, 0])
                 least = min(LEAST_PRESSES, len(inputs) // 4)
                 if reached.sum() < least or len(found[which]) < node:
                     continue
                 if which == 0:
-                    outputs[:, [0, 2]] -= guesses[:, :, node].reshape(-1, 2)
+                    outputs[:, [0, 2]] -= guess.curves[:, :, node].reshape(-1, 2)
                 inputs, outputs = inputs[reached], outputs[reached]
                 contact = outputs[:, :CONTACT]
-                own = [Process.fit(inputs, contact, 0)]
+                own = [Process.fit(inputs, part, 0) for part in (contact[:, :2], contact[:, 2:])]
                 if which == 0:
                     strain = size_and_direction(outputs[:, CONTACT:] / sizes[node])
                     own.append(Process.fit(np.column_stack([inputs, contact]), strain, 0))
@@ -259,25 +284,37 @@ class ElasticContacts:
         return cls(*found)
 
     @staticmethod
-    def _inputs(contexts: np.ndarray, guesses: np.ndarray) -> np.ndarray:
-        return np.concatenate([contexts, guesses], axis=-1)
+    def _inputs(contexts: np.ndarray, guess: LinearGuess, node: int, meshes: bool) -> np.ndarray:
+        parts = [contexts, guess.curves[:, :, node]]
+        return np.concatenate([*parts, guess.meshes] if meshes else parts, axis=-1)
 
-    def curves(self, contexts: np.ndarray, guesses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Curves (2, n, nodes, 3 + k) of fingers at NODES, strains over G, on the coarse mesh and
-        on the default one; contexts (2, n, 11), guesses (2, n, nodes, 2)."""
-        rows, more = [], []
+    def coarse_curves(self, contexts: np.ndarray, guess: LinearGuess) -> np.ndarray:
+        """Curves (2, n, nodes, 3 + k) at NODES, strains over G, on the coarse mesh, of n fingers of
+        contexts (2, n, 11)."""
+        found = []
         for node, own in enumerate(self.coarse):
-            inputs = self._inputs(contexts, guesses[:, :, node]).reshape(-1, contexts.shape[-1] + 2)
-            contact = own[0](inputs)
-            size = own[1](np.column_stack([inputs, contact]))
-            contact[:, [0, 2]] += guesses[:, :, node].reshape(-1, 2)
-            rows.append(np.column_stack([contact, np.exp(size[:, :1]) * size[:, 1:]]))
-            more.append(self.finer[min(node, len(self.finer) - 1)][0](inputs))
-        coarse = np.stack(rows, axis=1)
-        default = coarse.copy()
-        default[:, :, :CONTACT] += np.stack(more, axis=1)
-        shape = (*contexts.shape[:2], len(NODES), -1)
-        return extended(coarse).reshape(shape), extended(default).reshape(shape)
+            inputs = self._inputs(contexts, guess, node, meshes=False)
+            inputs = inputs.reshape(-1, inputs.shape[-1])
+            contact = np.column_stack([process(inputs) for process in own[:2]])
+            size = own[2](np.column_stack([inputs, contact]))
+            contact[:, [0, 2]] += guess.curves[:, :, node].reshape(-1, 2)
+            found.append(np.column_stack([contact, np.exp(size[:, :1]) * size[:, 1:]]))
+        curves = extended(np.stack(found, axis=1))
+        return curves.reshape(*contexts.shape[:2], *curves.shape[1:])
+
+    def default_curves(
+        self, contexts: np.ndarray, guess: LinearGuess, coarse: np.ndarray
+    ) -> np.ndarray:
+        """The same on the default mesh, from those on the coarse one."""
+        found = coarse[:, :, : len(self.coarse)].reshape(-1, len(self.coarse), coarse.shape[-1])
+        found = found.copy()
+        for node in range(len(self.coarse)):
+            last = min(node, len(self.finer) - 1)
+            inputs = self._inputs(contexts, guess, node, meshes=True)
+            inputs = inputs.reshape(-1, inputs.shape[-1])
+            more = [process(inputs) for process in self.finer[last]]
+            found[:, node, :CONTACT] += np.column_stack(more)
+        return extended(found).reshape(coarse.shape)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """As stored in the file of the reduced model."""
@@ -306,7 +343,7 @@ class ElasticContacts:
                 )
             return found
 
-        return cls(stage("coarse", 2), stage("finer", 1))
+        return cls(stage("coarse", 3), stage("finer", 2))
 
 
 def extended(curves: np.ndarray) -> np.ndarray:

@@ -19,7 +19,13 @@ import numpy as np
 from ..geometry import Geometry
 from ..laws import MaxwellLaw
 from . import kernels as rk
-from .elastic_contact import ElasticContacts, linear_guess, network_context, press_contexts
+from .elastic_contact import (
+    ElasticContacts,
+    LinearGuess,
+    linear_guess,
+    network_context,
+    press_contexts,
+)
 from .population import context_of
 
 if TYPE_CHECKING:
@@ -227,14 +233,16 @@ class PopulationMaps(Maps):
         return self.fingers_like(
             np.array([context_of(geometry, material) for material in materials]),
             np.array([material.long_term_fraction for material in materials]),
-            np.stack([linear_guess(contact, material) for material in materials], axis=1),
+            LinearGuess.of_all([linear_guess(contact, material) for material in materials]),
         )
 
     def fingers_like(
-        self, contexts: np.ndarray, shares: np.ndarray, guesses: np.ndarray
+        self, contexts: np.ndarray, shares: np.ndarray, guess: LinearGuess
     ) -> list[Finger]:
-        """Fingers of contexts (n, c), long-term fractions (n,) and guesses (2, n, nodes, 2)."""
-        coarse, default = self.elastic.curves(press_contexts(contexts, shares), guesses)
+        """Fingers of contexts (n, c), long-term fractions (n,) and the guess of all."""
+        presses = press_contexts(contexts, shares)
+        coarse = self.elastic.coarse_curves(presses, guess)
+        default = self.elastic.default_curves(presses, guess, coarse)
         return [
             Finger(network_context(contexts[i], shares[i], coarse[:, i]), default[:, i])
             for i in range(len(contexts))

@@ -68,13 +68,13 @@ class PopulationSettings(Settings):
         maximum=1_000_000,
     )
     corrections: int = setting(
-        1100,
+        2500,
         "Fingers whose elastic presses are run on the default mesh too.",
         minimum=5,
         maximum=100_000,
     )
     refining: int = setting(
-        1400,
+        3000,
         "Histories of further fingers on the default mesh, for the contact network.",
         minimum=0,
         maximum=1_000_000,

@@ -27,7 +27,15 @@ from ..paper import FRICTION, SEARCH_BOX
 from .elastic_contact import linear_guess
 from .force_histories import KINDS, random_history
 from .kernels import NODES
-from .population import BOX, MIDDLE_FRICTION, MIDDLE_STIFFENING, NAIL_INSIDE, context_of
+from .population import (
+    BOX,
+    LARGEST_LOAD,
+    MIDDLE_FORCE,
+    MIDDLE_FRICTION,
+    MIDDLE_STIFFENING,
+    NAIL_INSIDE,
+    context_of,
+)
 from .training_runs import internal_field
 
 MOST_SECONDS = 6.0
@@ -220,7 +228,7 @@ class Run:
     context (10,), share: long-term fraction, length (m), scale: E0 L² (N); fractions, times (b,) of
     the branches; time, force, area, indentation, peak (n,) in SI; internal, total (n, k);
     presses (2, m, 3 + k): `elastic_press`, sudden and slow, where asked for (else (2, 0, 3));
-    guess (2, m, 2): `linear_guess`.
+    guess (2, m, 2), meshes (2, 3): curves and meshes of its `LinearGuess`.
     """
 
     context: np.ndarray
@@ -238,24 +246,42 @@ class Run:
     total: np.ndarray
     presses: np.ndarray
     guess: np.ndarray
+    meshes: np.ndarray
     failed: float
     kind: str
     middle: bool
 
 
+def press_force(case: Case) -> float:
+    """Force (N) to which a case's finger is pressed: that of its history; in the middle of the box
+    at least the largest for which the stated error of the middle holds."""
+    force = float(case.force.max())
+    if not case.middle:
+        return force
+    material, (soft, stiffening) = case.material, LARGEST_LOAD
+    modulus = material.instantaneous_modulus * material.long_term_fraction
+    load = soft * (1.0 + stiffening * material.stiffening)
+    largest = load * modulus * case.geometry.pad_semi_axis_radial**2
+    return max(force, min(MIDDLE_FORCE, largest))
+
+
 def elastic_press(
-    model: FullOrderModel, case: Case, slow: bool, modes: np.ndarray | None = None
+    model: FullOrderModel,
+    case: Case,
+    slow: bool,
+    to_force: float,
+    modes: np.ndarray | None = None,
 ) -> np.ndarray:
     """Contact of a finger under loads so sudden or so slow that it is elastic.
 
     (m, 3 + k) at NODES: ln(A/(L² x²)), ln(p_max/p_mean), ln(δ/(L x²)) and the total strain on the
-    modes (k, n); NaN beyond what the history needs and where nothing converged. x is over E0, or
-    over the long-term modulus E∞ of a slow press.
+    modes (k, n); NaN beyond `to_force` (N) and where nothing converged. x is over E0, or over the
+    long-term modulus E∞ of a slow press.
     """
     material, length = case.material, case.geometry.pad_semi_axis_radial
     share = material.long_term_fraction if slow else 1.0
     scale = material.instantaneous_modulus * share * length**2
-    needed = np.cbrt(1.05 * case.force.max() / scale)
+    needed = np.cbrt(1.05 * to_force / scale)
     found = np.full((len(NODES), 3 + (0 if modes is None else len(modes))), np.nan)
     stepper = model.start(material, 0.0)
     begin = clock.process_time()
@@ -319,7 +345,10 @@ def run(
     table = np.array(rows).reshape(n, 3)
     presses = np.zeros((2, 0, 3 + k))
     if pressed:
-        presses = np.array([elastic_press(model, case, slow, modes) for slow in (False, True)])
+        to_force = press_force(case) if coarse else float(case.force.max())
+        presses = np.array(
+            [elastic_press(model, case, slow, to_force, modes) for slow in (False, True)]
+        )
     return Run(  # type: ignore[call-arg]
         context_of(geometry, material),
         geometry.pad_semi_axis_radial,
@@ -333,7 +362,7 @@ def run(
         np.array(internal).reshape(n, k),
         np.array(total).reshape(n, k),
         presses,
-        linear_guess(LinearContact(geometry), material),
+        *linear_guess(LinearContact(geometry), material),
         failed,
         case.kind,
         case.middle,

@@ -14,6 +14,7 @@ from . import kernels as rk
 from .context_network import ContextNetwork, Rows, fit
 from .elastic_contact import (
     ElasticContacts,
+    LinearGuess,
     extended,
     network_context,
     press_contexts,
@@ -186,20 +187,20 @@ def response_of(types: rk.RecordTypes, runs: list[Run]) -> np.ndarray:
     return np.linalg.solve(square + 1e-9 * np.eye(LATENTS), product)
 
 
-def _press_inputs(runs: list[Run]) -> tuple[np.ndarray, np.ndarray]:
-    """Contexts (2, n, 11) and guesses (2, n, nodes, 2) of the runs' presses."""
+def _press_inputs(runs: list[Run]) -> tuple[np.ndarray, LinearGuess]:
+    """Contexts (2, n, 11) and guess of the runs' presses."""
     context = np.array([run.context for run in runs])
     contexts = press_contexts(context, np.array([run.share for run in runs]))
-    return contexts, np.stack([run.guess for run in runs], axis=1)
+    return contexts, LinearGuess.of_all([LinearGuess(run.guess, run.meshes) for run in runs])
 
 
 def fit_elastic(runs: list[Run], fine: list[Run], report: Progress) -> ElasticContacts:
     """Elastic contacts of the runs' presses; `fine`: on the default mesh, of the first fingers."""
-    contexts, guesses = _press_inputs(runs)
+    contexts, guess = _press_inputs(runs)
     coarse = np.stack([run.presses for run in runs], axis=1)
     finer = np.stack([run.presses[:, :, :3] for run in fine], axis=1)
     return ElasticContacts.fit(
-        contexts, guesses, coarse, finer, lambda share: report("fitting the elastic curves", share)
+        contexts, guess, coarse, finer, lambda share: report("fitting the elastic curves", share)
     )
 
 
@@ -255,7 +256,7 @@ def train(
     along = {id(run): guessed(types, run, response) for run in runs}
     fingers = {
         id(run): finger._replace(curves=_own_curves(run))
-        for run, finger in zip(runs, _fingers(elastic, runs, 0))
+        for run, finger in zip(runs, _fingers(elastic, runs))
     }
     contexts = {key: finger.inputs for key, finger in fingers.items()}
     rows = padded(runs, lambda run: drive_columns(run, along[id(run)]), contexts)
@@ -272,7 +273,7 @@ def train(
     )
     fixed = {"response": response, **elastic.arrays()}
     maps = PopulationMaps({**arrays_of(drive, contact), **fixed})
-    fingers |= {id(run): own for run, own in zip(refining, _fingers(elastic, refining, 1))}
+    fingers |= {id(run): own for run, own in zip(refining, _fingers(elastic, refining))}
     contexts = {key: finger.inputs for key, finger in fingers.items()}
     seen = {id(run): visited(maps, run, fingers[id(run)]) for run in [*runs, *refining]}
     for run in runs:
@@ -288,14 +289,15 @@ def train(
     return {**arrays_of(drive, contact), **fixed}
 
 
-def _fingers(elastic: ElasticContacts, runs: list[Run], mesh: int) -> list[Finger]:
-    """What the maps know of the fingers of runs, with predicted curves on the coarse mesh (0) or
-    the default one (1)."""
+def _fingers(elastic: ElasticContacts, runs: list[Run]) -> list[Finger]:
+    """What the maps know of the fingers of runs, with predicted curves on the default mesh."""
     if not runs:
         return []
-    curves = elastic.curves(*_press_inputs(runs))
+    presses, guess = _press_inputs(runs)
+    coarse = elastic.coarse_curves(presses, guess)
+    default = elastic.default_curves(presses, guess, coarse)
     return [
-        Finger(network_context(run.context, run.share, curves[0][:, i]), curves[mesh][:, i])
+        Finger(network_context(run.context, run.share, coarse[:, i]), default[:, i])
         for i, run in enumerate(runs)
     ]
 
@@ -338,8 +340,8 @@ def measured_error(arrays: dict[str, np.ndarray], runs: list[Run]) -> dict[str, 
             counted &= np.maximum.accumulate(run.force) <= MIDDLE_FORCE
         if counted.sum() < 3:
             continue
-        inputs = (run.context[None], np.array([run.share]), run.guess[:, None])
-        finger = maps.fingers_like(*inputs)[0]
+        guess = LinearGuess.of_all([LinearGuess(run.guess, run.meshes)])
+        finger = maps.fingers_like(run.context[None], np.array([run.share]), guess)[0]
         record = maps.parameters_of(run.length, run.scale, run.fractions, run.times, finger)
         record["force_limit"] = run.scale * run.share * LARGEST_LOAD[0] * 10.0
         found = np.empty((len(run.time), 3))
