@@ -48,6 +48,24 @@ class ReducedState:
     time: float = 0.0
 
 
+class Arrays(dict[str, np.ndarray]):
+    """The arrays of a file, contiguous and finite; models of several fingers share them.
+
+    digests: of each array; tried: whether a model of them has made a step. Raises ValueError for
+    numbers that are not finite.
+    """
+
+    def __init__(self, arrays: dict[str, np.ndarray]) -> None:
+        super().__init__(
+            (key, np.ascontiguousarray(v, dtype=np.result_type(v.dtype, np.float32)))
+            for key, v in arrays.items()
+        )
+        if not all(np.isfinite(values).all() for values in self.values()):
+            raise ValueError("an array holds what is no finite number")
+        self.digests = {key: sha256_of(v.tobytes()) for key, v in sorted(self.items())}
+        self.tried = False
+
+
 class ReducedModel:
     """Reduced model of one finger, for one material law.
 
@@ -69,10 +87,7 @@ class ReducedModel:
         fixed: dict[str, float] | None = None,
     ) -> None:
         try:
-            self.arrays = {
-                key: np.ascontiguousarray(v, dtype=np.result_type(v.dtype, np.float32))
-                for key, v in arrays.items()
-            }
+            self.arrays = arrays if isinstance(arrays, Arrays) else Arrays(arrays)
             self.meta = meta
             self.serves_population = bool(meta.get("population", False))
             if self.serves_population:
@@ -92,7 +107,9 @@ class ReducedModel:
             trained_on = law_of(str(meta.get("law", "")))
             self.law = law or LAW
             self._prepare()
-            self._try_out()
+            if not self.arrays.tried:
+                self._try_out()
+                self.arrays.tried = True
         except (KeyError, TypeError, ValueError, IndexError) as error:
             raise InputError(
                 f"reduced model: the file is not complete ({error}); build it again with "
@@ -185,8 +202,6 @@ class ReducedModel:
         self.maps: Maps = maps(self.arrays)
         self.latents = self.maps.latents
         self.networks, self.work = self.maps.networks, self.maps.work
-        if not all(np.isfinite(values).all() for values in self.arrays.values()):
-            raise ValueError("an array holds what is no finite number")
         self.hash = _hash_of(self)
         # Over the population the largest errors are those of extreme fingers.
         figure = "rms_p90" if self.serves_population else "rms_p99"
@@ -486,7 +501,7 @@ def _fixed_of(law: MaxwellLaw) -> dict[str, float]:
 def _hash_of(model: ReducedModel) -> str:
     parts: dict[str, Any] = {
         "geometry": model.geometry_hash,
-        "arrays": {k: sha256_of(v.tobytes()) for k, v in sorted(model.arrays.items())},
+        "arrays": model.arrays.digests,
     }
     if model.serves_population:
         parts["fixed"] = {k: float(v) for k, v in model.fixed.items()}
