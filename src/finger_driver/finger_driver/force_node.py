@@ -94,7 +94,7 @@ class ForceNode(DeviceNode):
         qos = self.stream_qos(publisher=True)
         self._raw = self.create_stream_publisher(WrenchStamped, "wrench_raw", qos)
         self._tared = self.create_stream_publisher(WrenchStamped, "wrench", qos)
-        self._wrenches = [(p, Listeners(p)) for p in (self._tared, self._raw)]
+        self._tared_listeners, self._raw_listeners = Listeners(self._tared), Listeners(self._raw)
         self._local = LocalPublisher(self, "wrench")
         self._message = FixedMessage(WrenchStamped(header=Header(frame_id=self._frame)))
         self._tare_services = [
@@ -152,9 +152,10 @@ class ForceNode(DeviceNode):
     ) -> None:
         for rest in rests:
             rest()
-        for (publisher, listeners), wrench in zip(self._wrenches, (tared, raw)):
-            if listeners.present():
-                publisher.publish(self._message.pack(*stamp, *wrench))
+        if self._tared_listeners.present():
+            self._tared.publish(self._message.pack(*stamp, *tared))
+        if self._raw_listeners.present():
+            self._raw.publish(self._message.pack(*stamp, *raw))
 
     # Services --------------------------------------------------------------------------------
 

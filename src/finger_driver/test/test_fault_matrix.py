@@ -61,6 +61,10 @@ class Topic:
             message = deserialize_message(message, WrenchStamped)
         self.messages.append((now, message))
 
+    def present(self) -> bool:
+        """Somebody always listens."""
+        return True
+
     def since(self, start: float, end: float = math.inf) -> list[Any]:
         return [m for t, m in list(self.messages) if start <= t < end]
 
@@ -82,6 +86,8 @@ class NodeUnderTest:
             self.node.device.health.recovered("tare_needed")
         self.topic = Topic()
         setattr(self.node, topic, self.topic)
+        if hasattr(self.node, f"{topic}_listeners"):
+            setattr(self.node, f"{topic}_listeners", self.topic)
         self.reports: list[tuple[float, int, str, dict[str, str]]] = []
         self.watch()
 
