@@ -68,6 +68,13 @@ BOX = {
 LARGEST_LOAD = (10.0, 0.3)
 """F/(E∞ L²) up to which the model is used, and its relative rise by one of stiffening b."""
 
+
+def largest_force(slow_scale: float, stiffening: float) -> float:
+    """Largest force (N) that the model is used for; slow_scale: E∞ L² (N)."""
+    soft, rise = LARGEST_LOAD
+    return slow_scale * soft * (1.0 + rise * stiffening)
+
+
 MIDDLE = (6e-3, 10e-3)
 """m, `pad_semi_axis_radial` of the middle of the box: fingers 12 to 20 mm wide."""
 MIDDLE_FORCE = 2.0

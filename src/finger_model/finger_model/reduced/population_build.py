@@ -104,7 +104,8 @@ def build(
     report = progress or (lambda stage, share: None)
     output = Path(output)
     runs_only = {k: v for k, v in settings.to_dict().items() if k in ("seed", "pilots")}
-    parts = parts_folder(output, sha256_of({"population": runs_only}))
+    layout = [field.name for field in fields(Run)]
+    parts = parts_folder(output, sha256_of({"population": runs_only, "layout": layout}))
     began = time.monotonic()
     modes = _modes(parts, settings, report)
 

@@ -29,12 +29,12 @@ from .force_histories import KINDS, random_history
 from .kernels import NODES
 from .population import (
     BOX,
-    LARGEST_LOAD,
     MIDDLE_FORCE,
     MIDDLE_FRICTION,
     MIDDLE_STIFFENING,
     NAIL_INSIDE,
     context_of,
+    largest_force,
 )
 from .training_runs import internal_field
 
@@ -258,11 +258,10 @@ def press_force(case: Case) -> float:
     force = float(case.force.max())
     if not case.middle:
         return force
-    material, (soft, stiffening) = case.material, LARGEST_LOAD
+    material = case.material
     modulus = material.instantaneous_modulus * material.long_term_fraction
-    load = soft * (1.0 + stiffening * material.stiffening)
-    largest = load * modulus * case.geometry.pad_semi_axis_radial**2
-    return max(force, min(MIDDLE_FORCE, largest))
+    scale = modulus * case.geometry.pad_semi_axis_radial**2
+    return max(force, min(MIDDLE_FORCE, largest_force(scale, material.stiffening)))
 
 
 def elastic_press(

@@ -23,7 +23,13 @@ from .elastic_contact import (
 from .error import COUNTED_FORCE, ErrorTable, error_along
 from .kernels import NODES
 from .maps import Finger, PopulationMaps, fill_curves
-from .population import CONTEXT, LARGEST_LOAD, MIDDLE_FORCE, MIDDLE_STIFFENING
+from .population import (
+    CONTEXT,
+    LARGEST_LOAD,
+    MIDDLE_FORCE,
+    MIDDLE_STIFFENING,
+    largest_force,
+)
 from .population_runs import Run
 from .training import features, strain_scales
 
@@ -52,8 +58,7 @@ def stiffening_of(run: Run) -> float:
 
 def load_over_largest(run: Run) -> np.ndarray:
     """Forces (n,) over the largest that the model is used for."""
-    soft, stiffening = LARGEST_LOAD
-    return run.force / (run.scale * run.share * soft * (1.0 + stiffening * stiffening_of(run)))
+    return run.force / largest_force(run.scale * run.share, stiffening_of(run))
 
 
 def counts(run: Run) -> np.ndarray:
