@@ -147,12 +147,19 @@ def said(child: Any, text: str) -> Callable[[], bool]:
     return lambda: text in child.output.read_text()
 
 
+def at_first_press(rig: Rig, calibrate: Callable[..., Any]) -> Any:
+    """A calibration that asks for its first press, whose trial the rig has seen."""
+    child = calibrate()
+    until(said(child, "press 1 of 9"))
+    until(lambda: rig.trials)
+    return child
+
+
 def test_a_second_calibration_leaves_the_first_and_its_zero_alone(
     rig: Rig, protocol: Callable[..., Any], calibrate: Callable[..., Any]
 ) -> None:
     protocol()
-    first = calibrate()
-    until(said(first, "press 1 of 9"))
+    first = at_first_press(rig, calibrate)
     rig.force = 0.4
     second = calibrate("S02")
     assert second.wait(90) == 2
@@ -182,8 +189,7 @@ def test_ctrl_c_during_the_presses_ends_the_session(
     rig: Rig, protocol: Callable[..., Any], calibrate: Callable[..., Any]
 ) -> None:
     protocol()
-    child = calibrate()
-    until(said(child, "press 1 of 9"))
+    child = at_first_press(rig, calibrate)
     child.send_signal(signal.SIGINT)
     assert child.wait(30) == 0
     assert child.output.read_text().endswith("aborted; nothing was written\n")
@@ -237,8 +243,7 @@ def test_what_the_model_node_refuses_ends_it_at_once(
     rig: Rig, protocol: Callable[..., Any], calibrate: Callable[..., Any]
 ) -> None:
     protocol()
-    child = calibrate()
-    until(said(child, "press 1 of 9"))
+    child = at_first_press(rig, calibrate)
     rig.refuse("another_session", "no")
     rig.refuse(rig.trials[-1].session, "/subjects cannot be written to")
     assert child.wait(60) == 2
@@ -251,8 +256,7 @@ def test_presses_that_an_operator_skips_end_it_at_once(
     rig: Rig, protocol: Callable[..., Any], calibrate: Callable[..., Any]
 ) -> None:
     protocol()
-    child = calibrate()
-    until(said(child, "press 1 of 9"))
+    child = at_first_press(rig, calibrate)
     skip = rig.devices.create_client(Trigger, "protocol/skip")
     until(skip.service_is_ready)
     for _ in CALIBRATION_PRESSES:
@@ -279,8 +283,7 @@ def test_a_node_that_ends_meanwhile_is_named(
     rig: Rig, protocol: Callable[..., Any], calibrate: Callable[..., Any], gone: str
 ) -> None:
     guide = protocol()
-    child = calibrate()
-    until(said(child, "press 1 of 9"))
+    child = at_first_press(rig, calibrate)
     if gone == "model":
         rig.modelling = False
         text = "the model node gives no estimate"
@@ -296,8 +299,7 @@ def test_presses_wait_for_a_model_node_that_is_gone(
     rig: Rig, protocol: Callable[..., Any], calibrate: Callable[..., Any]
 ) -> None:
     protocol()
-    child = calibrate()
-    until(said(child, "press 1 of 9"))
+    child = at_first_press(rig, calibrate)
     rig.model.destroy_publisher(rig._state)
     rig.modelling = False
     until(said(child, "Waiting: model: the node is not running"))
