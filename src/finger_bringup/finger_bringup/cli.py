@@ -324,8 +324,13 @@ def _up(arguments: argparse.Namespace) -> int:
 
 
 def run_until_interrupted(supervisor: Supervisor) -> bool:
-    """Run its processes until an essential one ends, or Ctrl-C; whether it was Ctrl-C."""
+    """Run its processes until an essential one ends, or Ctrl-C; whether it was Ctrl-C.
+
+    The caller's handling of SIGINT and SIGTERM is restored, or its next processes would inherit
+    that SIGINT is ignored.
+    """
     interrupted = False
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         supervisor.start()
@@ -338,6 +343,8 @@ def run_until_interrupted(supervisor: Supervisor) -> bool:
         # A second Ctrl-C must not leave processes behind.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         supervisor.stop()
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
     return interrupted
 
 

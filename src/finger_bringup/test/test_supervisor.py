@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from finger_bringup.cli import run_until_interrupted
 from finger_bringup.supervisor import ProcessSpec, Supervisor
 
 FOREVER = "import time; print('alive', flush=True)\nwhile True: time.sleep(0.05)"
@@ -135,6 +136,21 @@ def test_processes_of_a_higher_rank_end_first() -> None:
     with Supervisor(specs, line=log):
         log.wait_for("alive", count=2)
     assert [name for name, text in log.lines if text == "ends"] == ["b", "a"]
+
+
+def test_who_ran_a_supervisor_to_its_end_still_has_its_signal_handlers() -> None:
+    """Or all processes that it starts later ignore Ctrl-C."""
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    for code, interrupted in (("raise SystemExit(3)", False), (FOREVER, True)):
+        log = Log()
+        supervisor = Supervisor([ProcessSpec("node", python(code), essential=True)], line=log)
+        if interrupted:
+            thread = threading.Thread(
+                target=lambda log=log: (log.wait_for("alive"), os.kill(os.getpid(), signal.SIGTERM))
+            )
+            thread.start()
+        assert run_until_interrupted(supervisor) == interrupted
+        assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
 
 
 def test_restarts_slow_down_for_what_cannot_run() -> None:
