@@ -25,6 +25,7 @@ from finger_common.settings import Settings, setting
 from .area_sensor import ContactMeasurement, SkinMotion
 from .calibration import PlateCalibration
 from .images import as_mono8
+from .stick_zone import stick_ratio
 
 DEFAULT_RIDGE_PERIOD = 0.5e-3
 """m, where no area sensor has a setting of it."""
@@ -32,7 +33,7 @@ DEFAULT_RIDGE_PERIOD = 0.5e-3
 FLOW_PIXEL = 28e-6
 """m; finer images are reduced as far as pixels stay below twice this size."""
 
-SPACING, SITE = 0.45e-3, 0.3e-3
+SPACING, SITE = 0.36e-3, 0.3e-3
 """m between points that are followed, and between places where their slip is summed up."""
 
 NEAR = 0.8e-3
@@ -54,7 +55,10 @@ MISSES = 5
 WORN = 0.8
 """Share of the points found below which they are compared with the newest image from then on."""
 
-RIM = 0.3e-3
+TAPER = 0.07e-3
+"""m from the outline inwards over which the texture fades."""
+
+RIM = 0.15e-3
 """m within the outline in which no point is followed: there the outline itself moves."""
 
 KEYS = 4
@@ -66,9 +70,13 @@ LOST = 0.45
 FORGET = 3
 """Images that cannot be followed, one after the other, after which the contact begins anew."""
 
-CHANGE, SETTLED = 120e-6, 0.03
+CHANGE = 120e-6
 """m by which ridges seem to move for each unit of the logarithm of the area, as their widths and
-the rim change; change of that logarithm after which a point that sticks is compared anew."""
+the rim change."""
+
+SETTLED, GROWN = 0.01, 0.03
+"""Change of that logarithm after which a point that sticks is compared anew, and after which one
+that has slipped and stands still now sticks again."""
 
 JUMP = 0.1
 """Change of the area's logarithm from image to image after which all points are taken up anew."""
@@ -76,15 +84,18 @@ JUMP = 0.1
 SMOOTH = 0.3e-3
 """m, standard deviation of the distance over which neighbouring points are taken together."""
 
-BLUR = 0.65e-3
-"""m, standard deviation of the part of the skin that one travel is the mean of: patch and
-neighbours."""
-
-FRONT_SD = 0.15e-3
-"""m, standard deviation of the place of the stick area's edge."""
+UNEVEN = 0.2
+"""Deviation of a slip from that of its surroundings, over the slip: by the patches' own width, and
+of the skin."""
 
 STROKE = 6.0
-"""Thresholds by which the fastest skin moves before standing skin counts as sticking again."""
+"""Thresholds by which a fifth of the skin moves before standing skin counts as sticking again."""
+
+STANDING = 0.3
+"""Share of the places of which, when all others move, none is believed to stand still."""
+
+MOVES = 0.6
+"""Thresholds by which the skin of a sliding contact moves from image to image, at least."""
 
 BACK, AWAY = 0.5, 3.0
 """Of its threshold: how near a point must be to where it stuck, and how far away at most it was,
@@ -102,7 +113,7 @@ USUAL_ERROR = 4.0
 NOISIER = 0.5, 10.0
 """Smallest and largest noise of a point's travel over that of the usual one."""
 
-FLAT, FLAT_OF_STRONG = 0.35, 0.35
+FLAT, FLAT_OF_STRONG = 0.5, 0.35
 """Shares of the median strength of a contact's texture, and of that of its strongest tenth, below
 which a patch has too little to be followed."""
 
@@ -133,7 +144,8 @@ class _Points:
     begin (n, 2): in the image `key` (n,), with the mean products gxx, gxy, gyy (n, 3) of the
     gradients of the patch there; place (n, 2): in the newest image; missed: images since it was
     found. own (n, 2): travel of the point itself, from that of its neighbours when it was taken up;
-    travel (n, 2): the same smoothed over neighbours; stuck (n, 2): travel when it last stuck; rest
+    travel (n, 2): the same smoothed over neighbours; stuck, held (n, 2): travel and own travel when
+    it last stuck, or those of its neighbours when it was taken up; rest
     (n, 2): when it last stuck or went on slipping, area (n,): logarithm of the contact's area then;
     mark (n, 2): travel at the last stroke; slipped: whether it has left `stuck`; far: how far (flow
     pixels) since. error: mean difference of its patch from that of its key; noise: of its travel,
@@ -148,6 +160,7 @@ class _Points:
     own: np.ndarray
     travel: np.ndarray
     stuck: np.ndarray
+    held: np.ndarray
     rest: np.ndarray
     area: np.ndarray
     mark: np.ndarray
@@ -158,7 +171,15 @@ class _Points:
 
     @classmethod
     def at(
-        cls, places: np.ndarray, travel: np.ndarray, gradient: np.ndarray, key: int, area: float
+        cls,
+        places: np.ndarray,
+        travel: np.ndarray,
+        stuck: np.ndarray,
+        mark: np.ndarray,
+        slipped: np.ndarray,
+        gradient: np.ndarray,
+        key: int,
+        area: float,
     ) -> _Points:
         """Points (n, 2) that are taken up in an image; area: logarithm of the contact's."""
         number = len(places)
@@ -171,11 +192,12 @@ class _Points:
             missed=np.zeros(number, int),
             own=travel,
             travel=travel,
-            stuck=travel,
+            stuck=stuck,
+            held=stuck,
             rest=travel.copy(),
             area=np.full(number, area),
-            mark=travel,
-            slipped=np.zeros(number, bool),
+            mark=mark,
+            slipped=slipped,
             far=np.zeros(number),
             error=np.full(number, USUAL_ERROR),
             noise=np.ones(number),
@@ -189,7 +211,8 @@ class _Points:
     @classmethod
     def none(cls) -> _Points:
         """No points."""
-        return cls.at(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 3)), 0, 0.0)
+        no = np.zeros((0, 2))
+        return cls.at(no, no, no, no, np.zeros(0, bool), np.zeros((0, 3)), 0, 0.0)
 
     def __len__(self) -> int:
         return len(self.begin)
@@ -328,11 +351,19 @@ class RidgeMotion:
         if self._plate is not None:
             light = cv2.max(self._plate[box], np.array([40.0]))
             cv2.divide(picture, light, picture, 128.0)
-        picture -= cv2.blur(picture, (size, size))
+        # Of the skin alone: its outline stands still.
+        taper = 2 * round(TAPER / self._pitch) + 1
+        inside = cv2.erode(mask[box], np.ones((taper, taper), np.uint8)).astype(np.float32) / 255
+        inside = np.asarray(cv2.blur(inside, (taper, taper)), np.float32)
+        share = cv2.blur(inside, (size, size)) + 1e-3
+        mean = cv2.divide(cv2.blur(cv2.multiply(picture, inside), (size, size)), share)
+        picture = np.asarray(cv2.multiply(cv2.subtract(picture, mean), inside), np.float32)
+        square = cv2.blur(cv2.multiply(picture, picture), (size, size))
+        spread = np.sqrt(np.maximum(square, 0.0) / share)
         strength = np.zeros(frame.shape, np.float32)
-        strength[box] = cv2.sqrt(cv2.blur(cv2.multiply(picture, picture), (size, size)))
-        floor = max(0.25 * float(np.percentile(strength[box][::8, ::8], 98)), 2.0)
-        scaled = cv2.divide(picture, cv2.max(strength[box], np.array([floor])), scale=42.0)
+        strength[box] = spread
+        floor = max(0.25 * float(np.percentile(spread[::8, ::8], 98)), 2.0)
+        scaled = cv2.divide(picture, cv2.max(spread, np.array([floor])), scale=42.0)
         texture = np.full(frame.shape, 128, np.uint8)
         texture[box] = cv2.add(scaled, np.array([128.0]), dtype=cv2.CV_8U)
         return texture, strength
@@ -514,12 +545,14 @@ class RidgeMotion:
             number = self._next_key
             self._next_key += 1
             self._keys[number] = texture
-            travel = np.zeros((len(sites), 2))
+            travel = stuck = mark = np.zeros((len(sites), 2))
+            slipped = np.zeros(len(sites), bool)
             if points.good.any():
-                nearest = _nearest(sites, points.place[points.good])[1]
-                travel = points.travel[points.good][nearest]
+                nearest = np.flatnonzero(points.good)[_nearest(sites, points.place[points.good])[1]]
+                travel, stuck = points.travel[nearest], points.stuck[nearest]
+                mark, slipped = points.mark[nearest], points.slipped[nearest]
             gradient = self._gradients(texture, sites)
-            points.add(_Points.at(sites, travel, gradient, number, area))
+            points.add(_Points.at(sites, travel, stuck, mark, slipped, gradient, number, area))
             counts = {k: int((points.key == k).sum()) for k in self._keys}
             for fewest in sorted((k for k in self._keys if k != number), key=lambda k: counts[k]):
                 if len(self._keys) > KEYS or changed:
@@ -560,11 +593,11 @@ class RidgeMotion:
         goes_on = good & (far > limits + CHANGE / self._pitch * np.abs(change))
         fresh = goes_on & ~points.slipped
         points.slipped = points.slipped | goes_on
-        settled = good & ~goes_on & (np.abs(change) > SETTLED)
+        settled = good & ~goes_on & (np.abs(change) > np.where(points.slipped, GROWN, SETTLED))
         # Skin sticks again when it stands still while the normal force grows or other skin moves.
         again = settled & (~points.slipped | (change > 0.0))
         moved = np.hypot(*(travel - points.mark).T)
-        if good.any() and np.percentile(moved[good], 90) > STROKE * limit:
+        if good.any() and np.percentile(moved[good], 80) > STROKE * limit:
             again |= points.slipped & good & (moved < limits)
             points.mark = travel.copy()
         # What is back where it was, and never was far, has not slipped: its place was not known.
@@ -576,52 +609,55 @@ class RidgeMotion:
         new = goes_on & ~back | settled | again
         points.rest[new], points.area[new] = travel[new], area
         points.stuck[again], points.slipped[again] = travel[again], False
+        points.held[again] = points.own[again]
         from_stuck = travel - points.stuck
         slid = np.where(fresh[:, None], from_stuck, step) * points.slipped[:, None]
         self._add_motion(points.place[good], slid[good])
-        slip = np.where(points.slipped, np.maximum(np.hypot(*from_stuck.T), limit), 0.0)
         sites = self._grid(mask, SITE)
         if not len(sites) or not good.any():
             return self._unknown()
-        distance, nearest = _nearest(sites, points.place[good])
-        known = distance < NEAR / self._pitch
-        share = float(known.mean())
-        if share < 0.5:
+        distance, _ = _nearest(sites, points.place[good])
+        share = float((distance < NEAR / self._pitch).mean())
+        if share < 0.3:
             return self._unknown()
-        values = slip[good][nearest[known]]
-        radius = math.sqrt(cv2.countNonZero(mask) / math.pi) * self._pitch
-        front = self._front(values, limit, radius)
-        stick = (front / radius) ** 2
-        edge = 2.0 * front * FRONT_SD / radius**2
+        limits = limits + 0.5 * CHANGE / self._pitch * np.abs(area - points.area)
+        noise = 0.5 * limits * np.sqrt(np.clip(points.error / USUAL_ERROR, 0.4, 3.0))
+        ratio, sd = self._stick_ratio(good, noise, mask)
         now = float(np.median(np.hypot(*(travel - before)[good].T)))
         return replace(
             self._unknown(),
-            stick_ratio=stick,
-            stick_ratio_sd=math.hypot(0.02, edge, 0.3 * (1.0 - share)),
-            sliding=stick < 0.02 and now > 0.3 * limit,
+            stick_ratio=round(ratio, 3),
+            stick_ratio_sd=math.hypot(sd, 0.3 * (1.0 - share)),
+            sliding=ratio < 0.02 and now > MOVES * limit,
         )
 
-    def _front(self, slip: np.ndarray, limit: float, radius: float) -> float:
-        """Radius (m) of a disc as large as the stick area.
-
-        slip: flow pixels, of places spread evenly over the contact; radius: m, of a disc as large
-        as the contact. Slip grows about straight from zero at the front, but is known as a mean
-        over BLUR (standard deviation): at the front that mean is 0.4 BLUR times the slope. So the
-        front is where slip doubles over 0.4 BLUR, or further in, where not even the threshold is
-        reached.
-        """
-
-        def within(level: float) -> float:
-            return radius * math.sqrt(float((slip < level).mean()))
-
-        largest, level = float(slip.max(initial=0.0)), limit
-        while True:
-            inner = within(level)
-            room = within(2.0 * level) - inner - 0.4 * BLUR
-            if room >= 0.0 or 2.0 * level > largest:
-                further = min(max(room, 0.0), BLUR) if level == limit and largest > 0.0 else 0.0
-                return max(inner - further, 0.0)
-            level *= 1.2
+    def _stick_ratio(
+        self, good: np.ndarray, noise: np.ndarray, mask: np.ndarray
+    ) -> tuple[float, float]:
+        """Stick ratio and its deviation; noise (n,): of the points' own travels, flow pixels."""
+        points = self.points
+        moments = cv2.moments(mask, binaryImage=True)
+        area = moments["m00"]
+        centre = np.array([moments["m10"], moments["m01"]]) / area
+        xx, xy, yy = (moments[name] / area for name in ("mu20", "mu11", "mu02"))
+        # A uniform ellipse has a quarter of its squared semi-axes as second moments.
+        values, axes = np.linalg.eigh(4.0 * np.array([[xx, xy], [xy, yy]]))
+        places = (points.place[good] - centre) @ axes / np.sqrt(values)
+        slips = (points.own - points.held)[good] @ axes * self._pitch
+        # Places that stand still among others that move may have been followed wrongly.
+        far = np.hypot(*(points.own - points.held).T)
+        far = np.maximum(far, np.hypot(*(points.travel - points.stuck).T))
+        far = np.maximum(far, np.quantile(far[good], STANDING))
+        noise = np.hypot(noise, UNEVEN * far)
+        gxx, gxy, gyy = points.gradient[good].T.astype(float)
+        tensor = axes.T @ np.stack([[gxx, gxy], [gxy, gyy]]).transpose(2, 0, 1) @ axes
+        return stick_ratio(
+            places,
+            slips,
+            noise[good] * self._pitch,
+            np.stack([tensor[:, 0, 0], tensor[:, 0, 1], tensor[:, 1, 1]], axis=-1),
+            math.sqrt(area / math.pi) * self._pitch,
+        )
 
     def _unknown(self) -> SkinMotion:
         """What has been seen of this contact, without a stick ratio."""
