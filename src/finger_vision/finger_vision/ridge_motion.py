@@ -642,7 +642,7 @@ class RidgeMotion:
         xx, xy, yy = (moments[name] / area for name in ("mu20", "mu11", "mu02"))
         # A uniform ellipse has a quarter of its squared semi-axes as second moments.
         values, axes = np.linalg.eigh(4.0 * np.array([[xx, xy], [xy, yy]]))
-        places = (points.place[good] - centre) @ axes / np.sqrt(values)
+        places = (points.place[good] - centre) @ axes / np.sqrt(np.maximum(values, 1.0))
         slips = (points.own - points.held)[good] @ axes * self._pitch
         # Places that stand still among others that move may have been followed wrongly.
         far = np.hypot(*(points.own - points.held).T)
