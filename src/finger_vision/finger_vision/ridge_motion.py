@@ -270,8 +270,8 @@ class RidgeMotion:
     def follow(self, image: np.ndarray, contact: ContactMeasurement) -> SkinMotion:
         """Motion of the skin up to an image (H, W), whose contact was measured.
 
-        An image without contact shows the plate, and ends the contact. Raises InputError for an
-        image that cannot be used.
+        An image without contact shows the plate, and ends the contact; so does a contact that is
+        smaller than a patch. Raises InputError for an image that cannot be used.
         """
         frame = self._reduced(as_mono8(image))
         if contact.flags & AreaFlag.NO_CONTACT or len(contact.hull) < 3:
@@ -282,6 +282,9 @@ class RidgeMotion:
         hull = self._to_flow(self.calibration.to_pixels(contact.hull, width, height))
         mask = np.zeros(frame.shape, np.uint8)
         cv2.fillPoly(mask, [np.rint(hull * 16).astype(np.int32)], 255, shift=4)
+        if min(cv2.boundingRect(mask)[2:]) < self._window:
+            self._forget_contact()
+            return SkinMotion()
         texture, strength = self._texture(frame, mask)
         area = math.log(contact.gross_area)
         jumped = abs(area - self._area) > JUMP

@@ -287,3 +287,19 @@ def test_a_print_flooded_with_sweat_does_not_seem_to_slip() -> None:
     found = pulled(camera, slip, np.linspace(0.0, 0.96, 13))
     error = np.array([seen.stick_ratio - true for true, seen in found])
     assert np.sqrt(np.nanmean(error**2)) < 0.18 and np.isfinite(error).sum() > 8
+
+
+@pytest.mark.parametrize("scale", [1e-5, 1e-4, 4e-3], ids=["no pixel", "a few", "elsewhere"])
+def test_a_contact_that_no_patch_fits_into_ends_what_was_seen(scale: float) -> None:
+    """One that moved out of the image, or shrank to a pixel, raised an error of OpenCV."""
+    camera = Camera(seed=27)
+    camera.press()
+    image = camera.image()
+    measured = camera.segmenter.process(image)
+    turn = np.linspace(0.0, 6.0, 20)
+    hull = np.column_stack([np.cos(turn), np.sin(turn)]) * scale
+    hull = hull + (1.0 if scale > 1e-3 else 0.0)
+    seen = camera.motion.follow(image, replace(measured, hull=hull))
+    assert math.isnan(seen.stick_ratio) and not seen.sliding
+    assert math.isnan(camera.show().stick_ratio), "the first image of a new contact"
+    assert camera.show().stick_ratio > 0.9
