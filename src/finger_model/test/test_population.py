@@ -52,6 +52,26 @@ def test_the_file_is_small() -> None:
     assert data.stat().st_size < 10e6
 
 
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("weights", lambda a: a[:, 0]),
+        ("weights", lambda a: a[:-1]),
+        ("weights", lambda a: a[:, :-1]),
+        ("points", lambda a: a[:, :-1]),
+        ("mean", lambda a: a[:-1]),
+        ("centre", lambda a: a[None]),
+    ],
+)
+@pytest.mark.parametrize("process", ["elastic_coarse_0_0", "elastic_finer_1_0"])
+def test_arrays_that_do_not_belong_together_are_refused(process: str, name: str, change) -> None:
+    """Compiled code would read what is behind an array that is too short."""
+    model = ReducedModel.load(geometry=SLIM)
+    key = f"{process}_{name}"
+    with pytest.raises(InputError, match="Gaussian process"):
+        ReducedModel(dict(model.arrays) | {key: change(model.arrays[key])}, model.meta)
+
+
 @pytest.mark.parametrize("friction", [0.0, 0.25, 0.6])
 def test_a_finger_without_a_build_follows_the_full_order(friction: float) -> None:
     material = replace(SOFT, friction=friction)

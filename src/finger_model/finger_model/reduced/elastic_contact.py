@@ -109,10 +109,18 @@ class Process:
     """Gaussian process of several outputs: kernel 1/(1 + s²/2), s being the distance over a length
     for each input (rational quadratic, α = 1: Rasmussen and Williams 2006, equation 4.19).
 
-    arrays: centre, lengths (d,), points (m, d) scaled, weights (m, o), mean (o,).
+    arrays: centre, lengths (d,), points (m, d) scaled, weights (m, o), mean (o,). Raises ValueError
+    where they do not belong together: compiled code does not look.
     """
 
     def __init__(self, arrays: dict[str, np.ndarray]) -> None:
+        shapes = {
+            key: arrays[key].shape for key in ("centre", "lengths", "points", "weights", "mean")
+        }
+        points, outputs = shapes["points"], shapes["mean"]
+        wanted = points[-1:], points[-1:], points, points[:1] + outputs, outputs
+        if tuple(shapes.values()) != wanted or (len(points), len(outputs)) != (2, 1):
+            raise ValueError(f"a Gaussian process has arrays of {shapes}")
         self.arrays = arrays
 
     @classmethod
