@@ -187,6 +187,20 @@ def test_tables_of_other_programs_with_their_headings_and_units(
     assert [t.moisture for t in trials] == [41.75, 41.75]
 
 
+def test_names_in_hdf5_that_are_no_utf8_are_read(tmp_path: Path) -> None:
+    """Programs on Windows write them so; h5py gives bytes, at which the import ended."""
+    h5py = pytest.importorskip("h5py", reason="HDF5 needs h5py")
+    path = tmp_path / "log.h5"
+    with h5py.File(path, "w") as file:
+        group = file.create_group("Prüfung".encode("latin-1"))
+        group["Fläche_cm2".encode("latin-1")] = area_at(TIME)
+        group["t_s"] = TIME
+    with pytest.raises(InputError, match="Prüfung"):
+        read_table(str(path))
+    table = read_table(f"{path}::Prüfung")
+    assert sorted(table.columns) == ["Fläche_cm2", "t_s"]
+
+
 def test_dates_three_axes_tare_and_a_clock_that_differs(tmp_path: Path) -> None:
     time = np.datetime64("2024-05-01T10:00:00") + (1e6 * TIME).astype("timedelta64[us]")
     lines = ["when,Fx,Fy,Fz"]

@@ -11,6 +11,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -98,7 +99,7 @@ def read_hdf5(path: Path, part: str) -> Table:
             if isinstance(node, dict):
                 arrays = {n: v[()] for n, v in node.items() if isinstance(v, h5py.Dataset)}
             elif isinstance(node, h5py.Group):
-                arrays = {n: v[()] for n, v in node.items() if _is_column(v)}
+                arrays = {_text(n): v[()] for n, v in node.items() if _is_column(v)}
             else:
                 arrays = {part: node[()]} if _is_column(node) else {}
             parts = list(_hdf5_parts(file)) if not part else []
@@ -135,8 +136,9 @@ def _is_reference(dtype: Any) -> bool:
 def _hdf5_node(path: Path, file: Any, part: str) -> Any:
     """Group, dataset, or a mapping of datasets: the element of an array of MATLAB structs."""
     key = part.strip("/") or "/"
-    if key == "/" or key in file:
-        return file[key]
+    for name in (key, key.encode("latin-1", "replace")):
+        with suppress(KeyError):
+            return file[name]
     node: Any = file
     for step in _steps(part):
         if isinstance(step, str):
@@ -167,7 +169,8 @@ def _hdf5_parts(file: Any) -> Iterator[str]:
     """Names of groups with columns, of matrices, and of MATLAB's cells and arrays of structs."""
     names: list[str] = []
 
-    def look(name: str, node: Any) -> bool | None:
+    def look(name: str | bytes, node: Any) -> bool | None:
+        name = _text(name)
         if name.startswith("#"):
             return None
         if hasattr(node, "items"):
@@ -184,6 +187,11 @@ def _hdf5_parts(file: Any) -> Iterator[str]:
 
     file.visititems(look)
     return iter(names)
+
+
+def _text(name: str | bytes) -> str:
+    """A name in an HDF5 file; h5py gives one that is no UTF-8 as bytes."""
+    return name.decode("latin-1") if isinstance(name, bytes) else name
 
 
 def _longest_side(node: Any) -> bool:
