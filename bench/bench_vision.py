@@ -4,9 +4,11 @@
 from __future__ import annotations
 
 import math
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -19,6 +21,9 @@ from finger_vision.calibration import PlateCalibration
 from finger_vision.ftir import FtirSegmenter
 from finger_vision.messages import contact_area_fields
 from finger_vision.ridge_motion import RidgeMotion
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
+import stick_errors
 
 
 def _median(
@@ -69,7 +74,8 @@ def run(report: Any) -> None:
         _memory(report, learned, [renderer.empty(), *frames])
         report.add("flow_frames", _followed(report.quick), "1/s", goal=30.0, better="higher")
         pulls = 6 if report.quick else 60
-        report.add("ridge_stick_rms", _stick_ratio_error(pulls), "1", goal=0.05)
+        followed = [stick_errors.followed(stick_errors.first_pull(5000 + k)) for k in range(pulls)]
+        report.add("ridge_stick_rms", stick_errors.rms(followed), "1", goal=0.05)
         report.note(f"ridge_stick_rms: of the stick ratio over {pulls} rendered pulls")
     finally:
         cv2.setNumThreads(threads)
@@ -91,46 +97,6 @@ def _followed(quick: bool) -> float:
         motion.follow(frame, segmenter.process(frame))
         times.append(time.perf_counter() - start)
     return 1.0 / float(np.median(times))
-
-
-def _stick_ratio_error(number: int) -> float:
-    """RMS error of the stick ratio over first pulls."""
-    errors: list[float] = []
-    for seed in range(5000, 5000 + number):
-        renderer, contacts = _pull(seed)
-        calibration = renderer.calibration()
-        segmenter = FtirSegmenter(calibration=calibration)
-        motion = RidgeMotion(calibration=calibration)
-        for contact in contacts:
-            image = renderer.render_frame([contact] if contact else []).image
-            seen = motion.follow(image, segmenter.process(image)).stick_ratio
-            if contact and contact.slip and contact.slip.ratio >= 0.0:
-                errors.append(seen - contact.slip.stick_ratio)
-    return float(np.sqrt(np.nanmean(np.square(errors))))
-
-
-def _pull(seed: int) -> tuple[FtirRenderer, list[Contact | None]]:
-    """A renderer and the contacts of a pull, of random skin, size, direction, slip, shift of the
-    stick zone, noise, vignetting and number of images; a fifth are twists. First three images of
-    the plate and four of the end of the press, where the slip's ratio is −1."""
-    rng = np.random.default_rng(seed)
-    scene = Scene(noise=rng.uniform(1.0, 4.0), vignetting=rng.uniform(0.0, 0.4))
-    skin = ("dry", "natural", "moist")[seed % 3]
-    twist = bool(rng.random() < 0.2)
-    slip = SkinSlip(
-        ratio=-1.0,
-        direction=rng.uniform(-math.pi, math.pi),
-        reach=rng.uniform(40e-6, 160e-6),
-        lag=0.0 if twist or rng.random() < 0.4 else rng.uniform(0.1, 0.6),
-        twist=twist,
-    )
-    shape = {"aspect": rng.uniform(1.0, 1.5), "angle": rng.uniform(-1.5, 1.5)}
-    contact = Contact(rng.uniform(3.0e-3, 4.5e-3), slip=slip, **shape)
-    press = [replace(contact, radius=contact.radius * part) for part in (0.98, 0.99, 0.996, 1.0)]
-    ratios = np.linspace(0.0, 0.96, int(rng.integers(6, 40)))
-    pulled = [replace(contact, slip=replace(slip, ratio=float(ratio))) for ratio in ratios]
-    renderer = FtirRenderer(skin, seed, scene, width=640, height=480)
-    return renderer, [None, None, None, *press, *pulled]
 
 
 def _memory(report: Any, segmenter: FtirSegmenter, frames: list[np.ndarray]) -> None:

@@ -44,7 +44,7 @@ CAMERA = np.array(
     ]
 )
 """How a camera errs: true stick ratio, mean error, its standard deviation, and the one that is
-stated, on the rendered pulls of bench/bench_vision.py."""
+stated, as scripts/stick_errors.py prints them."""
 CAMERA_MEMORY = 0.53
 """Correlation of its errors from image to image there."""
 ALARM = 0.15
