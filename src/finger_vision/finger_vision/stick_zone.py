@@ -53,7 +53,7 @@ MOST = 8.0
 """Most that one place tells against a zone: outlines, for one, stand still within a contact."""
 
 BLUR = 0.2e-3
-"""m, half the width of a patch."""
+"""m; the travel of a place is the mean over 1.2 times this to either side."""
 
 EVIDENCE, DOUBT = 7.0, 2.0
 """Twice the logarithm of the likelihoods' ratio at which slip is as probable as none, and the
