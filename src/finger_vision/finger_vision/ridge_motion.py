@@ -34,7 +34,7 @@ FLOW_PIXEL = 28e-6
 """m; finer images are reduced as far as pixels stay below twice this size."""
 
 SPACING, SITE = 0.36e-3, 0.3e-3
-"""m between points that are followed, and between places where their slip is summed up."""
+"""m between points that are followed, and between places near which there should be one."""
 
 NEAR = 0.8e-3
 """m; a place further from all followed points is not known."""
@@ -145,9 +145,8 @@ class _Points:
     gradients of the patch there; place (n, 2): in the newest image; missed: images since it was
     found. own (n, 2): travel of the point itself, from that of its neighbours when it was taken up;
     travel (n, 2): the same smoothed over neighbours; stuck, held (n, 2): travel and own travel when
-    it last stuck, or those of its neighbours when it was taken up; rest
-    (n, 2): when it last stuck or went on slipping, area (n,): logarithm of the contact's area then;
-    mark (n, 2): travel at the last stroke; slipped: whether it has left `stuck`; far: how far (flow
+    it last stuck, or those of its neighbours when it was taken up; rest (n, 2): when it last stuck
+    or went on slipping, area (n,): logarithm of the contact's area then; mark (n, 2): travel at the last stroke; slipped: whether it has left `stuck`; far: how far (flow
     pixels) since. error: mean difference of its patch from that of its key; noise: of its travel,
     over that of the usual point.
     """
