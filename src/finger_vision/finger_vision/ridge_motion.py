@@ -146,9 +146,10 @@ class _Points:
     found. own (n, 2): travel of the point itself, from that of its neighbours when it was taken up;
     travel (n, 2): the same smoothed over neighbours; stuck, held (n, 2): travel and own travel when
     it last stuck, or those of its neighbours when it was taken up; rest (n, 2): when it last stuck
-    or went on slipping, area (n,): logarithm of the contact's area then; mark (n, 2): travel at the last stroke; slipped: whether it has left `stuck`; far: how far (flow
-    pixels) since. error: mean difference of its patch from that of its key; noise: of its travel,
-    over that of the usual point.
+    or went on slipping, area (n,): logarithm of the contact's area then; mark (n, 2): travel at the
+    last stroke; slipped: whether it has left `stuck`; far: how far (flow pixels) since. error: mean
+    difference of its patch from that of its key; noise: of its travel, over that of the usual
+    point.
     """
 
     begin: np.ndarray
