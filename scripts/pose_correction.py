@@ -66,9 +66,9 @@ class Row:
             math.sqrt(self.round_area / math.pi) / self.geometry.pad_semi_axis_radial,
             correction.LARGEST_DEPTH,
         )
-        along = math.log(value["axis_x_m"] / value["axis_y_m"])
-        self.shape = np.array([along, 0.0])
-        self.ratio = math.exp(abs(along))
+        self.ratio = value["axis_a_m"] / value["axis_b_m"]
+        double = 2.0 * math.radians(value["orientation_deg"])
+        self.shape = math.log(self.ratio) * np.array([math.cos(double), math.sin(double)])
         self.center = np.array([value[f"center_{k}_m"] for k in "xy"])
         self.pressure = np.array([value[f"pressure_{k}_m"] for k in "xy"])
         self.weight = 1.0 if self.s > SMALL else SMALL_WEIGHT

@@ -9,8 +9,8 @@
 writes a row for each finger, pose and force. `learn` gives the fingers that `finger_model.pose` is
 fitted to: the default one in six poses, then such as lie all over the population box; `test` those
 kept aside, on a finer mesh. Fingers that the file has already are kept, so that a run may be broken
-off and taken up again. In the shipped table of `learn` fingers 0 to 3 are on the finer mesh too.
-One pose takes 2 to 5 s of a core.
+off and taken up again; `--part 0 2` and `--part 1 2` are two halves for two processes with a table
+each. One pose takes 2 to 5 s of a core, one that is tilted about both axes some five times as long.
 
 The area is that inside the line where the skin touches just then: each skin node touches at some
 force, known between two steps from how its gap closes, and between nodes that force is
@@ -18,7 +18,8 @@ interpolated. A node touches a part of the node spacing ahead of the true edge. 
 seen on the round pad on a level plate, whose area the axisymmetric model knows; the outlines of the
 other poses are drawn in by as much.
 
-A pad that is tilted about its long axis is solved as half a finger too: with x and y exchanged.
+A pad that is tilted about its long axis alone is solved as half a finger too: with x and y
+exchanged. One of a finger's poses is tilted in any direction and solved whole.
 """
 
 from __future__ import annotations
@@ -53,12 +54,13 @@ LOADS = np.geomspace(0.03, 1.9, 14)
 WRITTEN = (3, 5, 7, 9, 11, 12)
 """Of LOADS."""
 SIZES = {
-    "learn": MeshSize(center=0.2, across=4, growth=1.12, bulk=3, bulk_growth=1.3, skin=2),
-    "test": MeshSize(center=0.2, across=5, growth=1.09, bulk=4, bulk_growth=1.25, skin=2),
+    "learn": MeshSize(center=0.2, across=4, growth=1.12, bulk=3, bulk_growth=1.3, skin=3),
+    "test": MeshSize(center=0.2, across=5, growth=1.09, bulk=4, bulk_growth=1.25, skin=3),
 }
 SEEDS = {"learn": 18, "test": 81}
-POSES = {"learn": 4, "test": 2}
-"""Of a finger."""
+KINDS = ("pitch", "roll", "level", "both")
+"""Of the poses of a finger."""
+FINGERS = 360
 MODULUS = 30e3
 """Pa; only ratios count."""
 FRICTION = (-0.3, 0.6)
@@ -89,11 +91,13 @@ class Finger:
 
 
 class Press(NamedTuple):
-    """Contacts (n,) at LOADS that have an equilibrium: area (m²), semi-axes along x and y, centre
-    and centre of pressure (m), node spacing at the edge (m)."""
+    """Contacts (n,) at LOADS that have an equilibrium: area (m²), larger and smaller semi-axis (m),
+    orientation of the larger one from x (rad), centre and centre of pressure (m), node spacing at
+    the edge (m)."""
 
     area: np.ndarray
     axes: np.ndarray
+    orientation: np.ndarray
     center: np.ndarray
     pressure: np.ndarray
     spacing: np.ndarray
@@ -101,8 +105,8 @@ class Press(NamedTuple):
 
 COLUMNS = (
     [f.name for f in fields(Finger)]
-    + "aspect pitch_deg roll_deg force_n round_area_m2 area_m2 axis_x_m axis_y_m".split()
-    + "center_x_m center_y_m pressure_x_m pressure_y_m".split()
+    + "aspect pitch_deg roll_deg force_n round_area_m2 area_m2 axis_a_m axis_b_m".split()
+    + "orientation_deg center_x_m center_y_m pressure_x_m pressure_y_m".split()
 )
 
 
@@ -119,6 +123,19 @@ def pose_of(aspect: float, pitch_deg: float = 0.0, roll_deg: float = 0.0) -> Pos
     return Pose(aspect, math.radians(pitch_deg), math.radians(roll_deg))
 
 
+def random_pose(rng: np.random.Generator, kind: str) -> Pose:
+    """An aspect and a tilt of this kind; steep tilts are as frequent as flat ones by solid angle."""
+    aspect, tilt = rng.uniform(1.0, 1.6), 30.0 * math.sqrt(rng.random())
+    way = rng.uniform(0.0, 0.5 * math.pi)
+    if kind == "level":
+        return pose_of(aspect)
+    if kind == "pitch":
+        return pose_of(aspect, tilt)
+    if kind == "roll":
+        return pose_of(aspect, 0.0, tilt)
+    return pose_of(aspect, tilt * math.cos(way), tilt * math.sin(way))
+
+
 def fingers(which: str) -> Iterator[tuple[Finger, list[Pose]]]:
     """Fingers of the population box with their poses, without end."""
     if which == "learn":
@@ -132,7 +149,7 @@ def fingers(which: str) -> Iterator[tuple[Finger, list[Pose]]]:
     ranges[-1] = (math.log(ranges[-1][0]), math.log(ranges[-1][1]))
     ranges += [(math.log(SKIN_RATIOS[0]), math.log(SKIN_RATIOS[1])), FRICTION]
     low, high = np.transpose(ranges)
-    of_finger, of_pose = (qmc.Sobol(n, seed=SEEDS[which]) for n in (len(ranges), 2))
+    of_finger = qmc.Sobol(len(ranges), seed=SEEDS[which])
     for number in range(1 if which == "learn" else 2, 10**6):
         row = qmc.scale(of_finger.random(1), low, high)[0].tolist()
         width, height, bone_width, bone_height, nail, skin, skin_ratio, friction = row
@@ -140,12 +157,11 @@ def fingers(which: str) -> Iterator[tuple[Finger, list[Pose]]]:
         bone = bone_width * width, bone_height * height
         rest = nail * width, math.exp(skin_ratio), max(friction, 0.0)
         finger = Finger(number, width, height, math.exp(skin), *bone, *rest)
-        poses = []
-        for k, (long, steep) in enumerate(of_pose.random(POSES[which]).tolist()):
-            # Steep ones are as frequent as flat ones by solid angle. A third is level.
-            tilt = 30.0 * math.sqrt(steep)
-            turned = (0.0, tilt) if (number + k) % 2 else (tilt, 0.0)
-            poses.append(pose_of(1.0 + 0.6 * long, *((0.0, 0.0) if k == 2 else turned)))
+        # Poses of their own random numbers: blocks of one sequence would give every finger alike
+        # ones.
+        rng = np.random.default_rng([SEEDS[which], number])
+        kinds = KINDS if which == "learn" else (KINDS[number % 4], KINDS[(number + 1) % 4])
+        poses = [random_pose(rng, kind) for kind in kinds]
         yield finger, poses
 
 
@@ -162,7 +178,7 @@ def forces(finger: Finger) -> np.ndarray:
 def press(finger: Finger, pose: Pose, size: MeshSize) -> Press:
     """One finger pressed onto one plate."""
     geometry = finger.geometry
-    swapped = pose.roll != 0.0
+    swapped = pose.pitch == 0.0 and pose.roll != 0.0
     if swapped:
         # x and y exchanged: the roll is a pitch, and the pad is long along y.
         run = Pose(1.0, pose.roll)
@@ -186,20 +202,21 @@ def press(finger: Finger, pose: Pose, size: MeshSize) -> Press:
         pressures.append(center_of_pressure(stepper))
         crossed = ~open_[mesh.faces].all(axis=1) & open_[mesh.faces].any(axis=1)
         edge = np.unique(mesh.faces[crossed])
-        share = node_areas(mesh, skin) * np.where(np.abs(mesh.disc[:, 1]) < 1e-12, 2.0, 1.0)
+        on_plane = mesh.half & (np.abs(mesh.disc[:, 1]) < 1e-12)
+        share = node_areas(mesh, skin) * np.where(on_plane, 2.0, 1.0)
         spacings.append(float(np.sqrt(share[edge]).mean()))
     count = len(skins)
     if count < 3:
         none = np.zeros((0, 2))
-        return Press(none[:, 0], none, none, none, none[:, 0])
+        return Press(none[:, 0], none, none[:, 0], none, none, none[:, 0])
     root = np.cbrt(LOADS[:count])
     touch, place = touching(np.array(skins), np.array(gaps), root)
     shapes = [inside(model.mesh, place, touch, limit) for limit in root]
-    area, axes, center = (np.array(v) for v in zip(*shapes, strict=True))
+    area, axes, angle, center = (np.array(v) for v in zip(*shapes, strict=True))
     pressed = np.array(pressures)
     if swapped:
-        axes, center, pressed = axes[:, ::-1], center[:, ::-1], pressed[:, ::-1]
-    return Press(area, axes, center, pressed, np.array(spacings))
+        angle, center, pressed = 0.5 * math.pi - angle, center[:, ::-1], pressed[:, ::-1]
+    return Press(area, axes, angle, center, pressed, np.array(spacings))
 
 
 def touching(
@@ -231,8 +248,9 @@ def touching(
 
 def inside(
     mesh: SolidMesh, place: np.ndarray, touch: np.ndarray, limit: float
-) -> tuple[float, np.ndarray, np.ndarray]:
-    """Area (m²) where the skin touches before `limit`, its semi-axes along x and y, and centre."""
+) -> tuple[float, np.ndarray, float, np.ndarray]:
+    """Area (m²) where the skin touches before `limit`, its semi-axes, the larger first, direction
+    of that from x (rad), and centre."""
     even = (np.arange(SAMPLES) + 0.5) / SAMPLES
     u, v = (grid.ravel() for grid in np.meshgrid(even, even))
     shape = np.stack([(1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v])
@@ -246,8 +264,14 @@ def inside(
     center = np.einsum("fq,fqd->d", weight, points) / area
     if mesh.half:
         center[1] = 0.0
-    square = np.einsum("fq,fqd->d", weight, (points - center) ** 2) / area
-    return float(area) * mesh.copies, 2.0 * np.sqrt(square), center
+    away = points - center
+    square = np.einsum("fq,fqc,fqd->cd", weight, away, away) / area
+    if mesh.half:
+        square[0, 1] = square[1, 0] = 0.0
+    values, vectors = np.linalg.eigh(square)
+    # Uniform ellipse: its semi-axis is twice the standard deviation.
+    angle = math.atan2(vectors[1, 1], vectors[0, 1])
+    return float(area) * mesh.copies, 2.0 * np.sqrt(values[::-1]), angle, center
 
 
 def center_of_pressure(stepper: SolidStepper) -> np.ndarray:
@@ -284,7 +308,8 @@ def rows_of(finger: Finger, poses: list[Pose], size: MeshSize) -> list[list[floa
             axes = found.axes[k] - ahead[k] * found.spacing[k]
             area = found.area[k] * axes.prod() / found.axes[k].prod()
             where = [*turned, forces(finger)[k], flat[k], area, *axes]
-            places = [*found.center[k], *found.pressure[k]]
+            way = math.degrees(found.orientation[k]) % 180.0
+            places = [way, *found.center[k], *found.pressure[k]]
             rows.append([*astuple(finger), pose.aspect, *where, *places])
     return rows
 
@@ -294,7 +319,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("which", choices=sorted(SIZES))
     parser.add_argument("table", type=Path)
-    parser.add_argument("--fingers", type=int, default=110)
+    parser.add_argument("--fingers", type=int, default=FINGERS)
+    parser.add_argument("--part", type=int, nargs=2, default=(0, 1), metavar=("K", "N"))
     arguments = parser.parse_args()
     done = set()
     if arguments.table.exists():
@@ -305,7 +331,8 @@ def main() -> None:
     for finger, poses in fingers(arguments.which):
         if finger.number >= arguments.fingers:
             break
-        if finger.number in done:
+        part, parts = arguments.part
+        if finger.number in done or finger.number % parts != part:
             continue
         rows = rows_of(finger, poses, SIZES[arguments.which])
         with arguments.table.open("a", newline="") as file:

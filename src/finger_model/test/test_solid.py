@@ -36,7 +36,7 @@ def model():
 
 def body(mesh, law):
     """Elements, neo-Hookean material and an array of tangents of a mesh."""
-    bricks = elements.reference_bricks(mesh.nodes, mesh.cells, mesh.part != EPIDERMIS)
+    bricks = elements.reference_bricks(mesh.nodes, mesh.cells)
     metric = np.zeros((*bricks.weight.shape, 6))
     metric[..., :3] = law.instantaneous_shear_modulus
     bulk = np.full(len(mesh.cells), law.bulk_modulus)
@@ -57,13 +57,13 @@ def test_a_coarser_mesh_keeps_the_bending_of_the_skin():
 def test_mesh_fills_the_finger(pose):
     geometry = Geometry()
     mesh = solid_mesh(geometry, pose)
-    volume = elements.reference_bricks(mesh.nodes, mesh.cells, mesh.part != EPIDERMIS).weight.sum()
+    volume = elements.reference_bricks(mesh.nodes, mesh.cells).weight.sum()
     g = geometry
     pad = g.pad_semi_axis_radial**2 * g.pad_semi_axis_axial
     bone = g.bone_semi_axis_radial**2 * g.bone_semi_axis_axial
     nail = (g.nail_radius**2 - g.bone_semi_axis_radial**2) * g.nail_thickness
     exact = pose.aspect * math.pi * (2 / 3 * (pad - bone) + nail)
-    assert volume * mesh.copies == pytest.approx(exact, rel=0.02)
+    assert volume * mesh.copies == pytest.approx(exact, rel=0.025)
     # The plate touches first where the mesh is finest.
     skin = mesh.nodes[mesh.surface]
     spacing = np.sqrt(node_areas(mesh, skin))
@@ -99,7 +99,7 @@ def test_tangent_is_the_derivative_of_the_force(stiffening):
 
 def test_uniform_gradient_gives_uniform_strain():
     mesh = solid_mesh(Geometry(), Pose(1.2), COARSE)
-    bricks = elements.reference_bricks(mesh.nodes, mesh.cells, mesh.part != EPIDERMIS)
+    bricks = elements.reference_bricks(mesh.nodes, mesh.cells)
     f = np.array([[1.1, 0.2, 0.0], [0.05, 0.9, 0.1], [0.0, -0.1, 1.0]])
     shape = (*bricks.weight.shape, 6)
     c_bar, inverse, volume = np.empty(shape), np.empty(shape), np.empty(shape[:2])
@@ -261,7 +261,7 @@ def test_outline_finds_a_known_ellipse(model, monkeypatch):
     a, b = 3.1e-3, 2.4e-3
     reach = np.hypot(skin[:, 0] / a, skin[:, 1] / b)
     contact.plate[2] = -6.5e-3
-    skin[:, 2] = -6.5e-3 + 0.3e-3 * np.maximum(reach - 1.0, 0.0) ** 2
+    skin[:, 2] = -6.5e-3 + 0.3e-3 * np.maximum(reach - 1.0, 0.0) ** 1.5
     contact.status[reach <= 1.0] = STICK
     found = outline(mesh, skin, contact, node_areas(mesh, skin))
     assert found.area == pytest.approx(math.pi * a * b, rel=5e-3)

@@ -3,10 +3,11 @@
 
 """Outline, area, pressure and stick area of the contact from the skin nodes.
 
-Beside the edge of a contact the gap grows with distance to the power 3/2 (Hertz). So gap^(2/3) of
-the open nodes near the edge gives their distance from it. The edge r(φ) about the contact's middle,
-and the slope of gap^(2/3) round it, are fitted as Fourier series to all these nodes at once; a
-single node or a row of them then has no weight of its own, and the area shows no staircase.
+Beside the edge of a contact the gap grows with distance to the power 3/2 (Hertz), farther away than
+the skin is thick rather with its square. So gap^(2/3) of the open nodes near the edge, and its
+square, give their distance from it. The edge r(φ) about the contact's middle, and the slope of
+gap^(2/3) round it, are fitted as Fourier series to all these nodes at once; a single node or a row
+of them then has no weight of its own, and the area shows no staircase.
 """
 
 from __future__ import annotations
@@ -25,12 +26,15 @@ EDGE_ORDER = 4
 SLIP_SHARE = 0.05
 """Slip over the plate's travel below which skin is said to stick: the tissue's own small slips, as
 those of the edge while a finger is pressed, are no sign of sliding."""
-BAND = (0.2, 4.5)
+BAND = (0.2, 2.5)
 """Distance from the edge of the nodes in the fit, in node spacings."""
-EDGE_SHIFT = -0.01
-"""Distance of the true edge inside the fitted one, in node spacings. Found with the axisymmetric
-model: −0.01 ± 0.014 for forces of 0.1 to 1.35 N (contact radius 1.5 to 4.1 mm, spacing 0.24 to 0.35
-mm)."""
+EDGE_SHIFT = 0.225
+"""Distance of the true edge inside the fitted one, in node spacings, found with the axisymmetric
+model on twelve fingers (`finger-model verify` with `solid_axisymmetric`)."""
+
+
+NEAR = 1.5
+"""Distance from the edge of the nodes whose spacing that is, in node spacings."""
 
 
 class Outline(NamedTuple):
@@ -82,7 +86,7 @@ def outline(mesh: SolidMesh, skin: np.ndarray, contact: Contact, areas: np.ndarr
     # Uniform ellipse: its half-axis is twice the standard deviation.
     reach = np.sqrt(np.einsum("ni,ij,nj->n", rel, inverse, rel)) / 2.0
     edge = distance / np.maximum(reach, 1e-12)
-    root = np.sqrt(np.maximum(skin[:, 2] - contact.plate[2], 0.0))
+    root = np.maximum(skin[:, 2] - contact.plate[2], 0.0) ** (2.0 / 3.0)
     # The nodes of the symmetry plane have half their share here.
     on_plane = mesh.half & (np.abs(mesh.disc[:, 1]) < 1e-12)
     spacing = np.sqrt(np.where(on_plane, 2.0, 1.0) * areas)
@@ -98,7 +102,8 @@ def outline(mesh: SolidMesh, skin: np.ndarray, contact: Contact, areas: np.ndarr
         if len(used) < 2 * (terms.shape[1] + slopes.shape[1]):
             break
         scaled = root[used] / root[used].max()
-        matrix = np.column_stack([terms[used], slopes[used] * scaled[:, None]])
+        square = scaled[:, None] ** 2
+        matrix = np.column_stack([terms[used], slopes[used] * scaled[:, None], square])
         w = np.sqrt(fade[used] * areas[used])
         found = np.linalg.lstsq(matrix * w[:, None], distance[used] * w, rcond=None)[0]
         coefficients = found[: terms.shape[1]]
@@ -110,7 +115,8 @@ def outline(mesh: SolidMesh, skin: np.ndarray, contact: Contact, areas: np.ndarr
         return Outline(total, middle, (a * factor, b * factor), 0.0)
     r = _terms(dense, EDGE_ORDER, mesh.half) @ coefficients
     around = _terms(dense, 2, mesh.half)
-    local = np.linalg.lstsq(slopes[used] * w[:, None], spacing[used] * w, rcond=None)[0]
+    near = np.abs(distance - edge) < NEAR * spacing
+    local = np.linalg.lstsq(slopes[near], spacing[near], rcond=None)[0]
     r -= EDGE_SHIFT * (around @ local)
     step = 2.0 * math.pi / len(dense)
     area = 0.5 * step * float(np.sum(r**2))

@@ -7,11 +7,10 @@ Symbols as in `fem/elements.py`: F deformation gradient, J its determinant, θ m
 element, τ Kirchhoff stress, C̄ = J^(−2/3) FᵀF, H = 2 ∂W/∂C̄. Symmetric tensors are stored as (xx, yy,
 zz, xy, yz, xz).
 
-Where a thick layer bends or shears, the derivative along its thickness grows along the element, and
-the shear that follows from it makes the element too stiff (parasitic shear). So in the tissue the
-derivatives of the shape functions by ζ, along the thickness, are averaged over ξ and η. Those by ξ
-and η are not, so that only a rigid motion is free of stress; a uniform strain stays exact. In the
-thin skin averaging would soften the bending instead, as two layers carry it.
+Where a layer bends or shears, the derivative along its thickness grows along the element, and the
+shear that follows from it makes the element too stiff (parasitic shear). So the derivatives of the
+shape functions by ζ, along the thickness, are averaged over ξ and η. Those by ξ and η are not, so
+that only a rigid motion is free of stress; a uniform strain stays exact.
 """
 
 from __future__ import annotations
@@ -63,19 +62,16 @@ class Bricks(NamedTuple):
         return Bricks(*(np.ascontiguousarray(array[index]) for array in self))
 
 
-def reference_bricks(nodes: np.ndarray, cells: np.ndarray, thick: np.ndarray) -> Bricks:
-    """Operators of cells (E, 8) on nodes (N, 3) in m; thick (E,): whether derivatives along the
-    thickness are averaged. Raises ValueError for elements inside out."""
+def reference_bricks(nodes: np.ndarray, cells: np.ndarray) -> Bricks:
+    """Operators of cells (E, 8) on nodes (N, 3) in m. Raises ValueError for elements inside out."""
     local = _local_gradients()
     jacobian = np.einsum("eni,pnj->epij", nodes[cells], local, optimize=True)
     volume = np.linalg.det(jacobian)
     if volume.min() <= 0.0:
         raise ValueError(f"{int((volume.min(axis=1) <= 0).sum())} elements are inside out")
-    gradient = np.einsum("pnj,epji->epni", local, np.linalg.inv(jacobian), optimize=True)
     local[..., 2] = 0.125 * _SIGN[:, 2]
-    jacobian = np.einsum("eni,pnj->epij", nodes[cells[thick]], local, optimize=True)
-    inverse = np.linalg.inv(jacobian)
-    gradient[thick] = np.einsum("pnj,epji->epni", local, inverse, optimize=True)
+    jacobian = np.einsum("eni,pnj->epij", nodes[cells], local, optimize=True)
+    gradient = np.einsum("pnj,epji->epni", local, np.linalg.inv(jacobian), optimize=True)
     return Bricks(np.ascontiguousarray(cells), np.ascontiguousarray(gradient), volume)
 
 

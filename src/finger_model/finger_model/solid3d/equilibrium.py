@@ -14,7 +14,6 @@ import math
 import numpy as np
 
 from ..fem.equilibrium import OPEN, NotConverged
-from ..fem.mesh import EPIDERMIS
 from ..fem.mesh_material import StepMaterial
 from . import elements
 from .condensation import Condensation, NotPositive
@@ -42,7 +41,7 @@ class Equilibrium:
         if math.isfinite(stick_stiffness):
             areas = node_areas(mesh, mesh.nodes[mesh.surface])
             self._spring = stick_stiffness * areas
-        self.elements = elements.reference_bricks(mesh.nodes, mesh.cells, mesh.part != EPIDERMIS)
+        self.elements = elements.reference_bricks(mesh.nodes, mesh.cells)
         self.tangent = np.zeros((len(mesh.cells), elements.UNKNOWNS, elements.UNKNOWNS))
         self.force = np.zeros(mesh.nodes.shape)
         self.length = float(np.ptp(mesh.nodes[:, 2]))

@@ -297,6 +297,8 @@ class SolidStepper:
             try:
                 self._try(instant, Plate(target[:3], target[3:]))
             except (NotConverged, Crushed) as error:
+                # What was factorised on the way is of no use to a smaller step.
+                self.model.equilibrium.forget()
                 size = 0.25 * (goal - done)
                 if size < SMALLEST_CUT:
                     self.state, self._before = start, before
@@ -355,7 +357,7 @@ class SolidStepper:
             try:
                 return solve(x, contact, material, friction, plate)
             except Sliding:
-                pass
+                return self._held_first(x, contact, material, plate)
         # The plate slides: it is moved until every node slips.
         self.sliding = True
         way = np.where(tangential, pull, 0.0) / max(size, 1e-300)
@@ -373,6 +375,22 @@ class SolidStepper:
             contact.anchor = x[surface, :2] - contact.plate[:2]
             contact.begun = contact.force[:, :2].copy()
         return x, contact
+
+    def _held_first(
+        self, x: np.ndarray, contact: Contact, material: StepMaterial, plate: Plate
+    ) -> tuple[np.ndarray, Contact]:
+        """The solution where no node stuck on the way to it although friction is not used up, as
+        when the skin has only just touched: the plate is held until some do, then pulled."""
+        solve, friction = self.model.equilibrium.solve, self.material.friction
+        position, force = plate.position.copy(), plate.force.copy()
+        pulled = np.isnan(position[:2])
+        position[:2][pulled] = contact.plate[:2][pulled]
+        force[:2][pulled] = np.nan
+        x, contact = solve(x, contact, material, friction, Plate(position, force))
+        try:
+            return solve(x, contact, material, friction, plate)
+        except Sliding:
+            raise NotConverged("no skin sticks although friction is not used up") from None
 
     def _anchor(self, state: SolidState, x: np.ndarray, contact: Contact) -> np.ndarray:
         """Places (S, 2) on the plate where nodes stick: where they were when the step began or,

@@ -33,15 +33,15 @@ class MeshSize:
     """
 
     center: float = 0.18
-    across: int = 9
-    growth: float = 1.08
-    bulk: int = 6
-    bulk_growth: float = 1.2
-    skin: int = 2
+    across: int = 8
+    growth: float = 1.09
+    bulk: int = 7
+    bulk_growth: float = 1.17
+    skin: int = 3
 
     def refined(self, refinement: float) -> MeshSize:
-        """With the node spacing divided by a factor; the skin keeps two layers, as one would not
-        resist bending."""
+        """With the node spacing divided by a factor; the skin keeps three layers, as two would bend
+        too easily: an element has one pressure."""
         if refinement == 1.0:
             return self
         return MeshSize(
@@ -50,7 +50,7 @@ class MeshSize:
             1.0 + (self.growth - 1.0) / refinement,
             max(2, round(self.bulk * refinement)),
             self.bulk_growth ** (1.0 / refinement),
-            max(2, round(self.skin * refinement)),
+            max(3, round(self.skin * refinement)),
         )
 
 
