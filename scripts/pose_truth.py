@@ -124,7 +124,7 @@ def pose_of(aspect: float, pitch_deg: float = 0.0, roll_deg: float = 0.0) -> Pos
 
 
 def random_pose(rng: np.random.Generator, kind: str) -> Pose:
-    """An aspect and a tilt of this kind; steep tilts are as frequent as flat ones by solid angle."""
+    """Aspect and tilt of this kind; steep tilts are as frequent as flat ones, by solid angle."""
     aspect, tilt = rng.uniform(1.0, 1.6), 30.0 * math.sqrt(rng.random())
     way = rng.uniform(0.0, 0.5 * math.pi)
     if kind == "level":

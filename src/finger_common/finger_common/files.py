@@ -427,6 +427,11 @@ def read_csv(
                 )
             where = [header.index(c) for c in columns]
             continue
+        if any(cell.strip() for cell in row[len(header) :]):
+            raise InputError(
+                f"{path}, line {line}: {len(row)} cells below a header of {len(header)}; use a "
+                "decimal point and one comma between cells"
+            )
         numbers = []
         for column, index in zip(columns, where):
             cell = row[index].strip() if index < len(row) else ""

@@ -87,6 +87,7 @@ def test_csv_columns_are_found_by_name_in_any_order(tmp_path: Path) -> None:
         ("time_s,force_n\n0,1\n0.1,nan\n", ["line 3", "'nan'", "'force_n'"]),
         ("time_s,force_n\n0,1\n0.1\n", ["line 3", "'force_n'"]),
         ("time_s,force_n\n0,inf\n", ["line 2", "'inf'"]),
+        ("time_s,force_n\n0,0,0,0\n0,1,0,7\n", ["line 2", "4 cells", "decimal point"]),
     ],
 )
 def test_bad_csv_is_refused_with_file_line_and_column(

@@ -66,6 +66,8 @@ UNKNOWN_DEPTH = 0.12
 EPIDERMIS = 0.30e-3
 """m, stratum corneum of a finger pad (Adams et al. 2013, J. R. Soc. Interface 10, 20120467,
 fig. 1)."""
+GROWN_UP = 16.0
+"""Age in years until which fingers are taken to grow."""
 EPIDERMIS_DEVIATION = 0.08e-3
 """m, between people; the epidermis of palms has 0.05 mm, the rest is an assumption."""
 BONE_WIDTH = 4.0 / 8.5
@@ -143,8 +145,8 @@ def epidermis_of_age(age: float) -> float:
     """
     if not 1 <= age <= 120:
         raise InputError(f"age {age:g} is outside 1 … 120 years")
-    if age < 16:
-        return EPIDERMIS * (0.85 + 0.15 * age / 16.0)
+    if age < GROWN_UP:
+        return EPIDERMIS * (0.85 + 0.15 * age / GROWN_UP)
     return EPIDERMIS * max(1.0 - 0.003 * max(age - 40.0, 0.0), 0.84)
 
 
@@ -168,6 +170,10 @@ def estimate_geometry(
     if width is None and finger is None:
         raise InputError(
             "give the width of the fingertip (--width 14mm), or --finger for a typical one"
+        )
+    if width is None and age is not None and age < GROWN_UP:
+        raise InputError(
+            f"a typical finger is that of an adult; at the age of {age:g} give the width (--width)"
         )
     typical = FINGERS[finger or "index"]
     known = []
@@ -194,6 +200,11 @@ def estimate_geometry(
         axial_rule += f", of a typical {finger or 'index'} finger of this width"
     else:
         known.append(f"depth {_checked('depth', depth) * 1e3:g} mm")
+        if depth > width + CALIPER_DEVIATION:
+            raise InputError(
+                f"depth {depth * 1e3:g} mm is larger than width {width * 1e3:g} mm; fingertips are "
+                "wider than deep: check whether the two are exchanged"
+            )
     axial = 0.5 * depth
     axial_deviation = math.hypot(0.5 * depth_deviation, PAD_SHAPE * axial)
 

@@ -81,6 +81,8 @@ def test_age_and_length_change_what_they_should():
         (["--finger", "toe"], "thumb, index"),
         (["--finger", "index", "--age", "500"], "1 … 120"),
         (["--width", "14mm", "--age", "nan"], "1 … 120"),
+        (["--width", "11mm", "--depth", "17mm"], "exchanged"),
+        (["--finger", "index", "--age", "8"], "give the width"),
     ],
 )
 def test_bad_readings_end_with_one_sentence(tmp_path, capsys, options, words):

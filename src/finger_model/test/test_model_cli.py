@@ -137,3 +137,10 @@ def test_verify_prints_numbers_and_refuses_unknown_checks(capsys):
     assert "error of the rim's displacement" in capsys.readouterr().out
     assert run(_main, ["verify", "nothing"]) == 2
     assert "check 'nothing' does not exist" in capsys.readouterr().err
+
+
+def test_forces_of_the_wrong_sign_are_pointed_out(tmp_path, capsys):
+    path = tmp_path / "force.csv"
+    path.write_text("time_s,force_n\n0,0\n1,-1\n")
+    assert run(_main, ["simulate", "--force", str(path), "-o", str(tmp_path / "o.csv")]) == 0
+    assert "no force above zero" in capsys.readouterr().err

@@ -279,3 +279,38 @@ def test_simulate_gives_stick_and_slip_of_a_long_history_at_once(tmp_path, capsy
     assert moved[back] > moved[there] + 0.005
     assert run_command(_main, [*arguments, "--tilt-deg", "10"]) == 2
     assert "use --solver full" in capsys.readouterr().err
+
+
+def test_elements_carry_the_pull_whatever_the_normal_force_did_before():
+    rng = np.random.default_rng(0)
+    for _ in range(40):
+        state = np.zeros(1, kernels.STATE).view(np.recarray)[0]
+        normal = np.exp(np.cumsum(rng.normal(size=50) * rng.choice([0.01, 0.1, 0.3])))
+        for load in normal:
+            angle, size = rng.uniform(0.0, 6.3), 0.99 * load * rng.random()
+            pull = size * math.cos(angle), size * math.sin(angle)
+            kernels._pull(state, load, *pull)
+            assert np.hypot(*(state.force.mean(axis=0) - pull)) < 2e-6 * load
+
+
+def test_a_finger_that_is_relieved_under_a_pull_goes_back(tmp_path):
+    pull = tmp_path / "pull.csv"
+    pull.write_text(
+        "time_s,force_n,tangential_force_n\n0,0,0\n0.5,4,0\n1,4,0.9\n1.25,2.5,0.5\n1.5,1,0.1\n"
+    )
+    out = tmp_path / "out.csv"
+    _main(["simulate", "--force", str(pull), "--solver", "reduced", "-o", str(out)])
+    moved = np.genfromtxt(out, delimiter=",", names=True)["tangential_displacement_mm"]
+    assert moved[2] > moved[3] > moved[4] > 0.0
+
+
+@pytest.mark.parametrize("prior", [{}, {"friction_prior": 0.02, "friction_prior_sd": 0.01}])
+def test_a_ratio_beyond_all_frictions_is_not_taken_for_certain(prior):
+    """As of a shear that was not tared, at the first touch."""
+    rows = run(SlipEstimator(SlipSettings(**prior)), ramp((0, 0.0), (1, 1.0)), np.full(500, 0.5))
+    told = rows[np.isfinite(rows["stick_ratio"])]
+    assert len(told) > 400
+    for name in ("friction", "slip_margin", "slip_probability", "stick_ratio_stddev"):
+        assert np.isfinite(told[name]).all(), name
+    if not prior:
+        assert np.all(told["friction_stddev"] >= 0.5 * told["friction"])

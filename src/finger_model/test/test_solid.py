@@ -14,7 +14,6 @@ from finger_common.errors import InputError
 from finger_model.cli import _main
 from finger_model.fem.equilibrium import SLIP, STICK
 from finger_model.fem.full_order import FullOrderModel
-from finger_model.fem.mesh import EPIDERMIS
 from finger_model.geometry import Geometry
 from finger_model.laws import GeneralizedMaxwell2, StandardLinearSolid
 from finger_model.pose.pose import Pose
@@ -240,6 +239,17 @@ def test_pull_turns_with_its_direction():
     assert found[0][0] == pytest.approx(found[1][1], rel=1e-3)
     assert abs(found[0][1]) < 1e-3 * found[0][0]
     assert found[0][2] == pytest.approx(found[1][2], rel=1e-3)
+
+
+def test_skin_that_has_just_touched_carries_a_pull_within_friction(model):
+    law = elastic(**DRY, friction=0.25)
+    still, right, left = (
+        model.start(law).step(0.3, 0.5, (pull, 0.0)) for pull in (0.0, 0.05, -0.05)
+    )
+    assert still.slip_margin == 1.0 and abs(still.shift_x) < 1e-9
+    assert (right.slip_margin, left.slip_margin) == pytest.approx((0.6, 0.6))
+    assert right.stick_ratio > 0.9 and left.stick_ratio > 0.9
+    assert right.shift_x == pytest.approx(-left.shift_x, rel=1e-2)
 
 
 def test_viscoelastic_tissue_creeps_and_returns(model):

@@ -113,6 +113,12 @@ def run(arguments: argparse.Namespace) -> int:
     geometry = Geometry.load(arguments.geometry) if arguments.geometry else Geometry()
     material = load_material(arguments.material) if arguments.material else StandardLinearSolid()
     time, force, pull = read_load_csv(arguments.force)
+    if not np.any(force > 0.0):
+        print(
+            f"{arguments.force}: no force above zero, so nothing touches; a pressing force is "
+            "positive",
+            file=sys.stderr,
+        )
     if pull is not None and material.friction == 0.0 and np.any(pull != 0.0):
         raise InputError(
             f"{arguments.force}: 'tangential_force_n' needs friction, and the material has none; "

@@ -245,6 +245,34 @@ def _end_contact(config, state, stamp):
 
 
 @njit(cache=True)
+def _summed(state, load, d0, d1):
+    """Elements moved by d: their mean force, its derivatives (xx, xy, yy), their mean potential,
+    and the share of them that sticks."""
+    f0, f1, a, b, c, potential, stuck = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(ELEMENTS):
+        t0, t1 = state.force[i, 0] + d0, state.force[i, 1] + d1
+        size, limit = math.hypot(t0, t1), load * LIMITS[i]
+        if size > limit:
+            k = limit / size
+            n0, n1 = t0 / size, t1 / size
+            f0 += k * t0
+            f1 += k * t1
+            a += k * (1.0 - n0 * n0)
+            b -= k * n0 * n1
+            c += k * (1.0 - n1 * n1)
+            potential += limit * (size - 0.5 * limit)
+        else:
+            f0 += t0
+            f1 += t1
+            a += 1.0
+            c += 1.0
+            potential += 0.5 * size * size
+            stuck += 1.0
+    n = 1.0 / ELEMENTS
+    return f0 * n, f1 * n, a * n, b * n, c * n, potential * n, stuck * n
+
+
+@njit(cache=True)
 def _pull(state, load, q0, q1):
     """Move the elements until their forces sum to Q at limits of `load` = μP; the stick ratio."""
     total = math.hypot(q0, q1)
@@ -253,35 +281,27 @@ def _pull(state, load, q0, q1):
             state.force[i, 0] = q0 / max(total, 1e-12) * load * LIMITS[i]
             state.force[i, 1] = q1 / max(total, 1e-12) * load * LIMITS[i]
         return 0.0
+    # Newton's method for the least of a convex potential: far away, where all slip, it needs a
+    # limit to its steps, and steps that raise the potential are halved.
     d0, d1 = 0.0, 0.0
-    stuck = 0.0
-    for _ in range(25):
-        f0, f1, a, b, c = 0.0, 0.0, 0.0, 0.0, 0.0
-        stuck = 0.0
-        for i in range(ELEMENTS):
-            t0, t1 = state.force[i, 0] + d0, state.force[i, 1] + d1
-            size, limit = math.hypot(t0, t1), load * LIMITS[i]
-            if size > limit:
-                k = limit / size
-                n0, n1 = t0 / size, t1 / size
-                f0 += k * t0
-                f1 += k * t1
-                a += k * (1.0 - n0 * n0)
-                b -= k * n0 * n1
-                c += k * (1.0 - n1 * n1)
-            else:
-                f0 += t0
-                f1 += t1
-                a += 1.0
-                c += 1.0
-                stuck += 1.0
-        e0, e1 = q0 - f0 / ELEMENTS, q1 - f1 / ELEMENTS
+    f0, f1, a, b, c, potential, stuck = _summed(state, load, d0, d1)
+    for _ in range(30):
+        e0, e1 = q0 - f0, q1 - f1
         if math.hypot(e0, e1) < 1e-6 * load:
             break
-        a, b, c = a / ELEMENTS + 1e-3, b / ELEMENTS, c / ELEMENTS + 1e-3
+        a, c = a + 1e-3, c + 1e-3
         det = a * c - b * b
-        d0 += (c * e0 - b * e1) / det
-        d1 += (a * e1 - b * e0) / det
+        s0, s1 = (c * e0 - b * e1) / det, (a * e1 - b * e0) / det
+        part = min(1.0, 4.0 * load / math.hypot(s0, s1))
+        before = potential - q0 * d0 - q1 * d1
+        while True:
+            n0, n1 = d0 + part * s0, d1 + part * s1
+            f0, f1, a, b, c, potential, stuck = _summed(state, load, n0, n1)
+            gain = before - (potential - q0 * n0 - q1 * n1)
+            if gain >= 1e-4 * part * (e0 * s0 + e1 * s1) or part < 1e-6:
+                break
+            part *= 0.5
+        d0, d1 = n0, n1
     for i in range(ELEMENTS):
         t0, t1 = state.force[i, 0] + d0, state.force[i, 1] + d1
         k = min(1.0, load * LIMITS[i] / max(math.hypot(t0, t1), 1e-12))
@@ -289,7 +309,7 @@ def _pull(state, load, q0, q1):
         state.force[i, 1] = k * t1
     state.moved[0] += d0
     state.moved[1] += d1
-    return stuck / ELEMENTS
+    return stuck
 
 
 @njit(cache=True)
@@ -429,8 +449,13 @@ def follow(config, state, stamp, normal, q0, q1, touching, indentation, moisture
     if plateau:
         share = _slip_share(state)
         log_ratio = state.plateau_sum / state.plateau_count
-    top = state.log_weight.max()
-    edge_at = math.log(max(state.largest, 1e-3))
+    # A ratio beyond all frictions that are thought of leaves the largest of them.
+    edge_at = min(math.log(max(state.largest, 1e-3)), LOG_FRICTION[-1])
+    log_weight = np.empty(GRID)
+    for g in range(GRID):
+        edge = _normal((LOG_FRICTION[g] - edge_at) / EDGE)
+        log_weight[g] = state.log_weight[g] + (math.log(edge) if edge > 0.0 else -math.inf)
+    top = log_weight.max()
     ahead, spread = 0.0, EDGE
     if judged:
         p = max(state.fast.value[0] + config.horizon * state.fast.rate[0], 1e-3)
@@ -445,7 +470,7 @@ def follow(config, state, stamp, normal, q0, q1, touching, indentation, moisture
     log_ahead = math.log(max(ahead, 1e-6))
     for g in range(GRID):
         x = LOG_FRICTION[g]
-        weight = math.exp(state.log_weight[g] - top) * _normal((x - edge_at) / EDGE)
+        weight = math.exp(log_weight[g] - top)
         slip = 0.0
         if plateau:
             likelihood, slip_part = _plateau_likelihood(state, share, log_ratio, x)
@@ -465,6 +490,8 @@ def follow(config, state, stamp, normal, q0, q1, touching, indentation, moisture
     mean /= total
     out.friction = mean
     out.friction_stddev = math.sqrt(max(square / total - mean * mean, 0.0))
+    if state.largest > 0.95 * math.exp(LOG_FRICTION[-1]):
+        out.friction_stddev = mean
     state.friction[0], state.friction[1] = out.friction, out.friction_stddev
     if not judged:
         _say_nothing(out)

@@ -36,7 +36,7 @@ class MeshSize:
     across: int = 8
     growth: float = 1.09
     bulk: int = 7
-    bulk_growth: float = 1.17
+    bulk_growth: float = 1.22
     skin: int = 3
 
     def refined(self, refinement: float) -> MeshSize:
