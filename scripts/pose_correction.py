@@ -36,9 +36,9 @@ from finger_model.verification.cases import CALCULIX_FINGER, STUDY, reference, s
 
 PLACE = 0.2e-3
 """m, by which the place of the finger is known where the tilt is judged."""
-RIDGE, FINGER_RIDGE = 1e-5, 1e-4
-"""Of the least squares, beside the mean square of a term: for what is the same for all fingers, and
-for what a finger's proportions change of it."""
+RIDGES = np.array([1e-5, 3e-4, 3e-3])
+"""Of the least squares, beside the mean square of a term: for what is the same for all fingers,
+for what a finger's proportions change of it, and for what their products do."""
 SMALL, SMALL_WEIGHT = 0.2, 0.3
 """Depth below which a contact is a few nodes wide, and its weight."""
 STEEP = 0.5
@@ -101,14 +101,12 @@ def rows_of(path: Path) -> list[Row]:
 
 def solve(matrix: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """Least squares, slightly drawn to zero: coefficients (powers, terms, proportions)."""
-    number = len(correction.proportions(Geometry(), correction.MIDDLE_SKIN_RATIO))
-    shape = correction.POWERS, -1, number
+    shape = correction.POWERS, -1, len(correction.DEGREES)
     # Powers of s and proportions are at most about 1: the terms alone have a scale.
     size = np.sqrt(np.mean(matrix**2, axis=0)).reshape(shape)[:1, :, :1]
     scale = np.broadcast_to(size, np.reshape(matrix[0], shape).shape).ravel()
     scaled = matrix / scale
-    drawn = np.full(shape[-1], FINGER_RIDGE)
-    drawn[0] = RIDGE
+    drawn = RIDGES[correction.DEGREES]
     square = scaled.T @ scaled
     square += len(wanted) * np.diag(np.tile(drawn, len(square) // len(drawn)))
     return (np.linalg.solve(square, scaled.T @ wanted) / scale).reshape(shape)

@@ -60,7 +60,8 @@ SIZES = {
 SEEDS = {"learn": 18, "test": 81}
 KINDS = ("pitch", "roll", "level", "both")
 """Of the poses of a finger."""
-FINGERS = 360
+FINGERS = {"learn": 156, "test": 24}
+"""In the shipped tables."""
 MODULUS = 30e3
 """Pa; only ratios count."""
 FRICTION = (-0.3, 0.6)
@@ -319,7 +320,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("which", choices=sorted(SIZES))
     parser.add_argument("table", type=Path)
-    parser.add_argument("--fingers", type=int, default=FINGERS)
+    parser.add_argument("--fingers", type=int, help="(default: those of the shipped table)")
     parser.add_argument("--part", type=int, nargs=2, default=(0, 1), metavar=("K", "N"))
     arguments = parser.parse_args()
     done = set()
@@ -329,7 +330,7 @@ def main() -> None:
     else:
         arguments.table.write_text(",".join(COLUMNS) + "\n")
     for finger, poses in fingers(arguments.which):
-        if finger.number >= arguments.fingers:
+        if finger.number >= (arguments.fingers or FINGERS[arguments.which]):
             break
         part, parts = arguments.part
         if finger.number in done or finger.number % parts != part:

@@ -14,6 +14,7 @@ population box. Without aspect and tilt the correction is none.
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 from importlib import resources
 from pathlib import Path
@@ -73,29 +74,33 @@ def coefficients() -> dict[str, np.ndarray]:
 
 
 def proportions(geometry: Geometry, skin_ratio: float) -> np.ndarray:
-    """1 and the finger's proportions (n,), about −1 to 1 in the population box: depth of the pad,
-    the length over which the skin bends, t (E₂/E)^⅓, width and depth of the bone, and width of the
-    nail, which holds the pad's sides."""
+    """1, the finger's proportions, about −1 to 1 in the population box, and their products (n,):
+    depth of the pad, the length over which the skin bends, t (E₂/E)^⅓, width and depth of the bone,
+    and width of the nail, which holds the pad's sides. `DEGREES` are theirs."""
     a, c = geometry.pad_semi_axis_radial, geometry.pad_semi_axis_axial
     nail = min(geometry.nail_radius, NAIL_INSIDE * geometry.bulk_semi_axes[0])
     ratio = min(max(skin_ratio, SKIN_RATIOS[0]), SKIN_RATIOS[1])
     bending = geometry.epidermis_thickness * (ratio / MIDDLE_SKIN_RATIO) ** (1 / 3)
-    return np.array(
-        [
-            1.0,
-            2.0 * math.log(c / (0.7 * a)),
-            0.7 * math.log(bending / (0.06 * a)),
-            4.0 * (geometry.bone_semi_axis_radial / a - 0.4),
-            4.0 * (geometry.bone_semi_axis_axial / c - 0.4),
-            5.0 * (nail / a - 0.78),
-        ]
-    )
+    single = [
+        2.0 * math.log(c / (0.7 * a)),
+        0.7 * math.log(bending / (0.06 * a)),
+        4.0 * (geometry.bone_semi_axis_radial / a - 0.4),
+        4.0 * (geometry.bone_semi_axis_axial / c - 0.4),
+        5.0 * (nail / a - 0.78),
+    ]
+    pairs = itertools.combinations_with_replacement(single, 2)
+    return np.array([1.0, *single, *(x * y for x, y in pairs)])
+
+
+DEGREES = np.array([0] + 5 * [1] + 15 * [2])
+"""Of the `proportions` as polynomials."""
 
 
 def area_terms(touch: Touch) -> np.ndarray:
     """Terms (n,) of ln(area over that of the round pad)."""
     b, k, u = touch.bluntness, touch.thickness, _size(touch.aside)
-    return np.array([b, float(touch.elongation @ touch.elongation), u, u * u, k])
+    long, along = touch.elongation @ touch.elongation, touch.elongation @ touch.aside
+    return np.array([b, float(long), u, u * u, k, float(along)])
 
 
 def shape_terms(touch: Touch) -> np.ndarray:
