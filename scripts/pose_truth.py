@@ -10,7 +10,7 @@ writes a row for each finger, pose and force. `learn` gives the fingers that `fi
 fitted to: the default one in six poses, then such as lie all over the population box; `test` those
 kept aside, on a finer mesh. Fingers that the file has already are kept, so that a run may be broken
 off and taken up again; `--part 0 2` and `--part 1 2` are two halves for two processes with a table
-each. One pose takes 2 to 5 s of a core, one that is tilted about both axes some five times as long.
+each. One pose takes 2 to 5 s of a core, one that is tilted about both axes three times as long.
 
 The area is that inside the line where the skin touches just then: each skin node touches at some
 force, known between two steps from how its gap closes, and between nodes that force is

@@ -30,7 +30,7 @@ BAND = (0.2, 2.5)
 """Distance from the edge of the nodes in the fit, in node spacings."""
 EDGE_SHIFT = 0.225
 """Distance of the true edge inside the fitted one, in node spacings, found with the axisymmetric
-model on twelve fingers (`finger-model verify` with `solid_axisymmetric`)."""
+model on twelve fingers (`scripts/solid_areas.py`)."""
 
 
 NEAR = 1.5
