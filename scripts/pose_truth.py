@@ -321,7 +321,14 @@ def main() -> None:
     parser.add_argument("which", choices=sorted(SIZES))
     parser.add_argument("table", type=Path)
     parser.add_argument("--fingers", type=int, help="(default: those of the shipped table)")
-    parser.add_argument("--part", type=int, nargs=2, default=(0, 1), metavar=("K", "N"))
+    parser.add_argument(
+        "--part",
+        type=int,
+        nargs=2,
+        default=(0, 1),
+        metavar=("K", "N"),
+        help="only fingers whose number divided by N leaves K",
+    )
     arguments = parser.parse_args()
     done = set()
     if arguments.table.exists():

@@ -31,8 +31,6 @@ BAND = (0.2, 2.5)
 EDGE_SHIFT = 0.225
 """Distance of the true edge inside the fitted one, in node spacings, found with the axisymmetric
 model on twelve fingers (`scripts/solid_areas.py`)."""
-
-
 NEAR = 1.5
 """Distance from the edge of the nodes whose spacing that is, in node spacings."""
 
