@@ -20,6 +20,9 @@ import numpy as np
 
 from .maps import sigmoid
 
+SLICE = 32
+"""Histories whose derivatives are formed at a time."""
+
 
 @dataclass
 class Rows:
@@ -33,7 +36,7 @@ class Rows:
     targets: np.ndarray
     weights: np.ndarray
 
-    def part(self, chosen: np.ndarray) -> Rows:
+    def part(self, chosen: np.ndarray | slice) -> Rows:
         """Some of the histories."""
         return Rows(*(v[chosen] for v in (self.context, self.inputs, self.targets, self.weights)))
 
@@ -111,10 +114,21 @@ class ContextNetwork:
 
     def gradient(self, rows: Rows) -> tuple[float, dict[str, np.ndarray]]:
         """Mean square of the weighted errors of scaled rows, and its derivatives."""
+        count = max(int(np.count_nonzero(rows.weights[..., 0])), 1)
+        loss, found = 0.0, {key: np.zeros_like(value) for key, value in self.values.items()}
+        # Few at a time: larger arrays leave the cache, and the allocator gives them back each time.
+        for begin in range(0, len(rows.context), SLICE):
+            part = rows.part(slice(begin, begin + SLICE))
+            error, slope = self._gradient_of_slice(part, count)
+            loss += error
+            for key, value in slope.items():
+                found[key] += value
+        return loss, found
+
+    def _gradient_of_slice(self, rows: Rows, count: int) -> tuple[float, dict[str, np.ndarray]]:
         v, h = self.values, self.hidden
         y, c1, s1, c2, s2, m, p1, z1, t1, p2, z2, t2 = self._forward(rows)
         error = (y - rows.targets) * rows.weights
-        count = max(int(np.count_nonzero(rows.weights[..., 0])), 1)
         loss = float(np.sum(error * error)) / count
         dy = error * rows.weights * (2.0 / count)
 

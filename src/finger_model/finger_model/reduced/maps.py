@@ -216,7 +216,9 @@ class PopulationMaps(Maps):
         self._context: dict[str, dict[str, np.ndarray]] = {}
         for name in NETWORKS:
             a = {
-                key.removeprefix(name + "_"): v for key, v in arrays.items() if key.startswith(name)
+                key.removeprefix(name + "_"): np.asarray(value, float)
+                for key, value in arrays.items()
+                if key.startswith(name)
             }
             first = a["W1"] / a["input_scale"][:, None]
             layers[name] = (first, a["W2"], a["W3"] * a["output_scale"])

@@ -38,6 +38,7 @@ from .population_runs import (
     Case,
     Run,
     held_out_case,
+    middle_case,
     refining_case,
     run,
     soft_case,
@@ -64,6 +65,12 @@ class PopulationSettings(Settings):
     soft_histories: int = setting(
         4600,
         "Further histories of tissue that keeps little of its modulus.",
+        minimum=0,
+        maximum=1_000_000,
+    )
+    further_histories: int = setting(
+        25_000,
+        "Histories of further fingers of the middle of the box, for the contact network.",
         minimum=0,
         maximum=1_000_000,
     )
@@ -114,12 +121,14 @@ def build(
 
     coarse = runs_of("runs on the coarse mesh", _Task("coarse", modes), settings.histories)
     soft = runs_of("runs of soft tissue", _Task("soft", modes), settings.soft_histories)
+    further = runs_of("further runs", _Task("middle", modes), settings.further_histories)
     fine = runs_of("presses on the default mesh", _Task("fine", None), settings.corrections)
     refining = runs_of("runs on the default mesh", _Task("refine", None), settings.refining)
     held_out = runs_of("held-out runs", _Task("held_out", None), settings.held_out)
     model, tables = assemble(
         coarse + soft,
         fine,
+        further,
         refining,
         held_out,
         settings,
@@ -134,6 +143,7 @@ def build(
 def assemble(
     runs: list[Run],
     fine: list[Run],
+    further: list[Run],
     refining: list[Run],
     held_out: list[Run],
     settings: PopulationSettings,
@@ -141,7 +151,8 @@ def assemble(
     began: float,
 ) -> tuple[ReducedModel, dict[str, ErrorTable]]:
     """Train on the runs and measure the error. `fine` are presses of the same fingers as the first
-    of the runs, `refining` runs of others on the default mesh.
+    of the runs on the default mesh; `further` and `refining` are runs of other fingers on the
+    coarse and on the default mesh.
 
     Raises ModelError when too few are usable.
     """
@@ -154,7 +165,8 @@ def assemble(
     arrays = train(
         [found for found, good in zip(runs, own) if good],
         [found for found, good in zip(fine, own) if good],
-        [found for found in refining if len(found.time) > 3 and found.area.max() > 0],
+        [found for found in further if _touched(found)],
+        [found for found in refining if _touched(found)],
         settings.epochs,
         report,
     )
@@ -192,7 +204,12 @@ def _usable(found: Run) -> bool:
     crushed."""
     pad = np.pi * found.length**2
     pressed = np.isfinite(found.presses[:, 3, 0]).all()
-    return bool(pressed and len(found.time) > 3 and 0 < found.area.max() < 0.98 * pad)
+    return bool(pressed and _touched(found) and found.area.max() < 0.98 * pad)
+
+
+def _touched(found: Run) -> bool:
+    """Whether a run has rows and a contact."""
+    return len(found.time) > 3 and found.area.max() > 0.0
 
 
 @dataclass(frozen=True)
@@ -203,7 +220,12 @@ class _Task:
     modes: np.ndarray | None
 
     def case(self, seed: int, index: int) -> Case:
-        makers = {"held_out": held_out_case, "soft": soft_case, "refine": refining_case}
+        makers = {
+            "held_out": held_out_case,
+            "middle": middle_case,
+            "refine": refining_case,
+            "soft": soft_case,
+        }
         return makers.get(self.name, training_case)(seed, index)
 
 
@@ -218,14 +240,14 @@ def _begin(task: _Task, seed: int) -> None:
 
 def _work(indices: range) -> list[Run]:
     task: _Task = _worker["task"]
-    coarse = task.name in ("coarse", "soft")
+    coarse = task.name in ("coarse", "soft", "middle")
     return [
         run(
             task.case(_worker["seed"], i),
             task.modes,
             coarse,
             history=task.name != "fine",
-            pressed=task.name not in ("held_out", "refine"),
+            pressed=task.name not in ("held_out", "refine", "middle"),
         )
         for i in indices
     ]

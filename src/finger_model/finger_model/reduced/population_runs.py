@@ -48,6 +48,9 @@ TIMES = (1e-3, 10.0)
 SOFT_SHARE = 0.15
 """E∞/E0 below which further histories are run."""
 
+SOFT_SHARE_OF_MIDDLE = 0.2
+"""The same of the further histories of the middle box."""
+
 LONG_HOLD = "long hold"
 REFINING = ("ramp", "hold", "release", "release", "reload", "reload", "tapping", "human", "random")
 """Kinds of the histories that refine the networks, beside LONG_HOLD."""
@@ -205,6 +208,20 @@ def refining_case(seed: int, index: int) -> Case:
             break
     kind = str(rng.choice((*REFINING, LONG_HOLD)))
     return _judged_case(rng, geometry, material, kind, middle)
+
+
+def middle_case(seed: int, index: int) -> Case:
+    """The index-th further history of the middle box, like those on which the error is measured;
+    half of them of tissue that keeps little of its modulus."""
+    rng = np.random.default_rng([seed, index, 4])
+    geometry = random_geometry(rng, True)
+    largest_share = SOFT_SHARE_OF_MIDDLE if index % 2 else 1.0
+    while True:
+        material = random_material(rng, True, int(rng.choice([1, 2, 3])), rng.random() < 0.4)
+        if material.long_term_fraction < largest_share:
+            break
+    kind = str(rng.choice((*REFINING, LONG_HOLD)))
+    return _judged_case(rng, geometry, material, kind, True)
 
 
 def _judged_case(

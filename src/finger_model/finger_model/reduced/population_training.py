@@ -36,8 +36,10 @@ from .training import features, strain_scales
 Progress = Callable[[str, float], None]
 
 LATENTS = 6
-DRIVE, CONTACT = (48, 128), (64, 160)
+DRIVE, CONTACT = (48, 128), (128, 192)
 """Width of the hidden layers of each network, and of the network of its gains and biases."""
+DRIVE_BATCH, CONTACT_BATCH = 128, 256
+"""Pieces of histories of one step of training."""
 BETAS = (0.03, 0.15)
 FIRST_FORCE = 0.06
 """N; below it the area is not trained on."""
@@ -246,14 +248,20 @@ def contact_columns(run: Run, seen: Visited, count: float = 1.0) -> tuple[np.nda
 
 
 def train(
-    runs: list[Run], fine: list[Run], refining: list[Run], epochs: int, report: Progress
+    runs: list[Run],
+    fine: list[Run],
+    further: list[Run],
+    refining: list[Run],
+    epochs: int,
+    report: Progress,
 ) -> dict[str, np.ndarray]:
     """Arrays of the population's maps.
 
-    runs: on the coarse mesh; fine: presses of the first of these fingers on the default mesh;
-    refining: runs of other fingers on the default mesh. The networks learn what a run adds to its
-    own elastic curves on the coarse mesh, and are used with the predicted curves of the default
-    mesh, with which the contact network learns from the refining runs, too.
+    runs: with presses, on the coarse mesh; fine: presses of the first of these fingers on the
+    default mesh; further, refining: runs of other fingers without presses, on the coarse and on
+    the default mesh. Both networks learn what a run adds to its own elastic curves on the coarse
+    mesh, and are used with the predicted curves of the default mesh. From further and refining runs
+    the contact network learns what they add to the predicted curves of their mesh.
     """
     elastic = fit_elastic(runs, fine, report)
     types = rk.record_types(LATENTS, len(BETAS), DRIVE[0], CONTACT[0])
@@ -261,12 +269,19 @@ def train(
     along = {id(run): guessed(types, run, response) for run in runs}
     fingers = {
         id(run): finger._replace(curves=_own_curves(run))
-        for run, finger in zip(runs, _fingers(elastic, runs))
+        for run, finger in zip(runs, _fingers(elastic, runs, coarse=True))
     }
     contexts = {key: finger.inputs for key, finger in fingers.items()}
     rows = padded(runs, lambda run: drive_columns(run, along[id(run)]), contexts)
     drive = ContextNetwork(rows, *DRIVE)
-    fit(drive, rows, epochs, 128, decay=DECAY, report=lambda s: report("training the drive", s))
+    fit(
+        drive,
+        rows,
+        epochs,
+        DRIVE_BATCH,
+        decay=DECAY,
+        report=lambda s: report("training the drive", s),
+    )
 
     # States need a drive only: an untrained contact network takes its place.
     exact = {
@@ -278,9 +293,11 @@ def train(
     )
     fixed = {"response": response, **elastic.arrays()}
     maps = PopulationMaps({**arrays_of(drive, contact), **fixed})
-    fingers |= {id(run): own for run, own in zip(refining, _fingers(elastic, refining))}
+    for others, coarse in ((further, True), (refining, False)):
+        fingers |= {id(run): own for run, own in zip(others, _fingers(elastic, others, coarse))}
     contexts = {key: finger.inputs for key, finger in fingers.items()}
-    seen = {id(run): visited(maps, run, fingers[id(run)]) for run in [*runs, *refining]}
+    everything = [*runs, *further, *refining]
+    seen = {id(run): visited(maps, run, fingers[id(run)]) for run in everything}
     for run in runs:
         seen[id(run)].inside &= along[id(run)].inside
     count = {id(run): REFINING_COUNT for run in refining}
@@ -288,21 +305,29 @@ def train(
     def columns(run: Run) -> tuple[np.ndarray, ...]:
         return contact_columns(run, seen[id(run)], count.get(id(run), 1.0))
 
-    rows = padded([*runs, *refining], columns, contexts)
+    rows = padded(everything, columns, contexts)
     contact = ContextNetwork(rows, *CONTACT)
-    fit(contact, rows, epochs, 128, decay=DECAY, report=lambda s: report("training the contact", s))
+    fit(
+        contact,
+        rows,
+        epochs,
+        CONTACT_BATCH,
+        decay=DECAY,
+        report=lambda s: report("training the contact", s),
+    )
     return {**arrays_of(drive, contact), **fixed}
 
 
-def _fingers(elastic: ElasticContacts, runs: list[Run]) -> list[Finger]:
-    """What the maps know of the fingers of runs, with predicted curves on the default mesh."""
+def _fingers(elastic: ElasticContacts, runs: list[Run], coarse: bool) -> list[Finger]:
+    """What the maps know of the fingers of runs, with predicted curves on the coarse or the default
+    mesh."""
     if not runs:
         return []
     presses, guess = _press_inputs(runs)
-    coarse = elastic.coarse_curves(presses, guess)
-    default = elastic.default_curves(presses, guess, coarse)
+    seen = elastic.coarse_curves(presses, guess)
+    curves = seen if coarse else elastic.default_curves(presses, guess, seen)
     return [
-        Finger(network_context(run.context, run.share, coarse[:, i]), default[:, i])
+        Finger(network_context(run.context, run.share, seen[:, i]), curves[:, i])
         for i, run in enumerate(runs)
     ]
 
@@ -312,7 +337,7 @@ def arrays_of(drive: ContextNetwork, contact: ContextNetwork) -> dict[str, np.nd
     found = {"betas": np.array(BETAS), "largest_load": np.array(LARGEST_LOAD)}
     for name, network in (("drive", drive), ("contact", contact)):
         for key, value in {**network.values, **network.scales}.items():
-            found[f"{name}_{key}"] = np.asarray(value, dtype=float)
+            found[f"{name}_{key}"] = np.asarray(value)
     return found
 
 
