@@ -313,8 +313,14 @@ def await_file(path: str | Path, seconds: float) -> bool:
 
 
 def load_yaml(path: str | Path, what: str = "YAML file") -> dict[str, Any]:
-    """Mapping from a YAML file; raises InputError naming file and line."""
-    return parse_yaml(read_text(path, what), str(path))
+    """Mapping from a YAML file; raises InputError naming file and line.
+
+    So does an empty file, which more likely lost its content than means all defaults.
+    """
+    found = parse_yaml(read_text(path, what), str(path))
+    if not found:
+        raise InputError(f"{path}: the {what} is empty; write it again, or leave it out")
+    return found
 
 
 def load_json(path: str | Path, what: str = "JSON file") -> Any:
@@ -415,9 +421,11 @@ def read_csv(
             header = [cell.strip() for cell in row]
             missing = [c for c in columns if c not in header]
             if missing:
+                joined = len(header) == 1 and ";" in header[0]
+                remedy = "; separate columns by commas, not by semicolons" if joined else ""
                 raise InputError(
                     f"{path}, line {line}: column '{missing[0]}' is missing; "
-                    f"the header must contain {','.join(columns)}"
+                    f"the header must contain {','.join(columns)}{remedy}"
                 )
             columns = [*columns, *(c for c in optional if c in header)]
             twice = [c for c in columns if header.count(c) > 1]

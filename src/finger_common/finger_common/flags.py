@@ -81,6 +81,7 @@ class ShapeFlag(IntFlag):
     TORQUE_MISSING = 4
     TILT_UNCERTAIN = 8
     OUT_OF_RANGE = 16
+    PRESSURE_OUTSIDE = 32
 
 
 def flag_names(flags: StateFlag | AreaFlag) -> str:

@@ -84,6 +84,7 @@ def test_csv_columns_are_found_by_name_in_any_order(tmp_path: Path) -> None:
         ("", ["empty", "time_s,force_n"]),
         ("time_s,force_n\n", ["no rows"]),
         ("t,force_n\n0,1\n", ["line 1", "'time_s'", "header"]),
+        ("time_s;force_n\n0;1\n", ["line 1", "by commas"]),
         ("time_s,force_n\n0,1\n0.1,nan\n", ["line 3", "'nan'", "'force_n'"]),
         ("time_s,force_n\n0,1\n0.1\n", ["line 3", "'force_n'"]),
         ("time_s,force_n\n0,inf\n", ["line 2", "'inf'"]),
@@ -102,7 +103,8 @@ def test_bad_csv_is_refused_with_file_line_and_column(
 
 
 @pytest.mark.parametrize(
-    ("text", "word"), [("[:", "not valid YAML"), ("- 1\n", "list"), ("a: [1", "line")]
+    ("text", "word"),
+    [("[:", "not valid YAML"), ("- 1\n", "list"), ("a: [1", "line"), ("# only this\n", "empty")],
 )
 def test_bad_yaml_is_refused_with_the_file_named(tmp_path: Path, text: str, word: str) -> None:
     path = tmp_path / "p.yaml"

@@ -123,6 +123,7 @@ def test_friction_nail_and_stiffening_matter_as_in_the_full_order() -> None:
         (replace(SOFT, friction=0.0), SOFT),
         (soft_nail, SOFT),
         (stiffening, branches),
+        (replace(SOFT, stiffening=6.0), SOFT),
     ):
         truth = full.simulate(other, *PRESS).area[-1] / full.simulate(base, *PRESS).area[-1]
         found = areas(SLIM, other)[-1] / areas(SLIM, base)[-1]
@@ -175,7 +176,13 @@ def test_a_finger_outside_the_box_is_refused_with_the_remedy(change: dict, word:
 
 
 @pytest.mark.parametrize(
-    "change", [{"poisson_ratio_bulk": 0.45}, {"poisson_ratio_nail": 0.3}, {"nail_modulus": 3e6}]
+    "change",
+    [
+        {"poisson_ratio_bulk": 0.45},
+        {"poisson_ratio_nail": 0.3},
+        {"nail_modulus": 3e6},
+        {"stiffening": 12.0},
+    ],
 )
 def test_a_material_that_it_does_not_serve_is_refused(change: dict) -> None:
     material = replace(SOFT, **change)
@@ -205,6 +212,7 @@ def test_a_small_build_resumes(tmp_path: Path) -> None:
     settings = PopulationSettings(
         histories=60,
         soft_histories=6,
+        further_histories=4,
         corrections=8,
         refining=4,
         held_out=4,

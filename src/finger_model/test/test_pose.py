@@ -82,6 +82,8 @@ def test_a_longer_pad_has_a_larger_contact_and_its_area_can_be_inverted():
 def test_poses_and_fingers_that_were_not_learned_are_named():
     assert PoseCorrection(Geometry(), Pose(1.6, math.radians(30)), SKIN).inside
     assert not PoseCorrection(Geometry(), Pose(1.7), SKIN).inside
+    assert PoseCorrection(Geometry(), Pose(0.96), SKIN).inside
+    assert not PoseCorrection(Geometry(), Pose(0.9), SKIN).inside
     assert not PoseCorrection(Geometry(), Pose(1.2, math.radians(35)), SKIN).inside
     assert PoseCorrection(CALCULIX_FINGER, Pose(1.2), SKIN).inside
     assert not PoseCorrection(Geometry(), Pose(1.2), 11.0).inside
@@ -114,8 +116,9 @@ def estimate(stamp, area, force):
     return ContactEstimate(**{**values, "onset_ns": 10**9, "parameter_set": ""})
 
 
-def follow(pose, torque=True, camera=True, place_error=0.2e-3, seed=0):
-    """The shape found at the end of a press of a second in this pose."""
+def follow(pose, torque=True, camera=True, place_error=0.2e-3, seed=0, bias=0.0, repeated=1):
+    """The shape found at the end of a press of a second in this pose; bias: of the torque (N m);
+    every outline comes `repeated` times."""
     rng = np.random.default_rng(seed)
     place = np.array([1e-3, -2e-3])
     settings = PoseSettings(
@@ -144,10 +147,11 @@ def follow(pose, torque=True, camera=True, place_error=0.2e-3, seed=0):
                 0.01 * major,
                 0.01 * minor,
             )
-            estimator.expect_outline(stamp, outline, 0.1)
+            for _ in range(repeated):
+                estimator.expect_outline(stamp, outline, 0.1)
         pull = np.array([0.1 * force, -0.05 * force, -force])
         pressed = place + TURN @ seen.center_of_pressure
-        moment = np.cross([*pressed, 0.02], pull) + 3e-4 * rng.standard_normal(3)
+        moment = np.cross([*pressed, 0.02], pull) + bias + 3e-4 * rng.standard_normal(3)
         estimator.follow(estimate(stamp, area, force), pull, moment if torque else (0.0,) * 3)
     return estimator.shape(estimate(stamp, area, force)), correction.outline(area)
 
@@ -180,6 +184,21 @@ def test_a_finger_whose_place_is_not_known_says_so():
     shape, _ = follow(Pose(1.3, 0.35), place_error=3e-3)
     assert shape.flags & ShapeFlag.TILT_UNCERTAIN
     assert not follow(Pose(1.3, 0.35), torque=False)[0].flags & ShapeFlag.TILT_UNCERTAIN
+
+
+def test_a_torque_that_was_not_tared_is_flagged_and_left_out():
+    pose = Pose(1.3, 0.35)
+    shape, _ = follow(pose, bias=0.05)
+    assert shape.flags & ShapeFlag.PRESSURE_OUTSIDE
+    assert math.hypot(*shape.center_of_pressure) > 0.02
+    without = follow(pose, torque=False)[0]
+    assert shape[6:12] == without[6:12]
+    assert not follow(pose)[0].flags & ShapeFlag.PRESSURE_OUTSIDE
+
+
+def test_an_outline_that_comes_twice_counts_once():
+    once, twice = follow(Pose(1.3, 0.35))[0], follow(Pose(1.3, 0.35), repeated=2)[0]
+    assert once == twice
 
 
 # In the estimator -----------------------------------------------------------------------------

@@ -54,6 +54,9 @@ SMALLEST_FORCE = 0.1
 OUTLIER = 4.0
 """Standard deviations from which a measurement counts less."""
 
+PLACE_LIMIT = 4.0
+"""Standard deviations of the pad's place by which a centre of pressure may lie beside the pad."""
+
 REMEMBERED = 4096
 """Samples of the round pad's area that are remembered."""
 
@@ -142,7 +145,7 @@ class PoseEstimator:
         self.covariance = np.zeros((5, 5))
         self.mean[ASPECT] = math.log(self._assumed.pose.aspect)
         self.covariance[ASPECT, ASPECT] = settings.pad_aspect_sd**2
-        self._touching = self._outlined = self._pressed = False
+        self._touching = self._outlined = self._pressed = self._pressed_outside = False
         self._updated = self._given = 0
         self._sum, self._count, self._sum_since = np.zeros(2), 0, 0
         self._pressure = (math.nan, math.nan)
@@ -157,7 +160,7 @@ class PoseEstimator:
         self.covariance[1:, :] = self.covariance[:, 1:] = 0.0
         for k, sd in zip((1, 2, 3, 4), 2 * [settings.tilt_sd] + 2 * [settings.pad_place_sd]):
             self.covariance[k, k] = sd**2
-        self._outlined = self._pressed = False
+        self._outlined = self._pressed = self._pressed_outside = False
         self._outlined_at = self._pressed_at = stamp_ns
         self._updated = stamp_ns
         self._sum[:], self._count, self._sum_since = 0.0, 0, stamp_ns
@@ -167,8 +170,10 @@ class PoseEstimator:
 
     def expect_outline(self, stamp_ns: int, outline: MeasuredOutline, delay: float) -> None:
         """An outline seen at `stamp_ns`; it is used at the first sample stamped that plus `delay`
-        (s) or later, so that the result does not depend on when it comes."""
-        if outline.usable:
+        (s) or later, so that the result does not depend on when it comes. A second one of a stamp
+        is left out."""
+        known = stamp_ns == self._outlined_at or any(w[1] == stamp_ns for w in self._waiting)
+        if outline.usable and not known:
             bisect.insort(self._waiting, (stamp_ns + nanoseconds(delay), stamp_ns, outline))
 
     def follow(
@@ -233,9 +238,14 @@ class PoseEstimator:
         mean = self._sum / self._count
         self._pressure = float(mean[0]), float(mean[1])
         self._sum[:], self._count, self._sum_since = 0.0, 0, stamp
+        place = self._to_finger(self._pressure)
+        pad = self._assumed.geometry.pad_semi_axis_radial * max(math.exp(self.mean[ASPECT]), 1.0)
+        farthest = pad + PLACE_LIMIT * self.settings.pad_place_sd
+        self._pressed_outside = math.hypot(place[0], place[1]) > farthest
+        if self._pressed_outside:
+            return
         shared = self._shared(stamp - self._pressed_at)
         sd = math.hypot(self.settings.torque_noise / abs(normal), shared * PLACE_SD)
-        place = self._to_finger(self._pressure)
         self._correct(stamp, round_area, place, np.full(2, sd), slice(4, 6))
         self._pressed, self._pressed_at = True, stamp
 
@@ -350,6 +360,8 @@ class PoseEstimator:
             flags |= ShapeFlag.OUTLINE_MISSING
         if math.isnan(self._pressure[0]) and not self._pressed:
             flags |= ShapeFlag.TORQUE_MISSING
+        if self._pressed_outside:
+            flags |= ShapeFlag.PRESSURE_OUTSIDE
         if max(sds[1:3]) > CERTAIN_TILT:
             flags |= ShapeFlag.TILT_UNCERTAIN
         if not self._correction.inside:

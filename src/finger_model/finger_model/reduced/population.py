@@ -123,7 +123,7 @@ def check_geometry(geometry: Geometry) -> None:
 
 def check_fixed(fixed: dict[str, float]) -> None:
     """Raise InputError naming the fixed property of the material that the model does not serve."""
-    limits = {"friction": FRICTION, "nail_modulus": NAIL_MODULUS}
+    limits = {"friction": FRICTION, "nail_modulus": NAIL_MODULUS, "stiffening": STIFFENING}
     default = StandardLinearSolid().to_dict()
     for name, value in fixed.items():
         low, high = limits.get(name, (default.get(name, value),) * 2)
