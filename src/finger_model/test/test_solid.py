@@ -188,6 +188,23 @@ def test_pull_from_stick_to_slip_and_back(model):
     assert slid.tangential_x == pytest.approx(friction * load, rel=5e-3)
 
 
+@pytest.mark.parametrize("friction", [0.25, 0.8])
+def test_a_plate_that_slides_from_first_touch_on_is_followed(model, friction):
+    """As where a sensor's noise is larger than friction: it took minutes, or found nothing."""
+    stepper = model.start(elastic(**DRY, friction=friction))
+    shifts = []
+    for k in range(1, 6):
+        point = stepper.step(k, 0.1 * k, (0.13 * friction * k, 0.0))
+        assert stepper.sliding and point.stick_ratio == point.slip_margin == 0.0
+        assert point.tangential_x == pytest.approx(friction * point.force, rel=1e-6)
+        shifts.append(point.shift_x)
+    assert shifts[0] > 0.0 and all(np.diff(shifts) > 0.0)
+    # With less pull it sticks where it came to lie.
+    held = stepper.step(6.0, 0.5, (0.9 * 0.5 * friction, 0.0))
+    assert not stepper.sliding and held.stick_ratio > 0.5
+    laws_hold(stepper, friction)
+
+
 def test_sticking_skin_may_hang_on_a_spring():
     friction, stiffness = 0.4, 2e9
     model = SolidModel(CALCULIX_FINGER, size=COARSE, stick_stiffness=stiffness)

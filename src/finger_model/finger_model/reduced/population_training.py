@@ -38,7 +38,7 @@ Progress = Callable[[str, float], None]
 LATENTS = 6
 DRIVE, CONTACT = (48, 128), (128, 192)
 """Width of the hidden layers of each network, and of the network of its gains and biases."""
-DRIVE_BATCH, CONTACT_BATCH = 128, 256
+BATCH = 256
 """Pieces of histories of one step of training."""
 BETAS = (0.03, 0.15)
 FIRST_FORCE = 0.06
@@ -157,21 +157,25 @@ def _own_curves(run: Run) -> np.ndarray:
     return extended(curves)
 
 
-def guessed(types: rk.RecordTypes, run: Run, response: np.ndarray) -> Guessed:
-    """Guesses along a run from its presses on the coarse mesh, at its own internal strain, with the
-    response K (k, k) of the strain."""
+def guessed(
+    types: rk.RecordTypes, run: Run, response: np.ndarray, curves: np.ndarray | None = None
+) -> Guessed:
+    """Guesses along a run on the coarse mesh, at its own internal strain, with the response K
+    (k, k) of the strain; curves (2, nodes, 3 + k): predicted ones where the run has no presses."""
     networks = np.zeros(1, types.networks)
     networks["response"] = response
     record = np.zeros(1, types.parameters)
     record["share"] = run.share
-    fill_curves(record, _own_curves(run))
+    fill_curves(record, _own_curves(run) if curves is None else curves)
     x = load_measure_of(run)
     internal = np.ascontiguousarray(run.internal[:, :LATENTS])
     end = 1 + 3 + LATENTS
     table = np.empty((len(x), end + rk.MIX_INPUTS + LATENTS))
     rk.guesses(networks, record, np.zeros(1, types.work), x, internal, table)
-    reached = [NODES[np.isfinite(c[:, 0])].max() for c in run.presses]
-    inside = (x <= reached[0] * 1.01) & (x <= reached[1] * run.share ** (1 / 3) * 1.01)
+    inside = np.ones(len(x), bool)
+    if curves is None:
+        reached = [NODES[np.isfinite(c[:, 0])].max() for c in run.presses]
+        inside = (x <= reached[0] * 1.01) & (x <= reached[1] * run.share ** (1 / 3) * 1.01)
     return Guessed(table[:, 0], table[:, 1:end], table[:, end:], inside)
 
 
@@ -260,28 +264,26 @@ def train(
     runs: with presses, on the coarse mesh; fine: presses of the first of these fingers on the
     default mesh; further, refining: runs of other fingers without presses, on the coarse and on
     the default mesh. Both networks learn what a run adds to its own elastic curves on the coarse
-    mesh, and are used with the predicted curves of the default mesh. From further and refining runs
-    the contact network learns what they add to the predicted curves of their mesh.
+    mesh, and from the further runs what they add to predicted ones; they are used with the
+    predicted curves of the default mesh, with which the contact network learns from the refining
+    runs, too.
     """
     elastic = fit_elastic(runs, fine, report)
     types = rk.record_types(LATENTS, len(BETAS), DRIVE[0], CONTACT[0])
     response = response_of(types, runs)
-    along = {id(run): guessed(types, run, response) for run in runs}
     fingers = {
         id(run): finger._replace(curves=_own_curves(run))
         for run, finger in zip(runs, _fingers(elastic, runs, coarse=True))
     }
+    fingers |= _by_run(further, _fingers(elastic, further, coarse=True))
+    along = {id(run): guessed(types, run, response) for run in runs}
+    for run in further:
+        along[id(run)] = guessed(types, run, response, fingers[id(run)].curves)
     contexts = {key: finger.inputs for key, finger in fingers.items()}
-    rows = padded(runs, lambda run: drive_columns(run, along[id(run)]), contexts)
+    coarse = [*runs, *further]
+    rows = padded(coarse, lambda run: drive_columns(run, along[id(run)]), contexts)
     drive = ContextNetwork(rows, *DRIVE)
-    fit(
-        drive,
-        rows,
-        epochs,
-        DRIVE_BATCH,
-        decay=DECAY,
-        report=lambda s: report("training the drive", s),
-    )
+    fit(drive, rows, epochs, BATCH, decay=DECAY, report=lambda s: report("training the drive", s))
 
     # States need a drive only: an untrained contact network takes its place.
     exact = {
@@ -293,12 +295,11 @@ def train(
     )
     fixed = {"response": response, **elastic.arrays()}
     maps = PopulationMaps({**arrays_of(drive, contact), **fixed})
-    for others, coarse in ((further, True), (refining, False)):
-        fingers |= {id(run): own for run, own in zip(others, _fingers(elastic, others, coarse))}
+    fingers |= _by_run(refining, _fingers(elastic, refining, coarse=False))
     contexts = {key: finger.inputs for key, finger in fingers.items()}
-    everything = [*runs, *further, *refining]
+    everything = [*coarse, *refining]
     seen = {id(run): visited(maps, run, fingers[id(run)]) for run in everything}
-    for run in runs:
+    for run in coarse:
         seen[id(run)].inside &= along[id(run)].inside
     count = {id(run): REFINING_COUNT for run in refining}
 
@@ -311,11 +312,15 @@ def train(
         contact,
         rows,
         epochs,
-        CONTACT_BATCH,
+        BATCH,
         decay=DECAY,
         report=lambda s: report("training the contact", s),
     )
     return {**arrays_of(drive, contact), **fixed}
+
+
+def _by_run(runs: list[Run], fingers: list[Finger]) -> dict[int, Finger]:
+    return {id(run): finger for run, finger in zip(runs, fingers)}
 
 
 def _fingers(elastic: ElasticContacts, runs: list[Run], coarse: bool) -> list[Finger]:

@@ -34,11 +34,13 @@ TOLERANCE = 1e-9
 class Plate(NamedTuple):
     """What the plate does: per axis its position (m), or the force (N) it exerts on the mesh.
 
-    position (3,): z of the plate and its shift; NaN where the force is given. force (3,).
+    position (3,): its shift and z; NaN where the force is given. force (3,). slides: every node
+    slips, since the plate is far from where it was.
     """
 
     position: np.ndarray
     force: np.ndarray
+    slides: bool = False
 
     @property
     def loaded(self) -> np.ndarray:
@@ -105,7 +107,7 @@ def respond(
     try:
         return _settle(*fixed, status, force, plate, target, friction, spring)
     except NotConverged:
-        if friction == 0.0:
+        if friction == 0.0 or target.slides:
             raise
         # After a turn of the load everything sticks at first.
         held = np.where(status == SLIP, STICK, status)
@@ -263,7 +265,7 @@ def _settle(
             status[inside & sticks] = STICK
             status[inside & ~sticks] = SLIP
         status[opens] = OPEN
-        status[closes] = STICK if friction > 0.0 else SLIP
+        status[closes] = SLIP if friction == 0.0 or target.slides else STICK
         if np.array_equal(status, before) and (misfit < TOLERANCE or friction == 0.0):
             return Response(moved.reshape(m, 3).copy(), force, plate_now, status)
         key = status.tobytes()

@@ -33,10 +33,8 @@ from .mesh import MeshSize, SolidMesh, solid_mesh
 
 SMALLEST_CUT = 2.0**-12
 """Smallest fraction of a step: a step that does not converge is cut to a quarter, down to this."""
-SLIDE = 0.02
-"""Plate shift over the contact radius with which a sliding plate is followed."""
-SLIDES = 200
-"""Largest number of such shifts: four radii."""
+FAR = 1e3
+"""Shift of a sliding plate over the finger's height, at which every node slips along it."""
 
 
 SOLID_CSV_HEADER = (
@@ -341,9 +339,8 @@ class SolidStepper:
         self.state = SolidState(time, x, contact, self.solid.update(duration, state.tissue, x))
 
     def _solve(self, plate: Plate, material: StepMaterial) -> tuple[np.ndarray, Contact]:
-        """Positions and contact; a plate that slides is followed until no node sticks."""
+        """Positions and contact; a plate that slides lies where no node sticks any more."""
         state, friction = self.state, self.material.friction
-        surface = self.model.mesh.surface
         x, contact = self._guess(plate)
         contact.anchor = self._anchor(state, x, contact)
         contact.begun = state.contact.force[:, :2].copy()
@@ -358,22 +355,33 @@ class SolidStepper:
                 return solve(x, contact, material, friction, plate)
             except Sliding:
                 return self._held_first(x, contact, material, plate)
-        # The plate slides: it is moved until every node slips.
+        return self._slide(x, contact, material, plate, pull, size)
+
+    def _slide(
+        self,
+        x: np.ndarray,
+        contact: Contact,
+        material: StepMaterial,
+        plate: Plate,
+        pull: np.ndarray,
+        size: float,
+    ) -> tuple[np.ndarray, Contact]:
+        """The solution where every node slips along the pull (2,) in N of this size: that of a
+        plate that is far away. Then the plate lies where the last node has just slipped."""
         self.sliding = True
-        way = np.where(tangential, pull, 0.0) / max(size, 1e-300)
+        pulled = np.isnan(plate.position[:2])
+        way = np.where(pulled, pull, 0.0) / max(size, 1e-300)
+        begun = contact.plate[:2].copy()
         position = plate.position.copy()
-        radius = 2e-4
-        for _ in range(SLIDES):
-            position[:2] = np.where(
-                tangential, contact.plate[:2] + SLIDE * radius * way, position[:2]
-            )
-            x, contact = solve(x, contact, material, friction, Plate(position, plate.force))
-            active = contact.status != OPEN
-            radius = float(np.ptp(x[surface[active], 0]))
-            if not np.any(contact.status == STICK):
-                break
-            contact.anchor = x[surface, :2] - contact.plate[:2]
-            contact.begun = contact.force[:, :2].copy()
+        far = begun + FAR * self.model.equilibrium.length * way
+        position[:2][pulled] = far[pulled]
+        contact.status[contact.status == STICK] = SLIP
+        solve, friction = self.model.equilibrium.solve, self.material.friction
+        x, contact = solve(x, contact, material, friction, Plate(position, plate.force, True))
+        active = contact.status != OPEN
+        skin = x[self.model.mesh.surface][active, :2]
+        travel = float(((skin - begun - contact.anchor[active]) @ way).max())
+        contact.plate[:2][pulled] = (begun + max(travel, 0.0) * way)[pulled]
         return x, contact
 
     def _held_first(
