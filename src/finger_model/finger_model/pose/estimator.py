@@ -147,6 +147,7 @@ class PoseEstimator:
         self.covariance[ASPECT, ASPECT] = settings.pad_aspect_sd**2
         self._touching = self._outlined = self._pressed = self._pressed_outside = False
         self._updated = self._given = 0
+        self._used = -1  # stamp of the outline that was used last
         self._sum, self._count, self._sum_since = np.zeros(2), 0, 0
         self._pressure = (math.nan, math.nan)
         self._correction = None
@@ -172,7 +173,7 @@ class PoseEstimator:
         """An outline seen at `stamp_ns`; it is used at the first sample stamped that plus `delay`
         (s) or later, so that the result does not depend on when it comes. A second one of a stamp
         is left out."""
-        known = stamp_ns == self._outlined_at or any(w[1] == stamp_ns for w in self._waiting)
+        known = stamp_ns == self._used or any(w[1] == stamp_ns for w in self._waiting)
         if outline.usable and not known:
             bisect.insort(self._waiting, (stamp_ns + nanoseconds(delay), stamp_ns, outline))
 
@@ -193,6 +194,7 @@ class PoseEstimator:
         self._touching = bool(estimate.in_contact)
         while self._waiting and self._waiting[0][0] <= stamp:
             _, seen, outline = self._waiting.pop(0)
+            self._used = seen
             if self._touching and seen >= estimate.onset_ns:
                 self._see_outline(seen, outline)
         if not self._touching or not estimate.normal_force > SMALLEST_FORCE:
