@@ -59,7 +59,7 @@ def write_page(checks: Sequence[Check], folder: Path) -> Path:
     ]
     for check in checks:
         words = check.title.lower().replace(" ", "-")
-        anchor = "".join(c for c in words if c.isalnum() or c in "-–")
+        anchor = "".join(c for c in words if c.isalnum() or c == "-")
         result = "passes" if check.passes else "**fails**"
         lines.append(f"| [{check.title}](#{anchor}) | {result} |")
     for check in checks:
@@ -71,7 +71,8 @@ def write_page(checks: Sequence[Check], folder: Path) -> Path:
             unit = f" {measure.unit}" if measure.unit else ""
             limit = measure.limit()
             limit += unit if limit != "reported" else ""
-            lines.append(f"| {measure.what} | {measure.value:.3g}{unit}{mark} | {limit} |")
+            what = measure.what.replace("|", "\\|")
+            lines.append(f"| {what} | {measure.value:.3g}{unit}{mark} | {limit} |")
         if check.panels:
             name = f"figures/verification_{check.name}.png"
             figure = Figure(figsize=(7.5, 3.6), layout="constrained")
