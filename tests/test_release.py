@@ -37,6 +37,7 @@ LIBRARIES = {
     "rosbags": ("rosbags", "python3-rosbags-pip"),
     "scipy": ("scipy", "python3-scipy"),
     "serial": ("pyserial", "python3-serial"),
+    "threadpoolctl": ("threadpoolctl", "python3-threadpoolctl-pip"),
     "yaml": ("PyYAML", "python3-yaml"),
     "zstandard": ("zstandard", "python3-zstandard-pip"),
 }

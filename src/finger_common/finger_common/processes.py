@@ -1,7 +1,7 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Child processes that do not outlive the process that started them."""
+"""Child processes that do not outlive the process that started them, and threads side by side."""
 
 from __future__ import annotations
 
@@ -9,7 +9,15 @@ import multiprocessing
 import os
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import Any
+
+from threadpoolctl import threadpool_limits
+
+Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
+"""What `map` is: results of a function in the order of its arguments."""
 
 _BOUND = """
 import ctypes, os, signal, sys
@@ -36,9 +44,11 @@ def bound_to_parent(command: Sequence[str | os.PathLike[str]]) -> list[str]:
     ]
 
 
-def end_with_parent() -> None:
+def begin_worker() -> None:
     """Initializer of a pool's processes: they end at once when the process that started them is
-    gone, even by SIGKILL, whatever they compute."""
+    gone, even by SIGKILL, whatever they compute, and linear algebra takes one thread in each."""
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # libraries that are loaded later
+    threadpool_limits(1)
     parent = multiprocessing.parent_process()
     if parent is None:
         return
@@ -48,3 +58,10 @@ def end_with_parent() -> None:
         os._exit(1)
 
     threading.Thread(target=wait, name="parent", daemon=True).start()
+
+
+@contextmanager
+def in_threads(workers: int) -> Iterator[Map]:
+    """A `map` that works in so many threads, each with linear algebra of its own."""
+    with threadpool_limits(1), ThreadPoolExecutor(workers) as pool:
+        yield pool.map

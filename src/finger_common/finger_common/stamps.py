@@ -41,6 +41,18 @@ def check_stamp(stamp_ns: int, where: str) -> None:
         )
 
 
+def stamp_array(stamps_ns: Any) -> np.ndarray:
+    """Stamps (n,) of nanoseconds as 64-bit integers, contiguous. Raises InputError for numbers with
+    a point: they are seconds, and would be cut down to whole nanoseconds."""
+    found = np.asarray(stamps_ns)
+    if found.size and found.dtype.kind not in "iu":
+        raise InputError(
+            f"stamps_ns has numbers of type {found.dtype}; whole nanoseconds are needed: "
+            "np.round(seconds * 1e9).astype(np.int64)"
+        )
+    return np.ascontiguousarray(found, np.int64)
+
+
 def header_stamp(message: Any) -> int:
     """Nanoseconds of a message's header stamp."""
     return stamp_of(message.header.stamp)

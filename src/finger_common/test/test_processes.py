@@ -1,23 +1,28 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Processes of a pool end with the process that started them."""
+"""Processes of a pool end with the process that started them and take one core each."""
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from finger_common.processes import begin_worker, in_threads
 
 PARENT = """
 import multiprocessing, os, sys, time
 from concurrent.futures import ProcessPoolExecutor
-from finger_common.processes import end_with_parent
+from finger_common.processes import begin_worker
 
 def work(folder):
     open(os.path.join(folder, str(os.getpid())), "w").close()
@@ -25,7 +30,7 @@ def work(folder):
 
 if __name__ == "__main__":
     context = multiprocessing.get_context(sys.argv[1])
-    with ProcessPoolExecutor(2, context, initializer=end_with_parent) as pool:
+    with ProcessPoolExecutor(2, context, initializer=begin_worker) as pool:
         list(pool.map(work, [sys.argv[2]] * 8))
 """
 
@@ -61,3 +66,26 @@ def test_workers_end_when_their_parent_is_killed(start: str, tmp_path: Path) -> 
         parent.kill()
         for pid in filter(is_running, workers):
             os.kill(pid, signal.SIGKILL)
+
+
+def count_threads(_: int) -> list[int]:
+    """Threads of each library of linear algebra in this process."""
+    import scipy.linalg  # noqa: F401
+
+    return [library["num_threads"] for library in threadpool_info()]
+
+
+@pytest.mark.parametrize("start", ["spawn", "fork"])
+def test_linear_algebra_takes_one_thread_in_a_worker(start: str) -> None:
+    context = multiprocessing.get_context(start)
+    with threadpool_limits(4), ProcessPoolExecutor(1, context, initializer=begin_worker) as pool:
+        (counts,) = pool.map(count_threads, [0])
+    assert counts and set(counts) == {1}
+
+
+def test_threads_side_by_side_leave_linear_algebra_as_it_was() -> None:
+    with threadpool_limits(2):
+        before = count_threads(0)
+        with in_threads(2) as each:
+            assert list(each(count_threads, [0, 1])) == [[1] * len(before)] * 2
+        assert count_threads(0) == before

@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from finger_common.errors import FingerError, InputError
-from finger_common.processes import end_with_parent
+from finger_common.processes import begin_worker
 
 Work = Callable[[Any, Any], Any]
 Done = Callable[[int, int], None]
@@ -90,7 +90,7 @@ _job: tuple[Work, Any] | None = None
 
 def _set_job(function: Work, shared: Any) -> None:
     global _job
-    end_with_parent()
+    begin_worker()
     # Ctrl-C is for the parent process, which ends the pool.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _job = (function, shared)

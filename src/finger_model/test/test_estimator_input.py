@@ -79,6 +79,13 @@ def test_one_by_one_and_in_bulk_give_the_same_bits(model: ReducedModel) -> None:
     assert single.statistics()["fused_areas"] > 5
 
 
+def test_stamps_in_seconds_are_refused(model: ReducedModel) -> None:
+    stamps, forces = press(10)
+    with pytest.raises(InputError, match=r"float64; whole nanoseconds are needed: np\.round"):
+        ContactEstimator(model).add_wrenches(stamps * 1e-9, forces)
+    assert len(ContactEstimator(model).add_wrenches([], np.empty((0, 3)))) == 0
+
+
 def test_a_replay_of_everything_received_gives_the_same_bits(model: ReducedModel) -> None:
     rng = np.random.default_rng(3)
     live = ContactEstimator(model)

@@ -231,6 +231,25 @@ def test_stick_ratios_enter_by_their_stamps_whenever_they_come():
     assert single[-1].friction < 0.85 * blind["friction"][-1], "seen slip says: slippery"
 
 
+@pytest.mark.parametrize("rate", [500, 50, 40, 20, 15])
+def test_slips_teach_friction_at_any_rate_of_the_sensor(rate):
+    rng = np.random.default_rng(rate)
+    time = np.arange(0.0, 5.2, 1.0 / rate)
+    phase = time % 2.6
+    normal = np.interp(phase, [0.0, 0.3, 2.3, 2.5], [0.0, 1.0, 1.0, 0.0])
+    pull = np.interp(phase, [0.4, 1.0, 2.3, 2.5], [0.0, 0.7, 0.7, 0.0])
+    lateral = np.column_stack([np.minimum(pull, 0.6 * normal), 0.0 * time])
+    found = SlipEstimator().add_many(
+        (time * 1e9).astype(np.int64),
+        normal + rng.normal(0.0, 0.005, len(time)),
+        lateral + rng.normal(0.0, 0.005, lateral.shape),
+        normal > 0.03,
+        np.full(len(time), 1e-3),
+    )
+    assert found["slips"][-1] == 2
+    assert found["friction"][-1] == pytest.approx(0.6, rel=0.1)
+
+
 def test_bad_values_are_refused():
     with pytest.raises(InputError, match="friction_prior"):
         SlipSettings(friction_prior=0.0)

@@ -21,7 +21,7 @@ from finger_bag.cli import AddCommand
 from finger_bag.read_settings import add_read_options, read_settings_from
 from finger_common.cli import EXIT_BAD_INPUT, EXIT_LOST, one_line, plain
 from finger_common.errors import FingerError, InputError
-from finger_common.processes import end_with_parent
+from finger_common.processes import begin_worker
 from finger_common.progress import Stages
 
 from .process_options import ProcessOptions
@@ -89,9 +89,7 @@ def run(args: argparse.Namespace) -> int:
     with Stages() as stages:
         if several:
             jobs = [(bag, target, options) for bag, target in zip(bags, targets)]
-            with ProcessPoolExecutor(
-                min(args.jobs, len(bags)), initializer=end_with_parent
-            ) as pool:
+            with ProcessPoolExecutor(min(args.jobs, len(bags)), initializer=begin_worker) as pool:
                 done = pool.map(_process_one, jobs)
                 results += stages.track(done, f"{len(bags)} bags", len(bags))
         else:

@@ -25,7 +25,7 @@ from typing import Any
 from finger_common.errors import InputError
 from finger_common.files import atomic_write
 from finger_common.guided_pulls import LOAD
-from finger_common.processes import end_with_parent
+from finger_common.processes import begin_worker
 from finger_common.progress import duration_text
 from finger_common.stamps import NANOSECONDS
 from finger_model.paper import TARGET_FORCE, TRIALS_PER_CONDITION
@@ -85,7 +85,7 @@ def simulate_study(
     write = partial(_write_trial, folder, seed, images, misfit, refinement, slip)
     if processes > 1 and len(jobs) > 1:
         spawn = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(processes, spawn, initializer=end_with_parent) as pool:
+        with ProcessPoolExecutor(processes, spawn, initializer=begin_worker) as pool:
             _tell(pool.map(write, jobs), len(jobs), progress)
     else:
         _tell(map(write, jobs), len(jobs), progress)

@@ -43,7 +43,7 @@ import numpy as np
 
 from finger_common.errors import InputError
 from finger_common.flags import AreaFlag, StateFlag
-from finger_common.stamps import NANOSECONDS, nanoseconds
+from finger_common.stamps import NANOSECONDS, nanoseconds, stamp_array
 
 from ..history import ContactHistory
 from ..parameter_sets import ParameterSets
@@ -116,7 +116,8 @@ class ContactEstimator:
     def add_wrenches(self, stamps_ns: np.ndarray, forces: np.ndarray) -> EstimateBlock:
         """As `add_wrench` for many samples, in the order they came, but fast.
 
-        stamps_ns (n,), forces (n, 3) in N. Rows of dropped samples are left out of the block.
+        stamps_ns (n,) whole numbers, forces (n, 3) in N. Rows of dropped samples are left out of
+        the block. Raises InputError for stamps in seconds and for other shapes.
         """
         parts = [part.rows for part in self.wrench_parts(stamps_ns, forces)]
         return EstimateBlock(np.concatenate([np.empty(0, ESTIMATE_DTYPE), *parts]))
@@ -124,7 +125,7 @@ class ContactEstimator:
     def wrench_parts(self, stamps_ns: np.ndarray, forces: np.ndarray) -> Iterator[EstimateBlock]:
         """As `add_wrenches`, in parts; between two of them settings and parameters may change, and
         until the next is asked for the estimator has those of the last."""
-        stamps = np.ascontiguousarray(stamps_ns, dtype=np.int64)
+        stamps = stamp_array(stamps_ns)
         forces = np.ascontiguousarray(forces, dtype=float)
         if forces.shape != (len(stamps), 3):
             raise InputError(f"forces have shape {forces.shape}, ({len(stamps)}, 3) is needed")

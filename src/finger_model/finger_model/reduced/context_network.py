@@ -18,10 +18,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from finger_common.processes import Map
+
 from .maps import sigmoid
 
-SLICE = 32
-"""Histories whose derivatives are formed at a time."""
+SLICE = 64
+"""Histories whose derivatives are formed at a time, in each thread."""
+BEND = 0.5
+"""Errors beyond this share of their root mean square count by their size, not by its square: some
+histories are far off whatever the network does, and would take the others' place."""
 
 
 @dataclass
@@ -112,25 +117,31 @@ class ContextNetwork:
         z2, t2 = sigmoid(m[..., 2 * h : 3 * h] * p2 + m[..., 3 * h : 4 * h])
         return z2 @ v["W3"] + m[..., 4 * h :], c1, s1, c2, s2, m, p1, z1, t1, p2, z2, t2
 
-    def gradient(self, rows: Rows) -> tuple[float, dict[str, np.ndarray]]:
-        """Mean square of the weighted errors of scaled rows, and its derivatives."""
+    def gradient(
+        self, rows: Rows, bend: float = math.inf, each: Map = map
+    ) -> tuple[float, dict[str, np.ndarray]]:
+        """Mean square of the weighted errors of scaled rows, and the derivatives of a mean in which
+        errors beyond `bend` count by their size (pseudo-Huber loss: Charbonnier et al. 1997);
+        `each` does the work of all slices."""
         count = max(int(np.count_nonzero(rows.weights[..., 0])), 1)
         loss, found = 0.0, {key: np.zeros_like(value) for key, value in self.values.items()}
         # Few at a time: larger arrays leave the cache, and the allocator gives them back each time.
-        for begin in range(0, len(rows.context), SLICE):
-            part = rows.part(slice(begin, begin + SLICE))
-            error, slope = self._gradient_of_slice(part, count)
+        begins = range(0, len(rows.context), SLICE)
+        parts = [rows.part(slice(begin, begin + SLICE)) for begin in begins]
+        for error, slope in each(lambda part: self._gradient_of_slice(part, count, bend), parts):
             loss += error
             for key, value in slope.items():
                 found[key] += value
         return loss, found
 
-    def _gradient_of_slice(self, rows: Rows, count: int) -> tuple[float, dict[str, np.ndarray]]:
+    def _gradient_of_slice(
+        self, rows: Rows, count: int, bend: float
+    ) -> tuple[float, dict[str, np.ndarray]]:
         v, h = self.values, self.hidden
         y, c1, s1, c2, s2, m, p1, z1, t1, p2, z2, t2 = self._forward(rows)
         error = (y - rows.targets) * rows.weights
         loss = float(np.sum(error * error)) / count
-        dy = error * rows.weights * (2.0 / count)
+        dy = error / np.sqrt(1.0 + (error / bend) ** 2) * rows.weights * (2.0 / count)
 
         def flat(a: np.ndarray) -> np.ndarray:
             return a.reshape(-1, a.shape[-1])
@@ -175,25 +186,21 @@ class Soap:
         """Change the values by one step against the slope."""
         self.steps += 1
         for key, value in self.values.items():
-            g = slope[key].astype(np.float32)
+            g: np.ndarray = slope[key].astype(np.float32)
             if value.ndim == 2:
-                g = self._turned(key, g)
-            first, second = self.first, self.second
-            own = slope[key].astype(np.float32)
-            first[key] = self.KEEP * first[key] + (1 - self.KEEP) * own
-            second[key] = self.SQUARES * second[key] + (1 - self.SQUARES) * g * g
-            mean = first[key] / (1 - self.KEEP**self.steps)
-            if value.ndim == 2:
+                self._renew(key, g)
                 left, right = self.bases[key]
-                mean = left.T @ mean @ right
-            change = mean / (np.sqrt(second[key] / (1 - self.SQUARES**self.steps)) + 1e-8)
+                g = left.T @ g @ right
+            first = self.first[key] = self.KEEP * self.first[key] + (1 - self.KEEP) * g
+            second = self.second[key] = self.SQUARES * self.second[key] + (1 - self.SQUARES) * g * g
+            mean = first / (1 - self.KEEP**self.steps)
+            change = mean / (np.sqrt(second / (1 - self.SQUARES**self.steps)) + 1e-8)
             if value.ndim == 2:
-                left, right = self.bases[key]
                 change = left @ change @ right.T + self.decay * value
             self.values[key] = (value - rate * change).astype(np.float32)
 
-    def _turned(self, key: str, g: np.ndarray) -> np.ndarray:
-        """The slope in the present eigenbasis, which is renewed from time to time."""
+    def _renew(self, key: str, g: np.ndarray) -> None:
+        """Take a slope into the covariances, and renew the eigenbasis from time to time."""
         sides = self.sides[key]
         sides[0] = self.KEEP * sides[0] + (1 - self.KEEP) * (g @ g.T)
         sides[1] = self.KEEP * sides[1] + (1 - self.KEEP) * (g.T @ g)
@@ -201,14 +208,16 @@ class Soap:
             self.bases[key] = [np.linalg.eigh(side)[1].astype(np.float32) for side in sides]
         elif self.steps % self.EVERY == 0:
             # One round of orthogonal iteration, in the order of the eigenvalues.
+            left, right = self.bases[key]
+            first = left @ self.first[key] @ right.T
             for which, side in enumerate(sides):
                 basis = self.bases[key][which]
                 image = side @ basis
                 order = np.argsort(-np.sum(basis * image, axis=0))
                 self.bases[key][which] = np.linalg.qr(image[:, order])[0].astype(np.float32)
                 self.second[key] = np.take(self.second[key], order, axis=which)
-        left, right = self.bases[key]
-        return left.T @ g @ right
+            left, right = self.bases[key]
+            self.first[key] = left.T @ first @ right
 
 
 def fit(
@@ -220,8 +229,10 @@ def fit(
     decay: float = 0.1,
     seed: int = 0,
     report: Callable[[float], None] | None = None,
+    each: Map = map,
 ) -> float:
-    """Minimise the mean square of the weighted errors in batches, with a rate that falls to zero.
+    """Minimise the weighted errors in batches, with a rate that falls to zero; `each` does the work
+    of the slices of a batch.
 
     Returns the root mean square of the weighted errors over the last epoch.
     """
@@ -231,12 +242,14 @@ def fit(
     rng = np.random.default_rng(seed)
     method = Soap(network.values, decay)
     steps, total = 0, epochs * (number // batch)
-    mean = math.nan
+    mean = math.inf
     for epoch in range(epochs):
         order = rng.permutation(number)
         losses = []
         for begin in range(0, number - batch + 1, batch):
-            loss, slope = network.gradient(scaled.part(order[begin : begin + batch]))
+            loss, slope = network.gradient(
+                scaled.part(order[begin : begin + batch]), BEND * mean, each
+            )
             losses.append(loss)
             steps += 1
             share = steps / total

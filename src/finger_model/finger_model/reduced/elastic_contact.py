@@ -22,6 +22,8 @@ from .kernels import NODES, sudden_strain
 from .population import CONTEXT
 
 if TYPE_CHECKING:
+    from finger_common.processes import Map
+
     from ..fem.linear_contact import LinearContact
 
 CONTACT = 3
@@ -267,14 +269,16 @@ class ElasticContacts:
         coarse: np.ndarray,
         finer: np.ndarray,
         report: Callable[[float], None],
+        each: Map = map,
     ) -> ElasticContacts:
         """Fit presses on the coarse mesh (2, n, nodes, 3 + k) and the first f of them on the
         default one (2, f, nodes, 3), NaN where there is none; contexts (2, n, 11) and guess of the
-        n fingers."""
+        n fingers; `each` does the work of the processes of a node."""
         sizes = strain_sizes()
         more = finer - coarse[:, : finer.shape[1], :, :CONTACT]
         found: tuple[list[list[Process]], list[list[Process]]] = ([], [])
         for node in range(len(NODES)):
+            tasks: list[tuple[int, np.ndarray, np.ndarray]] = []
             for which, values in enumerate((coarse, more)):
                 inputs = cls._inputs(contexts, guess, node, meshes=which == 1)
                 inputs = inputs[:, : values.shape[1]].reshape(-1, inputs.shape[-1])
@@ -287,11 +291,15 @@ class ElasticContacts:
                     outputs[:, [0, 2]] -= guess.curves[:, :, node].reshape(-1, 2)
                 inputs, outputs = inputs[reached], outputs[reached]
                 contact = outputs[:, :CONTACT]
-                own = [Process.fit(inputs, part, 0) for part in (contact[:, :2], contact[:, 2:])]
+                tasks += [(which, inputs, part) for part in (contact[:, :2], contact[:, 2:])]
                 if which == 0:
                     strain = size_and_direction(outputs[:, CONTACT:] / sizes[node])
-                    own.append(Process.fit(np.column_stack([inputs, contact]), strain, 0))
-                found[which].append(own)
+                    tasks.append((which, np.column_stack([inputs, contact]), strain))
+                found[which].append([])
+            for task, process in zip(
+                tasks, each(lambda task: Process.fit(task[1], task[2], 0), tasks)
+            ):
+                found[task[0]][-1].append(process)
             report((node + 1) / len(NODES))
         return cls(*found)
 

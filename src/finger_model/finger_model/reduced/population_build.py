@@ -22,7 +22,7 @@ import numpy as np
 
 from finger_common.errors import ModelError
 from finger_common.files import atomic_write, sha256_of
-from finger_common.processes import end_with_parent
+from finger_common.processes import begin_worker, in_threads
 from finger_common.settings import Settings, setting
 
 from ..fem.full_order import FullOrderModel
@@ -132,6 +132,7 @@ def build(
         refining,
         held_out,
         settings,
+        workers,
         report,
         began,
     )
@@ -147,6 +148,7 @@ def assemble(
     refining: list[Run],
     held_out: list[Run],
     settings: PopulationSettings,
+    workers: int,
     report: Progress,
     began: float,
 ) -> tuple[ReducedModel, dict[str, ErrorTable]]:
@@ -162,14 +164,16 @@ def assemble(
             f"only {usable} of {len(runs)} full-order runs succeeded; check the population box"
         )
     own = [_usable(found) for found in runs]
-    arrays = train(
-        [found for found, good in zip(runs, own) if good],
-        [found for found, good in zip(fine, own) if good],
-        [found for found in further if _touched(found)],
-        [found for found in refining if _touched(found)],
-        settings.epochs,
-        report,
-    )
+    with in_threads(workers) as each:
+        arrays = train(
+            [found for found, good in zip(runs, own) if good],
+            [found for found, good in zip(fine, own) if good],
+            [found for found in further if _touched(found)],
+            [found for found in refining if _touched(found)],
+            settings.epochs,
+            report,
+            each,
+        )
     return with_error(arrays, held_out, settings, time.monotonic() - began)
 
 
@@ -233,8 +237,7 @@ _worker: dict[str, Any] = {}
 
 
 def _begin(task: _Task, seed: int) -> None:
-    end_with_parent()
-    os.environ["OMP_NUM_THREADS"] = "1"
+    begin_worker()
     _worker.update(task=task, seed=seed)
 
 

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from finger_common.processes import Map
+
 from . import kernels as rk
 from .context_network import ContextNetwork, Rows, fit
 from .elastic_contact import (
@@ -205,13 +207,20 @@ def _press_inputs(runs: list[Run]) -> tuple[np.ndarray, LinearGuess]:
     return contexts, LinearGuess.of_all([LinearGuess(run.guess, run.meshes) for run in runs])
 
 
-def fit_elastic(runs: list[Run], fine: list[Run], report: Progress) -> ElasticContacts:
+def fit_elastic(
+    runs: list[Run], fine: list[Run], report: Progress, each: Map = map
+) -> ElasticContacts:
     """Elastic contacts of the runs' presses; `fine`: on the default mesh, of the first fingers."""
     contexts, guess = _press_inputs(runs)
     coarse = np.stack([run.presses for run in runs], axis=1)
     finer = np.stack([run.presses[:, :, :3] for run in fine], axis=1)
     return ElasticContacts.fit(
-        contexts, guess, coarse, finer, lambda share: report("fitting the elastic curves", share)
+        contexts,
+        guess,
+        coarse,
+        finer,
+        lambda share: report("fitting the elastic curves", share),
+        each,
     )
 
 
@@ -258,8 +267,9 @@ def train(
     refining: list[Run],
     epochs: int,
     report: Progress,
+    each: Map = map,
 ) -> dict[str, np.ndarray]:
-    """Arrays of the population's maps.
+    """Arrays of the population's maps; `each` does what can be done side by side.
 
     runs: with presses, on the coarse mesh; fine: presses of the first of these fingers on the
     default mesh; further, refining: runs of other fingers without presses, on the coarse and on
@@ -268,7 +278,7 @@ def train(
     predicted curves of the default mesh, with which the contact network learns from the refining
     runs, too.
     """
-    elastic = fit_elastic(runs, fine, report)
+    elastic = fit_elastic(runs, fine, report, each)
     types = rk.record_types(LATENTS, len(BETAS), DRIVE[0], CONTACT[0])
     response = response_of(types, runs)
     fingers = {
@@ -283,7 +293,7 @@ def train(
     coarse = [*runs, *further]
     rows = padded(coarse, lambda run: drive_columns(run, along[id(run)]), contexts)
     drive = ContextNetwork(rows, *DRIVE)
-    fit(drive, rows, epochs, BATCH, decay=DECAY, report=lambda s: report("training the drive", s))
+    _fit(drive, rows, epochs, "training the drive", report, each)
 
     # States need a drive only: an untrained contact network takes its place.
     exact = {
@@ -308,15 +318,17 @@ def train(
 
     rows = padded(everything, columns, contexts)
     contact = ContextNetwork(rows, *CONTACT)
-    fit(
-        contact,
-        rows,
-        epochs,
-        BATCH,
-        decay=DECAY,
-        report=lambda s: report("training the contact", s),
-    )
+    _fit(contact, rows, epochs, "training the contact", report, each)
     return {**arrays_of(drive, contact), **fixed}
+
+
+def _fit(
+    network: ContextNetwork, rows: Rows, epochs: int, stage: str, report: Progress, each: Map
+) -> None:
+    def tell(share: float) -> None:
+        report(stage, share)
+
+    fit(network, rows, epochs, BATCH, decay=DECAY, report=tell, each=each)
 
 
 def _by_run(runs: list[Run], fingers: list[Finger]) -> dict[int, Finger]:

@@ -18,14 +18,13 @@ a_ib: the maps, which see only the sum of the a_ib, are the same.
 
 from __future__ import annotations
 
-import os
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 
 from finger_common.errors import ModelError
-from finger_common.processes import end_with_parent
+from finger_common.processes import begin_worker
 
 from ..fem.full_order import FullOrderModel
 from ..fem.mesh import BULK
@@ -202,8 +201,7 @@ _worker: dict[str, object] = {}
 def _begin(
     geometry: Geometry, refinement: float, friction: float, modes: np.ndarray | None
 ) -> None:
-    end_with_parent()
-    os.environ["OMP_NUM_THREADS"] = "1"
+    begin_worker()
     _worker.update(model=FullOrderModel(geometry, refinement), friction=friction, modes=modes)
 
 

@@ -26,7 +26,7 @@ import numpy as np
 from finger_common.axes import DEFAULT_NORMAL_AXIS, axis_of
 from finger_common.errors import InputError
 from finger_common.flags import StateFlag
-from finger_common.stamps import NANOSECONDS, nanoseconds
+from finger_common.stamps import NANOSECONDS, nanoseconds, stamp_array
 
 from ..estimator import ContactEstimate, EstimateBlock
 from . import kernels
@@ -174,7 +174,7 @@ class SlipEstimator:
         kernels.follow_many(
             self._config,
             self._state,
-            np.ascontiguousarray(stamps_ns, np.int64),
+            stamp_array(stamps_ns),
             np.ascontiguousarray(normal_force, float),
             np.ascontiguousarray(lateral, float),
             np.ascontiguousarray(touching, bool),

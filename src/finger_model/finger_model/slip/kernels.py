@@ -43,6 +43,8 @@ FAST, SLOW = 0.008, 0.03
 LAG, EVERY, MEMORY = 0.04, 0.01, 0.1
 """s: over which forces are forecast, how often, and how long the comparison is remembered."""
 LAGS = 4
+OLD = LAG - 0.5 * EVERY
+"""s, age from which a forecast is compared."""
 STILL = -1.0
 """Log of the odds of slip and holding against pulling above which r stands still."""
 NATURAL_MOISTURE = 69.0
@@ -322,8 +324,12 @@ def _compare(config, state, stamp):
     if slow > 1e-9:
         rise = state.slow.value[1] * state.slow.rate[1] + state.slow.value[2] * state.slow.rate[2]
         rise /= slow
-    if state.forecasts >= LAGS:
-        past = state.forecast[state.forecasts % LAGS]
+    # The newest forecast that is old enough: fewer back where samples are rare.
+    back = 1
+    while back < LAGS and stamp * 1e-9 - state.forecast[(state.forecasts - back) % LAGS][0] < OLD:
+        back += 1
+    if state.forecasts >= back:
+        past = state.forecast[(state.forecasts - back) % LAGS]
         lag = stamp * 1e-9 - past[0]
         if 0.5 * LAG < lag < 2.0 * LAG:
             # Noise of the filtered forces, and what a slip's friction and a pull's rate vary.
