@@ -24,7 +24,7 @@ from .maps import sigmoid
 
 SLICE = 64
 """Histories whose derivatives are formed at a time, in each thread."""
-BEND = 0.5
+BEND = 0.2
 """Errors beyond this share of their root mean square count by their size, not by its square: some
 histories are far off whatever the network does, and would take the others' place."""
 
