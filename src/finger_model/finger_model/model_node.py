@@ -365,7 +365,10 @@ class ModelNode(ManagedNode):
                 self._use_sets(sets, reason, forget=False)
 
     def _new_slip_estimator(self) -> SlipEstimator:
-        return SlipEstimator(self.settings(SlipSettings), self.values["normal_axis"])
+        found = SlipEstimator(self.settings(SlipSettings), self.values["normal_axis"])
+        if self.estimator is not None:
+            found.assume(self.estimator.model.geometry, self.estimator.material)
+        return found
 
     def _load_sets(self, path: str) -> ParameterSets:
         sets = ParameterSets.load(path) if path else ParameterSets.default()
@@ -476,7 +479,8 @@ class ModelNode(ManagedNode):
         self, estimate: ContactEstimate, force: tuple[float, float, float], frame: str
     ) -> None:
         """Slip of the sample."""
-        assert self._slip is not None
+        assert self._slip is not None and self.estimator is not None
+        self._slip.assume(self.estimator.model.geometry, self.estimator.material)
         found = self._slip.add(estimate, force)
         if not self._slip_listeners.present():
             return
@@ -651,7 +655,10 @@ class ModelNode(ManagedNode):
     def _forget_contacts(self) -> None:
         """Friction and pose of a finger that was not seen before."""
         if self._slip is not None:
+            assert self.estimator is not None
             self._slip.reset()
+            # Takes long for a new geometry: not between two samples.
+            self._slip.assume(self.estimator.model.geometry, self.estimator.material)
         self._pose = None
 
     def _calibrate(

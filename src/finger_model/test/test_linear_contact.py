@@ -1,7 +1,7 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Linear contact against the full order at small strain, and its laws of scale."""
+"""Linear contact against the full order at small strain, and its laws of scale; linear shear."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import pytest
 
 from finger_model.fem.full_order import FullOrderModel
 from finger_model.fem.linear_contact import LinearContact
+from finger_model.fem.linear_shear import LinearShear
 from finger_model.fem.mesh import EPIDERMIS, finger_mesh, similar_mesh
 from finger_model.geometry import Geometry
 from finger_model.laws import StandardLinearSolid
@@ -65,3 +66,21 @@ def test_spacings_are_those_of_the_default_mesh() -> None:
     layers = GEOMETRY.epidermis_thickness / (through * length)
     assert layers == pytest.approx(round(layers))
     assert np.sum(mesh.part == EPIDERMIS) == round(layers) * (len(skin) - 1)
+
+
+def test_shear_of_a_small_contact_is_that_of_a_disc_on_a_half_space() -> None:
+    # 8 G a/(2 − ν): Mindlin 1949. The bone is behind, and lets the finger move a little more.
+    geometry = Geometry(8e-3, 8e-3, 0.5e-3, 5e-3, 5e-3, 0.0, 7e-3)
+    soft = replace(MATERIAL, E2=MATERIAL.E0)
+    radius, stiffness = LinearShear(geometry).curve(soft)[:3].T
+    shear, ratio = soft.instantaneous_shear_modulus, soft.poisson_ratio_bulk
+    assert stiffness == pytest.approx(8.0 * shear * radius / (2.0 - ratio), rel=0.1)
+
+
+def test_shear_scales_with_moduli_and_lengths() -> None:
+    radius, stiffness = LinearShear(GEOMETRY).curve(MATERIAL).T
+    doubled = {name: 2.0 * value for name, value in GEOMETRY.to_dict().items()}
+    stiff = replace(MATERIAL, E0=3 * 60e3, E1=3 * 30e3, E2=3 * 1200e3, nail_modulus=3 * 170e6)
+    found = LinearShear(Geometry(**doubled)).curve(stiff)
+    np.testing.assert_allclose(found.T, [2.0 * radius, 6.0 * stiffness], rtol=1e-6)
+    assert np.all(np.diff(stiffness) > 0.0)

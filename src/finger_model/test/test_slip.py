@@ -4,6 +4,7 @@
 """Slip estimator: law of the elements, friction learned, slips foretold."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,9 +14,12 @@ from finger_common.errors import InputError
 from finger_common.flags import SlipFlag
 from finger_model.cli import _main
 from finger_model.estimator import ContactEstimator
+from finger_model.geometry import Geometry
+from finger_model.material import Material
 from finger_model.reduced import ReducedModel
 from finger_model.slip import SlipEstimator, SlipSettings, backbone, kernels
 from finger_model.slip.estimator import slip_estimates
+from finger_model.verification.cases import CALCULIX_FINGER, elastic
 
 RATE = 500.0
 KNOWN = {"friction_prior_sd": 0.01, "tangential_noise": 0.0002}
@@ -229,6 +233,66 @@ def test_stick_ratios_enter_by_their_stamps_whenever_they_come():
     blind = SlipEstimator().add_block(block, forces)
     assert repr(slip_estimates(blind)[:390]) == repr(single[:390])
     assert single[-1].friction < 0.85 * blind["friction"][-1], "seen slip says: slippery"
+
+
+SHEAR = (
+    ((9.83, 8.40, 0.40, 4.44, 4.60, 0.0, 6.51, 0.71), 60.0, (250.0, 284.0, 316.0)),
+    ((6.06, 3.86, 0.94, 2.81, 1.64, 0.0, 4.46, 0.69), 22.0, (267.0, 323.0, 370.0)),
+    ((9.43, 5.24, 0.73, 5.11, 2.42, 0.0, 5.75, 0.55), 24.9, (348.0, 427.0, 538.0)),
+    ((6.18, 3.88, 0.54, 2.71, 1.85, 0.0, 4.97, 0.37), 18.1, (252.0, 318.0, 360.0)),
+    ((9.33, 5.25, 0.99, 3.54, 1.78, 0.0, 8.09, 0.75), 71.1, (710.0, 815.0, 902.0)),
+    ((8.39, 6.03, 0.83, 2.11, 2.57, 0.0, 6.79, 0.23), 69.8, (210.0, 245.0, 301.0)),
+)
+"""Lengths of a Geometry (mm), E₂/E, and tangential stiffness (N/m) at 0.03, 0.08 and 0.15 of the
+pad's semi-axis in the three-dimensional model, as in scripts/shear_stiffness.py; E is 30 kPa."""
+
+
+def held(estimator, indentation, seconds=0.02):
+    """Rows at 500 Hz of 1 N that is pulled by 0.1 N at once, 0.1 s after the onset."""
+    n = 50 + round(seconds * RATE)
+    pull = np.where(np.arange(n) < 50, 0.0, 0.1)
+    rows = 2_000_000 * np.arange(n), np.ones(n), np.column_stack([pull, 0.0 * pull])
+    return estimator.add_many(*rows, np.ones(n, bool), np.full(n, indentation))
+
+
+def test_tangential_stiffness_is_that_of_the_three_dimensional_model():
+    errors = []
+    for lengths, ratio, exact in SHEAR:
+        geometry = Geometry(*(value * 1e-3 for value in lengths))
+        estimator = SlipEstimator()
+        estimator.assume(geometry, elastic(30e3, E2=ratio * 30e3))
+        depths = np.array([0.03, 0.08, 0.15]) * geometry.pad_semi_axis_radial
+        found = [held(estimator, depth)["tangential_stiffness"][-1] for depth in depths.tolist()]
+        errors.append(np.array(found) / exact - 1.0)
+    assert np.abs(errors).max() < 0.2
+    assert np.sqrt(np.mean(np.square(errors))) < 0.1
+    # CalculiX 2.20, friction 0.5: 0.367 N/mm at the first 70 µm, pressed by 0.818 mm to 0.52 N.
+    estimator = SlipEstimator()
+    estimator.assume(CALCULIX_FINGER, elastic(30.23e3, E2=1652e3))
+    assert held(estimator, 0.818e-3)["tangential_stiffness"][-1] == pytest.approx(367.0, rel=0.1)
+
+
+def test_a_pulled_finger_creeps_to_what_its_long_term_modulus_lets_it():
+    material = Material()
+    estimator = SlipEstimator(SlipSettings(**KNOWN, friction_prior=2.0))
+    estimator.assume(Geometry(), material)
+    rows = held(estimator, 0.6e-3, 4.0)
+    moved = rows["tangential_displacement"][:, 0] * rows["tangential_stiffness"]
+    assert moved[49] == 0.0
+    since = 0.002 * np.arange(len(rows) - 50)
+    # The skin carries a part and does not relax: less creep than that of the tissue alone.
+    rest = 0.1 / moved[-1]
+    assert material.long_term_fraction < rest < 0.4
+    creep_time = material.branches[0].relaxation_time / rest
+    creep = (1.0 - np.exp(-since / creep_time)) * (1.0 / rest - 1.0)
+    np.testing.assert_allclose(moved[100:], 0.1 * (1.0 + creep)[50:], rtol=0.05)
+
+
+def test_another_finger_is_less_stiff_to_shear():
+    default, soft = SlipEstimator(), SlipEstimator()
+    soft.assume(Geometry(), replace(Material(), E0=0.5 * Material().E0, E2=0.5 * Material().E2))
+    of_default, of_soft = (held(e, 0.6e-3)["tangential_stiffness"][-1] for e in (default, soft))
+    assert of_soft == pytest.approx(0.5 * of_default, rel=0.04)
 
 
 @pytest.mark.parametrize("rate", [500, 50, 40, 20, 15])

@@ -366,20 +366,26 @@ class _Run:
         frame = frame_id_of_cdr(wrench)
         place = {stamp: i for i, stamp in reversed(list(enumerate(stamps.tolist())))}
         rows, shapes, done = [np.empty(0, ESTIMATE_DTYPE)], [], 0
+        slips: list[np.ndarray] = []
         for part in self.estimator.wrench_parts(stamps, forces):
             rows.append(part.rows)
             if self.pose is not None:
                 self.pose.assume(self.estimator.pose_correction)
                 for k, shape in self._shapes(self.pose, part, place, forces, torques):
                     shapes.append((done + k, shape_fields(shape, frame)))
+            if self.slip is not None and self.output is not None:
+                self.slip.assume(self.estimator.model.geometry, self.estimator.material)
+                slips.append(self._slips(self.slip, part, place, forces))
             done += len(part)
+        self.last_force = forces[-1]
         block = EstimateBlock(np.concatenate(rows))
         self.states += len(block)
         if self.output is not None and len(block):
-            slips = (
-                [] if self.slip is None else self._slips(self.slip, block, stamps, forces, wrench)
-            )
-            self.output.write_states(block, stamps, logs, wrench, slips, shapes)
+            slip_messages = []
+            if self.slip is not None:
+                axes = self.slip.lateral_axes
+                slip_messages = serialize_slips(np.concatenate(slips), axes, frame)
+            self.output.write_states(block, stamps, logs, wrench, slip_messages, shapes)
         for sink in self.sinks:
             sink(block)
 
@@ -404,26 +410,13 @@ class _Run:
         return found
 
     def _slips(
-        self,
-        slip: SlipEstimator,
-        block: EstimateBlock,
-        stamps: np.ndarray,
-        forces: np.ndarray,
-        wrench: bytes,
-    ) -> list[bytes]:
-        """Serialized ContactSlips of a block; stamps (n,), forces (n, 3) of all its wrenches."""
-        own = block.column("stamp_ns")
-        newest = forces[-1]
-        if not np.array_equal(own, stamps):
-            # The estimator dropped samples; the first of a stamp has counted. One that waited for
-            # its successor may be of the block before.
-            place = {stamp: i for i, stamp in reversed(list(enumerate(stamps.tolist())))}
-            forces = np.array(
-                [
-                    forces[place[stamp]] if stamp in place else self.last_force
-                    for stamp in own.tolist()
-                ]
-            ).reshape(-1, 3)
-        self.last_force = newest
-        rows = slip.add_block(block, forces)
-        return serialize_slips(rows, slip.lateral_axes, frame_id_of_cdr(wrench))
+        self, slip: SlipEstimator, block: EstimateBlock, place: dict[int, int], forces: np.ndarray
+    ) -> np.ndarray:
+        """Slip (n,) of the estimates of a block; place: row of a stamp in the forces (n, 3) of all
+        wrenches."""
+        # One that waited for its successor may be of the block before.
+        own = [
+            forces[place[stamp]] if stamp in place else self.last_force
+            for stamp in block.column("stamp_ns").tolist()
+        ]
+        return slip.add_block(block, np.array(own).reshape(-1, 3))

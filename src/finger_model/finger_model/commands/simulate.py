@@ -20,7 +20,7 @@ from finger_common.progress import Stages
 from ..fem.elasticity import ELASTICITIES, NEO_HOOKE
 from ..geometry import Geometry
 from ..history import ContactHistory, read_load_csv
-from ..laws import ConstitutiveLaw, StandardLinearSolid, load_material
+from ..laws import ConstitutiveLaw, MaxwellLaw, StandardLinearSolid, load_material
 from ..slip.pull import PullHistory, pull_history
 
 FULL_ORDER = "full-order model"
@@ -145,7 +145,8 @@ def run(arguments: argparse.Namespace) -> int:
         history = _full(arguments, geometry, material, time, force)
     found: ContactHistory | PullHistory = history
     if pull is not None:
-        found = pull_history(history, pull, material.friction)
+        assert isinstance(material, MaxwellLaw)  # as all that have a reduced model
+        found = pull_history(history, pull, geometry, material)
     if arguments.output:
         found.to_csv(arguments.output)
     else:

@@ -46,6 +46,7 @@ from finger_common.flags import AreaFlag, StateFlag
 from finger_common.stamps import NANOSECONDS, nanoseconds, stamp_array
 
 from ..history import ContactHistory
+from ..laws import MaxwellLaw
 from ..parameter_sets import ParameterSets
 from ..pose.correction import PoseCorrection
 from ..reduced.model import ReducedModel
@@ -267,6 +268,11 @@ class ContactEstimator:
     def parameters(self) -> np.ndarray:
         """Material parameters (n,) in force, in the order of the sets' space."""
         return self._selected.parameters.copy()
+
+    @property
+    def material(self) -> MaxwellLaw:
+        """The material with the parameters in force; the same object until they change."""
+        return self._selected.material
 
     @property
     def pose_correction(self) -> PoseCorrection:

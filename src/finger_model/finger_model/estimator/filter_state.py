@@ -92,7 +92,7 @@ class FilterState:
         config = self.configuration
         new = not len(self.finger) or config["moisture_stamp"][0] != (moisture or (0, np.nan))[0]
         config["moisture_stamp"], config["moisture"] = moisture or (0, np.nan)
-        config["flags"] = selected.flags | self._take_pose(selected.skin_ratio)
+        config["flags"] = selected.flags | self._take_pose(selected.material.skin_ratio)
         noise, prior = config["noise"], selected.prior
         noise["prior_mean"], noise["prior_covariance"] = prior.mean, prior.covariance
         noise["moisture_direction"] = prior.moisture_direction

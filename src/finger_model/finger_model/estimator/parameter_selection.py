@@ -13,6 +13,7 @@ from finger_common.errors import InputError
 from finger_common.flags import StateFlag
 from finger_common.moisture import MOISTURE_RANGE
 
+from ..laws import MaxwellLaw
 from ..parameter_sets import InterpolatedParameters, ParameterSets
 from ..reduced.model import ReducedModel
 from . import area_filter, members
@@ -49,13 +50,12 @@ class SelectedParameters:
     """Parameters in use.
 
     parameters (n,): in the order of the sets' space; constants: the reduced model's record of them;
-    skin_ratio: see `ConstitutiveLaw`; name: of the parameter set; flags: of StateFlag; prior: of
-    the finger.
+    material: with them; name: of the parameter set; flags: of StateFlag; prior: of the finger.
     """
 
     parameters: np.ndarray
     constants: np.ndarray
-    skin_ratio: float
+    material: MaxwellLaw
     name: str
     flags: StateFlag
     prior: SelectedPrior
@@ -76,10 +76,12 @@ def select_parameters(
         flags |= StateFlag.MOISTURE_OUT_OF_RANGE
     if model.out_of_range(found.parameters):
         flags |= StateFlag.PARAMETERS_OUT_OF_RANGE
+    material = model.material.with_vector(found.parameters)
+    assert isinstance(material, MaxwellLaw)
     return SelectedParameters(
         found.parameters,
         model.constants(found.parameters),
-        model.material.with_vector(found.parameters).skin_ratio,
+        material,
         found.name,
         flags,
         _prior(model, sets, settings, moisture, found),

@@ -37,11 +37,6 @@ STICK_CURVE = np.array(
 (`CALCULIX_FINGER`), 30.23 kPa, friction 0.5, pressed to 0.52 N; r in the middle of the interval
 that the stick ratio belongs to; the ends of the curve are extrapolated."""
 
-SHEAR_STIFFNESS = 0.58
-"""Tangential stiffness of the finger over P/δ, force over indentation: 0.367 N/mm at 0.52 N and
-0.82 mm in the same solution."""
-
-
 SLIP_COMPLIANCE = 0.08
 """Share of the contact in the compliance: what the displacement of the elements beyond that of a
 stuck contact adds, over Q/K; the rest lies in the tissue, which does not see the slip."""

@@ -29,8 +29,12 @@ from finger_common.flags import StateFlag
 from finger_common.stamps import NANOSECONDS, nanoseconds, stamp_array
 
 from ..estimator import ContactEstimate, EstimateBlock
+from ..geometry import Geometry
+from ..laws import MaxwellLaw
+from ..material import Material
 from . import kernels
 from .settings import SlipSettings
+from .shear import set_finger
 
 
 class SlipEstimate(NamedTuple):
@@ -87,6 +91,8 @@ class SlipEstimator:
         self._row = np.zeros(1, kernels.OUTPUT)
         self._waiting: list[tuple[int, int, float, float]] = []
         self._stick_stamps: deque[int] = deque(maxlen=64)
+        self._finger: tuple[Geometry, MaxwellLaw] | None = None
+        self.assume(Geometry(), Material())
         self.configure(settings or SlipSettings())
         self.reset()
 
@@ -102,6 +108,15 @@ class SlipEstimator:
         config["noise"] = settings.tangential_noise
         if not self._state["told"][0]:
             kernels.set_prior(config[0], self._state[0], float(self._state["moisture"][0]))
+
+    def assume(self, geometry: Geometry, material: MaxwellLaw) -> None:
+        """The finger that displacement and stiffness are of; until this is called the default one.
+
+        A new geometry takes some hundredths of a second.
+        """
+        if self._finger is None or self._finger != (geometry, material):
+            self._finger = geometry, material
+            set_finger(self._config[0], geometry, material)
 
     def reset(self) -> None:
         """A finger and a plate that were not seen before."""

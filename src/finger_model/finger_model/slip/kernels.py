@@ -24,6 +24,7 @@ from finger_common.flags import SlipFlag
 
 from ..compiled import njit
 from . import backbone
+from .shear import DEPTHS
 
 NO_CONTACT, SLIPPING, ASSUMED, INVALID = (int(flag) for flag in SlipFlag)
 
@@ -36,7 +37,11 @@ CURVE = np.interp(np.linspace(0.0, 1.0, 101), *backbone.STICK_CURVE.T)
 REMEMBERED = 1024
 """Samples remembered, for stick ratios that come late."""
 
-STIFFNESS, COMPLIANCE = backbone.SHEAR_STIFFNESS, backbone.SLIP_COMPLIANCE
+COMPLIANCE = backbone.SLIP_COMPLIANCE
+BRANCHES = 4
+"""Most branches of the tissue."""
+FIRST_DEPTH, NODES = math.log(DEPTHS[0]), len(DEPTHS)
+DEPTH_STEP = math.log(DEPTHS[1] / DEPTHS[0])
 
 FAST, SLOW = 0.008, 0.03
 """s, time constants of the filters of the present forces and of their rates."""
@@ -72,6 +77,10 @@ CONFIGURATION = np.dtype(
         ("drift", "f8"),
         ("horizon", "f8"),  # s
         ("noise", "f8"),  # N
+        ("length", "f8"),  # m, the pad's radial semi-axis
+        ("shear", "f8", (NODES,)),  # N/m, see `shear`
+        ("fractions", "f8", (BRANCHES,)),  # of the tissue's branches, 0 where there is none
+        ("times", "f8", (BRANCHES,)),  # s
     ]
 )
 _TRACK = np.dtype([("value", "f8", (3,)), ("rate", "f8", (3,))])
@@ -102,6 +111,8 @@ STATE = np.dtype(
         ("moisture", "f8"),  # of the prior
         ("force", "f8", (ELEMENTS, 2)),  # of the elements, over the share of one
         ("moved", "f8", (2,)),  # displacement of the elements, N
+        ("displaced", "f8", (2,)),  # m, of the plate
+        ("crept", "f8", (BRANCHES, 2)),  # m, displacement that each branch has come to
         ("next", "i8"),
         ("past_stamp", "i8", (REMEMBERED,)),
         ("past_ratio", "f8", (REMEMBERED,)),  # NaN where s(r) does not hold
@@ -243,6 +254,7 @@ def _end_contact(config, state, stamp):
     state.largest = 0.0
     state.force[:, :] = 0.0
     state.moved[:] = 0.0
+    state.displaced[:] = state.crept[:] = 0.0
     state.touching = False
 
 
@@ -397,6 +409,39 @@ def _say_nothing(out):
 
 
 @njit(cache=True)
+def _stiffness(config, indentation):
+    """Tangential stiffness (N/m) under a sudden load; NaN where the finger is not indented."""
+    if not indentation > 0.0:
+        return math.nan
+    at = (math.log(indentation / config.length) - FIRST_DEPTH) / DEPTH_STEP
+    at = min(max(at, 0.0), NODES - 1.001)
+    k = int(at)
+    return config.shear[k] + (at - k) * (config.shear[k + 1] - config.shear[k])
+
+
+@njit(cache=True)
+def _displace(config, state, dt, stiffness, q):
+    """Displace the plate under Q (2,), dt (s) after the sample before: the tissue creeps by its
+    branches as in a linear Maxwell model, and what slips adds its share."""
+    for i in range(2):
+        before = state.displaced[i]
+        driven, rest = (q[i] + COMPLIANCE * (state.moved[i] - q[i])) / stiffness, 1.0
+        for b in range(BRANCHES):
+            # Exact for a displacement that is linear within the step.
+            ratio = dt / config.times[b]
+            decay = math.exp(-ratio)
+            mean = (1.0 - decay) / ratio if ratio > 1e-6 else 1.0 - 0.5 * ratio
+            state.crept[b, i] = decay * state.crept[b, i] + (mean - decay) * before
+            driven += config.fractions[b] * state.crept[b, i]
+            rest -= config.fractions[b] * (1.0 - mean)
+        state.displaced[i] = driven / rest
+        for b in range(BRANCHES):
+            ratio = dt / config.times[b]
+            mean = (1.0 - math.exp(-ratio)) / ratio if ratio > 1e-6 else 1.0 - 0.5 * ratio
+            state.crept[b, i] += (1.0 - mean) * state.displaced[i]
+
+
+@njit(cache=True)
 def follow(config, state, stamp, normal, q0, q1, touching, indentation, moisture, out):
     """One sample: stamp (ns), P and Q (N), whether in contact, indentation (m), moisture (a.u.)."""
     out.stamp = stamp
@@ -417,6 +462,7 @@ def follow(config, state, stamp, normal, q0, q1, touching, indentation, moisture
             value = normal if i == 0 else (q0 if i == 1 else q1)
             state.fast.value[i] = state.slow.value[i] = value
             state.fast.rate[i] = state.slow.rate[i] = 0.0
+        dt = 0.0
         state.pull_largest = 0.0
         state.turned = state.counted = False
         state.forecasts = 0
@@ -519,13 +565,12 @@ def follow(config, state, stamp, normal, q0, q1, touching, indentation, moisture
     out.stick_ratio_stddev = math.hypot(spread, 0.03)
     out.slip_margin = 0.0 if slipping else max(0.0, 1.0 - ratio / mean)
     out.slip_margin_stddev = ratio / mean * math.hypot(out.friction_stddev / mean, EDGE)
-    stiffness = math.nan
+    out.tangential_stiffness = _stiffness(config, indentation)
+    out.tangential_displacement[:] = math.nan
     if indentation > 0.0:
-        stiffness = STIFFNESS * normal / indentation
-    out.tangential_stiffness = stiffness
-    for i in range(2):
-        q = state.fast.value[1 + i]
-        out.tangential_displacement[i] = (q + COMPLIANCE * (state.moved[i] - q)) / stiffness
+        stiffness = out.tangential_stiffness
+        _displace(config, state, max(dt, 0.0), stiffness, state.fast.value[1:])
+        out.tangential_displacement[:] = state.displaced
 
 
 @njit(cache=True)
@@ -566,24 +611,28 @@ def follow_many(config, state, stamps, normal, lateral, touching, indentation, m
 
 
 @njit(cache=True)
-def pull_along(normal, area, indentation, tangential, friction, table):
+def pull_along(config, time, normal, area, indentation, tangential, friction, table):
     """Stick ratio, slip margin and displacement (m), rows (n, 3) of `table`, at a known friction.
 
-    normal, tangential (n,) in N, area (n,) in m², indentation (n,) in m. Rows without contact stay.
+    config: finger of CONFIGURATION; time (n,) in s, normal, tangential (n,) in N, area (n,) in m²,
+    indentation (n,) in m. Rows without contact stay.
     """
     state = np.zeros(1, STATE)[0]
     slid = False
+    pull = np.zeros(2)
     for i in range(len(normal)):
         load = friction * normal[i]
         if not (area[i] > 0.0 and load > 0.0):
             state.force[:, :] = 0.0
             state.moved[:] = 0.0
+            state.displaced[:] = state.crept[:] = 0.0
             slid = False
             continue
-        q = tangential[i]
-        table[i, 0] = _pull(state, load, q, 0.0)
-        table[i, 1] = max(0.0, 1.0 - abs(q) / load)
-        slid = slid or abs(q) >= load
+        pull[0] = tangential[i]
+        table[i, 0] = _pull(state, load, pull[0], 0.0)
+        table[i, 1] = max(0.0, 1.0 - abs(pull[0]) / load)
+        slid = slid or abs(pull[0]) >= load
         if not slid and indentation[i] > 0.0:
-            stiffness = STIFFNESS * normal[i] / indentation[i]
-            table[i, 2] = (q + COMPLIANCE * (state.moved[0] - q)) / stiffness
+            stiffness = _stiffness(config, indentation[i])
+            _displace(config, state, time[i] - time[max(i - 1, 0)], stiffness, pull)
+            table[i, 2] = state.displaced[0]

@@ -11,8 +11,11 @@ import numpy as np
 
 from finger_common.files import atomic_write
 
+from ..geometry import Geometry
 from ..history import CSV_HEADER, ContactHistory, csv_of
+from ..laws import MaxwellLaw
 from . import kernels
+from .shear import set_finger
 
 PULL_CSV_HEADER = CSV_HEADER + ",stick_ratio,slip_margin,tangential_displacement_mm"
 
@@ -39,10 +42,21 @@ class PullHistory:
             file.write(self.csv_text())
 
 
-def pull_history(contact: ContactHistory, tangential: np.ndarray, friction: float) -> PullHistory:
-    """Stick and slip under tangential forces (n,) in N along x; friction > 0."""
+def pull_history(
+    contact: ContactHistory, tangential: np.ndarray, geometry: Geometry, material: MaxwellLaw
+) -> PullHistory:
+    """Stick and slip under tangential forces (n,) in N along x; the material's friction > 0."""
+    config = np.zeros(1, kernels.CONFIGURATION)[0]
+    set_finger(config, geometry, material)
     table = np.full((len(tangential), 3), np.nan)
     kernels.pull_along(
-        contact.force, contact.area, contact.indentation, tangential, float(friction), table
+        config,
+        contact.time,
+        contact.force,
+        contact.area,
+        contact.indentation,
+        tangential,
+        float(material.friction),
+        table,
     )
     return PullHistory(contact, *table.T)

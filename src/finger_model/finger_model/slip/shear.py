@@ -1,0 +1,80 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Tangential stiffness of a finger whose contact sticks, under a sudden small load.
+
+That of linear theory (`LinearShear`) for the contact that linear theory (`LinearContact`) has at
+the same indentation δ, times what large deformation leaves of it, exp(−SOFTENING δ/L).
+`scripts/shear_stiffness.py` has the error against the three-dimensional model.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+
+from ..fem.linear_contact import LinearContact
+from ..fem.linear_shear import LinearShear
+from ..geometry import Geometry
+from ..laws import MaxwellLaw
+from ..laws.law import NAIL_MODULUS_RANGE
+from ..material import Material
+
+DEPTHS = 0.01 * np.exp(np.linspace(0.0, np.log(40.0), 32))
+"""δ/L of the curves; their logarithms are evenly spaced."""
+MIDDLE = 18
+"""Number of the depth, 0.085 L, whose stiffness tells what relaxes of it."""
+SKIN_RATIOS = np.exp(np.linspace(np.log(4.0), np.log(200.0), 4))
+"""E₂/E0 of the curves of a table; beyond them the last one holds."""
+NAIL_STEP = 0.5
+"""Step of the logarithm of nail over skin; half of it changes K by 2 %."""
+SOFTENING = 1.6
+"""Least squares over the finger of the curves, the default one and 21 of the population box at δ/L
+of 0.03 to 0.16 in the three-dimensional model."""
+
+
+@functools.lru_cache(maxsize=16)
+def _table(geometry: Geometry, nail_ratio: float) -> np.ndarray:
+    """ln(K/(E L)) (skin ratios, depths); nail_ratio: modulus of the nail over the skin's."""
+    contact, shear = LinearContact(geometry), LinearShear(geometry)
+    skin = Material().E2
+    nail = float(np.clip(nail_ratio * skin, *NAIL_MODULUS_RANGE))
+    found = []
+    for ratio in SKIN_RATIOS:
+        modulus = skin / ratio
+        material = Material(E0=modulus, E1=modulus, nail_modulus=nail)
+        _, area, depth = contact.curve(material, 1.0).T
+        radius = contact.length * np.sqrt(np.exp(area) / np.pi)
+        stiffness = np.interp(radius, *shear.curve(material).T) / (modulus * contact.length)
+        found.append(np.interp(np.log(DEPTHS), depth, np.log(stiffness)))
+    return np.array(found) - SOFTENING * DEPTHS
+
+
+def shear_curve(geometry: Geometry, material: MaxwellLaw, share: float = 1.0) -> np.ndarray:
+    """Tangential stiffness (n,) in N/m at DEPTHS of a finger that has `share` of its tissue's
+    modulus left."""
+    modulus, skin = share * material.instantaneous_modulus, material.epidermis_modulus
+    # In steps, so that a table serves all skins that moisture makes.
+    nail = np.exp(NAIL_STEP * np.round(np.log(material.nail_modulus / skin) / NAIL_STEP))
+    table, at = _table(geometry, float(nail)), np.log(SKIN_RATIOS)
+    ratio = np.clip(np.log(skin / modulus), at[0], at[-1])
+    k = min(int((ratio - at[0]) / (at[1] - at[0])), len(at) - 2)
+    along = (ratio - at[k]) / (at[1] - at[0])
+    line = (1.0 - along) * table[k] + along * table[k + 1]
+    return np.exp(line) * modulus * geometry.pad_semi_axis_radial
+
+
+def set_finger(config: np.ndarray, geometry: Geometry, material: MaxwellLaw) -> None:
+    """Let a record of `kernels.CONFIGURATION` be of a finger.
+
+    The skin does not relax, so that more is left of the stiffness than of the tissue's modulus.
+    """
+    rest = material.long_term_fraction
+    sudden, slow = (shear_curve(geometry, material, share) for share in (1.0, rest))
+    relaxing = 1.0 - slow[MIDDLE] / sudden[MIDDLE]
+    config["length"], config["shear"] = geometry.pad_semi_axis_radial, sudden
+    config["fractions"], config["times"] = 0.0, 1.0
+    for k, branch in enumerate(material.branches):
+        config["fractions"][k] = branch.fraction / (1.0 - rest) * relaxing
+        config["times"][k] = branch.relaxation_time
