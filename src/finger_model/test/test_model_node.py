@@ -619,6 +619,7 @@ def test_slip_goes_out_where_somebody_listens_as_the_core_has_it(
     forces += [(0.0, 0.3 * max(0.0, n / 250 - 1.0), -min(1.0, n / 100)) for n in range(500)]
     for n, force in enumerate(forces):
         for estimate in estimator.add_wrench(T0 + n * 2 * MS, force):
+            core.assume(estimator.model.geometry, estimator.material)
             wanted.append(slip_numbers(core.add(estimate, force), core.lateral_axes))
     bench.until(lambda: len(slips) >= len(wanted))
     for found, values in zip(slips, wanted):

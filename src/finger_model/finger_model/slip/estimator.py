@@ -6,6 +6,7 @@
     contact, slip = ContactEstimator(model), SlipEstimator()
     for stamp_ns, force in wrenches:
         for estimate in contact.add_wrench(stamp_ns, force):
+            slip.assume(model.geometry, contact.material)
             if slip.add(estimate, force).slip_probability > 0.15:
                 grip_harder()
 
