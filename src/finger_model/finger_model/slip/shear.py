@@ -73,8 +73,9 @@ def set_finger(config: np.ndarray, geometry: Geometry, material: MaxwellLaw) -> 
     rest = material.long_term_fraction
     sudden, slow = (shear_curve(geometry, material, share) for share in (1.0, rest))
     relaxing = 1.0 - slow[MIDDLE] / sudden[MIDDLE]
+    total = sum(branch.fraction for branch in material.branches)
     config["length"], config["shear"] = geometry.pad_semi_axis_radial, sudden
     config["fractions"], config["times"] = 0.0, 1.0
     for k, branch in enumerate(material.branches):
-        config["fractions"][k] = branch.fraction / (1.0 - rest) * relaxing
+        config["fractions"][k] = branch.fraction / total * relaxing
         config["times"][k] = branch.relaxation_time
