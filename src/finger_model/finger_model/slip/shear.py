@@ -25,10 +25,10 @@ DEPTHS = 0.01 * np.exp(np.linspace(0.0, np.log(40.0), 32))
 """δ/L of the curves; their logarithms are evenly spaced."""
 MIDDLE = 18
 """Number of the depth, 0.085 L, whose stiffness tells what relaxes of it."""
-SKIN_RATIOS = np.exp(np.linspace(np.log(4.0), np.log(200.0), 4))
+SKIN_RATIOS = np.exp(np.linspace(np.log(4.0), np.log(1500.0), 6))
 """E₂/E0 of the curves of a table; beyond them the last one holds."""
 NAIL_STEP = 0.5
-"""Step of the logarithm of nail over skin; half of it changes K by 2 %."""
+"""Step of the logarithm of nail over skin; half of it changes K by up to 3 %."""
 SOFTENING = 1.6
 """Least squares over the finger of the curves, the default one and 21 of the population box at δ/L
 of 0.03 to 0.16 in the three-dimensional model."""
