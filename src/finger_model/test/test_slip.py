@@ -244,7 +244,7 @@ SHEAR = (
     ((8.39, 6.03, 0.83, 2.11, 2.57, 0.0, 6.79, 0.23), 69.8, (210.0, 245.0, 301.0)),
 )
 """Lengths of a Geometry (mm), E₂/E, and tangential stiffness (N/m) at 0.03, 0.08 and 0.15 of the
-pad's semi-axis in the three-dimensional model, as in scripts/shear_stiffness.py; E is 30 kPa."""
+pad's semi-axis in the three-dimensional model (scripts/shear_stiffness.py --seed 21); E 30 kPa."""
 
 
 def held(estimator, indentation, seconds=0.02):

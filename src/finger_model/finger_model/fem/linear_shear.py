@@ -4,8 +4,8 @@
 """Tangential stiffness of a linear elastic finger whose contact sticks to the plate.
 
 The plate moves sideways; displacements are the first harmonic around the axis (cos θ radially and
-axially, −sin θ around; Wilson 1965), so that the axisymmetric mesh is enough. Skin in contact
-moves with the plate: u_r = cos θ, u_θ = −sin θ, u_z = 0.
+axially, −sin θ around; Wilson, AIAA J. 3, 1965), so that the axisymmetric mesh is enough. Skin in
+contact moves with the plate: u_r = cos θ, u_θ = −sin θ, u_z = 0.
 """
 
 from __future__ import annotations

@@ -46,6 +46,7 @@ class StepWeights(NamedTuple):
     new: float
 
 
+@njit(cache=True)
 def step_weights(duration: float, relaxation_time: float) -> StepWeights:
     """The weights e, α and β of a step of `duration` (s)."""
     ratio = duration / relaxation_time

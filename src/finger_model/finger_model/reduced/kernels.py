@@ -49,6 +49,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..compiled import njit, prange
+from ..laws.maxwell import step_weights
 
 NODES = np.array([0.08, 0.14, 0.22, 0.32, 0.45, 0.60, 0.80, 1.05, 1.35, 1.70, 2.10, 2.60, 3.20])
 """Loads (F/(E L²))^(1/3) of elastic curves, E being E0 of a sudden and E∞ of a slow load."""
@@ -466,17 +467,10 @@ def _branch_weights(par, work, dt):
     a_b after the step is e a_b + g α d before + g β d after.
     """
     for b in range(par.branches):
-        h = dt / par.tau[b]
-        decay = math.exp(-h)
-        if h > 1e-4:
-            new = 1.0 + math.expm1(-h) / h
-            old = -math.expm1(-h) - new
-        else:
-            new = h / 2 - h * h / 6
-            old = h / 2 - h * h / 3
-        work.weights[0, b] = decay
-        work.weights[1, b] = par.fraction[b] * old
-        work.weights[2, b] = par.fraction[b] * new
+        weights = step_weights(dt, par.tau[b])
+        work.weights[0, b] = weights.decay
+        work.weights[1, b] = par.fraction[b] * weights.old
+        work.weights[2, b] = par.fraction[b] * weights.new
 
 
 @njit(cache=True)

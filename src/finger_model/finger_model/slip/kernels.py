@@ -23,6 +23,7 @@ import numpy as np
 from finger_common.flags import SlipFlag
 
 from ..compiled import njit
+from ..laws.maxwell import step_weights
 from . import backbone
 from .shear import DEPTHS
 
@@ -423,22 +424,23 @@ def _stiffness(config, indentation):
 def _displace(config, state, dt, stiffness, q):
     """Displace the plate under Q (2,), dt (s) after the sample before: the tissue creeps by its
     branches as in a linear Maxwell model, and what slips adds its share."""
+    before, driven = state.displaced.copy(), np.empty(2)
+    rest = 1.0
     for i in range(2):
-        before = state.displaced[i]
-        driven, rest = (q[i] + COMPLIANCE * (state.moved[i] - q[i])) / stiffness, 1.0
-        for b in range(BRANCHES):
-            # Exact for a displacement that is linear within the step.
-            ratio = dt / config.times[b]
-            decay = math.exp(-ratio)
-            mean = (1.0 - decay) / ratio if ratio > 1e-6 else 1.0 - 0.5 * ratio
-            state.crept[b, i] = decay * state.crept[b, i] + (mean - decay) * before
-            driven += config.fractions[b] * state.crept[b, i]
-            rest -= config.fractions[b] * (1.0 - mean)
-        state.displaced[i] = driven / rest
-        for b in range(BRANCHES):
-            ratio = dt / config.times[b]
-            mean = (1.0 - math.exp(-ratio)) / ratio if ratio > 1e-6 else 1.0 - 0.5 * ratio
-            state.crept[b, i] += (1.0 - mean) * state.displaced[i]
+        driven[i] = (q[i] + COMPLIANCE * (state.moved[i] - q[i])) / stiffness
+    # Exact for a displacement that is linear within the step.
+    for b in range(BRANCHES):
+        weights = step_weights(dt, config.times[b])
+        rest -= config.fractions[b] * weights.new
+        for i in range(2):
+            state.crept[b, i] = weights.decay * state.crept[b, i] + weights.old * before[i]
+            driven[i] += config.fractions[b] * state.crept[b, i]
+    for i in range(2):
+        state.displaced[i] = driven[i] / rest
+    for b in range(BRANCHES):
+        new = step_weights(dt, config.times[b]).new
+        for i in range(2):
+            state.crept[b, i] += new * state.displaced[i]
 
 
 @njit(cache=True)

@@ -27,10 +27,10 @@ MIDDLE = 18
 """Number of the depth, 0.085 L, whose stiffness tells what relaxes of it."""
 SKIN_RATIOS = np.exp(np.linspace(np.log(4.0), np.log(1500.0), 6))
 """E₂/E0 of the curves of a table; beyond them the last one holds."""
-NAIL_STEP = 0.5
-"""Step of the logarithm of nail over skin; half of it changes K by up to 3 %."""
+NAIL_STEP = 0.25
+"""Step of the logarithm of nail over skin; half of it changes K by 1 to 3 %."""
 SOFTENING = 1.6
-"""Least squares over the finger of the curves, the default one and 21 of the population box at δ/L
+"""Least squares over the finger of the curves, the default one and 26 of the population box at δ/L
 of 0.03 to 0.16 in the three-dimensional model."""
 
 
