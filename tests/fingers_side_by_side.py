@@ -11,6 +11,7 @@ from typing import Any
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.parameter import Parameter
+from service_calls import call
 
 from finger_bringup import nodes
 from finger_common.namespaces import default_folder
@@ -81,12 +82,7 @@ class Hand:
 
     def call(self, kind: Any, service: str, request: Any) -> Any:
         """Answer of a service."""
-        client = self.observer.create_client(kind, service)
-        self.until(client.service_is_ready)
-        future = client.call_async(request)
-        self.until(future.done)
-        self.observer.destroy_client(client)
-        return future.result()
+        return call(self.observer, kind, service, request, self.until)
 
     def first(self, kind: Any, topic: str) -> Any:
         """First message on a topic."""

@@ -18,6 +18,7 @@ rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
 from geometry_msgs.msg import WrenchStamped  # noqa: E402
+from service_calls import answer  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
 from finger_bringup.cli import main  # noqa: E402
@@ -258,11 +259,8 @@ def test_presses_that_an_operator_skips_end_it_at_once(
     protocol()
     child = at_first_press(rig, calibrate)
     skip = rig.devices.create_client(Trigger, "protocol/skip")
-    until(skip.service_is_ready)
     for _ in CALIBRATION_PRESSES:
-        future = skip.call_async(Trigger.Request())
-        until(future.done)
-        assert future.result().success
+        assert answer(skip, Trigger.Request(), until).success
     assert child.wait(30) == 2
     assert "not all presses were made" in child.output.read_text()
 

@@ -8,10 +8,12 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
+from service_calls import call
 
 from finger_bag.reader import open_bag
 from finger_common.stamps import header_stamp
@@ -63,11 +65,7 @@ class Rig:
             rclpy.spin_once(self.node, timeout_sec=0.05)
 
     def call(self, kind: Any, name: str, request: Any) -> Any:
-        client = self.node.create_client(kind, name)
-        self.until(client.service_is_ready, name)
-        future = client.call_async(request)
-        self.until(future.done, name)
-        return future.result()
+        return call(self.node, kind, name, request, partial(self.until, what=name))
 
     def send(self, publisher: Any, stamp_ns: int, **fields: Any) -> None:
         message = publisher.msg_type(**fields)

@@ -20,6 +20,7 @@ from geometry_msgs.msg import WrenchStamped  # noqa: E402
 from lifecycle_msgs.msg import Transition  # noqa: E402
 from lifecycle_msgs.srv import ChangeState  # noqa: E402
 from rclpy.qos import qos_profile_sensor_data  # noqa: E402
+from service_calls import answer  # noqa: E402
 
 from finger_bridge import lsl  # noqa: E402
 from finger_bridge.lsl import STREAMS, ClockMap, fill_message, sample_of  # noqa: E402
@@ -133,12 +134,9 @@ def test_streams_go_out_and_come_in_with_their_time(
         seen = json.loads((tmp_path / "peer.json").read_text())
         # Paused and taken up again, it is the only publisher of what it receives, as before.
         change = peer.create_client(ChangeState, "lsl/change_state")
-        until(change.service_is_ready)
         for transition in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_ACTIVATE) * 2:
             request = ChangeState.Request(transition=Transition(id=transition))
-            answer = change.call_async(request)
-            until(answer.done)
-            assert answer.result().success
+            assert answer(change, request, until).success
         count = len(readings)
         until(lambda: len(readings) > count)
         assert peer.count_publishers("moisture") == 1

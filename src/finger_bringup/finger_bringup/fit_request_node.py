@@ -3,11 +3,12 @@
 
 """Node that requests one fit of the fit node, shows its progress and ends.
 
-Exit code 0: done; 2: refused or failed.
+Exit code 0: done; 2: refused or failed. Ended before, it stops the fit.
 """
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,6 +24,11 @@ from finger_common.parameter_values import parameter_fields
 from finger_common.settings import Settings, setting
 from finger_msgs.action import FitParameters
 
+PERIOD = 0.5
+"""s between two looks at the fit node."""
+PATIENCE = 5.0
+"""s until an answer counts as lost, and a fit node that is not there as ended."""
+
 
 @dataclass(frozen=True)
 class FitRequestSettings(Settings):
@@ -33,7 +39,7 @@ class FitRequestSettings(Settings):
     conditions: list = setting([""], "Conditions to fit; empty: all.")
     options: str = setting("", "JSON object of options of finger-fit; empty: defaults.")
     server_timeout: float = setting(
-        60.0, "Longest wait for the fit node to be active.", "s", 1.0, 600.0
+        60.0, "Longest wait for the fit node to be active and to take the goal.", "s", 1.0, 600.0
     )
 
 
@@ -63,35 +69,59 @@ class FitRequestNode(ManagedNode):
 
     def activate(self) -> None:
         self._waited = 0.0
-        self._sent = False
+        self._unseen = 0.0
+        self._goal: Any = None
+        self._accepted = self._over = False
         self._state: Any = None
         self._failure = ""
         self._stage = ""
-        self._timer = self.create_steady_timer(0.5, self._check)
+        self._timer = self.create_steady_timer(PERIOD, self._check)
+
+    def deactivate(self) -> None:
+        """Stop the fit if it runs; the fit node keeps what it has found."""
+        self.destroy_timer(self._timer)
+        if self._goal is None or self._over:
+            return
+        self._await(self._goal)  # Its answer may be under way.
+        if self._goal.done() and self._goal.result().accepted:
+            self._await(self._goal.result().cancel_goal_async())
+            self.get_logger().info("the fit was asked to stop")
+
+    def _await(self, answer: Any) -> None:
+        end = time.monotonic() + PATIENCE
+        while not answer.done() and time.monotonic() < end:
+            assert self.executor is not None
+            self.executor.spin_once(timeout_sec=PERIOD)
 
     def _check(self) -> None:
         if self._failure:
             raise FitFailed(self._failure)
-        if self._sent:
-            return
-        self._waited += 0.5
-        if self._fit_is_active() and self._client.server_is_ready():
-            self._send()
+        self._waited += PERIOD
+        self._unseen = 0.0 if self._client.server_is_ready() else self._unseen + PERIOD
+        if self._accepted:
+            if self._unseen > PATIENCE:
+                self._over = True
+                raise FitFailed("the fit node ended before the fit did; its log names the reason")
         elif self._waited > self.values["server_timeout"]:
             raise FitFailed("the fit node is not active; check whether it runs and was configured")
+        elif self._goal is None and self._fit_is_active() and not self._unseen:
+            self._send()
 
     def _fit_is_active(self) -> bool:
         """Whether the fit node is active by its last answer; it refuses goals before."""
-        request, self._state = self._state, None
-        if request is not None and not request.done():
-            self._state = request
-        elif self._state_client.service_is_ready():
-            self._state = self._state_client.call_async(GetState.Request())
-        answer = request.result() if request is not None and request.done() else None
-        return answer is not None and answer.current_state.id == State.PRIMARY_STATE_ACTIVE
+        if self._state is not None:
+            since, asked = self._state
+            if asked.done():
+                self._state = None
+                return asked.result().current_state.id == State.PRIMARY_STATE_ACTIVE
+            if self._waited - since > PATIENCE:  # The answer is lost: ask again.
+                asked.cancel()
+                self._state = None
+        if self._state is None and self._state_client.service_is_ready():
+            self._state = (self._waited, self._state_client.call_async(GetState.Request()))
+        return False
 
     def _send(self) -> None:
-        self._sent = True
         goal = message_of(
             FitParameters.Goal,
             {
@@ -101,14 +131,16 @@ class FitRequestNode(ManagedNode):
                 "fit_options": parameter_fields(self._options),
             },
         )
-        sent = self._client.send_goal_async(goal, feedback_callback=self._show)
-        sent.add_done_callback(self._accepted)
+        self._goal = self._client.send_goal_async(goal, feedback_callback=self._show)
+        self._goal.add_done_callback(self._on_accepted)
 
-    def _accepted(self, future: Any) -> None:
+    def _on_accepted(self, future: Any) -> None:
         handle = future.result()
         if not handle.accepted:
+            self._over = True
             self._failure = "the fit node refused the goal; its log names the reason"
             return
+        self._accepted = True
         handle.get_result_async().add_done_callback(self._finished)
 
     def _show(self, message: Any) -> None:
@@ -119,6 +151,7 @@ class FitRequestNode(ManagedNode):
             self.get_logger().info(stage)
 
     def _finished(self, future: Any) -> None:
+        self._over = True
         result = future.result().result
         if not result.success:
             self._failure = f"the fit failed: {result.message}"

@@ -23,6 +23,7 @@ from lifecycle_msgs.msg import Transition  # noqa: E402
 from lifecycle_msgs.srv import ChangeState  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
+from service_calls import call  # noqa: E402
 
 from finger_bringup import nodes  # noqa: E402
 from finger_bringup.bring_up import ALL_ACTIVE  # noqa: E402
@@ -84,12 +85,9 @@ class Hand:
 
     def change(self, node: str, transition: int) -> None:
         """Ask a node for a transition of its lifecycle and wait until it is done."""
-        client = self.node.create_client(ChangeState, f"/hand/{node}/change_state")
-        self.until(client.service_is_ready)
-        answer = client.call_async(ChangeState.Request(transition=Transition(id=transition)))
-        self.until(answer.done)
-        assert answer.result().success, self.log[-4000:]
-        self.node.destroy_client(client)
+        request = ChangeState.Request(transition=Transition(id=transition))
+        name = f"/hand/{node}/change_state"
+        assert call(self.node, ChangeState, name, request, self.until).success, self.log[-4000:]
 
     def until(self, condition: Callable[[], Any], seconds: float = 150.0) -> None:
         end = time.monotonic() + seconds

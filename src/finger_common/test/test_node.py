@@ -16,6 +16,8 @@ import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
+from service_calls import call  # noqa: E402
+
 NODE = """
 import sys
 from dataclasses import dataclass
@@ -75,14 +77,6 @@ def observer(ros_domain: int) -> Any:
     rclpy.shutdown(context=context)
 
 
-def call(node: Any, spin: Callable[[], None], kind: Any, name: str, request: Any) -> Any:
-    client = node.create_client(kind, name)
-    wait_for(client.service_is_ready, spin)
-    future = client.call_async(request)
-    wait_for(future.done, spin)
-    return future.result()
-
-
 def test_shell_publishes_checks_parameters_reports_and_ends_cleanly(
     observer: Any, process: Any, tmp_path: Path
 ) -> None:
@@ -92,6 +86,7 @@ def test_shell_publishes_checks_parameters_reports_and_ends_cleanly(
     from std_msgs.msg import Float64, String
 
     node, spin = observer
+    until = partial(wait_for, spin=spin)
     values: list[float] = []
     states: list[Any] = []
     beats: list[str] = []
@@ -109,7 +104,7 @@ def test_shell_publishes_checks_parameters_reports_and_ends_cleanly(
         request = SetParameters.Request(
             parameters=[Parameter(name=name, value=ParameterValue(type=kind, **value))]
         )
-        return call(node, spin, SetParameters, "/gauge/set_parameters", request).results[0]
+        return call(node, SetParameters, "/gauge/set_parameters", request, until).results[0]
 
     assert set_parameter("gain", double_value=2.5).successful
     wait_for(lambda: values[-1] == 2.5, spin)
@@ -138,17 +133,18 @@ def test_failed_configuration_leaves_the_node_up_to_try_again(
     from rcl_interfaces.srv import SetParameters
 
     node, spin = observer
+    until = partial(wait_for, spin=spin)
     script = tmp_path / "gauge.py"
     script.write_text(NODE)
     child = process(script, "--ros-args", "-p", "port:=missing")
-    state = call(node, spin, GetState, "/gauge/get_state", GetState.Request())
+    state = call(node, GetState, "/gauge/get_state", GetState.Request(), until)
     assert state.current_state.id == State.PRIMARY_STATE_UNCONFIGURED
     assert "configure failed: port 'missing'" in child.output.read_text()
     value = ParameterValue(type=4, string_value="a")
     request = SetParameters.Request(parameters=[Parameter(name="port", value=value)])
-    assert call(node, spin, SetParameters, "/gauge/set_parameters", request).results[0].successful
+    assert call(node, SetParameters, "/gauge/set_parameters", request, until).results[0].successful
     change = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_CONFIGURE))
-    assert call(node, spin, ChangeState, "/gauge/change_state", change).success
+    assert call(node, ChangeState, "/gauge/change_state", change, until).success
 
 
 def test_parameter_file_that_is_not_yaml_ends_with_one_sentence(

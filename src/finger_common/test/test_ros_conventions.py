@@ -19,6 +19,7 @@ from rcl_interfaces.msg import ParameterType  # noqa: E402
 from rcl_interfaces.srv import DescribeParameters, SetParameters  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy  # noqa: E402
+from service_calls import call  # noqa: E402
 from std_msgs.msg import Float64  # noqa: E402
 
 from finger_common.diagnostics import Health  # noqa: E402
@@ -96,12 +97,7 @@ class Bench:
         raise AssertionError("nothing came in time")
 
     def call(self, kind: Any, service: str, request: Any) -> Any:
-        client = self.observer.create_client(kind, service)
-        self.until(client.service_is_ready)
-        future = client.call_async(request)
-        self.until(future.done)
-        self.observer.destroy_client(client)
-        return future.result()
+        return call(self.observer, kind, service, request, self.until)
 
     def describe(self, *names: str) -> list[Any]:
         request = DescribeParameters.Request(names=list(names))

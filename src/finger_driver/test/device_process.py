@@ -18,7 +18,10 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
+
+from service_calls import call
 
 from finger_common.processes import bound_to_parent
 
@@ -135,11 +138,7 @@ class Observer:
         raise AssertionError(f"did not come: {what}")
 
     def call(self, kind: Any, name: str, request: Any) -> Any:
-        client = self.node.create_client(kind, name)
-        self.until(client.service_is_ready, what=name)
-        future = client.call_async(request)
-        self.until(future.done, what=name)
-        return future.result()
+        return call(self.node, kind, name, request, partial(self.until, what=name))
 
     def close(self) -> None:
         self._executor.shutdown()

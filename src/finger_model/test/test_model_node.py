@@ -26,6 +26,7 @@ from rcl_interfaces.srv import SetParameters  # noqa: E402
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 from rclpy.serialization import deserialize_message  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
+from service_calls import call  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
 from finger_common.flags import AreaFlag, StateFlag  # noqa: E402
@@ -100,12 +101,7 @@ class Bench:
             rclpy.spin_once(self.node, timeout_sec=0.02)
 
     def call(self, kind: Any, name: str, request: Any) -> Any:
-        client = self.node.create_client(kind, name)
-        assert client.wait_for_service(90)
-        future = client.call_async(request)
-        self.until(future.done)
-        self.node.destroy_client(client)
-        return future.result()
+        return call(self.node, kind, name, request, self.until)
 
     def set(self, name: str, value: Any) -> Any:
         """Set a parameter; gives the result."""

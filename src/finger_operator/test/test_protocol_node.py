@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from service_calls import call
 
 from finger_operator.status_message import status_of
 
@@ -107,24 +108,16 @@ class Suite:
     def command(self, name: str) -> Any:
         from std_srvs.srv import Trigger
 
-        client = self.node.create_client(Trigger, f"protocol/{name}")
-        self.until(client.service_is_ready)
-        future = client.call_async(Trigger.Request())
-        self.until(future.done)
-        return future.result()
+        return call(self.node, Trigger, f"protocol/{name}", Trigger.Request(), self.until)
 
     def set_parameter(self, name: str, **value: Any) -> Any:
         from rcl_interfaces.msg import Parameter, ParameterValue
         from rcl_interfaces.srv import SetParameters
 
-        client = self.node.create_client(SetParameters, "protocol/set_parameters")
-        self.until(client.service_is_ready)
-        value = ParameterValue(**value)
-        future = client.call_async(
-            SetParameters.Request(parameters=[Parameter(name=name, value=value)])
-        )
-        self.until(future.done)
-        return future.result().results[0]
+        parameter = Parameter(name=name, value=ParameterValue(**value))
+        request = SetParameters.Request(parameters=[parameter])
+        service = "protocol/set_parameters"
+        return call(self.node, SetParameters, service, request, self.until).results[0]
 
     def step(self, name: str) -> None:
         self.until(lambda: self.status.get("step") == name)

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from service_calls import call
 
 from finger_bag.writer import BagWriter
 
@@ -92,11 +93,11 @@ class Peer:
         """Names of a node's parameters."""
         from rcl_interfaces.srv import ListParameters
 
-        client = self.node.create_client(ListParameters, f"/{node}/list_parameters")
-        assert self.wait(client.service_is_ready)
-        future = client.call_async(ListParameters.Request())
-        assert self.wait(future.done)
-        return list(future.result().result.names)
+        def until(condition: Callable[[], Any]) -> None:
+            assert self.wait(condition)
+
+        name, request = f"/{node}/list_parameters", ListParameters.Request()
+        return list(call(self.node, ListParameters, name, request, until).result.names)
 
     def close(self) -> None:
         import rclpy
