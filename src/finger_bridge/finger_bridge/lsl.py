@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any
 
+from finger_common.cli import one_line
 from finger_common.errors import InputError
 from finger_common.files import parse_json
 from finger_common.stamps import NANOSECONDS
@@ -114,8 +115,8 @@ def sample_of(stream: Stream, message: Any) -> list[Any]:
 
 
 def fill_message(stream: Stream, message: Any, sample: Sequence[Any]) -> None:
-    """Set the fields of a message from a sample; raises InputError for a value that does not
-    fit.
+    """Set the fields of a message, made with `check_fields=True`, from a sample; raises InputError
+    for a value that does not fit.
     """
     try:
         if not stream.channels:
@@ -230,8 +231,9 @@ class Receiver(threading.Thread):
     """Receives an LSL stream by its name, now or when it comes, until `stop`.
 
     `on_sample(stamp_ns, sample, error)` is called in this thread with the stamp mapped to ROS time
-    and the bound (s) of the error of that mapping; `on_problem(sentence)` when the stream does not
-    fit or breaks off. It is then looked for again.
+    and the bound (s) of the error of that mapping; `on_problem(sentence)` when the stream is not
+    there, does not fit or breaks off, and with "" once it is received. A stream that broke off is
+    looked for again.
     """
 
     def __init__(
@@ -246,6 +248,7 @@ class Receiver(threading.Thread):
         super().__init__(name=f"lsl {name}", daemon=True)
         self._stream, self._stream_name, self._clocks = stream, name, clocks
         self._on_sample, self._on_problem = on_sample, on_problem
+        self._told = ""
         self._ending = threading.Event()
 
     def stop(self) -> None:
@@ -258,16 +261,29 @@ class Receiver(threading.Thread):
         while not self._ending.is_set():
             found = pylsl.resolve_byprop("name", self._stream_name, 1, 0.5)
             if not found:
+                self._tell(
+                    f"there is no LSL stream '{self._stream_name}'; start the program that sends "
+                    "it, or correct the name"
+                )
                 continue
             problem = self._misfit(found[0])
             if problem:
-                self._on_problem(problem)
+                self._tell(problem)
                 self._ending.wait(5.0)
                 continue
             try:
                 self._receive(pylsl.StreamInlet(found[0], recover=False))
-            except (pylsl.LostError, TimeoutError):
-                self._on_problem(f"LSL stream '{self._stream_name}' broke off; waiting for it")
+            except Exception as error:  # of liblsl; whatever it is, the next stream may be well
+                self._tell(
+                    f"LSL stream '{self._stream_name}' broke off ({one_line(error)}); waiting for "
+                    "it"
+                )
+                self._ending.wait(1.0)
+
+    def _tell(self, problem: str) -> None:
+        if problem != self._told:
+            self._told = problem
+            self._on_problem(problem)
 
     def _misfit(self, info: Any) -> str:
         text = info.channel_format() == pylsl.cf_string
@@ -283,6 +299,7 @@ class Receiver(threading.Thread):
 
     def _receive(self, inlet: Any) -> None:
         inlet.open_stream(5.0)
+        self._tell("")
         while not self._ending.is_set():
             samples, times = inlet.pull_chunk(timeout=0.0, max_samples=256)
             if not times:
@@ -298,7 +315,7 @@ def time_correction(inlet: Any) -> tuple[float, float]:
     """What to add to times of a stream to get times of this host (s), and the bound of its error.
 
     The bound is the round trip by which LSL measured the offset, which its estimate halves. Raises
-    TimeoutError and pylsl.LostError.
+    TimeoutError and LostError of pylsl.util.
     """
     remote, uncertainty, code = ctypes.c_double(), ctypes.c_double(), ctypes.c_int()
     library = pylsl.util.lib.lsl_time_correction_ex

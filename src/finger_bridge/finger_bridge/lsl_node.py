@@ -29,7 +29,7 @@ from finger_common.node import (
     main_of,
 )
 from finger_common.settings import Settings, setting
-from finger_common.stamps import fill_time, header_stamp
+from finger_common.stamps import fill_time, header_stamp, seconds
 from finger_msgs.msg import ContactArea, ContactState, Moisture, Trial
 
 from .lsl import STREAMS, ClockMap, Receiver, Sender, fill_message, require
@@ -44,6 +44,8 @@ TYPES: dict[str, Any] = {
 
 POLL = 0.01
 """s between readings of the topics that are sent."""
+LARGEST_AGE = 60.0
+"""s between a sample's time and now, beyond which its clock is not LSL's."""
 
 
 @dataclass(frozen=True)
@@ -155,7 +157,16 @@ class LslNode(ManagedNode):
         publisher, message_type = self._outputs[topic], TYPES[topic]
 
         def publish(stamp_ns: int, sample: Sequence[Any], error: float) -> None:
-            message = message_type()
+            ahead = seconds(stamp_ns - self._host_clock.now())
+            if abs(ahead) > LARGEST_AGE:
+                text = (
+                    f"samples of LSL stream '{name}' are stamped {abs(ahead):.3g} s "
+                    f"{'ahead' if ahead > 0 else 'late'}, and are left out; stamp them with LSL's "
+                    "local_clock()"
+                )
+                self.log_fault(health, "clock", text, WARN)
+                return
+            message = message_type(check_fields=True)
             try:
                 fill_message(stream, message, sample)
             except FingerError as problem:
@@ -163,13 +174,17 @@ class LslNode(ManagedNode):
                 return
             fill_time(message.header.stamp, stamp_ns)
             message.header.frame_id = f"lsl {name}"
-            health.recovered()
+            health.recovered("clock")
+            health.recovered("malformed")
             health.sample()
             health.notes["clock_error_s"] = f"{error:.1e}"
             publisher.publish(message)
 
         def problem(text: str) -> None:
-            self.log_fault(health, "stream", text, WARN)
+            if text:
+                self.log_fault(health, "stream", text, WARN)
+            else:
+                health.recovered("stream")
 
         return Receiver(stream, name, self._clocks, publish, problem)
 

@@ -3,7 +3,8 @@
 
 """The other side of LSL for a test: receives the wrench and the markers, sends moisture readings.
 
-The value of a reading is its time in s since `began`. Writes what it saw to the file named.
+The value of a reading is its time in s since `began`. Writes what it saw to the file named. With
+`unix` it stamps readings with the time since 1970, which is wrong.
 """
 
 import json
@@ -54,7 +55,8 @@ seen = {
 with open(sys.argv[1] + ".part", "w") as file:
     json.dump(seen, file)
 os.replace(sys.argv[1] + ".part", sys.argv[1])
+wrong = offset if "unix" in sys.argv else 0.0
 while True:
     now = pylsl.local_clock()
-    outlet.push_sample([now - began], now)
+    outlet.push_sample([now - began], now + wrong)
     time.sleep(0.02)

@@ -72,11 +72,15 @@ def test_a_message_comes_back_from_its_sample(topic: str, message: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    "marker", ["go", "{}", '{"phase": "up"}', "[1]", '{"phase": 3}', "[" * 100_000, "9" * 5000]
+    "marker",
+    [
+        *("go", "{}", '{"phase": "up"}', "[1]", '{"phase": 3}', "[" * 100_000, "9" * 5000),
+        '{"phase": "press", "index": -1}',
+    ],
 )
 def test_a_marker_that_is_no_trial_is_named(marker: str) -> None:
     with pytest.raises(InputError, match="is no trial"):
-        fill_message(STREAMS["trial"], Trial(), [marker])
+        fill_message(STREAMS["trial"], Trial(check_fields=True), [marker])
 
 
 def test_settings_that_cannot_be_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -100,7 +104,8 @@ def test_streams_go_out_and_come_in_with_their_time(
     config.write_text(f"[multicast]\nResolveScope = machine\n[lab]\nSessionID = test{ros_domain}\n")
     monkeypatch.setenv("LSLAPICFG", str(config))
     # liblsl reads its configuration once, so that the other side of LSL is a process, too.
-    helper = process(Path(__file__).with_name("lsl_peer.py"), tmp_path / "peer.json")
+    script = Path(__file__).with_name("lsl_peer.py")
+    helper = process(script, tmp_path / "peer.json")
     node = process(
         *("-m", "finger_bridge.lsl_node", "--ros-args", "-r", "__ns:=/left"),
         *("-p", "send:=[wrench, trial]", "-p", "receive:=['moisture=Corneometer']"),
@@ -140,6 +145,16 @@ def test_streams_go_out_and_come_in_with_their_time(
         count = len(readings)
         until(lambda: len(readings) > count)
         assert peer.count_publishers("moisture") == 1
+        # The other program ends and comes again; then it comes with another clock.
+        helper.kill()
+        until(lambda: "broke off" in node.output.read_text())
+        helper = process(script, tmp_path / "again.json")
+        count = len(readings)
+        until(lambda: len(readings) > count, press)
+        helper.kill()
+        helper = process(script, tmp_path / "unix.json", "unix")
+        until(lambda: "s ahead, and are left out; stamp" in node.output.read_text(), press)
+        assert all(header_stamp(reading) < time.time_ns() for reading in readings)
     finally:
         rclpy.try_shutdown()
     assert seen["labels"] == [channel.label for channel in STREAMS["wrench"].channels]

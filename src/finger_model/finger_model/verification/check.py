@@ -11,6 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+FEW_PLACES = 8
+"""A logarithmic axis with no more abscissae than this has its ticks there."""
+
 
 @dataclass(frozen=True)
 class Measure:
@@ -64,6 +67,10 @@ class Panel:
         for curve in self.curves:
             plot(curve.x, curve.y, curve.style, label=curve.label, markersize=4, linewidth=1.2)
         axes.set(xlabel=self.x_label, ylabel=self.y_label)
+        places = sorted({float(x) for curve in self.curves for x in curve.x})
+        if self.scale in ("semilogx", "loglog") and len(places) <= FEW_PLACES:
+            axes.set_xticks(places, [f"{x:.3g}" for x in places])
+            axes.set_xticks([], minor=True)
         if any(curve.label for curve in self.curves):
             axes.legend(title=self.legend or None, fontsize="small")
 
