@@ -8,6 +8,7 @@ No ROS here: a process is a command.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -17,6 +18,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from finger_common.cli import one_line
 from finger_common.processes import bound_to_parent
 
 from .restarts import FIRST_DELAY, LONGEST_DELAY, RestartDelay
@@ -56,6 +58,7 @@ class Supervisor:
     """Runs processes until `stop`, or until an essential one ends.
 
     line: receives every line of output as (process, text); None prints it with a coloured prefix.
+    Its OSError and ValueError are passed over: that line is lost.
     first_delay, longest_delay: s before a restart, see `restarts`. When the supervisor itself is
     killed, its processes end, too.
     """
@@ -189,7 +192,7 @@ class Supervisor:
     def _read(self, running: _Running, process: subprocess.Popen[str]) -> None:
         assert process.stdout is not None
         for text in process.stdout:
-            self._line(running.spec.name, text.rstrip("\n"))
+            self._tell(running.spec.name, text.rstrip("\n"))
 
     def _watch(self) -> None:
         while not self._stopping.wait(0.1):
@@ -203,9 +206,7 @@ class Supervisor:
         now = time.monotonic()
         if running.restart_at is not None:
             if now >= running.restart_at:
-                running.restarts += 1
-                self._start(running)
-                self._report(running.spec.name, "started again")
+                self._start_again(running)
             return
         if running.process is None:
             return
@@ -227,6 +228,18 @@ class Supervisor:
             self._report(running.spec.name, how)
             running.process = None
 
+    def _start_again(self, running: _Running) -> None:
+        try:
+            self._start(running)
+        except OSError as error:  # no memory or no process left
+            delay = running.delay.next()
+            running.restart_at = time.monotonic() + delay
+            text = f"cannot be started ({one_line(error)}); trying again in {delay:g} s"
+            self._report(running.spec.name, text)
+        else:
+            running.restarts += 1
+            self._report(running.spec.name, "started again")
+
     @staticmethod
     def _signal(running: _Running, sign: signal.Signals) -> None:
         assert running.process is not None
@@ -236,7 +249,12 @@ class Supervisor:
             pass
 
     def _report(self, name: str, text: str) -> None:
-        self._line(name, f"[supervisor] {name} {text}")
+        self._tell(name, f"[supervisor] {name} {text}")
+
+    def _tell(self, name: str, text: str) -> None:
+        # A terminal that closed or a log on a full disk ends no process, nor what it waits for.
+        with contextlib.suppress(OSError, ValueError):
+            self._line(name, text)
 
     def show(self, name: str, text: str) -> None:
         """Print a line of a process with its coloured prefix."""

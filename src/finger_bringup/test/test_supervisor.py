@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from finger_bringup.cli import run_until_interrupted
 from finger_bringup.supervisor import ProcessSpec, Supervisor
@@ -71,6 +72,46 @@ def test_a_process_that_ends_is_started_again_and_reported() -> None:
         second = all_.process_id("node")
         assert second is not None and second != first
     assert gone(second)
+
+
+def test_a_log_that_cannot_be_written_stops_nothing(tmp_path: Path) -> None:
+    """The terminal closed, or the disk is full."""
+    done = tmp_path / "done"
+
+    def line(name: str, text: str) -> None:
+        raise BrokenPipeError
+
+    talk = f"for i in range(20000): print('x' * 80)\nopen({str(done)!r}, 'w')\n" + FOREVER
+    with Supervisor([ProcessSpec("node", python(talk))], line=line, first_delay=0.05) as all_:
+        until(done.exists)
+        first = all_.process_id("node")
+        assert first is not None
+        os.kill(first, signal.SIGKILL)
+        until(lambda: all_.restarts() == {"node": 1} and all_.alive()["node"])
+        second = all_.process_id("node")
+    assert second is not None and gone(second)
+
+
+def test_a_start_that_fails_is_tried_again(monkeypatch: Any) -> None:
+    """The machine has no process or no memory left for a while."""
+    log = Log()
+    popen, failures = subprocess.Popen, [1, 2]
+
+    def short_of_memory(*arguments: Any, **options: Any) -> Any:
+        if log.lines and failures:
+            failures.pop()
+            raise BlockingIOError(11, "Resource temporarily unavailable")
+        return popen(*arguments, **options)
+
+    monkeypatch.setattr("finger_bringup.supervisor.subprocess.Popen", short_of_memory)
+    with Supervisor([ProcessSpec("node", python(FOREVER))], line=log, first_delay=0.05) as all_:
+        log.wait_for("alive")
+        process = all_.process_id("node")
+        assert process is not None
+        os.kill(process, signal.SIGKILL)
+        log.wait_for("cannot be started", count=2)
+        log.wait_for("alive", count=2)
+        assert all_.restarts() == {"node": 1}
 
 
 def test_stop_ends_even_what_ignores_interrupts_and_its_children() -> None:

@@ -116,9 +116,11 @@ def estimate(stamp, area, force):
     return ContactEstimate(**{**values, "onset_ns": 10**9, "parameter_set": ""})
 
 
-def follow(pose, torque=True, camera=True, place_error=0.2e-3, seed=0, bias=0.0, repeated=1):
+def follow(
+    pose, torque=True, camera=True, place_error=0.2e-3, seed=0, bias=0.0, repeated=1, assumed=None
+):
     """The shape found at the end of a press of a second in this pose; bias: of the torque (N m);
-    every outline comes `repeated` times."""
+    every outline comes `repeated` times; assumed: first guess of the pose."""
     rng = np.random.default_rng(seed)
     place = np.array([1e-3, -2e-3])
     settings = PoseSettings(
@@ -128,7 +130,7 @@ def follow(pose, torque=True, camera=True, place_error=0.2e-3, seed=0, bias=0.0,
         finger_direction=DIRECTION,
         sensor_depth=0.02,
     )
-    estimator = PoseEstimator(PoseCorrection(Geometry(), Pose(), SKIN), settings)
+    estimator = PoseEstimator(PoseCorrection(Geometry(), assumed or Pose(), SKIN), settings)
     correction = PoseCorrection(Geometry(), pose, SKIN)
     for k in range(250):
         stamp, force = 10**9 + k * 4_000_000, 0.1 + 1.2 * k / 250
@@ -194,6 +196,13 @@ def test_a_torque_that_was_not_tared_is_flagged_and_left_out():
     without = follow(pose, torque=False)[0]
     assert shape[6:12] == without[6:12]
     assert not follow(pose)[0].flags & ShapeFlag.PRESSURE_OUTSIDE
+
+
+@pytest.mark.parametrize("guess", [Pose(2.0), Pose(0.5), Pose(1.0, math.radians(44.9))])
+def test_a_guess_at_the_ends_of_its_range_is_followed(guess):
+    """A user may set it: the search begins within what the correction holds for."""
+    shape, _ = follow(Pose(1.3, 0.2), assumed=guess)
+    assert 0.5 < shape.pad_aspect < 2.0 and abs(shape.pitch) < math.radians(45.0)
 
 
 def test_an_outline_that_comes_twice_counts_once():

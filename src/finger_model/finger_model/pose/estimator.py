@@ -158,6 +158,7 @@ class PoseEstimator:
         settings = self.settings
         known = self._assumed.pose
         self.mean[1:] = known.pitch, known.roll, 0.0, 0.0
+        self.mean = self._bounded(self.mean)
         self.covariance[1:, :] = self.covariance[:, 1:] = 0.0
         for k, sd in zip((1, 2, 3, 4), 2 * [settings.tilt_sd] + 2 * [settings.pad_place_sd]):
             self.covariance[k, k] = sd**2
@@ -197,7 +198,8 @@ class PoseEstimator:
             self._used = seen
             if self._touching and seen >= estimate.onset_ns:
                 self._see_outline(seen, outline)
-        if not self._touching or not estimate.normal_force > SMALLEST_FORCE:
+        pressed = estimate.normal_force > SMALLEST_FORCE and round_area > 0.0
+        if not self._touching or not pressed:
             self._pressure = (math.nan, math.nan)
             return
         self._add_pressure(stamp, round_area, force, torque)
