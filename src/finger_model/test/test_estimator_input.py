@@ -126,6 +126,31 @@ def test_a_replay_of_everything_received_gives_the_same_bits(model: ReducedModel
     assert rows(replayed) == rows(published)
 
 
+@pytest.mark.parametrize("begun", [True, False])
+def test_what_becomes_of_areas_changes_at_its_stamp_in_a_replay(
+    model: ReducedModel, begun: bool
+) -> None:
+    """A replay hands areas over before the samples, and before the changes of settings."""
+    fused, apart = EstimatorSettings(), EstimatorSettings(fuse_area=False, rejected_area_flags=0)
+    stamps, forces = press()
+    settings = [fused, apart] if begun else [apart, fused]
+    live = ContactEstimator(model, settings=settings[0])
+    events = [live.start_event(int(stamps[0]))]
+    found, areas = [], []
+    for k, (stamp, force) in enumerate(zip(stamps.tolist(), forces)):
+        if k % 50 == 10:
+            areas.append((stamp, 6e-5, 2e-6, 2 * (k % 100 == 10)))
+            live.add_area(*areas[-1])
+        if k == 400:
+            events.append(live.change_settings(settings[1]))
+        found += live.add_wrench(stamp, force)
+    again = ContactEstimator(model)
+    (block,) = replay(again, [(stamps, forces)], areas, events=events)
+    assert rows(found) == rows(block)
+    assert again.statistics() == live.statistics()
+    assert 0 < live.statistics()["fused_areas"] < 0.7 * len(areas)
+
+
 def test_the_sign_of_the_force_follows_normal_axis(model: ReducedModel) -> None:
     for axis, force in (("-z", (0, 0, -1.0)), ("+x", (1.0, 0, 0)), ("-y", (0, -1.0, 0))):
         estimator = ContactEstimator(model, settings=EstimatorSettings(normal_axis=axis))

@@ -42,7 +42,7 @@ from dataclasses import replace
 import numpy as np
 
 from finger_common.errors import InputError
-from finger_common.flags import AreaFlag, StateFlag
+from finger_common.flags import StateFlag
 from finger_common.stamps import NANOSECONDS, nanoseconds, stamp_array
 
 from ..history import ContactHistory
@@ -171,10 +171,7 @@ class ContactEstimator:
         if self._is_late(stamp_ns, live):
             self._count_late(areas=1)
             return False
-        if self.settings.fuse_area:
-            rejected = bool(flags & self.settings.rejected_area_flags)
-            empty = bool(flags & AreaFlag.NO_CONTACT)
-            self._inputs.add_area(stamp_ns, area, sd, rejected, empty)
+        self._inputs.add_area(stamp_ns, area, sd, flags)
         return True
 
     def add_moisture(self, stamp_ns: int, value: float, live: bool = False) -> bool:
@@ -431,6 +428,8 @@ class ContactEstimator:
         """Settings into the core and the queue, and the parameters of the moisture in use."""
         self._state.configure(self.settings)
         self._inputs.delay = nanoseconds(self.settings.fusion_delay)
+        self._inputs.fuse = self.settings.fuse_area
+        self._inputs.rejected_flags = self.settings.rejected_area_flags
         self._select_parameters()
 
     def _select_parameters(self) -> None:

@@ -13,6 +13,7 @@ from operator import itemgetter
 
 import numpy as np
 
+from finger_common.flags import AreaFlag
 from finger_common.moisture import is_moisture
 from finger_common.stamps import NANOSECONDS
 
@@ -28,12 +29,15 @@ class InputQueue:
 
     An input of stamp t is due at the first wrench sample stamped t + `delay` (ns) or later; one
     that comes after such a sample is late and is not used. `counters` counts what was left out.
+    `fuse` and `rejected_flags` say what becomes of areas that are due.
     """
 
     def __init__(self, counters: Counter[str]) -> None:
         self.delay = 0
+        self.fuse = True
+        self.rejected_flags = 0
         self.counters = counters
-        self._areas: list[tuple[int, float, float]] = []
+        self._areas: list[tuple[int, float, float, int]] = []
         self._moistures: list[tuple[int, float]] = []
         self._area_stamps: deque[int] = deque(maxlen=64)
         self._known_late: set[tuple[str, int]] = set()
@@ -59,18 +63,10 @@ class InputQueue:
         self.counters["duplicate_areas"] += 1
         return True
 
-    def add_area(
-        self, stamp_ns: int, area: float, sd: float, rejected: bool, empty: bool = False
-    ) -> None:
-        """Let an area (m²) wait. A rejected one is flagged in its turn, not when it arrives.
-
-        empty: the picture shows no contact.
-        """
-        if rejected:
-            self.counters["flagged_areas"] += 1
-            area = stream.NO_CONTACT if empty else math.nan
+    def add_area(self, stamp_ns: int, area: float, sd: float, flags: int) -> None:
+        """Let an area (m²) wait. What its flags mean is decided when it is due."""
         self._area_stamps.append(stamp_ns)
-        bisect.insort(self._areas, (int(stamp_ns), float(area), float(sd)), key=_stamp)
+        bisect.insort(self._areas, (int(stamp_ns), float(area), float(sd), int(flags)), key=_stamp)
 
     def add_moisture(self, stamp_ns: int, value: float) -> bool:
         """Let a reading (a.u.) wait; false for a value that is not on the scale of the probe."""
@@ -81,12 +77,28 @@ class InputQueue:
         return True
 
     def due_areas(self, stamp_ns: int) -> np.ndarray:
-        """Areas (k,) due at a wrench sample of this stamp; they stay until `remove_areas`."""
+        """Areas (k,) due at a wrench sample of this stamp; they stay until `remove_areas`.
+
+        Rejected ones are NO_CONTACT where the picture shows none, and NaN otherwise.
+        """
         due = bisect.bisect_right(self._areas, stamp_ns - self.delay, key=_stamp)
-        return np.array(self._areas[:due], stream.AREA) if due else _NO_AREAS
+        if due and not self.fuse:
+            del self._areas[:due]
+            due = 0
+        if not due:
+            return _NO_AREAS
+        found = np.array([area[:3] for area in self._areas[:due]], stream.AREA)
+        for row, (*_, flags) in enumerate(self._areas[:due]):
+            if flags & self.rejected_flags:
+                empty = flags & AreaFlag.NO_CONTACT
+                found["area"][row] = stream.NO_CONTACT if empty else math.nan
+        return found
 
     def remove_areas(self, number: int) -> None:
         """Remove the first areas, which were used."""
+        rejected = sum(bool(area[3] & self.rejected_flags) for area in self._areas[:number])
+        if rejected:
+            self.counters["flagged_areas"] += rejected
         del self._areas[:number]
 
     def due_moisture(self, stamp_ns: int) -> tuple[int, float] | None:
