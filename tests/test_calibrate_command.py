@@ -157,10 +157,13 @@ def at_first_press(rig: Rig, calibrate: Callable[..., Any]) -> Any:
 
 
 def test_a_second_calibration_leaves_the_first_and_its_zero_alone(
-    rig: Rig, protocol: Callable[..., Any], calibrate: Callable[..., Any]
+    rig: Rig, protocol: Callable[..., Any], calibrate: Callable[..., Any], tmp_path: Path
 ) -> None:
     protocol()
     first = at_first_press(rig, calibrate)
+    # Its folder is its own: a study of that subject may have the id without the ending.
+    (folder,) = (tmp_path / "sessions").glob("S01_*")
+    assert folder.name == rig.trials[-1].session and folder.name.endswith("_calibration")
     rig.force = 0.4
     second = calibrate("S02")
     assert second.wait(90) == 2

@@ -196,10 +196,13 @@ class Recorder:
             raise InputError("no recording was interrupted")
         first = self.parts[0]
         number = len(self.parts) + 1
-        while (path := first.with_name(f"{first.name}_part{number}")).exists():
-            number += 1
-        # A little more room than that at which it ends again.
-        writer = self._open(path, self.settings.minimum_free * 5 // 4)
+        try:
+            while (path := first.with_name(f"{first.name}_part{number}")).exists():
+                number += 1
+            # A little more room than that at which it ends again.
+            writer = self._open(path, self.settings.minimum_free * 5 // 4)
+        except OSError as error:  # such as of a disk that was pulled out
+            raise InputError(f"{first}: cannot be reached ({error.strerror})") from None
         assert self._thread is not None
         self._thread.join()
         self._before.update(self._part_counts())

@@ -293,7 +293,7 @@ class RecorderNode(ManagedNode):
         self._last_attempt, self._next_attempt = now, now + self._pauses.next()
         try:
             path = recorder.resume()
-        except InputError:
+        except InputError:  # the disk is full, or is not there
             return
         self._put_latched()
         self._health.recovered("recording")

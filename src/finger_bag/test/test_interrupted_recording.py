@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import subprocess
@@ -50,6 +51,27 @@ class Feed:
 def read(path: Path) -> list[int]:
     with open_bag(path) as reader:
         return [m.sequence for m in reader.messages(["/finger/wrench"])]
+
+
+def test_a_disk_that_was_pulled_out_is_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recorder = Recorder(QUICK)
+    feed = Feed(recorder)
+    recorder.start(tmp_path / "a" / "bag")
+    feed(100)
+    shutil.rmtree(tmp_path / "a")
+    wait_for(lambda: recorder.interrupted, "the interruption", feed)
+
+    def gone(path: Path) -> bool:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "exists", gone)
+        with pytest.raises(InputError, match="cannot be reached"):
+            recorder.resume()
+    assert recorder.resume() == tmp_path / "a" / "bag_part2"
+    recorder.stop()
 
 
 def test_a_removed_folder_is_noticed_and_the_recording_goes_on_beside_it(tmp_path: Path) -> None:

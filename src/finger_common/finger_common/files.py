@@ -12,6 +12,7 @@ digits).
 from __future__ import annotations
 
 import csv
+import errno
 import hashlib
 import io
 import json
@@ -24,7 +25,7 @@ import tempfile
 import time
 import zipfile
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import fields
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, NoReturn, TypeVar
@@ -63,6 +64,9 @@ FREE_ARRAYS, ARRAYS_PER_BYTE = 64 << 20, 20
 FREE_MEMORY, MEMORY_PER_BYTE = 160 << 20, 50
 """Bytes that another library may take to read any file, and further ones for each of its bytes."""
 
+NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+"""Errors of a disk that is full."""
+
 _PIECE = 1 << 20
 
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the same, ten times as fast
@@ -75,7 +79,7 @@ def atomic_write(path: str | Path, mode: str = "w", **options: Any) -> Iterator[
 
     What is no plain file, such as a device or a pipe, is written to and stays what it is.
     `mode` is "w" or "wb"; `options` go to `open`. Raises InputError when the folder cannot be
-    written to.
+    written to and when the disk is full.
     """
     path = Path(path)
     if path.is_dir():
@@ -109,8 +113,13 @@ def atomic_write(path: str | Path, mode: str = "w", **options: Any) -> Iterator[
         os.umask(umask)
         os.chmod(temporary, 0o666 & ~umask)
         os.replace(temporary, target)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
+    except BaseException as error:
+        with suppress(OSError):
+            Path(temporary).unlink()
+        if isinstance(error, OSError) and error.errno in NO_ROOM:
+            raise InputError(
+                f"{path}: cannot be written ({error.strerror}); make room or choose another folder"
+            ) from None
         raise
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
@@ -43,6 +44,7 @@ def lock_folder(folder: str | Path, owner: str) -> IO[str]:
     except OSError:
         return file
     file.truncate(0)
-    file.write(f"{owner} (process {os.getpid()})")
-    file.flush()
+    with suppress(OSError):  # the lock holds, whether its holder can be named or not
+        file.write(f"{owner} (process {os.getpid()})")
+        file.flush()
     return file

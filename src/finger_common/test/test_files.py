@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import tracemalloc
 from pathlib import Path
@@ -26,6 +27,15 @@ def test_atomic_write_replaces_only_when_the_block_succeeds(tmp_path: Path) -> N
         raise ZeroDivisionError
     assert path.read_text() == "one"
     assert os.listdir(path.parent) == ["a.txt"]
+
+
+def test_atomic_write_names_a_disk_that_is_full(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text("one")
+    with pytest.raises(InputError, match=r"a\.txt: cannot be written \(.*\); make room"):
+        with files.atomic_write(path):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    assert path.read_text() == "one" and os.listdir(tmp_path) == ["a.txt"]
 
 
 def test_atomic_write_names_a_folder_that_is_a_file(tmp_path: Path) -> None:

@@ -147,10 +147,12 @@ class DeviceThread(Generic[Sample]):
         return self._thread is not None and self._thread.is_alive()
 
     def _run(self) -> None:
-        device, connected = self._device, True
-        device.flush()
+        device, connected, flushed = self._device, True, False
         while not self._stop.is_set():
             try:
+                if not flushed:
+                    flushed = True
+                    device.flush()
                 if not connected:
                     device.connect()
                     connected = True
@@ -179,4 +181,6 @@ class DeviceThread(Generic[Sample]):
 
     def _deliver(self, sample: Sample) -> Rest:
         self._pauses.reset()
-        return self._on_sample(sample)
+        rest = self._on_sample(sample)
+        self._device.cleared("internal")
+        return rest

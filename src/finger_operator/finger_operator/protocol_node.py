@@ -256,16 +256,16 @@ class ProtocolNode(ManagedNode):
         if calibration:
             probe = self.count_publishers("moisture") > 0
             plan = plan.for_calibration(f"{session}_calibration", probe)
-        folder = self._output / session
+        folder = self._output / plan.session
         if (folder / STATE_FILE).exists():
             raise InputError(
-                f"session '{session}' exists already; choose another id or leave it empty"
+                f"session '{plan.session}' exists already; choose another id or leave it empty"
             )
         for name, text in further_files(plan).items():
             with atomic_write(folder / name) as file:
                 file.write(text)
         with atomic_write(self._output / POINTER) as file:
-            file.write(session)
+            file.write(plan.session)
         return Protocol(plan, folder, self._effect, self._limits)
 
     def _start(self) -> str:
@@ -348,7 +348,7 @@ class ProtocolNode(ManagedNode):
             try:
                 response.message = action()
                 response.success = True
-            except FingerError as error:
+            except (FingerError, OSError) as error:
                 response.success, response.message = False, one_line(error)
             self._publish_status()
             return response

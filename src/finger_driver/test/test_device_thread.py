@@ -1,0 +1,89 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The thread that reads a device, whatever device and node do."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from finger_common.diagnostics import Health
+from finger_common.errors import DeviceError
+from finger_common.retry import Pauses
+from finger_common.settings import Settings
+from finger_driver import device as module
+from finger_driver.device import Device, DeviceThread
+
+
+class Counting(Device[int]):
+    """Gives numbers; `lost` once: the device was lost since it was connected."""
+
+    def __init__(self) -> None:
+        super().__init__(Settings(), Health("counting"))
+        self.number, self.lost = 0, False
+
+    def connect(self) -> None:
+        self.lost = False
+
+    def read(self, timeout: float) -> int | None:
+        time.sleep(0.005)
+        self.number += 1
+        return self.number
+
+    def close(self) -> None:
+        pass
+
+    def flush(self) -> None:
+        if self.lost:
+            raise DeviceError("no answer")
+
+
+@pytest.fixture
+def read() -> Iterator[Callable[..., DeviceThread]]:
+    threads: list[DeviceThread] = []
+
+    def start(device: Counting, on_sample: Callable[[int], None]) -> DeviceThread:
+        threads.append(DeviceThread(device, on_sample, Pauses(0.01, 0.02)))
+        threads[-1].start()
+        return threads[-1]
+
+    yield start
+    for thread in threads:
+        assert thread.stop()
+
+
+def until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def test_a_device_lost_before_reading_begins_is_connected_again(
+    read: Callable[..., DeviceThread],
+) -> None:
+    device, samples = Counting(), []
+    device.lost = True
+    thread = read(device, samples.append)
+    until(lambda: len(samples) > 3)
+    assert thread.running and not device.health.faults
+    assert device.health.counters["reconnects"] == 1
+
+
+def test_an_error_in_the_node_is_forgotten_when_samples_are_taken_again(
+    read: Callable[..., DeviceThread], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "HOLD", 0.2)
+    device, samples = Counting(), []
+
+    def take(sample: int) -> None:
+        if sample < 3:
+            raise KeyError("a defect")
+        samples.append(sample)
+
+    read(device, take)
+    until(lambda: "internal" in device.health.faults)
+    until(lambda: bool(samples) and not device.health.faults)
