@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,10 @@ rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
 from geometry_msgs.msg import WrenchStamped  # noqa: E402
+from rcl_interfaces.srv import SetParameters  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
+from service_calls import call  # noqa: E402
 
 from finger_bringup.cli import calibration_entries, main, parser  # noqa: E402
 from finger_common.guided_presses import CALIBRATION_PRESSES, FITTING  # noqa: E402
@@ -261,11 +265,21 @@ def test_the_subject_of_the_session_chooses_its_file_and_forgets_the_one_before(
     assert newest(ModelEvent.TYPE_PARAMETERS)[-1].parameter_sets == own.to_yaml()
     rig.announce(1, TrialPhase.PREPARE, "S01")
     assert len(newest(ModelEvent.TYPE_RESET)) == 1
+    # Another file for all others meanwhile: this subject keeps its own parameters.
+    others = default.with_prior(replace(prior, reading_sd=4.0), Geometry())
+    others.save(tmp_path / "others.txt")
+    changed = len(rig.events)
+    value = Parameter("parameter_file", value=str(tmp_path / "others.txt")).to_parameter_msg()
+    request = SetParameters.Request(parameters=[value])
+    answer = call(rig.node, SetParameters, "/finger/model/set_parameters", request, rig.until)
+    assert answer.results[0].successful
+    rig.settle()
+    assert len(rig.events) == changed
     for number, subject in enumerate(("S02", "S03"), 2):
-        # Without a file, or with one that cannot be read: the shipped distribution.
+        # Without a file, or with one that cannot be read: those of `parameter_file`.
         rig.announce(0, TrialPhase.PREPARE, subject)
         rig.until(lambda n=number: len(newest(ModelEvent.TYPE_RESET)) == n)
-        assert rig.events[-1].parameter_sets == default.to_yaml()
+        assert rig.events[-1].parameter_sets == others.to_yaml()
 
 
 def test_without_a_rig_the_command_says_so(process: Callable[..., Any], ros_domain: int) -> None:

@@ -257,6 +257,22 @@ def test_a_bad_qos_override_refuses_the_configuration(bench: Bench) -> None:
     assert gauge.get_parameter("gain").value == 1.0
 
 
+def test_what_a_failed_configuration_made_is_gone(bench: Bench) -> None:
+    """It is tried again and again while a rig comes up."""
+
+    class HalfMade(Gauge):
+        def cleanup(self) -> None:
+            pass
+
+    override = Parameter("qos_overrides./left/input.subscription.reliability", value="hopeful")
+    gauge = HalfMade(context=bench.context, namespace="left", parameter_overrides=[override])
+    bench.add(gauge)
+    topics = [publisher.topic_name for publisher in gauge.publishers]
+    for _ in range(3):
+        assert not gauge.bring_up()
+    assert [publisher.topic_name for publisher in gauge.publishers] == topics
+
+
 def test_a_publisher_that_does_not_fit_is_a_warning_until_it_is_gone(bench: Bench) -> None:
     gauge = bench.gauge(qos_reliability="reliable")
     assert gauge.bring_up()

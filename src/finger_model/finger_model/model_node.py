@@ -256,8 +256,13 @@ class ModelNode(ManagedNode):
         self._event_publisher = self.create_publisher(ModelEvent, "model_events", EVENTS_QOS)
         self._local = LocalSubscription(self, values["wrench_topic"], self._on_sample, self.fail)
         self._follow_wrench()
-        area = self.create_waited_subscription(ContactArea, "contact_area", self._on_area, qos)
-        moisture = self.create_waited_subscription(Moisture, "moisture", self._on_moisture, qos)
+        for kind, topic, follow in (
+            (ContactArea, "contact_area", self._on_area),
+            (Moisture, "moisture", self._on_moisture),
+        ):
+            waited = self.create_waited_subscription(kind, topic, follow, qos)
+            # At once: it has to end also when what comes after it fails.
+            self._entities.append((WaitedSubscription.destroy, waited))
         trial = self.create_subscription(Trial, "trial", self._on_trial, LATCHED_QOS)
         self._protocol = PolledSubscription(self, SessionStatus, "protocol/status", STATE_QOS)
         self._calibration_publisher = self.create_publisher(
@@ -268,13 +273,11 @@ class ModelNode(ManagedNode):
             self.create_service(ForceForArea, "~/force_for_area", self._on_force_for_area),
             self.create_service(PredictContact, "~/predict", self._on_predict),
         )
-        self._entities = [
+        self._entities += [
             (self.destroy_publisher, self._state_publisher),
             (self.destroy_publisher, self._slip_publisher),
             (self.destroy_publisher, self._shape_publisher),
             (self.destroy_publisher, self._event_publisher),
-            (WaitedSubscription.destroy, area),
-            (WaitedSubscription.destroy, moisture),
             (self.destroy_subscription, trial),
             (PolledSubscription.destroy, self._protocol),
             (self.destroy_publisher, self._calibration_publisher),
@@ -362,7 +365,7 @@ class ModelNode(ManagedNode):
             if sets is not None:
                 self._sets = sets
                 reason = f"parameter file {changes['parameter_file'] or 'unset, shipped sets'}"
-                self._use_sets(sets, reason, forget=False)
+                self._use_sets(self._sets_of(self._subject), reason, forget=False)
 
     def _new_slip_estimator(self) -> SlipEstimator:
         found = SlipEstimator(self.settings(SlipSettings), self.values["normal_axis"])
@@ -567,6 +570,8 @@ class ModelNode(ManagedNode):
                         f"moisture reading {reading[1]} is outside {MOISTURE_TEXT}; left out",
                         WARN,
                     )
+            else:
+                self.inputs.recovered("bad_moisture")
 
     # Subjects --------------------------------------------------------------------------------
 
@@ -659,7 +664,8 @@ class ModelNode(ManagedNode):
             self._slip.reset()
             # Takes long for a new geometry: not between two samples.
             self._slip.assume(self.estimator.model.geometry, self.estimator.material)
-        self._pose = None
+        if self._pose is not None:
+            self._pose.reset()
 
     def _calibrate(
         self,
@@ -734,8 +740,7 @@ class ModelNode(ManagedNode):
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         def reset(estimator: ContactEstimator) -> None:
             self._publish_event(estimator.reset("service ~/reset"))
-            if self._slip is not None:
-                self._slip.reset()
+            self._forget_contacts()
             response.message = "reset to a finger at rest that was not seen before"
 
         return self._answer(response, reset)

@@ -444,6 +444,17 @@ def test_what_is_missing_or_out_of_range_is_reported_where_it_is_expected(
     fresh()
     assert not warns()  # a rig without a camera
 
+    def inputs() -> str:
+        bench.diagnostics.clear()
+        bench.until(lambda: "inputs" in bench.diagnostics)
+        return str(bench.diagnostics["inputs"]["message"])
+
+    for value, says in ((-5.0, True), (50.0, False)):  # a slip of the probe, and a good one
+        reading = Moisture(value=value)
+        reading.header.stamp = to_time(T0 + 330 * MS)
+        bench.moisture.publish(reading)
+        bench.until(lambda says=says: ("; left out" in inputs()) is says)
+
     reading = Moisture(value=120.0)
     reading.header.stamp = to_time(T0 + 340 * MS)
     bench.moisture.publish(reading)

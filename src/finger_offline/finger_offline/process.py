@@ -204,6 +204,7 @@ class _Run:
         self.malformed = Malformed()
         self.decode = reader.decoder(topics.wrench, reader.info.topics[topics.wrench].type)
         self.started = False
+        self.fingers = estimator.fingers
         self.states = self.areas = 0
 
     def read_all(self, progress: Callable[[float], None] | None) -> None:
@@ -369,6 +370,11 @@ class _Run:
         slips: list[np.ndarray] = []
         for part in self.estimator.wrench_parts(stamps, forces):
             rows.append(part.rows)
+            if self.estimator.fingers != self.fingers:
+                self.fingers = self.estimator.fingers
+                for follower in (self.slip, self.pose):
+                    if follower is not None:
+                        follower.reset()
             if self.pose is not None:
                 self.pose.assume(self.estimator.pose_correction)
                 for k, shape in self._shapes(self.pose, part, place, forces, torques):

@@ -128,8 +128,8 @@ def test_the_models_area_is_that_of_the_known_pose(bag: Path, tmp_path: Path) ->
 
 
 def live_recording(path: Path, pressed: Path) -> list[bytes]:
-    """`pressed` as a live model node has it: moisture and the settings change on the way. Gives
-    the shapes that it published."""
+    """`pressed` as a live model node has it: moisture and the settings change on the way, and it is
+    reset. Gives the shapes that it published."""
     settings = EstimatorSettings(pad_aspect=1.2)
     estimator = ContactEstimator(ReducedModel.load(), settings=settings)
     core = PoseEstimator(estimator.pose_correction)
@@ -156,6 +156,9 @@ def live_recording(path: Path, pressed: Path) -> list[bytes]:
                 fields = {"header": {"stamp": stamp}, "value": value}
                 bag.write("moisture", fields, stamp)
                 assert estimator.add_moisture(stamp, value)
+            if samples == 520:  # the service ~/reset
+                tell(estimator.reset("asked"), stamp)
+                core.reset()
             if samples == 611:
                 settings = EstimatorSettings(pad_aspect=1.3, plate_pitch=0.2)
                 tell(estimator.change_settings(settings, "asked"), stamp)

@@ -15,8 +15,8 @@ from finger_bag.cli import command
 from finger_bag.reader import open_bag
 from finger_bag.writer import BagWriter
 from finger_common.cli import run
-from finger_model.estimator import ContactEstimator
-from finger_model.messages import area_of, slip_numbers, stick_of, wrench_of
+from finger_model.estimator import ContactEstimator, EstimatorEvent
+from finger_model.messages import area_of, event_fields, slip_numbers, stick_of, wrench_of
 from finger_model.reduced import ReducedModel
 from finger_model.slip import SlipEstimator
 
@@ -99,6 +99,39 @@ def test_stick_ratios_of_the_camera_enter_as_in_a_live_node(tmp_path: Path) -> N
         without = [m.message for m in reader.messages(["/finger/contact_slip"])]
     assert without[800].friction > 1.1 * found[800].friction
     assert without[395].friction == found[395].friction
+
+
+def test_a_recorded_reset_is_a_plate_that_was_not_seen_before(tmp_path: Path) -> None:
+    """As in a live node, whose service ~/reset forgets the friction."""
+    pull = pulled(tmp_path / "bag", seen=True)
+    contact, slip = ContactEstimator(ReducedModel.load()), SlipEstimator()
+    wanted: list[tuple] = []
+    with open_bag(pull) as reader, BagWriter(tmp_path / "live", {}) as bag:
+
+        def tell(event: EstimatorEvent, number: int, log: int) -> None:
+            bag.write("model_events", event_fields(event, number), log)
+
+        tell(contact.start_event(10**18), 0, 10**18)
+        for item in reader.messages(["/finger/wrench", "/finger/contact_area"]):
+            bag.write_raw(item.topic.rsplit("/", 1)[-1], item.raw, item.log_time_ns)
+            if item.topic == "/finger/contact_area":
+                area = area_of(item.message)
+                assert contact.add_area(*area)
+                slip.expect_stick_ratio(area[0], *stick_of(item.message), 0.1)
+                continue
+            if len(wanted) == 700:
+                tell(contact.reset("asked"), 1, item.log_time_ns)
+                slip.reset()
+            stamp, force = wrench_of(item.message)
+            for estimate in contact.add_wrench(stamp, force):
+                slip.assume(contact.model.geometry, contact.material)
+                wanted.append(slip_numbers(slip.add(estimate, force), slip.lateral_axes))
+    source, target = str(tmp_path / "live"), str(tmp_path / "slip")
+    assert run(command, ["process", source, "-o", target, "--slip"]) == 0
+    with open_bag(tmp_path / "slip") as reader:
+        found = [m.message for m in reader.messages(["/finger/contact_slip"])]
+    assert [repr(m.friction) for m in found] == [repr(values[11]) for values in wanted]
+    assert found[702].friction_stddev > 1.5 * found[698].friction_stddev
 
 
 def test_a_recording_older_than_the_stick_ratio_has_none() -> None:

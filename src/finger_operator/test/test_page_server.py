@@ -373,6 +373,22 @@ def test_port_in_use_is_reported_in_one_sentence(served: Served) -> None:
         second.start()
 
 
+def test_a_server_starts_again_as_often_as_its_port_is_free() -> None:
+    first = Served()
+    port = first.server.port
+    second = PageServer(PageSettings(port=port), first.command)
+    with pytest.raises(InputError, match="cannot be served"):
+        second.start()
+    first.server.stop()
+    second.start()
+    second.stop()
+    third = PageServer(PageSettings(port=port), first.command)
+    third.start()
+    with pytest.raises(InputError, match="cannot be served"):
+        second.start()
+    third.stop()
+
+
 def test_a_second_page_takes_a_free_port_unless_one_is_asked_for(
     free_port: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

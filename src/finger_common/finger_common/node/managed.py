@@ -486,12 +486,26 @@ class ManagedNode(LifecycleNode):
                 self.get_logger().warning(problem)
             self.values = self.read_parameters()
 
+        before = self._interfaces()
         if not self._attempt("configure", read, self.configure):
             self._attempt("cleanup", self._clean_up)
+            for interface, destroy in self._interfaces().items():
+                if interface not in before:  # made before it failed
+                    destroy(interface)
             return TransitionCallbackReturn.FAILURE
         self._describe_live(True)
         self._set_state("inactive")
         return TransitionCallbackReturn.SUCCESS
+
+    def _interfaces(self) -> dict[Any, Callable[[Any], Any]]:
+        """What the node has now, and how it is destroyed."""
+        return {
+            **dict.fromkeys(self.publishers, self.destroy_publisher),
+            **dict.fromkeys(self.subscriptions, self.destroy_subscription),
+            **dict.fromkeys(self.services, self.destroy_service),
+            **dict.fromkeys(self.clients, self.destroy_client),
+            **dict.fromkeys(self.timers, self.destroy_timer),
+        }
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         if not self._attempt("activate", self.activate):

@@ -71,7 +71,8 @@ class ContactEstimator:
 
     model: the reduced model; parameter_sets: None for the shipped ones; settings: None for the
     defaults. `counters` counts duplicates, out_of_order, resets, late_areas, late_moistures,
-    flagged_areas. Raises InputError for parameter sets of another geometry or law than the model's.
+    flagged_areas; `fingers` counts starts and resets, after which the finger is one that was not
+    seen before. Raises InputError for parameter sets of another geometry or law than the model's.
     """
 
     def __init__(
@@ -85,6 +86,7 @@ class ContactEstimator:
         self.parameter_sets = parameter_sets or ParameterSets.default()
         check_sets(self.parameter_sets, model)
         self.counters: Counter[str] = Counter()
+        self.fingers = 0
         self._inputs = InputQueue(self.counters)
         self._state = FilterState(model)
         self._events: list[EstimatorEvent] = []
@@ -385,6 +387,7 @@ class ContactEstimator:
             self._moisture = None
         self._configure()
         if event.type in (EventType.START, EventType.RESET):
+            self.fingers += 1
             self._state.reset(keep_stream=event.type == EventType.RESET)
         elif new_sets:
             self._state.initialise_filters()

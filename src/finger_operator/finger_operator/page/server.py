@@ -125,6 +125,8 @@ class PageServer:
 
     def start(self) -> None:
         """Begin to serve; raises InputError when the address cannot be used."""
+        self._started.clear()
+        self._error = None
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
         self._thread.start()
         self._started.wait(15)
