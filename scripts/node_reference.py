@@ -44,7 +44,7 @@ OTHER_TOPICS = {
     "heartbeat": "names of the nodes that run, four times a second",
     "trial": "the current trial and its phase, latched",
     "calibration": "what the newest calibration of a subject found, with deviations, latched",
-    "~/status": "everything the operator's page shows of the session (JSON, latched)",
+    "~/status": "everything the operator's page shows of the session, latched",
     "protocol/status": "the protocol node's `~/status`",
     "~/entered": "a reading entered by the operator, in a.u.",
 }

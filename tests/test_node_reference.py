@@ -92,3 +92,15 @@ def test_no_node_overwrites_an_attribute_of_rclpy(project_root: Path) -> None:
             if name in taken:
                 wrong.append(f"{file.relative_to(project_root)}:{line} self.{name}")
     assert not wrong, "\n".join(wrong)
+
+
+def test_help_of_a_node_names_its_parameters_and_starts_nothing(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    from finger_driver.force_node import main
+
+    main(["--help"])
+    text = capsys.readouterr().out
+    assert "usage: --ros-args" in text and "connect_timeout (10.0 s)" in text
+    assert "can_channel" in text, "parameters of its devices, too"
+    assert not rclpy.ok()

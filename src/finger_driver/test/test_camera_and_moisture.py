@@ -18,6 +18,7 @@ import pytest
 
 from finger_common.errors import DeviceError, InputError
 from finger_driver import camera, moisture
+from finger_driver.camera import opencv
 from finger_driver.camera.folder import FolderSettings, FolderSource
 from finger_driver.camera.freeze import FreezeDetector
 from finger_driver.camera.info import CameraCalibration, resolve_url
@@ -88,6 +89,24 @@ def test_an_image_sequence_is_played_at_the_rate_asked_for_and_again(tmp_path: P
     intervals = np.diff([f.stamp_ns for f in frames]) * 1e-9
     # Never faster; slower where this machine is busy.
     assert 0.04 < np.median(intervals) < 0.3
+
+
+def test_a_fixed_name_by_udev_is_the_camera_behind_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[int] = []
+
+    class Capture:
+        def __init__(self, number: int, backend: int) -> None:
+            opened.append(number)
+
+        def isOpened(self) -> bool:
+            return True
+
+    monkeypatch.setattr(opencv.cv2, "VideoCapture", Capture)
+    links = {"/dev/finger-camera": "/dev/video4"}
+    monkeypatch.setattr(opencv.os.path, "realpath", lambda path: links.get(path, path))
+    for path in ("/dev/finger-camera", "/dev/video2", "3"):
+        assert opencv.capture_of(path)[1]
+    assert opened == [4, 2, 3]
 
 
 class FakeCapture:

@@ -256,13 +256,11 @@ class ModelNode(ManagedNode):
         self._event_publisher = self.create_publisher(ModelEvent, "model_events", EVENTS_QOS)
         self._local = LocalSubscription(self, values["wrench_topic"], self._on_sample, self.fail)
         self._follow_wrench()
-        for kind, topic, follow in (
-            (ContactArea, "contact_area", self._on_area),
-            (Moisture, "moisture", self._on_moisture),
-        ):
-            waited = self.create_waited_subscription(kind, topic, follow, qos)
-            # At once: it has to end also when what comes after it fails.
-            self._entities.append((WaitedSubscription.destroy, waited))
+        # Each at once: it has to end also when what comes after it fails.
+        area = self.create_waited_subscription(ContactArea, "contact_area", self._on_area, qos)
+        self._entities.append((WaitedSubscription.destroy, area))
+        moisture = self.create_waited_subscription(Moisture, "moisture", self._on_moisture, qos)
+        self._entities.append((WaitedSubscription.destroy, moisture))
         trial = self.create_subscription(Trial, "trial", self._on_trial, LATCHED_QOS)
         self._protocol = PolledSubscription(self, SessionStatus, "protocol/status", STATE_QOS)
         self._calibration_publisher = self.create_publisher(

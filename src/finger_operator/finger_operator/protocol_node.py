@@ -4,7 +4,7 @@
 """Node that guides a study.
 
 It publishes the latched `trial`, starts and stops the recorder, and publishes the session for the
-operator's page on `~/status` (JSON, latched). Its services are the commands of the page.
+operator's page on `~/status` (latched). Its services are the commands of the page.
 """
 
 from __future__ import annotations

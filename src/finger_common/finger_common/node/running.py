@@ -5,9 +5,11 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import signal
 import sys
+import textwrap
 import threading
 import time
 from collections.abc import Sequence
@@ -143,10 +145,30 @@ def run_node(node_class: type[ManagedNode], argv: Sequence[str] | None = None) -
     return node.exit_code if node is not None else 0
 
 
+def help_text(node_class: type[ManagedNode]) -> str:
+    """What `--help` of a node's executable prints; a plain ROS node ignores it, and starts."""
+    doc = inspect.getdoc(inspect.getmodule(node_class)) or ""
+    lines = [
+        doc,
+        "",
+        "usage: --ros-args [-p NAME:=VALUE …] [--params-file FILE]",
+        "",
+        "parameters:",
+    ]
+    for parameter in node_class.parameter_table():
+        unit = f" {parameter.unit}" if parameter.unit else ""
+        lines.append(f"  {parameter.name} ({parameter.default!r}{unit})")
+        lines.append(textwrap.indent(textwrap.fill(parameter.meaning, 90), 6 * " "))
+    return "\n".join(lines)
+
+
 def main_of(node_class: type[ManagedNode]) -> Any:
     """`main` function of a node's executable; its `node_class` is for processes of many nodes."""
 
     def main(argv: Sequence[str] | None = None) -> None:
+        if {"-h", "--help"} & set(sys.argv[1:] if argv is None else argv):
+            print(help_text(node_class))
+            return
         code = run_node(node_class, argv)
         # Daemon threads of the middleware can hang at interpreter exit.
         os._exit(code)

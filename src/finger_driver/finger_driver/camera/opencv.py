@@ -10,6 +10,7 @@ instead.
 
 from __future__ import annotations
 
+import os
 import sys
 import threading
 import time
@@ -32,12 +33,14 @@ from .source import CameraSettings, CameraSource, Frame
 def capture_of(path: str) -> tuple[Any, bool]:
     """VideoCapture for a path and whether it is live (camera or pipeline).
 
-    "0": camera 0. Text with "!": GStreamer pipeline. "frames/f_%03d.png": image sequence. Else a
-    file. Raises InputError for a path that cannot mean anything, DeviceError when it does not open.
+    "0": camera 0, also as "/dev/video0" or a link to it. Text with "!": GStreamer pipeline.
+    "frames/f_%03d.png": image sequence. Else a file. Raises InputError for a path that cannot mean
+    anything, DeviceError when it does not open.
     """
     if not path:
         raise InputError("parameter 'path' is empty; give a camera number, a file or a sequence")
-    number = path.removeprefix("/dev/video")
+    device = os.path.realpath(path) if path.startswith("/dev/") else path
+    number = device.removeprefix("/dev/video")
     if number.isdecimal():
         backend = cv2.CAP_V4L2 if sys.platform.startswith("linux") else cv2.CAP_ANY
         capture, live = cv2.VideoCapture(int(number), backend), True

@@ -114,7 +114,8 @@ def shear() -> Check:
     return Check(
         "solid_shear",
         "Third dimension: pull until slip",
-        "Default finger pressed to 0.818 mm at friction 0.5, then the plate is moved sideways; "
+        "The finger of the CalculiX curves (8.5 × 6.5 mm) pressed to 0.818 mm at friction 0.5, "
+        "then the plate is moved sideways; "
         "CalculiX 2.20, tangential force good to 1.5 %, stick ratio to 0.03. There skin that "
         "sticks hangs on a spring of 2 N/mm³ and moves by up to some 5 µm before it slips. So it "
         "does here in the rows named same spring.",
