@@ -223,12 +223,14 @@ def rig(
     """Entries of a measuring rig.
 
     folder: of the sessions, unless the parameter file names another, and of the simulated devices.
-    simulated: with simulated devices and
-    participant. without: nodes to leave out. parameters: by node name, further ones. only: the
-    nodes to run in place of all. further: nodes to run beside these. Raises InputError for a node
-    that does not exist, and for one in `without` that would not run.
+    simulated: with simulated devices and participant. without: nodes to leave out. parameters: by
+    node name, further ones. only: the nodes to run in place of all, beside the simulated rig.
+    further: nodes to run beside these. Raises InputError for a node that does not exist, and for
+    one in `without` that would not run.
     """
-    names = list(only) or [*(["simulated_rig"] if simulated else []), *RIG]
+    names = list(only) or list(RIG)
+    if simulated and "simulated_rig" not in names:
+        names.insert(0, "simulated_rig")
     names += [name for name in further if name not in names]
     for name in without:
         if entry_of(name).name not in names:

@@ -196,6 +196,9 @@ def test_the_whole_rig_runs_by_default_and_nodes_can_be_left_out(tmp_path: Path)
     assert names("--simulated", "--without", "page", *folder) == everything
     assert names("--nodes", "force", "model", *folder) == [*nodes.GRASP, "bring_up"]
     assert names("--nodes", "page", *folder) == ["page"]
+    # Devices are simulated by a node, which comes with them.
+    simulated = names("--simulated", "--nodes", "force", "model", *folder)
+    assert simulated == ["simulated_rig", *nodes.GRASP, "bring_up"]
 
 
 def test_foxglove_runs_beside_the_rig_on_this_machine_unless_told_otherwise() -> None:
