@@ -38,6 +38,8 @@ MAPPED_TOPICS = (
     "model_events",
     "contact_state",
 )
+_OWN_STAMP = ("trial", "model_events", "contact_state")
+"""Messages of the suite, whose stamps mean something."""
 _UNITS: dict[str, dict[str, float]] = {
     "wrench": FORCE_UNITS,
     "contact_area": AREA_UNITS,
@@ -124,6 +126,8 @@ def _entry(name: str, value: Any, where: str) -> MappedTopic:
     stamp = value.get("stamp", "header")
     if stamp not in ("header", "log_time"):
         raise InputError(f"{where}: topics.{name}.stamp is {stamp!r}, choose header or log_time")
+    if "stamp" in value and name in _OWN_STAMP:
+        raise InputError(f"{where}: topics.{name} has the key 'stamp', but needs its own stamps")
     sign = value.get("sign", "positive")
     if sign not in _SIGNS:
         raise InputError(f"{where}: topics.{name}.sign is {sign!r}, choose positive or negative")

@@ -343,11 +343,11 @@ class BagReader:
             for topic in self._types.values():
                 topic.count = None
             return None
-        for channel_id, count in statistics.channel_message_counts.items():
-            if channel_id in mcap.channels:
-                info = channel_info(mcap, channel_id)
-                topic = self._types[(info.name, info.type)]
-                topic.count = (topic.count or 0) + count
+        for channel_id in mcap.channels:
+            info = channel_info(mcap, channel_id)
+            topic = self._types[(info.name, info.type)]
+            # A channel without messages need not be among the statistics.
+            topic.count = (topic.count or 0) + statistics.channel_message_counts.get(channel_id, 0)
         return statistics.message_count
 
     # Reading ---------------------------------------------------------------------------------

@@ -24,10 +24,10 @@ from .schema import TOPICS
 MAXIMUM_TEXT = 10_000
 """Characters of a text of a `trial` message above which the message is malformed."""
 
-STREAMS = (
-    "contact_area", "moisture", "indentation", "trial", "image_raw", "image_raw/compressed",
-)  # fmt: skip
+STREAMS = ("contact_area", "moisture", "indentation", "trial")
 """Topics that are read beside the wrench."""
+IMAGES = ("image_raw", "image_raw/compressed")
+"""Topics of which the first that holds messages is read, where images are wanted."""
 
 MOISTURE_BEFORE, MOISTURE_AFTER = 1, 2
 """Phases of a reading, as in finger_msgs/Moisture."""
@@ -201,20 +201,23 @@ def wrong_type(item: BagMessage, needed: str) -> InputError:
 def read_streams(
     reader: BagReader,
     settings: ReadSettings,
-    on_image: Callable[[BagMessage], None] | None = None,
+    on_image: Callable[[BagMessage, int], None] | None = None,
     with_images: bool = True,
 ) -> SessionStreams:
     """Read all streams of a bag in one pass.
 
-    on_image is called with each image message. Raises InputError when there is no wrench or the bag
-    holds no message at all; malformed messages are left out, counted and listed in `problems`.
+    on_image is called with each image message and its stamp (ns). Raises InputError when there is
+    no wrench or the bag holds no message at all; malformed messages are left out, counted and
+    listed in `problems`.
     """
     mapping = settings.mapping
     wrench = find_wrench(reader, settings)
     names = {wrench: "wrench"}
-    for name in STREAMS:
+    # Raw and compressed images of a bag are the same ones.
+    images_of = [n for n in IMAGES if find_used(reader, n, settings)][: int(with_images)]
+    for name in (*STREAMS, *images_of):
         topic = find_topic(reader, name, settings)
-        if topic is not None and (with_images or not name.startswith("image")):
+        if topic is not None:
             names.setdefault(topic, name)
     wrenches = _Wrenches(reader, wrench)
     areas: list[tuple[int, int, float, float, float, int]] = []
@@ -240,9 +243,10 @@ def read_streams(
             elif name == "trial":
                 trials.append(_trial(item.message))
             else:
-                images.append((stamp_of_cdr(item.raw), item.log_time_ns))
+                shot = item.log_time_ns if mapped.log_time else stamp_of_cdr(item.raw)
+                images.append((shot, item.log_time_ns))
                 if on_image is not None:
-                    on_image(item)
+                    on_image(item, shot)
         except (InputError, AttributeError, TypeError, ValueError) as error:
             malformed.add(item.topic, error)
     log, stamps, force, torque = wrenches.arrays()

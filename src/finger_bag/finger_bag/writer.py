@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import shutil
 import struct
@@ -126,15 +127,38 @@ class BagWriter:
             check_text(text, f"{str(path)!r}")
         self._refuse_existing()
         self._folder = self.path if in_place else self.path.with_name(f".{name}.partial")
+        self._lock = -1
         try:
             if not in_place and self._folder.exists():
+                self._lock_folder()  # else of a program that was killed
+                self._unlock_folder()
                 shutil.rmtree(self._folder)
             self._folder.mkdir(parents=True, exist_ok=True)
+            self._lock_folder()
             self._open_file()
         except OSError as error:
             raise InputError(
                 f"{path}: cannot be written ({error.strerror}); choose a writable folder"
             ) from None
+
+    def _lock_folder(self) -> None:
+        """Keep other programs from writing a bag of this name; ends with the process."""
+        self._lock = os.open(self._folder, os.O_RDONLY)
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            self._unlock_folder()
+            raise InputError(
+                f"{self.path}: is being written by another program; choose another name"
+            ) from None
+        except OSError:
+            pass  # a file system without locks
+
+    def _unlock_folder(self) -> None:
+        if self._lock >= 0:
+            with contextlib.suppress(OSError):
+                os.close(self._lock)
+            self._lock = -1
 
     def _refuse_existing(self) -> None:
         if not os.path.lexists(self.path):
@@ -412,6 +436,7 @@ class BagWriter:
                 if self.path.is_dir():
                     self.path.rmdir()
                 os.replace(self._folder, self.path)
+            self._unlock_folder()
             self.closed = True
         return WrittenBag(self.path, [f.name for f in self._files], self.message_count, self.counts)
 
@@ -428,6 +453,7 @@ class BagWriter:
         self._mcap = self._stream = None
         if self._folder != self.path:
             shutil.rmtree(self._folder, ignore_errors=True)
+        self._unlock_folder()
 
     def _write_metadata(self) -> None:
         with atomic_write(self._folder / "metadata.yaml") as file:

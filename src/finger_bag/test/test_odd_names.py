@@ -18,8 +18,11 @@ from mcap.writer import Writer
 from session_bags import START, write_session
 
 from finger_bag.cli import command
-from finger_bag.definitions import encode
+from finger_bag.definitions import definition_text, encode
+from finger_bag.read_settings import ReadSettings
 from finger_bag.reader import open_bag
+from finger_bag.schema import TOPICS
+from finger_bag.streams import find_used
 from finger_bag.writer import BagWriter
 from finger_common.cli import run
 from finger_common.errors import InputError
@@ -142,6 +145,40 @@ def test_surrogates_are_not_written_into_a_bag(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="not valid text"):
         BagWriter(tmp_path / "bag", {"subject": "S\udcff1"})
     assert not list(tmp_path.iterdir())
+
+
+def test_two_programs_cannot_write_one_bag(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as first:
+        first.write("moisture", {"header": {"stamp": 10**18}, "value": 1.0})
+        with pytest.raises(InputError, match="is being written by another program"):
+            BagWriter(tmp_path / "bag")
+    with open_bag(tmp_path / "bag") as reader:
+        assert reader.info.message_count == 1
+    # What a killed program left behind is in nobody's way.
+    (tmp_path / ".next.partial").mkdir()
+    BagWriter(tmp_path / "next").close()
+
+
+def test_a_topic_without_messages_is_read_as_such(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Other recorders leave it out of the file's statistics."""
+    with (tmp_path / "a.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2", "test")
+        for name in ("wrench", "contact_area"):
+            kind = TOPICS[name].type
+            text = definition_text(kind).encode()
+            schema = writer.register_schema(kind, "ros2msg", text)
+            channel = writer.register_channel(f"/finger/{name}", "cdr", schema)
+            if name == "wrench":
+                data = encode(kind, {"header": {"stamp": 10**18}})
+                writer.add_message(channel, 10**18, data, 10**18)
+        writer.finish()
+    assert command(["info", str(tmp_path / "a.mcap")]) == 0
+    with open_bag(tmp_path / "a.mcap") as reader:
+        assert reader.info.topics["/finger/contact_area"].count == 0
+        assert find_used(reader, "contact_area", ReadSettings()) is None
 
 
 @pytest.mark.parametrize("at", ["finish", "write"])

@@ -127,7 +127,9 @@ class Trial:
                     f"{name}: {what} must increase{at}; sort the rows by time, and drop rows that "
                     "repeat one"
                 )
-        found = presses(_stamps(time), force, ONSET_FORCE, LIFTOFF_FORCE)
+        origin = min(float(min(v[0] for v in (time, frames, indented) if len(v))), 0.0)
+        stamps = _stamps(time, origin)
+        found = presses(stamps, force, ONSET_FORCE, LIFTOFF_FORCE)
         peaks = [float(force[begin:end].max()) for begin, end in found]
         least = TrialSettings().minimum_peak
         if max(peaks, default=0.0) < least:
@@ -161,20 +163,20 @@ class Trial:
             index=index if index >= 0 else number,
             attempt=0,
             target_force=target or PART_OF_PEAK * peak,
-            stamp_ns=_stamps(time),
+            stamp_ns=stamps,
             force=force,
             lateral_force=np.zeros(len(force)),
-            area_stamp_ns=_stamps(frames[measured]),
+            area_stamp_ns=_stamps(frames[measured], origin),
             area=area[measured],
             area_sd=np.full(int(measured.sum()), np.nan),
             area_flags=np.where(area[measured] > 0, 0, int(AreaFlag.NO_CONTACT)),
             real_area=np.full(int(measured.sum()), np.nan),
             moisture_before=readings.tolist(),
             moisture_after=[],
-            onset_ns=int(_stamps(time)[first]),
-            liftoff_ns=int(_stamps(time)[end]) if end < len(time) else None,
+            onset_ns=int(stamps[first]),
+            liftoff_ns=int(stamps[end]) if end < len(time) else None,
             area_source="arrays",
-            indentation_stamp_ns=_stamps(indented[known]) if known.any() else np.empty(0, np.int64),
+            indentation_stamp_ns=_stamps(indented[known], origin),
             indentation=indentation[known],
         )
         fault = fault_of(record) if known.any() else None
@@ -253,8 +255,9 @@ def _scalar(value: Any, name: str) -> Any:
     return value
 
 
-def _stamps(time: np.ndarray) -> np.ndarray:
-    return EPOCH + np.round((time - min(time[0], 0.0)) * NANOSECONDS).astype(np.int64)
+def _stamps(time: np.ndarray, origin: float) -> np.ndarray:
+    """Stamps (n,) of times (n,) in s; origin: one for all of a trial, that none is before EPOCH."""
+    return EPOCH + np.round((time - origin) * NANOSECONDS).astype(np.int64)
 
 
 class ByCondition(dict[str, Any]):

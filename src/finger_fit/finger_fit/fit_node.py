@@ -32,6 +32,7 @@ from finger_model.reduced import ReducedModel
 from finger_msgs.action import FitParameters
 
 from .options import FitOptions
+from .results import parameter_files
 from .search import Stopped
 from .study import fit_bags
 
@@ -236,7 +237,11 @@ class FitNode(ManagedNode):
         outcome = job.outcome
         if outcome is not None:
             folder = Path(outcome.output)
-            files = sorted(folder.rglob("parameters*.yaml"))
+            files = [
+                folder / name / file
+                for name, part in (outcome.subjects or {"": outcome}).items()
+                for file in parameter_files(part)
+            ]
             result.parameter_file = str(files[0]) if files else ""
             result.report = str(folder / "report.html")
         if job.thread.is_alive():

@@ -9,6 +9,7 @@ import csv
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -302,6 +303,18 @@ def test_dates_are_times() -> None:
     spans = np.round(time * 1e9).astype("timedelta64[ns]")
     spanned = Trial(spans, np.sin(time), 5e-5 * np.sin(time)).record(0)
     np.testing.assert_array_equal(spanned.stamp_ns, plain.stamp_ns)
+
+
+@pytest.mark.parametrize("shift", [0.0, -0.5, 3.0])
+def test_areas_keep_their_place_whatever_the_origin_of_time(
+    double: SimpleNamespace, shift: float
+) -> None:
+    """Times may count from the onset: areas begin later than the force, and force below zero."""
+    (trial,) = trials_of(double, 1)
+    plain = trial.record(0)
+    moved = replace(trial, time=trial.time + shift, area_time=trial.area_time + shift).record(0)
+    lag = moved.area_stamp_ns - moved.stamp_ns[0] - (plain.area_stamp_ns - plain.stamp_ns[0])
+    assert np.abs(lag).max() < 1000, "ns"
 
 
 def test_importing_needs_no_ros() -> None:

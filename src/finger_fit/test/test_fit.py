@@ -137,6 +137,34 @@ def test_conditions_come_apart_and_the_weak_trial_is_listed(study) -> None:
     assert exclusion.label == "dry_06 trial 6" and "below the target" in exclusion.reason
 
 
+@pytest.mark.parametrize("signal", [KeyboardInterrupt, Stopped])
+def test_what_was_fitted_before_an_interruption_is_kept(double, signal: type) -> None:
+    """Of two subjects, the second is interrupted before its search has begun."""
+    records = []
+    for subject in ("S01", "S02"):
+        for i in range(3):
+            record = double.make_record(i, 0.7 + 0.1 * i + 0.05 * (subject == "S02"))
+            record.subject, record.bag = subject, f"{subject}_{i}"
+            records.append(record)
+
+    begun = []
+
+    class Interrupted(double.HereditaryModel):
+        def batch(self, *arguments: object, **options: object) -> object:
+            if begun:
+                raise signal
+            return super().batch(*arguments, **options)
+
+    def progress(condition: str, *_: object) -> None:
+        if condition.startswith("S02"):
+            begun.append(condition)
+
+    options = FitOptions(**QUICK, rounds=5)
+    result = fit_records(records, Interrupted(), options, report=progress)
+    assert list(result.subjects) == ["S01"] and result.interrupted
+    assert not result.subjects["S01"].interrupted
+
+
 @pytest.mark.parametrize("stop_at", ["grid", "pso", "bootstrap"])
 @pytest.mark.parametrize("signal", [KeyboardInterrupt, Stopped])
 def test_interruption_leaves_the_best_so_far(double, stop_at: str, signal: type) -> None:

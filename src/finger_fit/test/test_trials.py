@@ -10,10 +10,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from finger_bag.writer import BagWriter
 from finger_common.errors import InputError
 from finger_fit.options import FitOptions
 from finger_fit.problem import TrialRejected, prepare, prepare_all
 from finger_fit.study import group_trials
+from finger_fit.study.bags import load
 from finger_fit.study.grouping import moisture_clusters
 from finger_model.laws import StandardLinearSolid
 
@@ -28,6 +30,26 @@ def test_frames_count_from_onset_to_the_first_at_or_after_the_target(double) -> 
     onset, target = 0.4 + 0.05 / 1.35, 0.4 + 1.0
     expected = times[(times >= onset) & (times < target)]
     assert len(force) == len(expected) + 1
+
+
+def test_a_trial_that_was_repeated_is_fitted_by_its_last_attempt(tmp_path) -> None:
+    """Each attempt lies in a bag of its own, both done."""
+    for attempt in (0, 1):
+        with BagWriter(tmp_path / f"a{attempt}", {"condition": "dry"}) as bag:
+            about = {"session": "s", "condition": "dry", "index": 3, "attempt": attempt}
+            for phase, at in ((3, 0), (6, 4)):
+                stamp = (1000 + 100 * attempt + at) * 10**9
+                bag.write("trial", {"header": {"stamp": stamp}, "phase": phase, **about})
+            for k in range(1500):
+                stamp = (1000 + 100 * attempt) * 10**9 + k * 2_000_000
+                force = 1.5 * min(max(k / 500 - 0.5, 0.0), max(2.5 - k / 500, 0.0), 1.0)
+                header = {"header": {"stamp": stamp}}
+                bag.write("wrench", {**header, "wrench": {"force": {"z": -force}}})
+                if k % 50 == 0:
+                    bag.write("contact_area", {**header, "gross_area": 4e-5 * force})
+    found = load([tmp_path], FitOptions())
+    assert [record.attempt for record in found.records] == [1]
+    assert [e.reason for e in found.exclusions] == ["attempt 0, done again"]
 
 
 def test_window_contact_continues_to_lift_off(double) -> None:
@@ -143,6 +165,16 @@ def test_frames_without_contact_in_the_window_are_dropped_and_counted(double) ->
 def test_too_short_a_press_is_named(double) -> None:
     with pytest.raises(TrialRejected, match="frames in the contact"):
         prepare(double.make_record(ramp=0.05), FitOptions())
+
+
+def test_a_trial_with_neither_condition_nor_moisture_is_named(double) -> None:
+    trials = [prepare(double.make_record(i), FitOptions()) for i in range(6)]
+    trials = [
+        replace(t, condition="", moisture=40.0 + i if i else np.nan) for i, t in enumerate(trials)
+    ]
+    groups, notes = group_trials(trials, FitOptions(clusters=1))
+    assert sum(map(len, groups.values())) == 5
+    assert f"left out, with neither condition nor moisture: {trials[0].label}" in notes
 
 
 def test_moisture_clusters_find_the_study_groups() -> None:

@@ -18,7 +18,6 @@ from finger_bag.reader import BagMessage, BagReader
 from finger_bag.schema import CALIBRATION_ATTACHMENT
 from finger_common.errors import FingerError, InputError
 from finger_common.image_size import PixelBudget, check_image
-from finger_common.stamps import header_stamp
 from finger_vision.area_sensor import (
     AREA_SENSORS,
     AreaSensor,
@@ -27,9 +26,6 @@ from finger_vision.area_sensor import (
 from finger_vision.calibration import PlateCalibration
 from finger_vision.messages import contact_area_fields, image_of
 from finger_vision.ridge_motion import RidgeMotion, with_motion
-
-IMAGES = ("image_raw", "image_raw/compressed")
-"""Topics of a bag that areas are measured in."""
 
 IMAGES_AHEAD = 6
 """Images that may wait to be measured."""
@@ -122,12 +118,12 @@ class ImageAreas:
             self._pixels.take(image.size)
         return with_motion(self._sensor.process(image), image, self._motion)
 
-    def add(self, item: BagMessage) -> None:
+    def add(self, item: BagMessage, stamp: int) -> None:
         """Measure one image and keep its area; raises InputError when it is no usable image."""
         found = self.measure(item.message)
         self._rows.append(
             (
-                header_stamp(item.message),
+                stamp,
                 item.log_time_ns,
                 found.gross_area,
                 found.real_area,

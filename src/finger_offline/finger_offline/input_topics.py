@@ -8,9 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from finger_bag.reader import BagReader
-from finger_bag.streams import find_topic, find_used, find_wrench, missing
+from finger_bag.streams import IMAGES, find_topic, find_used, find_wrench, missing
 
-from .image_areas import IMAGES
 from .process_options import ProcessOptions
 
 
@@ -22,6 +21,8 @@ class InputTopics:
     area: str | None
     moisture: str | None
     image: str | None
+    image_by_log: bool
+    """Whether the images are stamped by their log time."""
     events: str | None
     replaced: frozenset[str]
     """Topics of the input that are not copied: the run writes its own or does not follow them."""
@@ -31,7 +32,11 @@ class InputTopics:
         """Find them; raises InputError without a wrench, or without images that are asked for."""
         wrench = find_wrench(reader, options)
         area = find_topic(reader, "contact_area", options)
-        images = [t for name in IMAGES if (t := find_used(reader, name, options)) is not None]
+        images = [
+            (topic, options.mapping.topic(name).log_time)
+            for name in IMAGES
+            if (topic := find_used(reader, name, options)) is not None
+        ]
         absent = find_used(reader, "contact_area", options) is None
         from_images = options.images == "yes" or (
             options.images == "auto" and absent and bool(images)
@@ -53,7 +58,8 @@ class InputTopics:
             wrench=wrench,
             area=None if from_images else area,
             moisture=find_topic(reader, "moisture", options),
-            image=images[0] if from_images else None,
+            image=images[0][0] if from_images else None,
+            image_by_log=from_images and images[0][1],
             events=recorded if follow else None,
             replaced=frozenset(replaced),
         )

@@ -314,7 +314,8 @@ class _Run:
                 self.malformed.add(item.topic, measured)
                 continue
             area, sd = measured.gross_area, measured.area_sd
-            stamp = stamp_of_cdr(item.raw)
+            by_log = self.topics.image_by_log
+            stamp = item.log_time_ns if by_log else stamp_of_cdr(item.raw)
             if not measured.flags & NOT_WHOLE:
                 self._sticks[stamp] = measured.motion.stick_ratio, measured.motion.stick_ratio_sd
                 self._outlines[stamp] = measured_outline(measured)

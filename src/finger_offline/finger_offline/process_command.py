@@ -80,7 +80,14 @@ def run(args: argparse.Namespace) -> int:
         tables=tables,
     )
     output = Path(args.output)
-    targets = [output / bag.name.split(".")[0] if several else output for bag in bags]
+    targets = [output / _name_of(bag) for bag in bags] if several else [output]
+    for bag, target in zip(bags, targets):
+        if targets.count(target) > 1:
+            raise InputError(
+                f"{bag}: several bags would be written to {target}; process them one by one"
+            )
+    if args.jobs < 1:
+        raise InputError(f"--jobs is {args.jobs}; give 1 or more")
     for target in targets:
         if target.exists():
             raise InputError(f"{target}: exists already; choose another name or remove it")
@@ -96,6 +103,11 @@ def run(args: argparse.Namespace) -> int:
             show = partial(stages.update, bags[0].name)
             results.append(process(bags[0], targets[0], options, show))
     return _report(results, time.perf_counter() - began)
+
+
+def _name_of(bag: Path) -> str:
+    """Name of a bag: of its folder, or of its file without the ending."""
+    return bag.name if bag.is_dir() else Path(bag.name.removesuffix(".zstd")).stem
 
 
 def estimator_settings(pairs: Sequence[str]) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -163,8 +163,8 @@ def split(
     moistures = _assign_moistures(streams.moistures, chosen, stamp)
     for number, press in enumerate(chosen):
         record = _record(
-            press, number, stamp, normal, lateral, areas, indentation, moistures[number], metadata,
-            settings, bag,
+            press, found, number, stamp, normal, lateral, areas, indentation, moistures[number],
+            metadata, settings, bag,
         )  # fmt: skip
         record = replace(record, area_source=streams.area_source, doubts=tuple(doubts))
         reason = press.reason
@@ -280,6 +280,7 @@ def _assign_moistures(
 
 def _record(
     press: _Press,
+    found: Sequence[tuple[int, int]],
     number: int,
     stamp: np.ndarray,
     normal: np.ndarray,
@@ -294,12 +295,13 @@ def _record(
     margin = nanoseconds(settings.margin)
     onset = int(stamp[press.first])
     last = int(stamp[min(press.end, len(stamp)) - 1])
-    low = int(np.searchsorted(stamp, onset - margin))
-    high = int(np.searchsorted(stamp, last + margin, side="right"))
-    near, beside = (
-        (stamps >= onset - margin) & (stamps <= last + margin)
-        for stamps in (areas[0], indentation[0])
-    )
+    # The margins hold nothing of the presses before and after.
+    low = max((end for _, end in found if end <= press.first), default=0)
+    high = min((first for first, _ in found if first >= press.end), default=len(stamp))
+    low = max(low, int(np.searchsorted(stamp, onset - margin)))
+    high = min(high, int(np.searchsorted(stamp, last + margin, side="right")))
+    begin, over = int(stamp[low]), int(stamp[high - 1])
+    near, beside = ((stamps >= begin) & (stamps <= over) for stamps in (areas[0], indentation[0]))
     event = press.event
     index = _integer(metadata.trial_index, number) if event is None else event.index
     target = _number(event.target_force if event is not None else metadata.target_force)

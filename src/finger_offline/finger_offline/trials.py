@@ -5,12 +5,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from finger_bag.bag_files import find_bags
 from finger_bag.reader import BagReader, open_bag
 from finger_bag.streams import (
+    IMAGES,
     SessionStreams,
     find_topic,
     find_used,
@@ -19,8 +20,8 @@ from finger_bag.streams import (
     read_streams,
 )
 
-from .image_areas import IMAGES, ImageAreas
-from .trial_records import Exclusion, TrialSet
+from .image_areas import ImageAreas
+from .trial_records import Exclusion, TrialRecord, TrialSet
 from .trial_split import TrialSettings, split
 
 
@@ -42,7 +43,8 @@ def load_trials(
         result.exclusions += found.exclusions
         result.problems += found.problems
         result.lost += found.lost
-    _drop_superseded(result)
+    result.trials, again = without_superseded(result.trials)
+    result.exclusions += again
     return result
 
 
@@ -86,18 +88,20 @@ def streams_with_areas(reader: BagReader, settings: TrialSettings) -> SessionStr
     return streams
 
 
-def _drop_superseded(result: TrialSet) -> None:
-    """Of a trial that was redone, keep the last attempt."""
+def without_superseded(
+    trials: Sequence[TrialRecord],
+) -> tuple[list[TrialRecord], list[Exclusion]]:
+    """Of trials that were done again, also in another bag, the last attempt; and the others."""
     last: dict[tuple[str, str, str, int], int] = {}
-    for trial in result.trials:
+    for trial in trials:
         key = (trial.session, trial.subject, trial.condition, trial.index)
         last[key] = max(last.get(key, 0), trial.attempt)
-    kept = []
-    for trial in result.trials:
+    kept, again = [], []
+    for trial in trials:
         key = (trial.session, trial.subject, trial.condition, trial.index)
         if trial.attempt < last[key]:
             reason = f"attempt {trial.attempt}, done again"
-            result.exclusions.append(Exclusion(trial.bag, trial.condition, trial.index, reason))
+            again.append(Exclusion(trial.bag, trial.condition, trial.index, reason))
         else:
             kept.append(trial)
-    result.trials = kept
+    return kept, again

@@ -664,6 +664,30 @@ def test_areas_in_pixels(files: dict[str, str], tmp_path: Path) -> None:
     check_trials(tmp_path / "bag")
 
 
+def test_arrays_of_different_lengths_in_one_file(
+    files: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    both = {"area_mm2": area_at(FRAMES), "fz_n": force_at(TIME), "run": np.ones(len(TIME))}
+    np.savez(tmp_path / "all.npz", **both)
+    path, about = str(tmp_path / "all.npz"), ["--subject", "S01", "--condition", "dry"]
+    command_line = ["import", "-o", str(tmp_path / "bag"), "--force", path, "--area", path, *about]
+    command_line += ["--force-column", "fz_n", "--area-column", "area_mm2"]
+    rates = [f"--force-rate={1 / np.diff(TIME)[0]:g}", f"--frame-rate={1 / np.diff(FRAMES)[0]:g}"]
+    assert command([*command_line, *rates]) == 0, capsys.readouterr().err
+    assert load_trials(tmp_path / "bag").trials
+    with pytest.raises(InputError, match="column 'area_mm2' has"):
+        command([*command_line, *rates, "--trial-column", "run", "-o", str(tmp_path / "no")])
+
+
+def test_a_force_that_is_nowhere_beside_a_time_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "wide.csv"
+    path.write_text("t_s,fz_n\n" + "".join(f"{k / 100},\n" for k in range(50)) + ",1.0\n" * 50)
+    about = ["--subject", "S01", "--condition", "dry", "--area", str(path)]
+    about += ["--force-column", "fz_n", "--force-time", "t_s"]
+    with pytest.raises(InputError, match="no row has both a time"):
+        command(["import", "-o", str(tmp_path / "bag"), "--force", str(path), *about])
+
+
 def test_columns_tell_recordings_apart(
     files: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

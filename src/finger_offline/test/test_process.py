@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from session_bags import START, wrench
 
+from finger_bag.cli import command
 from finger_bag.definitions import encode
 from finger_bag.reader import open_bag
 from finger_bag.writer import BagWriter
@@ -335,3 +336,21 @@ def test_a_bag_of_a_failed_run_is_not_left_behind(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="'wrench'"):
         process(tmp_path / "bag", tmp_path / "out")
     assert {p.name for p in tmp_path.iterdir()} == {"bag"}
+
+
+def test_bags_that_would_share_a_name_are_refused(
+    session: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("S01/press", "S02/press", "dry_1.35N", "dry_1.50N"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        session(name, trials=1)
+    target = ["-o", str(tmp_path / "out")]
+    same = [str(tmp_path / name) for name in ("S01/press", "S02/press")]
+    assert run(command, ["process", *same, *target]) == 2
+    assert "process them one by one" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+    apart = [str(tmp_path / name) for name in ("dry_1.35N", "dry_1.50N")]
+    assert run(command, ["process", *apart, *target, "--jobs", "0"]) == 2
+    assert "--jobs is 0" in capsys.readouterr().err
+    assert run(command, ["process", *apart, *target]) == 0
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"dry_1.35N", "dry_1.50N"}

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +17,15 @@ from session_bags import AREA_PER_FORCE, START, press_force, wrench, write_sessi
 from finger_bag.cdr_layout import stamps_and_wrenches
 from finger_bag.definitions import encode
 from finger_bag.mapping import TopicMapping
+from finger_bag.read_settings import ReadSettings
+from finger_bag.reader import open_bag
+from finger_bag.streams import read_streams
 from finger_bag.writer import BagWriter
 from finger_common.axes import lateral_force, normal_force
 from finger_common.errors import InputError
 from finger_common.units import FORCE_UNITS
 from finger_offline.trial_split import TrialSettings, presses
-from finger_offline.trials import load_trials
+from finger_offline.trials import load_trials, streams_with_areas
 
 
 @pytest.mark.parametrize("messages", [True, False], ids=["trial messages", "force alone"])
@@ -91,6 +95,52 @@ def test_failed_redone_and_touching_presses_are_excluded_with_reasons(tmp_path: 
     assert load_trials(light).exclusions[0].reason.startswith("a touch of 0.10 N")
     wrong_sign = load_trials(light, TrialSettings(normal_axis="+z"))
     assert not wrong_sign.trials and "along +z" in wrong_sign.exclusions[0].reason
+
+
+def test_presses_in_quick_succession_keep_nothing_of_one_another(tmp_path: Path) -> None:
+    """Half a second is kept around a press, unless another one lies there."""
+    with BagWriter(tmp_path / "bag", {"condition": "dry"}) as bag:
+        for t in np.arange(0, 4 * 2.8, 0.002):
+            stamp, force = START + round(t * 1e9), float(press_force(np.array(t % 2.8)))
+            bag.write("wrench", wrench(stamp, force))
+            if round(t * 500) % 50 == 0:
+                fields = {"header": {"stamp": stamp}, "gross_area": AREA_PER_FORCE * force}
+                bag.write("contact_area", fields)
+    found = load_trials(tmp_path / "bag").trials
+    assert len(found) == 4
+    for before, trial in pairwise(found):
+        assert trial.force[0] < 0.05 and before.force[-1] < 0.05
+        assert trial.stamp_ns[0] >= before.liftoff_ns
+        assert trial.area_stamp_ns[0] >= trial.stamp_ns[0]
+
+
+def test_images_of_another_clock_are_stamped_when_they_were_recorded(tmp_path: Path) -> None:
+    bag = write_session(tmp_path / "bag", trials=1, images=True)
+    topics = {"image_raw": {"topic": "/finger/image_raw", "stamp": "log_time"}}
+    mapping = TopicMapping.from_mapping({"topics": topics})
+    with open_bag(bag) as reader:
+        own, logged = (
+            read_streams(reader, ReadSettings(mapping=m)) for m in (TopicMapping(), mapping)
+        )
+        area = 1e-8
+        settings = TrialSettings(mapping=mapping, image_areas="always", area_per_pixel=area)
+        measured = streams_with_areas(reader, settings)
+    assert np.array_equal(logged.image_stamp_ns, own.image_log_ns)
+    assert np.array_equal(logged.image_stamp_ns, own.image_stamp_ns + 20_000_000)
+    assert np.array_equal(measured.area_stamp_ns, logged.image_stamp_ns)
+
+
+def test_raw_and_compressed_images_are_the_same_ones(tmp_path: Path) -> None:
+    write_session(tmp_path / "one", trials=1, images=True)
+    with open_bag(tmp_path / "one") as reader, BagWriter(tmp_path / "two") as bag:
+        for item in reader.messages():
+            bag.write_raw(item.topic, item.raw, item.log_time_ns)
+            if item.topic == "/finger/image_raw":
+                header = {"stamp": item.log_time_ns}
+                bag.write("image_raw/compressed", {"header": header, "format": "png"})
+        wanted = read_streams(reader, ReadSettings()).image_stamp_ns
+    with open_bag(tmp_path / "two") as reader:
+        assert np.array_equal(read_streams(reader, ReadSettings()).image_stamp_ns, wanted)
 
 
 def test_each_trial_in_a_bag_of_its_own_reads_like_one_session(tmp_path: Path) -> None:
@@ -194,6 +244,7 @@ def test_a_mapping_knows_every_force_unit_of_the_sensors() -> None:
         ({"topics": {"wrench": {"topic": "/x", "unit": "Pa"}}}, "unit"),
         ({"topics": {"wrench": {"topic": "/x", "scale": 2}}}, "'scale'"),
         ({"topics": {"moisture": {"topic": "/x", "stamp": "now"}}}, "stamp"),
+        ({"topics": {"trial": {"topic": "/x", "stamp": "log_time"}}}, "needs its own stamps"),
         ({"topics": [1]}, "'topics'"),
     ],
 )

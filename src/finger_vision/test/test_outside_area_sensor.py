@@ -114,7 +114,7 @@ def test_bags_are_measured_with_it(
         "        reader, area_per_pixel=float(sys.argv[2]), area_sensor='capacitive_array'\n"
         "    )\n"
         "    for item in reader.messages(['/finger/image_raw']):\n"
-        "        areas.add(item)\n"
+        "        areas.add(item, item.log_time_ns)\n"
         "print(*areas.arrays()['area'])\n",
         tmp_path / "bag",
         AREA_PER_PIXEL,

@@ -99,14 +99,18 @@ def read_subjects(paths: Sequence[str]) -> dict[str, dict[str, Any]]:
             raise InputError(f"{text}: no fit.json there; run finger-fit first")
         for name, part in _parts(load_json(path, "fit.json"), path):
             if name in found:
-                raise InputError(f"{path}: subject '{name}' is there twice; give each once")
+                raise InputError(
+                    f"{path}: subject '{name}' is there twice; give each once, and fit all bags of "
+                    "a subject together"
+                )
             found[name] = part
     return found
 
 
 def _parts(data: Any, path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
     """Subjects with their conditions; raises InputError for what is no fit.json."""
-    found: Any = {path.parent.name: data}
+    own = data.get("subject") if isinstance(data, dict) else None
+    found: Any = {str(own or path.absolute().parent.name): data}
     if isinstance(data, dict) and "subjects" in data:
         found = data["subjects"]
     for name, part in found.items() if isinstance(found, dict) else [("", None)]:

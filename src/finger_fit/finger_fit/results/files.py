@@ -184,6 +184,7 @@ def _found(result: FitResult) -> dict[str, Any]:
     if result.subjects:
         return {"subjects": {name: _found(part) for name, part in result.subjects.items()}}
     return {
+        "subject": _subject_of(result),
         "conditions": {name: condition_dict(fit) for name, fit in result.fits.items()},
         "force_modes": result.force_modes,
         "shared": result.shared,
@@ -260,12 +261,17 @@ def subject_sets(result: FitResult) -> dict[str, ParameterSets]:
     pooled, have no code, or lie in several files for want of moisture readings."""
     found = {}
     for part in result.subjects.values() or [result]:
-        codes = {trial.subject for fit in part.fits.values() for trial in fit.problem.trials}
         sets = parameter_files(part).get("parameters.yaml")
-        code = codes.pop()
-        if sets is not None and not codes and is_subject(code):
+        code = _subject_of(part)
+        if sets is not None and is_subject(code):
             found[code] = sets
     return found
+
+
+def _subject_of(result: FitResult) -> str:
+    """Code of the subject of all trials, empty where there are several."""
+    codes = {trial.subject for fit in result.fits.values() for trial in fit.problem.trials}
+    return codes.pop() if len(codes) == 1 else ""
 
 
 def _plain(value: Any) -> Any:

@@ -205,7 +205,7 @@ class FitResult:
     shared, thickness: the additional fits that were asked for; force_modes: per condition and mode
     of the force, J (mm⁴) and the headline quantity; deformed: for the report's example trial.
     subjects: of several subjects, the result of each; `fits` then holds all of them, named "SUBJECT
-    CONDITION". contrasts: between the conditions of a subject.
+    CONDITION". contrasts: between the conditions of a subject. stopped: between two fits.
     """
 
     options: FitOptions
@@ -222,6 +222,7 @@ class FitResult:
     output: Path | None = None
     subjects: dict[str, FitResult] = field(default_factory=dict)
     contrasts: list[Contrast] = field(default_factory=list)
+    stopped: bool = False
 
     @property
     def space(self) -> ParameterSpace:
@@ -230,8 +231,8 @@ class FitResult:
 
     @property
     def interrupted(self) -> bool:
-        """Whether any condition was interrupted."""
-        return any(fit.status == "interrupted" for fit in self.fits.values())
+        """Whether any condition was interrupted, or is missing because the fit was."""
+        return self.stopped or any(fit.status == "interrupted" for fit in self.fits.values())
 
     def example(self) -> tuple[ConditionFit, int]:
         """The condition in the middle, and the index of its trial of median cost."""

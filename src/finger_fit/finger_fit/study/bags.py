@@ -17,9 +17,15 @@ from finger_bag.mapping import TopicMapping
 from finger_bag.reader import open_bag
 from finger_common.errors import InputError
 from finger_common.files import sha256_of, sha256_of_file
+from finger_offline.trial_records import Exclusion as TrialExclusion
 from finger_offline.trial_records import TrialRecord, TrialSet
 from finger_offline.trial_split import TrialSettings
-from finger_offline.trials import streams_with_areas, trials_in, trials_of
+from finger_offline.trials import (
+    streams_with_areas,
+    trials_in,
+    trials_of,
+    without_superseded,
+)
 
 from ..options import FitOptions
 from ..problem import Exclusion
@@ -72,15 +78,13 @@ def load(
         mapping=TopicMapping.load(mapping) if mapping else TopicMapping(),
     )
     out = Loaded()
+    excluded: list[TrialExclusion] = []
     for number, bag in enumerate(bags):
         if progress is not None:
             progress(number, len(bags))
         found, force_source, made_by = _read(bag, settings)
         out.records += found.trials
-        out.exclusions += [
-            Exclusion(f"{Path(e.bag).name} trial {e.index}", e.condition, e.reason)
-            for e in found.exclusions
-        ]
+        excluded += found.exclusions
         out.problems += found.problems
         out.lost += found.lost
         out.sources.append(
@@ -95,6 +99,11 @@ def load(
         )
     if progress is not None:
         progress(len(bags), len(bags))
+    out.records, again = without_superseded(out.records)
+    out.exclusions = [
+        Exclusion(f"{Path(e.bag).name} trial {e.index}", e.condition, e.reason)
+        for e in [*excluded, *again]
+    ]
     return out
 
 

@@ -44,6 +44,9 @@ def group_trials(
             f"{len(usable)} trials carry no condition: grouped into {number} moisture clusters "
             f"({', '.join(names)})"
         )
+        if len(usable) < len(nameless):
+            left = ", ".join(t.label for t in nameless if not np.isfinite(t.moisture))
+            notes.append(f"left out, with neither condition nor moisture: {left}")
     groups: dict[str, list[FitTrial]] = {}
     for trial in named:
         groups.setdefault(trial.condition, []).append(trial)

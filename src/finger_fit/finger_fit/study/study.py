@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from finger_common.errors import InputError, ModelError
+from finger_common.errors import FingerError, InputError, ModelError
 from finger_model.fem.area_model import FullOrderAreas
 from finger_model.reduced import ReducedModel
 from finger_offline.trial_split import CONDITION
@@ -35,6 +35,9 @@ from .further import force_modes, shared_fit, thickness_fit
 from .grouping import group_trials
 from .progress import Progress, Report
 from .provenance import provenance
+
+INTERRUPTIONS = (KeyboardInterrupt, Stopped)
+"""What ends a fit; what was fitted before is kept."""
 
 SMALLEST_CONDITION = 3
 """Trials below which a condition is not fitted: too few to separate parameters from scatter."""
@@ -86,8 +89,10 @@ def fit_records(
             else _one_by_one(jobs, model, options, conditions, engine, folder, report)
         )
         parts: dict[str, FitResult] = {}
+        tried = 0
         for name, found in outcomes:
-            if isinstance(found, InputError):
+            tried += 1
+            if isinstance(found, FingerError):
                 notes.append(f"subject {name}: {found}")
                 continue
             parts[name] = found
@@ -101,6 +106,7 @@ def fit_records(
         notes,
         subjects=parts,
         contrasts=[found for part in parts.values() for found in part.contrasts],
+        stopped=tried < len(jobs) or any(part.stopped for part in parts.values()),
     )
 
 
@@ -127,7 +133,7 @@ def _check_codes(subjects: Iterable[str]) -> list[str]:
 _Job = tuple[Sequence[FitTrial], Mapping[str, Any]]
 """Trials of one subject, and their records by label."""
 
-_Outcome = FitResult | InputError
+_Outcome = FitResult | FingerError
 """Result of one subject, or why it cannot be fitted."""
 
 
@@ -141,15 +147,21 @@ def _one_by_one(
     report: Report | None,
 ) -> Iterator[tuple[str, _Outcome]]:
     """Each subject's fit on this machine, up to one that was interrupted."""
+    fitted = False
     for name, (trials, of_trial) in jobs.items():
         within = None if folder is None else folder / name
         try:
             part = _fit_subject(
                 trials, of_trial, model, options, conditions, engine, within, _told(report, name)
             )
-        except InputError as error:
+        except FingerError as error:
             yield name, error
             continue
+        except INTERRUPTIONS:
+            if not fitted:
+                raise
+            return
+        fitted = True
         yield name, part
         if part.interrupted:
             return
@@ -177,7 +189,7 @@ def _fit_alone(shared: tuple[Any, FitOptions, Sequence[str]], job: _Job) -> _Out
         return _fit_subject(
             trials, of_trial, model, options, conditions, LocalEngine(1), None, None
         )
-    except InputError as error:
+    except FingerError as error:
         return error
 
 
@@ -201,6 +213,7 @@ def _fit_subject(
     """Fit the conditions of one subject; raises InputError when none can be fitted."""
     groups, notes = group_trials(trials, options, conditions)
     fits: dict[str, ConditionFit] = {}
+    stopped = False
     for name, group in groups.items():
         if len(group) < SMALLEST_CONDITION:
             notes.append(
@@ -210,28 +223,40 @@ def _fit_subject(
             continue
         problem = FitProblem(group, model, options)
         try:
-            fit = fits[name] = fit_condition(problem, options, name, engine, folder, report)
+            fit = fit_condition(problem, options, name, engine, folder, report)
+            if fit.status != "interrupted":
+                fit.quality = quality_of(fit, [of_trial[t.label] for t in problem.trials])
+                judge(fit)
+        except INTERRUPTIONS:
+            if not fits:
+                raise
+            stopped = True
+            break
         except ModelError as error:
             if not options.bounds:
                 raise
             raise InputError(
                 f"condition '{name}', bounds {', '.join(options.bounds)}: {error}; narrow them"
             ) from None
+        fits[name] = fit
         if fit.status == "interrupted":
             break
-        fit.quality = quality_of(fit, [of_trial[t.label] for t in problem.trials])
-        judge(fit)
     if not fits:
         raise InputError(f"no condition can be fitted ({'; '.join(notes)})")
-    result = FitResult(options, fits, [], notes)
+    result = FitResult(options, fits, [], notes, stopped=stopped)
     if len(fits) > 1 and not any(np.isfinite(fit.moisture[0]) for fit in fits.values()):
         result.problems.append(
             "no condition has moisture readings: the model node cannot choose between them, so "
             "each gets a parameter file of its own"
         )
     if not result.interrupted:
-        _further(result, [of_trial[t.label] for t in trials], engine)
-        result.contrasts = contrasts(fits, trials[0].subject)
+        try:
+            _further(result, [of_trial[t.label] for t in trials], engine)
+            result.contrasts = contrasts(fits, trials[0].subject)
+        except INTERRUPTIONS:
+            result.stopped = True
+    if result.stopped:
+        result.problems.append("interrupted: what the report does not show was not computed")
     return result
 
 

@@ -214,7 +214,15 @@ class Table:
         return stamp
 
     def rows(self, chosen: np.ndarray) -> Table:
-        """The table with some rows alone, by their indices (k,)."""
+        """The table with some rows alone, by their indices (k,); raises InputError for a column
+        that is too short."""
+        last = int(chosen.max())
+        for name, cells in self.columns.items():
+            if last >= len(cells):
+                raise InputError(
+                    f"{self.where}: column '{name}' has {len(cells)} rows, and row {last + 1} is "
+                    "needed; give columns of other lengths in a file of their own"
+                )
         columns = {
             name: cells[chosen] if isinstance(cells, np.ndarray) else [cells[i] for i in chosen]
             for name, cells in self.columns.items()

@@ -141,7 +141,6 @@ def import_trial(
 
 def _force(settings: ImportSettings, table: Table, notes: list[str]) -> tuple[Times, np.ndarray]:
     """Times, and forces (n, 3) in N in the bag's axes: negative in z under a press."""
-    heading, times = _times(table, settings, "force_time", "force_rate")
     headings = [
         table.heading(name.strip(), "--force-column") for name in settings.force_column.split(",")
     ]
@@ -150,6 +149,7 @@ def _force(settings: ImportSettings, table: Table, notes: list[str]) -> tuple[Ti
             f"--force-column {settings.force_column}: name the normal force, or x, y and z as "
             "Fx,Fy,Fz"
         )
+    heading, times = _times(table, settings, "force_time", "force_rate", headings[0])
     unit = settings.force_unit or _unit(table, headings[-1], FORCE_UNITS, "--force-unit N")
     columns = [table.numbers(h, gaps=True) * FORCE_UNITS[unit] for h in headings]
     _check_length(table, heading, headings[0], len(times.ns), len(columns[0]))
@@ -159,6 +159,11 @@ def _force(settings: ImportSettings, table: Table, notes: list[str]) -> tuple[Ti
     if unknown:
         notes.append(f"{table.where}: {unknown} rows without a force, left out")
     keep &= known
+    if not keep.any():
+        raise InputError(
+            f"{table.where}: no row has both a time in '{heading}' and a force in "
+            f"'{', '.join(headings)}'; name the columns that belong together"
+        )
     times = times.at(keep)
     force = np.zeros((len(times.ns), 3))
     if len(columns) == 1:
@@ -197,16 +202,17 @@ def _check_length(table: Table, a: str, b: str, first: int, second: int) -> None
         )
 
 
-def _times(table: Table, settings: ImportSettings, column: str, rate: str) -> tuple[str, Times]:
-    """Heading and times (n,) of the column that a setting names, or of rows at an even rate (Hz)
-    where the setting `rate` gives one."""
+def _times(
+    table: Table, settings: ImportSettings, column: str, rate: str, of: str
+) -> tuple[str, Times]:
+    """Heading and times (n,) of the column that a setting names, or of the rows of column `of` at
+    an even rate (Hz) where the setting `rate` gives one."""
     hertz = getattr(settings, rate)
     if not hertz:
         heading = table.heading(getattr(settings, column), f"--{column.replace('_', '-')}")
         return heading, table.times(heading, settings.time_unit)
-    heading = next(iter(table.columns))
-    rows = np.arange(len(table.columns[heading]))
-    return heading, Times.of(np.round(rows * (NANOSECONDS / hertz)).astype(np.int64), False)
+    rows = np.arange(len(table.columns[of]))
+    return of, Times.of(np.round(rows * (NANOSECONDS / hertz)).astype(np.int64), False)
 
 
 def _in_order(
@@ -362,12 +368,12 @@ def _column(
     gaps, and whether its times count from 1970."""
     table = tables.get(getattr(settings, what)) or read_table(getattr(settings, what))
     result.problems += table.problems
+    column = table.heading(getattr(settings, f"{what}_column"), f"--{what}-column")
     if what == "area":
-        heading, times = _times(table, settings, "area_time", "frame_rate")
+        heading, times = _times(table, settings, "area_time", "frame_rate", column)
     else:
         heading = table.heading(getattr(settings, f"{what}_time"), f"--{what}-time")
         times = table.times(heading, settings.time_unit)
-    column = table.heading(getattr(settings, f"{what}_column"), f"--{what}-column")
     unit = getattr(settings, f"{what}_unit")
     unit = unit or _unit(table, column, units, f"--{what}-unit {example}")
     if what == "area" and (unit == PIXELS) != bool(settings.area_per_pixel):
