@@ -82,7 +82,7 @@ class SlipGrip:
         self.force += change
         # In slip the tangential force follows the grip, in a hold it does not: asking tells which.
         ask = self.dither * math.sin(2.0 * math.pi * self.dither_rate * stamp) if guess else 0.0
-        return self.force * (1.0 + ask)
+        return min(max(self.force * (1.0 + ask), self.smallest), self.largest)
 
 
 @dataclass(frozen=True)

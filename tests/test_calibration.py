@@ -143,6 +143,19 @@ def test_without_calipers_that_serve_the_finger_in_use_is_taken(
     assert model is ReducedModel.load() and said in lengths.note and not lengths.deviations
 
 
+def test_parameters_of_a_fit_keep_their_finger_whatever_calipers_say(
+    fingers: list[Finger],
+) -> None:
+    """`parameters.yaml` of a fit names the geometry that it was made with."""
+    default = ParameterSets.default()
+    fitted = ParameterSets(default.sets, Geometry().hash(), law=default.law, prior=default.prior)
+    calipers = estimate_geometry(0.014, 0.010)
+    model, lengths = subject_model(ReducedModel.load(), calipers, fitted)
+    presses = fingers[0].presses[: len(CALIBRATION_PRESSES)]
+    found = calibrate(model, fitted, presses, lengths=lengths)
+    assert "not used, the parameters in use are of one finger's lengths" in found.sentence()
+
+
 @pytest.fixture(scope="module")
 def fingers() -> list[Finger]:
     return [pressed(index) for index in range(5)]

@@ -69,31 +69,34 @@ class MoistureNode(DeviceNode):
         self.destroy_publisher(self._publisher)
 
     def on_sample(self, sample: Reading) -> None:
-        """Publish one reading; called by the device thread, by the executor for entered ones."""
-        reading, health = sample, self.device.health
+        self._publish(sample)
+
+    def _publish(self, reading: Reading) -> str:
+        """Publish one reading, or tell why not; called by the device thread, by the executor for
+        entered ones."""
+        health = self.device.health
         with self._publish_lock:
             stamp = self._later(reading.stamp_ns)
             if not self.accept_stamp(stamp):
-                self.device.note(
-                    "backwards",
+                text = (
                     f"reading {reading.value:g} a.u. is older than the one before it and is left "
-                    "out; check the clock that stamps it",
+                    "out; check the clock that stamps it"
                 )
-                return
+                self.device.note("backwards", text)
+                return text
             self.device.cleared("backwards")
             if reading.flags & FLAG_OUT_OF_RANGE:
-                self.device.note(
-                    "out_of_range",
-                    f"reading {reading.value:g} a.u. is outside {_RANGE}; measure again",
-                )
+                text = f"reading {reading.value:g} a.u. is outside {_RANGE}; measure again"
+                self.device.note("out_of_range", text)
                 if self.values["out_of_range"] == "drop":
-                    return
+                    return text
             else:
                 self.device.cleared("out_of_range")
             health.sample()
             reading = replace(reading, stamp_ns=stamp, index=self._index)
             self._index += 1
             self._publisher.publish(fill_moisture(Moisture(), reading, self.frame))
+        return ""
 
     def _later(self, stamp_ns: int) -> int:
         """The stamp, or the first one after the last reading's where it lies less than 1 s behind.
@@ -114,8 +117,9 @@ class MoistureNode(DeviceNode):
         elif request.phase > PHASE_AFTER:
             response.message = f"not accepted: phase {request.phase} does not exist; use 0, 1 or 2"
         else:
-            self.on_sample(self._manual.enter(request.value, request.phase))
-            response.success, response.message = True, f"reading {request.value:g} a.u. published"
+            refused = self._publish(self._manual.enter(request.value, request.phase))
+            response.success = not refused
+            response.message = refused or f"reading {request.value:g} a.u. published"
         return response
 
     def _on_entered(self, message: Float64) -> None:

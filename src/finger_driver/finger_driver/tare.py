@@ -60,7 +60,8 @@ class TareCollector:
             return TareResult(
                 None,
                 nothing,
-                f"not tared: only {len(self._channels)} samples came; check the sensor",
+                f"not tared: {len(self._channels)} samples came in {self._duration:g} s, "
+                f"{2 * self.PARTS} are needed; check the sensor, or make 'tare_duration' longer",
             )
         channels = np.array(self._channels)
         parts = np.array([p.mean(axis=0) for p in np.array_split(channels, self.PARTS)])

@@ -372,6 +372,22 @@ def test_rows_of_a_rewritten_table_are_new_only_when_they_were_not_there() -> No
     assert new_rows(rows(1, 2), rows(1)) == []
 
 
+def test_rows_of_an_export_that_could_not_be_read_at_first_are_not_new(tmp_path: Path) -> None:
+    """A program has the file open, or is just writing it."""
+    path = tmp_path / "e.csv"
+    options = {"device": "export", "path": str(path), "export_period": 0.05}
+    path.write_bytes(b"\xff\xfe\x00broken")
+    source = moisture.open_source(options)
+    source.connect()
+    table = ExportFileSimulator(ExportOptions(path=str(path)))
+    table.send(50.0)
+    table.send(51.0)
+    assert source.read(1.0) is None
+    table.send(42.5)
+    reading = source.read(5.0)
+    assert reading is not None and reading.value == 42.5
+
+
 @pytest.mark.parametrize("name", ["e.csv", "e.xlsx"])
 def test_export_readings_carry_their_own_time(tmp_path: Path, name: str) -> None:
     table = ExportFileSimulator(ExportOptions(path=str(tmp_path / name)))

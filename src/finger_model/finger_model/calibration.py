@@ -176,14 +176,19 @@ class Lengths:
 
 
 def subject_model(
-    model: ReducedModel, calipers: GeometryEstimate | None
+    model: ReducedModel, calipers: GeometryEstimate | None, sets: ParameterSets | None = None
 ) -> tuple[ReducedModel, Lengths]:
     """The model of a finger that calipers measured, and what they leave unknown of it.
 
-    Without calipers, and for a finger outside the population box, the model is `model`.
+    sets: the parameters in use, None for the shipped ones. Without calipers, for a finger outside
+    the population box, and with parameters that were fitted for lengths of their own, the model is
+    `model`.
     """
     if calipers is None:
         return model, Lengths()
+    if sets is not None and sets.geometry_hash not in ("", calipers.geometry.hash()):
+        fitted = f"{calipers.measured}: not used, the parameters in use are of one finger's lengths"
+        return model, Lengths(note=fitted)
     try:
         own = ReducedModel.load(geometry=calipers.geometry)
     except InputError:
@@ -232,6 +237,8 @@ def calibrate(
             areas = problem.follow(x)
             if problem.cost(x, areas, weights) <= present:
                 break
+        else:
+            x, areas = before, problem.follow(before)
         factors, left = _factors(areas, own @ x)
         spread = math.sqrt(np.sum(np.square(factors)) / max(len(good) - 2, 1))
         if np.abs(x - before).max() < _CONVERGED:

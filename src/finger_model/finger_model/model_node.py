@@ -678,7 +678,8 @@ class ModelNode(ManagedNode):
         began = time.monotonic()
         status = DiagnosticStatus(level=bytes([OK]), name=subject, hardware_id=session)
         try:
-            model, lengths = subject_model(self._model_of(sets), self._calipers_of(session))
+            calipers = self._calipers_of(session)
+            model, lengths = subject_model(self._model_of(sets), calipers, sets)
             found = calibrate(model, sets, presses, moisture, lengths=lengths)
             taken = time.monotonic() - began
             with self._lock:

@@ -38,7 +38,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from finger_common.errors import InputError
+from finger_common.errors import InputError, known_names
 from finger_common.files import atomic_write, number, parse_yaml, read_text, sha256_of
 from finger_common.moisture import MOISTURE_TEXT, is_moisture
 
@@ -163,6 +163,7 @@ class ParameterSets:
             raise InputError(
                 f"{where}: key 'sets' with a list of parameter sets is missing; add it"
             )
+        _check_keys(data, _FILE_KEYS, where)
         return cls(
             [
                 _parse_set(entry, law.PARAMETERS, f"{where}, set {i + 1}")
@@ -231,17 +232,31 @@ class ParameterSets:
         return InterpolatedParameters(parameters, covariance, out_of_range, name)
 
 
+_SET_KEYS = ("condition", "moisture", "moisture_sd", "covariance_log")
+_FILE_KEYS = ("law", "geometry_hash", "geometry", "reduced_model_hash", "prior", "sets")
+
+
+def _check_keys(data: dict[str, Any], known: Sequence[str], where: str) -> None:
+    for key in data:
+        if key not in known:
+            raise InputError(f"{where}: unknown key '{key}'; {known_names(str(key), known)}")
+
+
 def _parse_set(entry: Any, space: ParameterSpace, where: str) -> ParameterSet:
     if not isinstance(entry, dict):
         raise InputError(f"{where}: expected 'key: value' lines, found {entry!r}")
+    _check_keys(entry, (*_SET_KEYS, *space.names), where)
     parameters = space.checked([number(entry, name, where) for name in space.names], where)
     moisture = number(entry, "moisture", where)
+    deviation = number(entry, "moisture_sd", where) if "moisture_sd" in entry else 0.0
+    if deviation < 0.0:
+        raise InputError(f"{where}: 'moisture_sd' is {deviation:g}, zero or more is needed")
     if not is_moisture(moisture):
         raise InputError(f"{where}: 'moisture' is {moisture}, outside {MOISTURE_TEXT}; correct it")
     return ParameterSet(
         str(entry.get("condition") or ""),
         moisture,
-        number(entry, "moisture_sd", where) if "moisture_sd" in entry else 0.0,
+        deviation,
         tuple(parameters.tolist()),
         _parse_covariance(entry.get("covariance_log"), len(space), where),
     )
@@ -267,6 +282,11 @@ def _parse_covariance(rows: Any, n: int, where: str) -> tuple[tuple[float, ...],
         raise InputError(
             f"{where}: 'covariance_log' is not a {n} × {n} matrix of numbers; correct it"
         )
-    if np.any(np.diag(covariance) < 0):
-        raise InputError(f"{where}: 'covariance_log' has a negative variance; correct it")
+    scale = float(np.abs(covariance).max())
+    symmetric = np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-9 * scale)
+    if not symmetric or np.linalg.eigvalsh(covariance)[0] < -1e-6 * scale:
+        raise InputError(
+            f"{where}: 'covariance_log' is no covariance (symmetric, no negative variance in any "
+            "direction); correct it"
+        )
     return tuple(map(tuple, covariance.tolist()))

@@ -9,8 +9,10 @@ import pytest
 from finger_common.cli import run
 from finger_model.cli import _main
 from finger_model.fem.full_order import FullOrderModel
-from finger_model.laws import StandardLinearSolid, load_material
+from finger_model.finger import load_areas
+from finger_model.laws import GeneralizedMaxwell2, StandardLinearSolid, load_material
 from finger_model.laws.generalized_maxwell import from_branches
+from finger_model.reduced import ReducedModel
 from finger_model.verification.cases import ramp
 
 BRANCH = "E0: 8e4\nbranches:\n  - {fraction: %s, tau: %s}\n"
@@ -165,3 +167,18 @@ def test_moduli_of_a_law_of_branches(tmp_path):
     assert law.PARAMETERS.quantity("long_term_E", law.vector()) == pytest.approx(2e4)
     assert law.creep_time == pytest.approx(0.01 * 3)
     assert type(law).from_dict(law.to_dict()) == law
+
+
+def test_a_fit_of_the_default_finger_may_vary_a_general_law() -> None:
+    """Its stiffening is varied too, which the shipped model of that finger does not know."""
+    model = load_areas(law="generalized_maxwell_2")
+    assert isinstance(model, ReducedModel) and model.serves_population
+    space = model.space
+    vector = space.from_log(space.to_log(model.material.vector()))
+    assert vector[space.index("stiffening")] == 0.0
+    time = np.linspace(0.0, 1.0, 21)
+    for stiffening in (0.0, 2.0):
+        vector[space.index("stiffening")] = stiffening
+        assert model.simulate(vector, time, 1.35 * time).area[-1] > 2e-5
+    # Without stiffening the default finger keeps the model that is more exact there.
+    assert not ReducedModel.load().for_material(GeneralizedMaxwell2()).serves_population

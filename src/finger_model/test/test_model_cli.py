@@ -91,6 +91,10 @@ def test_bad_force_files_end_with_one_sentence(tmp_path, capsys, text, words):
 
 
 def test_contradictory_options_are_refused(tmp_path, force_file, capsys):
+    arguments = ["simulate", "--force", str(force_file), "--reduced-model", "none.npz"]
+    for other in (["--solver", "full"], ["--refinement", "2"], ["--plot", "a.png"]):
+        assert run(_main, [*arguments, *other]) == 2
+        assert "--reduced-model does not go with" in capsys.readouterr().err
     arguments = ["simulate", "--force", str(force_file), "--solver", "reduced"]
     assert run(_main, [*arguments, "--plot", str(tmp_path / "x.png")]) == 2
     assert "--solver full" in capsys.readouterr().err

@@ -100,6 +100,15 @@ def test_a_saved_file_reads_back_bit_for_bit(tmp_path: Path) -> None:
         ("moisture: 105.33,", "moisture: 131,", "130"),
         ("sets:", "groups:", "'sets'"),
         ("E2: 700.0e+3}", "E2: 700.0e+3, covariance_log: [1, 2]}", "covariance_log"),
+        (
+            "E2: 700.0e+3}",
+            "E2: 700.0e+3, covariance_log: [[1, 2, 0, 0], [2, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, "
+            "1]]}",
+            "no covariance",
+        ),
+        ("E2: 700.0e+3}", "E2: 700.0e+3, friction: 0.9}", "unknown key 'friction'"),
+        ("E2: 700.0e+3}", "E2: 700.0e+3, moisture_sd: -3}", "'moisture_sd' is -3"),
+        ("sets:", "set_of: x\nsets:", "unknown key 'set_of'"),
     ],
 )
 def test_a_bad_file_is_refused_with_the_place(

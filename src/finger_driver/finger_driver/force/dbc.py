@@ -112,7 +112,7 @@ class DbcSource(ForceSource):
         now = time.monotonic()
         if sample is not None:
             self._last_sample = now
-        elif now - self._last_sample > _SILENCE:
+        elif now - self._last_sample > max(_SILENCE, 3.0 / self.settings.rate):
             raise DeviceError(
                 f"{self._where()}: no sample for {now - self._last_sample:.2f} s; check power and "
                 "cable"

@@ -239,7 +239,7 @@ class NetFtSource(ForceSource):
             self._receive(min(max(end - time.monotonic(), 0.0), 0.05))
             now = time.monotonic()
             silent = now - self._last_record
-            if not self._records and silent > _SILENCE:
+            if not self._records and silent > max(_SILENCE, 3.0 / self.settings.rate):
                 raise DeviceError(
                     f"{self._where()}: no record for {silent:.2f} s; check power, cable and that "
                     "no other client took the stream"
@@ -310,7 +310,7 @@ class NetFtSource(ForceSource):
                 )
             if (lost := gap - 1 + _step(held[0], record) - 1) > 0:
                 self.health.count("lost", lost)
-            self._pending.clear()
+            self._begin_block()
             self._last = record
             return [held, (record, received)]
         if held is not None:
@@ -344,7 +344,7 @@ class NetFtSource(ForceSource):
         self._stamp = stamp = max(stamp, self._stamp + 1)
         if self.clock.now() - received > _OLD * 1e9:
             self.health.count("skipped")
-            self._pending.clear()
+            self._begin_block()
             return None
         quality = self._quality(record.status)
         self._pending_quality = max(self._pending_quality, quality)
@@ -358,8 +358,12 @@ class NetFtSource(ForceSource):
             (first + final) // 2, wrench, self._pending_status, self._pending_quality
         )
         self.health.notes.update(self._mapper.notes())
-        self._pending, self._pending_quality, self._pending_status = [], GOOD, 0
+        self._begin_block()
         return sample
+
+    def _begin_block(self) -> None:
+        """The next records are averaged anew."""
+        self._pending, self._pending_quality, self._pending_status = [], GOOD, 0
 
     def _quality(self, status: int) -> int:
         if not status:

@@ -84,7 +84,9 @@ class ForceSource(Device[WrenchSample]):
     settings: ForceSettings
 
     def __init__(self, settings: ForceSettings) -> None:
-        health = Health("force", expected_rate=settings.rate, stale_after=0.5)
+        health = Health(
+            "force", expected_rate=settings.rate, stale_after=max(0.5, 5.0 / settings.rate)
+        )
         super().__init__(settings, health)
 
     def check_scale(self, where: str, step: np.ndarray, end: np.ndarray) -> None:

@@ -23,6 +23,9 @@ from finger_common.settings import setting
 from ..protocols.export_table import MAX_BYTES, Row, TableFormat, new_rows, parse_table
 from .source import PHASE_UNKNOWN, PHASES, MoistureSettings, MoistureSource, Reading
 
+_SETTLING = 2.0
+"""s at most that a file is waited for which somebody writes when it is first looked at."""
+
 
 @dataclass(frozen=True)
 class ExportSettings(TableFormat, MoistureSettings):
@@ -68,10 +71,21 @@ class ExportSource(MoistureSource):
         self.health.hardware_id = str(self._path)
         if self._rows is None:
             # Only at the first connection: what is added during a disturbance is new.
-            self._rows = ()
-            self._seen = self._state()
-            self._check(self._seen)
-            self._ready.clear()
+            self._seen = self._settled()
+            if self._seen is None:
+                self._rows = ()
+            else:
+                self._check(self._seen)
+
+    def _settled(self) -> tuple[int, int, int] | None:
+        """The state of the file once nobody writes it, or after a while."""
+        state, end = self._state(), time.monotonic() + _SETTLING
+        while time.monotonic() < end:
+            time.sleep(0.2)
+            before, state = state, self._state()
+            if state == before:
+                break
+        return state
 
     def flush(self) -> None:
         self._ready.clear()
@@ -128,7 +142,11 @@ class ExportSource(MoistureSource):
         self.note_if(
             malformed > 0, "malformed", f"{self._path.name}: {malformed} rows cannot be read"
         )
-        old = self._rows or ()
+        if self._rows is None:
+            # Its rows were there before anybody listened, however long it could not be read.
+            self._rows = rows
+            return
+        old = self._rows
         if rows[: len(old)] != old:
             self.health.count("rewritten")
         self._rows = rows

@@ -124,6 +124,18 @@ def run(arguments: argparse.Namespace) -> int:
             f"{arguments.force}: 'tangential_force_n' needs friction, and the material has none; "
             "set 'friction' in the material file"
         )
+    full_only = (
+        arguments.solver == "full"
+        or arguments.refinement != 1.0
+        or arguments.elasticity != NEO_HOOKE
+        or arguments.plot
+        or arguments.vtu
+    )
+    if arguments.reduced_model and full_only:
+        raise InputError(
+            "--reduced-model does not go with --solver full, --refinement, --elasticity, --plot or "
+            "--vtu, which are of the full-order model: leave one of them out"
+        )
     reduced = arguments.solver == "reduced" or bool(arguments.reduced_model)
     upright = arguments.pad_aspect is None and arguments.tilt_deg is None
     if not (upright and (pull is None or reduced)):

@@ -46,6 +46,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Print the distribution; exit code 1 when it misses the limits of `reduced.error`."""
+    if arguments.workers < 1:
+        raise InputError(f"--workers is {arguments.workers}, 1 or more are needed")
     from .. import figures
     from ..laws import law_of
     from ..reduced.error import error_table, pair_error

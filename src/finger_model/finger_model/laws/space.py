@@ -218,7 +218,9 @@ class ParameterSpace:
 
     def from_log(self, coordinates: np.ndarray) -> np.ndarray:
         """Vectors (…, n) of coordinates (…, n)."""
-        return np.exp(coordinates) - self._offset
+        found = np.exp(coordinates) - self._offset
+        # Zero stays zero: what is below the rounding of the offset is nothing.
+        return np.where(np.abs(found) < 1e-12 * self._offset, 0.0, found)
 
     def quantity(self, name: str, vectors: np.ndarray) -> np.ndarray:
         """Values (…) of a parameter or derived quantity for vectors (…, n)."""

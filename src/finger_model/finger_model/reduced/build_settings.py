@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from finger_common.errors import InputError
 from finger_common.settings import Settings, setting
 
 from .. import paper
@@ -42,3 +43,10 @@ class BuildSettings(Settings):
     seed: int = setting(1, "Seed of the random histories.", minimum=0, maximum=2**31 - 1)
     refinement: float = setting(1.0, "Divides the node spacing.", minimum=0.25, maximum=8.0)
     friction: float = setting(paper.FRICTION, "Friction coefficient.", minimum=0.0, maximum=1.0)
+
+    def validate(self) -> None:
+        if self.drive_width % 4:
+            raise InputError(
+                f"drive_width is {self.drive_width}, a multiple of 4 is needed (its kernel takes "
+                "four units at a time)"
+            )
