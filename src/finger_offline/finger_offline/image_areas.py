@@ -27,6 +27,9 @@ from finger_vision.calibration import PlateCalibration
 from finger_vision.messages import contact_area_fields, image_of
 from finger_vision.ridge_motion import RidgeMotion, with_motion
 
+DARKEST = 4096
+"""Value of a 16-bit pixel that some pixel of a recording reaches where the camera fills 16 bits."""
+
 IMAGES_AHEAD = 6
 """Images that may wait to be measured."""
 
@@ -88,6 +91,7 @@ class ImageAreas:
         self._motion = motion
         self._pixels = pixels
         self.left_out = 0
+        self._brightest = 0
         self._rows: list[tuple[int, int, float, float, float, int]] = []
 
     @classmethod
@@ -116,6 +120,8 @@ class ImageAreas:
         image = grey_image(message)
         if self._pixels is not None:
             self._pixels.take(image.size)
+        if image.dtype == np.uint16:
+            self._brightest = max(self._brightest, int(image.max()))
         return with_motion(self._sensor.process(image), image, self._motion)
 
     def add(self, item: BagMessage, stamp: int) -> None:
@@ -131,6 +137,16 @@ class ImageAreas:
                 int(found.flags),
             )
         )
+
+    def problems(self) -> list[str]:
+        """Sentences on what the images as a whole lack."""
+        if not 0 < self._brightest < DARKEST:
+            return []
+        return [
+            f"the images have 16 bits, but no pixel is brighter than {self._brightest}: a camera "
+            "of 10 or 12 bits that fills the lower ones? Scale them to full scale; as they are, "
+            "contacts are hardly seen"
+        ]
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Columns for SessionStreams."""

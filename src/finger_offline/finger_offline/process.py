@@ -240,6 +240,8 @@ class _Run:
         if self.output is not None:
             problems += self.output.left_out.values()
         problems += self.reader.all_problems()
+        if self.images is not None:
+            problems += self.images.areas.problems()
         late = counters.get("late_areas", 0)
         if late and not replayed:
             problems.append(

@@ -85,6 +85,7 @@ def streams_with_areas(reader: BagReader, settings: TrialSettings) -> SessionStr
         for name, values in measure.arrays().items():
             setattr(streams, name, values)
         streams.area_source = "images"
+        streams.problems += measure.problems()
     return streams
 
 

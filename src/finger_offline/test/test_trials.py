@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from session_bags import AREA_PER_FORCE, START, press_force, wrench, write_session
+from session_bags import AREA_PER_FORCE, START, image, press_force, wrench, write_session
 
 from finger_bag.cdr_layout import stamps_and_wrenches
 from finger_bag.definitions import encode
@@ -128,6 +128,19 @@ def test_images_of_another_clock_are_stamped_when_they_were_recorded(tmp_path: P
     assert np.array_equal(logged.image_stamp_ns, own.image_log_ns)
     assert np.array_equal(logged.image_stamp_ns, own.image_stamp_ns + 20_000_000)
     assert np.array_equal(measured.area_stamp_ns, logged.image_stamp_ns)
+
+
+def test_a_camera_that_fills_the_lower_bits_is_named(tmp_path: Path) -> None:
+    pixels = np.full((96, 96), 900, "<u2")
+    with BagWriter(tmp_path / "bag", {"condition": "dry"}) as bag:
+        for t in np.arange(0, 3.5, 0.002):
+            stamp = START + round(t * 1e9)
+            bag.write("wrench", wrench(stamp, float(press_force(np.array(t)))))
+            if round(t * 500) % 50 == 0:
+                fields = {**image(stamp, 0.0), "encoding": "mono16", "step": 192}
+                bag.write("image_raw", {**fields, "data": pixels.view(np.uint8).ravel()})
+    found = load_trials(tmp_path / "bag", TrialSettings(area_per_pixel=1e-8))
+    assert any("no pixel is brighter than 900" in text for text in found.problems)
 
 
 def test_raw_and_compressed_images_are_the_same_ones(tmp_path: Path) -> None:
