@@ -22,6 +22,7 @@ from finger_common.contact_threshold import ONSET_FORCE
 from finger_common.errors import InputError
 from finger_common.flags import AreaFlag
 from finger_common.plugins import Plugins
+from finger_common.stamps import seconds
 
 from .read_settings import ReadSettings
 from .reader import BagReader, open_bag
@@ -46,8 +47,11 @@ LONGEST_GAP = 0.05
 MAXIMUM_DELAY, MAXIMUM_LEAD = 1.0, 0.05
 """s of the log time behind the stamp, and before it: clocks that disagree (medians)."""
 
-SATURATED_SAMPLES = 25
-"""Equal extreme values in a row that count as a saturated sensor."""
+SATURATED_SAMPLES, SATURATED_TIME = 25, 0.1
+"""Equal extreme values in a row, and s of them, that count as a saturated sensor."""
+
+COARSE = 0.01
+"""N, rounding of a force from which equal values in a row are usual: it is noted only."""
 
 
 @dataclass(frozen=True)
@@ -237,19 +241,24 @@ def _check_gaps(streams: SessionStreams, settings: ReadSettings, result: Validat
 
 
 def _check_saturation(streams: SessionStreams, result: Validation) -> None:
-    axes = []
+    axes, coarse = [], True
+    steps = np.diff(streams.wrench_stamp_ns)
+    rate = 1.0 / seconds(float(np.median(steps))) if (steps > 0).any() else 0.0
     for column, name in enumerate("xyz"):
         values = streams.force[:, column]
         values = values[np.isfinite(values)]
         if not len(values):
             continue
+        levels = np.unique(values)
+        rounding = np.diff(levels).min() if len(levels) > 1 else 0.0
         for extreme in (values.max(), values.min()):
             if abs(extreme) < 1.0:
                 continue
             at = np.concatenate([[0], (values == extreme).astype(np.int8), [0]])
             edges = np.flatnonzero(np.diff(at))
             longest = int((edges[1::2] - edges[::2]).max()) if len(edges) else 0
-            if longest >= SATURATED_SAMPLES:
+            if longest >= max(SATURATED_SAMPLES, SATURATED_TIME * rate):
+                coarse = coarse and bool(rounding >= COARSE)
                 axes.append(f"{name} stays at {extreme:.2f} N for {longest} samples")
     invalid = int((~np.isfinite(streams.force).all(axis=1)).sum())
     flags = streams.area_flags
@@ -262,7 +271,7 @@ def _check_saturation(streams: SessionStreams, result: Validation) -> None:
         parts.append(f"{clipped} of {len(flags)} contacts run over the border of the image")
     if bright:
         parts.append(f"{bright} of {len(flags)} images are saturated")
-    status = FAIL if axes or invalid else NOTE if parts else OK
+    status = FAIL if invalid or (axes and not coarse) else NOTE if parts else OK
     result.add("saturation", status, "; ".join(parts) or "none")
 
 

@@ -199,6 +199,7 @@ class CalibrateNode(ManagedNode):
             "finger_width": self._settings.finger_width,
             "finger_depth": self._settings.finger_depth,
             "finger": self._settings.finger,
+            "hand": "",
             "age": self._settings.age,
         }
         request = SetParameters.Request(

@@ -44,6 +44,7 @@ class EventLog:
         self._path = folder / EVENTS_FILE
         self._written = 0
         self.events: list[Event] = []
+        self._by_trial: dict[tuple[str, int], list[Event]] = {}
 
     @classmethod
     def load(cls, folder: Path) -> EventLog:
@@ -58,7 +59,7 @@ class EventLog:
                 ((_, stamp, kind, note, index, attempt),) = csv.reader([line])
                 event = Event(int(stamp), kind, note, int(index), int(attempt))
                 utc_time(event.stamp_ns)
-                log.events.append(event)
+                log.add(event)
             except (ValueError, OverflowError, OSError, csv.Error):
                 continue
         log._written = len(log.events)
@@ -69,6 +70,7 @@ class EventLog:
     def add(self, event: Event) -> None:
         """Remember an event; `save` writes it."""
         self.events.append(event)
+        self._by_trial.setdefault((event.kind, event.index), []).append(event)
 
     def save(self) -> None:
         """Append what is new to the file; raises OSError."""
@@ -92,7 +94,7 @@ class EventLog:
 
     def of(self, kind: str, index: int = -1, attempt: int | None = None) -> list[Event]:
         """Events of one kind of a trial, or of one attempt at it; −1 for the session as a whole."""
-        of_trial = [e for e in self.events if e.kind == kind and e.index == index]
+        of_trial = self._by_trial.get((kind, index), [])
         return [e for e in of_trial if attempt is None or e.attempt == attempt]
 
 

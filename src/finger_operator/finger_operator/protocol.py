@@ -28,7 +28,7 @@ from finger_common.flags import AreaFlag
 from finger_common.guided_presses import FITTING
 from finger_common.guided_pulls import is_pull
 from finger_common.moisture import MOISTURE_RANGE, is_moisture
-from finger_common.stamps import seconds
+from finger_common.stamps import NANOSECONDS, seconds
 from finger_common.trial_phases import TrialPhase
 
 from .attempt import Attempt, TrialState
@@ -138,6 +138,7 @@ class Protocol:
         self._step_began = 0
         self.recording = "off"
         self._record_requested = 0
+        self._asked = ""
         self._force: tuple[int, float] | None = None
         self._area: tuple[int, float, int] | None = None
         self._errors: dict[str, tuple[int, str]] = {}
@@ -297,13 +298,11 @@ class Protocol:
     def redo(self, now_ns: int) -> None:
         """Begin the attempt under way again, or else the last trial that was finished."""
         self._now = now_ns
-        if self.step in UNDER_WAY:
-            self._fail("redone by the operator")
+        if self.step in UNDER_WAY or self.step is Step.FAILED:
+            if self.step in UNDER_WAY:
+                self._fail("redone by the operator")
             self.paused = False
-            self._enter(Step.PREPARE)
-            return
-        if self.step is Step.FAILED:
-            self.paused = False
+            self.message = ""
             self._enter(Step.PREPARE)
             return
         if self.step is Step.CLOSING:
@@ -340,7 +339,12 @@ class Protocol:
             raise InputError("there is no open trial to skip")
         if self.step in UNDER_WAY:
             self._fail("skipped by the operator")
-        self.trials[self.current].verdict = "skipped"
+        trial = self.trials[self.current]
+        trial.verdict = "skipped"
+        for attempt in trial.attempts[::-1]:
+            if attempt.verdict == "superseded":  # its repetition is given up
+                attempt.verdict, attempt.reason, trial.verdict = "done", "", "done"
+                break
         self._log("command", "skipped")
         self.paused = False
         self.message = ""
@@ -438,7 +442,14 @@ class Protocol:
         """One moisture reading in a.u."""
         if self.paused or self.step not in (Step.MOISTURE_BEFORE, Step.MOISTURE_AFTER):
             return
-        if stamp_ns < self._step_began:
+        early = seconds(self._step_began - stamp_ns)
+        # Tables have whole seconds.
+        if early > (0.0 if stamp_ns % NANOSECONDS else 1.0):
+            self.message = (
+                f"Reading {value:g} is stamped {early:.1f} s before this step and does not count; "
+                "take another. If it was taken now, the clock of the probe is late."
+            )
+            self._announce()
             return
         if not is_moisture(value):
             low, high = MOISTURE_RANGE
@@ -473,13 +484,20 @@ class Protocol:
                 self._press.add_problem(f"{name}: {message}")
 
     def recorder_answered(
-        self, started: bool, success: bool, message: str, now_ns: int, lost: int = 0, bag: str = ""
+        self,
+        started: bool,
+        success: bool,
+        message: str,
+        now_ns: int,
+        lost: int = 0,
+        bag: str = "",
+        asked: str = "",
     ) -> None:
-        """The recorder's answer to a start (`started`) or stop."""
+        """The recorder's answer to a start (`started`) or stop; asked: path of the start."""
         self._now = max(self._now, now_ns)
         if started:
-            if self.recording != "starting":
-                return
+            if self.recording != "starting" or asked not in ("", self._asked):
+                return  # to an earlier start, which has been stopped since
             if success:
                 self.recording = "on"
                 if bag:
@@ -614,6 +632,7 @@ class Protocol:
         step = Step.MOISTURE_BEFORE if self.plan.readings else Step.CLEAR
         if self.limits.need_recorder:
             self.recording, self._record_requested = "starting", self._now
+            self._asked = str(bag)
             self._effects(StartRecording(str(bag), self._announcement(self._phase(step))))
         self._enter(step)
 

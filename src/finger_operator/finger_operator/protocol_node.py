@@ -451,7 +451,9 @@ class ProtocolNode(ManagedNode):
         if self._protocol is None:
             return
         if response is None:
-            self._protocol.recorder_answered(started, False, reason, self._now())
+            self._protocol.recorder_answered(
+                started, False, reason, self._now(), asked=request.path
+            )
             return
         self._protocol.recorder_answered(
             started,
@@ -460,6 +462,7 @@ class ProtocolNode(ManagedNode):
             self._now(),
             lost=0 if started else int(response.lost_count),
             bag=response.path,
+            asked=request.path,
         )
 
     def _publish_status(self) -> None:

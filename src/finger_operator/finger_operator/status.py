@@ -75,7 +75,8 @@ def session_status(
         "attempt": attempt.attempt if attempt else len(trial.attempts),
         "condition": trial.condition,
         "preparation": plan.preparation(trial.condition),
-        "preparations": {c: plan.preparation(c) for c in plan.conditions},
+        # Also those of other conditions: what the page edits is kept whole.
+        "preparations": {**plan.preparations, **{c: plan.preparation(c) for c in plan.conditions}},
         "prompt": CLEAN_PLATE_PULL if is_pull(trial.condition) else CLEAN_PLATE,
         "target_force": plan.press_of(trial.condition).target_force,
         "readings": plan.readings,

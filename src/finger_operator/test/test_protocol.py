@@ -400,12 +400,55 @@ def test_late_answer_to_an_old_stop_leaves_the_next_recording_alone(rig: Rig) ->
     assert session_status(rig.protocol)["recording"] == "on"
 
 
+def test_late_answer_to_an_old_start_is_not_that_of_the_next_recording(rig: Rig) -> None:
+    """Start, stop and start wait while the recorder is started again, and are answered in order."""
+    rig.recorder_answers = False
+    rig.run(0.2)
+    rig.protocol.start(rig.now)
+    rig.protocol.redo(rig.now)
+    rig.protocol.start(rig.now)
+    first, second = (e.path for e in rig.effects if isinstance(e, StartRecording))
+    rig.protocol.recorder_answered(True, True, "", rig.now, bag=first, asked=first)
+    assert session_status(rig.protocol)["recording"] == "starting"
+    rig.protocol.recorder_answered(False, True, "", rig.now)
+    rig.protocol.recorder_answered(True, True, "", rig.now, bag=second, asked=second)
+    assert session_status(rig.protocol)["recording"] == "on"
+    assert rig.protocol.trials[0].attempts[-1].bag == second
+
+
+def test_a_repetition_that_is_given_up_leaves_the_attempt_before(rig: Rig) -> None:
+    rig.to_press()
+    rig.press()
+    rig.readings(1.0, 2.0, 3.0)
+    rig.run(2.0)
+    trial = rig.protocol.trials[0]
+    assert trial.verdict == "done"
+    rig.protocol.repeat(0, rig.now)
+    assert trial.attempts[0].verdict == "superseded"
+    rig.protocol.skip(rig.now)
+    assert (trial.verdict, trial.attempts[0].verdict) == ("done", "done")
+
+
+def test_an_edited_preparation_keeps_those_of_other_sessions(rig: Rig) -> None:
+    """The page writes all texts that the status has."""
+    texts = {"dry": "Wipe.", "greasy": "Oil."}
+    plan = StudyPlan("S01", "S01_a", conditions=("dry",), preparations=texts)
+    protocol = Protocol(plan, rig.folder / "other", rig.take, rig.limits)
+    assert session_status(protocol)["preparations"] == texts
+
+
 def test_readings_outside_the_scale_or_of_another_time_do_not_count(rig: Rig) -> None:
     rig.run(0.2)
     rig.protocol.moisture(rig.now, 50.0)  # no reading is expected yet
     rig.protocol.start(rig.now)
     rig.run(0.2)
     rig.protocol.moisture(rig.now - SECOND, 50.0)  # taken before the trial began
+    assert "before this step and does not count" in rig.last.note
+    # A table has whole seconds: this one may be of now.
+    whole = rig.now // SECOND * SECOND
+    rig.protocol.moisture(whole, 50.0)
+    assert rig.protocol.trials[0].attempts[-1].moisture_before == [50.0]
+    rig.protocol.trials[0].attempts[-1].moisture_before.clear()
     rig.protocol.moisture(rig.now, 131.0)
     assert "131" in rig.last.note
     assert rig.attempt.moisture_before == []

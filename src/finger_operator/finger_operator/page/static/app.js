@@ -155,11 +155,17 @@ function showCue(message) {
   // The frame that carries the cue carries nothing else that takes time to draw.
   drawn = performance.now() + 80 + PERIOD;
   if (!document.hidden) waiting ??= [];
-  whenShown(() => {
-    if (message.id >= 0) link.send({ type: "shown", id: message.id });
-    if (message.phase === "lift" && message.id >= 0) liftTone();
+  const seen = !document.hidden;
+  const shown = () => {
+    // A frame may come long after, when the page was hidden meanwhile.
+    if (message.id >= 0 && state.cue === message) {
+      if (seen) link.send({ type: "shown", id: message.id });
+      if (message.phase === "lift") liftTone();
+    }
     goOn();
-  });
+  };
+  if (seen) whenShown(shown);
+  else shown();
   if (began) {
     charts.pressBegins(message.index, message.time);
     state.frames = [];

@@ -22,12 +22,17 @@ function show(phase, preparation = "") {
     phase === "prepare" ? preparation : TEXTS[phase] || "";
 }
 
+let newest = null;
 new Link({ view: "participant" }, (data) => {
   if (typeof data !== "string") return;
   const message = JSON.parse(data);
   if (message.type !== "cue") return;
   show(message.phase, message.preparation);
-  if (message.phase === "lift" && message.id >= 0) whenShown(liftTone);
+  newest = message;
+  if (message.phase !== "lift" || message.id < 0) return;
+  // A hidden page has no frames: its tone comes at once, and none comes late.
+  if (document.hidden) liftTone();
+  else whenShown(() => { if (newest === message) liftTone(); });
 }, (now) => {
   if (now !== "open") show("idle");
 });
