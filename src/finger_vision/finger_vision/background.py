@@ -16,6 +16,9 @@ import numpy as np
 TILE = 16
 """Working pixels per side of a tile, about 1 mm: more than a ridge, less than a finger."""
 
+PLATE_SHARE, ONE_RATIO = 0.3, 0.05
+"""Share of the frame that is plate at least, and relative spread of its brightness."""
+
 POLARITIES = ("auto", "dark", "bright")
 """Touching ridges are darker or brighter than the plate; "auto" finds out in each frame."""
 
@@ -94,11 +97,10 @@ def background_of(
     polarity: one of POLARITIES. ridge_period: in working pixels.
     """
     if learned.image is not None and learned.image.shape == frame.shape:
-        # Gain and exposure may drift: the median tile is plate as long as a finger covers less
-        # than half of the frame.
+        # Gain and exposure may drift.
         reference = learned.tiles.astype(np.float32)
         tiles = tile_means(frame).astype(np.float32)
-        gain = float(np.median(tiles / np.maximum(reference, 1)))
+        gain = gain_of(tiles / np.maximum(reference, 1))
         image = cv2.convertScaleAbs(learned.image, alpha=gain)
         bright = float(np.sum(tiles - gain * reference)) > 0
         return Background(image, _is_bright(polarity, bright), True, learned.noise)
@@ -106,6 +108,23 @@ def background_of(
     bright = _is_bright(polarity, guess_polarity(mean, deviation))
     image = guess_background(frame, mean, deviation, bright, round(1.6 * ridge_period))
     return Background(image, bright, False, float(np.percentile(deviation, 10)))
+
+
+def gain_of(ratios: np.ndarray) -> float:
+    """Brightness of the plate over the learned one, from the ratios of all tiles.
+
+    The median tile is plate as long as a finger covers less than half of the frame. Under a larger
+    one the plate's tiles still have nearly one ratio, and the skin's many: then it is that of the
+    narrowest group of PLATE_SHARE of the tiles.
+    """
+    ordered = np.sort(ratios, axis=None)
+    median = float(np.median(ratios))
+    count = max(2, round(PLATE_SHARE * len(ordered)))
+    widths = ordered[count - 1 :] - ordered[: len(ordered) - count + 1]
+    first = int(np.argmin(widths))
+    group = float(ordered[first + count // 2])
+    apart = abs(group - median) > ONE_RATIO * group
+    return group if apart and widths[first] < ONE_RATIO * group else median
 
 
 def _is_bright(polarity: str, found: bool) -> bool:

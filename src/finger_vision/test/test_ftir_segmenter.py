@@ -257,6 +257,19 @@ def test_gain_drift_after_the_background_was_learned() -> None:
         assert segmenter.measure(empty).gross_area == 0.0
 
 
+@pytest.mark.parametrize("share", [0.45, 0.55, 0.65])
+def test_a_finger_on_most_of_the_frame_once_the_background_was_learned(share: float) -> None:
+    """A thumb, or a small area of interest: 20 × 16 mm."""
+    renderer = FtirRenderer("natural", 3, Scene(), 640, 512)
+    segmenter = FtirSegmenter(calibration=renderer.calibration())
+    for _ in range(5):
+        segmenter.learn(renderer.empty())
+    radius = math.sqrt(share * 640 * 512 * AREA_PER_PIXEL / math.pi)
+    frame = renderer.render_frame([Contact(radius, aspect=1.25)])
+    found = segmenter.measure(frame.image)
+    assert found.gross_area == pytest.approx(frame.gross_area, rel=0.05)
+
+
 def test_plain_frames_of_any_grey_are_empty() -> None:
     for grey in (0, 3, 128, 255):
         assert FtirSegmenter().process(np.full((256, 320), grey, np.uint8)).gross_area == 0.0
