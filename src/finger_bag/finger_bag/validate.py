@@ -22,7 +22,7 @@ from finger_common.contact_threshold import ONSET_FORCE
 from finger_common.errors import InputError
 from finger_common.flags import AreaFlag
 from finger_common.plugins import Plugins
-from finger_common.stamps import seconds
+from finger_common.stamps import NANOSECONDS
 
 from .read_settings import ReadSettings
 from .reader import BagReader, open_bag
@@ -243,7 +243,7 @@ def _check_gaps(streams: SessionStreams, settings: ReadSettings, result: Validat
 def _check_saturation(streams: SessionStreams, result: Validation) -> None:
     axes, coarse = [], True
     steps = np.diff(streams.wrench_stamp_ns)
-    rate = 1.0 / seconds(float(np.median(steps))) if (steps > 0).any() else 0.0
+    rate = NANOSECONDS / max(float(np.median(steps)), 1.0) if len(steps) else 0.0
     for column, name in enumerate("xyz"):
         values = streams.force[:, column]
         values = values[np.isfinite(values)]

@@ -158,6 +158,8 @@ def damaged(path: Path, kind: str) -> Path:
                 shown = force * 0.7
             elif kind == "saturated":
                 shown = min(force, 1.4)
+            elif kind == "coarse":
+                shown = round(force / 0.05) * 0.05
             elif kind == "wrong sign":
                 shown = -force
             elif kind == "gap" and 500 <= i < 550:
@@ -206,6 +208,12 @@ def test_each_fault_fails_its_check(
     path = damaged(tmp_path / "bag", kind)
     assert checks(path)[check][0] == "fail"
     assert run(command, ["validate", str(path)]) == 1
+
+
+def test_a_force_that_is_rounded_coarsely_is_no_saturated_one(tmp_path: Path) -> None:
+    """The top of its presses stays at one value."""
+    status, detail = checks(damaged(tmp_path / "bag", "coarse"))["saturation"]
+    assert status == "note" and "stays at" in detail
 
 
 def test_no_moisture_is_needed_where_the_condition_is_named(tmp_path: Path) -> None:
