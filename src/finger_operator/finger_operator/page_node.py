@@ -326,7 +326,12 @@ class PageNode(ManagedNode):
             self._begin(name, arguments, future)
 
     def _begin(self, name: str, arguments: dict[str, Any], future: Answer) -> None:
-        step = self._status.get("step")
+        step, index = self._status.get("step"), self._status.get("index")
+        seen = arguments.pop("seen_trial", index), arguments.pop("seen_step", step)
+        if seen != (index, step):
+            now = "no session is open" if index is None else f"trial {index + 1} is at '{step}'"
+            future.set_result((False, f"{name}: not done, {now} meanwhile; look, and try again"))
+            return
         # A calibration's presses begin without a key.
         begins = name == "start" and step == "prepare" and not self._status.get("paused")
         if begins or name == "calibrate":

@@ -95,6 +95,10 @@ def test_commands_reach_the_protocol_and_its_cues_come_back(
                 assert (await receive("status", step="prepare"))["target_force"] == 1.2
                 assert (await command("repeat", index=1))["success"]
                 await receive("status", index=1)
+                # A dialog that was open meanwhile meant another trial.
+                refused = await command("skip", seen_trial=0, seen_step="prepare")
+                assert not refused["success"]
+                assert "trial 2 is at 'prepare' meanwhile" in refused["message"]
                 assert not (await command("tare"))["success"], "no force driver runs"
 
     asyncio.run(asyncio.wait_for(run(), 45))

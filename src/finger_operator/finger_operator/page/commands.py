@@ -10,13 +10,16 @@ from typing import Any
 
 from finger_common.errors import InputError
 
+SEEN: dict[str, type] = {"seen_trial": int, "seen_step": str}
+"""What a browser showed when the operator asked: another trial is not meant."""
+
 COMMANDS: dict[str, dict[str, type]] = {
-    "start": {},
+    "start": SEEN,
     "calibrate": {},
     "pause": {},
     "resume": {},
-    "redo": {},
-    "skip": {},
+    "redo": SEEN,
+    "skip": SEEN,
     "end": {},
     "abort": {},
     "marker": {},
@@ -43,7 +46,10 @@ COMMANDS: dict[str, dict[str, type]] = {
     },
 }
 
-OPTIONAL = {"age", "hand", "finger", "finger_width", "finger_depth", "order", "order_seed"}
+OPTIONAL = {
+    *SEEN,
+    *("age", "hand", "finger", "finger_width", "finger_depth", "order", "order_seed"),
+}
 """Arguments that may be left out; the protocol's parameters stay as they are."""
 
 

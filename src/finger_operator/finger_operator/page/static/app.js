@@ -66,12 +66,18 @@ function once(action) {
   };
 }
 
+// What the operator sees now: a command for it is refused when something else has begun meanwhile.
+function seen() {
+  const { step, index } = state.status;
+  return index === undefined ? {} : { seen_trial: index, seen_step: step };
+}
+
 function primary() {
   const { step, paused } = state.status;
   if (step === "closed") return openSession();
   if (paused) return command("resume");
   if (step === "finished") return command("close");
-  return command("start");
+  return command("start", seen());
 }
 
 // What Space does when the button may not be pressed: it says why; the banner says what to do.
@@ -96,21 +102,23 @@ const repeat = once((index) => command("repeat", { index }));
 
 async function skip() {
   const { index, condition } = state.status;
+  const shown = seen();
   const chosen = await ask(`Skip trial ${index + 1} (${condition})?`,
     "It is left out. Until the session is closed it can be repeated from the list.",
     [["skip", "Skip the trial"]]);
-  if (chosen) command("skip");
+  if (chosen) command("skip", shown);
 }
 
 async function redo() {
   const { step, index } = state.status;
+  const shown = seen();
   if (!RUNNING.includes(step) && step !== "failed" && step !== "prepare") {
     const chosen = await ask("Redo the last kept trial?",
       `Its attempt no longer counts; the bag stays. Now: trial ${index + 1}.`,
       [["redo", "Redo the trial"]]);
     if (!chosen) return;
   }
-  command("redo");
+  command("redo", shown);
 }
 
 async function end() {
