@@ -69,7 +69,7 @@ class PopulationSettings(Settings):
         maximum=1_000_000,
     )
     further_histories: int = setting(
-        25_000,
+        22_000,
         "Histories of further fingers of the middle of the box, for the contact network.",
         minimum=0,
         maximum=1_000_000,
