@@ -207,7 +207,7 @@ def test_ctrl_c_while_the_presses_are_fitted_leaves_the_result(
     # In the place of the protocol node: a session whose presses are all made.
     node = rclpy.create_node("protocol", namespace="finger", context=rig._context)
     rig._executor.add_node(node)
-    for name in ("subject", "session", "finger"):
+    for name in ("subject", "session", "finger", "hand"):
         node.declare_parameter(name, "")
     for name in ("finger_width", "finger_depth"):
         node.declare_parameter(name, 0.0)

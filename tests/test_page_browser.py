@@ -19,6 +19,9 @@ from finger_common.guided_presses import CALIBRATION_PRESSES
 from finger_operator.page.readiness import Problem
 from finger_operator.study_plan import PREPARATIONS
 
+SEEN = {"seen_trial": 2, "seen_step": "prepare"}
+"""What the page tells of itself with a command, in the session of `prepare`."""
+
 NO_FORCE = Problem("force", "No force.", "Check its power and its cable.", 0.8)
 
 
@@ -706,11 +709,11 @@ def test_space_on_a_focused_button_is_that_buttons_and_skip_asks(rig: StandIn, p
     assert not rig.commands
     page.keyboard.press("s")
     page.click("#ask-buttons button:has-text('Skip the trial')")
-    until(lambda: list(rig.commands) == [("skip", {})], page)
+    until(lambda: list(rig.commands) == [("skip", SEEN)], page)
     # After a click with the pointer, Space is Ready again.
     page.click("#marker")
     page.keyboard.press("Space")
-    until(lambda: list(rig.commands)[1:] == [("marker", {}), ("start", {})], page)
+    until(lambda: list(rig.commands)[1:] == [("marker", {}), ("start", SEEN)], page)
 
 
 def test_a_question_asked_at_once_after_another_is_answered_for_itself(
@@ -726,7 +729,7 @@ def test_a_question_asked_at_once_after_another_is_answered_for_itself(
     }""")
     page.wait_for_selector("#ask-dialog[open]")
     page.click("#ask-buttons button:has-text('Skip the trial')")
-    until(lambda: list(rig.commands) == [("skip", {})], page)
+    until(lambda: list(rig.commands) == [("skip", SEEN)], page)
     # Escape answers no.
     page.keyboard.press("s")
     page.wait_for_selector("#ask-dialog[open]")

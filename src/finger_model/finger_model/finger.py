@@ -79,7 +79,13 @@ def load_areas(
     """
     if not law or issubclass(law_of(law), MaxwellLaw):
         model = load_reduced(model_file, geometry_file)
-        return model.for_law(law_of(law)) if law else model
+        if not law:
+            return model
+        own = model.for_law(law_of(law))
+        if not model_file and "stiffening" in own.space.names and not own.serves_population:
+            # The shipped model of the default finger knows no stiffening, which a fit varies.
+            return load_population(own.geometry).for_law(law_of(law))
+        return own
     if model_file:
         raise InputError(
             f"law '{law}' has no reduced model: leave the model file out, or fit another law"

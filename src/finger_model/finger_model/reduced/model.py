@@ -168,17 +168,7 @@ class ReducedModel:
         return {**found, "force": self._box["force"]}
 
     def for_law(self, law: type[ConstitutiveLaw]) -> ReducedModel:
-        """The same finger with another law of Maxwell branches; raises InputError for other laws.
-
-        The shipped model of the default geometry, which knows no stiffening, gives way to the
-        population's for a law that has it.
-        """
-        model = self._with_law(law)
-        if "stiffening" in model.space.names and self.meta is _shipped().meta:
-            return load_population(self.geometry)._with_law(law)
-        return model
-
-    def _with_law(self, law: type[ConstitutiveLaw]) -> ReducedModel:
+        """The same model for another law of Maxwell branches; raises InputError for other laws."""
         if not issubclass(law, MaxwellLaw):
             raise InputError(f"material: law '{law.name}' has no reduced model; use --solver full")
         if law is self.law:
@@ -191,7 +181,7 @@ class ReducedModel:
         Raises InputError for a law without reduced model and for properties that it does not serve.
         The shipped model of the default geometry gives way to the population's where it must.
         """
-        model = self._with_law(type(material))
+        model = self.for_law(type(material))
         assert isinstance(material, MaxwellLaw)
         wanted = {name: getattr(material, name) for name in model.fixed}
         if wanted == model.fixed and (material.stiffening == 0.0 or self.serves_population):
