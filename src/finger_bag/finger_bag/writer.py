@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import shutil
 import struct
@@ -21,6 +20,7 @@ import yaml
 
 from finger_common.errors import InputError
 from finger_common.files import atomic_write, check_text
+from finger_common.folder_lock import take_lock
 from finger_common.stamps import NANOSECONDS, seconds
 
 from .definitions import decoder, definition_text, encode, type_hash
@@ -137,6 +137,7 @@ class BagWriter:
             self._lock_folder()
             self._open_file()
         except OSError as error:
+            self._unlock_folder()
             raise InputError(
                 f"{path}: cannot be written ({error.strerror}); choose a writable folder"
             ) from None
@@ -144,15 +145,11 @@ class BagWriter:
     def _lock_folder(self) -> None:
         """Keep other programs from writing a bag of this name; ends with the process."""
         self._lock = os.open(self._folder, os.O_RDONLY)
-        try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+        if not take_lock(self._lock):
             self._unlock_folder()
             raise InputError(
                 f"{self.path}: is being written by another program; choose another name"
-            ) from None
-        except OSError:
-            pass  # a file system without locks
+            )
 
     def _unlock_folder(self) -> None:
         if self._lock >= 0:

@@ -18,6 +18,18 @@ from .errors import InputError
 LOCK_FILE = ".lock"
 
 
+def take_lock(file: IO[str] | int) -> bool:
+    """Lock an open file or folder (its descriptor) until it is closed; false when another process
+    holds it. File systems without locks are not guarded."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        pass
+    return True
+
+
 def lock_folder(folder: str | Path, owner: str) -> IO[str]:
     """Lock a folder, which is made if need be, until the file returned is closed.
 
@@ -32,17 +44,11 @@ def lock_folder(folder: str | Path, owner: str) -> IO[str]:
         raise InputError(
             f"{folder}: cannot be written to ({error.strerror}); choose another folder"
         ) from None
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
+    if not take_lock(file):
         file.seek(0)
         holder = file.read(200).strip() or "another program"
         file.close()
-        raise InputError(
-            f"{folder}: in use by {holder}; end it, or choose another folder"
-        ) from None
-    except OSError:
-        return file
+        raise InputError(f"{folder}: in use by {holder}; end it, or choose another folder")
     file.truncate(0)
     with suppress(OSError):  # the lock holds, whether its holder can be named or not
         file.write(f"{owner} (process {os.getpid()})")

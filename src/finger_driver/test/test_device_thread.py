@@ -16,6 +16,7 @@ from finger_common.retry import Pauses
 from finger_common.settings import Settings
 from finger_driver import device as module
 from finger_driver.device import Device, DeviceThread
+from finger_driver.force.source import ForceSettings, ForceSource
 
 
 class Counting(Device[int]):
@@ -60,6 +61,14 @@ def until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
     while not condition():
         assert time.monotonic() < end
         time.sleep(0.01)
+
+
+@pytest.mark.parametrize(("rate", "silence"), [(500.0, 0.25), (3.0, 1.0)])
+def test_a_slow_sensor_is_not_taken_for_silent(rate: float, silence: float) -> None:
+    source = ForceSource(ForceSettings(rate=rate))
+    assert source.longest_silence == pytest.approx(silence)
+    assert source.health.stale_after is not None
+    assert source.health.stale_after > source.longest_silence
 
 
 def test_a_device_lost_before_reading_begins_is_connected_again(

@@ -203,6 +203,33 @@ def test_moisture_node_publishes_readings_and_what_the_operator_enters(
     assert [m.phase for m in readings] == [2, 1, 0]
 
 
+def test_a_reading_that_is_not_published_is_not_confirmed(
+    observer: Observer, process: Any, tmp_path: Path
+) -> None:
+    """The clock of the computer that writes the table is an hour ahead."""
+    from finger_msgs.msg import Moisture
+    from finger_msgs.srv import SetMoisture
+
+    readings = observer.listen(Moisture, "moisture", 10, True)
+    path = tmp_path / "e.csv"
+    path.write_text("time;value\n")
+    process(
+        "-m", "finger_driver.moisture_node", "--ros-args", "-p", "device:=export",
+        "-p", f"path:={path}", "-p", "export_time_column:=time", "-p", "export_period:=0.05",
+    )  # fmt: skip
+
+    def enter() -> Any:
+        request = SetMoisture.Request(value=64.0)
+        return observer.call(SetMoisture, "/moisture/set_moisture", request)
+
+    observer.until(lambda: enter().success, what="an active node")
+    ahead = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(time.time() + 3600))
+    path.write_text(f"time;value\n{ahead};42,0\n")
+    observer.until(lambda: any(m.value == 42.0 for m in readings), what="the row")
+    refused = enter()
+    assert not refused.success and "check the clock" in refused.message
+
+
 @pytest.mark.parametrize(
     ("parameters", "message"),
     [

@@ -23,8 +23,6 @@ from ..protocols.dbc import SampleAssembler, SensorMapping
 from .source import CRITICAL, GOOD, SATURATED, ForceSettings, ForceSource, WrenchSample
 
 SHIPPED = Path(__file__).resolve().parent.parent / "data" / "robotous_rft.yaml"
-_SILENCE = 0.25
-"""Seconds without a sample after which the connection counts as lost."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +110,7 @@ class DbcSource(ForceSource):
         now = time.monotonic()
         if sample is not None:
             self._last_sample = now
-        elif now - self._last_sample > max(_SILENCE, 3.0 / self.settings.rate):
+        elif now - self._last_sample > self.longest_silence:
             raise DeviceError(
                 f"{self._where()}: no sample for {now - self._last_sample:.2f} s; check power and "
                 "cable"

@@ -42,8 +42,6 @@ from ..clock import ClockMapper, receive_stamped, request_kernel_stamps
 from ..protocols import netft_xml, rdt
 from .source import CRITICAL, GOOD, SATURATED, ForceSettings, ForceSource, WrenchSample
 
-_SILENCE = 0.25
-"""Seconds without a record after which the connection counts as lost."""
 _TIMEOUT = 1.0
 """Seconds for the web page and for the first record to come."""
 _CHECK_PERIOD = 2.0
@@ -239,7 +237,7 @@ class NetFtSource(ForceSource):
             self._receive(min(max(end - time.monotonic(), 0.0), 0.05))
             now = time.monotonic()
             silent = now - self._last_record
-            if not self._records and silent > max(_SILENCE, 3.0 / self.settings.rate):
+            if not self._records and silent > self.longest_silence:
                 raise DeviceError(
                     f"{self._where()}: no record for {silent:.2f} s; check power, cable and that "
                     "no other client took the stream"

@@ -89,6 +89,11 @@ class ForceSource(Device[WrenchSample]):
         )
         super().__init__(settings, health)
 
+    @property
+    def longest_silence(self) -> float:
+        """s without a sample after which the connection counts as lost."""
+        return max(0.25, 3.0 / self.settings.rate)
+
     def check_scale(self, where: str, step: np.ndarray, end: np.ndarray) -> None:
         """Raise DeviceError for a scale that cannot be that of a sensor of the range set.
 
