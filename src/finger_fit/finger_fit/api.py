@@ -453,6 +453,7 @@ def fit(
     records = [trial.record(number) for number, trial in enumerate(trials)]
     if not records:
         raise InputError("fit: no trial was given; give a list of Trial")
+    conditions = (conditions,) if isinstance(conditions, str) else conditions
     result = fit_records(records, model, chosen, conditions)
     changed = "".join(f", {name}={value!r}" for name, value in options.items())
     found = {}

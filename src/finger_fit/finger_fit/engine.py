@@ -11,10 +11,15 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import pickle
 import signal
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from finger_common.errors import FingerError, InputError
@@ -67,17 +72,30 @@ class LocalEngine:
         # Forking a process whose kernels run threads can deadlock.
         context = multiprocessing.get_context("spawn")
         results = []
-        with ProcessPoolExecutor(
-            workers, context, initializer=_set_job, initargs=(function, shared)
-        ) as pool:
-            try:
-                for number, result in enumerate(pool.map(_run_job, items), 1):
-                    results.append(result)
-                    if done is not None:
-                        done(number, len(items))
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
+        job = pickle.dumps((function, shared))
+        with TemporaryDirectory() as folder:
+            # In a file: a worker that ends before it has read it must not block this process.
+            path = Path(folder) / "job.pickle"
+            path.write_bytes(job)
+            with ProcessPoolExecutor(
+                workers, context, initializer=_set_job, initargs=(path,)
+            ) as pool:
+                try:
+                    with nullcontext() if b"__main__" in job else _without_main():
+                        found = pool.map(_run_job, items)  # starts the processes
+                    for number, result in enumerate(found, 1):
+                        results.append(result)
+                        if done is not None:
+                            done(number, len(items))
+                except BrokenProcessPool:
+                    raise InputError(
+                        "a worker process ended before its work was done: out of memory, or "
+                        "classes of the script itself are used and its code is not under "
+                        "'if __name__ == \"__main__\":'; free memory, or put it there"
+                    ) from None
+                except BaseException:
+                    pool.shutdown(wait=False, cancel_futures=True)
+                    raise
         return results
 
     def close(self) -> None:
@@ -88,12 +106,25 @@ _job: tuple[Work, Any] | None = None
 """Function and shared data of a worker process of `LocalEngine.spread`."""
 
 
-def _set_job(function: Work, shared: Any) -> None:
+@contextmanager
+def _without_main() -> Iterator[None]:
+    """Processes started meanwhile do not run the caller's script again, which need not be written
+    for that."""
+    main = sys.modules["__main__"]
+    hidden = {name: vars(main).pop(name) for name in ("__file__", "__spec__") if name in vars(main)}
+    main.__spec__ = None
+    try:
+        yield
+    finally:
+        vars(main).update(hidden)
+
+
+def _set_job(path: Path) -> None:
     global _job
     begin_worker()
     # Ctrl-C is for the parent process, which ends the pool.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _job = (function, shared)
+    _job = pickle.loads(path.read_bytes())
 
 
 def _run_job(item: Any) -> Any:

@@ -215,7 +215,7 @@ class FitOptions(NuisancePriors):
         if self.target_force:
             return self
         own = float(getattr(record, "target_force", 0.0))
-        return replace(self, target_force=own if own > self.onset_force else TARGET_FORCE)
+        return replace(self, target_force=own if own > 0.0 else TARGET_FORCE)
 
     def check_names(self, space: ParameterSpace) -> None:
         """Raise InputError for `bounds`, `shared` or lengths that name nothing known."""
@@ -248,8 +248,9 @@ def _span(text: str, span: str, parameter: ParameterSpec) -> tuple[float, float]
     if bool(ends[0][1]) != bool(ends[1][1]):
         raise InputError(f"bounds '{text}': one end has a unit, the other none; give both")
     low, high = (_number(value) * units.get(unit or parameter.unit, 1.0) for value, unit in ends)
-    if not 0 < low < high < math.inf:
-        raise InputError(f"bounds '{text}': 0 < LOW < HIGH is needed; correct them")
+    if not (0 < low if parameter.log_offset == 0 else 0 <= low) or not low < high < math.inf:
+        least = "0 <" if parameter.log_offset == 0 else "0 ≤"
+        raise InputError(f"bounds '{text}': {least} LOW < HIGH is needed; correct them")
     first, last = parameter.range
     if high < first or low > last:
         factor, unit = parameter.display_factor, parameter.display_unit

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -19,6 +20,9 @@ import pytest
 
 from finger_common.errors import InputError
 from finger_fit import Fit, Trial, fit
+from finger_model.geometry import Geometry
+from finger_model.laws import law_of
+from finger_model.reduced.model import load_population
 
 QUICK: dict[str, Any] = {
     "full_order": False,
@@ -325,3 +329,92 @@ def test_importing_needs_no_ros() -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["Trial", "fit"]
+
+
+def test_a_parameter_that_may_be_zero_is_fitted_with_intervals(tmp_path: Path) -> None:
+    """Stiffening of 0, as of the tissue here, has no logarithm: its coordinate is ln(b + 0.1)."""
+    tissue = law_of("generalized_maxwell_1")(
+        E0=80e3, fraction_1=0.6, tau_1=0.3, E2=1.2e6, stiffening=0.0
+    )
+    model = load_population(Geometry()).for_material(tissue)
+    random = np.random.default_rng(0)
+    trials = []
+    for condition in ("dry", "moist"):
+        for rise in (0.3, 0.6, 1.0):
+            time = np.arange(0.0, rise + 0.6, 0.01)
+            force = 1.35 * np.clip(np.minimum((time - 0.4) / rise, 1.0), 0.0, None)
+            area = model.simulate(tissue, time, force).area[::10]
+            area = area + np.where(area > 0, 1e-6 * random.normal(size=len(area)), 0.0)
+            trials.append(Trial(time, force, np.maximum(area, 0.0), time[::10], condition))
+    some = {**QUICK, "grid": 2, "rounds": 2, "bootstrap": 0, "bias_pairs": 1, "step": 0.05}
+    some |= {"law": tissue.name, "bounds": {"stiffening": (0, 3)}}
+    found = fit(trials[:3], **some)
+    fitted = found.result.fits["dry"]
+    assert set(fitted.profiles) == set(fitted.space.quantity_names)
+    assert set(fitted.bias_corrected) == set(fitted.space.quantity_names)
+    low, high = found.intervals["stiffening"]
+    assert low == pytest.approx(0.0, abs=1e-9) and 0.0 < high <= 3.0
+    low, high = found.intervals["long_term_E"]
+    assert low < 32e3 < high
+    for name in fitted.space.quantity_names:
+        assert np.isfinite(fitted.covariance.interval_deviation(name)), name
+    assert not re.search(r"\bnan\b", found.report(tmp_path).read_text())
+
+    both = fit(trials, profiles=False, **some)
+    stiffening = next(c for c in both.result.contrasts if c.quantity == "stiffening")
+    assert np.isnan(stiffening.ratio) and np.isfinite(stiffening.difference)
+    assert not re.search(r"\bnan\b", both.report(tmp_path).read_text())
+    json.loads((tmp_path / "fit.json").read_text())
+
+
+SCRIPT = """
+import numpy as np
+from finger_fit.engine import LocalEngine
+
+{definition}
+print(LocalEngine(2).spread({function}, np.zeros(100_000), [1, 2, 3]))
+"""
+
+
+@pytest.mark.parametrize("own", [False, True])
+def test_a_script_without_main_guard_does_not_hang(tmp_path: Path, own: bool) -> None:
+    """Worker processes do not run the script again; where they must, as it has the function, the
+    user is told."""
+    function = "size_of" if own else "np.take"
+    script = tmp_path / "user.py"
+    definition = "def size_of(a, b): return len(a) + b" if own else ""
+    script.write_text(SCRIPT.format(definition=definition, function=function))
+    done = subprocess.run(
+        [sys.executable, str(script)], capture_output=True, text=True, timeout=120, check=False
+    )
+    if own:
+        assert done.returncode != 0
+        assert "is not under 'if __name__ == \"__main__\":'" in done.stderr
+    else:
+        assert done.returncode == 0, done.stderr
+        assert done.stdout.count("0.0") == 3
+
+
+def test_frames_that_do_not_count_leave_the_intervals_alone(double: SimpleNamespace) -> None:
+    trials = trials_of(double, 4)
+    collapsed = [
+        replace(t, area=np.where(np.interp(t.area_time, t.time, t.force) < 0.5, 0.3, 1.0) * t.area)
+        for t in trials
+    ]
+    options = {**QUICK, "low_force": 0.5, "low_force_weight": 0.0, "bootstrap": 0}
+    one, other = (
+        fit(given, model=double.HereditaryModel(), **options).result.fits["all"]
+        for given in (trials, collapsed)
+    )
+    assert other.parameters == pytest.approx(one.parameters, rel=1e-3)
+    assert other.covariance.noise == pytest.approx(one.covariance.noise, rel=0.02)
+    with pytest.raises(InputError, match="every frame of these trials lies below low_force"):
+        fit(trials, model=double.HereditaryModel(), **{**options, "low_force": 5.0})
+
+
+def test_one_condition_may_be_named_by_a_text(double: SimpleNamespace) -> None:
+    trials = trials_of(double, 3, condition="dry") + trials_of(double, 3, condition="moist")
+    some = {**QUICK, "bootstrap": 0, "profiles": False}
+    assert fit(trials, model=double.HereditaryModel(), conditions="dry", **some).conditions == [
+        "dry"
+    ]

@@ -143,7 +143,11 @@ def command(argv: Sequence[str]) -> int:
     wanted = _wanted(args.wanted, space)
     guess = finger_of(args.guess, space)
     other = finger_of(args.against, space) if args.against else None
-    plans = dict(map(plan_of, args.plan or PLANS))
+    named = list(map(plan_of, args.plan or PLANS))
+    plans = dict(named)
+    if len(plans) < len(named):
+        twice = next(name for name in plans if [n for n, _ in named].count(name) > 1)
+        raise InputError(f"--plan {twice}: the name is there twice; give each plan its own")
     plans = with_indentation(plans, priors.indentation_sd)
     found = {name: expected(plan, model, guess, options) for name, plan in plans.items()}
     console = Console(width=None if Console().is_terminal else 160)

@@ -22,7 +22,7 @@ from finger_common.cli import Parser, plain
 from finger_common.errors import InputError, known_names
 from finger_common.files import atomic_write, load_json, number
 from finger_common.moisture import is_moisture
-from finger_model.laws import ParameterSpace, StandardLinearSolid
+from finger_model.laws import ParameterSpace, StandardLinearSolid, law_of
 
 from ..nuisance.names import AREA_GAIN
 from .model import Estimates, HierarchyPriors, Posterior, ends, posterior
@@ -57,7 +57,7 @@ def parser() -> Parser:
     )
     p.add_argument(
         "--quantity", action="append", default=[], metavar="Q",
-        help="a fitted quantity; repeatable (default: composite_E, E2, tau1)",
+        help="a fitted quantity; repeatable (default: composite_E, E2, tau1, as the law has them)",
     )  # fmt: skip
     p.add_argument("--seed", type=int, default=0, metavar="N", help="of the draws (default: 0)")
     return p
@@ -66,12 +66,19 @@ def parser() -> Parser:
 def command(argv: Sequence[str]) -> int:
     """Run the command; returns the exit code."""
     args = parser().parse_args(argv)
-    space = StandardLinearSolid.PARAMETERS
-    quantities = args.quantity or ["composite_E", "E2", "tau1"]
+    if args.seed < 0:
+        raise InputError(f"--seed {args.seed}: zero or more is needed")
+    space = law_of(_law(args.fits)).PARAMETERS
+    usual = [n for n in ("composite_E", "E2", "tau1") if n in space.quantity_names]
+    quantities = args.quantity or list(dict.fromkeys([space.headline, *usual]))
     for name in quantities:
         if name not in space.quantity_names:
             raise InputError(
                 f"--quantity '{name}' does not exist; {known_names(name, space.quantity_names)}"
+            )
+        if space.log_offset(name):
+            raise InputError(
+                f"--quantity '{name}' may be zero, which has no logarithm; leave it out"
             )
     subjects = read_subjects(args.fits)
     data, draws = population(subjects, quantities, space, args.seed)
@@ -92,12 +99,8 @@ def command(argv: Sequence[str]) -> int:
 def read_subjects(paths: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Subject → condition → entry of fit.json; raises InputError."""
     found: dict[str, dict[str, Any]] = {}
-    for text in paths:
-        path = Path(text)
-        path = path / "fit.json" if path.is_dir() else path
-        if not path.is_file():
-            raise InputError(f"{text}: no fit.json there; run finger-fit first")
-        for name, part in _parts(load_json(path, "fit.json"), path):
+    for path, data in map(_read, paths):
+        for name, part in _parts(data, path):
             if name in found:
                 raise InputError(
                     f"{path}: subject '{name}' is there twice; give each once, and fit all bags of "
@@ -105,6 +108,29 @@ def read_subjects(paths: Sequence[str]) -> dict[str, dict[str, Any]]:
                 )
             found[name] = part
     return found
+
+
+def _law(paths: Sequence[str]) -> str:
+    """Name of the law of all fits; raises InputError where they have several."""
+    names = {}
+    for path, data in map(_read, paths):
+        known = data.get("provenance") if isinstance(data, dict) else None
+        law = known.get("law") if isinstance(known, dict) else None
+        names[str(law or StandardLinearSolid.name)] = path
+    if len(names) > 1:
+        raise InputError(
+            f"these fits have different laws, {', '.join(names)}; give fits of one law"
+        )
+    return next(iter(names))
+
+
+def _read(text: str) -> tuple[Path, Any]:
+    """A fit.json, given by itself or by its folder."""
+    path = Path(text)
+    path = path / "fit.json" if path.is_dir() else path
+    if not path.is_file():
+        raise InputError(f"{text}: no fit.json there; run finger-fit first")
+    return path, load_json(path, "fit.json")
 
 
 def _parts(data: Any, path: Path) -> Iterator[tuple[str, dict[str, Any]]]:

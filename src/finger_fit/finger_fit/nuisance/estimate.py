@@ -119,7 +119,7 @@ class NuisanceModel:
         gain = np.add.reduceat(weight * shape * problem.measured, starts) / np.maximum(
             np.add.reduceat(weight * shape * shape, starts), 1e-30
         )
-        left = problem.measured - gain[problem.trial_of] * shape
+        left = (problem.measured - gain[problem.trial_of] * shape)[weight > 0.0]
         noise = float(np.sqrt((left**2).sum() / max(len(left) - 2 * len(gain), 1)))
         logs = np.log(np.maximum(gain, 1e-3))
         return self._scatter_of(logs, np.zeros_like(logs)), max(noise, 1e-9)

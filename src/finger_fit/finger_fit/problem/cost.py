@@ -17,6 +17,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from finger_common.errors import InputError
 from finger_common.files import sha256_of
 from finger_model.laws import ConstitutiveLaw, ParameterSpace, StandardLinearSolid
 
@@ -99,6 +100,11 @@ class FitProblem:
         self.trial_of = np.repeat(np.arange(len(lengths)), lengths)
         self.starts = np.concatenate([[0], np.cumsum(lengths)])
         raw = np.where(np.concatenate([t.low for t in self.trials]), options.low_force_weight, 1.0)
+        if not raw.any():
+            raise InputError(
+                f"every frame of these trials lies below low_force {options.low_force:g} N, where "
+                "frames weigh nothing; lower low_force or raise low_force_weight"
+            )
         sums = np.add.reduceat(raw, self.starts[:-1])
         # A trial whose frames all have weight zero does not count.
         self.weight = raw / np.where(sums > 0, sums, 1.0)[self.trial_of]
@@ -215,7 +221,8 @@ class FitProblem:
         """What is minimised (P,), in m⁴, of parameters (P, D): J, with the indentations and with
         the nuisances eliminated where there are any."""
         if self.nuisances is None and self.indentations is None:
-            return self.trial_costs(self.areas(parameters)).sum(axis=-1)
+            found = self.trial_costs(self.areas(parameters)).sum(axis=-1)
+            return np.where(np.isfinite(found), found, np.inf)
         return self.goal().cost(self.outputs(parameters))
 
     def key(self) -> str:

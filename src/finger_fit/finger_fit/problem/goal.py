@@ -173,7 +173,12 @@ class Goal:
         return -(residual @ matrix + offset)
 
     def cost(self, areas: np.ndarray) -> np.ndarray:
-        """J or Q (…,) in m⁴ of the model's areas (…, n) in m²."""
+        """J or Q (…,) in m⁴ of the model's areas (…, n) in m²; infinite where the model could not
+        carry the load."""
+        found = self._cost(areas)
+        return np.where(np.isfinite(found), found, np.inf)
+
+    def _cost(self, areas: np.ndarray) -> np.ndarray:
         residual = self.residuals(areas)
         if self.nuisances is None:
             return (self.weight * losses(residual, self.loss)).sum(axis=-1)

@@ -27,6 +27,12 @@ REST_FORCE = 0.005
 """N; a smoothed force up to this is no touch: 1/171 N, the resolution of the Nano17 (paper)."""
 
 
+LONGEST_GAP = 0.05
+"""s without force during the contact that a trial may have; a slow sensor's period is no gap."""
+
+PACKET = 25
+"""Samples over which the period of a force is taken."""
+
 FEWEST_INDENTATIONS = 3
 """Frames with a measured indentation below which a trial's indentation is not used."""
 
@@ -176,8 +182,12 @@ def prepare(record: Any, options: FitOptions) -> FitTrial:
     finite = np.isfinite(force)
     if not finite.all():
         raise TrialRejected(f"{int((~finite).sum())} force samples are not finite")
-    rate = 1.0 / float(np.median(np.diff(time)))
-    smooth = low_passed(force, rate, options.force_cutoff)
+    if options.target_force <= options.onset_force:
+        raise TrialRejected(
+            f"its target of {options.target_force:g} N is not above the onset force of "
+            f"{options.onset_force:g} N; lower onset_force"
+        )
+    smooth = smoothed(time, force, options.force_cutoff)
     rest = None
     if options.nuisances:
         without = (flags & AreaFlag.NO_CONTACT) != 0
@@ -203,7 +213,7 @@ def prepare(record: Any, options: FitOptions) -> FitTrial:
         )
     last = end - 1
     gaps = np.diff(time[first : last + 1])
-    if len(gaps) and gaps.max() > 0.05:
+    if len(gaps) and gaps.max() > max(LONGEST_GAP, 2.5 * sample_period(time)):
         raise TrialRejected(f"force samples are missing for {gaps.max():.2f} s during the contact")
 
     target_time = time[reached[0]]
@@ -240,7 +250,7 @@ def prepare(record: Any, options: FitOptions) -> FitTrial:
     if options.force == "paper":
         # The paper brought the force to the frames; 0.45 of their rate keeps the filter below its
         # limit.
-        driving = low_passed(force, rate, 0.45 / period)
+        driving = smoothed(time, force, 0.45 / period)
     indented, indentation = _indentation(record, start, frame_time[counted], options)
     recording = Recording(
         time, force, unshifted, driving, first, last, frame_time, counted, indented
@@ -285,7 +295,7 @@ def _indentation(
         return none
     time = (np.asarray(record.indentation_stamp_ns, dtype=np.int64)[usable] - start) * 1e-9
     period = float(np.median(np.diff(time)))
-    smooth = low_passed(values[usable], 1.0 / period, options.force_cutoff)
+    smooth = smoothed(time, values[usable], options.force_cutoff)
     after = np.searchsorted(time, instants)
     inside = (after > 0) & (after < len(time))
     after = np.clip(after, 1, len(time) - 1)
@@ -302,6 +312,25 @@ def label_of(record: Any) -> str:
     """Name of a trial: its bag and its index."""
     name = str(record.bag).rstrip("/").rsplit("/", 1)[-1]
     return f"{name} trial {int(record.index)}"
+
+
+def sample_period(time: np.ndarray) -> float:
+    """Time (s) between samples (n,), n > 1, also of such as arrive in packets with one stamp each
+    or with nearly one; gaps do not count."""
+    over = min(PACKET, len(time) - 1)
+    return float(np.median(time[over:] - time[:-over])) / over
+
+
+def smoothed(time: np.ndarray, values: np.ndarray, cutoff: float) -> np.ndarray:
+    """`low_passed` of values (n,) at times (n,) in s; uneven ones are filtered on an even grid."""
+    period = sample_period(time)
+    steps = np.diff(time)
+    if np.mean(np.abs(steps / period - 1.0) < 0.5) > 0.9:
+        return low_passed(values, 1.0 / period, cutoff)
+    even = np.linspace(time[0], time[-1], max(round((time[-1] - time[0]) / period), 1) + 1)
+    if len(even) > 4 * len(time):
+        return values  # nearly all of it is a gap
+    return np.interp(time, even, low_passed(np.interp(even, time, values), 1.0 / period, cutoff))
 
 
 def low_passed(force: np.ndarray, rate: float, cutoff: float) -> np.ndarray:

@@ -70,6 +70,8 @@ ABREAST = 3
 
 SUBSCRIPTS = str.maketrans("₀₁₂₃₄₅₆₇₈₉∞", "0123456789∞")
 
+PROFILES_IN_ROW = 6
+
 
 def title_of(quantity: Quantity) -> str:
     """Symbol and unit of a quantity, as an axis title."""
@@ -445,8 +447,13 @@ def profiles_figure(report: FitResult) -> Figure | None:
         return None
     space = report.space
     names = (*space.derived, *space.names)
-    figure, panels = plt.subplots(1, len(names), figsize=(COLUMN, 2.35), sharey=True, squeeze=False)
-    for number, (panel, name) in enumerate(zip(panels[0], names)):
+    rows = -(-len(names) // PROFILES_IN_ROW)
+    across = -(-len(names) // rows)
+    size = (COLUMN, 0.5 + 1.85 * rows)
+    figure, panels = plt.subplots(rows, across, figsize=size, sharey=True, squeeze=False)
+    for panel in panels.ravel()[len(names) :]:
+        panel.remove()
+    for number, (panel, name) in enumerate(zip(panels.ravel(), names)):
         quantity = space.describe(name)
         factor = quantity.display_factor
         ticks: list[float] = []
@@ -464,12 +471,15 @@ def profiles_figure(report: FitResult) -> Figure | None:
             ticks += [value * factor for value in profile.box]
         panel.axhline(1.0, color="0.3", lw=0.7, ls=(0, (4, 2)))
         panel.set_ylim(0, 3.2)
-        panel.set_xscale("log")
+        logarithmic = not space.log_offset(name)
+        panel.set_xscale("log" if logarithmic else "linear")
         if ticks:
             panel.set_xlim(min(ticks), max(ticks))
-            _plain_log_ticks(panel, min(ticks), max(ticks))
+            if logarithmic:
+                _plain_log_ticks(panel, min(ticks), max(ticks))
         lettered(panel, number, title_of(quantity))
-    panels[0, 0].set_ylabel(r"$(J - J_\mathrm{min})\,/\,(J_{95} - J_\mathrm{min})$")
+    for panel in panels[:, 0]:
+        panel.set_ylabel(r"$(J - J_\mathrm{min})\,/\,(J_{95} - J_\mathrm{min})$")
     legend_below(figure, *panels[0])
     return figure
 

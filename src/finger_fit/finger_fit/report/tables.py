@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from html import escape
 from urllib.parse import quote
@@ -218,7 +219,7 @@ def contrast_table(result: FitResult) -> str:
                 *([escape(c.subject)] if several else []),
                 f"{escape(c.first)} – {escape(c.second)}",
                 *headings(space, [c.quantity]),
-                f"{c.ratio:.3f}{spans[0]}",
+                "–" if math.isnan(c.ratio) else f"{c.ratio:.3f}{spans[0]}",
                 f"{show(space, c.quantity, c.difference)}{spans[1]}",
                 chance,
                 words,
@@ -231,9 +232,9 @@ def contrast_table(result: FitResult) -> str:
         + table(["subject", *header] if several else header, rows, (0, 1))
         + f"<p class=lead>First condition over and less the second, with 95 % intervals ({source}; "
         "the assumed lengths and gain are the same in both, their other errors independent). Not "
-        "separated: the interval of the ratio holds 1, so these data do not tell the two apart. "
-        "At a bound: an estimate lies on a bound of the search box, so these data do not compare "
-        "the two."
+        "separated: the interval of the difference holds 0, so these data do not tell the two "
+        "apart. At a bound: an estimate lies on a bound of the search box, so these data do not "
+        "compare the two."
         "</p>"
     )
 
@@ -537,14 +538,16 @@ def bootstrap(result: FitResult) -> str:
 def search(result: FitResult) -> str:
     """How the search was made, and J after each of its stages."""
     options, space = result.options, result.space
+    points = len(result.example()[0].grid.costs)
+    along = round(points ** (1 / len(space)))
     box = ", ".join(
         f"{q.html} {show(space, q.name, low)}–{show(space, q.name, high)} {q.display_unit}"
         for q, (low, high) in zip(space, options.box(space))
     )
     changed = " (changed from the default)" if options.bounds else ""
     text = (
-        f"<p>Brute-force grid of {options.grid}<sup>{len(space)}</sup> = "
-        f"{options.grid ** len(space)} points, evenly spaced in the logarithm; particle swarm of "
+        f"<p>Brute-force grid of {along}<sup>{len(space)}</sup> = "
+        f"{points} points, evenly spaced in the logarithm; particle swarm of "
         f"{options.particles} candidates over {options.rounds} rounds from the best grid points, "
         f"seed {options.seed}. Box: {box}{changed}. "
         + (

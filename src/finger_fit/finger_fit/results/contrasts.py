@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -28,10 +29,11 @@ DRAWS = 4000
 class Contrast:
     """A quantity in `first` against `second`, two conditions of one subject.
 
-    ratio: first over second; difference: first less second (SI); each with its 95 % interval;
-    probability_greater: that first is greater; separated: the interval of the ratio leaves out 1;
-    on_bound: the conditions whose estimate lies on a bound of the search box: their samples have no
-    spread of it, so that they are never called separated;
+    ratio: first over second, NaN for what may be zero; difference: first less second (SI); each
+    with its 95 % interval;
+    probability_greater: that first is greater; separated: the interval of the difference leaves out
+    0; on_bound: the conditions whose estimate lies on a bound of the search box: their samples have
+    no spread of it, so that they are never called separated;
     source: "bootstrap" over trials, or "covariance" of the logarithms.
     """
 
@@ -65,7 +67,9 @@ def contrasts(fits: Mapping[str, ConditionFit], subject: str = "") -> list[Contr
         space = fits[first].space
         for name in space.quantity_names:
             x, y = space.quantity(name, a), space.quantity(name, b)
-            ratio, difference = _ends(x / y), _ends(x - y)
+            # A quantity that may be zero has no ratio.
+            whole = space.log_offset(name) == 0.0
+            ratio, difference = _ends(x / y) if whole else (math.nan, math.nan), _ends(x - y)
             held = tuple(n for n in (first, second) if name in _active(fits[n]))
             one, other = fits[first].quantity(name), fits[second].quantity(name)
             found.append(
@@ -74,12 +78,12 @@ def contrasts(fits: Mapping[str, ConditionFit], subject: str = "") -> list[Contr
                     first,
                     second,
                     name,
-                    one / other,
+                    one / other if whole else math.nan,
                     ratio,
                     one - other,
                     difference,
                     float(np.mean((x > y) + 0.5 * (x == y))),
-                    not held and not ratio[0] <= 1.0 <= ratio[1],
+                    not held and not difference[0] <= 0.0 <= difference[1],
                     source_a if source_a == source_b else f"{source_a}, {source_b}",
                     held,
                 )

@@ -203,10 +203,15 @@ def parameter_files(result: FitResult) -> dict[str, ParameterSets]:
     known = {n: f for n, f in result.fits.items() if math.isfinite(f.moisture[0])}
     if known or len(result.fits) == 1:
         return {"parameters.yaml": _sets(result, known or result.fits)}
-    return {
-        f"parameters_{name.replace(' ', '_')}.yaml": _sets(result, {name: fit})
-        for name, fit in result.fits.items()
-    }
+    files: dict[str, ParameterSets] = {}
+    for name, fit in result.fits.items():
+        stem = file = f"parameters_{name.replace(' ', '_')}"
+        for number in itertools.count(2):
+            if f"{file}.yaml" not in files:
+                break
+            file = f"{stem}_{number}"
+        files[f"{file}.yaml"] = _sets(result, {name: fit})
+    return files
 
 
 def _sets(result: FitResult, fits: dict[str, ConditionFit]) -> ParameterSets:

@@ -162,7 +162,8 @@ class ConditionFit:
 
     def _around(self, name: str, reach: float) -> tuple[float, float]:
         low, high = self.space.quantity_bounds(name, self.problem.box)
-        ends = self.quantity(name) * np.exp(np.array([-reach, reach]))
+        offset = self.space.log_offset(name)
+        ends = (self.quantity(name) + offset) * np.exp(np.array([-reach, reach])) - offset
         return float(max(ends[0], low)), float(min(ends[1], high))
 
     def covariance_log(self) -> np.ndarray:

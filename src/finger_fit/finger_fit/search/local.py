@@ -99,6 +99,8 @@ def refine(
         else:
             moved_areas = areas(moved)
         residual, linear = goal.rows(base)
+        # A neighbour that cannot carry the load tells nothing.
+        moved_areas = np.where(np.isfinite(moved_areas), moved_areas, base)
         jacobian = (linear(moved_areas - base) / step[:, None]).T
         scale = np.sqrt((jacobian**2).sum(axis=0))
         scale = np.maximum(scale, 1e-6 * max(scale.max(), 1e-30))

@@ -37,6 +37,8 @@ Cost = Callable[[np.ndarray], np.ndarray]
 Progress = Callable[[int, int, float, np.ndarray], None]
 """Called after each round with: round from 1, rounds in all, best cost, best parameters."""
 
+LARGEST_GRID = 20_000
+"""Candidates of a grid: laws of many parameters have fewer points along each."""
 GRID_CHUNK = 125
 """Candidates of the grid per batch; between batches, progress is reported and Ctrl-C acts."""
 
@@ -72,7 +74,11 @@ class Search:
 
 
 def grid_points(coordinates: Coordinates, number: int) -> np.ndarray:
-    """Parameters (number^D, N), evenly spaced in the logarithm, both ends included."""
+    """Parameters (number^D, N), evenly spaced in the logarithm, both ends included; at least two
+    along each of the D axes, and fewer than `number` where there would be more than
+    LARGEST_GRID."""
+    while number > 2 and number ** len(coordinates.box) > LARGEST_GRID:
+        number -= 1
     axes = [np.linspace(low, high, number) for low, high in coordinates.box]
     return coordinates.parameters(np.array(list(itertools.product(*axes))))
 

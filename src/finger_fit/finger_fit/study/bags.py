@@ -68,6 +68,8 @@ def load(
     Raises InputError when a path is no bag or a bag holds no trial data.
     """
     bags = find_bags(paths)
+    if calibration and not Path(calibration).is_file():
+        raise InputError(f"{calibration}: no such file; give the calibration of the camera")
     settings = TrialSettings(
         normal_axis=normal_axis or "",
         onset_force=options.onset_force,

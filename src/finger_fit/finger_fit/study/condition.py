@@ -194,7 +194,7 @@ class _Stages:
         if options.full_order:
             fit.status = "not final" if fit.reasons else "final"
         if options.profiles:
-            names = problem.space.quantity_names
+            names = [n for n in problem.space.quantity_names if problem.space.can_hold(n)]
             shared = (problem, fit.parameters, fit.objective, fit.covariance)
             fit.profiles = dict(zip(names, self.map("profiles", _profile, shared, names)))
         seeded = (problem, fit.parameters, options.seed)
@@ -263,7 +263,8 @@ def polish(problem: FitProblem, parameters: np.ndarray, starts: np.ndarray) -> L
 
 def residual_noise(problem: FitProblem, parameters: np.ndarray) -> float:
     """Noise (m²) of a frame by the areas' residuals at fitted parameters (N,)."""
-    residual = problem.areas(parameters)[0] - problem.measured
+    used = problem.weight > 0.0
+    residual = (problem.areas(parameters)[0] - problem.measured)[used]
     degrees = max(len(residual) - len(problem.space), 1)
     return max(float(np.sqrt((residual**2).sum() / degrees)), SMALLEST_NOISE)
 

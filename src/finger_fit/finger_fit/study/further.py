@@ -72,6 +72,11 @@ class JointGoal:
         return np.concatenate([rows for rows, _ in found]), linear
 
 
+def area_cost(problem: FitProblem, parameters: np.ndarray) -> float:
+    """J (m⁴) of parameters (N,): of the areas alone, without priors."""
+    return float(problem.trial_costs(problem.areas(parameters)[0]).sum())
+
+
 def shared_fit(
     problems: dict[str, FitProblem], best: dict[str, np.ndarray], shared: Sequence[str]
 ) -> dict[str, Any]:
@@ -111,10 +116,10 @@ def shared_fit(
     found = dict(zip(names, fit.parameters.reshape(number, -1)))
     return {
         "parameters": list(shared),
-        "J": fit.cost * MM4,
-        "J_separate": sum(float(problems[n].cost(best[n])[0]) for n in names) * MM4,
+        "J": sum(area_cost(problems[n], found[n]) for n in names) * MM4,
+        "J_separate": sum(area_cost(problems[n], best[n]) for n in names) * MM4,
         "conditions": {
-            name: {**space.mapping(v), "J": float(problems[name].cost(v)[0]) * MM4}
+            name: {**space.mapping(v), "J": area_cost(problems[name], v) * MM4}
             for name, v in found.items()
         },
     }
@@ -226,7 +231,7 @@ def force_modes(fit: ConditionFit, records: Sequence[Any]) -> dict[str, dict[str
     return {
         options.force: {"J": fit.cost * MM4, headline: fit.quantity(headline)},
         other: {
-            "J": float(problem.trial_costs(problem.areas(found.parameters)[0]).sum()) * MM4,
+            "J": area_cost(problem, found.parameters) * MM4,
             headline: float(fit.space.quantity(headline, found.parameters)),
         },
     }

@@ -86,11 +86,13 @@ def bias_corrected(
     """Every quantity's corrected value from the best parameters (N,) and pairs (B, 2, N)."""
     out = {}
     for name in space.quantity_names:
-        centre = np.log(space.quantity(name, best))
-        biases = np.log(space.quantity(name, pairs)).mean(axis=1) - centre
+        centre = float(space.log_quantity(name, best))
+        biases = space.log_quantity(name, pairs).mean(axis=1) - centre
         bias = float(biases.mean())
         error = float(biases.std(ddof=1) / np.sqrt(len(biases))) if len(biases) > 1 else np.nan
-        out[name] = BiasCorrected(float(np.exp(centre - bias)), bias, error)
+        out[name] = BiasCorrected(
+            float(np.exp(centre - bias)) - space.log_offset(name), bias, error
+        )
     return out
 
 
@@ -101,7 +103,10 @@ def shifted_interval(profile: Profile, bias: float) -> tuple[float, float]:
     """
     # Computed as in `bias_corrected`: an estimate on a bound is also the end of its interval, and
     # rounding must not separate the two.
-    low, high = (np.exp(np.log(end) - bias) for end in profile.interval)
+    low, high = (
+        np.exp(np.log(end + profile.log_offset) - bias) - profile.log_offset
+        for end in profile.interval
+    )
     if profile.open_low:
         low = min(low, profile.interval[0])
     if profile.open_high:

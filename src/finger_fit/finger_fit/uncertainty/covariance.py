@@ -187,12 +187,15 @@ class Covariance:
 
 
 def sensitivities(problem: FitProblem, parameters: np.ndarray) -> np.ndarray:
-    """∂A/∂x (N, n) in m² of all rows at parameters (N,), by central differences in one batch."""
+    """∂A/∂x (N, n) in m² of all rows at parameters (N,), by central differences in one batch; by
+    differences to one side for a parameter that may be zero, and is."""
     space, number = problem.space, len(problem.space)
     centre = space.to_log(parameters)
-    shifts = np.eye(number) * _CENTRAL
-    rows = problem.outputs(space.from_log(np.vstack([centre + shifts, centre - shifts])))
-    return (rows[:number] - rows[number:]) / (2.0 * _CENTRAL)
+    lowest = np.array([np.log(p.log_offset) if p.log_offset else -np.inf for p in space])
+    below = np.maximum(centre - _CENTRAL, lowest)
+    points = [centre + np.eye(number) * _CENTRAL, np.where(np.eye(number), below, centre)]
+    rows = problem.outputs(space.from_log(np.vstack(points)))
+    return (rows[:number] - rows[number:]) / (_CENTRAL + centre - below)[:, None]
 
 
 def active_bounds(space: ParameterSpace, parameters: np.ndarray, box: np.ndarray) -> dict[str, str]:
@@ -223,7 +226,8 @@ def covariance(
     planned = expected_noise is not None
     active = {} if planned else active_bounds(space, parameters, problem.box)
     free = [i for i, name in enumerate(space.names) if name not in active]
-    degrees = float(len(weight) - len(free))
+    used = weight > 0.0
+    degrees = float(used.sum() - len(free))
     if problem.indentations is not None:
         degrees -= len(problem.indentations.trials)  # their zeros
     shared = problem.nuisances
@@ -248,8 +252,9 @@ def covariance(
     curvature = filtered @ slope.T + np.diag(prior)
     # Equal noise in every frame; the residuals of the fit are smaller by the fitted parameters.
     # Indentations that fit worse than their stated deviation widen the intervals.
-    square = max(np.mean(residual**2), np.mean(residual[: len(problem.measured)] ** 2))
-    noise = float(np.sqrt(square * len(weight) / max(degrees, 0.2 * len(weight), 1.0)))
+    areas = np.arange(len(weight)) < len(problem.measured)
+    square = max(np.mean(residual[rows] ** 2) for rows in (used, used & areas))
+    noise = float(np.sqrt(square * used.sum() / max(degrees, 0.2 * used.sum(), 1.0)))
     if expected_noise is not None:
         noise, residual = expected_noise, np.zeros_like(residual)
     spread = np.hstack([filtered * noise, (filtered @ own) * own_sd])

@@ -33,7 +33,7 @@ class Profile:
     values (n,): SI; costs (n,): m⁴; threshold: J in m⁴ below which a value lies in data_interval,
     the 95 % interval from the data alone; interval: with all that is unknown; their ends lie at the
     box's where they run to a bound (open_low, open_high: of interval); box: lowest and highest
-    value of the quantity in the search box; parameters (n, N).
+    value of the quantity in the search box; parameters (n, N); log_offset: see `ParameterSpec`.
     """
 
     name: str
@@ -46,13 +46,13 @@ class Profile:
     open_low: bool
     open_high: bool
     parameters: np.ndarray
+    log_offset: float = 0.0
 
     @property
     def identifiable(self) -> bool:
         """Whether the data narrow the quantity down inside the box."""
-        low, high = self.data_interval
-        limit = LARGEST_IDENTIFIABLE_SHARE * np.log(self.box[1] / self.box[0])
-        return bool(np.log(high / low) < limit)
+        interval, box = np.diff(np.log(np.array([self.data_interval, self.box]) + self.log_offset))
+        return bool(interval[0] < LARGEST_IDENTIFIABLE_SHARE * box[0])
 
 
 def profile(
@@ -66,50 +66,53 @@ def profile(
     """Profile likelihood of one quantity around the best parameters (N,)."""
     space = problem.space
     low, high = space.quantity_bounds(name, problem.box)
-    centre = float(space.quantity(name, best))
-    deviation = found.data_deviation(name)
-    deviation = min(max(deviation, 1e-4), np.log(high / low))
+    offset = space.log_offset(name)
+    first, last, middle = np.log([low + offset, high + offset, space.quantity(name, best) + offset])
+    deviation = min(max(found.data_deviation(name), 1e-4), last - first)
     near = np.array([0.5, 1.0, 1.5, 2.0, 2.5, 3.0])
     logs = np.concatenate(
         [
-            np.log(centre) + deviation * np.concatenate([-near, near]),
-            np.linspace(np.log(low), np.log(high), points),
+            middle + deviation * np.concatenate([-near, near]),
+            np.linspace(first, last, points),
         ]
     )
-    logs = np.unique(logs[(logs >= np.log(low) - 1e-12) & (logs <= np.log(high) + 1e-12)])
-    values, costs, parameters = [centre], [best_cost], [best]
+    logs = np.unique(logs[(logs >= first - 1e-12) & (logs <= last + 1e-12)])
+    places, costs, parameters = [float(middle)], [best_cost], [best]
     # Outwards from the best, each refit from its neighbour.
-    for side in (logs[logs < np.log(centre) - 1e-9][::-1], logs[logs > np.log(centre) + 1e-9]):
+    for side in (logs[logs < middle - 1e-9][::-1], logs[logs > middle + 1e-9]):
         start = best
         for log in side:
-            value = float(np.clip(np.exp(log), low, high))
-            coordinates = held(problem, name, value)
+            coordinates = held(problem, name, float(np.clip(np.exp(log) - offset, low, high)))
             if coordinates is None:
                 continue
             fit = refine(problem, coordinates, start, tolerance=1e-5)
             start = fit.parameters
-            values.append(value)
+            places.append(float(log))
             costs.append(fit.cost)
             parameters.append(fit.parameters)
-    order = np.argsort(values)
-    all_values, all_costs = np.array(values)[order], np.array(costs)[order]
+    order = np.argsort(places)
+    all_places, all_costs = np.array(places)[order], np.array(costs)[order]
     threshold = best_cost + _allowed_rise(problem, name, found)
-    lower, open_low = _crossing(all_values, all_costs, centre, best_cost, threshold, -1)
-    upper, open_high = _crossing(all_values, all_costs, centre, best_cost, threshold, +1)
+    lower, open_low = _crossing(all_places, all_costs, middle, best_cost, threshold, -1)
+    upper, open_high = _crossing(all_places, all_costs, middle, best_cost, threshold, +1)
     added = NORMAL_95 * found.assumed_deviation(name)
-    wide_low = centre * float(np.exp(-np.hypot(np.log(centre / lower), added)))
-    wide_high = centre * float(np.exp(np.hypot(np.log(upper / centre), added)))
+    wide = middle + np.hypot([middle - lower, upper - middle], added) * [-1.0, 1.0]
+
+    def values(logs: np.ndarray | list[float]) -> np.ndarray:
+        return np.clip(np.exp(logs) - offset, low, high)
+
     return Profile(
         name,
-        all_values,
+        values(all_places),
         all_costs,
         threshold,
-        (lower, upper),
-        (max(wide_low, low), min(wide_high, high)),
+        (float(values([lower])[0]), float(values([upper])[0])),
+        (float(values(wide)[0]), float(values(wide)[1])),
         (low, high),
-        open_low or wide_low < low,
-        open_high or wide_high > high,
+        bool(open_low or wide[0] < first),
+        bool(open_high or wide[1] > last),
         np.array(parameters)[order],
+        offset,
     )
 
 
@@ -138,7 +141,8 @@ def in_interval(
     if rise <= allowed:
         return True
     # The root of the rise is nearly linear in the logarithm.
-    distance = abs(float(np.log(value / space.quantity(name, best))))
+    log = np.log(value + space.log_offset(name))
+    distance = abs(float(log - space.log_quantity(name, best)))
     data = distance * np.sqrt(allowed / rise)
     return bool(distance <= np.hypot(data, NORMAL_95 * found.assumed_deviation(name)))
 
@@ -149,14 +153,15 @@ def _allowed_rise(problem: FitProblem, name: str, found: Covariance) -> float:
 
 
 def _crossing(
-    values: np.ndarray, costs: np.ndarray, centre: float, base: float, threshold: float, side: int
+    logs: np.ndarray, costs: np.ndarray, centre: float, base: float, threshold: float, side: int
 ) -> tuple[float, bool]:
-    """Where the profile first exceeds the threshold going outwards, and whether it never does.
+    """Logarithm at which the profile first exceeds the threshold going outwards, and whether it
+    never does.
 
     The root of the rise is nearly linear in the logarithm and is interpolated there.
     """
-    beyond = values[values <= centre][::-1] if side < 0 else values[values >= centre]
-    rises = costs[values <= centre][::-1] if side < 0 else costs[values >= centre]
+    beyond = logs[logs <= centre][::-1] if side < 0 else logs[logs >= centre]
+    rises = costs[logs <= centre][::-1] if side < 0 else costs[logs >= centre]
     root = np.sqrt(np.maximum(rises - base, 0.0))
     limit = np.sqrt(max(threshold - base, 0.0))
     above = np.flatnonzero(root > limit)
@@ -166,5 +171,4 @@ def _crossing(
     if k == 0:
         return float(centre), False
     share = (limit - root[k - 1]) / (root[k] - root[k - 1])
-    log = np.log(beyond[k - 1]) + share * np.log(beyond[k] / beyond[k - 1])
-    return float(np.exp(log)), False
+    return float(beyond[k - 1] + share * (beyond[k] - beyond[k - 1])), False

@@ -34,15 +34,25 @@ def long_term_modulus(vectors: np.ndarray) -> np.ndarray:
     return vectors[..., 0] * (1.0 - vectors[..., 1 : 1 + 2 * count : 2].sum(axis=-1))
 
 
-LONG_TERM_MODULUS = DerivedQuantity(
-    "long_term_E",
-    **IN_KPA,
-    meaning="Long-term modulus of the bulk tissue at small strain, E0 (1 − Σ fractions).",
-    symbol="E∞",
-    decimals=2,
-    value=long_term_modulus,
-    of=("E0",),
-)
+def with_long_term_modulus(vectors: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """Vectors (…, n) with E0 such that E∞ has these values (…)."""
+    out = np.array(vectors, dtype=float)
+    out[..., 0] *= value / long_term_modulus(out)
+    return out
+
+
+def _long_term_modulus_of(count: int) -> DerivedQuantity:
+    return DerivedQuantity(
+        "long_term_E",
+        **IN_KPA,
+        meaning="Long-term modulus of the bulk tissue at small strain, E0 (1 − Σ fractions).",
+        symbol="E∞",
+        decimals=2,
+        value=long_term_modulus,
+        solve=with_long_term_modulus,
+        solves_for="E0",
+        of=("E0", *(f"fraction_{k}" for k in range(1, 1 + count))),
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +64,6 @@ class GeneralizedMaxwell(MaxwellLaw):
     whose sum leaves less than 0.1 % to the spring.
     """
 
-    DERIVED = (LONG_TERM_MODULUS,)
     STIFFNESS_ADVICE = "lower the fractions of the branches or 'poisson_ratio_bulk'"
     INTERNAL_TENSORS: ClassVar[int] = 0
 
@@ -147,6 +156,7 @@ def _subclass(count: int) -> type[GeneralizedMaxwell]:
     names = {
         "name": f"generalized_maxwell_{count}",
         "INTERNAL_TENSORS": count,
+        "DERIVED": (_long_term_modulus_of(count),),
         "__annotations__": {name: float for name in made},
         "__module__": __name__,
         "__doc__": f"Generalised Maxwell tissue of {count} branch{'es' if count > 1 else ''}.",

@@ -259,13 +259,26 @@ class ParameterSpace:
         values = self.quantity(name, corners)
         return float(values.min()), float(values.max())
 
+    def log_offset(self, name: str) -> float:
+        """`ParameterSpec.log_offset` of a parameter; zero for a derived quantity."""
+        return 0.0 if name in self.derived else self[name].log_offset
+
+    def log_quantity(self, name: str, vectors: np.ndarray) -> np.ndarray:
+        """ln(q + log_offset) (…) of a quantity q for vectors (…, n): its logarithm, for which all
+        deviations are given."""
+        return np.log(self.quantity(name, vectors) + self.log_offset(name))
+
+    def can_hold(self, name: str) -> bool:
+        """Whether `with_quantity` can set this quantity."""
+        return name not in self.derived or self.derived[name].solve is not None
+
     def log_gradient(self, name: str, vector: np.ndarray) -> np.ndarray:
-        """∂ln q/∂x (n,) of a quantity q over the coordinates x, by central differences."""
+        """∂/∂x (n,) of `log_quantity` over the coordinates x, by central differences."""
         step = 1e-5
         shifts = step * np.eye(len(self))
         centre = self.to_log(vector)
-        high = np.log(self.quantity(name, self.from_log(centre + shifts)))
-        low = np.log(self.quantity(name, self.from_log(centre - shifts)))
+        high = self.log_quantity(name, self.from_log(centre + shifts))
+        low = self.log_quantity(name, self.from_log(centre - shifts))
         return (high - low) / (2.0 * step)
 
     # Correction of a model -------------------------------------------------------------------
@@ -273,7 +286,7 @@ class ParameterSpace:
     def correction_coordinates(self, vectors: np.ndarray) -> np.ndarray:
         """Coordinates (…, n): the logarithms of the quantities named in `correction`."""
         vectors = np.asarray(vectors, dtype=float)
-        return np.stack([self._log_quantity(name, vectors) for name in self.correction], axis=-1)
+        return np.stack([self.log_quantity(name, vectors) for name in self.correction], axis=-1)
 
     def from_correction_coordinates(self, coordinates: np.ndarray) -> np.ndarray:
         """Vectors (…, n) of correction coordinates (…, n)."""
@@ -282,13 +295,8 @@ class ParameterSpace:
         # Derived quantities last: they are solved for a parameter at the values of the others.
         for name in sorted(self.correction, key=lambda name: name in self.derived):
             value = np.exp(coordinates[..., self.correction.index(name)])
-            offset = self[name].log_offset if name in self else 0.0
-            vectors = self.with_quantity(name, vectors, value - offset)
+            vectors = self.with_quantity(name, vectors, value - self.log_offset(name))
         return vectors
-
-    def _log_quantity(self, name: str, vectors: np.ndarray) -> np.ndarray:
-        offset = self[name].log_offset if name in self else 0.0
-        return np.log(self.quantity(name, vectors) + offset)
 
     # Moisture --------------------------------------------------------------------------------
 
