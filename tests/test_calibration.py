@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,12 +16,20 @@ from finger_common.errors import InputError
 from finger_common.guided_presses import CALIBRATION_PRESSES
 from finger_common.trial_phases import TrialPhase
 from finger_model.anthropometry import GeometryEstimate, estimate_geometry
-from finger_model.calibration import Calibration, CalibrationPress, calibrate, subject_model
+from finger_model.calibration import (
+    Calibration,
+    CalibrationPress,
+    calibrate,
+    on_level_plate,
+    subject_model,
+)
 from finger_model.estimator import ContactEstimator
 from finger_model.finger import load_for
 from finger_model.geometry import Geometry
 from finger_model.parameter_sets import ParameterSets
 from finger_model.people import People, Person
+from finger_model.pose.correction import PoseCorrection
+from finger_model.pose.pose import Pose
 from finger_model.reduced import ReducedModel
 from finger_model.reduced.model import load_population
 from finger_model.subjects import PressCollector, save_subject, subject_file
@@ -141,6 +150,26 @@ def test_without_calipers_that_serve_the_finger_in_use_is_taken(
 ) -> None:
     model, lengths = subject_model(ReducedModel.load(), calipers)
     assert model is ReducedModel.load() and said in lengths.note and not lengths.deviations
+
+
+def test_a_pose_that_the_node_knows_does_not_count_twice(fingers: list[Finger]) -> None:
+    """Areas of a pad in a pose give the finger that areas of a round pad on a level plate give."""
+    finger, model = fingers[0], ReducedModel.load()
+    skin = model.material.skin_ratio
+    pose = PoseCorrection(model.geometry, Pose(1.3, 0.2), skin)
+    assert math.exp(pose.log_area(50e-6)) > 1.1
+    posed = [
+        replace(press, area=np.array([a * math.exp(pose.log_area(a)) for a in press.area]))
+        for press in finger.presses
+    ]
+    level = on_level_plate(posed, model, pose)
+    sets = ParameterSets.default()
+    found = calibrate(model, sets, level, finger.person.moisture).quantities[0]
+    round_pad = calibrate(model, sets, finger.presses, finger.person.moisture).quantities[0]
+    assert found.value == pytest.approx(round_pad.value, rel=0.005)
+    for one, other in zip(level, finger.presses, strict=True):
+        assert np.allclose(one.area, other.area, rtol=1e-4)
+        assert np.all(one.area_sd < other.area_sd)
 
 
 def test_parameters_of_a_fit_keep_their_finger_whatever_calipers_say(

@@ -38,6 +38,7 @@ from .finger_prior import COORDINATES, FingerPrior
 from .geometry import Geometry
 from .parameter_sets import ParameterSets
 from .people import People
+from .pose.correction import PoseCorrection
 from .reduced.model import ReducedModel, load_population
 
 LEAST_PRESSES = 4
@@ -160,6 +161,23 @@ def usable(presses: Sequence[CalibrationPress]) -> list[CalibrationPress]:
             f"{len(found)} of {len(presses)} presses have {LEAST_AREAS} usable areas or more, "
             f"{LEAST_PRESSES} are needed: check camera, light and plate, and press again"
         )
+    return found
+
+
+def on_level_plate(
+    presses: Sequence[CalibrationPress], model: ReducedModel, pose: PoseCorrection
+) -> list[CalibrationPress]:
+    """The presses with the areas of a round pad on a level plate, from those of a pad in a pose.
+
+    model: of the finger; pose: gives aspect, tilt and skin. The estimate takes the pose into
+    account by itself, so that the finger's own numbers must be without it.
+    """
+    own = PoseCorrection(model.geometry, pose.pose, pose.skin_ratio)
+    found = []
+    for press in presses:
+        area = np.array([own.round_area(a) if a > 0.0 else a for a in press.area.tolist()])
+        share = np.divide(area, press.area, out=np.ones_like(area), where=press.area > 0.0)
+        found.append(replace(press, area=area, area_sd=press.area_sd * share))
     return found
 
 

@@ -66,8 +66,9 @@ from finger_msgs.msg import (
 from finger_msgs.srv import ForceForArea, PredictContact
 
 from .anthropometry import GeometryEstimate, session_estimate
-from .calibration import Calibration, CalibrationPress, calibrate, subject_model
+from .calibration import Calibration, CalibrationPress, calibrate, on_level_plate, subject_model
 from .estimator import ContactEstimate, ContactEstimator, EstimatorEvent, EstimatorSettings
+from .estimator.events import ANOTHER_SUBJECT
 from .estimator.parameter_selection import check_sets
 from .finger import load_for, load_reduced
 from .geometry import Geometry
@@ -577,10 +578,10 @@ class ModelNode(ManagedNode):
         """Another subject: its own parameters, and nothing learned of the one before."""
         with self._lock:
             if message.subject and message.subject != self._subject:
+                reason = (ANOTHER_SUBJECT if self._subject else "subject ") + message.subject
                 self._subject = message.subject
                 if self._active:
-                    sets = self._sets_of(message.subject)
-                    self._use_sets(sets, f"subject {message.subject}", forget=True)
+                    self._use_sets(self._sets_of(message.subject), reason, forget=True)
             if not self._active or self.estimator is None:
                 return
             self._collector.rejected_flags = self.estimator.settings.rejected_area_flags
@@ -680,6 +681,8 @@ class ModelNode(ManagedNode):
         try:
             calipers = self._calipers_of(session)
             model, lengths = subject_model(self._model_of(sets), calipers, sets)
+            if self.estimator is not None:
+                presses = on_level_plate(presses, model, self.estimator.pose_correction)
             found = calibrate(model, sets, presses, moisture, lengths=lengths)
             taken = time.monotonic() - began
             with self._lock:

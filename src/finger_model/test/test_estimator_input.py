@@ -439,6 +439,42 @@ def test_a_reset_keeps_the_moisture_reading_alone(estimator: ContactEstimator) -
     assert after.model_area == pytest.approx(one(fresh, 1000, 0.5)[0].model_area, rel=1e-3)
 
 
+def test_the_moisture_of_one_person_is_not_that_of_the_next(estimator: ContactEstimator) -> None:
+    estimator.add_moisture(T0 - 100 * MS, 110.0)
+    assert one(estimator, 0, 0.0)[0].moisture == 110.0
+    event = estimator.reset("another subject: S02")
+    (after,) = one(estimator, 2, 0.0)
+    assert np.isnan(after.moisture) and after.flags & StateFlag.MOISTURE_MISSING
+    again = ContactEstimator(estimator.model)
+    again.add_moisture(T0 - 100 * MS, 110.0)
+    one(again, 0, 0.0)
+    again.apply_event(event)
+    assert rows(one(again, 2, 0.0)) == rows([after])
+
+
+def test_a_recorded_jump_does_not_act_where_time_first_passes_its_stamp(
+    model: ReducedModel,
+) -> None:
+    """Time runs to 2 s, and from there back to 1 s, as a node recorded it."""
+    stamps, forces = press(1000)
+    live, recorded = ContactEstimator(model), []
+    seen = rows(live.add_wrenches(stamps, forces))
+    recorded.append(live.clock_jump_event(int(stamps[500])))
+    seen += rows(live.add_wrenches(stamps[500:], forces[500:]))
+    again = ContactEstimator(model)
+    for event in recorded:
+        again.apply_event(event)
+    every = [*zip(stamps, forces), *zip(stamps[500:], forces[500:])]
+    assert rows([e for t, f in every for e in again.add_wrench(int(t), f)]) == seen
+
+
+def test_areas_without_a_force_sensor_do_not_pile_up(estimator: ContactEstimator) -> None:
+    for k in range(2000):
+        estimator.add_area(T0 + 100 * k * MS, 50e-6, 1e-6, live=True)
+    assert len(estimator._inputs._areas) <= 21
+    one(estimator, 200_000, 1.0)
+
+
 def test_sets_of_another_geometry_are_refused(model: ReducedModel) -> None:
     sets = ParameterSets(ParameterSets.default().sets, geometry_hash="0" * 64)
     with pytest.raises(InputError, match="geometry"):
@@ -462,6 +498,27 @@ def test_prediction_is_what_follows(estimator: ContactEstimator) -> None:
         (then,) = one(estimator, 500 + round(1000 * t), f)
     assert predicted.area[-1] == pytest.approx(then.area, rel=1e-6)
     assert predicted.indentation[-1] == pytest.approx(then.indentation, rel=1e-6)
+
+
+def test_prediction_in_the_air_is_of_the_next_contact(estimator: ContactEstimator) -> None:
+    """The own error of the last contact, 15 % larger than those before, is not that of the next."""
+    ms = 0
+    for gain in (1.0, 1.0, 1.0, 1.15):
+        for k in range(750):
+            (now,) = one(estimator, ms, min(k / 250, 1.0) if k < 625 else max(0.0, 13.5 - k / 50))
+            ms += 2
+            if k % 50 == 25 and 50 < k < 625:
+                area = now.model_area
+                estimator.add_area(now.stamp_ns, gain * area, 0.02 * area, live=True)
+    for _ in range(500):
+        one(estimator, ms, 0.0)
+        ms += 2
+    time = np.arange(1, 1001) * 0.002
+    force = np.minimum(time, 1.0)
+    predicted = estimator.predict(time, force)
+    for k, f in enumerate(force):
+        (then,) = one(estimator, ms + 2 * k, f)
+    assert predicted.area[-1] == pytest.approx(then.area, rel=0.01)
 
 
 @pytest.mark.parametrize("horizon", [0.0, 0.5])

@@ -174,6 +174,9 @@ class ContactEstimator:
             self._count_late(areas=1)
             return False
         self._inputs.add_area(stamp_ns, area, sd, flags)
+        if live and self.last_stamp is None:
+            # A camera that runs for hours before the force sensor does.
+            self._inputs.forget_areas_before(stamp_ns - round(FUTURE * NANOSECONDS))
         return True
 
     def add_moisture(self, stamp_ns: int, value: float, live: bool = False) -> bool:
@@ -221,7 +224,8 @@ class ContactEstimator:
     # Changes ---------------------------------------------------------------------------------
 
     def reset(self, reason: str = "on demand") -> EstimatorEvent:
-        """Back to a finger at rest, not seen before; the moisture reading stays.
+        """Back to a finger at rest, not seen before; the moisture reading stays, unless the reason
+        begins with `events.ANOTHER_SUBJECT`.
 
         Returns the event to record.
         """
@@ -306,7 +310,7 @@ class ContactEstimator:
         newest = self._state.last_stamp
         if newest is None:
             return [(stamp_ns, force)]
-        if stamp_ns in self._jumps:
+        if stamp_ns in self._jumps and stamp_ns <= newest:
             # Recorded by a node that saw its clock jump back to here.
             self._jump_back(stamp_ns)
             return [(stamp_ns, force)]
@@ -383,7 +387,7 @@ class ContactEstimator:
         self.settings = event.estimator_settings()
         new_sets = self._take_over_sets(event.parameter_sets)
         self._count_late(len(event.late_areas), len(event.late_moistures))
-        if event.type == EventType.START:
+        if event.type == EventType.START or event.is_another_subject:
             self._moisture = None
         self._configure()
         if event.type in (EventType.START, EventType.RESET):
@@ -453,7 +457,9 @@ def replay(
     """Run recorded inputs through an estimator; gives what a live node made of them, bit for bit.
 
     wrenches: blocks of stamps (n,) and forces (n, 3), in the order recorded; areas: (stamp_ns,
-    area, sd, flags); moistures: (stamp_ns, value); events: all of the recording.
+    area, sd, flags); moistures: (stamp_ns, value); events: all of the recording. Where time jumped
+    back, stamps do not tell on which side an input came: then add all of them in the order they
+    came, as `finger-bag process` does.
     """
     estimator.expect_late(events)
     for event in events:

@@ -16,6 +16,9 @@ from .settings import EstimatorSettings
 TIME_JUMP = "time jumped back"
 """Reason of the reset that a jump of the clock caused."""
 
+ANOTHER_SUBJECT = "another subject: "
+"""Beginning of the reason of the reset at another subject, whose moisture is not known yet."""
+
 
 class EventType(IntEnum):
     """Kinds of event, numbered as in ModelEvent."""
@@ -48,6 +51,11 @@ class EstimatorEvent:
     def is_time_jump(self) -> bool:
         """Whether it records that time jumped back."""
         return self.type == EventType.RESET and self.reason == TIME_JUMP
+
+    @property
+    def is_another_subject(self) -> bool:
+        """Whether it records that the finger is another subject's."""
+        return self.type == EventType.RESET and self.reason.startswith(ANOTHER_SUBJECT)
 
     def estimator_settings(self) -> EstimatorSettings:
         """Settings in force after the event; raises InputError for text that is no JSON object."""

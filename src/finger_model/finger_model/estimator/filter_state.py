@@ -178,14 +178,20 @@ class FilterState:
         time (n,) in s from now, force (n,) in N; the state stays as it is.
         """
         table = np.empty((len(time), 3))
+        networks, base, constants, finger, work = self._model_records()
+        finger, state = finger.copy(), self.state
+        if not state["contact"]["touching"][0]:
+            # The next contact has errors of its own, not those of the last.
+            constants, state = constants.copy(), state.copy()
+            stream.begin_contact(networks, base, constants, finger, work, self.configuration, state)
         stream.predicted(
-            self.model.networks,
-            self.constants,
-            self.finger.copy(),
-            self.model.work,
+            networks,
+            constants,
+            finger,
+            work,
             np.zeros(1, members.MEMBERS),
             self.configuration,
-            self.state,
+            state,
             time,
             force,
             table,

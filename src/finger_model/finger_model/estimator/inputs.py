@@ -68,6 +68,10 @@ class InputQueue:
         self._area_stamps.append(stamp_ns)
         bisect.insort(self._areas, (int(stamp_ns), float(area), float(sd), int(flags)), key=_stamp)
 
+    def forget_areas_before(self, stamp_ns: int) -> None:
+        """Remove areas of earlier stamps, which no wrench sample will need."""
+        del self._areas[: bisect.bisect_left(self._areas, stamp_ns, key=_stamp)]
+
     def add_moisture(self, stamp_ns: int, value: float) -> bool:
         """Let a reading (a.u.) wait; false for a value that is not on the scale of the probe."""
         if not is_moisture(value):

@@ -516,6 +516,15 @@ def place_members(net, base, par, finger, work, states):
 
 
 @njit(cache=True)
+def begin_contact(net, base, par, finger, work, configuration, states):
+    """Filters and members as at an onset now; all of these are copies of a finger in the air."""
+    config, state = configuration[0], states[0]
+    area_filter.begin_contact(state.filters, config.noise, state.stream.last_stamp)
+    members.shift_to(state.members, state.filters.start[2:])
+    members.place(net, base, par, finger, work, state.members)
+
+
+@njit(cache=True)
 def predicted(net, par, finger, work, near, configuration, states, time, force, table):
     """Fused area (m²), indentation (m) and peak pressure (Pa) (n, 3) under a future force.
 
