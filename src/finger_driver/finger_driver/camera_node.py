@@ -110,12 +110,14 @@ class CameraNode(DeviceNode):
             return
         self.device.cleared("frozen")
         calibration, shape = self._calibration, frame.image.shape
-        if calibration.calibrated and (calibration.height, calibration.width) != shape:
-            self.device.note(
-                "calibration_size",
-                f"images are {shape[1]}×{shape[0]}, the calibration is for {calibration.width}×"
-                f"{calibration.height}; camera_info is marked as not calibrated",
-            )
+        other = calibration.calibrated and (calibration.height, calibration.width) != shape
+        self.device.note_if(
+            other,
+            "calibration_size",
+            f"images are {shape[1]}×{shape[0]}, the calibration is for {calibration.width}×"
+            f"{calibration.height}; camera_info is marked as not calibrated",
+        )
+        if other:
             calibration = CameraCalibration(name=calibration.name)
         health.sample()
         frame_id = self.frame

@@ -51,13 +51,39 @@ class IncreasingStamps:
         return True
 
 
+LATE = 3e-3
+"""s above the line below all blocks from which a block counts as late."""
+CLOCK_DRIFT = 5e-4
+"""s/s; clocks of crystals differ by a fifth of it at most."""
+SURE_BLOCKS = 8
+"""Blocks from which a larger drift is believed, as of a device with another rate than it states."""
+
+
+def _line_below(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Slope and intercept (2,) of the line below all points (n,), n > 1, that is nearest to them:
+    the edge of their lower convex hull at the mean of x."""
+    hull: list[int] = []
+    for k in range(len(x)):
+        while len(hull) > 1:
+            i, j = hull[-2:]
+            if (y[j] - y[i]) * (x[k] - x[i]) < (y[k] - y[i]) * (x[j] - x[i]):
+                break
+            hull.pop()
+        hull.append(k)
+    right = min(max(int(np.searchsorted(x[hull], x.mean())), 1), len(hull) - 1)
+    i, j = hull[right - 1], hull[right]
+    slope = (y[j] - y[i]) / (x[j] - x[i])
+    return np.array([slope, y[i] - slope * x[i]])
+
+
 class ClockMapper:
     """Maps a device's clock to host time from pairs (device time, host time of receipt).
 
     Receipt is late by a delay that is never negative: in each block of `block` seconds of device
     time the pair with the least delay is kept, and a line through the last `blocks` of them (least
-    squares) gives offset and drift. Before the second block is complete, the least delay so far is
-    used without drift.
+    squares) gives offset and drift. A block in which every pair was late, as under load, lies above
+    the others and is left out. Before the second block is complete, and while the line drifts by
+    more than a clock does and there are few blocks, the least delay so far is used without drift.
 
     nominal_rate: device ticks per second. `drift` is in s/s (device clock slow: positive), `jitter`
     the standard deviation of receipt about the mapped time, in s.
@@ -121,8 +147,14 @@ class ClockMapper:
         if len(self._minima) < 2:
             return
         device, delay = np.array(self._minima).T
+        line = _line_below(device, delay)
+        near = delay - np.polyval(line, device) <= LATE
+        if near.sum() > 1:
+            line = np.polyfit(device[near], delay[near], 1)
+        if abs(line[0]) > CLOCK_DRIFT and len(device) < SURE_BLOCKS:
+            line = np.array([0.0, delay.min()])
         self._centre = float(device.mean())
-        self.drift, self._offset = (float(v) for v in np.polyfit(device - self._centre, delay, 1))
+        self.drift, self._offset = float(line[0]), float(np.polyval(line, self._centre))
 
     def notes(self) -> dict[str, str]:
         """Drift and jitter for diagnostics."""

@@ -47,6 +47,7 @@ class Device(Generic[Sample]):
         self.clock = HostClock()
         self.log: Log = lambda level, message: None
         self._noted: dict[str, float] = {}
+        self._absent: set[str] = set()
 
     def connect(self) -> None:
         """Open the device, check it, make it ready to be read."""
@@ -70,6 +71,7 @@ class Device(Generic[Sample]):
     def note(self, key: str, message: str, level: int = WARN) -> None:
         """Count a fault, and log it when it is new."""
         self._noted[key] = time.monotonic()
+        self._absent.discard(key)
         if self.health.fault(key, message, level):
             self.log(level, message)
 
@@ -79,10 +81,20 @@ class Device(Generic[Sample]):
         A fault that comes and goes is logged once, and diagnostics once a second do not miss it.
         """
         for key in keys:
-            noted = self._noted.get(key)
-            if noted is not None and time.monotonic() - noted > HOLD:
-                del self._noted[key]
-                self.health.recovered(key)
+            if key in self._noted:
+                self._absent.add(key)
+                self._end(key)
+
+    def end_passed(self) -> None:
+        """End the faults that were absent when looked for last, and have been shown for HOLD s."""
+        for key in list(self._absent):
+            self._end(key)
+
+    def _end(self, key: str) -> None:
+        if time.monotonic() - self._noted.get(key, 0.0) > HOLD:
+            self._noted.pop(key, None)
+            self._absent.discard(key)
+            self.health.recovered(key)
 
     def note_if(self, present: bool, key: str, message: str) -> None:
         """Note a fault that is present, clear one that is absent."""
@@ -156,6 +168,7 @@ class DeviceThread(Generic[Sample]):
                 if not connected:
                     device.connect()
                     connected = True
+                    device.cleared("internal")
                     device.health.count("reconnects")
                     if device.health.recovered("connection"):
                         device.log(0, f"{device.health.name}: connected again")

@@ -159,10 +159,11 @@ class DeviceNode(ManagedNode):
             health = self.device.health
             health.notes.update(self._statistics.notes())
             step = self._host_clock.step()
-            if abs(step) > _CLOCK_STEP:
-                self.device.note(
-                    "clock_step",
-                    f"the system clock was stepped by {step:+.3f} s; stamps continue as before, "
-                    "restart all nodes to follow it",
-                )
+            self.device.note_if(
+                abs(step) > _CLOCK_STEP,
+                "clock_step",
+                f"the system clock was stepped by {step:+.3f} s; stamps continue as before, "
+                "restart all nodes to follow it",
+            )
+            self.device.end_passed()
         super().publish_diagnostics()

@@ -187,7 +187,9 @@ class ForceNode(DeviceNode):
         self._tare_done.clear()
         with self._tare_lock:
             self._collector = collector
-        self._tare_done.wait(2 * self.values["tare_duration"] + 0.5)
+        end = time.monotonic() + 2 * self.values["tare_duration"] + 0.5
+        while not self._tare_done.wait(0.5) and time.monotonic() < end:
+            self.not_hanging()
         with self._tare_lock:
             self._collector = None
         try:

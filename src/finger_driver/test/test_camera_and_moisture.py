@@ -56,6 +56,19 @@ def test_frames_arrive_as_written_with_their_stamps_and_older_ones_do_not(tmp_pa
     assert len(list((tmp_path / "f").iterdir())) == 3
 
 
+def test_a_frame_of_the_future_does_not_hide_those_of_today(tmp_path: Path) -> None:
+    writer = FrameFolderWriter(tmp_path / "f", keep=10)
+    source = FolderSource(FolderSettings(path=str(tmp_path / "f")))
+    source.connect()
+    writer.write(time.time_ns() + 3600 * 10**9, picture(0))
+    assert source.read(0.05) is None
+    assert "stamped in the future" in source.health.faults["ahead"]
+    for index in range(1, 4):
+        writer.write(time.time_ns(), picture(index))
+        frame = source.read(1.0)
+        assert frame is not None and frame.sequence == index
+
+
 def test_missing_frames_are_counted_and_a_missing_folder_is_reported(tmp_path: Path) -> None:
     writer = FrameFolderWriter(tmp_path)
     source = FolderSource(FolderSettings(path=str(tmp_path)))
@@ -249,6 +262,19 @@ def test_ueye_calls_come_in_the_makers_order_and_the_pitch_is_cut_off() -> None:
     source.close()
     assert sdk.calls[-1] == "is_ExitCamera"
     assert sdk.calls.count("is_FreeImageMem") == sdk.calls.count("is_AllocImageMem")
+
+
+def test_ueye_frames_that_waited_before_reading_began_tell_nothing() -> None:
+    """Stamps of those that waited in the queue since connecting would bend the clock's line."""
+    source = UeyeSource(UeyeSettings(rate=10.0), sdk=FakeUeye())
+    source.connect()
+    for _ in range(20):
+        assert source.read(0.1) is not None
+    source._sdk.number += 500
+    source.flush()
+    frame = source.read(0.1)
+    assert frame is not None and source.health.counters["lost"] == 0
+    assert source._mapper._minima.maxlen and not source._mapper._minima
 
 
 def test_ueye_open_elsewhere_or_without_its_library_is_reported(

@@ -96,3 +96,18 @@ def test_an_error_in_the_node_is_forgotten_when_samples_are_taken_again(
     read(device, take)
     until(lambda: "internal" in device.health.faults)
     until(lambda: bool(samples) and not device.health.faults)
+
+
+def test_a_fault_ends_though_nothing_comes_after_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of a probe whose next reading is minutes away."""
+    monkeypatch.setattr(module, "HOLD", 0.1)
+    device = Counting()
+    device.note("malformed", "a bad line")
+    device.cleared("malformed")
+    device.end_passed()
+    assert device.health.faults
+    until(lambda: not (device.end_passed(), device.health.faults)[1])
+    device.note("malformed", "a bad line")
+    time.sleep(0.15)
+    device.end_passed()
+    assert device.health.faults, "it was not absent since"

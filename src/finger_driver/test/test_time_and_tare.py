@@ -35,6 +35,33 @@ def test_a_device_clock_is_mapped_to_a_tenth_of_the_jitter(drift: float) -> None
     assert mapper.jitter == pytest.approx(0.001, rel=0.3)
 
 
+@pytest.mark.parametrize("late", [(0.0, 1.5), (0.0, 3.0), (6.0, 8.5)])
+def test_a_computer_that_is_late_for_a_while_does_not_bend_the_clock(
+    late: tuple[float, float],
+) -> None:
+    """Frames at 10 Hz wait 0.35 s in the queue of a camera, at the start or later."""
+    random = np.random.default_rng(1)
+    mapper = ClockMapper(1e7)
+    start, errors = 1_700_000_000_000_000_000, []
+    for index in range(600):
+        true = 0.1 * index
+        delay = 0.004 + random.exponential(0.001) + (0.35 if late[0] <= true < late[1] else 0.0)
+        stamp = mapper.update(round(true * (1 - 40e-6) * 1e7), start + round((true + delay) * 1e9))
+        errors.append((stamp - start) * 1e-9 - true - 0.004)
+    # At the start nothing else is known until the queue is empty, and stamps never go back.
+    after = np.abs(errors)[int(10 * late[1]) + 4 :]
+    assert after.max() < 0.005
+    assert after[100:].max() < 0.002
+
+
+def test_a_device_of_another_rate_is_still_found_out() -> None:
+    """It sends 1 % slower than it states."""
+    mapper = ClockMapper(500.0)
+    for index in range(10_000):
+        mapper.update(index, 10**18 + round(index * 0.002 * 1.01 * 1e9))
+    assert mapper.drift == pytest.approx(0.01, rel=1e-3)
+
+
 def test_a_device_clock_that_starts_again_is_mapped_anew() -> None:
     mapper = ClockMapper(1000.0)
     for index in range(5000):

@@ -190,6 +190,10 @@ class FtirRenderer:
 
     # Public ----------------------------------------------------------------------------------
 
+    def restart_noise(self, rng: np.random.Generator) -> None:
+        """Take the noise of the frames that follow from `rng`, whatever was rendered before."""
+        self._rng = rng
+
     def empty(self) -> np.ndarray:
         """Frame (height, width) uint8 of the plate without a finger."""
         return self._with_noise(self._empty)

@@ -68,6 +68,7 @@ def write_bag(
     with BagWriter(path, metadata) as bag:
         if images:
             renderer = renderer_for(trial.condition, VIEW, seed)
+            renderer.restart_noise(stream(seed, trial.condition, trial.index, "noise"))
             calibration = renderer.calibration().to_yaml().encode()
             bag.attach(CALIBRATION_ATTACHMENT, calibration, "application/yaml")
             records += _frames(trial, seed, renderer)

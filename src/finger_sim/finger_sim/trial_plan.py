@@ -123,6 +123,7 @@ def plan_trial(
 
     folder.mkdir(parents=True, exist_ok=True)
     renderer = renderer_for(setting.name, view, request.seed)
+    renderer.restart_noise(request.rng("noise"))
     centre = request.rng("placement").normal(0.0, PLACEMENT_SD, 2)
     origin = centre + TO_PLATE @ correction.touch.place
     frames, pressed = [], np.zeros((len(instants), 2))

@@ -80,6 +80,9 @@ def test_a_trial_depends_on_its_name_and_seed_alone(planned, tmp_path: Path) -> 
     assert np.array_equal(again.press.force, planned.press.force)
     assert np.array_equal(again.frame_area, planned.frame_area)
     assert np.array_equal(again.moisture, planned.moisture)
+    # Whatever the same renderer drew before.
+    for one, other in zip(again.frames, planned.frames, strict=True):
+        assert one.read_bytes() == other.read_bytes()
     redone = TrialRequest("natural", 3, attempt=1, seed=5)
     assert redone.rng("press").random() != TrialRequest("natural", 3, seed=5).rng("press").random()
 

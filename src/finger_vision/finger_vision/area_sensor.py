@@ -85,6 +85,9 @@ class AreaSensor(Protocol):
     learned: int
     """Number of signals without contact in the background, 0 after `reset`."""
 
+    lit: bool = True
+    """Whether the newest signal had the light that the background was learned with."""
+
     def __init__(self, settings: Any, calibration: PlateCalibration) -> None: ...
 
     def measure(self, signal: np.ndarray) -> ContactMeasurement:

@@ -19,6 +19,10 @@ TILE = 16
 PLATE_SHARE, ONE_RATIO = 0.3, 0.05
 """Share of the frame that is plate at least, and relative spread of its brightness."""
 
+OTHER_LIGHT, DARK = 5.0, 10.0
+"""Factor and greys by which the plate is brighter or darker than the learned one when the light was
+off in one of the two."""
+
 POLARITIES = ("auto", "dark", "bright")
 """Touching ridges are darker or brighter than the plate; "auto" finds out in each frame."""
 
@@ -29,13 +33,14 @@ class Background:
 
     image: (h, w) uint8. bright_ridges: whether touching ridges are brighter than the plate.
     learned: false where it was guessed from the frame itself. noise: standard deviation of a
-    pixel, greys.
+    pixel, greys. lit: whether the frame has the light that the learned one has.
     """
 
     image: np.ndarray
     bright_ridges: bool
     learned: bool
     noise: float
+    lit: bool = True
 
 
 class LearnedBackground:
@@ -97,13 +102,16 @@ def background_of(
     polarity: one of POLARITIES. ridge_period: in working pixels.
     """
     if learned.image is not None and learned.image.shape == frame.shape:
-        # Gain and exposure may drift.
+        # Gain and exposure may drift; what was learned before the light was on tells nothing.
         reference = learned.tiles.astype(np.float32)
         tiles = tile_means(frame).astype(np.float32)
-        gain = gain_of(tiles / np.maximum(reference, 1))
-        image = cv2.convertScaleAbs(learned.image, alpha=gain)
-        bright = float(np.sum(tiles - gain * reference)) > 0
-        return Background(image, _is_bright(polarity, bright), True, learned.noise)
+        gain, before = gain_of(tiles / np.maximum(reference, 1)), float(np.median(reference))
+        now = gain * max(before, 1.0)
+        if now <= OTHER_LIGHT * before + DARK:
+            lit = before <= OTHER_LIGHT * now + DARK
+            image = cv2.convertScaleAbs(learned.image, alpha=gain)
+            bright = float(np.sum(tiles - gain * reference)) > 0
+            return Background(image, _is_bright(polarity, bright), True, learned.noise, lit)
     mean, deviation = tile_statistics(frame)
     bright = _is_bright(polarity, guess_polarity(mean, deviation))
     image = guess_background(frame, mean, deviation, bright, round(1.6 * ridge_period))

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import Any
 
@@ -46,9 +47,17 @@ class Board:
                     f"marker of {self.marker:g} m does not fit a square of {self.square:g} m; "
                     "give its side in metres"
                 )
-            if not hasattr(cv2.aruco, self.dictionary):
+            number = getattr(cv2.aruco, self.dictionary, None)
+            if not (self.dictionary.startswith("DICT_") and isinstance(number, int)):
                 raise InputError(
                     f"dictionary '{self.dictionary}' is not one of OpenCV's; use e.g. {DICTIONARY}"
+                )
+            has = len(cv2.aruco.getPredefinedDictionary(number).bytesList)
+            if self.columns * self.rows // 2 > has:
+                raise InputError(
+                    f"a board of {self.columns}×{self.rows} squares has "
+                    f"{self.columns * self.rows // 2} markers, {self.dictionary} has {has}; give "
+                    "the board's own dictionary"
                 )
 
     @property
@@ -58,10 +67,14 @@ class Board:
         flat = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
         return flat * self.square
 
-    def charuco(self) -> Any:
-        """OpenCV's description of a ChArUco board."""
+    def charuco(self, legacy: bool = False) -> Any:
+        """OpenCV's description of a ChArUco board; legacy: of OpenCV before 4.6, where boards with
+        an even number of rows began with a marker."""
         markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary))
-        return cv2.aruco.CharucoBoard((self.columns, self.rows), self.square, self.marker, markers)
+        size = self.columns, self.rows
+        board = cv2.aruco.CharucoBoard(size, self.square, self.marker, markers)
+        board.setLegacyPattern(legacy)
+        return board
 
     def draw(self, pixels_per_square: int = 40) -> np.ndarray:
         """Picture (h, w) uint8 of the board, to print it or to render it."""
@@ -102,8 +115,9 @@ def find_board(image: np.ndarray, board: Board, name: str = "image") -> View | N
         if not found:
             return None
         return View(name, board.corners, np.asarray(corners, float).reshape(-1, 2), (width, height))
-    detector = cv2.aruco.CharucoDetector(board.charuco())
-    for mirrored in (False, True):
+    patterns = (False, True) if board.rows % 2 == 0 else (False,)
+    for legacy, mirrored in itertools.product(patterns, (False, True)):
+        detector = cv2.aruco.CharucoDetector(board.charuco(legacy))
         looked_at = np.ascontiguousarray(image[:, ::-1]) if mirrored else image
         corners, ids, _, _ = detector.detectBoard(looked_at)
         if ids is not None and len(ids) >= 6:

@@ -152,7 +152,10 @@ class FtirSegmenter(AreaSensor):
         """Measure a frame and learn the background from it if it shows no contact."""
         frame, grid = self._reduced(signal)
         measurement = self._measure(frame, grid)
-        if measurement.flags & AreaFlag.NO_CONTACT:
+        if measurement.flags & AreaFlag.NO_BACKGROUND:
+            # Of another size, or learned before the light was on: it tells nothing of the plate.
+            self._background.clear()
+        if self.lit and measurement.flags & AreaFlag.NO_CONTACT:
             self._background.add(frame)
         return measurement
 
@@ -168,6 +171,7 @@ class FtirSegmenter(AreaSensor):
     def _measure(self, frame: np.ndarray, grid: WorkingGrid) -> ContactMeasurement:
         settings = self.settings
         background = background_of(frame, self._background, settings.polarity, grid.period)
+        self.lit = background.lit
         contrast, noise = contrast_of(frame, background)
         ridges = find_ridges(contrast, noise, background.learned, settings.minimum_contrast, grid)
         self.steps = Steps(frame, background.image, contrast, ridges)

@@ -44,6 +44,11 @@ COLOUR = {
 """Encoding of several channels of 8 bit -> OpenCV's conversion to grey."""
 
 
+LEAST_OF_16_BITS = 4096
+"""Brightest value below which a 16-bit image is no picture: 16 of 256 greys, and what 12 bits in
+the lower bits can hold."""
+
+
 def as_mono8(image: np.ndarray, where: str = "image") -> np.ndarray:
     """(H, W) uint8 of a grey or colour image of uint8 or uint16.
 
@@ -56,6 +61,12 @@ def as_mono8(image: np.ndarray, where: str = "image") -> np.ndarray:
     if image.size == 0:
         raise InputError(f"{where}: image is empty ({shape}); give pixels")
     if image.dtype == np.uint16:
+        if 0 < (brightest := int(image.max())) < LEAST_OF_16_BITS:
+            raise InputError(
+                f"{where}: no value of the 16-bit pixels is above {brightest} of 65535: 10- or "
+                "12-bit pixels in the lower bits, or no light; shift them to the upper bits, or "
+                "set the camera to 8 bits"
+            )
         image = (image >> 8).astype(np.uint8)
     elif image.dtype != np.uint8:
         raise InputError(

@@ -167,6 +167,11 @@ class VisionNode(ManagedNode):
         self._areas.publish(area)
         self.health.sample()
         self.health.notes["background_frames"] = str(learned)
+        if self.sensor.lit:
+            self.health.recovered("light")
+        else:
+            text = "the plate is dark, and contacts are not seen; check light, lens and exposure"
+            self.log_fault(self.health, "light", text, WARN)
         self.health.recovered("frame")
         self.health.recovered("failure")
         if measurement.flags & AreaFlag.NO_CONTACT:

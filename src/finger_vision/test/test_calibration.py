@@ -274,3 +274,27 @@ def test_bad_calibration_files_are_refused(tmp_path: Path, text: str, words: str
     with pytest.raises(InputError, match=words) as caught:
         PlateCalibration.load(path)
     assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_boards_printed_with_an_older_opencv_are_found(mirrored: bool) -> None:
+    """Those with an even number of rows begin with a marker."""
+    board = Board("charuco", 10, 8, 0.003, 0.0022)
+    picture = board.charuco(legacy=True).generateImage((600, 480))
+    picture = cv2.copyMakeBorder(picture, 60, 60, 60, 60, cv2.BORDER_CONSTANT, value=255)
+    view = find_board(np.ascontiguousarray(picture[:, ::-1]) if mirrored else picture, board)
+    assert view is not None and len(view.points) == 9 * 7
+    homography, _ = cv2.findHomography(view.points[:, :2], view.pixels)
+    back = cv2.perspectiveTransform(view.points[None, :, :2], homography)[0]
+    assert np.abs(back - view.pixels).max() < 0.3
+
+
+@pytest.mark.parametrize(
+    ("columns", "dictionary", "words"),
+    [(10, "Board", "not one of OpenCV's"), (40, "DICT_4X4_100", "has 160 markers, .* has 100")],
+)
+def test_dictionaries_that_do_not_serve_the_board_are_refused(
+    columns: int, dictionary: str, words: str
+) -> None:
+    with pytest.raises(InputError, match=words):
+        Board("charuco", columns, 8, 0.003, 0.0022, dictionary)

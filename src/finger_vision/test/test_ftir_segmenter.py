@@ -350,3 +350,33 @@ def test_overlay_has_a_scale_bar_and_marks_a_clipped_contact() -> None:
     framed = draw_overlay(image, clipped, segmenter.calibration)
     assert not np.array_equal(plain[500, :10], framed[500, :10])
     assert (framed[500, 2] == (0, 159, 230)).all()
+
+
+@pytest.mark.parametrize("greys", [0, 2, 5, 30])
+def test_frames_from_before_the_light_was_on_are_no_background(greys: int) -> None:
+    """A camera that starts before its light, or with the cap on."""
+    renderer = FtirRenderer("natural", seed=3)
+    segmenter = FtirSegmenter(calibration=renderer.calibration())
+    noise = np.random.default_rng(0)
+    for _ in range(30):
+        dark = np.clip(np.rint(noise.normal(greys, 0.7, renderer.empty().shape)), 0, 255)
+        segmenter.process(dark.astype(np.uint8))
+    for _ in range(30):
+        empty = segmenter.process(renderer.empty())
+    assert empty.flags & AreaFlag.NO_CONTACT and segmenter.learned >= 30
+    pressed = segmenter.process(renderer.render(4.5e-3))
+    assert pressed.gross_area == pytest.approx(math.pi * 4.5e-3**2, rel=0.04)
+    assert not pressed.flags & AreaFlag.NO_BACKGROUND
+
+
+def test_the_background_outlasts_a_light_that_is_switched_off_for_a_while() -> None:
+    renderer = FtirRenderer("natural", seed=3)
+    segmenter = FtirSegmenter(calibration=renderer.calibration())
+    for _ in range(30):
+        segmenter.process(renderer.empty())
+    for _ in range(300):
+        off = segmenter.process(np.full_like(renderer.empty(), 3))
+        assert off.flags & AreaFlag.NO_CONTACT and not segmenter.lit
+    pressed = segmenter.process(renderer.render(4.5e-3))
+    assert segmenter.lit and not pressed.flags & AreaFlag.NO_BACKGROUND
+    assert pressed.gross_area == pytest.approx(math.pi * 4.5e-3**2, rel=0.04)

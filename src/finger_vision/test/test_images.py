@@ -74,6 +74,7 @@ def test_unusable_messages_are_refused(arguments, words: str) -> None:
     [
         (np.zeros((0, 5), np.uint8), "empty"),
         (np.zeros((4, 4), np.float32), "float32"),
+        (np.full((4, 4), 4095, np.uint16), "10- or 12-bit pixels"),
         (np.zeros((4, 4, 2), np.uint8), "4×4×2"),
         (np.zeros(4, np.uint8), r"\(height, width\)"),
     ],

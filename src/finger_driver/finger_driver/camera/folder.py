@@ -21,11 +21,14 @@ import numpy as np
 
 from finger_common.errors import DeviceError, InputError
 from finger_common.image_size import check_image
+from finger_common.stamps import nanoseconds
 
 from .source import CameraSettings, CameraSource, Frame
 
 _NAME = re.compile(r"(\d{1,19})_(\d{1,18})\.(?:pgm|png|tif|tiff|bmp)")
 _POLL = 0.004
+_AHEAD = 1.0
+"""s by which a frame may be stamped ahead of this machine's clock."""
 _BACKLOG = 8
 """Frames that may wait; of more, the oldest are skipped and counted."""
 
@@ -104,18 +107,27 @@ class FolderSource(CameraSource):
     def _waiting(self) -> list[tuple[tuple[int, int], str]]:
         if not self._connected or self._last is None:
             raise DeviceError(f"{self._folder}: not connected")
-        last = self._last
-        found = []
+        last, latest = self._last, self.clock.now() + nanoseconds(_AHEAD)
+        found, ahead = [], 0
         try:
             with os.scandir(self._folder) as entries:
                 for entry in entries:
                     key = parse_name(entry.name)
                     if key is not None and key > last:
-                        found.append((key, entry.name))
+                        if key[0] > latest:
+                            ahead += 1
+                        else:
+                            found.append((key, entry.name))
         except OSError as error:
             raise DeviceError(
                 f"{self._folder}: cannot be read ({error.strerror}); start what writes it"
             ) from None
+        self.note_if(
+            ahead > 0,
+            "ahead",
+            f"{ahead} frames are stamped in the future and left out; check the clock that stamps "
+            "them",
+        )
         return sorted(found)
 
     def _load(self, key: tuple[int, int], name: str) -> Frame | None:

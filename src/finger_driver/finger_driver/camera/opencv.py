@@ -133,10 +133,11 @@ class OpenCvSource(CameraSource):
             self._capture.set(key, value)
             got = self._capture.get(key)
             self.health.notes[f"camera_{name}"] = f"{got:g}"
-            if abs(got - value) > 0.01 * abs(value):
-                self.note(
-                    f"setting_{name}", f"camera '{self._path}': {name} is {got:g}, not {value:g}"
-                )
+            self.note_if(
+                abs(got - value) > 0.01 * abs(value),
+                f"setting_{name}",
+                f"camera '{self._path}': {name} is {got:g}, not {value:g}",
+            )
 
     def close(self) -> None:
         grabber, self._grabber = self._grabber, None

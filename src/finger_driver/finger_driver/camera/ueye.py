@@ -139,11 +139,11 @@ class UeyeSource(CameraSource):
         rate = u.double()
         self._check(u.is_SetFrameRate(camera, u.double(wanted.rate), rate), "frame rate")
         self.health.notes["camera_rate"] = f"{float(rate.value):g}"
-        if abs(float(rate.value) - wanted.rate) > 0.01 * wanted.rate:
-            self.note(
-                "setting_rate",
-                f"the camera runs at {float(rate.value):g} Hz, not {wanted.rate:g} Hz",
-            )
+        self.note_if(
+            abs(float(rate.value) - wanted.rate) > 0.01 * wanted.rate,
+            "setting_rate",
+            f"the camera runs at {float(rate.value):g} Hz, not {wanted.rate:g} Hz",
+        )
         if wanted.exposure:
             exposure = u.double(wanted.exposure * 1e3)
             self._check(
@@ -161,9 +161,13 @@ class UeyeSource(CameraSource):
 
     def flush(self) -> None:
         """Release what waits in the queue."""
+        self._next_number = None
         for _ in range(_BUFFERS):
             if self._camera is None or self.read(0.0) is None:
                 break
+        # They waited: their receipt tells nothing of the clock, and those between were not wanted.
+        self._mapper.restart()
+        self._next_number = None
         self._last_frame = time.monotonic()
 
     def read(self, timeout: float = 1.0) -> Frame | None:

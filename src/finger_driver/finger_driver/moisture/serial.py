@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import contextlib
+import termios
 import time
 from collections import deque
 from dataclasses import dataclass
@@ -79,8 +80,12 @@ class SerialSource(MoistureSource):
 
     def flush(self) -> None:
         if self._port is not None:
-            with contextlib.suppress(OSError):
+            try:
                 self._port.reset_input_buffer()
+            except (OSError, termios.error) as error:
+                raise DeviceError(
+                    f"serial port '{self.settings.path}' is lost ({error}); check the cable"
+                ) from None
         self._splitter.reset()
         self._ready.clear()
 
