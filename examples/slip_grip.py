@@ -30,7 +30,8 @@ class SlipGrip:
     (N); rise, fall: of the force (N/s); cautious: standard deviations by which friction is taken
     lower than estimated; dither: share by which the force swings, `dither_rate` times a second, as
     long as friction is a guess. As long as no slip was seen the friction is a guess: the
-    force falls slowly until a slip begins, which tells it. `force` is the force to grip with (N).
+    force falls slowly until a slip begins, which tells it. `force` is the force to grip with (N);
+    it begins with the first one measured, for an object that is held already.
     """
 
     margin: float = 0.2
@@ -45,7 +46,7 @@ class SlipGrip:
     dither: float = 0.06
     dither_rate: float = 6.0
     largest_step: float = 0.02
-    force: float = 0.0
+    force: float = math.nan
     _stamp: float = -math.inf
     _alarmed: float = -math.inf
     _reflex: float = 0.0
@@ -69,6 +70,8 @@ class SlipGrip:
         self._stamp = stamp
         if flags & SlipFlag.FORCE_INVALID:
             return self.force
+        if math.isnan(self.force):
+            self.force = min(max(normal, self.smallest), self.largest)
         guess = bool(flags & SlipFlag.FRICTION_ASSUMED)
         friction = max(friction - (0.0 if guess else self.cautious * friction_sd), 0.05)
         wanted = tangential / ((1.0 - self.margin) * friction)
@@ -185,7 +188,8 @@ def run_node(arguments: list[str]) -> None:
             state.slip_probability,
             state.flags,
         )
-        publisher.publish(Float64(data=force))
+        if not math.isnan(force):
+            publisher.publish(Float64(data=force))
 
     qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
     node.create_subscription(ContactSlip, "contact_slip", on_slip, qos)

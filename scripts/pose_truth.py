@@ -8,15 +8,13 @@
 
 writes a row for each finger, pose and force. `learn` gives the fingers that `finger_model.pose` is
 fitted to: the default one in six poses, then such as lie all over the population box; `test` those
-kept aside, on a finer mesh. Fingers that the file has already are kept, so that a run may be broken
-off and taken up again; `--part 0 2` and `--part 1 2` are two halves for two processes with a table
-each. One pose takes 2 to 5 s of a core, one that is tilted about both axes three times as long.
+kept aside. Fingers that the file has already are kept, so that a run may be broken off and taken up
+again; `--part 0 2` and `--part 1 2` are two halves for two processes with a table each. A pose
+takes some 20 s of a core, one that is tilted about both axes four times as long; every third finger
+has one.
 
-The area is that inside the line where the skin touches just then: each skin node touches at some
-force, known between two steps from how its gap closes, and between nodes that force is
-interpolated. A node touches a part of the node spacing ahead of the true edge. How much it is, is
-seen on the round pad on a level plate, whose area the axisymmetric model knows; the outlines of the
-other poses are drawn in by as much.
+Areas are those of the three-dimensional model over a smooth curve through its areas of the round
+pad on a level plate, times those of the axisymmetric model: what the mesh does to both cancels.
 
 A pad that is tilted about its long axis alone is solved as half a finger too: with x and y
 exchanged. One of a finger's poses is tilted in any direction and solved whole.
@@ -44,19 +42,13 @@ from finger_model.laws import StandardLinearSolid
 from finger_model.pose.correction import SKIN_RATIOS
 from finger_model.pose.pose import Pose
 from finger_model.reduced.population import BOX
-from finger_model.solid3d.contact_shape import node_areas
 from finger_model.solid3d.full_order import SolidModel, SolidStepper
-from finger_model.solid3d.mesh import MeshSize, SolidMesh, solid_mesh
+from finger_model.solid3d.mesh import MeshSize, solid_mesh
 from finger_model.verification.cases import elastic
 
-LOADS = np.geomspace(0.03, 1.9, 14)
+LOADS = np.geomspace(0.045, 1.6, 12)
 """Force over the modulus of the tissue and the square of half the pad's width."""
-WRITTEN = (3, 5, 7, 9, 11, 12)
-"""Of LOADS."""
-SIZES = {
-    "learn": MeshSize(center=0.2, across=4, growth=1.12, bulk=3, bulk_growth=1.3, skin=3),
-    "test": MeshSize(center=0.2, across=5, growth=1.09, bulk=4, bulk_growth=1.25, skin=3),
-}
+SIZE = MeshSize(center=0.18, across=6, growth=1.11, bulk=5, bulk_growth=1.3)
 SEEDS = {"learn": 18, "test": 81}
 KINDS = ("pitch", "roll", "level", "both")
 """Of the poses of a finger."""
@@ -66,8 +58,6 @@ MODULUS = 30e3
 """Pa; only ratios count."""
 FRICTION = (-0.3, 0.6)
 """Coefficients of friction: none where it is negative."""
-SAMPLES = 12
-"""Across a face, of the force at which the skin touches."""
 
 
 @dataclass(frozen=True)
@@ -93,15 +83,13 @@ class Finger:
 
 class Press(NamedTuple):
     """Contacts (n,) at LOADS that have an equilibrium: area (m²), larger and smaller semi-axis (m),
-    orientation of the larger one from x (rad), centre and centre of pressure (m), node spacing at
-    the edge (m)."""
+    orientation of the larger one from x (rad), centre and centre of pressure (m)."""
 
     area: np.ndarray
     axes: np.ndarray
     orientation: np.ndarray
     center: np.ndarray
     pressure: np.ndarray
-    spacing: np.ndarray
 
 
 COLUMNS = (
@@ -161,7 +149,11 @@ def fingers(which: str) -> Iterator[tuple[Finger, list[Pose]]]:
         # Poses of their own random numbers: blocks of one sequence would give every finger alike
         # ones.
         rng = np.random.default_rng([SEEDS[which], number])
-        kinds = KINDS if which == "learn" else (KINDS[number % 4], KINDS[(number + 1) % 4])
+        first = number % 4
+        if which == "learn":
+            kinds = KINDS if number % 3 == 0 else KINDS[:3]
+        else:
+            kinds = KINDS[first], KINDS[(first + 1) % 4]
         poses = [random_pose(rng, kind) for kind in kinds]
         yield finger, poses
 
@@ -176,103 +168,35 @@ def forces(finger: Finger) -> np.ndarray:
     return LOADS * MODULUS * finger.width**2
 
 
-def press(finger: Finger, pose: Pose, size: MeshSize) -> Press:
+def press(finger: Finger, pose: Pose) -> Press:
     """One finger pressed onto one plate."""
     geometry = finger.geometry
     swapped = pose.pitch == 0.0 and pose.roll != 0.0
     if swapped:
         # x and y exchanged: the roll is a pitch, and the pad is long along y.
         run = Pose(1.0, pose.roll)
-        mesh = solid_mesh(geometry, run, size)
+        mesh = solid_mesh(geometry, run, SIZE)
         mesh = replace(mesh, nodes=mesh.nodes * [1.0, pose.aspect, 1.0])
         model = SolidModel(geometry, run, mesh=mesh)
     else:
-        model = SolidModel(geometry, pose, size=size)
+        model = SolidModel(geometry, pose, size=SIZE)
     stepper = model.start(material(finger))
-    skins, gaps, pressures, spacings = [], [], [], []
+    points, pressures = [], []
     for k, force in enumerate(forces(finger).tolist(), 1):
         try:
-            stepper.step(float(k), force)
+            points.append(stepper.step(float(k), force))
         except ModelError:
             break
-        contact, mesh = stepper.state.contact, model.mesh
-        skin = stepper.state.positions[mesh.surface]
-        open_ = contact.status == OPEN
-        skins.append(skin[:, :2])
-        gaps.append(np.where(open_, np.maximum(skin[:, 2] - contact.plate[2], 1e-12), 0.0))
         pressures.append(center_of_pressure(stepper))
-        crossed = ~open_[mesh.faces].all(axis=1) & open_[mesh.faces].any(axis=1)
-        edge = np.unique(mesh.faces[crossed])
-        on_plane = mesh.half & (np.abs(mesh.disc[:, 1]) < 1e-12)
-        share = node_areas(mesh, skin) * np.where(on_plane, 2.0, 1.0)
-        spacings.append(float(np.sqrt(share[edge]).mean()))
-    count = len(skins)
-    if count < 3:
-        none = np.zeros((0, 2))
-        return Press(none[:, 0], none, none[:, 0], none, none, none[:, 0])
-    root = np.cbrt(LOADS[:count])
-    touch, place = touching(np.array(skins), np.array(gaps), root)
-    shapes = [inside(model.mesh, place, touch, limit) for limit in root]
-    area, axes, angle, center = (np.array(v) for v in zip(*shapes, strict=True))
-    pressed = np.array(pressures)
+    area, a, b, angle, x, y = (
+        np.array([getattr(point, name) for point in points])
+        for name in "area semi_axis_a semi_axis_b orientation center_x center_y".split()
+    )
+    axes, center = np.column_stack([a, b]), np.column_stack([x, y])
+    pressed = np.array(pressures).reshape(-1, 2)
     if swapped:
         angle, center, pressed = 0.5 * math.pi - angle, center[:, ::-1], pressed[:, ::-1]
-    return Press(area, axes, angle, center, pressed, np.array(spacings))
-
-
-def touching(
-    skins: np.ndarray, gaps: np.ndarray, root: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Cubic root of the load (S,) at which each node touches, and its place (S, 2) then.
-
-    skins (n, S, 2) and gaps (n, S) at loads whose cubic roots are root (n,): the contact's radius
-    grows nearly linearly with it, and beside the edge the gap with the distance to the power 3/2.
-    """
-    distance = gaps ** (2.0 / 3.0)
-    touch, place = np.empty(skins.shape[1]), skins[-1].copy()
-    for node, g in enumerate(distance.T):
-        closed = np.flatnonzero(g == 0.0)
-        k = int(closed[0]) if len(closed) else len(root)
-        if k < 2:
-            touch[node] = (0.6, 0.97)[k] * root[k]
-            place[node] = skins[0, node]
-            continue
-        slope = (g[k - 1] - g[k - 2]) / (root[k - 1] - root[k - 2])
-        found = root[k - 1] - g[k - 1] / slope if slope < 0.0 else math.inf
-        latest = root[k] if k < len(root) else 3.0 * root[-1]
-        touch[node] = min(max(found, root[k - 1]), latest)
-        if k < len(root):
-            part = (touch[node] - root[k - 1]) / (root[k] - root[k - 1])
-            place[node] = (1.0 - part) * skins[k - 1, node] + part * skins[k, node]
-    return touch, place
-
-
-def inside(
-    mesh: SolidMesh, place: np.ndarray, touch: np.ndarray, limit: float
-) -> tuple[float, np.ndarray, float, np.ndarray]:
-    """Area (m²) where the skin touches before `limit`, its semi-axes, the larger first, direction
-    of that from x (rad), and centre."""
-    even = (np.arange(SAMPLES) + 0.5) / SAMPLES
-    u, v = (grid.ravel() for grid in np.meshgrid(even, even))
-    shape = np.stack([(1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v])
-    along = np.stack([v - 1, 1 - v, -v, v])
-    across = np.stack([u - 1, -u, 1 - u, u])
-    corners = place[mesh.faces]
-    points, du, dv = (np.einsum("nq,fnd->fqd", n, corners) for n in (shape, along, across))
-    weight = np.abs(du[..., 0] * dv[..., 1] - du[..., 1] * dv[..., 0]) / len(u)
-    weight = weight * (touch[mesh.faces] @ shape <= limit)
-    area = weight.sum()
-    center = np.einsum("fq,fqd->d", weight, points) / area
-    if mesh.half:
-        center[1] = 0.0
-    away = points - center
-    square = np.einsum("fq,fqc,fqd->cd", weight, away, away) / area
-    if mesh.half:
-        square[0, 1] = square[1, 0] = 0.0
-    values, vectors = np.linalg.eigh(square)
-    # Uniform ellipse: its semi-axis is twice the standard deviation.
-    angle = math.atan2(vectors[1, 1], vectors[0, 1])
-    return float(area) * mesh.copies, 2.0 * np.sqrt(values[::-1]), angle, center
+    return Press(area, axes, angle, center, pressed)
 
 
 def center_of_pressure(stepper: SolidStepper) -> np.ndarray:
@@ -286,39 +210,40 @@ def center_of_pressure(stepper: SolidStepper) -> np.ndarray:
     return center
 
 
-def rows_of(finger: Finger, poses: list[Pose], size: MeshSize) -> list[list[float]]:
+def rows_of(finger: Finger, poses: list[Pose]) -> list[list[float]]:
     """Rows of one finger."""
     stepper = FullOrderModel(finger.geometry).start(material(finger))
     areas: list[float] = []
     with suppress(ModelError):
         for k, force in enumerate(forces(finger).tolist(), 1):
             areas.append(stepper.step(float(k), force).area)
-    flat = np.array(areas)
-    level = press(finger, Pose(), size)
-    count = min(len(flat), len(level.area))
-    ahead = np.sqrt(level.area[:count] / math.pi) - np.sqrt(flat[:count] / math.pi)
-    ahead /= level.spacing[:count]
-    print(finger, "ahead", ahead.round(2), flush=True)
+    level = press(finger, Pose()).area
+    count = min(len(level), len(areas))
+    if count < 3:
+        return []
+    flat = np.array(areas[:count])
+    depth = np.sqrt(flat)
+    larger = np.polyval(np.polyfit(depth, np.log(level[:count] / flat), 1, w=depth), depth)
+    print(finger, flush=True)
     rows = []
     for pose in poses:
-        found = press(finger, pose, size)
+        found = press(finger, pose)
         turned = [math.degrees(pose.pitch), math.degrees(pose.roll)]
-        for k in WRITTEN:
-            if k >= min(len(found.area), len(ahead)):
-                break
-            axes = found.axes[k] - ahead[k] * found.spacing[k]
-            area = found.area[k] * axes.prod() / found.axes[k].prod()
-            where = [*turned, forces(finger)[k], flat[k], area, *axes]
+        for k in range(min(len(found.area), count)):
+            scale = math.exp(-larger[k])
+            outline = [flat[k], scale * found.area[k], *(math.sqrt(scale) * found.axes[k])]
             way = math.degrees(found.orientation[k]) % 180.0
             places = [way, *found.center[k], *found.pressure[k]]
-            rows.append([*astuple(finger), pose.aspect, *where, *places])
+            rows.append(
+                [*astuple(finger), pose.aspect, *turned, forces(finger)[k], *outline, *places]
+            )
     return rows
 
 
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("which", choices=sorted(SIZES))
+    parser.add_argument("which", choices=sorted(SEEDS))
     parser.add_argument("table", type=Path)
     parser.add_argument("--fingers", type=int, help="(default: those of the shipped table)")
     parser.add_argument(
@@ -342,7 +267,7 @@ def main() -> None:
         part, parts = arguments.part
         if finger.number in done or finger.number % parts != part:
             continue
-        rows = rows_of(finger, poses, SIZES[arguments.which])
+        rows = rows_of(finger, poses)
         with arguments.table.open("a", newline="") as file:
             writer = csv.writer(file, lineterminator="\n")
             writer.writerows([[f"{value:.5g}" for value in row] for row in rows])

@@ -40,3 +40,11 @@ def test_grip_answers_slip_at_once_and_lets_go_slowly(example: Any) -> None:
         after = grip.on_slip(i * 0.002, 2.6, 0.2, 0.5, 0.02, 0.0, 0)
     assert before - 0.15 < after < before
     assert grip.on_slip(1.0, float("nan"), 0.2, 0.5, 0.0, 0.0, 8) == after
+
+
+def test_an_object_that_is_held_already_is_not_let_go(example: Any) -> None:
+    grip = example.SlipGrip()
+    assert np.isnan(grip.on_slip(0.0, float("nan"), 0.0, 0.5, 0.2, 0.0, 8))
+    for i in range(1, 200):
+        force = grip.on_slip(i * 0.002, 5.0, 2.0, 0.7, 0.02, 0.0, 0)
+        assert force > 4.0

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -255,7 +256,11 @@ def _report(problems: Sequence[str], lost: bool) -> int:
 
 
 def _beside(path: Path, suffix: str) -> Path:
-    return path.with_name(path.name.split(".")[0] + suffix)
+    path = path.absolute() if path.name else path.resolve()
+    name = (
+        path.name if path.is_dir() else re.sub(r"(\.(mcap|active|zstd|db3|xdf))+$", "", path.name)
+    )
+    return path.with_name(name + suffix)
 
 
 # The command ---------------------------------------------------------------------------------

@@ -17,6 +17,7 @@ docs/bags.md, "Preparing your data", explains each key.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -46,6 +47,8 @@ _UNITS: dict[str, dict[str, float]] = {
     "moisture": {"a.u.": 1.0},
     "indentation": LENGTH_UNITS,
 }
+TRIAL_KEYS = ("session", "subject", "condition", "trial_index", "target_force", "rig", "source")
+"""Of `trial`, as in `SessionMetadata`."""
 _KEYS = {"topic", "unit", "field", "stamp", "sign"}
 _SIGNS = {"positive": 1.0, "negative": -1.0}
 
@@ -98,8 +101,26 @@ class TopicMapping:
         trial = data.get("trial") or {}
         if not isinstance(topics, Mapping) or not isinstance(trial, Mapping):
             raise InputError(f"{where}: 'topics' and 'trial' hold 'key: value' lines; correct them")
+        text = {str(k): str(v) for k, v in trial.items()}
+        for key in text:
+            if key not in TRIAL_KEYS:
+                raise InputError(f"{where}: trial.{key} is not known; use {', '.join(TRIAL_KEYS)}")
+        for key, least in (("target_force", 0.0), ("trial_index", -1.0)):
+            if key in text and not _is_number(text[key], least):
+                raise InputError(
+                    f"{where}: trial.{key} is '{text[key]}'; give a number without a unit, as in "
+                    f"{'1.35' if key == 'target_force' else '3'}"
+                )
         entries = {str(name): _entry(str(name), v, where) for name, v in topics.items()}
-        return cls(entries, axis, {str(k): str(v) for k, v in trial.items()})
+        return cls(entries, axis, text)
+
+
+def _is_number(text: str, above: float) -> bool:
+    try:
+        value = float(text)
+    except ValueError:
+        return False
+    return above < value < math.inf
 
 
 def _entry(name: str, value: Any, where: str) -> MappedTopic:

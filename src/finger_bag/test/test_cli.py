@@ -41,6 +41,8 @@ def bad_calls(folder: Path) -> list[list[str]]:
     (folder / "text.mcap").write_text("no bag\n")
     (folder / "void").mkdir()
     (folder / "map.yaml").write_text("topics: {wrench: {topic: /x, unit: mm}}\n")
+    for name, text in (("key", "subjct: S02"), ("unit", "target_force: 0.5 N")):
+        (folder / f"{name}.yaml").write_text(f"trial: {{{text}}}\n")
     with BagWriter(folder / "good") as bag:
         bag.write("wrench", wrench(START, 0.0))
     good = str(folder / "good")
@@ -50,6 +52,8 @@ def bad_calls(folder: Path) -> list[list[str]]:
         ["validate", str(folder / "void")],
         ["validate", good, "--mapping", str(folder / "map.yaml")],
         ["validate", good, "--mapping", str(folder / "no.yaml")],
+        ["validate", good, "--mapping", str(folder / "key.yaml")],
+        ["validate", good, "--mapping", str(folder / "unit.yaml")],
         ["process", str(folder / "text.mcap"), "-o", str(folder / "out")],
         ["process", good, "-o", good],
         ["process", good, "-o", str(folder / "out"), "--set", "onset=1"],
@@ -60,18 +64,19 @@ def bad_calls(folder: Path) -> list[list[str]]:
         ["play", good, "--topics", "moisture"],
         ["play", good, "--rate", "0"],
         ["recover", str(folder / "text.mcap")],
+        ["recover", str(folder / "void")],
         ["anonymise", good, "-o", good],
         ["record", "-o", good],
         ["record", "-o", str(folder / "new"), "--flush-interval", "9"],
     ]
 
 
-@pytest.mark.parametrize("number", range(18))
+@pytest.mark.parametrize("number", range(21))
 def test_bad_input_is_one_sentence_and_exit_code_2(
     number: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     calls = bad_calls(tmp_path)
-    assert len(calls) == 18
+    assert len(calls) == 21
     before = {p.name for p in tmp_path.iterdir()}
     assert run(command, calls[number]) == 2
     # Where kernels are compiled for the first time, a line tells every 15 s that it works.
@@ -175,6 +180,7 @@ def damaged(path: Path, kind: str) -> Path:
             if i % 50 == 0 and kind != "no area":
                 late = 0.3 if kind == "late images" else 0.0
                 area = 4e-5 * max(float(press_force(np.array(t - late))), 0.0) ** 0.7
+                area = 0.0 if kind == "finger on the plate when it was learned" else area
                 fields = {"header": {"stamp": stamp}, "gross_area": area, "flags": 0}
                 if kind == "pictures without calibration":
                     bag.write("image_raw", image(stamp, area), log)
@@ -198,6 +204,7 @@ def damaged(path: Path, kind: str) -> Path:
         ("clock", "log time of wrench"),
         ("late images", "sync of force and image"),
         ("pictures without calibration", "calibration"),
+        ("finger on the plate when it was learned", "areas"),
     ],
 )
 def test_each_fault_fails_its_check(
@@ -279,3 +286,12 @@ def test_several_bags_are_processed_into_a_folder(
     for name in ("a", "b"):
         with open_bag(out / name) as reader:
             assert reader.info.topics["/finger/contact_state"].count == 1750
+
+
+def test_the_bag_in_this_folder_is_recovered_beside_it(
+    session: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = session("S01.1", trials=1)
+    monkeypatch.chdir(path)
+    assert run(command, ["recover", "."]) == 0
+    assert open_bag(path.with_name("S01.1_recovered")).info.topics

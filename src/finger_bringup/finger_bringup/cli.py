@@ -224,6 +224,8 @@ def entries(
     if arguments.seed is not None:
         parameters["simulated_rig"] = {"seed": arguments.seed}
     if arguments.port is not None:
+        if not 0 <= arguments.port <= 65535:
+            raise InputError(f"--port {arguments.port}: give a TCP port, 1 to 65535")
         parameters["page"] = {"port": arguments.port}
     further = []
     if arguments.foxglove is not None:

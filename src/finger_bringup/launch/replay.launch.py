@@ -37,7 +37,8 @@ def replay(context: LaunchContext) -> list[Action]:
     vision = truth(context, "vision")
     names = ["vision", "model"] if vision else ["model"]
     # Topics that the nodes publish again, and old diagnostics, are left out of the replay.
-    again = {"contact_state", "model_events", "diagnostics", *(["contact_area"] if vision else [])}
+    again = {"contact_state", "contact_slip", "contact_shape", "model_events", "diagnostics"}
+    again |= {"contact_area"} if vision else set()
     topics = [topic for topic in open_bag(bag).info.topics if topic.rsplit("/", 1)[-1] not in again]
     command = [sys.executable, "-m", "finger_bag.cli", "play", str(bag), "--clock"]
     command += ["--rate", value(context, "rate"), "--topics", *topics]

@@ -40,7 +40,7 @@ AREA_UNITS = {"m2": 1.0, "cm2": 1e-4, "mm2": 1e-6}
 MODULUS_UNITS = {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9}
 """Pascals per unit of a modulus or pressure."""
 
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "d": 86400.0}
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}
 """Seconds per unit of time."""
 
 
@@ -49,6 +49,10 @@ _WEIGHTS = {"g": "gf", "kg": "kgf", "lb": "lbf"}
 _WORDS = {
     **dict.fromkeys(("sec", "secs", "second", "seconds", "sek", "sekunde", "sekunden"), "s"),
     **dict.fromkeys(("msec", "msek", "millisecond", "milliseconds", "millisekunden"), "ms"),
+    **dict.fromkeys(("usec", "usek", "microsecond", "microseconds", "mikrosekunden"), "us"),
+    **dict.fromkeys(("nsec", "nanosecond", "nanoseconds", "nanosekunden"), "ns"),
+    **dict.fromkeys(("mins", "minute", "minutes", "minuten"), "min"),
+    **dict.fromkeys(("hr", "hrs", "hour", "hours", "stunde", "stunden"), "h"),
     **dict.fromkeys(("newton", "newtons"), "N"),
     **dict.fromkeys(("day", "days"), "d"),
     **dict.fromkeys(("sqmm", "mm**2"), "mm2"),

@@ -46,9 +46,10 @@ class InputTopics:
         recorded = find_topic(reader, "model_events", options)
         follow = find_used(reader, "model_events", options) and not options.is_own()
         replaced = {sibling(wrench, "contact_state")}
-        if options.slip:
+        # What the recording made of the former states; with other settings it is theirs no more.
+        if options.slip or not follow:
             replaced.add(sibling(wrench, "contact_slip"))
-        if options.shape:
+        if options.shape or not follow:
             replaced.add(sibling(wrench, "contact_shape"))
         if from_images:
             replaced |= {sibling(wrench, "contact_area"), area or ""}

@@ -242,6 +242,13 @@ class _Run:
         problems += self.reader.all_problems()
         if self.images is not None:
             problems += self.images.areas.problems()
+        repeated = counters.get("duplicates", 0) + counters.get("out_of_order", 0)
+        if repeated > 0.01 * self.states:
+            problems.append(
+                f"{repeated} of {self.states + repeated} wrenches repeat a stamp or run back in "
+                "time and were left out; if their stamps mean nothing, name 'stamp: log_time' for "
+                "the wrench in a mapping file"
+            )
         late = counters.get("late_areas", 0)
         if late and not replayed:
             problems.append(

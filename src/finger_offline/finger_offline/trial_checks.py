@@ -64,6 +64,8 @@ def check_trials(bag: CheckedBag, result: Validation) -> None:
         )
     result.add("target force", FAIL if short else OK, detail)
     _check_values(found, result)
+    if len(bag.streams.area_stamp_ns):
+        _check_areas(found, result)
     _check_indentation(found, result)
     _check_moisture(found, result)
     _check_lateral(found, result)
@@ -86,6 +88,19 @@ def _check_values(found: TrialSet, result: Validation) -> None:
         wrong.append(f"areas up to {area * 1e6:.3g} mm²")
     text = f"{' and '.join(wrong)} cannot be a finger's; name the unit in a mapping file"
     result.add("units", FAIL if wrong else OK, text if wrong else "force and areas of a finger")
+
+
+def _check_areas(found: TrialSet, result: Validation) -> None:
+    """Trials whose recorded areas show no contact."""
+    without = [t.index for t in found if len(t.area) and not (t.area > 0).any()]
+    if without:
+        result.add(
+            "areas",
+            FAIL,
+            f"no contact in the areas of trial {', '.join(map(str, without[:5]))}: was a finger on "
+            "the plate when the camera learned it? Recorded images can be measured again, "
+            "finger-bag process --images yes",
+        )
 
 
 def _check_indentation(found: TrialSet, result: Validation) -> None:

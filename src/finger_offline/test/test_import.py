@@ -399,6 +399,22 @@ def test_times_in_milliseconds_without_a_unit_are_refused(
         import_trial(ImportSettings(**files), tmp_path / "bag")
 
 
+def test_times_in_minutes_are_read_and_those_in_unknown_units_refused(
+    files: dict[str, str], tmp_path: Path
+) -> None:
+    for name in ("Time (minutes)", "Time [hr]"):
+        factor = 60.0 if "min" in name else 3600.0
+        csv(Path(files["force"]), f"{name},force_n", TIME / factor, force_at(TIME))
+        bag = tmp_path / f"bag_{factor:.0f}"
+        import_trial(ImportSettings(**files, force_time=name), bag)
+        check_trials(bag, 0.02)
+    odd = "Time [fortnights]"
+    csv(Path(files["force"]), f"{odd},force_n", TIME, force_at(TIME))
+    with pytest.raises(InputError, match=r"'fortnights', which is not known; .*--time-unit"):
+        import_trial(ImportSettings(**files, force_time=odd), tmp_path / "bag")
+    import_trial(ImportSettings(**files, force_time=odd, time_unit="s"), tmp_path / "bag")
+
+
 @pytest.mark.parametrize("offset", [-0.3, 0.3])
 def test_a_force_that_was_not_tared_is_told_the_option(
     files: dict[str, str], tmp_path: Path, offset: float

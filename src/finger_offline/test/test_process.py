@@ -15,6 +15,7 @@ from session_bags import START, wrench
 
 from finger_bag.cli import command
 from finger_bag.definitions import encode
+from finger_bag.mapping import TopicMapping
 from finger_bag.reader import open_bag
 from finger_bag.writer import BagWriter
 from finger_common.cli import run
@@ -354,3 +355,24 @@ def test_bags_that_would_share_a_name_are_refused(
     assert "--jobs is 0" in capsys.readouterr().err
     assert run(command, ["process", *apart, *target]) == 0
     assert {p.name for p in (tmp_path / "out").iterdir()} == {"dry_1.35N", "dry_1.50N"}
+
+
+def test_wrenches_without_stamps_are_not_left_out_silently(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as bag:
+        for i in range(1000):
+            bag.write("wrench", wrench(0, 0.5), START + 2_000_000 * i)
+    found = process(tmp_path / "bag", tmp_path / "out")
+    assert any("999 of 1000 wrenches repeat a stamp" in problem for problem in found.problems)
+    by_log = TopicMapping.from_mapping({"topics": {"wrench": {"stamp": "log_time"}}})
+    found = process(tmp_path / "bag", tmp_path / "out2", ProcessOptions(mapping=by_log))
+    assert found.states == 1000 and not found.problems
+
+
+def test_slip_of_former_settings_does_not_stay_beside_new_states(tmp_path: Path) -> None:
+    live_recording(tmp_path / "bag")
+    process(tmp_path / "bag", tmp_path / "slip", ProcessOptions(slip=True))
+    assert "/finger/contact_slip" in open_bag(tmp_path / "slip").info.topics
+    process(tmp_path / "slip", tmp_path / "same")
+    assert "/finger/contact_slip" in open_bag(tmp_path / "same").info.topics
+    process(tmp_path / "slip", tmp_path / "other", ProcessOptions(estimator={"fusion_delay": 0.05}))
+    assert "/finger/contact_slip" not in open_bag(tmp_path / "other").info.topics

@@ -64,3 +64,10 @@ class TrialState:
     condition: str
     verdict: str = "pending"
     attempts: list[Attempt] = field(default_factory=list)
+
+    def give_up_repetition(self) -> None:
+        """Let the newest attempt that was to be repeated count again, if there is one."""
+        for attempt in reversed(self.attempts):
+            if attempt.verdict == "superseded":
+                attempt.verdict, attempt.reason, self.verdict = "done", "", "done"
+                break

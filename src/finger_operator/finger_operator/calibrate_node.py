@@ -252,6 +252,8 @@ class CalibrateNode(ManagedNode):
             if response.success:
                 following(response.message)
             else:
+                if name == "protocol/calibrate":
+                    self._requested = False  # no session of ours to end
                 self._fail(response.message)
 
         self._triggers[name].call_async(Trigger.Request()).add_done_callback(answered)

@@ -107,6 +107,7 @@ class PageNode(ManagedNode):
     def activate(self) -> None:
         self._memory = ForceMemory()
         self._curves = CurveMemory()
+        self._preparing: tuple[int, str, dict[str, Any]] | None = None
         self._board = HealthBoard(self.get_namespace())
         self._readiness = Readiness()
         self._status: dict[str, Any] = {"step": "closed"}
@@ -219,8 +220,10 @@ class PageNode(ManagedNode):
             "index": message.index,
             "time": began,
         }
+        self._preparing = None
         if phase is TrialPhase.PREPARE:
             cue["preparation"] = self._preparation(message.condition)
+            self._preparing = (header_stamp(message), message.condition, cue)
         self._server.publish_cue(header_stamp(message), cue)
         if phase is TrialPhase.PRESS:
             self._curves.press_begins(message.index, began)
@@ -253,6 +256,13 @@ class PageNode(ManagedNode):
     def _on_status(self, message: SessionStatus) -> None:
         self._status = status_of(message)
         self._server.publish("status", self._status)
+        if self._preparing is not None:
+            # A new session's texts come after its first cue, and may be edited.
+            stamp, condition, cue = self._preparing
+            text = self._preparation(condition)
+            if text != cue["preparation"]:
+                self._preparing = stamp, condition, {**cue, "preparation": text}
+                self._server.publish_cue(*self._preparing[::2])
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         now = time.monotonic()
@@ -368,7 +378,16 @@ class PageNode(ManagedNode):
 
     def _trigger(self, name: str, future: Answer) -> None:
         who = "force driver" if name == "tare" else "protocol node"
+        if name == "tare":
+            future.add_done_callback(self._on_tared)
         self._call(self._triggers[name], Trigger.Request(), future, f"the {who} is not running")
+
+    def _on_tared(self, done: Answer) -> None:
+        """Curves of the former zero are gone for all browsers."""
+        good, _ = done.result()
+        if good:
+            self._curves = CurveMemory()
+            self._server.publish("curves", self._curves.snapshot())
 
     def _set_then_trigger(self, name: str, values: dict[str, Any], future: Answer) -> None:
         selected: Answer = Future()

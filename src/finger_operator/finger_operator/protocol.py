@@ -141,6 +141,10 @@ class Protocol:
         self._asked = ""
         self._force: tuple[int, float] | None = None
         self._area: tuple[int, float, int] | None = None
+        # When they came, by the protocol's own clock: stamps may be of another.
+        self._force_came: int | None = None
+        self._area_came: int | None = None
+        self._known_result = ""
         self._errors: dict[str, tuple[int, str]] = {}
         self._silent: set[str] = set()
         self._announced: tuple[object, ...] = ()
@@ -237,6 +241,9 @@ class Protocol:
             protocol._enter(Step.PREPARE)
         else:
             protocol.message = ""
+            # A result of the model node that was there before is not asked for again.
+            results = [e.text for e in protocol.log.events if e.kind == "calibration"]
+            protocol._known_result = results[-1] if results else ""
             protocol._enter(Step.FINISHED)
         return protocol
 
@@ -341,10 +348,7 @@ class Protocol:
             self._fail("skipped by the operator")
         trial = self.trials[self.current]
         trial.verdict = "skipped"
-        for attempt in trial.attempts[::-1]:
-            if attempt.verdict == "superseded":  # its repetition is given up
-                attempt.verdict, attempt.reason, trial.verdict = "done", "", "done"
-                break
+        trial.give_up_repetition()
         self._log("command", "skipped")
         self.paused = False
         self.message = ""
@@ -415,6 +419,7 @@ class Protocol:
         previous = None if self._force is None else self._force[0]
         self._force = (stamp_ns, normal_force)
         self._now = max(self._now, stamp_ns)
+        self._force_came = self._now
         if self.paused or self.step not in PRESSING or self._press is None:
             return
         event = self._press.add_force(stamp_ns, normal_force, previous, tangential_force)
@@ -434,7 +439,7 @@ class Protocol:
     def area(self, stamp_ns: int, area: float, flags: int, stick_ratio: float = math.nan) -> None:
         """One contact area (m²) with its quality flags, and the stick ratio where it is known."""
         previous = None if self._area is None else self._area[0]
-        self._area = (stamp_ns, area, flags)
+        self._area, self._area_came = (stamp_ns, area, flags), self._now
         if not self.paused and self.step in PRESSING and self._press is not None:
             self._press.add_area(stamp_ns, area, flags, previous, stick_ratio)
 
@@ -558,9 +563,9 @@ class Protocol:
 
     def _log_silence(self) -> None:
         """Note in the event log when force or camera falls silent, and when it is back."""
-        newest = {"force sensor": self._force and self._force[0]}
+        newest = {"force sensor": self._force_came}
         if self.limits.need_camera:
-            newest["camera"] = self._area and self._area[0]
+            newest["camera"] = self._area_came
         for name, stamp in newest.items():
             age = 0.0 if stamp is None else seconds(self._now - stamp)
             silent = age > max(self.limits.stale_after, LOGGED_SILENCE)
@@ -584,22 +589,24 @@ class Protocol:
 
     def waiting_for(self) -> str:
         """Why the press does not begin yet; empty when nothing is in the way."""
-        stale = self.limits.stale_after
         for name, (stamp, message) in self._errors.items():
             if seconds(self._now - stamp) < ERROR_MEMORY:
                 return f"{name}: {message}"
-        if self._force is None or seconds(self._now - self._force[0]) > stale:
+        if self._force is None or self._is_old(self._force_came):
             return "the force sensor is silent"
         if not abs(self._force[1]) < self.limits.onset_force:
             return f"{self._force[1]:.2f} N on the plate: lift the finger, or tare"
         if self.limits.need_camera:
-            if self._area is None or seconds(self._now - self._area[0]) > stale:
+            if self._area is None or self._is_old(self._area_came):
                 return "no contact area comes from the camera"
-            if not self._area[2] & AreaFlag.NO_CONTACT:
+            if self._area[1] > 0.0 and not self._area[2] & AreaFlag.NO_CONTACT:
                 return "something is on the plate: lift the finger and clean the plate"
         if self.limits.need_recorder and self.recording != "on":
             return "the recorder is not running yet"
         return ""
+
+    def _is_old(self, came_ns: int | None) -> bool:
+        return came_ns is None or seconds(self._now - came_ns) > self.limits.stale_after
 
     # Transitions -----------------------------------------------------------------------------
 
@@ -613,8 +620,7 @@ class Protocol:
     def _check_time(self, in_step: float) -> None:
         """Fail a press whose force is missing or that exceeds a limit of time."""
         assert self._press is not None
-        newest = self._now if self._force is None else self._force[0]
-        if seconds(self._now - newest) > self.limits.stale_after:
+        if self._force is not None and self._is_old(self._force_came):
             self._fail("the force sensor fell silent")
         elif reason := self._press.overdue(self._now, in_step):
             self._fail(reason)
@@ -738,10 +744,15 @@ class Protocol:
 
     def _enter(self, step: Step, stamp_ns: int | None = None) -> None:
         # The announcement goes out first: the cue to lift must not wait for a disk.
+        if step is Step.FINISHED:
+            for trial in self.trials:
+                if trial.verdict == "pending":
+                    trial.give_up_repetition()
         if step is Step.FINISHED and self.plan.is_calibration:
             done = all(trial.verdict == "done" for trial in self.trials)
             why = self.ended or "not all presses were made"
-            self.message = FITTING if done else f"Not calibrated: {why}."
+            unknown = FITTING if done else f"Not calibrated: {why}."
+            self.message, self._known_result = self._known_result or unknown, ""
         self.step = step
         self._step_began = self._now if stamp_ns is None else stamp_ns
         self._announce()

@@ -31,6 +31,7 @@ from finger_common.diagnostics import ERROR, OK, WARN, Health, full_node_name, s
 from finger_common.errors import FingerError, InputError
 from finger_common.files import atomic_write, read_text
 from finger_common.folder_lock import lock_folder
+from finger_common.host_clock import HostClock
 from finger_common.node import (
     LATCHED_QOS,
     POLLED_DEPTH,
@@ -144,6 +145,7 @@ class ProtocolNode(ManagedNode):
     def configure(self) -> None:
         self._health = Health("protocol", stale_after=None)
         self.healths = [self._health]
+        self._host_clock = HostClock()
         self._protocol: Protocol | None = None
         self._status: dict[str, Any] = {}
         self._limits = self.settings(Limits)
@@ -219,13 +221,19 @@ class ProtocolNode(ManagedNode):
         self._limits = Limits.select(values)
         if protocol is not None:
             protocol.limits = self._limits
+        # Of an open session they may have been edited since: only texts that are given anew count.
+        if protocol is not None and "preparations" in changes:
             for condition in protocol.plan.conditions:
                 text = texts.get(condition)
                 if text and text != protocol.plan.preparation(condition):
                     protocol.set_preparation(condition, text)
 
     def _now(self) -> int:
-        return int(self.get_clock().now().nanoseconds)
+        """Time on the clock that stamps the samples: steps of the system clock do not reach it."""
+        clock = self.get_clock()
+        if clock.ros_time_is_active:
+            return int(clock.now().nanoseconds)
+        return self._host_clock.now()
 
     # The session -----------------------------------------------------------------------------
 

@@ -1008,3 +1008,61 @@ def test_state_of_an_older_version_without_the_newer_fields_is_read(rig: Rig) ->
     (rig.folder / "events.csv").unlink()
     again = Protocol.resume_from(rig.folder, rig.take, rig.now, rig.limits)
     assert again.trials[0].verdict == "done" and again.plan.order == "as_given"
+
+
+def test_stamps_of_another_clock_do_not_make_a_sensor_silent(tmp_path: Path) -> None:
+    """The system clock was stepped by an hour after the drivers began, and before this node."""
+    rig = Rig(tmp_path, readings=0, limits=Limits(need_recorder=False, need_camera=False))
+    step, protocol = 3600 * SECOND, rig.protocol
+    protocol.start(START + step)
+    protocol.start(START + step)
+    for k in range(1, 300):
+        protocol.wrench(START + k * SECOND // 100, 0.0)
+        protocol.tick(START + step + k * SECOND // 100)
+    assert protocol.step is Step.PRESS
+    protocol.tick(START + step + 5 * SECOND)
+    assert protocol.step is Step.FAILED
+
+
+def test_an_area_of_zero_is_no_contact_whatever_its_flags(tmp_path: Path) -> None:
+    """As from a stream that has no flags."""
+    rig = Rig(tmp_path, readings=0, limits=Limits(need_recorder=False))
+    rig.protocol.start(rig.now)
+    rig.protocol.start(rig.now)
+    rig.protocol.wrench(rig.now, 0.0)
+    rig.protocol.area(rig.now, 0.0, 0)
+    assert rig.protocol.waiting_for() == ""
+    rig.protocol.area(rig.now, 30e-6, 0)
+    assert "something is on the plate" in rig.protocol.waiting_for()
+
+
+@pytest.mark.parametrize("command", ["end", "abort"])
+def test_a_good_trial_counts_when_its_repetition_is_given_up(tmp_path: Path, command: str) -> None:
+    rig = Rig(tmp_path, conditions=("dry",), trials=1)
+    rig.protocol.start(rig.now)
+    rig.trial()
+    rig.protocol.redo(rig.now)
+    assert rig.protocol.trials[0].verdict == "pending"
+    getattr(rig.protocol, command)(rig.now)
+    assert rig.protocol.step is Step.FINISHED
+    assert rig.protocol.trials[0].verdict == "done"
+    assert rig.protocol.trials[0].attempts[0].verdict == "done"
+
+
+def test_a_calibration_that_was_fitted_is_not_asked_for_again_after_a_restart(
+    tmp_path: Path,
+) -> None:
+    plan = StudyPlan("S01", "S01_test").for_calibration("S01_calibration")
+    protocol = Protocol(plan, tmp_path, lambda effect: None, Limits())
+    protocol.start(START)
+    for trial in protocol.trials:
+        trial.verdict = "done"
+    protocol._enter(Step.FINISHED)
+    protocol.calibrated(True, "area under 1 N 60 mm²", START + SECOND)
+    effects: list[Effect] = []
+    again = Protocol.resume_from(tmp_path, effects.append, START + 9 * SECOND)
+    assert again.message == protocol.message == "Calibrated: area under 1 N 60 mm²."
+    notes = [e.note for e in effects if isinstance(e, TrialEvent)]
+    assert not any("fit" in note.lower() for note in notes)
+    again.calibrated(False, "the model node was started meanwhile", START + 10 * SECOND)
+    assert again.message == protocol.message

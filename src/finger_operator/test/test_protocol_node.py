@@ -207,6 +207,9 @@ def test_trial_over_dds_restart_after_sigkill_and_commands(
 
     # Killed in the middle of the second press, the node comes back at the same trial, paused.
     suite.until(lambda: suite.status.get("index") == 1 and suite.status.get("step") == "prepare")
+    texts = ["natural: Wash with soap."]
+    assert suite.set_parameter("preparations", type=9, string_array_value=texts).successful
+    suite.until(lambda: suite.status["preparation"] == "Wash with soap.")
     suite.to_press()
     suite.force = 0.7
     suite.spin(0.3)
@@ -220,6 +223,11 @@ def test_trial_over_dds_restart_after_sigkill_and_commands(
     assert suite.status["trials"][0]["verdict"] == "done"
     assert "interrupted" in suite.status["trials"][1]["reason"]
     suite.until(lambda: suite.requests[-1].command == 0)
+    # The session keeps its own texts, whatever parameter is set.
+    assert suite.set_parameter("note", type=4, string_value="cold").successful
+    assert suite.command("note").success
+    suite.until(lambda: suite.status["notes"])
+    assert suite.status["preparation"] == "Wash with soap."
 
     suite.report_error("force")
     suite.until(lambda: suite.faults() == ["force: cable cut"])
@@ -245,7 +253,7 @@ def test_trial_over_dds_restart_after_sigkill_and_commands(
     assert suite.command("note").success
     assert suite.command("marker").message == "marker 1 set"
     suite.until(lambda: suite.status["trials"][1]["markers"])
-    assert suite.status["notes"][0]["text"] == "window opened"
+    assert suite.status["notes"][1]["text"] == "window opened"
     assert suite.status["disk"]["free_gb"] > 0
     assert suite.command("end").success
     suite.step("finished")

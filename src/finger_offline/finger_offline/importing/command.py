@@ -67,6 +67,7 @@ def run(args: argparse.Namespace) -> int:
     from .trial import Imported, import_trial
 
     output = Path(args.output)
+    output = output if output.name else output.resolve()
     done: list[Imported] = []
     with Stages() as stages:
         settings = None if args.trials else settings_from(args, ImportSettings)

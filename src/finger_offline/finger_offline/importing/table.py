@@ -175,7 +175,7 @@ class Table:
             known = np.array([not is_missing(cell) for cell in cells])
             found = [self._stamp(heading, row) if known[row] else 0 for row in range(len(cells))]
             return Times(np.array(found, np.int64), has_date(first), known)
-        unit = unit or self.unit(heading, TIME_UNITS) or "s"
+        unit = unit or self._time_unit(heading)
         values = self.numbers(heading, gaps=True)
         known = np.isfinite(values)
         values = np.where(known, values, 0.0)
@@ -191,6 +191,21 @@ class Table:
             self._refuse(heading, row, "is no time in seconds; name its unit with --time-unit")
         ns = np.round(seconds * NANOSECONDS).astype(np.int64)
         return self._some(heading, Times(ns, bool(abs(start) > EPOCH_SECONDS), known))
+
+    def _time_unit(self, heading: str) -> str:
+        """The unit that a column of numbers states, s where it states none; raises InputError for
+        one that is not known."""
+        known = self.unit(heading, TIME_UNITS)
+        if known is not None:
+            return known
+        text = _unnumbered(heading).strip()
+        stated = [self.units.get(heading, ""), *(_endings(text) if text[-1:] in ")]）" else ())]
+        for unit in filter(str.strip, stated):
+            raise InputError(
+                f"{self.where}: column '{heading}' has its times in '{unit}', which is not known; "
+                f"name the unit with --time-unit: {', '.join(TIME_UNITS)}"
+            )
+        return "s"
 
     def _some(self, heading: str, times: Times) -> Times:
         if not times.known.any():

@@ -164,7 +164,7 @@ class PageServer:
     def _run(self) -> None:
         try:
             asyncio.run(self._serve())
-        except OSError as error:
+        except (OSError, ValueError) as error:  # ValueError: of a name that is no host
             self._error = error
         finally:
             self._started.set()

@@ -76,7 +76,16 @@ export function newSession(status, begin) {
   };
   const number = (value) => (value ? String(value) : "");
   subject.value = plan.subject;
-  subject.oninput = warn;
+  // What was measured of one person is not the next one's.
+  const own = ["plan-age", "plan-hand", "plan-finger", "plan-width", "plan-depth"];
+  let untouched = true;
+  own.forEach((id) => { $(id).oninput = () => { untouched = false; }; });
+  subject.oninput = () => {
+    if (untouched && subject.value.trim() !== plan.subject) {
+      own.forEach((id) => { $(id).value = ""; });
+    }
+    warn();
+  };
   warn();
   $("plan-age").value = number(plan.age);
   $("plan-hand").value = plan.hand || "";
