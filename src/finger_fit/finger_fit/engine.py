@@ -111,12 +111,14 @@ def _without_main() -> Iterator[None]:
     """Processes started meanwhile do not run the caller's script again, which need not be written
     for that."""
     main = sys.modules["__main__"]
-    hidden = {name: vars(main).pop(name) for name in ("__file__", "__spec__") if name in vars(main)}
+    names = [name for name in ("__file__", "__spec__") if name in vars(main)]
+    hidden = [(name, vars(main).pop(name)) for name in names]
     main.__spec__ = None
     try:
         yield
     finally:
-        vars(main).update(hidden)
+        for name, value in hidden:
+            setattr(main, name, value)
 
 
 def _set_job(path: Path) -> None:

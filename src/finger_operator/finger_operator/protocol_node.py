@@ -230,9 +230,8 @@ class ProtocolNode(ManagedNode):
 
     def _now(self) -> int:
         """Time on the clock that stamps the samples: steps of the system clock do not reach it."""
-        clock = self.get_clock()
-        if clock.ros_time_is_active:
-            return int(clock.now().nanoseconds)
+        if self.get_parameter("use_sim_time").value:
+            return int(self.get_clock().now().nanoseconds)
         return self._host_clock.now()
 
     # The session -----------------------------------------------------------------------------

@@ -67,7 +67,8 @@ def profile(
     space = problem.space
     low, high = space.quantity_bounds(name, problem.box)
     offset = space.log_offset(name)
-    first, last, middle = np.log([low + offset, high + offset, space.quantity(name, best) + offset])
+    first, last = np.log([low + offset, high + offset])
+    middle = float(space.log_quantity(name, best))
     deviation = min(max(found.data_deviation(name), 1e-4), last - first)
     near = np.array([0.5, 1.0, 1.5, 2.0, 2.5, 3.0])
     logs = np.concatenate(
