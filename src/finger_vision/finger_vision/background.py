@@ -105,7 +105,9 @@ def background_of(
         # Gain and exposure may drift; what was learned before the light was on tells nothing.
         reference = learned.tiles.astype(np.float32)
         tiles = tile_means(frame).astype(np.float32)
-        gain, before = gain_of(tiles / np.maximum(reference, 1)), float(np.median(reference))
+        before = float(np.median(reference))
+        # Tiles are whole greys.
+        gain = gain_of(tiles / np.maximum(reference, 1), ONE_RATIO + 1.0 / max(before, 1.0))
         now = gain * max(before, 1.0)
         if now <= OTHER_LIGHT * before + DARK:
             lit = before <= OTHER_LIGHT * now + DARK
@@ -118,12 +120,12 @@ def background_of(
     return Background(image, bright, False, float(np.percentile(deviation, 10)))
 
 
-def gain_of(ratios: np.ndarray) -> float:
+def gain_of(ratios: np.ndarray, spread: float = ONE_RATIO) -> float:
     """Brightness of the plate over the learned one, from the ratios of all tiles.
 
     The median tile is plate as long as a finger covers less than half of the frame. Under a larger
     one the plate's tiles still have nearly one ratio, and the skin's many: then it is that of the
-    narrowest group of PLATE_SHARE of the tiles.
+    narrowest group of PLATE_SHARE of the tiles, which differ by `spread` at most.
     """
     ordered = np.sort(ratios, axis=None)
     median = float(np.median(ratios))
@@ -131,8 +133,8 @@ def gain_of(ratios: np.ndarray) -> float:
     widths = ordered[count - 1 :] - ordered[: len(ordered) - count + 1]
     first = int(np.argmin(widths))
     group = float(ordered[first + count // 2])
-    apart = abs(group - median) > ONE_RATIO * group
-    return group if apart and widths[first] < ONE_RATIO * group else median
+    apart = abs(group - median) > spread * group
+    return group if apart and widths[first] < spread * group else median
 
 
 def _is_bright(polarity: str, found: bool) -> bool:

@@ -152,10 +152,10 @@ class FtirSegmenter(AreaSensor):
         """Measure a frame and learn the background from it if it shows no contact."""
         frame, grid = self._reduced(signal)
         measurement = self._measure(frame, grid)
-        if measurement.flags & AreaFlag.NO_BACKGROUND:
-            # Of another size, or learned before the light was on: it tells nothing of the plate.
-            self._background.clear()
         if self.lit and measurement.flags & AreaFlag.NO_CONTACT:
+            if measurement.flags & AreaFlag.NO_BACKGROUND:
+                # There was none, or one that was learned before the light was on.
+                self._background.clear()
             self._background.add(frame)
         return measurement
 

@@ -380,3 +380,17 @@ def test_the_background_outlasts_a_light_that_is_switched_off_for_a_while() -> N
     pressed = segmenter.process(renderer.render(4.5e-3))
     assert segmenter.lit and not pressed.flags & AreaFlag.NO_BACKGROUND
     assert pressed.gross_area == pytest.approx(math.pi * 4.5e-3**2, rel=0.04)
+
+
+@pytest.mark.parametrize("background", [3, 15])
+def test_a_finger_over_most_of_a_dark_plate_is_measured(background: float) -> None:
+    """Bright ridges on a plate of a few greys, whose tiles are whole greys."""
+    renderer = FtirRenderer(
+        "natural", 3, Scene(background=background, bright_ridges=True), 640, 512
+    )
+    segmenter = FtirSegmenter(calibration=renderer.calibration())
+    for _ in range(20):
+        segmenter.process(renderer.empty())
+    pressed = segmenter.process(renderer.render(8e-3))
+    assert segmenter.learned == 20 and not pressed.flags & AreaFlag.NO_BACKGROUND
+    assert pressed.gross_area == pytest.approx(math.pi * 8e-3**2, rel=0.02)
