@@ -75,6 +75,10 @@ class LslSettings(Settings):
         return {topic.strip(): name.strip() for topic, _, name in pairs}
 
     def validate(self) -> None:
+        topics = [entry.partition("=")[0].strip() for entry in self.receive if entry]
+        for topic in topics:
+            if topics.count(topic) > 1:
+                raise InputError(f"receive: '{topic}' is there twice; name one stream for it")
         for topic in self.sent:
             if topic not in STREAMS:
                 raise InputError(

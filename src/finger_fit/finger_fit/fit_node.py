@@ -126,13 +126,16 @@ class FitNode(ManagedNode):
     NAME = "fit"
     SETTINGS = (FitNodeSettings,)
 
+    _job: _Job | None = None
+    """The newest one; its thread may outlast the configuration that it was begun in."""
+
     def configure(self) -> None:
         """Check the model file and offer the action."""
         self._model_settings = self.settings(FitNodeSettings)
         _model_of(self._model_settings)
         self.health = Health("fit", "no device")
         self.healths = [self.health]
-        self._job: _Job | None = None
+        self._withdraw(at_once=True)
         self._handle: Any = None
         self._server: ActionServer | None = ActionServer(
             self,
@@ -163,8 +166,8 @@ class FitNode(ManagedNode):
         else:
             self._withdraw()
 
-    def _withdraw(self) -> None:
-        if self.answering:
+    def _withdraw(self, at_once: bool = False) -> None:
+        if self.answering and not at_once:
             return
         farewell = self.__dict__.pop("_farewell", None)
         if farewell is not None:

@@ -15,6 +15,7 @@ import math
 import threading
 import time
 from array import array
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -26,6 +27,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import WrenchStamped
 from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
@@ -201,6 +203,8 @@ class ModelNode(ManagedNode):
         self._model: ReducedModel | None = None
         self._sets: ParameterSets | None = None
         self._active = False
+        self._reading: tuple[int, float] | None = None
+        self._reading_stamps: deque[int] = deque(maxlen=64)
         self._started = False
         self._jumped = False
         self._sequence = 0
@@ -262,6 +266,15 @@ class ModelNode(ManagedNode):
         self._entities.append((WaitedSubscription.destroy, area))
         moisture = self.create_waited_subscription(Moisture, "moisture", self._on_moisture, qos)
         self._entities.append((WaitedSubscription.destroy, moisture))
+        # Readings from before this node was there, where the probe keeps them for late joiners.
+        kept = self.create_subscription(
+            Moisture,
+            "moisture",
+            self._on_moisture,
+            LATCHED_QOS,
+            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+        )
+        self._entities.append((self.destroy_subscription, kept))
         trial = self.create_subscription(Trial, "trial", self._on_trial, LATCHED_QOS)
         self._protocol = PolledSubscription(self, SessionStatus, "protocol/status", STATE_QOS)
         self._calibration_publisher = self.create_publisher(
@@ -302,6 +315,8 @@ class ModelNode(ManagedNode):
         self._follow_wrench()
         sets, self._collector = self._sets_of(self._subject), PressCollector()
         self.estimator = self._new_estimator(sets)
+        if self._reading is not None:
+            self.estimator.add_moisture(*self._reading)
         self._slip = self._new_slip_estimator()
         self._pose = None
         self._started = False
@@ -552,9 +567,13 @@ class ModelNode(ManagedNode):
 
     def _on_moisture(self, message: Moisture) -> None:
         with self._lock:
+            reading = moisture_of(message)
+            if reading[0] in self._reading_stamps:
+                return  # it came on both subscriptions
+            self._reading_stamps.append(reading[0])
+            self._reading = reading
             if not self._active or self.estimator is None:
                 return
-            reading = moisture_of(message)
             if self._collector.collecting:
                 self._collector.add_moisture(reading[1])
             late = self.estimator.counters["late_moistures"]
@@ -578,6 +597,8 @@ class ModelNode(ManagedNode):
         """Another subject: its own parameters, and nothing learned of the one before."""
         with self._lock:
             if message.subject and message.subject != self._subject:
+                if self._subject:
+                    self._reading = None
                 reason = (ANOTHER_SUBJECT if self._subject else "subject ") + message.subject
                 self._subject = message.subject
                 if self._active:
@@ -647,6 +668,8 @@ class ModelNode(ManagedNode):
         if not self._started or model.hash != self.estimator.model.hash:
             # A finger of other lengths begins anew. The event of the start names sets and model.
             self.estimator = ContactEstimator(model, sets, self.settings(EstimatorSettings))
+            if not self._started and self._reading is not None:
+                self.estimator.add_moisture(*self._reading)
             self._started = False
             self._forget_contacts()
             return
@@ -718,6 +741,7 @@ class ModelNode(ManagedNode):
 
     def _on_jump(self, jump: Any) -> None:
         self._jumped = True
+        self._reading_stamps.clear()
 
     def _publish_event(self, event: EstimatorEvent) -> None:
         fields = event_fields(event, self._sequence)

@@ -560,3 +560,13 @@ def test_a_model_that_failed_is_flagged_and_starts_again_in_the_air(
     again = one(estimator, 500, 0.5)[0]
     assert not again.flags & StateFlag.MODEL_FAILED
     assert again.area > 1e-6 and np.isfinite(again.area_stddev)
+
+
+def test_a_release_is_predicted_whatever_the_number_of_points(estimator: ContactEstimator) -> None:
+    for ms in range(0, 1200, 2):
+        one(estimator, ms, 1.35 * min(1.0, ms / 1000))
+    end = []
+    for n in (200, 3, 1):
+        time = np.linspace(0.0, 1.0, n + 1)[1:]
+        end.append(estimator.predict(time, 1.35 - 1.15 * time).area[-1])
+    assert end[1:] == pytest.approx([end[0]] * 2, rel=0.01)

@@ -373,6 +373,9 @@ class _Run:
             if self.output is not None:
                 self.output.write_event(event, int(logs[0]))
         forces = forces * mapped.scale
+        if mapped.scale != 1.0:
+            # The mapping tells the unit of the force alone.
+            torques = np.zeros_like(torques)
         wrench = items[int(np.argmax(good))].raw
         frame = frame_id_of_cdr(wrench)
         place = {stamp: i for i, stamp in reversed(list(enumerate(stamps.tolist())))}

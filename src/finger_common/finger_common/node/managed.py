@@ -490,12 +490,16 @@ class ManagedNode(LifecycleNode):
                 self.get_logger().warning(problem)
             self.values = self.read_parameters()
 
-        before = self._interfaces()
-        if not self._attempt("configure", read, self.configure):
-            self._attempt("cleanup", self._clean_up)
-            for interface, destroy in self._interfaces().items():
-                if interface not in before:  # made before it failed
-                    destroy(interface)
+        before, configured = self._interfaces(), False
+        try:
+            configured = self._attempt("configure", read, self.configure)
+        finally:  # also after a defect of the program, such as one of an outside driver
+            if not configured:
+                self._attempt("cleanup", self._clean_up)
+                for interface, destroy in self._interfaces().items():
+                    if interface not in before:  # made before it failed
+                        destroy(interface)
+        if not configured:
             return TransitionCallbackReturn.FAILURE
         self._describe_live(True)
         self._set_state("inactive")

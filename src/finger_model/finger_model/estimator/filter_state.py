@@ -125,6 +125,11 @@ class FilterState:
         started, newest, *_ = self._stream.item()
         return newest if started else None
 
+    @property
+    def force(self) -> float:
+        """Normal force (N) of the newest sample that the model followed."""
+        return float(self.finger["force"][0])
+
     def add_flag(self, flag: int) -> None:
         """Set a flag of the next estimate."""
         self._stream["pending_flags"] |= flag

@@ -12,7 +12,7 @@ import numpy as np
 from finger_common.errors import InputError
 
 from ..history import ContactHistory, check_force_history
-from ..reduced.model import history_of
+from ..reduced.model import history_of, with_falls_divided
 from .filter_state import FilterState
 
 LONGEST_HORIZON = 3600.0
@@ -39,7 +39,10 @@ def predict(state: FilterState, time: np.ndarray, force: np.ndarray) -> ContactH
             f"force {force.max():.2f} N is beyond the model's limit of {limit:.2f} N for these "
             "parameters; ask for less"
         )
-    return history_of(time, force, state.predicted(time, force))
+    whole = np.insert(time, 0, 0.0), np.insert(force, 0, max(state.force, 0.0))
+    fine, rows = with_falls_divided(*whole)
+    table = state.predicted(fine[1:], np.interp(fine[1:], *whole))
+    return history_of(time, force, table[rows[1:] - 1])
 
 
 def force_for_area(state: FilterState, area: float, horizon: float) -> float:

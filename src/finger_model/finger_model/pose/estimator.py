@@ -57,7 +57,7 @@ OUTLIER = 4.0
 PLACE_LIMIT = 4.0
 """Standard deviations of the pad's place by which a centre of pressure may lie beside the pad."""
 
-REMEMBERED = 4096
+REMEMBERED = 8192
 """Samples of the round pad's area that are remembered."""
 
 CERTAIN_TILT = math.radians(3.0)
@@ -115,6 +115,8 @@ class PoseEstimator:
         self.settings = settings or PoseSettings()
         axis, self._sign = axis_of(normal_axis)
         self._axis, self._first, self._second = axis, (axis + 1) % 3, (axis + 2) % 3
+        # Seen towards the finger, the other two axes of a sensor that is turned over are mirrored.
+        self._mirror = -1.0 if self._sign > 0 else 1.0
         self._assumed = assumed
         self._correction: PoseCorrection | None = None
         self._waiting: list[tuple[int, int, MeasuredOutline]] = []
@@ -235,7 +237,7 @@ class PoseEstimator:
         height = -self._sign * self.settings.sensor_depth
         x = (height * across[0] - torque[b]) / normal
         y = (height * across[1] + torque[a]) / normal
-        self._sum += x + self.settings.sensor_x, y + self.settings.sensor_y
+        self._sum += x + self.settings.sensor_x, self._mirror * y + self.settings.sensor_y
         self._count += 1
         if stamp - self._sum_since < PRESSURE_PERIOD:
             return

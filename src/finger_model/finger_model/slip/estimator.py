@@ -45,7 +45,7 @@ class SlipEstimate(NamedTuple):
     two sensor axes that follow the normal one (x, y, z in a circle); stick_ratio: share of the
     contact's area that sticks; slip_margin: 1 − |Q|/(μP); each with its standard deviation;
     slip_probability: that the whole contact slips now or within the horizon; friction μ and its
-    standard deviation; tangential_displacement (2,) in m: of the plate against the bone since the
+    standard deviation; tangential_displacement (2,) in m: of the bone over the plate since the
     contact began, as far as the skin sticks; tangential_stiffness (N/m); slips: slips seen so far;
     flags: bits of SlipFlag. Without contact all but forces and friction are NaN and the
     probability is 0.
@@ -182,11 +182,18 @@ class SlipEstimator:
         contact. Raises InputError for other shapes.
         """
         n = len(stamps_ns)
-        if lateral.shape != (n, 2):
-            raise InputError(f"lateral has shape {lateral.shape}, ({n}, 2) is needed")
-        rows = np.zeros(n, kernels.OUTPUT)
         if moisture is None:
             moisture = np.full(n, math.nan)
+        for name, array, shape in (
+            ("normal_force", normal_force, (n,)),
+            ("lateral", lateral, (n, 2)),
+            ("touching", touching, (n,)),
+            ("indentation", indentation, (n,)),
+            ("moisture", moisture, (n,)),
+        ):
+            if np.shape(array) != shape:
+                raise InputError(f"{name} has shape {np.shape(array)}, {shape} is needed")
+        rows = np.zeros(n, kernels.OUTPUT)
         kernels.follow_many(
             self._config,
             self._state,

@@ -35,8 +35,8 @@ LOG_FRICTION = np.linspace(math.log(0.08), math.log(2.5), GRID)
 LIMITS = backbone.limits(ELEMENTS)
 CURVE = np.interp(np.linspace(0.0, 1.0, 101), *backbone.STICK_CURVE.T)
 """Stick ratio of a first pull at r = 0, 0.01 … 1."""
-REMEMBERED = 1024
-"""Samples remembered, for stick ratios that come late."""
+REMEMBERED = 8192
+"""Samples remembered, for stick ratios that come late: 1 s at up to 8 kHz."""
 
 COMPLIANCE = backbone.SLIP_COMPLIANCE
 BRANCHES = 4
@@ -59,6 +59,15 @@ LARGEST_SHIFT = 1.0
 """Largest change of the prior's ln μ by moisture."""
 SLIP_ODDS = -1.5
 """Log of the odds of slip against holding of a plateau that shows neither: held things are more."""
+CLEAR_SLIP = 2.0
+"""Log of the odds of slip against holding from which a plateau tells of slip by itself."""
+LETTING_GO = 3.0
+"""1/s, fall of P over P from which a finger lets go: then Q falls with P, also where what it held
+is put down, but at another ratio than before."""
+NEAR = 2
+"""Steps of LOG_FRICTION within which two plateaus have one ratio."""
+FIRST_LOOKS = 5
+"""Comparisons of a plateau before which its odds are those of the newest one."""
 PLATEAU_AFTER = 0.02
 """s that r must stand still."""
 TURNED = 0.85
@@ -67,6 +76,8 @@ EDGE = 0.03
 """Of ln μ: softness of the edge at the largest ratio carried, and scatter of r in slip."""
 FRAME_SHARE = 0.3
 """Share of a frame's evidence that counts: frames of one pull err alike where s(r) is not exact."""
+FRAMES, NEXT_RATIO = 20, 0.05
+"""Frames of a pull that count until r has grown by NEXT_RATIO: more of them err as these do."""
 SMALLEST_FORCE = 0.05
 """N; below it ratios are not judged."""
 
@@ -105,6 +116,8 @@ STATE = np.dtype(
         ("plateau_count", "f8"),
         ("plateau_sum", "f8"),  # of ln r
         ("plateau_odds", "f8"),  # largest log of the odds of slip in it
+        ("plateau_looks", "i8"),
+        ("unclear", "u1", (GRID,)),  # ln r of plateaus that did not show slip by themselves
         ("friction", "f8", (2,)),  # mean and standard deviation, as last given
         ("slips", "i8"),
         ("counted", "?"),  # the slip of this pull
@@ -115,6 +128,8 @@ STATE = np.dtype(
         ("displaced", "f8", (2,)),  # m, of the plate
         ("crept", "f8", (BRANCHES, 2)),  # m, displacement that each branch has come to
         ("next", "i8"),
+        ("frames", "i8"),  # stick ratios seen in this pull since r was `frames_ratio`
+        ("frames_ratio", "f8"),
         ("past_stamp", "i8", (REMEMBERED,)),
         ("past_ratio", "f8", (REMEMBERED,)),  # NaN where s(r) does not hold
     ],
@@ -171,6 +186,7 @@ def set_prior(config, state, moisture):
     state.largest = 0.0
     state.slips = 0
     state.friction[:] = math.nan
+    state.unclear[:] = 0
 
 
 @njit(cache=True)
@@ -196,9 +212,25 @@ def _ratio_rate(track):
 
 
 @njit(cache=True)
+def _cell(log_friction):
+    """Index of the nearest of LOG_FRICTION."""
+    step = (LOG_FRICTION[-1] - LOG_FRICTION[0]) / (GRID - 1)
+    return min(max(round((log_friction - LOG_FRICTION[0]) / step), 0), GRID - 1)
+
+
+@njit(cache=True)
 def _slip_share(state):
     """Probability, before friction is asked, that the plateau is slip."""
     return 1.0 / (1.0 + math.exp(-SLIP_ODDS - state.plateau_odds))
+
+
+@njit(cache=True)
+def _is_news(state, log_ratio):
+    """Whether the plateau tells of friction what none before it did. A thing that is held again, or
+    whose load dips and returns, stands still at the same ratio."""
+    at = _cell(log_ratio)
+    known = state.unclear[max(at - NEAR, 0) : at + NEAR + 1].max() > 0
+    return state.plateau_odds >= CLEAR_SLIP or not known
 
 
 @njit(cache=True)
@@ -215,6 +247,9 @@ def _commit(state, share):
     """Keep what the plateau that ends has told."""
     state.told = True
     log_ratio = state.plateau_sum / state.plateau_count
+    news = _is_news(state, log_ratio)
+    if state.plateau_odds < CLEAR_SLIP:
+        state.unclear[_cell(log_ratio)] = 1
     total, slip_total = 0.0, 0.0
     top = state.log_weight.max()
     for g in range(GRID):
@@ -222,8 +257,9 @@ def _commit(state, share):
         weight = math.exp(state.log_weight[g] - top)
         total += weight * likelihood
         slip_total += weight * slip
-        state.log_weight[g] += math.log(likelihood)
-    if slip_total > 0.5 * total and not state.counted:
+        if news:
+            state.log_weight[g] += math.log(likelihood)
+    if news and slip_total > 0.5 * total and not state.counted:
         state.counted = True
         state.slips += 1
 
@@ -361,6 +397,10 @@ def _compare(config, state, stamp):
             gain = max(log_slip, log_hold) - log_pull
             state.odds = keep * state.odds + min(max(gain, -3.0), 3.0)
             gain = log_slip - log_hold
+            if state.plateau and state.fast.rate[0] < -LETTING_GO * p:
+                away = math.log(max(q, 1e-9) / p) - state.plateau_sum / state.plateau_count
+                if abs(away) > EDGE:
+                    gain = min(gain, 0.0)
             state.slip_odds = keep * state.slip_odds + min(max(gain, -2.0), 2.0)
     now = state.forecast[state.forecasts % LAGS]
     now[0], now[1], now[2], now[3] = stamp * 1e-9, q / max(p, 1e-6), q, rise
@@ -387,6 +427,7 @@ def _judge_plateau(config, state, stamp, ratio):
         state.plateau_count = 0.0
         state.plateau_sum = 0.0
         state.plateau_odds = state.slip_odds = 0.0
+        state.plateau_looks = 0
     if state.plateau:
         # The ratio of the time in which it looked most like slip.
         if state.slip_odds > state.plateau_odds + 0.5:
@@ -396,6 +437,9 @@ def _judge_plateau(config, state, stamp, ratio):
         if state.slip_odds > state.plateau_odds - 0.5 or state.plateau_count == 0.0:
             state.plateau_sum += math.log(max(ratio, 1e-6))
             state.plateau_count += 1.0
+        state.plateau_looks += 1
+        if state.plateau_looks <= FIRST_LOOKS:
+            state.plateau_odds = state.slip_odds
         state.plateau_odds = max(state.plateau_odds, state.slip_odds)
 
 
@@ -467,6 +511,7 @@ def follow(config, state, stamp, normal, q0, q1, touching, indentation, moisture
         dt = 0.0
         state.pull_largest = 0.0
         state.turned = state.counted = False
+        state.frames, state.frames_ratio = 0, 0.0
         state.forecasts = 0
         state.odds, state.slip_odds = -3.0, 0.0
     elif state.touching and not touching:
@@ -489,8 +534,9 @@ def follow(config, state, stamp, normal, q0, q1, touching, indentation, moisture
         state.pull_largest = max(state.pull_largest, held)
         if ratio < TURNED * state.pull_largest - 0.02:
             state.turned = True
-        if ratio < 0.5 * state.pull_largest:
+        if ratio < 0.5 * state.pull_largest and not state.plateau:
             state.counted = False
+            state.frames, state.frames_ratio = 0, 0.0
         _judge_plateau(config, state, stamp, slow)
     at = state.next % REMEMBERED
     state.past_stamp[at] = stamp
@@ -499,10 +545,11 @@ def follow(config, state, stamp, normal, q0, q1, touching, indentation, moisture
 
     # Friction.
     plateau = state.plateau and (stamp - state.plateau_begin) * 1e-9 >= PLATEAU_AFTER
-    share, log_ratio = 0.0, 0.0
+    share, log_ratio, news = 0.0, 0.0, False
     if plateau:
         share = _slip_share(state)
         log_ratio = state.plateau_sum / state.plateau_count
+        news = _is_news(state, log_ratio)
     # A ratio beyond all frictions that are thought of leaves the largest of them.
     edge_at = min(math.log(max(state.largest, 1e-3)), LOG_FRICTION[-1])
     log_weight = np.empty(GRID)
@@ -529,7 +576,8 @@ def follow(config, state, stamp, normal, q0, q1, touching, indentation, moisture
         if plateau:
             likelihood, slip_part = _plateau_likelihood(state, share, log_ratio, x)
             slip = slip_part / likelihood
-            weight *= likelihood
+            if news:
+                weight *= likelihood
         mu = math.exp(x)
         total += weight
         mean += weight * mu
@@ -584,6 +632,11 @@ def see_stick(state, stamp, stick, sd):
         if state.past_stamp[at] <= stamp:
             ratio = state.past_ratio[at]
             if not ratio > 0.03:
+                return False
+            if ratio > state.frames_ratio + NEXT_RATIO:
+                state.frames, state.frames_ratio = 0, ratio
+            state.frames += 1
+            if state.frames > FRAMES:
                 return False
             spread = math.hypot(sd, 0.04)
             state.told = True

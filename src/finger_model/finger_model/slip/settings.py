@@ -20,8 +20,8 @@ class SlipSettings(Settings):
     friction_prior: float = _runtime(
         0.45,
         "Median of the friction coefficient before any slip was seen, of natural skin on glass.",
-        minimum=0.02,
-        maximum=5.0,
+        minimum=0.1,
+        maximum=2.0,
     )
     friction_prior_sd: float = _runtime(
         0.5,
