@@ -314,6 +314,8 @@ def test_urls_of_calibrations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setenv("ROS_HOME", str(tmp_path))
     assert resolve_url("", "a") == tmp_path / "camera_info" / "a.yaml"
     assert resolve_url("file:///x/${NAME}.yaml", "a") == Path("/x/a.yaml")
+    spaced = tmp_path / "rig här" / "a.yaml"
+    assert resolve_url(spaced.as_uri(), "a") == spaced
     for bad in (
         "/x/a.yaml",
         "http://x/a.yaml",

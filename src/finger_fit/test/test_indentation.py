@@ -333,3 +333,28 @@ def test_a_sensor_that_does_not_follow_the_force_is_noted(double: SimpleNamespac
     checks = {c.name: c for c in result.result.fits["dry"].quality.checks}
     assert checks["indentation"].status != "ok"
     assert "from the model" in checks["indentation"].detail
+
+
+def test_a_condition_without_indentation_beside_one_with_it_has_a_report(
+    double: SimpleNamespace, tmp_path: Path
+) -> None:
+    with_one, others = presses(double, 3), presses(double, 3, seed=1, peak=1.4)
+    without = [replace(t, indentation=None, condition="moist") for t in others]
+    found = fit([*with_one, *without], model=double.HereditaryModel(), **QUICK)
+    assert found.conditions == ["dry", "moist"]
+    assert "indentation" in found.report(tmp_path).read_text()
+
+
+def test_a_second_fit_in_a_folder_leaves_no_parameters_of_the_first(
+    double: SimpleNamespace, tmp_path: Path
+) -> None:
+    trials = presses(double, 3)
+    others = presses(double, 3, seed=1, peak=1.4)
+    two = [*trials, *(replace(t, condition="moist") for t in others)]
+    fit(two, model=double.HereditaryModel(), **QUICK).save(tmp_path)
+    (tmp_path / "parameters_mine.yaml").write_text("mine\n")
+    assert (tmp_path / "parameters_moist.yaml").exists()
+    fit(trials, model=double.HereditaryModel(), **QUICK).save(tmp_path)
+    left = {p.name for p in tmp_path.glob("parameters*.yaml")}
+    assert left == {"parameters.yaml", "parameters_mine.yaml"}
+    assert not (tmp_path / "tables" / "contrasts.csv").exists()

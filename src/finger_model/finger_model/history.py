@@ -56,6 +56,10 @@ class ContactHistory:
         """History of the given points in their order."""
         return cls(**{f.name: np.array([getattr(p, f.name) for p in points]) for f in fields(cls)})
 
+    def at(self, rows: np.ndarray) -> ContactHistory:
+        """The history at some of its instants."""
+        return ContactHistory(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+
     def csv_text(self) -> str:
         """The header CSV_HEADER and one line per instant."""
         return csv_of(CSV_HEADER, self.time, self.force, *self.csv_columns())
@@ -91,6 +95,20 @@ def mean_pressure(force: float, area: float) -> float:
 def radius_to_area(radius: float) -> float:
     """πr² in m²."""
     return math.pi * radius * radius
+
+
+LARGEST_FALL, SHORT = 0.1, 0.02
+"""Share of its load by which a load falls in one step at most, where the step is longer (s)."""
+
+
+def with_falls_divided(time: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Times with more of them where a load falls far in one step, and the rows of the given ones:
+    on the way back a finger that creeps is farther from its path the longer a step is."""
+    fall = (force[:-1] - force[1:]) / np.maximum(force[:-1], 1e-12)
+    parts = np.where(np.diff(time) > SHORT, np.ceil(fall / LARGEST_FALL - 1e-9), 1.0)
+    parts = np.clip(parts, 1.0, 1.0 / LARGEST_FALL).astype(int)
+    rows = np.concatenate([[0], np.cumsum(parts)])
+    return np.interp(np.arange(rows[-1] + 1), rows, time), rows
 
 
 def check_force_history(

@@ -204,7 +204,7 @@ class ModelNode(ManagedNode):
         self._sets: ParameterSets | None = None
         self._active = False
         self._reading: tuple[int, float] | None = None
-        self._reading_stamps: deque[int] = deque(maxlen=64)
+        self._readings: deque[tuple[int, float]] = deque(maxlen=64)
         self._started = False
         self._jumped = False
         self._sequence = 0
@@ -568,9 +568,9 @@ class ModelNode(ManagedNode):
     def _on_moisture(self, message: Moisture) -> None:
         with self._lock:
             reading = moisture_of(message)
-            if reading[0] in self._reading_stamps:
+            if reading in self._readings:
                 return  # it came on both subscriptions
-            self._reading_stamps.append(reading[0])
+            self._readings.append(reading)
             self._reading = reading
             if not self._active or self.estimator is None:
                 return
@@ -741,7 +741,7 @@ class ModelNode(ManagedNode):
 
     def _on_jump(self, jump: Any) -> None:
         self._jumped = True
-        self._reading_stamps.clear()
+        self._readings.clear()
 
     def _publish_event(self, event: EstimatorEvent) -> None:
         fields = event_fields(event, self._sequence)

@@ -6,6 +6,7 @@
 import csv
 import subprocess
 import sys
+from pathlib import Path
 
 import meshio
 import numpy as np
@@ -148,3 +149,22 @@ def test_forces_of_the_wrong_sign_are_pointed_out(tmp_path, capsys):
     path.write_text("time_s,force_n\n0,0\n1,-1\n")
     assert run(_main, ["simulate", "--force", str(path), "-o", str(tmp_path / "o.csv")]) == 0
     assert "no force above zero" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("solver", ["reduced", "full"])
+def test_a_release_in_one_row_is_that_in_many_rows(tmp_path: Path, solver: str) -> None:
+    """A finger that creeps is elsewhere on the way back: a falling load is divided."""
+    last = []
+    for rows in (60, 1):
+        time = np.concatenate([np.linspace(0.0, 1.0, 41), np.linspace(1.0, 2.0, rows + 1)[1:]])
+        force = 1.35 * np.minimum(time, 1.0) - 1.15 * np.maximum(time - 1.0, 0.0)
+        path, out = tmp_path / f"{rows}.csv", tmp_path / f"out_{rows}.csv"
+        np.savetxt(path, np.column_stack([time, force]), delimiter=",", header="time_s,force_n",
+                   comments="")  # fmt: skip
+        call = ["simulate", "--force", str(path), "--solver", solver, "-o", str(out)]
+        call += ["--refinement", "0.5"] if solver == "full" else []
+        assert run(_main, call) == 0
+        table = np.genfromtxt(out, delimiter=",", names=True)
+        assert len(table) == len(time)
+        last.append(table["area_mm2"][-1])
+    assert last[1] == pytest.approx(last[0], rel=0.01)

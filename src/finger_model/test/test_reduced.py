@@ -306,22 +306,3 @@ def test_the_shipped_file_describes_itself(model: ReducedModel) -> None:
     assert model.measured_error["pairs"] >= 200
     assert model.range["force"][1] >= 3.0
     assert model.settings["histories"] >= 80
-
-
-def test_a_release_in_one_row_is_that_in_many_rows() -> None:
-    """A finger that creeps is elsewhere on the way back: steps of a falling load are divided."""
-    found = []
-    for model in (ReducedModel.load(), None):
-        for rows in (200, 1):
-            time = np.concatenate([np.linspace(0.0, 1.0, 101), np.linspace(1.0, 2.0, rows + 1)[1:]])
-            force = 1.35 * np.minimum(time, 1.0) - 1.15 * np.maximum(time - 1.0, 0.0)
-            if model is not None:
-                found.append(model.simulate(Material(), time, force).area[-1])
-                continue
-            stepper = FullOrderModel(Geometry(), refinement=0.5).start(Material())
-            few = slice(None) if rows == 1 else slice(None, None, 5)
-            for t, f in zip(time[few], force[few], strict=True):
-                area = stepper.step(t, f).area
-            found.append(area)
-    assert found[1] == pytest.approx(found[0], rel=0.01)
-    assert found[3] == pytest.approx(found[2], rel=0.01)

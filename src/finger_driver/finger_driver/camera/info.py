@@ -13,6 +13,7 @@ import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import yaml
 
@@ -108,7 +109,7 @@ def resolve_url(url: str, name: str) -> Path:
 
     plain = re.sub(r"\$\{(\w+)\}", replace, url)
     if plain.startswith("file:///"):
-        return Path(plain[len("file://") :])
+        return Path(unquote(plain[len("file://") :]))
     if plain.startswith("package://"):
         package, _, rest = plain[len("package://") :].partition("/")
         return _package_share(package, url) / rest

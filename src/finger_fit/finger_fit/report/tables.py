@@ -177,7 +177,8 @@ def quality(result: FitResult) -> str:
     words = {"fail": "<b class=bad>fails</b>", "note": "note", "ok": "<span class=final>ok</span>"}
     rows = []
     for name in dict.fromkeys(c.name for q in checked.values() for c in q.checks):
-        of_name = {n: next(c for c in q.checks if c.name == name) for n, q in checked.items()}
+        # Not all conditions have all checks, such as that of an indentation.
+        of_name = {n: c for n, q in checked.items() for c in q.checks if c.name == name}
         worst = min(of_name.values(), key=lambda c: ["fail", "note", "ok"].index(c.status)).status
         details: dict[str, list[str]] = {}
         for condition, check in of_name.items():

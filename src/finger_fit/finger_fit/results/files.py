@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from finger_common.files import atomic_write
+from finger_common.errors import InputError
+from finger_common.files import atomic_write, load_json
 from finger_common.moisture import MOISTURE_RANGE
 from finger_common.subject_code import is_subject
 from finger_model.parameter_sets import ParameterSet, ParameterSets
@@ -252,13 +253,27 @@ def write(result: FitResult, folder: Path) -> None:
 
 
 def _write(result: FitResult, folder: Path) -> None:
+    earlier = _parameter_files_of(folder)
     with atomic_write(folder / "fit.json") as file:
         json.dump(fit_dict(result), file, indent=1, ensure_ascii=False)
         file.write("\n")
     write_tables(result, folder)
-    if not result.subjects:
-        for name, sets in parameter_files(result).items():
-            sets.save(folder / name)
+    files = {} if result.subjects else parameter_files(result)
+    for name, sets in files.items():
+        sets.save(folder / name)
+    # Those of an earlier fit in this folder would be taken for those of this one.
+    for name in earlier - files.keys():
+        (folder / name).unlink(missing_ok=True)
+
+
+def _parameter_files_of(folder: Path) -> set[str]:
+    """Names of the parameter files that the fit in a folder wrote; none without one."""
+    try:
+        found = load_json(folder / "fit.json", "fit.json")
+        conditions = list(found["conditions"])
+    except (InputError, KeyError, TypeError):
+        return set()
+    return {"parameters.yaml", *(f"parameters_{c.replace(' ', '_')}.yaml" for c in conditions)}
 
 
 def subject_sets(result: FitResult) -> dict[str, ParameterSets]:

@@ -36,6 +36,8 @@ def write_tables(result: FitResult, folder: Path) -> None:
         ("indentation", list(indentation_rows(result))),
     ):
         if not rows:
+            for suffix in ("csv", "tex"):  # of an earlier fit in this folder
+                (folder / "tables" / f"{name}.{suffix}").unlink(missing_ok=True)
             continue
         with atomic_write(folder / "tables" / f"{name}.csv") as file:
             writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")

@@ -11,8 +11,8 @@ import numpy as np
 
 from finger_common.errors import InputError
 
-from ..history import ContactHistory, check_force_history
-from ..reduced.model import history_of, with_falls_divided
+from ..history import ContactHistory, check_force_history, with_falls_divided
+from ..reduced.model import history_of
 from .filter_state import FilterState
 
 LONGEST_HORIZON = 3600.0

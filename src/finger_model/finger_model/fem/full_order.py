@@ -37,8 +37,6 @@ from .mesh_material import Crushed, MeshMaterial
 SMALLEST_CUT = 2.0**-14
 """Smallest fraction of a step: a step that does not converge is cut to a quarter, down to this."""
 
-LARGEST_FALL = 0.1
-"""Share of its load by which a falling one falls in one part of a step."""
 SMALLEST_PART = 1.0 / 64.0
 """Smallest fraction into which a step is divided to follow its path."""
 MAXIMUM_NEW_NODES = 1
@@ -181,17 +179,13 @@ class Stepper:
         done, size = 0.0, 1.0
         while done < 1.0:
             goal = min(1.0, done + size)
-            follows = self.material.friction > 0.0 or time > start.time
-            if follows and end > begin:
+            if end > begin and (self.material.friction > 0.0 or time > start.time):
                 # Friction and creep depend on the path, which is curved (Hertz: F^(2/3)) while the
                 # contact is small: only a few nodes may touch in one part of the step.
                 rise = self._allowed_rise() if target.is_force else self._allowed_travel()
                 goal = min(goal, done + max(rise / (end - begin), SMALLEST_PART))
-            elif follows and end < begin:
-                # So is the way back.
-                goal = min(goal, done + max(LARGEST_FALL * begin / (begin - end), SMALLEST_PART))
-            if goal > 1.0 - 1e-9:
-                goal = 1.0
+                if goal > 1.0 - 1e-9:
+                    goal = 1.0
             part = target._replace(value=begin + goal * (end - begin))
             instant = start.time + goal * (time - start.time)
             try:

@@ -66,20 +66,6 @@ class Arrays(dict[str, np.ndarray]):
         self.tried = False
 
 
-LARGEST_FALL, SHORT = 0.1, 0.02
-"""Share of its load by which a load falls in one step at most, where the step is longer (s)."""
-
-
-def with_falls_divided(time: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Times with more of them where a load falls far in one step, and the rows of the given ones:
-    on the way back a finger that creeps is farther from its path the longer a step is."""
-    fall = (force[:-1] - force[1:]) / np.maximum(force[:-1], 1e-12)
-    parts = np.where(np.diff(time) > SHORT, np.ceil(fall / LARGEST_FALL - 1e-9), 1.0)
-    parts = np.maximum(parts, 1.0).astype(int)
-    rows = np.concatenate([[0], np.cumsum(parts)])
-    return np.interp(np.arange(rows[-1] + 1), rows, time), rows
-
-
 class ReducedModel:
     """Reduced model of one finger, for one material law.
 
@@ -431,9 +417,8 @@ class ReducedModel:
                 f"limit of {limit:.3g} N for this material; lower the force or use --solver full"
             )
         state = self.state_at_rest(constants)
-        fine, rows = with_falls_divided(time, force)
-        table = self.follow(constants, state, fine, np.interp(fine, time, force), before=time[0])
-        return history_of(time, force, table[rows])
+        table = self.follow(constants, state, time, force, before=time[0])
+        return history_of(time, force, table)
 
     def visited(self, parameters: np.ndarray, time: np.ndarray, force: np.ndarray) -> np.ndarray:
         """Amplitudes a and friction states q (n, k + m), see the kernels.
