@@ -26,6 +26,8 @@ EDGE_ORDER = 4
 SLIP_SHARE = 0.05
 """Slip over the plate's travel below which skin is said to stick: the tissue's own small slips, as
 those of the edge while a finger is pressed, are no sign of sliding."""
+SAMPLES = 4
+"""Across a face, of its slip."""
 BAND = (0.2, 2.5)
 """Distance from the edge of the nodes in the fit, in node spacings."""
 EDGE_SHIFT = 0.225
@@ -54,11 +56,15 @@ NO_CONTACT = Outline(0.0, np.zeros(2), (0.0, 0.0), 0.0)
 def node_areas(mesh: SolidMesh, skin: np.ndarray) -> np.ndarray:
     """Share (S,) of each skin node of the plate's plane (m²); skin (S, 3) positions."""
     areas = np.zeros(len(skin))
+    np.add.at(areas, mesh.faces, 0.25 * _face_areas(mesh, skin)[:, None])
+    return areas
+
+
+def _face_areas(mesh: SolidMesh, skin: np.ndarray) -> np.ndarray:
+    """Areas (Q,) of the skin's quadrilaterals in the plate's plane (m²)."""
     p = skin[mesh.faces, :2]
     d, e = p[:, 3] - p[:, 0], p[:, 2] - p[:, 1]
-    size = 0.5 * np.abs(d[:, 0] * e[:, 1] - d[:, 1] * e[:, 0])
-    np.add.at(areas, mesh.faces, 0.25 * size[:, None])
-    return areas
+    return 0.5 * np.abs(d[:, 0] * e[:, 1] - d[:, 1] * e[:, 0])
 
 
 def outline(mesh: SolidMesh, skin: np.ndarray, contact: Contact, areas: np.ndarray) -> Outline:
@@ -138,13 +144,20 @@ def _terms(angle: np.ndarray, order: int, even: bool) -> np.ndarray:
     return np.concatenate(columns, axis=1)
 
 
-def stick_ratio(skin: np.ndarray, contact: Contact, areas: np.ndarray, travel: float) -> float:
+def stick_ratio(mesh: SolidMesh, skin: np.ndarray, contact: Contact, travel: float) -> float:
     """Share of the contact's area that slid in a step by less than SLIP_SHARE of the plate's
-    `travel` (m) in it; skin (S, 3) positions."""
+    `travel` (m) in it; skin (S, 3) positions. Slip is interpolated between the nodes, so that the
+    edge of the stick zone need not pass through them."""
     slid = np.hypot(*(skin[:, :2] - contact.plate[:2] - contact.anchor).T)
-    sticks = (contact.status == STICK) | (slid < SLIP_SHARE * travel)
-    touches = contact.status != OPEN
-    return float(areas[touches & sticks].sum() / areas[touches].sum())
+    slid[contact.status == STICK] = 0.0
+    touches = (contact.status != OPEN).astype(float)
+    even = (np.arange(SAMPLES) + 0.5) / SAMPLES
+    u, v = (grid.ravel() for grid in np.meshgrid(even, even))
+    shape = np.stack([(1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v])
+    touching = touches[mesh.faces] @ shape
+    mean = (touches * slid)[mesh.faces] @ shape / np.maximum(touching, 1e-12)
+    weight = touching * _face_areas(mesh, skin)[:, None]
+    return float(weight[mean <= SLIP_SHARE * travel].sum() / weight.sum())
 
 
 def pressure(mesh: SolidMesh, contact: Contact, areas: np.ndarray) -> np.ndarray:

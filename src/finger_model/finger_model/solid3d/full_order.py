@@ -483,7 +483,7 @@ class SolidStepper:
         if touches:
             before = self._before.contact.plate if self._before else state.contact.plate
             travel = float(np.linalg.norm(state.contact.plate - before))
-            stick = 0.0 if slides else stick_ratio(skin, state.contact, areas, travel)
+            stick = 0.0 if slides else stick_ratio(mesh, skin, state.contact, travel)
         margin = 0.0 if slides else max(1.0 - math.hypot(qx, qy) / bound, 0.0)
         return SolidPoint(
             time=state.time,
