@@ -39,6 +39,9 @@ PIXEL_BYTES = 8
 _WIDTH, _HEIGHT, _BITS, _SAMPLES, _TILE_WIDTH, _TILE_HEIGHT = 256, 257, 258, 277, 322, 323
 _TIFF_TAGS = {_WIDTH, _HEIGHT, _BITS, _SAMPLES, _TILE_WIDTH, _TILE_HEIGHT}
 
+_SPACE = rb"(?:\s|#[^\n]*\n)+"
+_PNM_SIZE = _SPACE + rb"(\d{1,9})" + _SPACE + rb"(\d{1,9})"
+
 _KINDS = "PNG, TIFF, JPEG, BMP or PGM"
 
 
@@ -105,9 +108,14 @@ def image_size(data: memoryview) -> tuple[int, int] | None:
             return _tiff(data, "<" if begin.startswith(b"I") else ">")
     except (struct.error, IndexError):
         return None
-    space = rb"(?:\s|#[^\n]*\n)+"
-    found = re.match(rb"P[1-6]" + space + rb"(\d{1,9})" + space + rb"(\d{1,9})\s", begin)
+    found = re.match(rb"P[1-6]" + _PNM_SIZE + rb"\s", begin)
     return (int(found[1]), int(found[2])) if found else None
+
+
+def white_level(data: bytes | memoryview) -> int | None:
+    """Value of white that the header of a PGM or PPM file gives; None for others."""
+    found = re.match(rb"P[2356]" + _PNM_SIZE + _SPACE + rb"(\d{1,5})\s", bytes(data[:1024]))
+    return int(found[3]) if found else None
 
 
 def _jpeg(data: memoryview) -> tuple[int, int] | None:

@@ -55,8 +55,12 @@ LATE = 3e-3
 """s above the line below all blocks from which a block counts as late."""
 CLOCK_DRIFT = 5e-4
 """s/s; clocks of crystals differ by a fifth of it at most."""
-SURE_BLOCKS = 8
-"""Blocks from which a larger drift is believed, as of a device with another rate than it states."""
+SURE = 8.0
+"""s of blocks from which a larger drift is believed, as of a device with another rate than it
+states."""
+AGREEING, SCATTER = 3, 0.1
+"""Before that it is believed where at least so many blocks lie on one rising line: their scatter
+about it is at most this share of the rise, which is more than LATE."""
 
 
 def _line_below(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -76,6 +80,13 @@ def _line_below(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.array([slope, y[i] - slope * x[i]])
 
 
+def _agree(device: np.ndarray, delay: np.ndarray, line: np.ndarray) -> bool:
+    """Whether delays (n,) at device times (n,) rise along a line (slope, intercept), all s."""
+    rise = float(line[0] * (device[-1] - device[0]))
+    scatter = float(np.abs(delay - np.polyval(line, device)).max())
+    return len(device) >= AGREEING and rise > LATE and scatter <= SCATTER * rise
+
+
 class ClockMapper:
     """Maps a device's clock to host time from pairs (device time, host time of receipt).
 
@@ -83,7 +94,8 @@ class ClockMapper:
     time the pair with the least delay is kept, and a line through the last `blocks` of them (least
     squares) gives offset and drift. A block in which every pair was late, as under load, lies above
     the others and is left out. Before the second block is complete, and while the line drifts by
-    more than a clock does and there are few blocks, the least delay so far is used without drift.
+    more than a clock does and few blocks do not agree on it, the least delay so far is used without
+    drift.
 
     nominal_rate: device ticks per second. `drift` is in s/s (device clock slow: positive), `jitter`
     the standard deviation of receipt about the mapped time, in s.
@@ -151,7 +163,8 @@ class ClockMapper:
         near = delay - np.polyval(line, device) <= LATE
         if near.sum() > 1:
             line = np.polyfit(device[near], delay[near], 1)
-        if abs(line[0]) > CLOCK_DRIFT and len(device) < SURE_BLOCKS:
+        sure = len(device) * self._block >= SURE or _agree(device, delay, line)
+        if abs(line[0]) > CLOCK_DRIFT and not sure:
             line = np.array([0.0, delay.min()])
         self._centre = float(device.mean())
         self.drift, self._offset = float(line[0]), float(np.polyval(line, self._centre))

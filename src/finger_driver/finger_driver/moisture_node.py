@@ -15,7 +15,7 @@ from std_msgs.msg import Float64
 from finger_common.moisture import MOISTURE_RANGE, is_moisture
 from finger_common.node import LATCHED_QOS, main_of
 from finger_common.settings import setting
-from finger_common.stamps import NANOSECONDS
+from finger_common.stamps import NANOSECONDS, seconds
 from finger_msgs.msg import Moisture
 from finger_msgs.srv import SetMoisture
 
@@ -24,6 +24,9 @@ from .messages import fill_moisture
 from .moisture import SOURCES, MoistureSettings, MoistureSource, Reading
 from .moisture.manual import ManualSource
 from .moisture.source import FLAG_OUT_OF_RANGE, PHASE_AFTER
+
+_AHEAD = 2.0
+"""s by which a reading may be stamped ahead of this machine's clock; tables have whole seconds."""
 
 _RANGE = f"{MOISTURE_RANGE[0]:g} … {MOISTURE_RANGE[1]:g} a.u."
 
@@ -76,6 +79,16 @@ class MoistureNode(DeviceNode):
         entered ones."""
         health = self.device.health
         with self._publish_lock:
+            ahead = seconds(reading.stamp_ns - self.device.clock.now())
+            if ahead > _AHEAD:
+                # Remembered, it would make all later readings older than itself.
+                text = (
+                    f"reading {reading.value:g} a.u. is stamped {ahead:.0f} s ahead of this "
+                    "computer's clock and is left out; check the clock that stamps it"
+                )
+                self.device.note("ahead", text)
+                return text
+            self.device.cleared("ahead")
             stamp = self._later(reading.stamp_ns)
             if not self.accept_stamp(stamp):
                 text = (

@@ -33,7 +33,8 @@ class TareCollector:
     noise does not count.
     """
 
-    PARTS = 10
+    PARTS, FILLED = 10, 8
+    """Parts of the duration, and how many of them must have samples."""
 
     def __init__(self, duration: float, force_limit: float, torque_limit: float) -> None:
         self._duration = duration
@@ -63,9 +64,17 @@ class TareCollector:
                 f"not tared: {len(self._channels)} samples came in {self._duration:g} s, "
                 f"{2 * self.PARTS} are needed; check the sensor, or make 'tare_duration' longer",
             )
-        channels = np.array(self._channels)
-        parts = np.array([p.mean(axis=0) for p in np.array_split(channels, self.PARTS)])
-        wrenches = np.array([source.wrench_of(p) for p in parts])
+        channels, time = np.array(self._channels), np.array(self._stamps) - self._stamps[0]
+        part = np.minimum(time * 1e-9 * self.PARTS / self._duration, self.PARTS - 1).astype(int)
+        filled = np.unique(part)
+        if len(filled) < self.FILLED:
+            return TareResult(
+                None,
+                nothing,
+                f"not tared: samples came in {len(filled) / self.PARTS:.0%} of "
+                f"{self._duration:g} s only; check the sensor and try again",
+            )
+        wrenches = np.array([source.wrench_of(channels[part == p].mean(axis=0)) for p in filled])
         moved = np.ptp(wrenches, axis=0)
         if np.any(moved > self._limits):
             return TareResult(

@@ -10,7 +10,7 @@ import threading
 import time
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
@@ -22,10 +22,10 @@ from finger_driver.camera import opencv
 from finger_driver.camera.folder import FolderSettings, FolderSource
 from finger_driver.camera.freeze import FreezeDetector
 from finger_driver.camera.info import CameraCalibration, resolve_url
-from finger_driver.camera.opencv import OpenCvSettings, OpenCvSource, grey
+from finger_driver.camera.opencv import OpenCvSettings, OpenCvSource
 from finger_driver.camera.ueye import UeyeSettings, UeyeSource
 from finger_driver.protocols import lines
-from finger_driver.protocols.export_table import TableFormat, new_rows, parse_table
+from finger_driver.protocols.export_table import Row, TableFormat, new_rows, parse_table
 from finger_driver.simulators import FrameFolderWriter, SerialMoistureSimulator
 from finger_driver.simulators.export import ExportFileSimulator, ExportOptions
 
@@ -182,9 +182,65 @@ def test_a_missing_camera_is_reported(path: str, kind: type, message: str) -> No
         camera.open_source({"device": "opencv", "path": path}).connect()
 
 
-def test_colour_and_16_bit_images_become_grey() -> None:
-    assert grey(np.full((2, 3, 3), 77, np.uint8)).tolist() == [[77] * 3] * 2
-    assert grey(np.full((2, 3), 0x4D12, np.uint16)).tolist() == [[0x4D] * 3] * 2
+@pytest.mark.parametrize(
+    ("image", "grey"),
+    [
+        (np.full((2, 3, 3), [77, 9, 0], np.uint8), 77),
+        (np.full((2, 3), 0x4D12, np.uint16), 0x4D),
+        (np.full((2, 3), 0x0412, np.uint16), None),
+    ],
+    ids=["blue light", "16 bits", "12 bits in the lower ones"],
+)
+def test_pictures_become_grey_or_are_named(image: np.ndarray, grey: int | None) -> None:
+    capture = FakeCapture()
+    capture.retrieve = lambda: (True, image)  # type: ignore[method-assign]
+    source = OpenCvSource(OpenCvSettings(path="0"), opener=lambda path: (capture, True))
+    source.connect()
+    frame = source.read(1.0)
+    source.close()
+    if grey is None:
+        assert frame is None and "10- or 12-bit" in source.health.faults["malformed"]
+    else:
+        assert frame is not None and frame.image.tolist() == [[grey] * 3] * 2
+
+
+def test_a_size_counts_once_both_sides_are_set() -> None:
+    """V4L2 changes the size when its second side is set."""
+
+    class Sized(FakeCapture):
+        size: ClassVar[dict[int, float]] = {}
+
+        def get(self, key: int) -> float:
+            sides = (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
+            whole = all(side in self.size for side in sides)
+            return self.size[key] if whole and key in sides else super().get(key)
+
+        def set(self, key: int, value: float) -> bool:
+            self.size[key] = value
+            return True
+
+    settings = OpenCvSettings(path="0", rate=30.0, width=1280, height=1024)
+    source = OpenCvSource(settings, opener=lambda path: (Sized(), True))
+    source.connect()
+    source.close()
+    assert not source.health.faults and source.health.notes["camera_width"] == "1280"
+
+
+def test_a_folder_of_deep_images_is_scaled_or_refused(tmp_path: Path) -> None:
+    source = FolderSource(FolderSettings(path=str(tmp_path)))
+    source.connect()
+    deep = picture().astype(np.uint16)
+    stamp = time.time_ns()
+    pgm = tmp_path / f"{stamp}_0.pgm"
+    pgm.write_bytes(b"P5\n%d %d\n4095\n" % deep.shape[::-1] + (deep * 16).astype(">u2").tobytes())
+    cv2.imwrite(str(tmp_path / f"{stamp + 1}_1.png"), deep * 256)
+    for frame in (source.read(1.0), source.read(1.0)):
+        assert frame is not None
+        np.testing.assert_array_equal(frame.image, picture())
+    fresh = FolderSource(FolderSettings(path=str(tmp_path)))
+    fresh.connect()
+    cv2.imwrite(str(tmp_path / f"{time.time_ns()}_2.png"), deep * 16 + 1)
+    assert fresh.read(0.2) is None and "10- or 12-bit" in fresh.health.faults["malformed"]
 
 
 class FakeUeye:
@@ -195,6 +251,7 @@ class FakeUeye:
     double = ctypes.c_double
     c_mem_p = ctypes.c_void_p
     IS_SET_DM_DIB, IS_CM_MONO8, IS_AOI_IMAGE_SET_AOI, IS_DONT_WAIT = 1, 6, 1, 0
+    IS_STARTER_FW_UPLOAD_NEEDED, IS_ALLOW_STARTER_FW_UPLOAD = 18, 0x10000
     IS_PIXELCLOCK_CMD_SET, IS_EXPOSURE_CMD_SET_EXPOSURE, IS_FORCE_VIDEO_STOP = 6, 12, 0x4000
     sizeof = staticmethod(ctypes.sizeof)
 
@@ -211,6 +268,7 @@ class FakeUeye:
         self.calls: list[str] = []
         self.result: dict[str, Any] = {}
         self.number = 0
+        self.starter_firmware_missing = False
         self.started = time.time()
 
     def SENSORINFO(self) -> Any:
@@ -222,6 +280,10 @@ class FakeUeye:
 
         def call(*arguments: Any) -> Any:
             self.calls.append(name)
+            if name == "is_InitCamera" and self.starter_firmware_missing:
+                allowed = arguments[0].value & self.IS_ALLOW_STARTER_FW_UPLOAD
+                self.starter_firmware_missing = not allowed
+                return 0 if allowed else self.IS_STARTER_FW_UPLOAD_NEEDED
             if name == "is_SetFrameRate":
                 arguments[2].value = arguments[1].value
             if name == "is_InquireImageMem":
@@ -275,6 +337,17 @@ def test_ueye_frames_that_waited_before_reading_began_tell_nothing() -> None:
     frame = source.read(0.1)
     assert frame is not None and source.health.counters["lost"] == 0
     assert source._mapper._minima.maxlen and not source._mapper._minima
+
+
+def test_ueye_that_needs_its_starter_firmware_gets_it() -> None:
+    sdk, said = FakeUeye(), []
+    sdk.starter_firmware_missing = True
+    source = UeyeSource(UeyeSettings(camera_id=2), sdk=sdk)
+    source.log = lambda level, text: said.append(text)
+    source.connect()
+    source.close()
+    assert sdk.calls.count("is_InitCamera") == 2 and not sdk.starter_firmware_missing
+    assert len(said) == 1 and "about 25 s" in said[0]
 
 
 def test_ueye_open_elsewhere_or_without_its_library_is_reported(
@@ -367,6 +440,30 @@ def test_serial_readings_arrive_with_phase_index_and_time_of_arrival() -> None:
     assert sent == [(41.0, 1, 0, 0), (42.5, 2, 1, 0), (131.0, 0, 2, 1)]
 
 
+def test_the_rest_of_a_line_is_no_reading() -> None:
+    """The port is opened in the middle of a line, or this process stands still within one."""
+    with SerialMoistureSimulator() as simulator:
+        source = moisture.open_source({"device": "serial", "path": simulator.port})
+
+        def write(data: bytes) -> None:
+            simulator._write(data)
+            end = time.monotonic() + 10
+            while not source._waiting():
+                assert time.monotonic() < end
+
+        simulator._write(b"M=4")
+        source.connect()
+        write(b"2.0;before\r\n")
+        assert source.read(0.2) is None and source.health.counters["partial"] == 1
+        write(b"M=4")
+        assert source.read(0.1) is None
+        write(b"7.5\r\n")
+        source._last_byte -= 0.7
+        reading = source.read(2.0)
+        source.close()
+    assert reading is not None and reading.value == 47.5
+
+
 def test_exports_in_the_forms_that_spreadsheets_write() -> None:
     form = TableFormat(
         export_value_column="Wert",
@@ -385,6 +482,9 @@ def test_exports_in_the_forms_that_spreadsheets_write() -> None:
         parse_table(text.encode("cp1252"), "e.csv", TableFormat(export_value_column="Wert"))
     with pytest.raises(DeviceError, match="no column 'value'"):
         parse_table(text.encode(), "e.csv", TableFormat())
+    for name, data in (("e.xls", b"value\n42"), ("e.csv", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" * 9)):
+        with pytest.raises(DeviceError, match="save it as XLSX or CSV"):
+            parse_table(data, name, TableFormat())
     with pytest.raises(InputError, match="export_encoding"):
         TableFormat(export_encoding="latin-99")
 
@@ -395,9 +495,19 @@ def test_rows_of_a_rewritten_table_are_new_only_when_they_were_not_there() -> No
     def rows(*values: float) -> tuple:
         return parse_table(("value\n" + "\n".join(map(str, values))).encode(), "e.csv", form)[0]
 
-    assert [r.value for r in new_rows(rows(1, 2), rows(1, 2, 2))] == [2]
-    assert [r.value for r in new_rows(rows(1, 2), rows(2, 1, 3, 1))] == [3, 1]
-    assert new_rows(rows(1, 2), rows(1)) == []
+    def new(old: tuple, now: tuple) -> tuple[list[float], bool]:
+        fresh, in_doubt = new_rows(old, now)
+        return [row.value for row in fresh], in_doubt
+
+    assert new(rows(1, 2), rows(1, 2, 2)) == ([2], False)
+    assert new(rows(1, 2), rows(2, 1, 3, 1)) == ([3, 1], False)
+    assert new(rows(1, 2), rows(1)) == ([], False)
+    # Written over by the table of the next readings.
+    assert new(rows(42, 43, 41), rows(43, 44, 42)) == ([43, 44, 42], False)
+    assert new(rows(42, 43, 41), rows(42, 44)) == ([44], True)
+    assert new(rows(42, 43, 41), rows(50, 51, 52, 53)) == ([50, 51, 52, 53], False)
+    timed = [Row(v, t) for t, v in enumerate((42, 43, 41, 43))]
+    assert new_rows(timed[:3], timed[1:]) == ([timed[3]], False)
 
 
 def test_rows_of_an_export_that_could_not_be_read_at_first_are_not_new(tmp_path: Path) -> None:

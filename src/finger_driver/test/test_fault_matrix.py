@@ -684,7 +684,7 @@ SERIAL_FAULTS = [
     ("bytes that are not text", ["garbage 1", "send 1", "send 43.0"], [43.0], 1, "not ASCII"),
     ("no end of line", ["no_end 1", "send 1", "wait 0.7", "send 44.0"], [44.0], 1, "broke off"),
     (
-        "unplugged and back", ["unplug", "wait 0.5", "plug", "reconnect", "send 45.0"],
+        "unplugged and back", ["unplug", "wait 0.5", "plug", "reconnect", "wait 0.2", "send 45.0"],
         [45.0], 2, "port",
     ),
     ("two readings in one piece", ["held 1", "send 47.0", "send 48.0"], [47.0, 48.0], 0, ""),

@@ -270,6 +270,28 @@ def test_a_board_that_answers_late_has_not_lost_its_calibration(channel: str) ->
     assert any(samples)
 
 
+def test_an_error_frame_of_the_controller_is_no_reply(channel: str) -> None:
+    """Linux reports error counters as 0x204 with 8 bytes: at base 0x20 the last row's numbers."""
+    bus, simulator = board(channel)
+    simulator.start()
+    source = driver(channel, calibration_check_period=0.05)
+    error = can.Message(arbitration_id=0x204, is_extended_id=False, is_error_frame=True, dlc=8)
+    error.data = bytearray(8)
+    try:
+        source.connect()
+        for _ in range(40):
+            source.read(1.0)
+        for _ in range(3):
+            bus.send(error)
+            source.read(1.0)
+    finally:
+        source.close()
+        simulator.stop()
+        bus.shutdown()
+    assert "bus_errors" in source.health.faults
+    assert source.health.counters["conflict"] == source.health.counters["late_replies"] == 0
+
+
 @pytest.mark.parametrize("copies", [1, 2])
 def test_a_bus_that_echoes_own_frames_is_harmless(
     channel: str, copies: int, monkeypatch: pytest.MonkeyPatch

@@ -6,8 +6,11 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import struct
+import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +22,7 @@ from finger_driver.force import GOOD, SATURATED, ForceSource, WrenchSample, open
 from finger_driver.force.dbc import SHIPPED
 from finger_driver.protocols import netft_xml, rdt
 from finger_driver.protocols.dbc import SampleAssembler, SensorMapping
+from finger_driver.simulators.netft import NetFtOptions, NetFtSimulator
 
 TRUTH = np.array([0.5, -0.25, -3.0, 0.01, -0.02, 0.03])
 WRENCH = "--wrench=" + ",".join(map(str, TRUTH))
@@ -41,6 +45,11 @@ def test_the_box_rounds_rates_up_to_a_fraction_of_7000_hz(asked: float, real: fl
     assert rdt.real_rate(asked) == pytest.approx(real)
 
 
+def test_an_axia_has_another_internal_rate_and_repeats_samples_beyond_it() -> None:
+    assert rdt.real_rate(500, 7812) == pytest.approx(7812 / 15)
+    assert rdt.real_rate(500, 488) == 500
+
+
 def test_page_gives_scales_in_si_and_counts_that_are_not_a_million() -> None:
     page = b"""<?xml version="1.0"?><netft><prodname>Net Box</prodname><cfgcpf>1</cfgcpf>
     <cfgcpt>1000</cfgcpt><scfgfu>lbf</scfgfu><scfgtu>Nmm</scfgtu><comrdtrate>500</comrdtrate></netft>"""
@@ -48,6 +57,10 @@ def test_page_gives_scales_in_si_and_counts_that_are_not_a_million() -> None:
     assert configuration.force_scale == pytest.approx(4.4482216152605)
     assert configuration.torque_scale == pytest.approx(1e-6)
     assert netft_xml.parse(netft_xml.render(configuration)) == configuration
+    full = page.replace(b"</netft>", b"<runrate>488</runrate><cfgcalsn>FT1</cfgcalsn></netft>")
+    assert netft_xml.parse(full).internal_rate == 488
+    assert netft_xml.parse(full).zero != configuration.zero
+    assert netft_xml.parse(netft_xml.render(netft_xml.parse(full))) == netft_xml.parse(full)
 
 
 @pytest.mark.parametrize(
@@ -112,6 +125,100 @@ def test_net_ft_streams_from_another_process() -> None:
     assert all(s.quality == GOOD for s in samples)
 
 
+@pytest.fixture
+def box() -> Iterator[NetFtSimulator]:
+    """A box in this process."""
+    simulator = NetFtSimulator(NetFtOptions(port=0, http_port=0)).start()
+    yield simulator
+    simulator.stop()
+
+
+def of_box(box: NetFtSimulator, **settings: object) -> ForceSource:
+    """Source for a box in this process."""
+    ports = {"netft_port": box.port, "netft_http_port": box.http_port}
+    return open_source({"device": "netft", "netft_host": "127.0.0.1", **ports, **settings})
+
+
+def test_a_box_that_sends_faster_than_it_measures_repeats_samples(box: NetFtSimulator) -> None:
+    box.configuration = dataclasses.replace(box.configuration, internal_rate=488.0)
+    source = of_box(box)
+    try:
+        collect(source, 244)
+        assert source.health.counters["repeated"] in range(4, 9)
+        assert "stalled" not in source.health.faults
+        box.faults.set("stalled")
+        end = time.monotonic() + 10
+        while "stalled" not in source.health.faults and time.monotonic() < end:
+            source.read(0.1)
+        assert "repeats" in source.health.faults["stalled"]
+    finally:
+        source.close()
+
+
+@pytest.mark.parametrize("element", ["cfgcalsn", "cfgtfx", "setbias"])
+def test_another_calibration_transform_or_bias_of_the_box_voids_a_tare(
+    box: NetFtSimulator, element: str
+) -> None:
+    source = of_box(box)
+    try:
+        source.connect()
+        before = source.scale_id
+        source.connect()
+        assert source.scale_id == before
+        zero = tuple("1;2" if name == element else "" for name in netft_xml.ZERO)
+        box.configuration = dataclasses.replace(box.configuration, zero=zero)
+        source.connect()
+        assert source.scale_id != before
+    finally:
+        source.close()
+
+
+def test_a_simulator_outlasts_an_error_and_says_it(
+    box: NetFtSimulator, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for units in (("N", "N-mm", 0, 1e6), ("stone", "N-mm", 1e6, 1e6)):
+        with pytest.raises(InputError, match="units"):
+            box.set_units(*units)
+    raised = threading.Event()
+
+    def broken(stamp_ns: int) -> np.ndarray:
+        raised.set()
+        raise ValueError("no load")
+
+    source, load = of_box(box), box._force
+    try:
+        collect(source, 1)
+        box._force = broken
+        assert raised.wait(10)
+        box._force = load
+        collect(source, 5)
+    finally:
+        source.close()
+    assert capsys.readouterr().out == "rdt: ValueError: no load\n"
+
+
+def test_a_proxy_of_the_environment_does_not_hide_the_box(
+    box: NetFtSimulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("http_proxy", "http://127.0.0.1:9")
+    monkeypatch.setenv("no_proxy", "")
+    source = of_box(box)
+    try:
+        source.connect()
+    finally:
+        source.close()
+
+
+def test_a_port_that_refuses_is_named_when_connecting(
+    box: NetFtSimulator, free_port: object
+) -> None:
+    port = free_port()  # type: ignore[operator]
+    source = of_box(box, netft_port=port)
+    with pytest.raises(DeviceError, match=f"page answers but .*refused.* UDP port {port}"):
+        source.connect()
+    source.close()
+
+
 def test_a_faster_box_is_averaged_not_decimated() -> None:
     with device("rdt", "--port", 0, "--http-port", 0, WRENCH, "--noise", 0.05) as box:
         source = open_source(
@@ -173,6 +280,7 @@ def test_dbc_sensor_streams_from_another_process_through_faults(free_port: objec
         )
         try:
             samples = collect(source, 200)
+            assert source.health.counters["malformed"] == 0, "its answer to the start is none"
             for fault in ("no_second 5", "swapped 5", "short 5", "foreign 5"):
                 sensor.say(fault)
                 samples += collect(source, 50)

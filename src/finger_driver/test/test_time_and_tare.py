@@ -62,6 +62,29 @@ def test_a_device_of_another_rate_is_still_found_out() -> None:
     assert mapper.drift == pytest.approx(0.01, rel=1e-3)
 
 
+@pytest.mark.parametrize("slow", [0.005, 0.02, 0.05])
+def test_a_device_of_another_rate_is_found_out_before_its_stamps_lag(slow: float) -> None:
+    """Records at 500 Hz as stated, received with a jitter of 0.2 ms, as of a Net F/T."""
+    random = np.random.default_rng(3)
+    mapper, lag = ClockMapper(500.0, block=0.25, blocks=120), []
+    for index in range(6000):
+        received = 10**18 + round((index * 0.002 * (1 + slow) + random.exponential(2e-4)) * 1e9)
+        lag.append((received - mapper.update(index, received)) * 1e-9)
+    # Three blocks have to pass.
+    assert max(lag) < 0.002 + 0.8 * slow
+    assert max(lag[1000:]) < 0.005
+    assert mapper.drift == pytest.approx(slow, rel=0.02)
+
+
+def test_blocks_that_are_late_one_after_the_other_are_no_other_rate() -> None:
+    mapper = ClockMapper(500.0, block=0.25, blocks=120)
+    for index in range(3500):
+        late = 0.005 * (index >= 300) + 0.02 * (index >= 900)
+        stamp = mapper.update(index, 10**18 + index * 2_000_000 + round(late * 1e9))
+        assert stamp - 10**18 - index * 2_000_000 < 0.001e9
+    assert abs(mapper.drift) < 1e-4
+
+
 def test_a_device_clock_that_starts_again_is_mapped_anew() -> None:
     mapper = ClockMapper(1000.0)
     for index in range(5000):
@@ -118,6 +141,16 @@ def test_tare_of_a_still_signal_finds_its_mean() -> None:
 def test_tare_of_a_moving_signal_is_refused(force: object) -> None:
     result = collect(force)
     assert result.bias is None and "moved by up to" in result.message
+
+
+def test_tare_of_a_fraction_of_its_time_is_refused() -> None:
+    """A stream that ends, or pauses, says nothing of the time that was asked for."""
+    for stamps in (range(20), [*range(20), 5000]):
+        collector = TareCollector(10.0, 0.05, 0.002)
+        for k in stamps:
+            collector.add(WrenchSample.of_wrench(2_000_000 * k, np.zeros(6)))
+        result = collector.result(Direct())
+        assert result.bias is None and "of 10 s only" in result.message
 
 
 def test_tare_is_refused_while_the_sensor_reports_faults() -> None:

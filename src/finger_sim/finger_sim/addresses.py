@@ -8,9 +8,9 @@ Imports no finger model, so that commands start soon.
 
 from __future__ import annotations
 
+import errno
 import secrets
 import socket
-import tempfile
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -46,12 +46,29 @@ class RigAddresses:
         locks = ExitStack()
         try:
             locks.enter_context(lock_folder(self.folder, "a simulated rig"))
-            bus = f"finger_can_{self.can_channel}_{self.can_port}"
-            locks.enter_context(lock_folder(Path(tempfile.gettempdir()) / bus, "a simulated rig"))
+            locks.enter_context(self._lock_bus())
         except InputError as error:
             locks.close()
             raise InputError(f"{error}, or another can_port") from None
         return locks
+
+    def _lock_bus(self) -> socket.socket:
+        """Lock the CAN bus against every user of this computer until the socket is closed.
+
+        The name is in the kernel (unix(7), abstract); a file would stay, and its owner's alone. On
+        other systems than Linux the bus is not guarded.
+        """
+        lock = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        try:
+            lock.bind(f"\0finger_can_{self.can_channel}_{self.can_port}")
+        except OSError as error:
+            if error.errno == errno.EADDRINUSE:
+                lock.close()
+                raise InputError(
+                    f"CAN bus {self.can_channel}:{self.can_port}: in use by a simulated rig on "
+                    "this computer; end it, or choose another can_channel"
+                ) from None
+        return lock
 
     @property
     def spool(self) -> Path:

@@ -3,6 +3,7 @@
 
 """Settings of the simulated rig: addresses apart, trials to come, bad values by name."""
 
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -64,6 +65,15 @@ def test_two_rigs_share_neither_folder_nor_bus(tmp_path: Path) -> None:
                 other.lock()
         with other.lock():
             pass
+
+
+def test_the_bus_is_locked_without_a_file_that_stays_another_users(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "file"))
+    with RigAddresses.private(tmp_path / "rig").lock():
+        pass
 
 
 def test_faults_are_read_with_their_number() -> None:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 
+from finger_common.errors import InputError
 from finger_common.flags import AreaFlag
 from finger_common.plugins import PluginKind
 from finger_common.settings import Settings
@@ -70,13 +71,19 @@ class ContactMeasurement:
     motion: SkinMotion = SkinMotion()
 
 
+class NoLight(InputError):
+    """A signal without the light that the background was learned with: a contact is not seen in it,
+    so that it shows neither one nor none.
+    """
+
+
 class AreaSensor(Protocol):
     """Measures the contact in the signals of one device, one after the other.
 
     A signal is an array (H, W) as the device sent it: uint8, uint16 or float32; an image file may
     also give (H, W, 3) BGR or (H, W, 4) BGRA. The same signals in the same order must give the
     same results, and memory must not grow with them. A signal that cannot be used raises
-    InputError.
+    InputError, one without light its subclass NoLight.
     """
 
     SETTINGS: ClassVar[type[Settings]] = Settings
@@ -84,9 +91,6 @@ class AreaSensor(Protocol):
 
     learned: int
     """Number of signals without contact in the background, 0 after `reset`."""
-
-    lit: bool = True
-    """Whether the newest signal had the light that the background was learned with."""
 
     def __init__(self, settings: Any, calibration: PlateCalibration) -> None: ...
 

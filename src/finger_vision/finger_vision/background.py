@@ -112,10 +112,12 @@ def background_of(
         if now <= OTHER_LIGHT * before + DARK:
             lit = before <= OTHER_LIGHT * now + DARK
             image = cv2.convertScaleAbs(learned.image, alpha=gain)
-            bright = float(np.sum(tiles - gain * reference)) > 0
-            return Background(image, _is_bright(polarity, bright), True, learned.noise, lit)
+            bright = polarity == "bright"
+            if polarity == "auto":
+                bright = _ridges_are_bright(frame, tiles - gain * reference)
+            return Background(image, bright, True, learned.noise, lit)
     mean, deviation = tile_statistics(frame)
-    bright = _is_bright(polarity, guess_polarity(mean, deviation))
+    bright = guess_polarity(mean, deviation) if polarity == "auto" else polarity == "bright"
     image = guess_background(frame, mean, deviation, bright, round(1.6 * ridge_period))
     return Background(image, bright, False, float(np.percentile(deviation, 10)))
 
@@ -137,8 +139,14 @@ def gain_of(ratios: np.ndarray, spread: float = ONE_RATIO) -> float:
     return group if apart and widths[first] < spread * group else median
 
 
-def _is_bright(polarity: str, found: bool) -> bool:
-    return found if polarity == "auto" else polarity == "bright"
+def _ridges_are_bright(frame: np.ndarray, change: np.ndarray) -> bool:
+    """Whether the ridges in a frame are brighter than the plate.
+
+    change (rows, columns): greys by which its tiles differ from the background. Tiles without
+    structure count only where there are no others: reflections and shadows are smooth.
+    """
+    rough = ~smooth_tiles(tile_statistics(frame)[1])
+    return float(np.sum(change[rough] if rough.any() else change)) > 0
 
 
 def tile_means(frame: np.ndarray) -> np.ndarray:

@@ -188,18 +188,21 @@ def _area(arguments: Any) -> int:
     else:
         calibration = PlateCalibration.from_area_per_pixel(arguments.area_per_pixel)
     sensor = AREA_SENSORS.open(vars(arguments), calibration)
+    plate: tuple[Path, tuple[int, ...]] | None = None
     for path in arguments.background:
-        _apply(sensor.learn, path)
+        image = _image(path, plate)
+        plate = path, image.shape
+        _apply(sensor.learn, image, path)
     with _output(arguments.output) as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(COLUMNS)
         for path in arguments.images:
             # Images on a command line need not follow each other in time: none becomes the
             # background of another.
-            measurement = _apply(sensor.measure, path)
+            measurement = _apply(sensor.measure, _image(path, plate), path)
             writer.writerow(
                 [
-                    path,
+                    plain(path),
                     f"{measurement.gross_area * 1e6:.4f}",
                     f"{measurement.real_area * 1e6:.4f}",
                     flag_names(AreaFlag(measurement.flags)),
@@ -208,9 +211,23 @@ def _area(arguments: Any) -> int:
     return 0
 
 
-def _apply(action: Callable[[np.ndarray], Result], path: Path) -> Result:
-    """Apply `action` to an image; errors name its file."""
+def _image(path: Path, plate: tuple[Path, tuple[int, ...]] | None) -> np.ndarray:
+    """Array of an image file; raises InputError where it is not of the plate's size.
+
+    plate: file and shape of an image without contact, None without any.
+    """
     image = read_signal(path)
+    if plate is not None and plate[1][:2] != image.shape[:2]:
+        height, width = image.shape[:2]
+        raise InputError(
+            f"{path}: image of {width}×{height}, the background {plate[0]} has "
+            f"{plate[1][1]}×{plate[1][0]}; give images of one camera and one size"
+        )
+    return image
+
+
+def _apply(action: Callable[[np.ndarray], Result], image: np.ndarray, path: Path) -> Result:
+    """Apply `action` to an image; errors name its file."""
     try:
         return action(image)
     except InputError as error:

@@ -19,12 +19,12 @@ import cv2
 import numpy as np
 
 from finger_common.flags import AreaFlag
+from finger_common.mono8 import Mono8
 from finger_common.settings import Settings, setting
 
-from .area_sensor import AreaSensor, ContactMeasurement
+from .area_sensor import AreaSensor, ContactMeasurement, NoLight
 from .background import POLARITIES, LearnedBackground, background_of, tile_means
 from .calibration import PlateCalibration
-from .images import as_mono8
 from .outline import Shape, closed_outline, convex_corners, shifted, widened
 from .ridges import Ridges, contrast_of, find_ridges
 from .working_grid import WorkingGrid
@@ -129,6 +129,7 @@ class FtirSegmenter(AreaSensor):
         self.calibration = calibration or PlateCalibration()
         self.steps: Steps | None = None
         self._background = LearnedBackground(self.settings.background_frames)
+        self._mono8 = Mono8(dark=self.settings.polarity == "bright")
         self._grid: WorkingGrid | None = None
 
     @property
@@ -145,14 +146,16 @@ class FtirSegmenter(AreaSensor):
         self._background.clear()
 
     def measure(self, signal: np.ndarray) -> ContactMeasurement:
-        """The contact in a frame (H, W); raises InputError for one that cannot be used."""
+        """The contact in a frame (H, W); raises InputError for one that cannot be used, NoLight for
+        one much darker than the background.
+        """
         return self._measure(*self._reduced(signal))
 
     def process(self, signal: np.ndarray) -> ContactMeasurement:
         """Measure a frame and learn the background from it if it shows no contact."""
         frame, grid = self._reduced(signal)
         measurement = self._measure(frame, grid)
-        if self.lit and measurement.flags & AreaFlag.NO_CONTACT:
+        if measurement.flags & AreaFlag.NO_CONTACT:
             if measurement.flags & AreaFlag.NO_BACKGROUND:
                 # There was none, or one that was learned before the light was on.
                 self._background.clear()
@@ -160,7 +163,7 @@ class FtirSegmenter(AreaSensor):
         return measurement
 
     def _reduced(self, signal: np.ndarray) -> tuple[np.ndarray, WorkingGrid]:
-        image = as_mono8(signal)
+        image = self._mono8(signal)
         size = (image.shape[1], image.shape[0])
         if self._grid is None or self._grid.size != size:
             self._grid = WorkingGrid(
@@ -171,7 +174,10 @@ class FtirSegmenter(AreaSensor):
     def _measure(self, frame: np.ndarray, grid: WorkingGrid) -> ContactMeasurement:
         settings = self.settings
         background = background_of(frame, self._background, settings.polarity, grid.period)
-        self.lit = background.lit
+        if not background.lit:
+            raise NoLight(
+                "the plate is dark, and contacts are not seen; check light, lens and exposure"
+            )
         contrast, noise = contrast_of(frame, background)
         ridges = find_ridges(contrast, noise, background.learned, settings.minimum_contrast, grid)
         self.steps = Steps(frame, background.image, contrast, ridges)

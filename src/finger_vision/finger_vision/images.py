@@ -17,6 +17,7 @@ import numpy as np
 from finger_common.errors import InputError
 from finger_common.files import exists
 from finger_common.image_size import MAX_PIXELS, check_image
+from finger_common.mono8 import as_mono8, brightest_channel, in_full_range
 from finger_common.plugins import Plugins
 
 BAG_ENDINGS = (".mcap", ".db3", ".bag")
@@ -33,56 +34,8 @@ PLAIN = {
 }
 """Encoding of one channel -> type of a value."""
 
-COLOUR = {
-    "bgr8": cv2.COLOR_BGR2GRAY,
-    "rgb8": cv2.COLOR_RGB2GRAY,
-    "bgra8": cv2.COLOR_BGRA2GRAY,
-    "rgba8": cv2.COLOR_RGBA2GRAY,
-    "8UC3": cv2.COLOR_BGR2GRAY,
-    "8UC4": cv2.COLOR_BGRA2GRAY,
-}
-"""Encoding of several channels of 8 bit -> OpenCV's conversion to grey."""
-
-
-LEAST_OF_16_BITS = 4096
-"""Brightest value below which a 16-bit image is no picture: 16 of 256 greys, and what 12 bits in
-the lower bits can hold."""
-
-
-def as_mono8(image: np.ndarray, where: str = "image") -> np.ndarray:
-    """(H, W) uint8 of a grey or colour image of uint8 or uint16.
-
-    image: (H, W), (H, W, 1), (H, W, 3) BGR or (H, W, 4) BGRA. 16-bit images are scaled by 1/256,
-    so that full scale stays full scale. Raises InputError for an empty image, another shape or
-    another type.
-    """
-    image = np.asarray(image)
-    shape = "×".join(map(str, image.shape))
-    if image.size == 0:
-        raise InputError(f"{where}: image is empty ({shape}); give pixels")
-    if image.dtype == np.uint16:
-        if 0 < (brightest := int(image.max())) < LEAST_OF_16_BITS:
-            raise InputError(
-                f"{where}: no value of the 16-bit pixels is above {brightest} of 65535: 10- or "
-                "12-bit pixels in the lower bits, or no light; shift them to the upper bits, or "
-                "set the camera to 8 bits"
-            )
-        image = (image >> 8).astype(np.uint8)
-    elif image.dtype != np.uint8:
-        raise InputError(
-            f"{where}: pixels are {image.dtype}, 8-bit or 16-bit unsigned are needed; convert them"
-        )
-    if image.ndim == 3:
-        channels = image.shape[2]
-        if channels == 1:
-            image = image[:, :, 0]
-        elif channels == 3:
-            image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-        elif channels == 4:
-            image = cv2.cvtColor(image, cv2.COLOR_BGRA2GRAY)
-    if image.ndim != 2:
-        raise InputError(f"{where}: image has shape {shape}, (height, width) is needed")
-    return image
+COLOUR = {"bgr8": 3, "rgb8": 3, "bgra8": 4, "rgba8": 4, "8UC3": 3, "8UC4": 4}
+"""Encoding of several channels of 8 bit -> their number."""
 
 
 def decode(
@@ -106,7 +59,7 @@ def decode(
     if encoding in PLAIN:
         kind, channels = np.dtype(PLAIN[encoding]), 1
     elif encoding in COLOUR:
-        kind, channels = np.dtype("u1"), 4 if encoding.endswith(("a8", "C4")) else 3
+        kind, channels = np.dtype("u1"), COLOUR[encoding]
     else:
         known = ", ".join([*PLAIN, *COLOUR])
         raise InputError(
@@ -130,11 +83,12 @@ def decode(
     if channels == 1:
         return rows
     pixels = np.ascontiguousarray(rows).reshape(height, width, channels)
-    return cv2.cvtColor(pixels, COLOUR[encoding])
+    return brightest_channel(pixels)
 
 
 def read_signal(path: str | Path) -> np.ndarray:
-    """Array of an image file as stored: (H, W) or (H, W, channels), any depth.
+    """Array of an image file as stored: (H, W) or (H, W, channels), any depth. Of PGM, white is the
+    largest value that its type holds.
 
     Raises InputError naming the file.
     """
@@ -155,7 +109,7 @@ def read_signal(path: str | Path) -> np.ndarray:
         image = None
     if image is None:
         raise InputError(f"{path}: not an image that can be decoded; give PNG, TIFF, JPEG or BMP")
-    return image
+    return in_full_range(image, content.data)
 
 
 @contextmanager

@@ -20,11 +20,11 @@ import numpy as np
 
 from finger_common.errors import InputError
 from finger_common.flags import AreaFlag
+from finger_common.mono8 import Mono8
 from finger_common.settings import Settings, setting
 
 from .area_sensor import ContactMeasurement, SkinMotion
 from .calibration import PlateCalibration
-from .images import as_mono8
 from .stick_zone import stick_ratio
 
 DEFAULT_RIDGE_PERIOD = 0.5e-3
@@ -35,6 +35,10 @@ FLOW_PIXEL = 28e-6
 
 SPACING, SITE = 0.36e-3, 0.3e-3
 """m between points that are followed, and between places near which there should be one."""
+
+MOST = 2000
+"""Points of a contact above which they are further apart: each is compared with each. A thumb has
+as many."""
 
 NEAR = 0.8e-3
 """m; a place further from all followed points is not known."""
@@ -247,6 +251,8 @@ class RidgeMotion:
         self.settings = settings or RidgeMotionSettings()
         self.calibration = calibration or PlateCalibration()
         self.ridge_period = ridge_period
+        # What no picture is, the area sensor has refused.
+        self._mono8 = Mono8(dark=True)
         self._size: tuple[int, int] | None = None
         self.reset()
 
@@ -273,7 +279,7 @@ class RidgeMotion:
         An image without contact shows the plate, and ends the contact; so does a contact that is
         smaller than a patch. Raises InputError for an image that cannot be used.
         """
-        frame = self._reduced(as_mono8(image))
+        frame = self._reduced(self._mono8(image))
         if contact.flags & AreaFlag.NO_CONTACT or len(contact.hull) < 3:
             self._learn(frame)
             self._forget_contact()
@@ -532,10 +538,16 @@ class RidgeMotion:
             borderType=cv2.BORDER_CONSTANT,
             borderValue=0,
         )
-        sites = self._grid(inner, SPACING)
+        spacing = SPACING * self._coarser(mask)
+        if len(points) > 1.2 * MOST:
+            cells = np.floor(points.place * (self._pitch / spacing))
+            thinned = np.zeros(len(points), bool)
+            thinned[np.unique(cells, axis=0, return_index=True)[1]] = True
+            points.keep(thinned)
+        sites = self._grid(inner, spacing)
         if len(points) and len(sites):
             distance, _ = _nearest(sites, points.place)
-            sites = sites[distance > 0.8 * SPACING / self._pitch]
+            sites = sites[distance > 0.8 * spacing / self._pitch]
         if len(sites):
             columns, rows = np.rint(sites).astype(int).T
             # Where sweat fills the furrows there is nothing to follow.
@@ -565,6 +577,11 @@ class RidgeMotion:
         self._turns = {k: v for k, v in self._turns.items() if k in self._keys}
         used = set(points.key.tolist())
         self._keys = {k: v for k, v in self._keys.items() if k in used}
+
+    def _coarser(self, mask: np.ndarray) -> float:
+        """Factor on distances between points, so that a contact has at most MOST of them."""
+        area = cv2.countNonZero(mask) * self._pitch**2
+        return max(1.0, math.sqrt(area / MOST) / SPACING)
 
     def _grid(self, mask: np.ndarray, spacing: float) -> np.ndarray:
         """Places (n, 2) inside a mask on a grid of a spacing (m), whole numbers of pixels."""
@@ -616,11 +633,12 @@ class RidgeMotion:
         from_stuck = travel - points.stuck
         slid = np.where(fresh[:, None], from_stuck, step) * points.slipped[:, None]
         self._add_motion(points.place[good], slid[good])
-        sites = self._grid(mask, SITE)
+        coarser = self._coarser(mask)
+        sites = self._grid(mask, SITE * coarser)
         if not len(sites) or not good.any():
             return self._unknown()
         distance, _ = _nearest(sites, points.place[good])
-        share = float((distance < NEAR / self._pitch).mean())
+        share = float((distance < max(NEAR, SPACING * coarser) / self._pitch).mean())
         if share < 0.3:
             return self._unknown()
         limits = limits + 0.5 * CHANGE / self._pitch * np.abs(area - points.area)

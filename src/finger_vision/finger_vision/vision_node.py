@@ -29,7 +29,7 @@ from finger_common.node import FrameSettings, ManagedNode, main_of
 from finger_common.settings import setting
 from finger_msgs.msg import ContactArea
 
-from .area_sensor import AREA_SENSORS
+from .area_sensor import AREA_SENSORS, NoLight
 from .calibration import CalibrationSettings
 from .messages import contact_area_fields, image_of
 from .overlay import draw_overlay
@@ -147,6 +147,9 @@ class VisionNode(ManagedNode):
         for message in iter(newest.get, None):
             try:
                 self._measure(message)
+            except NoLight as error:
+                self.health.count("refused")
+                self.log_fault(self.health, "light", str(error))
             except FingerError as error:
                 self.health.count("refused")
                 self.log_fault(self.health, "frame", str(error), WARN)
@@ -167,13 +170,8 @@ class VisionNode(ManagedNode):
         self._areas.publish(area)
         self.health.sample()
         self.health.notes["background_frames"] = str(learned)
-        if self.sensor.lit:
-            self.health.recovered("light")
-        else:
-            text = "the plate is dark, and contacts are not seen; check light, lens and exposure"
-            self.log_fault(self.health, "light", text, WARN)
-        self.health.recovered("frame")
-        self.health.recovered("failure")
+        for fault in ("light", "frame", "failure"):
+            self.health.recovered(fault)
         if measurement.flags & AreaFlag.NO_CONTACT:
             self.health.count("without_contact")
         if self._overlays.get_subscription_count() > 0:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import csv
+import os
 from pathlib import Path
 
 import cv2
@@ -65,6 +66,8 @@ def test_background_images_remove_a_flag(pictures, capsys) -> None:
         (["{large}", "--area-per-pixel", "-1"], "area per pixel"),
         (["{large}", "--calibration", "absent.yaml"], "absent.yaml: no such plate calibration"),
         (["{large}", "{tiny}"], "tiny.png: image of 8×8"),
+        (["{large}", "--background", "{half}"], "half.png has 640×512"),
+        (["{large}", "--background", "{large}", "{half}"], "half.png: image of 640×512, the"),
     ],
 )
 def test_bad_input_ends_with_code_2_and_one_sentence(
@@ -72,12 +75,23 @@ def test_bad_input_ends_with_code_2_and_one_sentence(
 ) -> None:
     tiny = tmp_path / "tiny.png"
     cv2.imwrite(str(tiny), np.zeros((8, 8), np.uint8))
-    filled = [a.format(large=pictures["large"], tiny=tiny) for a in arguments]
+    half = tmp_path / "half.png"
+    cv2.imwrite(str(half), np.full((512, 640), 190, np.uint8))
+    filled = [a.format(large=pictures["large"], tiny=tiny, half=half) for a in arguments]
     out = tmp_path / "out.csv"
     assert main(["area", *filled, "-o", str(out)]) == 2
     error = capsys.readouterr().err
     assert words in error and error.count("\n") == 1
     assert not out.exists()
+
+
+def test_a_file_name_that_is_no_text_is_written_as_far_as_it_is(pictures, tmp_path: Path) -> None:
+    name, out = tmp_path / os.fsdecode(b"press_\xe4.png"), tmp_path / "out.csv"
+    name.write_bytes(Path(pictures["small"]).read_bytes())
+    assert main(["area", str(name), "-o", str(out)]) == 0
+    (row,) = csv.DictReader(out.read_text().splitlines())
+    assert row["image"].startswith(str(tmp_path / "press_"))
+    assert float(row["gross_area_mm2"]) > 10
 
 
 def test_an_image_is_not_replaced_by_its_areas(pictures, capsys) -> None:

@@ -16,6 +16,7 @@ import pytest
 from finger_common.errors import InputError
 from finger_common.flags import AreaFlag
 from finger_sim.ftir import AREA_PER_PIXEL, SKINS, Contact, FtirRenderer, Scene
+from finger_vision.area_sensor import NoLight
 from finger_vision.calibration import PlateCalibration
 from finger_vision.ftir import FtirSegmenter, FtirSettings
 from finger_vision.messages import contact_area_fields
@@ -375,11 +376,35 @@ def test_the_background_outlasts_a_light_that_is_switched_off_for_a_while() -> N
     for _ in range(30):
         segmenter.process(renderer.empty())
     for _ in range(300):
-        off = segmenter.process(np.full_like(renderer.empty(), 3))
-        assert off.flags & AreaFlag.NO_CONTACT and not segmenter.lit
+        with pytest.raises(NoLight, match="the plate is dark"):
+            segmenter.process(np.full_like(renderer.empty(), 3))
+    assert segmenter.learned == 30
     pressed = segmenter.process(renderer.render(4.5e-3))
-    assert segmenter.lit and not pressed.flags & AreaFlag.NO_BACKGROUND
+    assert not pressed.flags & AreaFlag.NO_BACKGROUND
     assert pressed.gross_area == pytest.approx(math.pi * 4.5e-3**2, rel=0.04)
+
+
+def test_a_dark_plate_of_a_16_bit_camera_is_measured() -> None:
+    """Empty frames stay below what a camera of 12 bits in the lower bits can give."""
+    scene = Scene(background=8, bright_ridges=True, noise=0.5, dust=0, latent=0)
+    renderer = FtirRenderer("natural", 3, scene, 640, 512)
+
+    def frame(radius: float) -> np.ndarray:
+        fine = np.random.default_rng(0).integers(0, 256, (512, 640))
+        image = renderer.render(radius) if radius else renderer.empty()
+        return (image.astype(np.uint16) << 8) + fine.astype(np.uint16)
+
+    for settings in (FtirSettings(polarity="bright"), FtirSettings()):
+        segmenter = FtirSegmenter(settings, renderer.calibration())
+        if settings.polarity == "auto":
+            with pytest.raises(InputError, match="10- or 12-bit"):
+                segmenter.process(frame(0.0))
+            segmenter.process(frame(4.5e-3))
+        for _ in range(3):
+            assert segmenter.process(frame(0.0)).flags & AreaFlag.NO_CONTACT
+        pressed = segmenter.process(frame(4.5e-3))
+        assert pressed.gross_area == pytest.approx(math.pi * 4.5e-3**2, rel=0.04)
+        assert segmenter.learned == 3
 
 
 @pytest.mark.parametrize("background", [3, 15])
@@ -394,3 +419,24 @@ def test_a_finger_over_most_of_a_dark_plate_is_measured(background: float) -> No
     pressed = segmenter.process(renderer.render(8e-3))
     assert segmenter.learned == 20 and not pressed.flags & AreaFlag.NO_BACKGROUND
     assert pressed.gross_area == pytest.approx(math.pi * 8e-3**2, rel=0.02)
+
+
+@pytest.mark.parametrize(("bright", "patch"), [(False, 10), (False, 25), (True, -10)])
+def test_a_reflection_or_a_shadow_does_not_turn_the_polarity(bright: bool, patch: int) -> None:
+    """A smooth patch on a sixth of the frame changes more light than a small contact does."""
+    scene = Scene(background=40, bright_ridges=True) if bright else Scene()
+    renderer = FtirRenderer("natural", 3, scene)
+    segmenter = FtirSegmenter(calibration=renderer.calibration())
+    for _ in range(30):
+        segmenter.process(renderer.empty())
+
+    def patched(image: np.ndarray) -> np.ndarray:
+        changed = image.astype(int)
+        changed[:420, :525] += patch
+        return np.clip(changed, 0, 255).astype(np.uint8)
+
+    pressed = [segmenter.process(patched(renderer.render(3e-3))) for _ in range(3)]
+    assert [p.gross_area for p in pressed] == pytest.approx([math.pi * 3e-3**2] * 3, rel=0.04)
+    assert segmenter.process(patched(renderer.empty())).gross_area == 0.0
+    assert segmenter.process(renderer.empty()).gross_area == 0.0
+    assert segmenter.learned == 32

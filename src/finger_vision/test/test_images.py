@@ -54,6 +54,15 @@ def test_grey_colour_frames_become_the_same_grey(encoding: str) -> None:
     np.testing.assert_array_equal(decode(data.tobytes(), 3, 4, encoding, 4 * channels), GREY)
 
 
+@pytest.mark.parametrize(("encoding", "blue"), [("rgb8", 2), ("bgr8", 0), ("rgba8", 2)])
+def test_a_plate_in_blue_light_loses_nothing_in_a_colour_camera(encoding: str, blue: int) -> None:
+    channels = 4 if encoding.endswith("a8") else 3
+    data = np.zeros((3, 4, channels), np.uint8)
+    data[:, :, blue] = GREY
+    data[:, :, 3:] = 255
+    np.testing.assert_array_equal(decode(data.tobytes(), 3, 4, encoding, 4 * channels), GREY)
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -88,6 +97,12 @@ def test_files_are_read_or_named(tmp_path: Path) -> None:
     good = tmp_path / "good.png"
     cv2.imwrite(str(good), GREY.astype(np.uint16) * 256)
     np.testing.assert_array_equal(read_image(good), GREY)
+    blue = tmp_path / "blue.png"
+    cv2.imwrite(str(blue), np.dstack([GREY, GREY // 2, GREY // 4]))
+    np.testing.assert_array_equal(read_image(blue), GREY)
+    twelve = tmp_path / "twelve.pgm"
+    twelve.write_bytes(b"P5\n4 3\n4095\n" + (GREY.astype(int) * 16).astype(">u2").tobytes())
+    np.testing.assert_array_equal(read_image(twelve), GREY)
     for name, content, words in (
         ("empty.png", b"", "empty"),
         ("text.png", b"not an image", "decoded"),

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+import tracemalloc
 from dataclasses import replace
 
 import cv2
@@ -303,3 +304,21 @@ def test_a_contact_that_no_patch_fits_into_ends_what_was_seen(scale: float) -> N
     assert math.isnan(seen.stick_ratio) and not seen.sliding
     assert math.isnan(camera.show().stick_ratio), "the first image of a new contact"
     assert camera.show().stick_ratio > 0.9
+
+
+def test_a_contact_that_fills_a_large_frame_is_followed_at_bounded_cost() -> None:
+    """A palm, 640 mm²; what is compared grows with the square of the points."""
+    y, x = np.mgrid[:720, :900].astype(np.float32)
+    noise = np.random.default_rng(1).normal(0, 4, y.shape)
+    ridges = 120 + 60 * np.sin(0.4 * x + 0.01 * y + 3 * np.sin(y / 90)) + noise
+    image, motion = np.clip(ridges, 0, 255).astype(np.uint8), RidgeMotion()
+    tracemalloc.start()
+    for half in (250, 300, 360, 360):
+        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * [1.25 * half, half]
+        hull = motion.calibration.to_plate(corners + np.array([449.5, 359.5]), 900, 720)
+        area = cv2.contourArea(hull.astype(np.float32))
+        seen = motion.follow(image, ContactMeasurement(gross_area=area, hull=hull))
+        assert len(motion.points) < 2500
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 150e6 and seen.stick_ratio > 0.9

@@ -14,7 +14,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 import numpy as np
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensor_msgs.msg import Image
 
 from finger_msgs.msg import ContactArea
@@ -42,6 +42,16 @@ def test_areas_carry_the_images_stamp_and_bad_frames_do_not_stop_the_node(peer) 
 
     peer.images.publish(peer.image(renderer.empty(), 3, encoding="bayer_weird"))
     peer.images.publish(Image())
+    reports: list[DiagnosticArray] = []
+    peer.node.create_subscription(DiagnosticArray, "/diagnostics", reports.append, 10)
+    peer.images.publish(peer.image(np.full_like(renderer.empty(), 3), 4))
+    assert peer.wait(
+        lambda: any(
+            s.level == DiagnosticStatus.ERROR and "the plate is dark" in s.message
+            for report in reports
+            for s in report.status
+        )
+    )
     again = peer.ask(peer.image(renderer.render(4.5e-3), 5))
     assert again.gross_area == pytest.approx(pressed.gross_area, rel=0.01)
     assert {a.header.stamp.sec for a in peer.areas} == {1, 2, 5}

@@ -21,6 +21,7 @@ import numpy as np
 
 from finger_common.errors import DeviceError, InputError
 from finger_common.image_size import check_image
+from finger_common.mono8 import in_full_range
 from finger_common.stamps import nanoseconds
 
 from .source import CameraSettings, CameraSource, Frame
@@ -140,11 +141,10 @@ class FolderSource(CameraSource):
             return None
         try:
             check_image(data.data, name)
-            image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
+            image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
         except (InputError, cv2.error):
             image = None
         if image is None:
             self.note("malformed", f"{name}: not an image that can be read")
             return None
-        self.cleared("malformed")
-        return Frame(stamp, image, sequence)
+        return self.frame(stamp, in_full_range(image, data.data), sequence, name)

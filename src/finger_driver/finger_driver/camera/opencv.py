@@ -129,8 +129,10 @@ class OpenCvSource(CameraSource):
         if wanted.gain >= 0:
             requests.append(("gain", cv2.CAP_PROP_GAIN, wanted.gain))
         self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
-        for name, key, value in requests:
+        # V4L2 takes a size when its second side is set.
+        for _, key, value in requests:
             self._capture.set(key, value)
+        for name, key, value in requests:
             got = self._capture.get(key)
             self.health.notes[f"camera_{name}"] = f"{got:g}"
             self.note_if(
@@ -163,7 +165,7 @@ class OpenCvSource(CameraSource):
         if self._sequence >= 0 and sequence > self._sequence + 1:
             self.health.count("skipped", sequence - self._sequence - 1)
         self._sequence, self._last_frame = sequence, now
-        return Frame(stamp, grey(image), sequence)
+        return self.frame(stamp, image, sequence, f"camera '{self._path}'")
 
     def _play(self, timeout: float) -> Frame | None:
         """Next frame of a file when its time has come."""
@@ -183,7 +185,7 @@ class OpenCvSource(CameraSource):
         if not good or image is None:
             raise DeviceError(f"{self._path}: no frame can be read; check the format")
         self._sequence += 1
-        return Frame(self.clock.now(), grey(image), self._sequence)
+        return self.frame(self.clock.now(), image, self._sequence, self._path)
 
 
 class _Grabber(threading.Thread):
@@ -238,15 +240,3 @@ class _Grabber(threading.Thread):
         self._ending.set()
         self.join(2)
         return not self.is_alive()
-
-
-def grey(image: np.ndarray) -> np.ndarray:
-    """Image (H, W) uint8 of what a capture gave: colour or grey, 8 or 16 bits."""
-    if image.ndim == 3 and image.shape[2] in (3, 4):
-        code = cv2.COLOR_BGR2GRAY if image.shape[2] == 3 else cv2.COLOR_BGRA2GRAY
-        image = cv2.cvtColor(image, code)
-    elif image.ndim == 3:
-        image = image[:, :, 0]
-    if image.dtype == np.uint16:
-        image = (image >> 8).astype(np.uint8)
-    return np.ascontiguousarray(image, dtype=np.uint8)

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from finger_common.diagnostics import Health
+from finger_common.errors import InputError
+from finger_common.mono8 import Mono8
 from finger_common.settings import Settings, setting
 
 from ..device import Device
@@ -61,6 +63,20 @@ class CameraSource(Device[Frame]):
         health = Health("camera", expected_rate=rate, stale_after=max(1.0, 5 / rate))
         super().__init__(settings, health)
         self._next_number: int | None = None
+        self._mono8 = Mono8()
+
+    def frame(self, stamp_ns: int, image: np.ndarray, sequence: int, where: str) -> Frame | None:
+        """A frame of an image as the camera gave it: grey or colour, 8 or 16 bits.
+
+        None, and noted, for one that cannot be used. where: names the image.
+        """
+        try:
+            grey = self._mono8(image, where)
+        except InputError as error:
+            self.note("malformed", str(error))
+            return None
+        self.cleared("malformed")
+        return Frame(stamp_ns, np.ascontiguousarray(grey), sequence)
 
     def count_lost(self, number: int) -> None:
         """Count the frames that are missing before frame `number` of the camera's own counting."""

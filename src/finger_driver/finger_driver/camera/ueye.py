@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from finger_common.diagnostics import WARN
 from finger_common.errors import DeviceError, InputError
 from finger_common.settings import setting
 
@@ -32,6 +33,9 @@ _ERRORS = {
     178: "transfer error",
 }
 _TIMED_OUT, _TRANSFER_ERROR = 122, 178
+_UPLOAD_TIME = 25
+"""s for which a camera takes in its starter firmware, which it may need after an update of the
+driver (DCx manual)."""
 
 
 def load_sdk() -> Any:
@@ -88,7 +92,16 @@ class UeyeSource(CameraSource):
         u = self._sdk = self._sdk or load_sdk()
         self._camera = u.HIDS(self._id)
         try:
-            self._check(u.is_InitCamera(self._camera, None), "opening")
+            code = int(u.is_InitCamera(self._camera, None))
+            if code == u.IS_STARTER_FW_UPLOAD_NEEDED:
+                self.log(
+                    WARN,
+                    f"uEye camera {self._id} takes in its starter firmware: about "
+                    f"{_UPLOAD_TIME} s; do not unplug it",
+                )
+                self._camera = u.HIDS(self._id | u.IS_ALLOW_STARTER_FW_UPLOAD)
+                code = int(u.is_InitCamera(self._camera, None))
+            self._check(code, "opening")
         except DeviceError:
             self._camera = None
             raise

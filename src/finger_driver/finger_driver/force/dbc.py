@@ -53,6 +53,8 @@ class DbcSource(ForceSource):
         self._assembler = SampleAssembler(self._mapping)
         self._bus: can.BusABC | None = None
         self._count: int | None = None
+        self._refused: str | None = None
+        """Why the newest frame was refused while the first sample is waited for, None later."""
 
     def _where(self) -> str:
         return f"{self._mapping.name} on {self.settings.where()}"
@@ -60,13 +62,16 @@ class DbcSource(ForceSource):
     def connect(self) -> None:
         self.close()
         self._bus = self.settings.open_bus()
+        self._refused = ""
         try:
             for message in self._mapping.start:
                 self._bus.send(message, timeout=0.1)
             self._begin()
             if self._wait(time.monotonic() + 1.0) is None:
+                refused = f" ({self._refused})" if self._refused else ""
                 raise DeviceError(
-                    f"{self._where()}: no sample within 1 s; check power, bit rate and the mapping"
+                    f"{self._where()}: no sample within 1 s{refused}; check power, bit rate and "
+                    "the mapping"
                 )
         except can.CanError as error:
             self.close()
@@ -146,13 +151,18 @@ class DbcSource(ForceSource):
         try:
             done = self._assembler.add(name, bytes(frame.data), self._arrival(frame))
         except DeviceError as error:
-            self.note("malformed", str(error))
+            # Before the first sample it may be the sensor's answer to the frames sent at the start.
+            if self._refused is None:
+                self.note("malformed", str(error))
+            else:
+                self._refused = str(error)
             done = None
         for _ in range(self._assembler.incomplete - incomplete):
             self.note("lost", "a frame of a sample is missing, swapped or late")
         if done is None:
             return None
         self.cleared("lost", "malformed", "bus_errors")
+        self._refused = None
         stamp, signals = done
         self._count_gap(signals)
         quality = self._quality(signals)

@@ -388,9 +388,8 @@ class NetcanoemSource(ForceSource):
             frame = self._bus.recv(0)
             if frame is None:
                 return
-            foreign = frame.arbitration_id & ~0xF != self._first_id or frame.is_extended_id
-            self.health.count("foreign" if foreign else "old_frames")
-            if not foreign:
+            if self._is_own(frame):
+                self.health.count("old_frames")
                 self._compare_old(frame)
 
     def _compare_old(self, frame: can.Message) -> None:

@@ -53,10 +53,17 @@ _REORDERED = 64
 """A record number at most this far back is a late datagram, one further back a new numbering."""
 _DRIFT_LIMIT = 2e-3
 """Deviation of the box's rate from its page beyond which its numbering is not used as a clock."""
+_CLOCK_BLOCK, _CLOCK_BLOCKS = 0.25, 120
+"""s, and number, of the clock's blocks: many records, yet soon enough to find out another rate."""
+_REPEATED = 0.1
+"""s without a new internal sample after which the box stands still; one that sends faster than it
+measures repeats samples."""
+_DIRECT = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+"""A box in the laboratory is not behind the proxy that the environment names."""
 
 
 class _PageWatcher(threading.Thread):
-    """Reads the page periodically; `changed` once it gives other units, counts or rate."""
+    """Reads the page periodically; `changed` once it gives another configuration."""
 
     def __init__(
         self, page: Callable[[], netft_xml.Configuration], known: netft_xml.Configuration
@@ -135,9 +142,10 @@ class NetFtSource(ForceSource):
             self.check_scale(self._where(), scale, scale * rdt.MAX_COUNT)
         self.configuration = configuration
         self._scale = scale
-        sent_rate = rdt.real_rate(configuration.rdt_rate or rate)
-        self._block = max(1, round(sent_rate / rate))
-        self._mapper = ClockMapper(sent_rate)
+        internal_rate = configuration.internal_rate or rdt.INTERNAL_RATE
+        sent_rate = rdt.real_rate(configuration.rdt_rate or rate, internal_rate)
+        self._block = max(1, round(min(sent_rate, internal_rate) / rate))
+        self._mapper = ClockMapper(sent_rate, _CLOCK_BLOCK, _CLOCK_BLOCKS)
         self.health.notes["box_rate_hz"] = f"{sent_rate:g}"
         self.health.hardware_id = f"{configuration.product or 'Net F/T'} ({self._where()})"
         try:
@@ -160,12 +168,19 @@ class NetFtSource(ForceSource):
         connection.connect((self.settings.netft_host, self.settings.netft_port))
         self._begin()
         self._send(rdt.START_REALTIME)
-        ready, _, _ = select.select([connection], [], [], _TIMEOUT)
-        if not ready:
+        failed = ""
+        if not select.select([connection], [], [], _TIMEOUT)[0]:
+            failed = "no record comes; check the firewall and"
+        else:
+            try:
+                connection.recv(2048, socket.MSG_PEEK)
+            except OSError as error:
+                failed = f"no record can be received ({error.strerror or error}); check"
+        if failed:
             self.close()
             raise DeviceError(
-                f"{self._where()}: the web page answers but no record comes; check the firewall "
-                f"and UDP port {self.settings.netft_port}"
+                f"{self._where()}: the web page answers but {failed} UDP port "
+                f"{self.settings.netft_port}"
             )
 
     def _begin(self) -> None:
@@ -176,7 +191,8 @@ class NetFtSource(ForceSource):
         self._pending_status = 0
         self._last: rdt.Record | None = None
         self._held: tuple[rdt.Record, int] | None = None
-        self._internal: int | None = None
+        self._internal: tuple[int, int] | None = None
+        """Number of the newest internal sample, and when it was received first."""
         self._stamp = 0
         self._mapper.restart()
         self._last_record = time.monotonic()
@@ -206,7 +222,7 @@ class NetFtSource(ForceSource):
     def _get(self, path: str) -> bytes:
         url = f"http://{self.settings.netft_host}:{self.settings.netft_http_port}{path}"
         try:
-            with urllib.request.urlopen(url, timeout=_TIMEOUT) as answer:
+            with _DIRECT.open(url, timeout=_TIMEOUT) as answer:
                 return bytes(answer.read(netft_xml.MAX_BYTES + 1))
         except (OSError, urllib.error.URLError, ValueError) as error:
             reason = getattr(error, "reason", None) or error
@@ -225,7 +241,8 @@ class NetFtSource(ForceSource):
             raise DeviceError(f"{self._where()}: not connected")
         if self._watcher is not None and self._watcher.changed:
             raise DeviceError(
-                f"{self._where()}: units or counts were changed on the box; connecting again"
+                f"{self._where()}: units or counts were changed on the box, or its rate, "
+                "calibration, bias or tool transform; connecting again"
             )
         end = time.monotonic() + timeout
         while True:
@@ -324,10 +341,12 @@ class NetFtSource(ForceSource):
         )
 
     def _sample_of(self, record: rdt.Record, received: int) -> WrenchSample | None:
-        repeated, self._internal = record.ft_sequence == self._internal, record.ft_sequence
-        if repeated:
-            self.note("stalled", "the box repeats an internal sample; reboot it", ERROR)
+        if self._internal is not None and self._internal[0] == record.ft_sequence:
+            self.health.count("repeated")
+            if received - self._internal[1] > _REPEATED * 1e9:
+                self.note("stalled", "the box repeats an internal sample; reboot it", ERROR)
             return None
+        self._internal = record.ft_sequence, received
         self.cleared("stalled")
         stamp = self._mapper.update(record.rdt_sequence, received)
         other_rate = abs(self._mapper.drift) > _DRIFT_LIMIT
@@ -383,4 +402,4 @@ class NetFtSource(ForceSource):
     @property
     def scale_id(self) -> object:
         configuration = self.configuration
-        return None if configuration is None else self.settings.netft_host
+        return None if configuration is None else (self.settings.netft_host, configuration.zero)

@@ -28,7 +28,8 @@ class ForceSettings(Settings):
 
     rate: float = setting(
         500.0,
-        "Samples per second: polled (netcanoem), requested (netft, dbc).",
+        "Samples per second: polled (netcanoem, and dbc with a request), averaged to (netft), or "
+        "just expected (dbc of a sensor that streams).",
         unit="Hz",
         minimum=1.0,
         maximum=7000.0,

@@ -150,8 +150,15 @@ class ExportSource(MoistureSource):
         if rows[: len(old)] != old:
             self.health.count("rewritten")
         self._rows = rows
+        fresh, in_doubt = new_rows(old, rows)
+        self.note_if(
+            in_doubt,
+            "in_doubt",
+            f"{self._path.name}: rows equal to earlier ones are taken for these, but others are "
+            "gone; set export_time_column, or append to the table",
+        )
         stamped = [
             (state[0] + number if row.time_ns is None else row.time_ns, row)
-            for number, row in enumerate(new_rows(old, rows))
+            for number, row in enumerate(fresh)
         ]
         self._ready.extend(sorted(stamped, key=lambda pair: pair[0]))

@@ -21,6 +21,10 @@ from .source import PHASE_UNKNOWN, PHASES, MoistureSettings, MoistureSource, Rea
 
 _LINE_TIME = 0.5
 """Seconds after which an unfinished line is given up: its rest would be read as another number."""
+_SILENCE = 0.05
+"""Seconds of silence before a line; what comes sooner after connecting may be the rest of one."""
+_LOOK = 0.02
+"""Seconds between looks for bytes, within which silence is noticed."""
 
 
 @dataclass(frozen=True)
@@ -73,21 +77,38 @@ class SerialSource(MoistureSource):
                 f"serial port '{name}' does not open ({error}); check cable, name and the group "
                 "'dialout'"
             ) from None
-        # What waited in the port was measured before anybody listened.
-        self.flush()
-        self._last_byte = time.monotonic()
+        self._discard()
         self.health.hardware_id = name
 
     def flush(self) -> None:
-        if self._port is not None:
-            try:
-                self._port.reset_input_buffer()
-            except (OSError, termios.error) as error:
-                raise DeviceError(
-                    f"serial port '{self.settings.path}' is lost ({error}); check the cable"
-                ) from None
-        self._splitter.reset()
         self._ready.clear()
+        if self._port is not None and (self._waiting() or self._splitter.unfinished):
+            self._discard()
+
+    def _discard(self) -> None:
+        """Discard what waits: it was measured before anybody listened, perhaps a part of a line."""
+        assert self._port is not None
+        try:
+            self._port.reset_input_buffer()
+        except (OSError, termios.error) as error:
+            raise self._lost(error) from None
+        self._splitter.reset(within=True)
+        self._ready.clear()
+        self._last_byte = time.monotonic()
+
+    def _waiting(self) -> int:
+        """Number of bytes that wait in the port."""
+        assert self._port is not None
+        try:
+            return int(self._port.in_waiting)
+        except (OSError, TypeError) as error:
+            raise self._lost(error) from None
+
+    def _lost(self, error: Exception) -> DeviceError:
+        # pyserial's own errors are OSErrors; a port closed meanwhile gives a TypeError.
+        return DeviceError(
+            f"serial port '{self.settings.path}' was lost ({error}); check the cable"
+        )
 
     def close(self) -> None:
         port, self._port = self._port, None
@@ -110,24 +131,30 @@ class SerialSource(MoistureSource):
     def _receive(self, timeout: float) -> None:
         if self._port is None:
             raise DeviceError(f"serial port '{self.settings.path}': not connected")
-        try:
-            self._port.timeout = min(timeout, 0.1)
-            data = self._port.read(max(1, min(self._port.in_waiting, 4096)))
-        except (OSError, TypeError) as error:
-            # pyserial's own errors are OSErrors; a port closed meanwhile gives a TypeError.
-            raise DeviceError(f"serial port '{self.settings.path}' was lost ({error})") from None
-        now = time.monotonic()
-        if self._splitter.unfinished and now - self._last_byte > _LINE_TIME:
-            self._splitter.reset()
+        splitter = self._splitter
+        # Nothing waits that came before: not the time in which this process may have stood still.
+        silent = time.monotonic() - self._last_byte
+        waiting = self._waiting()
+        if not waiting and splitter.unfinished and silent > _LINE_TIME:
+            splitter.reset()
             self.note("malformed", "a line broke off in the middle; it is left out")
+        elif not waiting and not splitter.unfinished and silent > _SILENCE:
+            splitter.reset()
+        try:
+            self._port.timeout = min(timeout, _LOOK)
+            data = self._port.read(max(1, min(waiting, 4096)))
+        except (OSError, TypeError) as error:
+            raise self._lost(error) from None
         if not data:
             return
-        self._last_byte = now
+        self._last_byte = time.monotonic()
         stamp = self.clock.now()
-        dropped = self._splitter.dropped
-        self._ready.extend((stamp, line) for line in self._splitter.feed(data))
-        for _ in range(self._splitter.dropped - dropped):
+        dropped, partial = splitter.dropped, splitter.partial
+        self._ready.extend((stamp, line) for line in splitter.feed(data))
+        for _ in range(splitter.dropped - dropped):
             self.note("malformed", "a line is too long or not ASCII text; check the baud rate")
+        if splitter.partial > partial:
+            self.health.count("partial")
 
     def _parse(self, stamp: int, line: str) -> Reading | None:
         parsed = lines.parse_line(line, self._pattern)

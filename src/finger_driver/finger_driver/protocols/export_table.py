@@ -27,6 +27,9 @@ MAX_BYTES = 20_000_000
 MAX_UNPACKED = 40_000_000
 """Bytes that an XLSX file may unpack to."""
 
+_OLE = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"
+"""Begin of an XLS file (MS-CFB)."""
+
 _MAX_ROWS, _MAX_COLUMNS, _SHEET_ROWS = 100_000, 50, 1_048_576
 
 
@@ -76,7 +79,7 @@ def parse_table(data: bytes, name: str, form: TableFormat) -> tuple[tuple[Row, .
     """Readings of an export in its order, and how many rows hold a value or time that is none.
 
     XLSX when `name` ends so, else CSV. Rows without a value are passed over. Raises DeviceError
-    when the file as a whole cannot be read or lacks a column.
+    when the file as a whole cannot be read, is XLS or lacks a column.
     """
     if len(data) > MAX_BYTES:
         raise DeviceError(f"{name} is larger than {MAX_BYTES // 1_000_000} MB; export less at once")
@@ -124,6 +127,8 @@ def _row(cells: dict[Any, Any], form: TableFormat) -> Row:
 
 
 def _csv(data: bytes, name: str, form: TableFormat) -> list[list[Any]]:
+    if data.startswith(_OLE) or name.lower().endswith(".xls"):
+        raise DeviceError(f"{name} is an XLS table, which is not read; save it as XLSX or CSV")
     try:
         text = data.decode(form.export_encoding)
     except UnicodeError:
@@ -160,8 +165,16 @@ def _xlsx(data: bytes, name: str, form: TableFormat) -> list[list[Any]]:
         raise DeviceError(f"{name} is not a readable XLSX file ({type(error).__name__})") from None
 
 
-def new_rows(old: Sequence[Row], now: Sequence[Row]) -> list[Row]:
-    """Rows that occur more often in `now` than in `old`, the last ones of each, in their order."""
+def new_rows(old: Sequence[Row], now: Sequence[Row]) -> tuple[list[Row], bool]:
+    """Rows of a table that were not there before, in their order, and whether that is in doubt.
+
+    They are those that occur more often in `now` than in `old`, the last ones of each. Without
+    times, a table that begins otherwise and is not longer is another one, whose rows are all new;
+    and in doubt is one in which some rows equal old ones, while other old ones are gone.
+    """
+    timed = all(row.time_ns is not None for row in now)
+    if old and not timed and now[0] != old[0] and len(now) <= len(old):
+        return list(now), False
     seen = Counter(old)
     fresh = []
     for row in now:
@@ -169,4 +182,5 @@ def new_rows(old: Sequence[Row], now: Sequence[Row]) -> list[Row]:
             seen[row] -= 1
         else:
             fresh.append(row)
-    return fresh
+    gone = sum(seen.values())
+    return fresh, bool(fresh) and not timed and 0 < gone < len(old)

@@ -60,22 +60,30 @@ class LineSplitter:
     """Cuts a stream of bytes into lines; memory stays bounded for any input."""
 
     def __init__(self) -> None:
-        self._rest = b""
+        self._rest, self._within = b"", False
         self.dropped = 0
         """Lines left out because they were too long or not ASCII."""
+        self.partial = 0
+        """Lines left out because their beginning may have been missed."""
 
     def feed(self, data: bytes) -> list[str]:
         """Complete lines in what has come so far, without their ends (CR, LF or both)."""
         *lines, rest = re.split(rb"[\r\n]", self._rest + data)
         # One byte too many is enough to know that the line is too long when it ends.
         self._rest = rest[: MAX_LINE + 1]
+        if self._within and lines:
+            self._within = False
+            self.partial += bool(lines.pop(0))
         good = [line for line in lines if len(line) <= MAX_LINE and line.isascii()]
         self.dropped += len(lines) - len(good)
         return [line.decode("ascii") for line in good if line]
 
-    def reset(self) -> None:
-        """Forget an unfinished line, as after a pause or a reconnection."""
-        self._rest = b""
+    def reset(self, within: bool = False) -> None:
+        """Forget an unfinished line, as after a pause or a reconnection.
+
+        within: what comes next may begin in the middle of a line, which is left out.
+        """
+        self._rest, self._within = b"", within
 
     @property
     def unfinished(self) -> bool:

@@ -11,7 +11,7 @@ assumed.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from xml.etree import ElementTree
 
 from finger_common.errors import DeviceError
@@ -21,10 +21,23 @@ from . import units
 PAGE = "/netftapi2.xml"
 MAX_BYTES = 1_000_000
 
+ZERO = (
+    *("setcfgsel", "cfgcalsel", "cfgcalsn"),
+    *("cfgtfx", "scfgtdu", "scfgtau"),
+    "setbias",
+)
+"""Elements for the active slot, calibration and its serial number; tool transform with its units;
+bias. Not every box has all."""
+
 
 @dataclass(frozen=True)
 class Configuration:
-    """What the page gives: counts per unit, units, product, rate of RDT (0 where it is absent)."""
+    """What the page gives of the box and its active configuration.
+
+    counts_per_force, counts_per_torque: counts per unit. rdt_rate, internal_rate: records and
+    internal samples per second, 0 where absent. zero: texts of what else the meaning of a count
+    hangs on, in the order of `ZERO`: calibration, tool transform, bias.
+    """
 
     counts_per_force: float
     counts_per_torque: float
@@ -33,6 +46,9 @@ class Configuration:
     product: str = ""
     rdt_enabled: bool = True
     rdt_rate: float = 0.0
+    # Perhaps measured: it may change without anybody's doing.
+    internal_rate: float = field(default=0.0, compare=False)
+    zero: tuple[str, ...] = ("",) * len(ZERO)
 
     @property
     def force_scale(self) -> float:
@@ -70,6 +86,8 @@ def parse(page: bytes) -> Configuration:
         texts.get("prodname", "")[:64],
         enabled,
         _rate(texts.get("comrdtrate", "")),
+        _rate(texts.get("runrate", "")),
+        tuple(texts.get(name, "")[:200] for name in ZERO),
     )
     # Unknown units raise here rather than at the first sample.
     _ = configuration.force_scale, configuration.torque_scale
@@ -112,6 +130,8 @@ def render(configuration: Configuration) -> bytes:
         ("scfgtu", configuration.torque_unit),
         ("comrdte", "Enabled" if configuration.rdt_enabled else "Disabled"),
         ("comrdtrate", f"{configuration.rdt_rate:g}"),
+        ("runrate", f"{configuration.internal_rate:g}"),
+        *zip(ZERO, configuration.zero),
     ):
         ElementTree.SubElement(root, name).text = value
     return b'<?xml version="1.0"?>\n' + ElementTree.tostring(root)

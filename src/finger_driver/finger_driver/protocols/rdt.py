@@ -27,8 +27,8 @@ COMMANDS = (STOP, START_REALTIME, START_BUFFERED, RESET_LATCH, SET_BIAS)
 RECORD_SIZE = 36
 MAX_RECORDS = 40
 MAX_COUNT = 2**31 - 1
-BASE_RATE = 7000.0
-"""Samples per second inside the box; records come at an integer fraction of it."""
+INTERNAL_RATE = 7000.0
+"""Samples per second inside a Net F/T; an Axia has others."""
 
 SUMMARY_BIT = 1 << 31
 LATCH_BIT = 1 << 16
@@ -121,6 +121,8 @@ def status_text(status: int) -> str:
     return ", ".join(names) or "no fault"
 
 
-def real_rate(requested: float) -> float:
-    """Rate that the box uses: the smallest integer fraction of 7000 Hz not below the request."""
-    return BASE_RATE / max(1, int(BASE_RATE // max(requested, 1e-9)))
+def real_rate(requested: float, internal: float = INTERNAL_RATE) -> float:
+    """Records per second that the box sends: the smallest integer fraction of its internal rate not
+    below the request. Beyond the internal rate it repeats samples.
+    """
+    return internal / int(internal // requested) if 0 < requested < internal else requested

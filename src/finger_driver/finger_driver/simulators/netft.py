@@ -5,8 +5,8 @@
 
 Models: start, stop and bias requests, one client at a time, endless and counted streams, real-time
 and buffered mode, both sequence numbers, the status word, counts and units as on the page, output
-rates as integer fractions of 7000 Hz, `comm.cgi` for the rate, reboot (silent, then waiting for a
-new start); see FAULTS.
+rates as integer fractions of the internal rate and, as an Axia, beyond it (samples repeat),
+`comm.cgi` for the rate, reboot (silent, then waiting for a new start); see FAULTS.
 
 Does not model: the box's filter, monitor conditions, tool transforms, the slow TCP interface,
 EtherNet/IP, CAN, further pages, the transducer's noise beyond white noise, network loss (but see
@@ -49,7 +49,7 @@ FAULTS = {
 }
 
 DEFAULT_CONFIGURATION = netft_xml.Configuration(
-    1_000_000, 1_000_000, "N", "N-mm", "Simulated Net F/T", True, 500.0
+    1_000_000, 1_000_000, "N", "N-mm", "Simulated Net F/T", True, 500.0, rdt.INTERNAL_RATE
 )
 
 
@@ -98,7 +98,8 @@ class NetFtSimulator(Simulator):
         self.http_port = int(self._server.server_address[1])
         self._client: tuple[str, int] | None = None
         self._left = 0
-        self._rdt = self._ft = 0
+        self._rdt = 0
+        self._ft = 0.0
         self._per_datagram = 1
         self._bias = np.zeros(6)
         self._held: bytes | None = None
@@ -124,14 +125,27 @@ class NetFtSimulator(Simulator):
     def set_units(
         self, force: str, torque: str, counts: float | str, torque_counts: float | str
     ) -> None:
-        """Change units and counts, on the page and in the stream, as its web page does."""
-        self.configuration = dataclasses.replace(
+        """Change units and counts, on the page and in the stream, as its web page does.
+
+        Raises InputError for what the box could not have.
+        """
+        changed = dataclasses.replace(
             self.configuration,
             force_unit=force,
             torque_unit=torque,
             counts_per_force=float(counts),
             counts_per_torque=float(torque_counts),
         )
+        try:
+            netft_xml.parse(netft_xml.render(changed))
+        except DeviceError as error:
+            raise InputError(f"units: {error}") from None
+        self.configuration = changed
+
+    @property
+    def _rate(self) -> float:
+        """Records per second."""
+        return rdt.real_rate(self.configuration.rdt_rate, self.configuration.internal_rate)
 
     @property
     def _down(self) -> bool:
@@ -173,7 +187,7 @@ class NetFtSimulator(Simulator):
             rate = float(query.get("comrdtrate", ["0"])[0])
         except ValueError:
             return
-        if 1 <= rate <= rdt.BASE_RATE:
+        if 1 <= rate <= self.configuration.internal_rate:
             self.configuration = dataclasses.replace(self.configuration, rdt_rate=rate)
 
     def run(self) -> None:
@@ -185,13 +199,13 @@ class NetFtSimulator(Simulator):
             now = time.monotonic()
             if self.faults.take("reboot"):
                 self._down_until, self._client = now + 0.5, None
-                self._rdt = self._ft = 0
+                self._rdt, self._ft = 0, 0.0
             if self._client is None or self._down:
                 due = now
                 continue
             if now < due:
                 continue
-            period = self._per_datagram / rdt.real_rate(self.configuration.rdt_rate)
+            period = self._per_datagram / self._rate
             due = max(due + period, now - 0.1)
             self._send()
 
@@ -219,7 +233,7 @@ class NetFtSimulator(Simulator):
             data = data[:20]
         datagrams = [data]
         if self.faults.take("jump"):
-            ahead = rdt.Record(self._rdt + 1000, self._ft + 14_000, 0, (50_000_000,) * 6)
+            ahead = rdt.Record(self._rdt + 1000, int(self._ft) + 14_000, 0, (50_000_000,) * 6)
             datagrams.insert(0, rdt.encode_record(ahead))
         if self.faults.take("reordered"):
             self._held = data
@@ -245,7 +259,7 @@ class NetFtSimulator(Simulator):
             self._rdt = 0
         self._rdt += 1
         if not self.faults.value("stalled"):
-            self._ft += max(1, round(rdt.BASE_RATE / rdt.real_rate(self.configuration.rdt_rate)))
+            self._ft += self.configuration.internal_rate / self._rate
         wrench = np.asarray(self._force(time.time_ns())) - self._bias
         wrench = wrench + self._noise * self._random.standard_normal(6)
         configuration = self.configuration
@@ -253,4 +267,6 @@ class NetFtSimulator(Simulator):
         counts = np.clip(np.rint(wrench / np.array(scale)), -(2**31), 2**31 - 1)
         status = self.faults.value("status") & 0xFFFFFFFF
         values = tuple(int(c) for c in counts)
-        return rdt.encode_record(rdt.Record(self._rdt, self._ft, status, values))  # type: ignore[arg-type]
+        # Sums of fractions that should be whole may lie a little below.
+        internal = int(self._ft + 1e-3)
+        return rdt.encode_record(rdt.Record(self._rdt, internal, status, values))  # type: ignore[arg-type]

@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 
 import can
 
+from finger_common.cli import one_line
 from finger_common.settings import Settings, setting
 
 from .. import can_bus
@@ -87,11 +88,19 @@ class Simulator:
         return self
 
     def _serve(self) -> None:
+        said = ""
         while not self.ending:
             try:
                 self.run()
             except can.CanError:
                 # The bus went down, or a client was too slow; the device itself continues.
+                self._ending.wait(0.05)
+            except Exception as error:
+                # A dead thread would be silent, as a device without power.
+                text = f"{self.NAME}: {type(error).__name__}: {one_line(error)}"
+                if text != said:
+                    print(text, flush=True)
+                said = text
                 self._ending.wait(0.05)
 
     def stop(self) -> None:
