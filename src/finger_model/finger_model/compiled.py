@@ -57,6 +57,9 @@ except ImportError:
             part = self.memory[(index if isinstance(index, tuple) else (index,)) + (...,)]
             return _Records(part) if part.shape else _Record(part)
 
+        def __setitem__(self, index: int, record: _Record) -> None:
+            self.memory[index] = record._memory
+
     def _with_attributes(value: Any) -> Any:
         structured = isinstance(value, np.ndarray) and value.dtype.names
         return _Records(value) if structured else value

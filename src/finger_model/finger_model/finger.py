@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -68,6 +68,19 @@ def simulate_reduced(
         if model_file or model.serves_population:
             raise
     return load_population(geometry).for_material(material).simulate(material, time, force)
+
+
+def serving(model: Any, force: float, parameters: np.ndarray) -> Any:
+    """What a fit uses of presses up to a force (N): the model, or that of the population box for
+    the same finger where the force is beyond the model's limit for any of parameters (P, n).
+
+    Only the shipped model of the default finger gives way, as in `simulate_reduced`.
+    """
+    if not isinstance(model, ReducedModel) or model.meta is not ReducedModel.load().meta:
+        return model
+    if force <= min(map(model.force_limit, parameters)):
+        return model
+    return load_population(model.geometry).for_material(model.material)
 
 
 def load_areas(

@@ -32,12 +32,11 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
-from finger_common.axes import axis_of
 from finger_common.cli import one_line
 from finger_common.diagnostics import ERROR, OK, WARN, Health
 from finger_common.errors import FingerError, InputError
 from finger_common.flags import StateFlag
-from finger_common.moisture import MOISTURE_TEXT
+from finger_common.moisture import MOISTURE_TEXT, is_moisture
 from finger_common.node import (
     EVENTS_QOS,
     LATCHED_QOS,
@@ -70,6 +69,7 @@ from finger_msgs.srv import ForceForArea, PredictContact
 from .anthropometry import GeometryEstimate, session_estimate
 from .calibration import Calibration, CalibrationPress, calibrate, on_level_plate, subject_model
 from .estimator import ContactEstimate, ContactEstimator, EstimatorEvent, EstimatorSettings
+from .estimator.estimator import FUTURE
 from .estimator.events import ANOTHER_SUBJECT
 from .estimator.parameter_selection import check_sets
 from .finger import load_for, load_reduced
@@ -206,6 +206,10 @@ class ModelNode(ManagedNode):
         self._reading: tuple[int, float] | None = None
         self._readings: deque[tuple[int, float]] = deque(maxlen=64)
         self._started = False
+        self._first_stamp = 0
+        self._start_reason = "start"
+        self._sampled_at = -math.inf
+        self._unused_areas: list[int] = []
         self._jumped = False
         self._sequence = 0
         self._last: ContactEstimate | None = None
@@ -320,6 +324,9 @@ class ModelNode(ManagedNode):
         self._slip = self._new_slip_estimator()
         self._pose = None
         self._started = False
+        self._start_reason = "start"
+        self._sampled_at = -math.inf
+        self._unused_areas = []
         self._jumped = False
         self._last = None
         self._flags = 0
@@ -457,8 +464,12 @@ class ModelNode(ManagedNode):
             if not self._active or estimator is None:
                 return None
             if not self._started:
-                self._started = True
-                self._publish_event(estimator.start_event(stamp))
+                self._started, self._first_stamp = True, stamp
+                self._publish_event(estimator.start_event(stamp, self._start_reason))
+            self._sampled_at = time.monotonic()
+            if self._unused_areas:
+                self._publish_event(estimator.note_late(areas=self._unused_areas))
+                self._unused_areas = []
             if self._jumped:
                 self._jumped = False
                 last = estimator.last_stamp
@@ -466,10 +477,9 @@ class ModelNode(ManagedNode):
                     self._publish_event(estimator.clock_jump_event(stamp))
             before, self._force = self._force, force
             before_torque, self._torque = self._torque, torque
-            if self._collector.collecting:
-                axis, sign = axis_of(estimator.settings.normal_axis)
-                self._collector.add_force(stamp, sign * force[axis])
             for estimate in estimator.add_wrench(stamp, force):
+                if self._collector.collecting:
+                    self._collector.add_force(estimate.stamp_ns, estimate.normal_force)
                 self._state_publisher.publish(self._serialized(estimate, frame))
                 now = time.time_ns()
                 self._latency.add(now - received)
@@ -550,14 +560,23 @@ class ModelNode(ManagedNode):
                 if self._collector.collecting:
                     self._collector.add_area(*area)
                 used = self.estimator.add_area(*area, live=True)
-                self._late["late_areas"].add(not used, self._behind(area[0]))
-                if not used:
+                silent = self._force_is_silent()
+                if not silent:
+                    self._late["late_areas"].add(not used, self._behind(area[0]))
+                if not used and silent:
+                    # One event for all of a pause, when it ends.
+                    self._unused_areas.append(area[0])
+                elif not used:
                     self._publish_event(self.estimator.note_late(areas=[area[0]]))
                 elif self._slip is not None:
                     delay = self.estimator.settings.fusion_delay
                     self._slip.expect_stick_ratio(area[0], *stick_of(message), delay)
                     if self._pose is not None:
                         self._pose.expect_outline(area[0], outline_of(message), delay)
+
+    def _force_is_silent(self) -> bool:
+        """Whether no sample came for so long that a stamp ahead of the newest tells nothing."""
+        return time.monotonic() - self._sampled_at > 0.5 * FUTURE
 
     def _behind(self, stamp: int) -> float:
         """s by which a stamp is behind the newest force's."""
@@ -571,25 +590,24 @@ class ModelNode(ManagedNode):
             if reading in self._readings:
                 return  # it came on both subscriptions
             self._readings.append(reading)
+            if not is_moisture(reading[1]):
+                sentence = f"moisture reading {reading[1]} is outside {MOISTURE_TEXT}; left out"
+                self.log_fault(self.inputs, "bad_moisture", sentence, WARN)
+                return
+            self.inputs.recovered("bad_moisture")
             self._reading = reading
-            if not self._active or self.estimator is None:
+            estimator = self.estimator
+            if not self._active or estimator is None:
                 return
             if self._collector.collecting:
                 self._collector.add_moisture(reading[1])
-            late = self.estimator.counters["late_moistures"]
-            if not self.estimator.add_moisture(*reading, live=True):
-                if self.estimator.counters["late_moistures"] > late:
-                    self._late["late_moistures"].add(True, self._behind(reading[0]))
-                    self._publish_event(self.estimator.note_late(moistures=[reading[0]]))
-                else:
-                    self.log_fault(
-                        self.inputs,
-                        "bad_moisture",
-                        f"moisture reading {reading[1]} is outside {MOISTURE_TEXT}; left out",
-                        WARN,
-                    )
-            else:
-                self.inputs.recovered("bad_moisture")
+            before = seconds(self._first_stamp - reading[0]) if self._started else 0.0
+            if estimator.moisture is None and 0.0 < before < self.values["moisture_stale_after"]:
+                # Kept for late joiners, but it came after the first force.
+                self._begin_anew(estimator.model, estimator.parameter_sets)
+            elif not estimator.add_moisture(*reading, live=not self._force_is_silent()):
+                self._late["late_moistures"].add(True, self._behind(reading[0]))
+                self._publish_event(estimator.note_late(moistures=[reading[0]]))
 
     # Subjects --------------------------------------------------------------------------------
 
@@ -666,18 +684,25 @@ class ModelNode(ManagedNode):
         assert self.estimator is not None
         model = self._model_of(sets)
         if not self._started or model.hash != self.estimator.model.hash:
-            # A finger of other lengths begins anew. The event of the start names sets and model.
-            self.estimator = ContactEstimator(model, sets, self.settings(EstimatorSettings))
-            if not self._started and self._reading is not None:
-                self.estimator.add_moisture(*self._reading)
-            self._started = False
-            self._forget_contacts()
+            # A finger of other lengths begins anew.
+            self._begin_anew(model, sets, reason)
             return
         if sets.hash != self.estimator.parameter_sets.hash:
             self._publish_event(self.estimator.change_parameters(sets, reason))
         if forget:
             self._publish_event(self.estimator.reset(reason))
             self._forget_contacts()
+
+    def _begin_anew(self, model: ReducedModel, sets: ParameterSets, reason: str = "start") -> None:
+        """A finger that was not seen before, with the reading there is, from the next sample on,
+        whose event names sets and model; the caller holds the lock."""
+        self._start_reason = reason
+        self.estimator = ContactEstimator(model, sets, self.settings(EstimatorSettings))
+        if self._reading is not None:
+            self.estimator.add_moisture(*self._reading)
+        self._started = False
+        self._unused_areas = []
+        self._forget_contacts()
 
     def _forget_contacts(self) -> None:
         """Friction and pose of a finger that was not seen before."""
@@ -706,7 +731,8 @@ class ModelNode(ManagedNode):
             model, lengths = subject_model(self._model_of(sets), calipers, sets)
             if self.estimator is not None:
                 presses = on_level_plate(presses, model, self.estimator.pose_correction)
-            found = calibrate(model, sets, presses, moisture, lengths=lengths)
+            settings = self.settings(EstimatorSettings)
+            found = calibrate(model, sets, presses, moisture, settings, lengths)
             taken = time.monotonic() - began
             with self._lock:
                 if self._active and self._subject == subject:

@@ -124,7 +124,7 @@ class ParameterSets:
         self._moisture = np.array([s.moisture for s in self.sets])
         if np.any(np.diff(self._moisture) <= 0):
             raise InputError(f"{where}: two sets have the same moisture; merge them or correct one")
-        vectors = [self.space.checked(s.parameters, where) for s in self.sets]
+        vectors = [_checked(s, law, where) for s in self.sets]
         self._log = self.space.to_log(np.array(vectors))
         self._covariance = np.array([s.covariance_log for s in self.sets])
         self.hash = sha256_of(
@@ -230,6 +230,17 @@ class ParameterSets:
         )
         name = f"{self.hash[:8]}@{moisture:.2f}"
         return InterpolatedParameters(parameters, covariance, out_of_range, name)
+
+
+def _checked(found: ParameterSet, law: type[ConstitutiveLaw], where: str) -> np.ndarray:
+    """Parameters (n,) of a set; raises InputError, naming it, for what its law refuses."""
+    name = f"{where}, set {found.condition or f'at {found.moisture:g}'}"
+    vector = law.PARAMETERS.checked(found.parameters, name)
+    try:
+        law().with_vector(vector)
+    except InputError as error:
+        raise InputError(str(error).replace("material", name, 1)) from None
+    return vector
 
 
 _SET_KEYS = ("condition", "moisture", "moisture_sd", "covariance_log")

@@ -95,6 +95,7 @@ def test_a_saved_file_reads_back_bit_for_bit(tmp_path: Path) -> None:
     ("old", "new", "named"),
     [
         ("E0: 140.0e+3", "E0: -1", "'E0'"),
+        ("E0: 140.0e+3", "E0: 140.0", "set dry: 'E0' is 140 Pa"),
         ("tau1: 0.50,", "", "'tau1'"),
         ("moisture: 69.31,", "moisture: 37.56,", "same moisture"),
         ("moisture: 105.33,", "moisture: 131,", "130"),

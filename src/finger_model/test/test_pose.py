@@ -317,3 +317,20 @@ def test_a_skin_that_was_not_learned_is_flagged():
     level = EstimatorSettings(fuse_area=False)
     not_flagged = pressed(ContactEstimator(ReducedModel.load(), stiff, level))[-1]
     assert not not_flagged.flags & StateFlag.POSE_OUT_OF_RANGE
+
+
+def test_an_outline_that_comes_again_counts_once():
+    """Also where another one came between."""
+    found = []
+    for order in ((0, 1, 0, 1, 2), (0, 1, 2)):
+        settings = PoseSettings(pad_place_sd=1e-3)
+        estimator = PoseEstimator(PoseCorrection(Geometry(), Pose(), SKIN), settings)
+        outlines = [
+            MeasuredOutline((1e-4, 0.0), 7e-3, 6e-3, 0.1 * k, 5e-5, 5e-5, 5e-5) for k in range(3)
+        ]
+        for k in order:
+            estimator.expect_outline(10**9 + 10**8 * k, outlines[k], 0.0)
+        for k in range(10):
+            estimator.follow(estimate(10**9 + 10**8 * k, ROUND, 1.0), (0, 0, -1.0), (0, 0, 0))
+        found.append(np.append(estimator.mean, estimator.covariance))
+    assert np.array_equal(*found)

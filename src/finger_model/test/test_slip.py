@@ -467,3 +467,42 @@ def test_many_samples_of_other_lengths_are_refused() -> None:
         SlipEstimator().add_many(
             np.arange(5) + 10**15, np.ones(3), np.zeros((5, 2)), np.ones(5, bool), np.ones(5)
         )
+
+
+def test_a_sensor_that_was_not_tared_teaches_no_friction():
+    """What was taken for a contact is forgotten where the estimator doubts it at its end."""
+
+    def pulled(estimator, start):
+        rows = run(estimator, ramp((0.0, 1.0), (2.0, 1.0)), ramp((0.0, 0.0), (2.0, 0.6)), start)
+        return rows["friction"], np.flatnonzero(rows["slip_probability"] > 0.15)[0]
+
+    estimator, fresh = SlipEstimator(), SlipEstimator()
+    n = 1000
+    stamps = (np.arange(n) * 1e9 / RATE).astype(np.int64)
+    offset = np.ones(n), np.outer(np.full(n, 1.4), [0.6, 0.8])
+    offset[0][-100:] = offset[1][-100:] = 0.0
+    touching = offset[0] > 0.03
+    rows = estimator.add_many(
+        stamps, *offset, touching, np.full(n, 1e-3), doubted=touching & (stamps > 10**9)
+    )
+    assert rows["friction"][500] > 1.3
+    assert rows["slips"][-1] == 0
+    for found, wanted in zip(pulled(estimator, 3 * 10**9), pulled(fresh, 3 * 10**9)):
+        assert found == pytest.approx(wanted, rel=0.01)
+
+
+@pytest.mark.parametrize("residue", [0.03, 0.05, 0.06])
+def test_what_a_tare_leaves_of_the_lateral_force_does_not_hide_slips(residue):
+    """Presses from nothing to 1 N, each pulled until it slips at 0.4."""
+    rng = np.random.default_rng(5)
+    estimator = SlipEstimator()
+    announced = 0
+    for number in range(4):
+        normal = ramp((0.0, 0.0), (0.2, 0.0), (0.7, 1.0), (2.5, 1.0), (2.8, 0.0), (3.0, 0.0))
+        pull = ramp((0.0, 0.0), (0.9, 0.0), (2.3, 0.55), (2.5, 0.55), (2.6, 0.0), (3.0, 0.0))
+        slides = (pull >= 0.4 * normal) & (normal > 0.5)
+        pull = np.minimum(pull, 0.4 * normal) + residue + 0.003 * rng.standard_normal(len(pull))
+        rows = run(estimator, normal, pull, 4 * 10**9 * number)
+        announced += rows["slip_probability"][slides].max() > 0.15
+    assert announced == 4
+    assert rows["friction"][-1] < 0.6

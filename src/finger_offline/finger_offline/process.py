@@ -144,18 +144,21 @@ def _estimator(options: ProcessOptions, start: EstimatorEvent | None) -> Contact
 def _recorded_start(reader: BagReader, topic: str) -> EstimatorEvent | None:
     """The newest start among the events, with the sets and the model of the recording's finger.
 
-    Before it the node may have had another subject's.
+    Before it the node may have had another subject's. Of a recording begun long after the node the
+    start may no longer be kept: then the oldest event, which has the same.
     """
-    found = None
+    found = oldest = None
     for item in reader.messages([topic]):
         try:
             event = event_of(item.message)
-            if event.type == EventType.START:
+            if event.type == EventType.START or oldest is None:
                 ParameterSets.parse(event.parameter_sets)
+                oldest = oldest or event
+            if event.type == EventType.START:
                 found = event
         except (FingerError, AttributeError, TypeError, ValueError):
             continue  # Named when it is read to be applied.
-    return found
+    return found or oldest
 
 
 def measured_outline(measured: ContactMeasurement) -> MeasuredOutline:

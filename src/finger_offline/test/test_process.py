@@ -132,14 +132,18 @@ def test_serialized_states_equal_those_encoded_one_by_one() -> None:
 
 
 def live_recording(
-    path: Path, behind_ns: int = 0, subject: ParameterSets | None = None
+    path: Path,
+    behind_ns: int = 0,
+    subject: ParameterSets | None = None,
+    start_kept: bool = True,
 ) -> list[bytes]:
     """A bag as the recorder makes it beside a live model node: inputs, events, and what was
     published.
 
     With a late area, a change of settings and a reset on the way. behind_ns: what the node is
     behind, so that its events are logged as much later. subject: sets with a finger of its own, to
-    which the node changed before the recording. Gives the published states.
+    which the node changed before the recording. start_kept: whether the start is among the events
+    that are kept for late joiners. Gives the published states.
     """
     settings = EstimatorSettings(drift_sd=0.05)
     before = estimator = ContactEstimator(ReducedModel.load(), None, settings)
@@ -155,10 +159,14 @@ def live_recording(
             sequence += 1
             bag.write("model_events", fields, log + behind_ns)
 
-        if subject is not None:
+        if subject is not None and start_kept:
             tell(before.start_event(START - 10**11), START - 1000)
             tell(before.change_settings(settings, "asked"), START - 1000)
-        tell(estimator.start_event(START), START)
+        if start_kept:
+            tell(estimator.start_event(START), START)
+        else:
+            for k in range(10):
+                tell(estimator.change_settings(settings, f"asked {k}"), START)
         for i in range(6000):
             stamp = START + i * 2_000_000
             log = stamp + 300_000
@@ -201,12 +209,18 @@ def calibrated() -> ParameterSets:
 
 
 @pytest.mark.parametrize(
-    ("behind_ns", "subject"), [(0, None), (5_000_000_000, None), (0, calibrated())]
+    ("behind_ns", "subject", "start_kept"),
+    [
+        (0, None, True),
+        (5_000_000_000, None, True),
+        (0, calibrated(), True),
+        (0, calibrated(), False),
+    ],
 )
 def test_processing_a_recording_gives_what_the_live_node_published_bit_for_bit(
-    tmp_path: Path, behind_ns: int, subject: ParameterSets | None
+    tmp_path: Path, behind_ns: int, subject: ParameterSets | None, start_kept: bool
 ) -> None:
-    published = live_recording(tmp_path / "live", behind_ns, subject)
+    published = live_recording(tmp_path / "live", behind_ns, subject, start_kept)
     result = process(tmp_path / "live", tmp_path / "out")
     assert result.replayed and result.problems == []
     with open_bag(tmp_path / "out") as reader:

@@ -41,6 +41,9 @@ DRIFT_SCALES = (0.1, 0.1, 0.1, 2.0, 2.0, 2.0)
 MEMORY_BETWEEN_CONTACTS = 0.95
 """Share of the logarithmic weights kept from one contact to the next: fingers dry and tire."""
 
+LEAST_LOG_WEIGHT = -20.0
+"""Of a filter against the most probable one: a long hold must not exclude the others for ever."""
+
 ACCEPTED_OUTLIERS = 3
 """Outliers in a row after which the filters restart with a wide covariance."""
 
@@ -187,6 +190,16 @@ def new_reading(bank, noise, stamp):
 
 
 @njit(cache=True)
+def shift_contact(bank, own, newest):
+    """The model's ln A moved within a contact: add `own` to d, and `newest` to the newest area's
+    logarithm over the model's."""
+    for k in range(FILTERS):
+        bank.mean[k, CONTACT] += own
+    bank.newest += newest
+    mixture_mean(bank, bank.start)
+
+
+@njit(cache=True)
 def mixture_mean(bank, out):
     """Mean of x (8,) over the filters."""
     total = 0.0
@@ -310,7 +323,7 @@ def _update(bank, noise, h, offset, model_area, area, sd):
         bank.log_weight[k] -= 0.5 * (misfit * misfit + v * v / total - math.log(after / total))
         largest = max(largest, bank.log_weight[k])
     for k in range(FILTERS):
-        bank.log_weight[k] -= largest
+        bank.log_weight[k] = max(bank.log_weight[k] - largest, LEAST_LOG_WEIGHT)
 
 
 @njit(cache=True)

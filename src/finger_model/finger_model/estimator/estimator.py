@@ -94,6 +94,7 @@ class ContactEstimator:
         self._after_jump: list[EstimatorEvent] = []
         self._moisture: tuple[int, float] | None = None
         self._waiting: tuple[int, Sequence[float]] | None = None
+        self._selected_for: tuple[str, EstimatorSettings, float | None] | None = None
         self._one_stamp = np.zeros(1, np.int64)
         self._one_force = np.zeros((1, 3))
         self._configure()
@@ -283,6 +284,11 @@ class ContactEstimator:
         return self._state.pose_correction
 
     @property
+    def moisture(self) -> float | None:
+        """Reading (a.u.) in use, None before the first."""
+        return None if self._moisture is None else self._moisture[1]
+
+    @property
     def force_limit(self) -> float:
         """Largest force (N) the model was built for with the parameters in force."""
         return float(self._selected.constants["force_limit"][0])
@@ -388,7 +394,10 @@ class ContactEstimator:
         new_sets = self._take_over_sets(event.parameter_sets)
         self._count_late(len(event.late_areas), len(event.late_moistures))
         if event.type == EventType.START or event.is_another_subject:
-            self._moisture = None
+            reading, self._moisture = self._moisture, None
+            if reading is not None and not event.is_another_subject:
+                # A node that begins anew has it from the first sample on.
+                self._inputs.add_moisture(*reading)
         self._configure()
         if event.type in (EventType.START, EventType.RESET):
             self.fingers += 1
@@ -441,8 +450,13 @@ class ContactEstimator:
 
     def _select_parameters(self) -> None:
         """Parameters at the reading in use, or at the default one."""
-        value = None if self._moisture is None else self._moisture[1]
-        self._selected = select_parameters(self.model, self.parameter_sets, self.settings, value)
+        key = self.parameter_sets.hash, self.settings, self.moisture
+        if key != self._selected_for:
+            # Not with every event: it takes long for a finger of its own lengths.
+            self._selected = select_parameters(
+                self.model, self.parameter_sets, self.settings, self.moisture
+            )
+            self._selected_for = key
         self._state.use_parameters(self._selected, self._moisture)
         self._one_row = new_rows(1, self._selected.name)
 

@@ -55,7 +55,8 @@ class EstimatorEvent:
     @property
     def is_another_subject(self) -> bool:
         """Whether it records that the finger is another subject's."""
-        return self.type == EventType.RESET and self.reason.startswith(ANOTHER_SUBJECT)
+        forgets = self.type in (EventType.RESET, EventType.START)
+        return forgets and self.reason.startswith(ANOTHER_SUBJECT)
 
     def estimator_settings(self) -> EstimatorSettings:
         """Settings in force after the event; raises InputError for text that is no JSON object."""

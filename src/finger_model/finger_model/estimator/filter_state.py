@@ -90,6 +90,7 @@ class FilterState:
     ) -> None:
         """Take over parameters, and the moisture reading (stamp, value) that they are for."""
         config = self.configuration
+        held, before = self._held_area(), self._model_key()
         new = not len(self.finger) or config["moisture_stamp"][0] != (moisture or (0, np.nan))[0]
         config["moisture_stamp"], config["moisture"] = moisture or (0, np.nan)
         config["flags"] = selected.flags | self._take_pose(selected.material.skin_ratio)
@@ -100,12 +101,23 @@ class FilterState:
         noise["moisture_wander"] = prior.moisture_wander
         noise["model_variance"] = self.model.rms_error**2 + prior.misfit_sd**2
         self.base = selected.constants
-        self.constants = np.repeat(self.base, 1 + members.DIRECTIONS)
-        if not len(self.finger):
-            self.finger = self._at_rest()
-        stream.place_members(*self._model_records(), self.state)
         if new:
             stream.new_reading(config, self.state)
+        if not len(self.finger):
+            self.constants = np.repeat(self.base, 1 + members.DIRECTIONS)
+            self.finger = self._at_rest()
+        if new or self._model_key() != before:
+            stream.take_parameters(*self._model_records(), config, self.state, held)
+
+    def _model_key(self) -> tuple[bytes, bytes]:
+        """What the model's area depends on beside force and history."""
+        return self.base.tobytes(), self.configuration["pose"].tobytes()
+
+    def _held_area(self) -> float:
+        """See `stream.held_area`."""
+        if not len(self.finger):
+            return math.nan
+        return float(stream.held_area(self.constants, self.finger, self.configuration, self.state))
 
     def _at_rest(self) -> np.ndarray:
         """States (4,) of the finger and its members at rest."""

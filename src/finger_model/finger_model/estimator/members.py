@@ -57,7 +57,7 @@ def _deform(base, par, shift):
     rest = max(1.0 - total, 1e-6)
     before = total / rest
     creep = min(before * math.exp(shift[2]), max(before, MOST_CREEP))
-    share = 1.0 / (1.0 + creep)
+    share = min(1.0 / (1.0 + creep), rk.MOST_SHARE)
     for b in range(base.branches):
         par.fraction[b] = base.fraction[b] * (1.0 - share) / total if total > 0.0 else 0.0
         par.tau[b] = base.tau[b] * math.exp(shift[1]) * share / rest
@@ -67,16 +67,20 @@ def _deform(base, par, shift):
 
 @njit(cache=True)
 def place(net, base, par, finger, work, members):
-    """Constants par (4,) of the finger and its members for members.shift; states finger (4,) stay.
+    """Constants par (4,) of the finger and its members for members.shift, from those of `base`.
 
-    par must hold copies of `base`.
+    par holds copies of `base`, or what was placed before, whose fractions the states finger (4,)
+    are of: the strain of each branch stays.
     """
     shift = np.empty(DIRECTIONS)
     for j in range(1 + DIRECTIONS):
         for i in range(DIRECTIONS):
             shift[i] = members.shift[i] + (STEPS[i] if j == 1 + i else 0.0)
+        one = slice(j, j + 1)
+        before = par[j].fraction.copy()
         _deform(base[0], par[j], shift)
-        rk.refresh(net, par[j : j + 1], finger[j : j + 1], work)
+        rk.scale_branches(par[one], finger[one], before)
+        rk.refresh(net, par[one], finger[one], work)
 
 
 @njit(cache=True)
@@ -123,6 +127,16 @@ def advance(net, par, finger, work, members, stamp, force, every):
         one = slice(1 + j, 2 + j)
         rk.step(net, par[one], finger[one], work, behind * 1e-9, force)
         members.stamp[j] = stamp
+        differ(finger, members, j)
+
+
+@njit(cache=True)
+def renew(net, par, finger, work, members, force):
+    """Outputs and sensitivities at `force` (N) after `place`; no time passes."""
+    for j in range(1 + DIRECTIONS):
+        one = slice(j, j + 1)
+        rk.step(net, par[one], finger[one], work, 0.0, force)
+    for j in range(DIRECTIONS):
         differ(finger, members, j)
 
 

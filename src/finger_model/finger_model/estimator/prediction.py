@@ -62,9 +62,12 @@ def force_for_area(state: FilterState, area: float, horizon: float) -> float:
         return float(state.predicted(time, np.full(len(time), force))[-1, 0])
 
     low, high = 0.0, float(state.constants["force_limit"][0])
-    if area_at(high) < area:
+    largest = area_at(high)
+    if not math.isfinite(largest):
+        raise InputError("the model could not follow the contact; lift the finger, then ask again")
+    if largest < area:
         raise InputError(
-            f"area {area * 1e6:.1f} mm² is beyond the {area_at(high) * 1e6:.1f} mm² that the "
+            f"area {area * 1e6:.1f} mm² is beyond the {largest * 1e6:.1f} mm² that the "
             f"largest force of the model ({high:.2f} N) gives; ask for less"
         )
     for _ in range(_BISECTIONS):

@@ -90,6 +90,7 @@ CONTACT = np.dtype(
         ("fused_area", "f8"),  # m²
         ("air", "i8"),  # ns, newest sample below half the onset force; 0 for none
         ("unseen", "?"),  # the contact did not begin as a finger's does
+        ("outdated", "?"),  # the model has constants from before the last change of them
         ("empty", "i8"),  # areas in a row that show no contact
         ("quiet", "i8"),  # ns, since when the force is nearly constant
         ("quiet_force", "f8"),  # N
@@ -301,6 +302,19 @@ def _fuse(config, state, stamp, area, sd, limit):
 
 
 @njit(cache=True)
+def _place(net, base, par, finger, work, state):
+    """Constants of the finger and its members from `base`."""
+    if state.contact.outdated:
+        state.contact.outdated = False
+        for j in range(1 + members.DIRECTIONS):
+            # The states are of these.
+            before = par[j].fraction.copy()
+            par[j] = base[0]
+            par[j].fraction[:] = before
+    members.place(net, base, par, finger, work, state.members)
+
+
+@njit(cache=True)
 def _advance_model(net, base, par, finger, work, config, state, stamp, normal_force):
     """Reduced model to a valid sample; the contact and the remembered samples follow."""
     stream, near = state.stream, state.members
@@ -322,12 +336,8 @@ def _advance_model(net, base, par, finger, work, config, state, stamp, normal_fo
         # are those of this finger.
         members.advance(net, par, finger, work, near, stamp, normal_force, True)
         members.shift_to(near, state.filters.start[2:])
-        members.place(net, base, par, finger, work, near)
-        for j in range(1 + members.DIRECTIONS):
-            one = slice(j, j + 1)
-            rk.step(net, par[one], finger[one], work, 0.0, normal_force)
-        for j in range(members.DIRECTIONS):
-            members.differ(finger, near, j)
+        _place(net, base, par, finger, work, state)
+        members.renew(net, par, finger, work, near, normal_force)
     else:
         members.advance(net, par, finger, work, near, stamp, normal_force, False)
     gain, _ = _pose_gain(config, finger[0].area)
@@ -363,6 +373,9 @@ def _write_contact(config, state, finger, normal_force, limit, stamp, row):
     row.mean_pressure = pressure
     row.mean_pressure_stddev = pressure * deviation
     row.peak_pressure = finger.peak_pressure * math.exp(-error) / own_gain
+    if normal_force > limit:
+        # The model's force ends there; as the mean pressure does, it grows on with the force.
+        row.peak_pressure *= normal_force / limit
     row.peak_pressure_stddev = row.peak_pressure * area_filter.deviation_of(
         variance + PEAK_DEVIATION * PEAK_DEVIATION
     )
@@ -499,7 +512,7 @@ def initialise_filters(net, base, par, finger, work, configuration, states):
     area_filter.initialise(state.filters, config.noise, config.moisture_stamp)
     state.contact.has_fused = False
     members.shift_to(state.members, state.filters.start[2:])
-    members.place(net, base, par, finger, work, state.members)
+    _place(net, base, par, finger, work, state)
 
 
 @njit(cache=True)
@@ -510,9 +523,48 @@ def new_reading(configuration, states):
 
 
 @njit(cache=True)
-def place_members(net, base, par, finger, work, states):
-    """Constants of the finger and its members after `base` changed."""
-    members.place(net, base, par, finger, work, states[0].members)
+def _fused_error(config, state, finger, limit, bounded):
+    """Logarithm of the fused area over the model's now, `limit` (N) of whose force is `finger`."""
+    h = np.empty(area_filter.STATES)
+    phi = area_filter.log_force(finger.force, limit)
+    area_filter.regressors(config.noise, phi, state.members.area, 1.0, h)
+    offset = _offset(state, state.members.area)
+    stamp = state.stream.model_stamp
+    return area_filter.estimate(state.filters, config.noise, h, offset, stamp, bounded)[0]
+
+
+@njit(cache=True)
+def held_area(par, finger, configuration, states):
+    """Logarithm of the fused area (m²) that was measured in this contact; NaN without one."""
+    config, state = configuration[0], states[0]
+    if not (state.contact.touching and state.filters.measured and finger[0].area > 0.0):
+        return math.nan
+    gain, _ = _pose_gain(config, finger[0].area)
+    error = _fused_error(config, state, finger[0], par[0].force_limit, True)
+    return math.log(gain * finger[0].area) + error
+
+
+@njit(cache=True)
+def take_parameters(net, base, par, finger, work, configuration, states, held):
+    """Let the model have changed constants `base`, or another pose; held: `held_area` before.
+
+    A contact of which an area was measured goes on with the constants it has until it ends: they
+    tell no more of it than the area does, and tissue does not relax anew when it is asked how moist
+    it is. Its own error takes up what pose and filters changed.
+    """
+    config, state = configuration[0], states[0]
+    state.contact.outdated = True
+    if math.isnan(held):
+        _place(net, base, par, finger, work, state)
+        return
+    memory = state.memory
+    gain, _ = _pose_gain(config, finger[0].area)
+    # Areas that are under way are compared with the model as it is now.
+    moved = math.log(gain * finger[0].area / memory.area[(memory.next - 1) % REMEMBERED])
+    memory.area[:] *= math.exp(moved)
+    error = _fused_error(config, state, finger[0], par[0].force_limit, False)
+    own = held - math.log(gain * finger[0].area) - error
+    area_filter.shift_contact(state.filters, own, -moved)
 
 
 @njit(cache=True)
@@ -521,7 +573,7 @@ def begin_contact(net, base, par, finger, work, configuration, states):
     config, state = configuration[0], states[0]
     area_filter.begin_contact(state.filters, config.noise, state.stream.last_stamp)
     members.shift_to(state.members, state.filters.start[2:])
-    members.place(net, base, par, finger, work, state.members)
+    _place(net, base, par, finger, work, state)
 
 
 @njit(cache=True)

@@ -120,6 +120,7 @@ class PoseEstimator:
         self._assumed = assumed
         self._correction: PoseCorrection | None = None
         self._waiting: list[tuple[int, int, MeasuredOutline]] = []
+        self._outline_stamps: deque[int] = deque(maxlen=64)
         self._areas: deque[tuple[int, float]] = deque(maxlen=REMEMBERED)
         self.reset()
 
@@ -149,7 +150,6 @@ class PoseEstimator:
         self.covariance[ASPECT, ASPECT] = settings.pad_aspect_sd**2
         self._touching = self._outlined = self._pressed = self._pressed_outside = False
         self._updated = self._given = 0
-        self._used = -1  # stamp of the outline that was used last
         self._sum, self._count, self._sum_since = np.zeros(2), 0, 0
         self._pressure = (math.nan, math.nan)
         self._correction = None
@@ -176,8 +176,8 @@ class PoseEstimator:
         """An outline seen at `stamp_ns`; it is used at the first sample stamped that plus `delay`
         (s) or later, so that the result does not depend on when it comes. A second one of a stamp
         is left out."""
-        known = stamp_ns == self._used or any(w[1] == stamp_ns for w in self._waiting)
-        if outline.usable and not known:
+        if outline.usable and stamp_ns not in self._outline_stamps:
+            self._outline_stamps.append(stamp_ns)
             bisect.insort(self._waiting, (stamp_ns + nanoseconds(delay), stamp_ns, outline))
 
     def follow(
@@ -189,6 +189,7 @@ class PoseEstimator:
         if estimate.flags & StateFlag.TIME_RESET:
             # Time jumped back to this stamp: outlines near it are still to come.
             self.reset()
+            self._outline_stamps.clear()
             self._waiting = [w for w in self._waiting if abs(w[1] - stamp) < NANOSECONDS]
         round_area = self._assumed.round_area(estimate.area) if estimate.area > 0 else 0.0
         self._areas.append((stamp, round_area))
@@ -197,7 +198,6 @@ class PoseEstimator:
         self._touching = bool(estimate.in_contact)
         while self._waiting and self._waiting[0][0] <= stamp:
             _, seen, outline = self._waiting.pop(0)
-            self._used = seen
             if self._touching and seen >= estimate.onset_ns:
                 self._see_outline(seen, outline)
         pressed = estimate.normal_force > SMALLEST_FORCE and round_area > 0.0

@@ -56,6 +56,8 @@ NODES = np.array([0.08, 0.14, 0.22, 0.32, 0.45, 0.60, 0.80, 1.05, 1.35, 1.70, 2.
 _LOG_NODES = np.log(NODES)
 _LEAST_LOAD = 0.03
 """Below this load curves are taken there."""
+MOST_SHARE = 1.0 - 1e-12
+"""Of the long-term modulus: below 1, where nothing relaxes and sudden and slow load are one."""
 _MOST_RELAXED = 10.0
 """Largest ρ that counts: after unloading it is above 1."""
 _MOST_RELAXED_INPUT = 3.0
@@ -615,6 +617,18 @@ def rest(net, par, state, work):
 def refresh(net, par, state, work):
     """Adapt a state to changed parameters; the internal strain stays."""
     _refresh(net[0], par[0], state[0], work[0])
+
+
+@njit(cache=True)
+def scale_branches(par, state, before):
+    """Keep the strain A_b of each branch, a_b = g_b ⟨φ, A_b − 1⟩, where its fraction g_b was
+    `before` (branches,)."""
+    own = state[0]
+    own.amplitudes[:] = 0.0
+    for b in range(par[0].branches):
+        if before[b] > 0.0:
+            own.branches[b, :] *= par[0].fraction[b] / before[b]
+        own.amplitudes[:] += own.branches[b, :]
 
 
 @njit(cache=True)

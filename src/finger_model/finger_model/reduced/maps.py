@@ -146,7 +146,7 @@ class Maps:
         record["branches"] = count = len(fractions)
         record["fraction"][0, :count] = fractions
         record["tau"][0, :count] = times
-        record["share"] = 1.0 - fractions.sum()
+        record["share"] = min(1.0 - fractions.sum(), rk.MOST_SHARE)
         if finger.curves is not None:
             fill_curves(record, finger.curves)
         for name in NETWORKS:

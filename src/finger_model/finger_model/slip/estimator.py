@@ -86,6 +86,7 @@ class SlipEstimator:
             np.zeros(1),
             np.zeros((1, 2)),
             np.zeros(1, bool),
+            np.zeros(1, bool),
             np.zeros(1),
             np.zeros(1),
         )
@@ -107,7 +108,7 @@ class SlipEstimator:
         config["drift"] = settings.friction_drift
         config["horizon"] = settings.slip_horizon
         config["noise"] = settings.tangential_noise
-        if not self._state["told"][0]:
+        if not self._state["known"]["told"][0]:
             kernels.set_prior(config[0], self._state[0], float(self._state["moisture"][0]))
 
     def assume(self, geometry: Geometry, material: MaxwellLaw) -> None:
@@ -130,11 +131,12 @@ class SlipEstimator:
             self._begin_anew(estimate.stamp_ns)
         self._see_due(estimate.stamp_ns)
         first, second = self.lateral_axes
-        stamps, normal, lateral, touching, indentation, moisture = self._samples
+        stamps, normal, lateral, touching, doubted, indentation, moisture = self._samples
         stamps[0] = estimate.stamp_ns
         normal[0] = estimate.normal_force
         lateral[0, 0], lateral[0, 1] = force[first], force[second]
         touching[0] = estimate.in_contact
+        doubted[0] = estimate.flags & StateFlag.FORCE_OFFSET
         indentation[0] = estimate.indentation
         moisture[0] = estimate.moisture
         kernels.follow_many(self._config, self._state, *self._samples, self._row)
@@ -162,6 +164,7 @@ class SlipEstimator:
                         rows["in_contact"],
                         rows["indentation"],
                         rows["moisture"],
+                        rows["flags"] & int(StateFlag.FORCE_OFFSET) != 0,
                     )
                 )
                 begin = until
@@ -175,21 +178,26 @@ class SlipEstimator:
         touching: np.ndarray,
         indentation: np.ndarray,
         moisture: np.ndarray | None = None,
+        doubted: np.ndarray | None = None,
     ) -> np.ndarray:
         """Rows (n,) of `kernels.OUTPUT` for n samples.
 
         normal_force, indentation, moisture (n,), lateral (n, 2) in SI; touching (n,): whether in
-        contact. Raises InputError for other shapes.
+        contact; doubted (n,): whether the force is hardly a finger's (FORCE_OFFSET): nothing is
+        learned from a contact that ends so. Raises InputError for other shapes.
         """
         n = len(stamps_ns)
         if moisture is None:
             moisture = np.full(n, math.nan)
+        if doubted is None:
+            doubted = np.zeros(n, bool)
         for name, array, shape in (
             ("normal_force", normal_force, (n,)),
             ("lateral", lateral, (n, 2)),
             ("touching", touching, (n,)),
             ("indentation", indentation, (n,)),
             ("moisture", moisture, (n,)),
+            ("doubted", doubted, (n,)),
         ):
             if np.shape(array) != shape:
                 raise InputError(f"{name} has shape {np.shape(array)}, {shape} is needed")
@@ -201,6 +209,7 @@ class SlipEstimator:
             np.ascontiguousarray(normal_force, float),
             np.ascontiguousarray(lateral, float),
             np.ascontiguousarray(touching, bool),
+            np.ascontiguousarray(doubted, bool),
             np.ascontiguousarray(indentation, float),
             np.ascontiguousarray(moisture, float),
             rows,

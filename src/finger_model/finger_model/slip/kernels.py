@@ -80,6 +80,8 @@ FRAMES, NEXT_RATIO = 20, 0.05
 """Frames of a pull that count until r has grown by NEXT_RATIO: more of them err as these do."""
 SMALLEST_FORCE = 0.05
 """N; below it ratios are not judged."""
+TEACHING_FORCE = 0.2
+"""N; below it a ratio carried teaches no friction: what the tare left may be all of it."""
 
 CONFIGURATION = np.dtype(
     [
@@ -96,13 +98,25 @@ CONFIGURATION = np.dtype(
     ]
 )
 _TRACK = np.dtype([("value", "f8", (3,)), ("rate", "f8", (3,))])
+LEARNED = np.dtype(
+    [
+        ("log_weight", "f8", (GRID,)),  # prior and evidence, without edge and present plateau
+        ("unclear", "u1", (GRID,)),  # ln r of plateaus that did not show slip by themselves
+        ("slips", "i8"),
+        ("told", "?"),  # the weights hold more than the prior
+    ],
+    align=True,
+)
+"""What is known of the friction."""
 STATE = np.dtype(
     [
         ("touching", "?"),
+        ("doubted", "?"),  # the newest force of this contact is hardly a finger's
         ("stamp", "i8"),
         ("fast", _TRACK),  # P, Qx, Qy
         ("slow", _TRACK),
-        ("log_weight", "f8", (GRID,)),  # prior and evidence, without edge and present plateau
+        ("known", LEARNED),
+        ("before", LEARNED),  # at the onset of this contact
         ("largest", "f8"),  # ratio carried in this contact
         ("judged_at", "i8"),  # ns, last comparison of forecasts
         ("forecast", "f8", (LAGS, 4)),  # stamp (s), r, Q, its rate
@@ -117,11 +131,8 @@ STATE = np.dtype(
         ("plateau_sum", "f8"),  # of ln r
         ("plateau_odds", "f8"),  # largest log of the odds of slip in it
         ("plateau_looks", "i8"),
-        ("unclear", "u1", (GRID,)),  # ln r of plateaus that did not show slip by themselves
         ("friction", "f8", (2,)),  # mean and standard deviation, as last given
-        ("slips", "i8"),
         ("counted", "?"),  # the slip of this pull
-        ("told", "?"),  # the weights hold more than the prior
         ("moisture", "f8"),  # of the prior
         ("force", "f8", (ELEMENTS, 2)),  # of the elements, over the share of one
         ("moved", "f8", (2,)),  # displacement of the elements, N
@@ -182,11 +193,11 @@ def set_prior(config, state, moisture):
     state.moisture = moisture
     for g in range(GRID):
         z = (LOG_FRICTION[g] - config.prior_mean - shift) / config.prior_sd
-        state.log_weight[g] = -0.5 * z * z
+        state.known.log_weight[g] = -0.5 * z * z
     state.largest = 0.0
-    state.slips = 0
+    state.known.slips = 0
     state.friction[:] = math.nan
-    state.unclear[:] = 0
+    state.known.unclear[:] = 0
 
 
 @njit(cache=True)
@@ -229,7 +240,7 @@ def _is_news(state, log_ratio):
     """Whether the plateau tells of friction what none before it did. A thing that is held again, or
     whose load dips and returns, stands still at the same ratio."""
     at = _cell(log_ratio)
-    known = state.unclear[max(at - NEAR, 0) : at + NEAR + 1].max() > 0
+    known = state.known.unclear[max(at - NEAR, 0) : at + NEAR + 1].max() > 0
     return state.plateau_odds >= CLEAR_SLIP or not known
 
 
@@ -245,54 +256,67 @@ def _plateau_likelihood(state, share, log_ratio, log_friction):
 @njit(cache=True)
 def _commit(state, share):
     """Keep what the plateau that ends has told."""
-    state.told = True
+    state.known.told = True
     log_ratio = state.plateau_sum / state.plateau_count
     news = _is_news(state, log_ratio)
     if state.plateau_odds < CLEAR_SLIP:
-        state.unclear[_cell(log_ratio)] = 1
+        state.known.unclear[_cell(log_ratio)] = 1
     total, slip_total = 0.0, 0.0
-    top = state.log_weight.max()
+    top = state.known.log_weight.max()
     for g in range(GRID):
         likelihood, slip = _plateau_likelihood(state, share, log_ratio, LOG_FRICTION[g])
-        weight = math.exp(state.log_weight[g] - top)
+        weight = math.exp(state.known.log_weight[g] - top)
         total += weight * likelihood
         slip_total += weight * slip
         if news:
-            state.log_weight[g] += math.log(likelihood)
+            state.known.log_weight[g] += math.log(likelihood)
     if news and slip_total > 0.5 * total and not state.counted:
         state.counted = True
-        state.slips += 1
+        state.known.slips += 1
 
 
 @njit(cache=True)
 def _end_contact(config, state, stamp):
-    """Fold the edge into the weights; friction may differ in the next contact."""
+    """Fold the edge into the weights; friction may differ in the next contact.
+
+    What was learned from a force that was hardly a finger's is forgotten.
+    """
+    if state.doubted:
+        _copy(state.before, state.known)
+        state.plateau, state.largest = False, 0.0
     if state.plateau and (stamp - state.plateau_begin) * 1e-9 >= PLATEAU_AFTER:
         _commit(state, _slip_share(state))
     state.plateau = False
     if state.largest > 0.0:
-        state.told = True
+        state.known.told = True
         for g in range(GRID):
             edge = _normal((LOG_FRICTION[g] - math.log(state.largest)) / EDGE)
-            state.log_weight[g] += math.log(edge + 1e-6)
-    top = state.log_weight.max()
+            state.known.log_weight[g] += math.log(edge + 1e-6)
+    top = state.known.log_weight.max()
     step = LOG_FRICTION[1] - LOG_FRICTION[0]
     # Widen by a Gaussian of the drift.
     width = config.drift / step
     reach = int(3.0 * width) + 1
-    weight = np.exp(state.log_weight - top)
+    weight = np.exp(state.known.log_weight - top)
     for g in range(GRID):
         total, norm = 0.0, 0.0
         for k in range(max(g - reach, 0), min(g + reach + 1, GRID)):
             share = math.exp(-0.5 * ((k - g) / max(width, 1e-3)) ** 2)
             total += share * weight[k]
             norm += share
-        state.log_weight[g] = math.log(total / norm + 1e-9)
+        state.known.log_weight[g] = math.log(total / norm + 1e-9)
     state.largest = 0.0
     state.force[:, :] = 0.0
     state.moved[:] = 0.0
     state.displaced[:] = state.crept[:] = 0.0
     state.touching = False
+
+
+@njit(cache=True)
+def _copy(learned, to):
+    to.log_weight[:] = learned.log_weight
+    to.unclear[:] = learned.unclear
+    to.slips, to.told = learned.slips, learned.told
 
 
 @njit(cache=True)
@@ -488,22 +512,24 @@ def _displace(config, state, dt, stiffness, q):
 
 
 @njit(cache=True)
-def follow(config, state, stamp, normal, q0, q1, touching, indentation, moisture, out):
-    """One sample: stamp (ns), P and Q (N), whether in contact, indentation (m), moisture (a.u.)."""
+def follow(config, state, stamp, normal, q0, q1, touching, doubted, indentation, moisture, out):
+    """One sample: stamp (ns), P and Q (N), whether in contact and whether that is doubted,
+    indentation (m), moisture (a.u.)."""
     out.stamp = stamp
     out.normal_force = normal
     out.tangential_force[0], out.tangential_force[1] = q0, q1
     if not math.isfinite(normal + q0 + q1):
         _say_nothing(out)
         out.friction, out.friction_stddev = state.friction[0], state.friction[1]
-        out.slips = state.slips
-        out.flags = INVALID | (ASSUMED if state.slips == 0 else 0)
+        out.slips = state.known.slips
+        out.flags = INVALID | (ASSUMED if state.known.slips == 0 else 0)
         return
-    if not state.told and moisture != state.moisture and math.isfinite(moisture):
+    if not state.known.told and moisture != state.moisture and math.isfinite(moisture):
         set_prior(config, state, moisture)
     dt = (stamp - state.stamp) * 1e-9
     if touching and not state.touching:
         state.touching = True
+        _copy(state.known, state.before)
         for i in range(3):
             value = normal if i == 0 else (q0 if i == 1 else q1)
             state.fast.value[i] = state.slow.value[i] = value
@@ -520,9 +546,11 @@ def follow(config, state, stamp, normal, q0, q1, touching, indentation, moisture
         values = (normal, q0, q1)
         _track(state.fast, FAST, dt, values)
         _track(state.slow, SLOW, dt, values)
+    if touching:
+        state.doubted = doubted
     state.stamp = stamp
-    out.slips = state.slips
-    out.flags = ASSUMED if state.slips == 0 else 0
+    out.slips = state.known.slips
+    out.flags = ASSUMED if state.known.slips == 0 else 0
     judged = touching and normal >= SMALLEST_FORCE and state.fast.value[0] >= SMALLEST_FORCE
     ratio = 0.0
     if judged:
@@ -530,7 +558,8 @@ def follow(config, state, stamp, normal, q0, q1, touching, indentation, moisture
         slow, _ = _ratio_rate(state.slow)
         # Noise of the force is no pull.
         held = min(ratio, slow) - 2.0 * config.noise / state.fast.value[0]
-        state.largest = max(state.largest, held)
+        if state.fast.value[0] >= TEACHING_FORCE:
+            state.largest = max(state.largest, held)
         state.pull_largest = max(state.pull_largest, held)
         if ratio < TURNED * state.pull_largest - 0.02:
             state.turned = True
@@ -555,7 +584,7 @@ def follow(config, state, stamp, normal, q0, q1, touching, indentation, moisture
     log_weight = np.empty(GRID)
     for g in range(GRID):
         edge = _normal((LOG_FRICTION[g] - edge_at) / EDGE)
-        log_weight[g] = state.log_weight[g] + (math.log(edge) if edge > 0.0 else -math.inf)
+        log_weight[g] = state.known.log_weight[g] + (math.log(edge) if edge > 0.0 else -math.inf)
     top = log_weight.max()
     ahead, spread = 0.0, EDGE
     if judged:
@@ -639,16 +668,18 @@ def see_stick(state, stamp, stick, sd):
             if state.frames > FRAMES:
                 return False
             spread = math.hypot(sd, 0.04)
-            state.told = True
+            state.known.told = True
             for g in range(GRID):
                 z = (_curve(ratio / math.exp(LOG_FRICTION[g])) - stick) / spread
-                state.log_weight[g] += FRAME_SHARE * math.log(math.exp(-0.5 * z * z) + 1e-3)
+                state.known.log_weight[g] += FRAME_SHARE * math.log(math.exp(-0.5 * z * z) + 1e-3)
             return True
     return False
 
 
 @njit(cache=True)
-def follow_many(config, state, stamps, normal, lateral, touching, indentation, moisture, out):
+def follow_many(
+    config, state, stamps, normal, lateral, touching, doubted, indentation, moisture, out
+):
     """Many samples: arrays (n,) of what `follow` takes, lateral (n, 2)."""
     for i in range(len(stamps)):
         follow(
@@ -659,6 +690,7 @@ def follow_many(config, state, stamps, normal, lateral, touching, indentation, m
             lateral[i, 0],
             lateral[i, 1],
             touching[i],
+            doubted[i],
             indentation[i],
             moisture[i],
             out[i],
