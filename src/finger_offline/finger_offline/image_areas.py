@@ -18,6 +18,7 @@ from finger_bag.reader import BagMessage, BagReader
 from finger_bag.schema import CALIBRATION_ATTACHMENT
 from finger_common.errors import FingerError, InputError
 from finger_common.image_size import PixelBudget, check_image
+from finger_common.mono8 import brightest_channel
 from finger_vision.area_sensor import (
     AREA_SENSORS,
     AreaSensor,
@@ -44,12 +45,12 @@ def grey_image(message: Any) -> np.ndarray:
     data = np.frombuffer(bytes(message.data), np.uint8)
     check_image(data.data, f"compressed image ('{message.format[:40]}')")
     try:
-        image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
+        image = cv2.imdecode(data, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH)
     except cv2.error:
         image = None
     if image is None:
         raise InputError(f"compressed image ('{message.format[:40]}') cannot be decoded")
-    return image
+    return image if image.ndim == 2 else brightest_channel(image)
 
 
 def calibration_of(

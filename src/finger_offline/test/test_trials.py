@@ -8,8 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from session_bags import AREA_PER_FORCE, START, image, press_force, wrench, write_session
@@ -24,6 +26,7 @@ from finger_bag.writer import BagWriter
 from finger_common.axes import lateral_force, normal_force
 from finger_common.errors import InputError
 from finger_common.units import FORCE_UNITS
+from finger_offline.image_areas import grey_image
 from finger_offline.trial_split import TrialSettings, presses
 from finger_offline.trials import load_trials, streams_with_areas
 
@@ -305,3 +308,14 @@ def test_two_rigs_in_one_bag_need_a_choice(tmp_path: Path) -> None:
             bag.write(name, wrench(START, 1.0))
     with pytest.raises(InputError, match=r"/left/wrench, /right/wrench"):
         load_trials(tmp_path / "bag")
+
+
+@pytest.mark.parametrize("channel", [0, 1, 2])
+def test_compressed_colour_is_the_grey_of_its_light(channel: int) -> None:
+    """As the sensor makes of a raw picture: a plate lit in blue is not black."""
+    ramp = np.add.outer(np.arange(40), np.arange(60)).astype(np.uint8)
+    picture = np.zeros((40, 60, 3), np.uint8)
+    picture[:, :, channel] = ramp
+    data = cv2.imencode(".png", picture)[1].tobytes()
+    message = SimpleNamespace(format="bgr8; png compressed", data=data)
+    assert np.array_equal(grey_image(message), ramp)
