@@ -12,10 +12,11 @@ RUN apt-get update && apt-get install -y --no-install-recommends \
 
 WORKDIR /finger
 COPY requirements.txt ./
-# Ubuntu 24.04 refuses pip outside a virtual environment (PEP 668); this one sees apt's rclpy.
+# Ubuntu 24.04 refuses pip outside a virtual environment (PEP 668); this one sees apt's rclpy, which
+# is built for NumPy 1.
 RUN python3 -m venv --system-site-packages venv \
-    && venv/bin/pip install --no-cache-dir -r requirements.txt colcon-common-extensions \
-         "setuptools<80"
+    && venv/bin/pip install --no-cache-dir -r requirements.txt "numpy<2" \
+         "opencv-python-headless<4.11" colcon-common-extensions "setuptools<80"
 
 COPY . .
 # The commands are in install/PACKAGE/lib/PACKAGE, where `ros2 run` looks; the links put those for

@@ -68,6 +68,7 @@ CALLS = {
     "create_stream_subscription": "subscribes",
     "create_subscription": "subscribes",
     "create_waited_subscription": "subscribes",
+    "create_polled_subscription": "subscribes",
     "PolledSubscription": "subscribes",
     "create_service": "serves",
     "ActionServer": "serves",

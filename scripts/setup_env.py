@@ -62,6 +62,17 @@ def digest(*paths: Path, text: str = "") -> str:
     return sha.hexdigest()
 
 
+def check_folder(folder: Path) -> None:
+    """Raise SetupError for a folder that holds something else than an environment."""
+    if folder.is_dir() and not any(folder.iterdir()):
+        return
+    if folder.exists() and not (folder / "pyvenv.cfg").is_file():
+        raise SetupError(
+            f"{folder} is no Python environment, and what it holds would be lost: name a new or "
+            "empty folder with --env."
+        )
+
+
 class Environment:
     """A virtual environment and the record of which steps it has been through."""
 
@@ -244,6 +255,7 @@ def main() -> int:
     folder: Path = args.env.resolve()
     try:
         check_machine()
+        check_folder(folder)
         env = Environment(folder)
         version = sys.version.split()[0]
         if env.record.get("venv") != version or not env.python.exists():

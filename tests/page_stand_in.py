@@ -92,12 +92,14 @@ def picture(area: float, textured: bool = False) -> bytes:
 class ForwardedPort:
     """A port that is forwarded to another one of this machine, as by ssh, over a slow link.
 
-    rate: bytes/s towards the browser. bytes: how many went there.
+    rate: bytes/s towards the browser. bytes: how many went there. dead: nothing comes through, and
+    nobody is told. connections: made so far.
     """
 
     def __init__(self, port: int, rate: float) -> None:
         self._to, self._rate = port, rate
-        self.bytes = 0
+        self.bytes = self.connections = 0
+        self.dead = False
         self._ready = threading.Event()
         self._thread = threading.Thread(target=lambda: asyncio.run(self._run()), daemon=True)
 
@@ -120,6 +122,7 @@ class ForwardedPort:
         server.close()
 
     async def _forward(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.connections += 1
         source, sink = await asyncio.open_connection("127.0.0.1", self._to, limit=4096)
         both = (self._copy(reader, sink, None), self._copy(source, writer, self._rate))
         with suppress(asyncio.CancelledError):  # when all ends
@@ -130,6 +133,8 @@ class ForwardedPort:
     ) -> None:
         try:
             while data := await reader.read(1024):
+                while self.dead:
+                    await asyncio.sleep(0.02)
                 if rate is not None:  # one link for all connections
                     self._free_at = max(self._free_at, self._loop.time()) + len(data) / rate
                     await asyncio.sleep(self._free_at - self._loop.time())

@@ -19,7 +19,9 @@ from finger_common.guided_presses import CALIBRATION_PRESSES
 from finger_operator.page.readiness import Problem
 from finger_operator.study_plan import PREPARATIONS
 
-SEEN = {"seen_trial": 2, "seen_step": "prepare"}
+SEEN_SESSION = {"seen_session": "S01_20261122T101500"}
+SEEN_TRIAL = {"seen_trial": 2, **SEEN_SESSION}
+SEEN = {"seen_step": "prepare", **SEEN_TRIAL}
 """What the page tells of itself with a command, in the session of `prepare`."""
 
 NO_FORCE = Problem("force", "No force.", "Check its power and its cable.", 0.8)
@@ -552,7 +554,7 @@ def test_a_session_begins_with_all_that_was_typed(rig: StandIn, page: Any) -> No
     page.click("#plan-start")
     until(lambda: len(rig.commands) == 2, page)
     (name, plan), begun = rig.commands
-    assert name == "configure" and begun == ("start", {})
+    assert name == "configure" and begun == ("start", {"seen_step": "closed"})
     assert plan == {
         "subject": "S07", "age": 31, "hand": "right", "finger": "index",
         "finger_width": pytest.approx(0.0155), "finger_depth": pytest.approx(0.0112),
@@ -574,9 +576,9 @@ def test_notes_markers_and_the_end_of_a_session(rig: StandIn, page: Any) -> None
     page.click("#ask-buttons button:has-text('End the session')")
     until(lambda: len(rig.commands) == 3, page)
     assert list(rig.commands) == [
-        ("marker", {}),
-        ("note", {"text": "<b>slipped</b>", "trial": 3}),
-        ("end", {}),
+        ("marker", SEEN_SESSION),
+        ("note", {"text": "<b>slipped</b>", "trial": 3, **SEEN_SESSION}),
+        ("end", SEEN_TRIAL),
     ]
     row = session("prepare")["trials"]
     row[2]["notes"] = [{"time": 0, "text": "<b>slipped</b>", "attempt": 0}]
@@ -601,9 +603,8 @@ def test_calibrate_subject_begins_a_calibration_with_what_was_typed(
     page.keyboard.press("Enter")
     page.wait_for_selector("#session-dialog:not([open])", state="attached")
     (first, plan), second, again, last = rig.commands
-    assert (first, second, again[0], last) == (
-        "configure", ("calibrate", {}), "configure", ("calibrate", {}),
-    )  # fmt: skip
+    calibrate = ("calibrate", {"seen_step": "closed"})
+    assert (first, second, again[0], last) == ("configure", calibrate, "configure", calibrate)
     assert (plan["subject"], plan["age"]) == ("S07", 31) and again[1] == plan
     # Its presses have words of their own.
     press = CALIBRATION_PRESSES[0]
@@ -652,7 +653,7 @@ def test_a_double_click_is_one_click(rig: StandIn, page: Any) -> None:
     page.dblclick("#trials tr[data-index='0'] .repeat")
     until(lambda: len(rig.commands) == 5, page)
     page.wait_for_timeout(200)
-    assert list(rig.commands)[4:] == [("repeat", {"index": 0})]
+    assert list(rig.commands)[4:] == [("repeat", {"index": 0, **SEEN})]
 
 
 def test_two_tabs_show_the_same_and_either_commands(rig: StandIn, page: Any, browser: Any) -> None:
@@ -713,7 +714,7 @@ def test_space_on_a_focused_button_is_that_buttons_and_skip_asks(rig: StandIn, p
     # After a click with the pointer, Space is Ready again.
     page.click("#marker")
     page.keyboard.press("Space")
-    until(lambda: list(rig.commands)[1:] == [("marker", {}), ("start", SEEN)], page)
+    until(lambda: list(rig.commands)[1:] == [("marker", SEEN_SESSION), ("start", SEEN)], page)
 
 
 def test_a_question_asked_at_once_after_another_is_answered_for_itself(
@@ -736,7 +737,7 @@ def test_a_question_asked_at_once_after_another_is_answered_for_itself(
     page.keyboard.press("Escape")
     page.wait_for_selector("#ask-dialog:not([open])", state="attached")
     page.click("#marker")
-    until(lambda: list(rig.commands)[1:] == [("marker", {})], page)
+    until(lambda: list(rig.commands)[1:] == [("marker", SEEN_SESSION)], page)
 
 
 def test_the_list_of_devices_keeps_the_focus_and_what_is_open(rig: StandIn, page: Any) -> None:
@@ -816,6 +817,25 @@ def test_curves_are_back_after_a_reload_and_the_last_press_can_be_scrubbed(
     assert page.is_disabled("#scrub")
 
 
+FOLLOWED = """async () => {
+  const { Charts } = await import("/static/charts.js");
+  const charts = Object.create(Charts.prototype);
+  charts.live = { force: [], measured: [], model: [] };
+  charts.setClock(1000);
+  const shown = [];
+  for (const stamp of [999.9, 400, 4600]) {
+    charts.add("force", [[stamp, 1]]);
+    shown.push(Math.round(charts.now()));
+  }
+  return shown;
+}"""
+
+
+def test_curves_follow_stamps_of_another_clock(page: Any) -> None:
+    """The system clock was stepped after the drivers began, or a bag is replayed."""
+    assert page.evaluate(FOLLOWED) == [1000, 400, 4600]
+
+
 def test_the_curves_pause_and_zoom(rig: StandIn, page: Any) -> None:
     until(lambda: page.inner_text("#force-value") not in ("–", ""), page)
     box = page.locator("#force-plot .u-over").bounding_box()
@@ -859,3 +879,25 @@ def test_the_participant_is_told_what_will_come(rig: StandIn, browser: Any) -> N
     rig.cue("press")
     page.wait_for_selector("#cue[data-look=press]")
     assert not page.is_visible("#how")
+
+
+def test_on_a_dead_link_there_is_no_cue_and_its_socket_is_given_up(
+    rig: StandIn, browser: Any
+) -> None:
+    page = browser.new_page()
+    with ForwardedPort(rig.server.port, rate=1e6) as link:
+        page.goto(f"http://localhost:{link.port}/participant")
+        rig.cue("press")
+        page.wait_for_selector("#cue[data-look=press]")
+        link.dead = True
+        page.wait_for_selector("#cue[data-look=idle]", timeout=3000)
+        link.dead = False
+        page.wait_for_selector("#cue[data-look=press]", timeout=3000)
+        link.dead = True
+        page.wait_for_selector("#cue[data-look=idle]", timeout=3000)
+        made = link.connections
+        # As if it had been silent for 6 s.
+        page.evaluate("{ const now = performance.now(); performance.now = () => now + 6000; }")
+        until(lambda: link.connections > made, page)
+        link.dead = False
+        page.wait_for_selector("#cue[data-look=press]", timeout=5000)

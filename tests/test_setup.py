@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -69,3 +70,26 @@ def test_a_failed_step_names_its_log_and_is_tried_again(
     assert len(ran) == 1, "once done, a step is not repeated"
     setup_env.Environment(tmp_path).step("a", "2", "trying", lambda: ran.append(1))
     assert len(ran) == 2, "changed inputs run it again"
+
+
+def test_a_folder_that_is_no_environment_is_left_as_it_is(
+    project_root: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "thesis.tex").write_text("years of work")
+    done = subprocess.run(
+        [sys.executable, str(project_root / "scripts" / "setup_env.py"), "--env", tmp_path],
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 2 and done.stderr.count("\n") == 1
+    assert "is no Python environment" in done.stderr and "--env" in done.stderr
+    assert [file.name for file in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_the_image_has_the_versions_that_apt_s_ros_needs(project_root: Path) -> None:
+    """As the README names them."""
+    pins = re.compile(r'"[a-z-]+<[0-9.]+"')
+    readme = (project_root / "README.md").read_text()
+    (line,) = [line for line in readme.splitlines() if line.startswith("pip install -r")]
+    wanted = pins.findall(line)
+    assert wanted and set(wanted) <= set(pins.findall((project_root / "Dockerfile").read_text()))

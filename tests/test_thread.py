@@ -19,8 +19,10 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from page_looks import violations
 
 from demo.results import true_trials
-from demo.session import SESSION
+from demo.session import LOG, SESSION
+from demo.study import clear_folder
 from finger_bag.reader import open_bag
+from finger_common.errors import InputError
 from finger_common.stamps import header_stamp as stamp_of
 
 pytestmark = [pytest.mark.alone, pytest.mark.timeout(900)]
@@ -241,3 +243,13 @@ def test_replaying_the_images_gives_the_areas_that_were_seen_live(demo: tuple[Pa
     assert largest > 60e-6
     # The live node has known the empty plate for longer than the bag shows it.
     assert np.abs(first - second).max() < 0.02 * largest
+
+
+def test_the_demo_removes_nothing_but_a_demo(tmp_path: Path) -> None:
+    (tmp_path / "sessions" / "S01").mkdir(parents=True)
+    with pytest.raises(InputError, match="was not written by the demo"):
+        clear_folder(tmp_path)
+    assert (tmp_path / "sessions" / "S01").is_dir()
+    (tmp_path / LOG).touch()
+    clear_folder(tmp_path)
+    assert not tmp_path.exists()

@@ -38,6 +38,8 @@ UNATTENDED = nodes.NodeEntry(
 
 SUBJECT = "SIM1"
 SESSION = "session"
+LOG = "suite.log"
+"""File of the output of all nodes, in the folder of a session."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +106,7 @@ def record_session(request: SessionRequest) -> Generator[dict[str, Any], None, N
     """Run the session; yields events until it is finished.
 
     Events are those of the unattended node ("ready", "tared", "step", "trial", "finished"), and
-    "started" with the number of processes. All output goes to `suite.log` in the request's folder.
+    "started" with the number of processes. All output goes to `LOG` in the request's folder.
     Raises FingerError when the session cannot be completed. When the iterator ends, so have all
     processes.
     """
@@ -124,7 +126,7 @@ def record_session(request: SessionRequest) -> Generator[dict[str, Any], None, N
     events: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
     errors: list[str] = []
     deaths: list[str] = []
-    log_file = request.folder / "suite.log"
+    log_file = request.folder / LOG
     with log_file.open("w") as log:
 
         def line(name: str, text: str) -> None:

@@ -22,13 +22,14 @@ from typing import Any
 
 from rich.console import Console
 
+from finger_bringup.nodes import OWN_PARAMETERS
 from finger_common.cli import Parser, run
 from finger_common.errors import FingerError, InputError
 from finger_fit.cli import Screen
 
 from .report import print_summary, write_report
 from .results import DemoResult
-from .session import SessionRequest, record_session
+from .session import LOG, SessionRequest, record_session
 
 STAGES = {
     "prepare": "preparing the finger",
@@ -213,17 +214,20 @@ class Demo:
 
 
 def clear_folder(folder: Path) -> None:
-    """Remove what an earlier demo left; raises InputError for a folder that holds anything else."""
+    """Remove what an earlier demo left; raises InputError for a folder that holds anything else,
+    and for one without the log that every demo begins with."""
     known = {
-        "devices", "sessions", "processed", "fit", "figures", "report.html", "suite.log",
-        "parameters.yaml", "summary.json",
+        "devices", "sessions", "processed", "fit", "figures", "report.html", LOG,
+        str(OWN_PARAMETERS.parent), "parameters.yaml", "summary.json",
     }  # fmt: skip
-    if not folder.exists():
+    found = sorted(p.name for p in folder.iterdir()) if folder.exists() else []
+    if not found:
         return
-    foreign = sorted(p.name for p in folder.iterdir() if p.name not in known)
-    if foreign:
+    foreign = [name for name in found if name not in known]
+    if foreign or LOG not in found:
         raise InputError(
-            f"{folder}: '{foreign[0]}' was not written by the demo; choose another folder with -o"
+            f"{folder}: '{(foreign or found)[0]}' was not written by the demo; choose another "
+            "folder with -o"
         )
     shutil.rmtree(folder)
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -12,9 +13,15 @@ from typing import Any
 from finger_common.errors import InputError
 from finger_common.files import exists
 
+METADATA = "metadata.yaml"
+"""File in the folder of a bag that lists the bag's files."""
+
+_SPLIT = re.compile(r"(.+)_(0|[1-9][0-9]{0,8})")  # as recorders number files, without zeros before
+
 
 def find_bags(paths: Iterable[str | Path]) -> list[Path]:
-    """Bags among files and folders; a folder that is no bag stands for the bags directly in it.
+    """Bags among files and folders; a folder that is no bag stands for the bags in it and in the
+    folders directly in it.
 
     Raises InputError for a path that does not exist or a folder without bags.
     """
@@ -22,22 +29,40 @@ def find_bags(paths: Iterable[str | Path]) -> list[Path]:
     for path in map(Path, paths):
         if not exists(path):
             raise InputError(f"{path}: no such bag; check the path")
-        if path.is_file() or is_bag_folder(path):
+        if path.is_file() or (path / METADATA).is_file():
             found.append(path)
             continue
-        visible = (p for p in sorted(path.iterdir()) if not p.name.startswith("."))
-        inside = [p for p in visible if p.is_dir() and is_bag_folder(p)]
-        if not inside:
+        bags = _bags_of(path)
+        inside = [bag for p in _visible(path) if p.is_dir() for bag in _bags_of(p)]
+        if inside and bags == [path]:  # files beside bags are no bag with them
+            bags = data_files(path)
+        if not bags and not inside:
             raise InputError(f"{path}: no bag in this folder; give a bag or a folder of bags")
-        found += inside
+        found += sorted(bags + inside)
     if not found:
         raise InputError("no bag was given; name bags or a folder of bags")
     return found
 
 
-def is_bag_folder(folder: Path) -> bool:
-    """Whether a folder is a bag: it holds metadata.yaml or a file of a bag."""
-    return (folder / "metadata.yaml").is_file() or any(storage_of(p) for p in folder.iterdir())
+def _visible(folder: Path) -> list[Path]:
+    return [p for p in sorted(folder.iterdir()) if not p.name.startswith(".")]
+
+
+def _bags_of(folder: Path) -> list[Path]:
+    """The folder where it is one bag, else each file of a bag in it."""
+    files = data_files(folder)
+    one = (folder / METADATA).is_file() or (files and are_one_bag(files))
+    return [folder] if one else files
+
+
+def data_files(folder: Path) -> list[Path]:
+    """MCAP and sqlite3 files in a folder, in the order of their names and numbers."""
+    return sorted((p for p in _visible(folder) if storage_of(p) and p.is_file()), key=file_order)
+
+
+def are_one_bag(files: Iterable[Path]) -> bool:
+    """Whether files that no metadata.yaml lists are of one bag: NAME_0.mcap, NAME_1.mcap, …"""
+    return len({file_order(file)[0] for file in files}) == 1
 
 
 def storage_of(path: Path) -> str | None:
@@ -50,6 +75,6 @@ def storage_of(path: Path) -> str | None:
 
 def file_order(path: Path) -> tuple[Any, ...]:
     """Key to sort the files of a bag by: NAME_2.mcap before NAME_10.mcap."""
-    stem = path.name.split(".")[0]
-    head, _, number = stem.rpartition("_")
-    return (head, int(number)) if number.isdigit() else (stem, -1)
+    stem = Path(path.name.removesuffix(".zstd")).stem
+    split = _SPLIT.fullmatch(stem)
+    return (split[1], int(split[2])) if split else (stem, -1)

@@ -39,7 +39,7 @@ class BagCopy:
 
 def announce(writer: BagWriter, topic: TopicInfo) -> None:
     """Add a topic of a bag that was read, with its own definition and quality of service, to one
-    being written.
+    being written; the quality of service is that of the schema where the bag tells none.
 
     Raises InputError for a topic that cannot be written as it is.
     """
@@ -49,7 +49,9 @@ def announce(writer: BagWriter, topic: TopicInfo) -> None:
         form, definition = topic.form, topic.definition
     else:
         form, definition = "ros2msg", None
-    writer.add_topic(topic.name, topic.type, definition=definition, form=form, qos=topic.qos)
+    writer.add_topic(
+        topic.name, topic.type, definition=definition, form=form, qos=topic.qos or None
+    )
 
 
 def copy_attachments(reader: BagReader, writer: BagWriter) -> None:
@@ -63,13 +65,17 @@ def recover(source: str | Path, target: str | Path) -> BagCopy:
 
     Raises InputError when nothing can be read or the target exists.
     """
-    with open_bag(source) as reader, BagWriter(target, reader.info.metadata) as writer:
+    with (
+        open_bag(source) as reader,
+        BagWriter(target, reader.info.metadata, namespace="") as writer,
+    ):
         copy_attachments(reader, writer)
-        refused: dict[tuple[str, str], str] = {}
-        announced: set[tuple[str, str]] = set()
+        refused: dict[int, str] = {}
+        announced: set[int] = set()
         malformed = 0
 
-        def is_announced(key: tuple[str, str], topic: TopicInfo) -> bool:
+        def is_announced(topic: TopicInfo) -> bool:
+            key = id(topic)  # of the reader, which keeps it
             if key not in announced and key not in refused:
                 try:
                     announce(writer, topic)
@@ -79,10 +85,9 @@ def recover(source: str | Path, target: str | Path) -> BagCopy:
             return key in announced
 
         for topic in reader.info.topics.values():
-            is_announced((topic.name, topic.type), topic)
+            is_announced(topic)
         for message in reader.messages():
-            key = (message.topic, message.type)
-            if not is_announced(key, reader.topic_info(*key)):
+            if not is_announced(message.info):
                 continue
             try:
                 writer.copy(message)
@@ -127,6 +132,7 @@ def anonymise(source: str | Path, target: str | Path) -> BagCopy:
                     copy.dropped[message.topic] += 1
                     continue
                 if message.topic not in announced:
+                    # Refuses a topic of several definitions, of which one would be lost.
                     announce(writer, reader.topic_info(message.topic, message.type))
                     announced.add(message.topic)
                 writer.copy(message)

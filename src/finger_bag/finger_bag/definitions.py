@@ -172,6 +172,17 @@ def _parse(message_type: str, definition: str, form: str) -> dict[str, Any]:
         raise InputError(f"definition of '{message_type}' in the bag cannot be parsed") from None
 
 
+def fields_of(message_type: str, definition: str, form: str) -> str:
+    """Names and types of all fields of a type at any depth: equal where only comments, constants
+    or spaces of two definitions differ; the definition itself where it cannot be parsed."""
+    known = typestore().fielddefs
+    try:
+        types = {**known, **(_parse(message_type, definition, form) if form else {})}
+        return repr([(name, types[name][1]) for name in sorted(_referred(message_type, types))])
+    except (InputError, KeyError):
+        return definition
+
+
 def _names(description: Any) -> list[str]:
     kind, value = description
     if kind == Nodetype.NAME:

@@ -13,6 +13,7 @@ process` repeats the recorded states, bit for bit.
 from __future__ import annotations
 
 import contextlib
+import signal
 import sys
 import textwrap
 import time
@@ -23,6 +24,7 @@ from typing import Any
 import rclpy
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
 
 from finger_common.cli import one_line, plain
@@ -70,14 +72,16 @@ def play(
     wait: float = 1.0,
     reliability: str = "",
 ) -> Collection[float]:
-    """Publish a bag until its end or Ctrl-C; gives how late (s) each message was.
+    """Publish a bag until its end, Ctrl-C or SIGTERM; gives how late (s) each message was.
 
     wait: s to let subscribers find the publishers before the first message. Topics whose type is
     not installed are left out with a line on standard error. Raises InputError when nothing can be
     played.
     """
     use_large_shared_memory()
-    rclpy.init(args=[])
+    # rclpy's own handlers end the context at once, under the message being published.
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    on_sigterm = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         node = rclpy.create_node("bag_player")
         publishers = _publishers(node, reader, topics, reliability)
@@ -106,6 +110,7 @@ def play(
                 publisher.wait_for_all_acked(Duration(seconds=2))
         return lateness
     finally:
+        signal.signal(signal.SIGTERM, on_sigterm)
         rclpy.try_shutdown()
 
 

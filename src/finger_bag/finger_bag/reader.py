@@ -14,6 +14,7 @@ import contextlib
 import heapq
 import shutil
 import tempfile
+from collections import Counter
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath, PureWindowsPath
@@ -27,8 +28,8 @@ from finger_common.errors import InputError
 from finger_common.files import exists, load_yaml
 from finger_common.stamps import seconds
 
-from .bag_files import file_order, storage_of
-from .definitions import FORMS, Decoder, decoder
+from .bag_files import METADATA, are_one_bag, data_files, storage_of
+from .definitions import FORMS, Decoder, decoder, fields_of
 from .mcap_file import MAXIMUM_CHUNK, RECORD_HEAD, WHOLE_MESSAGE, AttachmentEntry, McapFile
 from .schema import SESSION_RECORD, SessionMetadata
 
@@ -96,6 +97,8 @@ class BagMessage:
     publish_time_ns: int
     sequence: int
     raw: bytes = field(repr=False)
+    info: TopicInfo = field(repr=False)
+    """The topic as it was described where this message was recorded."""
     _reader: BagReader = field(repr=False)
     _message: Any = field(default=None, repr=False)
 
@@ -104,7 +107,7 @@ class BagMessage:
         """Object with the type's fields; raises InputError for malformed bytes."""
         if self._message is None:
             try:
-                self._message = self._reader.decoder(self.topic, self.type)(self.raw)
+                self._message = self._reader.decoder_of(self.info)(self.raw)
             except InputError as error:
                 raise InputError(f"{self._reader.path}, topic '{self.topic}': {error}") from None
         return self._message
@@ -120,8 +123,10 @@ class BagReader:
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
         self._mcaps: list[McapFile] = []
         self._sqlites: list[Any] = []
-        self._types: dict[tuple[str, str], TopicInfo] = {}
-        self._decoders: dict[tuple[str, str], Decoder | InputError] = {}
+        # Of each topic and type, a description for each definition with fields of its own.
+        self._types: dict[tuple[str, str], dict[Any, TopicInfo]] = {}
+        self._known: dict[tuple[str, ...], TopicInfo] = {}
+        self._decoders: dict[tuple[str, ...], Decoder | InputError] = {}
         self._message_compression = False
         files, storage, custom = self._find_files()
         try:
@@ -159,7 +164,7 @@ class BagReader:
         if self.path.is_file():
             return [self.path], storage_of(self.path) or "mcap", {}
         custom: dict[str, str] = {}
-        description = self.path / "metadata.yaml"
+        description = self.path / METADATA
         files: list[Path] = []
         if description.is_file():
             try:
@@ -169,11 +174,12 @@ class BagReader:
         else:
             self._problem("metadata.yaml is missing; 'finger-bag recover' writes it", lost=False)
         if not files:
-            files = sorted(
-                (p for p in self.path.iterdir() if storage_of(p) and p.is_file()), key=file_order
-            )
-        if not files:
-            raise InputError(f"{self.path}: no .mcap or .db3 file in this folder; give a bag")
+            files = data_files(self.path)
+            if not files:
+                raise InputError(f"{self.path}: no .mcap or .db3 file in this folder; give a bag")
+            if not are_one_bag(files):
+                names = ", ".join(file.name for file in files[:3])
+                raise InputError(f"{self.path}: holds several bags ({names}); give one of them")
         kinds = {storage_of(file) or "mcap" for file in files}
         if len(kinds) > 1:
             raise InputError(f"{self.path}: MCAP and sqlite3 files mixed; keep one kind")
@@ -275,24 +281,21 @@ class BagReader:
             raise InputError(f"{file}: computes its column '{computed[0][0]}'; no recorder does")
         self._sqlites.append(reader)
         for connection in reader.connections:
-            ext = connection.ext
-            self._know(
-                TopicInfo(
-                    connection.topic,
-                    connection.msgtype,
-                    getattr(ext, "serialization_format", "cdr"),
-                    connection.msgdef.data,
-                    FORMS[connection.msgdef.format],
-                    "",
-                    connection.msgcount,
-                )
-            )
+            self._know(_connection_info(connection))
 
-    def _know(self, topic: TopicInfo) -> None:
-        key = (topic.name, topic.type)
-        known = self._types.setdefault(key, topic)
-        if known is not topic and topic.count is not None:
-            known.count = (known.count or 0) + topic.count
+    def _know(self, topic: TopicInfo) -> TopicInfo:
+        """The description of a topic that holds for messages described so."""
+        text = (topic.name, topic.type, topic.encoding, topic.form, topic.definition)
+        if text not in self._known:
+            described = self._types.setdefault((topic.name, topic.type), {})
+            if described:  # parsed only where texts differ
+                first = described.pop(None, None)
+                if first is not None:
+                    described[_fields(first)] = first
+                self._known[text] = described.setdefault(_fields(topic), topic)
+            else:
+                self._known[text] = described[None] = topic
+        return self._known[text]
 
     def _describe(self, files: list[Path], storage: str, custom: dict[str, str]) -> BagInfo:
         session = {
@@ -302,7 +305,6 @@ class BagReader:
         }
         starts: list[int] = []
         ends: list[int] = []
-        counts: list[int | None] = []
         attachments: list[str] = []
         for mcap in self._mcaps:
             for name, values in mcap.metadata:
@@ -310,18 +312,17 @@ class BagReader:
                     session.update(values)
             starts += [t for t in (mcap.start_ns,) if t is not None and t < LAST_TIME]
             ends += [t for t in (mcap.end_ns,) if t is not None and t < LAST_TIME]
-            counts.append(self._count(mcap))
             attachments += [a.name for a in mcap.attachments if a.name not in attachments]
         for reader in self._sqlites:
             if reader.message_count:
                 starts.append(reader.start_time)
                 ends.append(reader.end_time - 1)
-            counts.append(reader.message_count)
+        message_count = self._count()
         topics: dict[str, TopicInfo] = {}
-        for (name, _), topic in self._types.items():
+        for (name, _), described in self._types.items():
+            topic = next(iter(described.values()))
             if name not in topics or (topic.count or 0) > (topics[name].count or 0):
                 topics[name] = topic
-        known = [c for c in counts if c is not None]
         return BagInfo(
             path=self.path,
             files=files,
@@ -330,25 +331,34 @@ class BagReader:
             metadata=SessionMetadata.from_mapping(session),
             start_ns=min(starts, default=None),
             end_ns=max(ends, default=None),
-            message_count=sum(known) if len(known) == len(counts) else None,
+            message_count=message_count,
             attachments=attachments,
             complete=all(m.complete for m in self._mcaps),
             size=sum(f.stat().st_size for f in files),
             problems=self.all_problems(),
         )
 
-    def _count(self, mcap: McapFile) -> int | None:
-        statistics = mcap.statistics
-        if statistics is None or not mcap.complete:
-            for topic in self._types.values():
-                topic.count = None
-            return None
-        for channel_id in mcap.channels:
-            info = channel_info(mcap, channel_id)
-            topic = self._types[(info.name, info.type)]
-            # A channel without messages need not be among the statistics.
-            topic.count = (topic.count or 0) + statistics.channel_message_counts.get(channel_id, 0)
-        return statistics.message_count
+    def _count(self) -> int | None:
+        """Count the messages of each topic and of all; None where a file does not tell its own."""
+        counts: Counter[tuple[str, str]] = Counter()
+        total = 0
+        for mcap in self._mcaps:
+            statistics = mcap.statistics
+            if statistics is None or not mcap.complete:
+                return None
+            total += statistics.message_count
+            for channel_id in mcap.channels:
+                info = channel_info(mcap, channel_id)
+                # A channel without messages need not be among the statistics.
+                number = statistics.channel_message_counts.get(channel_id, 0)
+                counts[(info.name, info.type)] += number
+        for reader in self._sqlites:
+            total += reader.message_count
+            for connection in reader.connections:
+                counts[(connection.topic, connection.msgtype)] += connection.msgcount
+        for key, described in self._types.items():
+            next(iter(described.values())).count = counts[key]
+        return total
 
     # Reading ---------------------------------------------------------------------------------
 
@@ -375,15 +385,30 @@ class BagReader:
         return found[0] if found else None
 
     def topic_info(self, topic: str, message_type: str) -> TopicInfo:
-        """What is known of a topic holding messages of a type."""
-        return self._types.get((topic, message_type)) or TopicInfo(topic, message_type)
+        """What is known of a topic holding messages of a type.
+
+        Raises InputError where its messages follow different definitions of the type; each message
+        knows its own (`BagMessage.info`).
+        """
+        described = self._types.get((topic, message_type), {})
+        if len(described) > 1:
+            raise InputError(
+                f"{self.path}, topic '{topic}': {len(described)} definitions of '{message_type}' "
+                "with different fields; 'finger-bag recover' keeps the messages of the first"
+            )
+        return next(iter(described.values()), TopicInfo(topic, message_type))
 
     def decoder(self, topic: str, message_type: str) -> Decoder:
-        """Decoder of a topic's messages; raises InputError when the type cannot be understood."""
-        key = (topic, message_type)
+        """Decoder of all messages of a topic; raises InputError as `topic_info`, and when the type
+        cannot be understood."""
+        return self.decoder_of(self.topic_info(topic, message_type))
+
+    def decoder_of(self, topic: TopicInfo) -> Decoder:
+        """Decoder of messages described so; raises InputError when that cannot be understood."""
+        key = (topic.type, topic.encoding, topic.form, topic.definition)
         if key not in self._decoders:
             try:
-                self._decoders[key] = self._new_decoder(topic, message_type)
+                self._decoders[key] = _new_decoder(topic)
             except InputError as error:
                 # A broken definition is parsed once, not once a message.
                 self._decoders[key] = error
@@ -391,16 +416,6 @@ class BagReader:
         if isinstance(found, InputError):
             raise InputError(str(found))
         return found
-
-    def _new_decoder(self, topic: str, message_type: str) -> Decoder:
-        info = self._types.get((topic, message_type))
-        if info is None:
-            return decoder(message_type)
-        if info.encoding != "cdr":
-            raise InputError(f"messages are encoded as '{info.encoding}', only 'cdr' is read")
-        if info.form not in ("", "ros2msg", "ros2idl"):
-            raise InputError(f"definition of '{message_type}' is written in '{info.form}'")
-        return decoder(message_type, info.definition if info.form else "", info.form or "ros2msg")
 
     def messages(
         self,
@@ -433,7 +448,7 @@ class BagReader:
             if region.end_ns >= low and (stop is None or region.start_ns < high)
         ]
         regions.sort()
-        known: dict[tuple[int, int], tuple[str, str] | None] = {}
+        known: dict[tuple[int, int], TopicInfo | None] = {}
         # What was uncompressed and may still be overtaken by the next region.
         pending = _Pending()
         for place, (_, number, index) in enumerate(regions):
@@ -464,22 +479,22 @@ class BagReader:
                     if unpacked is None:
                         continue
                     data = unpacked
-                name, kind = known[(part.number, channel_id)]  # type: ignore[misc]
-                yield BagMessage(name, kind, time_ns, publish_time_ns, sequence, data, self)
+                info = known[(part.number, channel_id)]
+                assert info is not None
+                yield BagMessage(
+                    info.name, info.type, time_ns, publish_time_ns, sequence, data, info, self
+                )
 
     def _channel(
         self, mcap: McapFile, channel_id: int, wanted: set[str] | None
-    ) -> tuple[str, str] | None:
+    ) -> TopicInfo | None:
         if channel_id not in mcap.channels:
             mcap._problem(
                 f"messages of channel {channel_id}, which nothing describes, are left out"
             )
             return None
-        info = channel_info(mcap, channel_id)
-        self._know(info)
-        if wanted is not None and info.name not in wanted:
-            return None
-        return info.name, info.type
+        info = self._know(channel_info(mcap, channel_id))
+        return None if wanted is not None and info.name not in wanted else info
 
     def _unpack_message(self, data: bytes) -> bytes | None:
         try:
@@ -497,26 +512,25 @@ class BagReader:
         import apsw
         from rosbags.rosbag2.errors import ReaderError
 
-        def of(reader: Any) -> Iterator[tuple[int, Any, bytes]]:
+        def of(reader: Any) -> Iterator[tuple[int, TopicInfo, bytes]]:
             connections = [c for c in reader.connections if wanted is None or c.topic in wanted]
             if not connections:
                 return
+            known = {c.id: self._know(_connection_info(c)) for c in connections}
             try:
                 for connection, time_ns, raw in reader.messages(connections, start, stop):
-                    yield time_ns, connection, bytes(raw)
+                    yield time_ns, known[connection.id], bytes(raw)
             except (ReaderError, apsw.Error, *_SQLITE_BROKEN) as error:
                 text = str(error).splitlines()[0] if str(error) else type(error).__name__
                 self._problem(f"database cannot be read to its end ({text})")
 
         merged = heapq.merge(*(of(reader) for reader in self._sqlites), key=lambda item: item[0])
-        for time_ns, connection, raw in merged:
+        for time_ns, info, raw in merged:
             data: bytes | None = raw
             if self._message_compression:
                 data = self._unpack_message(raw)
             if data is not None:
-                yield BagMessage(
-                    connection.topic, connection.msgtype, time_ns, time_ns, 0, data, self
-                )
+                yield BagMessage(info.name, info.type, time_ns, time_ns, 0, data, info, self)
 
     # Attachments -----------------------------------------------------------------------------
 
@@ -593,6 +607,34 @@ def channel_info(mcap: McapFile, channel_id: int) -> TopicInfo:
         form,
         channel.metadata.get("offered_qos_profiles", ""),
     )
+
+
+def _connection_info(connection: Any) -> TopicInfo:
+    """Topic, type and definition of a connection of a sqlite3 file, as rosbags gives it."""
+    # Imported with rosbags' reader of sqlite3 bags only.
+    from rosbags.rosbag2.metadata import dump_qos_v8
+
+    return TopicInfo(
+        connection.topic,
+        connection.msgtype,
+        connection.ext.serialization_format,
+        connection.msgdef.data,
+        FORMS[connection.msgdef.format],
+        dump_qos_v8(connection.ext.offered_qos_profiles),
+    )
+
+
+def _fields(topic: TopicInfo) -> tuple[Any, ...]:
+    """Equal for descriptions of a topic whose messages are decoded alike."""
+    return topic.encoding, fields_of(topic.type, topic.definition, topic.form)
+
+
+def _new_decoder(topic: TopicInfo) -> Decoder:
+    if topic.encoding != "cdr":
+        raise InputError(f"messages are encoded as '{topic.encoding}', only 'cdr' is read")
+    if topic.form not in ("", "ros2msg", "ros2idl"):
+        raise InputError(f"definition of '{topic.type}' is written in '{topic.form}'")
+    return decoder(topic.type, topic.definition if topic.form else "", topic.form or "ros2msg")
 
 
 def _normal_type(name: str) -> str:

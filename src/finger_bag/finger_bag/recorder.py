@@ -34,6 +34,8 @@ from .writer import BagWriter
 
 IMAGE_TYPE = TOPICS["image_raw"].type
 COMPRESSED_TYPE = TOPICS["image_raw/compressed"].type
+SMALLEST_FILE = 1_000_000
+"""Bytes; smaller files hold little beside the definitions of their messages."""
 PNG_FORMAT = "mono8; png compressed "  # as image_transport writes it
 
 
@@ -64,7 +66,11 @@ class RecorderSettings(Settings):
         maximum=1.0,
     )
     maximum_size: int = setting(
-        0, "Size at which the next file of the bag is begun; 0 for never.", unit="B", minimum=0
+        0,
+        "Size of messages after which the next file of the bag is begun, 1 MB at least; 0 for "
+        "never.",
+        unit="B",
+        minimum=0,
     )
     maximum_duration: float = setting(
         0.0, "Time after which the next file of the bag is begun; 0 for never.", "s", minimum=0.0
@@ -78,6 +84,13 @@ class RecorderSettings(Settings):
         unit="B",
         minimum=1 << 20,
     )
+
+    def validate(self) -> None:
+        if 0 < self.maximum_size < SMALLEST_FILE:
+            raise InputError(
+                f"parameter 'maximum_size' is {self.maximum_size} B; give {SMALLEST_FILE} B (1 MB) "
+                "or more, or 0 for one file"
+            )
 
 
 @dataclass
@@ -136,7 +149,7 @@ class Recorder:
         self._lost: Counter[str] = Counter()
         self._before: Counter[str] = Counter()
         self._safe_counts: dict[str, int] | None = None
-        self._content: tuple[Any, Any, Any] = (None, None, None)
+        self._content: tuple[Any, ...] = (None, None, None, None)
         self._errors: list[str] = []
         self._interrupted = ""
         self.parts: list[Path] = []
@@ -174,14 +187,16 @@ class Recorder:
         metadata: SessionMetadata | Mapping[str, Any] | None = None,
         topics: Mapping[str, str] | None = None,
         attachments: Mapping[str, bytes] | None = None,
+        definitions: Mapping[str, str] | None = None,
     ) -> Path:
-        """Begin a bag. topics: absolute name → type.
+        """Begin a bag. topics: absolute name → type. definitions: type → text, of types that this
+        package does not know.
 
         Raises InputError when a recording runs already or `path` cannot be used.
         """
         if self._thread is not None:
             raise InputError(f"recording into {self.path} runs already; stop it first")
-        self._content = (metadata, topics, attachments)
+        self._content = (metadata, topics, attachments, definitions or {})
         writer = self._open(Path(path), self.settings.minimum_free)
         self._lost, self._before, self._errors, self.parts = Counter(), Counter(), [], []
         self._begin(writer)
@@ -211,7 +226,7 @@ class Recorder:
 
     def _open(self, path: Path, needed: int) -> BagWriter:
         settings = self.settings
-        metadata, topics, attachments = self._content
+        metadata, topics, attachments, definitions = self._content
         try:
             parent = next(p for p in (path.absolute(), *path.absolute().parents) if p.exists())
             free = shutil.disk_usage(parent).free
@@ -237,7 +252,7 @@ class Recorder:
                 writer.attach(name, data)
             for topic, message_type in (topics or {}).items():
                 name, stored = self._stored(topic, message_type)
-                writer.add_topic(name, stored)
+                writer.add_topic(name, stored, definition=definitions.get(stored))
             writer.flush()
         except (FingerError, OSError) as error:
             with suppress(OSError):

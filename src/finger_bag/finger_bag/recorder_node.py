@@ -26,7 +26,7 @@ from rclpy.qos import ReliabilityPolicy
 from finger_common.diagnostics import ERROR, WARN, Health
 from finger_common.errors import FingerError, InputError
 from finger_common.files import read_bytes
-from finger_common.host_clock import HostClock
+from finger_common.interface_text import message_text
 from finger_common.node import LATCHED_QOS, ManagedNode, PolledSubscription, main_of
 from finger_common.retry import Pauses
 from finger_common.settings import Settings, setting
@@ -34,6 +34,7 @@ from finger_common.stamps import NANOSECONDS, seconds
 from finger_msgs.srv import Record
 
 from .cdr_layout import stamp_of_cdr
+from .definitions import type_hash
 from .recorder import Recorder, RecorderSettings, Serialized
 from .schema import CALIBRATION_ATTACHMENT, TOPICS, SessionMetadata
 from .stamp_gaps import StampGaps
@@ -104,6 +105,22 @@ def message_class(message_type: str) -> Any:
         ) from None
 
 
+def _attached(settings: RecordingSettings) -> dict[str, Path]:
+    """Files to attach by the name they get in a bag; raises InputError where two get one name."""
+    files: dict[str, Path] = {}
+    named = [(Path(file).name, file) for file in settings.attachments if file]
+    if settings.calibration_file:
+        named.append((CALIBRATION_ATTACHMENT, settings.calibration_file))
+    for name, file in named:
+        path = Path(file).expanduser()
+        if files.setdefault(name, path) != path:
+            raise InputError(
+                f"parameters 'attachments' and 'calibration_file': {files[name]} and {path} would "
+                f"both be attached as '{name}'; leave one out or rename it"
+            )
+    return files
+
+
 class RecorderNode(ManagedNode):
     """Records topics into bags."""
 
@@ -114,6 +131,8 @@ class RecorderNode(ManagedNode):
         self._recorder = Recorder(self.settings(RecorderSettings), on_error=self._on_error)
         self._topics: dict[str, tuple[str, int, str]] = {}
         self._names: dict[str, str] = {}
+        self._definitions: dict[str, str] = {}
+        """Definitions of types that `definitions` does not know, as installed."""
         for entry in self.settings(RecordingSettings).topics:
             name, _, kind = entry.partition("=")
             spec = TOPICS.get(name)
@@ -124,6 +143,8 @@ class RecorderNode(ManagedNode):
                 )
             kind = kind or (spec.type if spec else "")
             message_class(kind)
+            if not type_hash(kind):
+                self._definitions[kind] = message_text(kind)
             absolute = self.resolve_topic_name(name)
             # The schema fixes the period of streams; others are not checked for gaps.
             stream = "stamped" if spec is not None and (spec.rate or 0) >= 5 else ""
@@ -137,7 +158,6 @@ class RecorderNode(ManagedNode):
         self._announced: dict[str, int] = {}
         self._newest: dict[str, int] = {}
         """Log time of the last message of each topic."""
-        self._host_clock = HostClock()
         self._pauses = Pauses(1.0, 3.0)
         self._next_attempt = self._last_attempt = self._next_reminder = 0.0
         self._service = self.create_service(Record, "~/record", self._on_record)
@@ -187,7 +207,7 @@ class RecorderNode(ManagedNode):
         old = self._subs.pop(topic, None)
         if old is not None:
             old[0].destroy()
-        subscription = PolledSubscription(self, message_class(kind), topic, qos)
+        subscription = self.create_polled_subscription(message_class(kind), topic, qos)
         self._subs[topic] = (subscription, reliable or bool(latched))
 
     def _unsubscribe(self) -> None:
@@ -342,22 +362,19 @@ class RecorderNode(ManagedNode):
         folder = Path(settings.folder).expanduser()
         given = path or settings.bag_name
         target = folder / Path(given).expanduser() if given else self._free_name(folder, session)
-        files = {Path(file).name: file for file in settings.attachments}
-        files[CALIBRATION_ATTACHMENT] = settings.calibration_file
         attachments = {
-            name: read_bytes(Path(file).expanduser(), "file to attach")
-            for name, file in files.items()
-            if file
+            name: read_bytes(file, "file to attach") for name, file in _attached(settings).items()
         }
         topics = {t: kind for t, (kind, _, _) in self._topics.items()}
         # What came before the start does not belong to the bag.
         self._poll()
         self._check_middleware()
-        self._gaps = {t: StampGaps() for t, (_, _, stream) in self._topics.items() if stream}
-        self._announced.clear()
-        self._health.recovered()
+        if not self._recorder.started:  # else the start is refused, and these are of what runs
+            self._gaps = {t: StampGaps() for t, (_, _, stream) in self._topics.items() if stream}
+            self._announced.clear()
+            self._health.recovered()
         started = self._recorder.start(
-            target, SessionMetadata.from_mapping(session), topics, attachments
+            target, SessionMetadata.from_mapping(session), topics, attachments, self._definitions
         )
         self._put_latched()
         self.get_logger().info(f"recording into {started}")

@@ -9,6 +9,7 @@ import contextlib
 import os
 import shutil
 import struct
+import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -19,11 +20,12 @@ from typing import IO, Any
 import yaml
 
 from finger_common.errors import InputError
-from finger_common.files import atomic_write, check_text
+from finger_common.files import atomic_write, check_text, load_yaml
 from finger_common.folder_lock import take_lock
 from finger_common.stamps import NANOSECONDS, seconds
 
-from .definitions import decoder, definition_text, encode, type_hash
+from .bag_files import METADATA
+from .definitions import decoder, definition_text, encode, fields_of, type_hash
 from .mcap_writer import McapWriter
 from .reader import BagMessage
 from .schema import NAMESPACE, SESSION_RECORD, SessionMetadata, full_name, offered_qos, spec_of
@@ -45,6 +47,13 @@ class _Channel:
     hash: str
     qos: str
     count: int = 0
+
+    def is_defined_by(self, definition: str, form: str) -> bool:
+        """Whether a definition has the fields of the topic's."""
+        if definition == self.definition:
+            return True
+        own = fields_of(self.type, self.definition, self.form)
+        return fields_of(self.type, definition, form) == own
 
 
 @dataclass
@@ -78,6 +87,43 @@ def _known(message_type: str) -> bool:
     return bool(type_hash(message_type))
 
 
+def add_message(
+    bag: Path, topic: str, message_type: str, fields: Mapping[str, Any], log_time_ns: int
+) -> None:
+    """Add a message to a closed bag, in a further file of it. topic: absolute.
+
+    Raises InputError for a bag that has not been closed.
+    """
+    description = bag / METADATA
+    whole = load_yaml(description, "bag metadata")["rosbag2_bagfile_information"]
+    with tempfile.TemporaryDirectory(prefix=f".{bag.name}.", dir=bag.parent) as folder:
+        with BagWriter(Path(folder) / "part") as writer:
+            writer.write(topic, fields, log_time_ns, message_type)
+        written = load_yaml(writer.path / METADATA, "bag metadata")
+        part = written["rosbag2_bagfile_information"]
+        name = f"{bag.name}_{len(whole['relative_file_paths'])}.mcap"
+        os.replace(writer.path / part["relative_file_paths"][0], bag / name)
+    end = max(_end(whole), _end(part))
+    whole["duration"]["nanoseconds"] = end - whole["starting_time"]["nanoseconds_since_epoch"]
+    whole["message_count"] += 1
+    known = {t["topic_metadata"]["name"]: t for t in whole["topics_with_message_count"]}
+    for added in part["topics_with_message_count"]:
+        if added["topic_metadata"]["name"] in known:
+            known[added["topic_metadata"]["name"]]["message_count"] += 1
+        else:
+            whole["topics_with_message_count"].append(added)
+    whole["relative_file_paths"].append(name)
+    whole["files"].append({**part["files"][0], "path": name})
+    with atomic_write(description) as file:
+        yaml.safe_dump({"rosbag2_bagfile_information": whole}, file, sort_keys=False)
+
+
+def _end(metadata: Mapping[str, Any]) -> int:
+    """Last log time (ns) by a bag's metadata."""
+    start = metadata["starting_time"]["nanoseconds_since_epoch"]
+    return int(start + metadata["duration"]["nanoseconds"])
+
+
 class BagWriter:
     """Writes one bag; a context manager.
 
@@ -85,7 +131,8 @@ class BagWriter:
     writer closes without an error; with `in_place` it is written where it will stay from the
     beginning, as a recording must be (what was flushed survives a kill). metadata: SessionMetadata
     or a mapping with its keys. namespace: put before relative topic names. maximum_size,
-    maximum_duration: bytes and seconds after which the next file of the bag is begun; 0 for never.
+    maximum_duration: bytes of messages and seconds after which the next file of the bag is begun; 0
+    for never.
 
     Raises InputError when the folder exists or cannot be written.
     """
@@ -112,6 +159,7 @@ class BagWriter:
         self._chunk_size = chunk_size
         self._compression = compression
         self._splits = bool(maximum_size or maximum_duration)
+        self._head_size = 0
         self._channels: dict[str, _Channel] = {}
         self._ids: dict[str, int] = {}
         self._schemas: dict[tuple[str, str], int] = {}
@@ -193,6 +241,7 @@ class BagWriter:
         self._mcap.add_metadata(SESSION_RECORD, self.metadata)
         self._ids.clear()
         self._schemas.clear()
+        self._head_size = self._mcap.size
         for attachment in self._attachments:
             self._add_attachment(*attachment)
 
@@ -221,7 +270,7 @@ class BagWriter:
             file.start_ns = log_time_ns
         if self._stream is None or self._mcap is None or not self._mcap.total:
             return
-        full = self._maximum_size and self._mcap.size >= self._maximum_size
+        full = self._maximum_size and self._mcap.size - self._head_size >= self._maximum_size
         long = (
             self._maximum_duration
             and seconds(log_time_ns - file.start_ns) >= self._maximum_duration
@@ -245,7 +294,7 @@ class BagWriter:
 
         message_type: None for a topic of the schema. definition: text of the type where it is not a
         known one. qos: YAML as rosbag2 stores it; None for the schema's. Raises InputError for an
-        unknown type, or when the topic was announced with another type.
+        unknown type, or when the topic was announced with another type or other fields of it.
         """
         name = full_name(topic, self.namespace)
         spec = spec_of(topic)
@@ -259,6 +308,11 @@ class BagWriter:
                 raise InputError(
                     f"topic '{name}' holds '{channel.type}' already, "
                     f"'{message_type}' cannot be added"
+                )
+            if definition is not None and not channel.is_defined_by(definition, form):
+                raise InputError(
+                    f"topic '{name}' holds '{message_type}' with other fields already; its "
+                    "messages of another definition cannot be added"
                 )
             return name
         if qos is None:
@@ -325,7 +379,9 @@ class BagWriter:
 
     def _prepare(self, topic: str, log_time_ns: int) -> int:
         """Id of a topic's channel in the file that a message of this time goes to."""
-        name = topic if topic in self._channels else self.add_topic(topic)
+        name = topic if topic in self._channels else full_name(topic, self.namespace)
+        if name not in self._channels:
+            self.add_topic(topic)
         if self._mcap is None:
             raise InputError(f"{self.path}: bag is closed already")
         if self._splits:
@@ -377,7 +433,9 @@ class BagWriter:
 
     def _add_attachment(self, name: str, data: bytes, media_type: str) -> None:
         assert self._mcap is not None
+        before = self._mcap.size
         self._mcap.add_attachment(time.time_ns(), name, media_type, data)
+        self._head_size += self._mcap.size - before
 
     def flush(self) -> None:
         """End the chunk in progress and hand everything to the operating system: it survives a
@@ -453,7 +511,7 @@ class BagWriter:
         self._unlock_folder()
 
     def _write_metadata(self) -> None:
-        with atomic_write(self._folder / "metadata.yaml") as file:
+        with atomic_write(self._folder / METADATA) as file:
             yaml.safe_dump(self._metadata(), file, sort_keys=False)
 
     def _metadata(self) -> dict[str, Any]:

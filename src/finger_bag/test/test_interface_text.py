@@ -1,7 +1,7 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Definitions given to Foxglove describe the types completely."""
+"""Installed definitions describe the types completely."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from finger_bag.definitions import definition_text
-from finger_bridge.interface_text import message_text, service_texts
 from finger_common.errors import InputError
+from finger_common.interface_text import message_text, service_texts
 
 TYPES = (
     "finger_msgs/msg/ContactState",

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ import pytest
 from recorded_messages import serialized
 
 from finger_bag.copying import recover
+from finger_bag.definitions import encode
 from finger_bag.reader import open_bag
 from finger_bag.recorder import Recorder, RecorderSettings
 from finger_common.errors import InputError
@@ -238,6 +240,14 @@ def test_a_folder_that_holds_something_is_refused_and_left_as_it_was(tmp_path: P
 
 @pytest.fixture
 def node(ros_domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    with running_node(ros_domain, tmp_path, monkeypatch) as node:
+        yield node
+
+
+@contextmanager
+def running_node(
+    ros_domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, **parameters: Any
+) -> Iterator[Any]:
     rclpy = pytest.importorskip("rclpy")
     from rclpy.parameter import Parameter
 
@@ -248,15 +258,18 @@ def node(ros_domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> It
     rclpy.init(context=context, domain_id=ros_domain)
     values = {
         "folder": str(tmp_path), "record_at_start": True, "minimum_free": 1, "flush_interval": 0.05,
+        **parameters,
     }  # fmt: skip
     node = RecorderNode(
         context=context, parameter_overrides=[Parameter(k, value=v) for k, v in values.items()]
     )
     assert node.bring_up()
-    yield node
-    node.release()
-    node.destroy_node()
-    rclpy.shutdown(context=context)
+    try:
+        yield node
+    finally:
+        node.release()
+        node.destroy_node()
+        rclpy.shutdown(context=context)
 
 
 def test_the_node_says_so_until_it_records_again(
@@ -348,3 +361,42 @@ def test_log_times_do_not_follow_a_step_of_the_system_clock(node: Any) -> None:
     times = [m.log_time_ns - 10**18 for m in taken]
     assert times == [2_000_000 * n - 1000 for n in range(1, 11)]
     node._recorder = Recorder()
+
+
+def test_a_refused_start_leaves_the_accounts_of_the_recording_that_runs(node: Any) -> None:
+    gaps = node._gaps
+    node._health.fault("lost", "messages lost: wrench 3", 1)
+    with pytest.raises(InputError, match="stop it first"):
+        node._start("second", None)
+    assert node._gaps is gaps and "wrench 3" in node._health.report().message
+
+
+def test_attachments_keep_their_names_and_two_of_one_name_are_refused(tmp_path: Path) -> None:
+    pytest.importorskip("rclpy")
+    from finger_bag.recorder_node import RecordingSettings, _attached
+
+    plate, other = (tmp_path / name / "plate_calibration.yaml" for name in ("one", "two"))
+    alone = _attached(RecordingSettings(attachments=[str(plate)]))
+    assert alone == {"plate_calibration.yaml": plate}
+    twice = RecordingSettings(attachments=[str(plate)], calibration_file=str(other))
+    with pytest.raises(InputError, match=r"would both be attached as 'plate_calibration\.yaml'"):
+        _attached(twice)
+
+
+def test_messages_of_any_installed_type_are_recorded(
+    ros_domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("rclpy")
+    (tmp_path / "lab_msgs").mkdir()
+    (tmp_path / "lab_msgs/__init__.py").touch()
+    (tmp_path / "lab_msgs/msg.py").write_text("from std_msgs.msg import String as Skin\n")
+    (tmp_path / "share/lab_msgs/msg").mkdir(parents=True)
+    (tmp_path / "share/lab_msgs/msg/Skin.msg").write_text("string data\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    topics = ["wrench", "skin=lab_msgs/msg/Skin"]
+    with running_node(ros_domain, tmp_path, monkeypatch, topics=topics) as node:
+        raw = encode("std_msgs/msg/String", {"data": "soft"})
+        node._take("/skin", "lab_msgs/msg/Skin", 0, raw, {})
+        path = node._finish().path
+    with open_bag(path) as reader:
+        assert [(m.type, m.message.data) for m in reader] == [("lab_msgs/msg/Skin", "soft")]

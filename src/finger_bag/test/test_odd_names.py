@@ -8,6 +8,7 @@ from __future__ import annotations
 import errno
 import io
 import os
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -17,7 +18,9 @@ import yaml
 from mcap.writer import Writer
 from session_bags import START, write_session
 
+from finger_bag.bag_files import find_bags
 from finger_bag.cli import command
+from finger_bag.copying import recover
 from finger_bag.definitions import definition_text, encode
 from finger_bag.read_settings import ReadSettings
 from finger_bag.reader import open_bag
@@ -196,3 +199,71 @@ def test_a_disk_that_is_full_leaves_nothing_half_written(
             else:
                 full()
     assert not list(tmp_path.iterdir())
+
+
+def test_a_topic_without_a_leading_slash_is_recovered(tmp_path: Path) -> None:
+    foreign_bag(tmp_path / "bag.mcap", "chatter")
+    made = recover(tmp_path / "bag.mcap", tmp_path / "whole")
+    assert made.counts == {"/chatter": 1, "/finger/chatter": 1}
+    assert made.problems == [] and not made.lost
+
+
+def skin(writer: Writer, definition: bytes) -> int:
+    schema = writer.register_schema("lab/msg/Skin", "ros2msg", definition)
+    return writer.register_channel("/lab/skin", "cdr", schema)
+
+
+def test_each_message_is_decoded_by_the_definition_it_was_recorded_with(tmp_path: Path) -> None:
+    out = io.BytesIO()
+    writer = Writer(out)
+    writer.start("ros2")
+    channels = [
+        skin(writer, b"float64 moisture\nfloat64 stretch\n"),
+        skin(writer, b"# in percent\nfloat64 moisture\nfloat64 stretch\n"),
+        skin(writer, b"float64 stretch\nfloat64 moisture\n"),
+    ]
+    values = [(42.0, 0.9), (42.0, 0.9), (0.9, 42.0)]
+    for number, (channel, pair) in enumerate(zip(channels, values)):
+        raw = b"\x00\x01\x00\x00" + struct.pack("<2d", *pair)
+        writer.add_message(channel, START + number, raw, START)
+    writer.finish()
+    (tmp_path / "bag.mcap").write_bytes(out.getvalue())
+    with open_bag(tmp_path / "bag.mcap") as reader:
+        assert [m.message.moisture for m in reader] == [42.0, 42.0, 42.0]
+        assert reader.info.topics["/lab/skin"].count == 3
+        with pytest.raises(InputError, match="2 definitions of 'lab/msg/Skin'"):
+            reader.decoder("/lab/skin", "lab/msg/Skin")
+    made = recover(tmp_path / "bag.mcap", tmp_path / "whole")
+    # Comments are no other definition; what one topic of a bag cannot hold is named.
+    assert made.message_count == 2 and made.lost
+    assert "'/lab/skin' holds 'lab/msg/Skin' with other fields" in made.problems[0]
+    with open_bag(tmp_path / "whole") as reader:
+        assert [m.message.moisture for m in reader] == [42.0, 42.0]
+
+
+def names(paths: list[Path]) -> list[str]:
+    return [path.name for path in paths]
+
+
+def test_files_are_one_bag_only_where_they_are_numbered(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_session(tmp_path / "bag", trials=1, rate=100)
+    data = (tmp_path / "bag" / "bag_0.mcap").read_bytes()
+
+    def put(*files: str) -> None:
+        for file in files:
+            (tmp_path / file).parent.mkdir(exist_ok=True)
+            (tmp_path / file).write_bytes(data)
+
+    put("split/S01_0.mcap", "split/S01_1.mcap")
+    assert names(find_bags([tmp_path / "split"])) == ["split"]
+    put("loose/S01_dry.mcap", "loose/S02_moist.mcap", "dates/1.5N.mcap", "dates/1.7N.mcap")
+    assert names(find_bags([tmp_path / "loose"])) == ["S01_dry.mcap", "S02_moist.mcap"]
+    assert names(find_bags([tmp_path / "dates"])) == ["1.5N.mcap", "1.7N.mcap"]
+    put("stray.mcap")
+    everything = ["bag", "1.5N.mcap", "1.7N.mcap", "S01_dry.mcap", "S02_moist.mcap"]
+    assert names(find_bags([tmp_path])) == [*everything, "split", "stray.mcap"]
+    assert run(command, ["play", str(tmp_path / "loose")]) == 2
+    error = capsys.readouterr().err
+    assert "holds several bags (S01_dry.mcap, S02_moist.mcap); give one of them" in error

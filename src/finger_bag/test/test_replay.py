@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -205,3 +207,30 @@ def test_model_node_in_the_time_of_the_bag_estimates_as_offline(
         assert state.header.stamp.nanosec == offline.header.stamp.nanosec
         assert (state.area, state.flags) == (offline.area, offline.flags)
         assert state.indentation == offline.indentation
+
+
+ENDED = """
+import os, signal, sys
+from finger_bag import play_node
+from finger_bag.cli import command
+from finger_common.cli import run
+replay = play_node.replay
+
+def ended(*arguments):
+    for number, item in enumerate(replay(*arguments)):
+        yield item
+        if number == 3:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+play_node.replay = ended
+sys.exit(run(command, ["play", sys.argv[1], "--wait", "0"]))
+"""
+
+
+def test_sigterm_ends_the_player_as_ctrl_c_does(short: Path, ros_domain: int) -> None:
+    pytest.importorskip("rclpy")
+    done = subprocess.run(
+        [sys.executable, "-c", ENDED, str(short)], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr
+    assert done.stdout.startswith("3 messages; late by") or "4 messages" in done.stdout

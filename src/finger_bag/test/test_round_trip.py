@@ -16,12 +16,22 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from mcap_ros2.writer import Writer as McapRos2Writer
 from rosbags.highlevel import AnyReader
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from session_bags import START, wrench
 
+from finger_bag.copying import recover
 from finger_bag.definitions import definition_text, type_hash
 from finger_bag.reader import open_bag
+from finger_bag.recorder import RecorderSettings
 from finger_bag.writer import BagWriter
 from finger_common.errors import InputError
 
@@ -215,6 +225,48 @@ def test_splits_by_size_and_time_read_as_one_bag(tmp_path: Path) -> None:
     assert len(write("size", maximum_size=50_000)) > 3
     with AnyReader([tmp_path / "time"]) as reader:
         assert reader.message_count == len(list(reader.messages())) == 2000
+
+
+def test_what_is_attached_is_no_reason_to_begin_the_next_file(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", maximum_size=20_000) as bag:
+        bag.attach("plate_calibration.yaml", bytes(50_000))
+        for i in range(20):
+            bag.write("wrench", wrench(START + i * 2_000_000, 1.0))
+            bag.flush()
+    assert [f.name for f in (tmp_path / "bag").glob("*.mcap")] == ["bag_0.mcap"]
+    with pytest.raises(InputError, match=r"'maximum_size' is 1000 B; give 1000000 B \(1 MB\)"):
+        RecorderSettings(maximum_size=1000)
+
+
+def test_latched_topics_of_sqlite_bags_stay_latched(tmp_path: Path) -> None:
+    latched = Qos(
+        QosHistory.KEEP_LAST, 1, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL,
+        QosTime(0, 0), QosTime(0, 0), QosLiveliness.AUTOMATIC, QosTime(0, 0), False,
+    )  # fmt: skip
+    types = get_typestore(Stores.ROS2_JAZZY)
+    with Writer(tmp_path / "bag", version=8, storage_plugin=StoragePlugin.SQLITE3) as bag:
+        for topic, profiles in (("/note", [latched]), ("/finger/trial", [])):
+            connection = bag.add_connection(
+                topic, "std_msgs/msg/String", typestore=types, offered_qos_profiles=profiles
+            )
+            message = types.types["std_msgs/msg/String"]("hello")
+            bag.write(connection, START, types.serialize_cdr(message, "std_msgs/msg/String"))
+    made = recover(tmp_path / "bag", tmp_path / "whole")
+    with open_bag(tmp_path / "bag") as reader, open_bag(made.path) as whole:
+        found = [reader.info.topics["/note"], *whole.info.topics.values()]
+    # Where the bag tells nothing, the schema does.
+    assert [yaml.safe_load(topic.qos)[0]["durability"] for topic in found] == [1, 1, 1]
+
+
+def test_counts_are_unknown_where_one_file_does_not_tell_its_own(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", maximum_duration=1.0) as bag:
+        for i in range(1000):
+            bag.write("wrench", wrench(START + i * 2_000_000, 1.0))
+    first = tmp_path / "bag" / "bag_0.mcap"
+    first.write_bytes(first.read_bytes()[:-200])
+    with open_bag(tmp_path / "bag") as reader:
+        assert reader.info.message_count is None
+        assert reader.info.topics["/finger/wrench"].count is None
 
 
 def test_a_bag_that_failed_leaves_nothing_behind(tmp_path: Path) -> None:

@@ -27,10 +27,10 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from finger_common.diagnostics import WARN, Health
 from finger_common.errors import DeviceError, FingerError, InputError
+from finger_common.interface_text import message_text, service_texts
 from finger_common.node import POLLED_DEPTH, ManagedNode, PolledSubscription, main_of
 
 from .foxglove_server import IMAGE_TYPES, FoxgloveSettings, Interface, Server
-from .interface_text import message_text, service_texts
 
 T = TypeVar("T")
 

@@ -19,7 +19,6 @@ from rclpy.serialization import deserialize_message
 
 from finger_common.diagnostics import WARN, Health
 from finger_common.errors import FingerError, InputError, known_names
-from finger_common.host_clock import HostClock
 from finger_common.node import (
     LATCHED_QOS,
     POLLED_DEPTH,
@@ -108,7 +107,6 @@ class LslNode(ManagedNode):
         self._settings = self.settings(LslSettings)
         if self.get_parameter("use_sim_time").value:
             raise InputError("LSL has the time of the host; set 'use_sim_time' to false")
-        self._host_clock = HostClock()
         self._clocks = ClockMap(self._host_clock.now)
         self._health = Health("lsl")
         self._health.notes["clock_error_s"] = f"{self._clocks.error:.1e}"
@@ -126,7 +124,8 @@ class LslNode(ManagedNode):
             qos = self.stream_qos(max(self.values["qos_depth"], POLLED_DEPTH))
             chosen = LATCHED_QOS if topic == "trial" else qos
             sender = Sender(STREAMS[topic], self.resolve_topic_name(topic), self._clocks)
-            self._senders[topic] = sender, PolledSubscription(self, TYPES[topic], topic, chosen)
+            polled = self.create_polled_subscription(TYPES[topic], topic, chosen)
+            self._senders[topic] = sender, polled
         self._receivers = [self._receiver(t, n) for t, n in self._settings.received.items()]
         self._timer = self.create_steady_timer(POLL, self._send)
         for receiver in self._receivers:

@@ -221,35 +221,50 @@ def entries(
     devices: parameters that connect the fingers of a hand to simulated sensors.
     """
     parameters: dict[str, dict[str, Any]] = {}
+    needed: dict[str, str] = {}
     if arguments.seed is not None:
         parameters["simulated_rig"] = {"seed": arguments.seed}
+        needed["--seed"] = "simulated_rig"
     if arguments.port is not None:
         if not 0 <= arguments.port <= 65535:
             raise InputError(f"--port {arguments.port}: give a TCP port, 1 to 65535")
         parameters["page"] = {"port": arguments.port}
+        needed["--port"] = "page"
     further = []
     if arguments.foxglove is not None:
         parameters["foxglove"] = foxglove_address(arguments.foxglove)
         further.append("foxglove")
     if arguments.lsl:
+        if arguments.fingers is not None:
+            raise InputError(
+                "--lsl exchanges the streams of one finger; leave it out, or run a rig for that "
+                "finger without --fingers"
+            )
         lsl.require()
         further.append("lsl")
     if arguments.fingers is not None:
-        return nodes.hand(
+        chosen = nodes.hand(
             fingers(arguments),
             arguments.nodes or (),
             arguments.without,
             nodes.merged(devices or {}, parameters),
             further,
         )
-    return nodes.rig(
-        folder_of(arguments),
-        simulated=arguments.simulated,
-        without=arguments.without,
-        parameters=parameters,
-        only=arguments.nodes or (),
-        further=further,
-    )
+    else:
+        chosen = nodes.rig(
+            folder_of(arguments),
+            simulated=arguments.simulated,
+            without=arguments.without,
+            parameters=parameters,
+            only=arguments.nodes or (),
+            further=further,
+        )
+    for option, node in needed.items():
+        if node not in {entry.path for entry in chosen}:
+            raise InputError(
+                f"{option} is for the node '{node}', which would not run; leave {option} out"
+            )
+    return chosen
 
 
 def fingers(arguments: argparse.Namespace) -> Sequence[str]:
@@ -260,7 +275,7 @@ def fingers(arguments: argparse.Namespace) -> Sequence[str]:
 def namespace_of(arguments: argparse.Namespace) -> str:
     """Namespace of all nodes."""
     usual = DEFAULT_NAMESPACE if arguments.fingers is None else nodes.HAND_NAMESPACE
-    return arguments.namespace or usual
+    return usual if arguments.namespace is None else str(arguments.namespace)
 
 
 def folder_of(arguments: argparse.Namespace) -> Path:
@@ -366,6 +381,9 @@ def calibration_entries(arguments: argparse.Namespace) -> list[nodes.NodeEntry]:
             own[name] = getattr(arguments, name)
     session_geometry(own)
     if not arguments.simulated:
+        for name in ("seed", "folder"):
+            if getattr(arguments, name) is not None:
+                raise InputError(f"--{name} is for a simulated rig; give --simulated too")
         return nodes.select(["calibrate"], {"calibrate": own})
     earlier = folder_of(arguments) / "subjects" / f"{arguments.subject}.yaml"
     if earlier.exists() and not arguments.again:

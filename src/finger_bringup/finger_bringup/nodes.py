@@ -133,6 +133,10 @@ RIG = ("force", "camera", "moisture", "vision", "model", "recorder", "protocol",
 GRASP = ("force", "model")
 """Nodes on a robot."""
 
+OWN_PARAMETERS = Path(".finger_rig") / "parameters.yaml"
+"""File of what the suite sets itself, in the folder of a rig: a user's parameters.yaml may be there
+too."""
+
 FRAMED = ("force", "camera", "moisture", "vision")
 """Nodes that name frames."""
 
@@ -382,7 +386,7 @@ def settled(
 
 def process_specs(
     entries: Iterable[NodeEntry],
-    run_folder: Path,
+    folder: Path,
     namespace: str = DEFAULT_NAMESPACE,
     parameter_file: Path | None = None,
     compose: bool = False,
@@ -391,12 +395,13 @@ def process_specs(
     """Commands that run the entries with this Python.
 
     parameter_file: of the user, may be None; it overrides defaults, not parameters of an entry.
-    run_folder: where the file of the entries' own parameters is written. compose: run all that can
-    share a process in one. realtime: that process has real-time priority.
+    folder: where the file of the entries' own parameters is written, out of the way of other files
+    (OWN_PARAMETERS). compose: run all that can share a process in one. realtime: that process has
+    real-time priority.
     """
     entries = settled(entries, namespace, parameter_file)
     files = [] if parameter_file is None else [parameter_file]
-    files.append(write_parameter_file(entries, namespace, run_folder / "parameters.yaml"))
+    files.append(write_parameter_file(entries, namespace, folder / OWN_PARAMETERS))
     arguments = [part for file in files for part in ("--params-file", str(file))]
     together = [entry for entry in entries if compose and entry.composable]
     specs = [

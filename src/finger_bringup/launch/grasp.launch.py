@@ -13,13 +13,20 @@ from launch.actions import OpaqueFunction
 from launch_ros.actions import SetRemap
 
 from finger_bringup import nodes
-from finger_bringup.launch.actions import COMPOSE, arguments, node_actions, truth, value
+from finger_bringup.launch.actions import COMPOSE, arguments, composed, node_actions, truth, value
+from finger_common.errors import InputError
 
 
 def grasp(context: LaunchContext) -> list[Action]:
     """Actions by the arguments given."""
-    names = [name for name in nodes.GRASP if name != "force" or truth(context, "force")]
-    actions = node_actions(context, nodes.select(names), truth(context, "compose"))
+    own = truth(context, "force")
+    if own and value(context, "wrench"):
+        raise InputError(
+            f"wrench:={value(context, 'wrench')} is another vendor's topic, on which this suite's "
+            "driver would publish too; give force:=false as well"
+        )
+    names = [name for name in nodes.GRASP if name != "force" or own]
+    actions = node_actions(context, nodes.select(names), composed(context))
     if value(context, "wrench"):
         actions.insert(0, SetRemap("wrench", value(context, "wrench")))
     return actions

@@ -12,7 +12,7 @@ from launch.action import Action
 from launch.actions import ExecuteProcess, OpaqueFunction
 
 from finger_bringup import nodes
-from finger_bringup.launch.actions import COMPOSE, arguments, node_actions, truth, value
+from finger_bringup.launch.actions import COMPOSE, arguments, composed, node_actions, truth, value
 
 
 def hand(context: LaunchContext) -> list[Action]:
@@ -22,7 +22,7 @@ def hand(context: LaunchContext) -> list[Action]:
     entries = nodes.hand(fingers, parameters=devices)
     return [
         *(ExecuteProcess(cmd=board.command, output="screen") for board in boards),
-        *node_actions(context, entries, truth(context, "compose")),
+        *node_actions(context, entries, composed(context)),
     ]
 
 

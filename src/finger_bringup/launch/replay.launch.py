@@ -7,6 +7,7 @@ ros2 launch finger_bringup replay.launch.py bag:=bags/natural rate:=1.0
 """
 
 import sys
+import tempfile
 from pathlib import Path
 
 from launch import LaunchContext, LaunchDescription
@@ -20,12 +21,12 @@ from launch.actions import (
 )
 from launch.event_handlers import OnProcessExit, OnProcessIO
 from launch.events import Shutdown
-from launch.events.process import ProcessIO
+from launch.events.process import ProcessExited, ProcessIO
 
-from finger_bag.reader import open_bag
 from finger_bringup import nodes
 from finger_bringup.bring_up import ALL_ACTIVE
 from finger_bringup.launch.actions import arguments, node_actions, truth, value
+from finger_bringup.replay import replay_of
 from finger_common.errors import InputError
 
 
@@ -34,32 +35,36 @@ def replay(context: LaunchContext) -> list[Action]:
     bag = Path(value(context, "bag")).expanduser()
     if not value(context, "bag") or not bag.exists():
         raise InputError(f"bag:={bag}: no such bag; give the folder or file of a recorded bag")
-    vision = truth(context, "vision")
-    names = ["vision", "model"] if vision else ["model"]
-    # Topics that the nodes publish again, and old diagnostics, are left out of the replay.
-    again = {"contact_state", "contact_slip", "contact_shape", "model_events", "diagnostics"}
-    again |= {"contact_area"} if vision else set()
-    topics = [topic for topic in open_bag(bag).info.topics if topic.rsplit("/", 1)[-1] not in again]
+    chosen = replay_of(bag, truth(context, "vision") if value(context, "vision") else None)
     command = [sys.executable, "-m", "finger_bag.cli", "play", str(bag), "--clock"]
-    command += ["--rate", value(context, "rate"), "--topics", *topics]
+    command += ["--rate", value(context, "rate"), "--topics", *chosen.topics]
     if truth(context, "loop"):
         command.append("--loop")
     player = ExecuteProcess(
         cmd=command, name="player", output="screen", additional_env={"PYTHONUNBUFFERED": "1"}
     )
-    entries = [entry.with_parameters(use_sim_time=True) for entry in nodes.select(names)]
+    entries = [entry.with_parameters(use_sim_time=True) for entry in nodes.select(chosen.nodes)]
+    if chosen.calibration is not None:
+        file = Path(tempfile.mkdtemp(prefix="finger_launch_")) / "plate_calibration.yaml"
+        file.write_bytes(chosen.calibration)
+        own = {"vision": {"calibration_file": str(file)}}
+        entries = [entry.with_defaults(**own.get(entry.name, {})) for entry in entries]
     waiting: list[Action] = [player]
+    ends = truth(context, "end")
 
     def output(event: ProcessIO) -> list[Action]:
         # The nodes must be active before the first message.
         return [waiting.pop()] if ALL_ACTIVE.encode() in event.text and waiting else []
 
+    def played(event: ProcessExited, context: LaunchContext) -> list[Action]:
+        if event.returncode and not context.is_shutdown:
+            raise RuntimeError("the bag could not be played; the lines above name the cause")
+        done = [EmitEvent(event=Shutdown(reason="bag played"))]
+        return [TimerAction(period=1.0, actions=done)] if ends else []
+
     start = RegisterEventHandler(OnProcessIO(on_stdout=output, on_stderr=output))
-    actions = [start, *node_actions(context, entries)]
-    if truth(context, "end"):
-        done = [TimerAction(period=1.0, actions=[EmitEvent(event=Shutdown(reason="bag played"))])]
-        actions.append(RegisterEventHandler(OnProcessExit(target_action=player, on_exit=done)))
-    return actions
+    end = RegisterEventHandler(OnProcessExit(target_action=player, on_exit=played))
+    return [start, end, *node_actions(context, entries)]
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -68,7 +73,11 @@ def generate_launch_description() -> LaunchDescription:
         bag=("", "Bag to replay: an MCAP file or a rosbag2 folder."),
         rate=("1.0", "Speed; 1 is real time."),
         loop=("false", "Begin again at the end."),
-        vision=("true", "Measure areas in the bag's images; false uses the recorded areas."),
+        vision=(
+            "",
+            "Measure areas in the bag's raw images; false uses the recorded areas. Empty: true for "
+            "a bag that holds raw images.",
+        ),
         end=("true", "End everything when the bag is played."),
     )
     return LaunchDescription([*declared, OpaqueFunction(function=replay)])

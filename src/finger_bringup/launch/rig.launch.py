@@ -12,7 +12,15 @@ from launch.action import Action
 from launch.actions import OpaqueFunction
 
 from finger_bringup import nodes
-from finger_bringup.launch.actions import COMPOSE, arguments, node_actions, path, truth, value
+from finger_bringup.launch.actions import (
+    COMPOSE,
+    arguments,
+    composed,
+    node_actions,
+    path,
+    truth,
+    value,
+)
 from finger_common.namespaces import default_folder
 
 
@@ -28,7 +36,7 @@ def rig(context: LaunchContext) -> list[Action]:
     if value(context, "folder"):
         folder = path(context, "folder")
     entries = nodes.rig(folder, simulated, without, parameters, further=further)
-    return node_actions(context, entries, truth(context, "compose"))
+    return node_actions(context, entries, composed(context))
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -13,9 +13,11 @@ from pathlib import Path
 import pytest
 import yaml
 
+from finger_bag.writer import BagWriter
 from finger_bringup import nodes
 from finger_bringup.bring_up import ALL_ACTIVE
-from finger_bringup.cli import ReadyLine, entries, folder_of, main, parser
+from finger_bringup.cli import ReadyLine, entries, folder_of, main, namespace_of, parser
+from finger_bringup.replay import replay_of
 from finger_bringup.restarts import RestartDelay
 from finger_common.errors import InputError
 from finger_common.folder_lock import lock_folder
@@ -47,14 +49,14 @@ def test_parameters_reach_the_file_under_the_full_node_name(tmp_path: Path) -> N
     addresses = RigAddresses(tmp_path / "rig", can_port=4711)
     entries = nodes.select(["force", "camera"], nodes.simulated_devices(addresses))
     specs = nodes.process_specs(entries, tmp_path, "left_hand")
-    data = yaml.safe_load((tmp_path / "parameters.yaml").read_text())
+    data = yaml.safe_load((tmp_path / nodes.OWN_PARAMETERS).read_text())
     force = data["/left_hand/force"]["ros__parameters"]
     assert force["can_options"] == "port=4711" and force["can_interface"] == "udp_multicast"
     assert data["/left_hand/camera"]["ros__parameters"]["path"].endswith("spool")
     assert data["/left_hand/bring_up"]["ros__parameters"]["order"] == ["force camera"]
     for spec in specs:
         assert "__ns:=/left_hand" in spec.command
-        assert spec.command[-1] == str(tmp_path / "parameters.yaml")
+        assert spec.command[-1] == str(tmp_path / nodes.OWN_PARAMETERS)
 
 
 def test_what_the_suite_sets_overrides_the_users_parameter_file(tmp_path: Path) -> None:
@@ -64,12 +66,20 @@ def test_what_the_suite_sets_overrides_the_users_parameter_file(tmp_path: Path) 
     files = [
         w for w, before in zip(specs[0].command[1:], specs[0].command) if before == "--params-file"
     ]
-    assert files == [str(own), str(tmp_path / "parameters.yaml")]
+    assert files == [str(own), str(tmp_path / nodes.OWN_PARAMETERS)]
+
+
+def test_a_parameters_file_of_the_user_in_the_rig_s_folder_stays_as_it_is(tmp_path: Path) -> None:
+    own = tmp_path / "parameters.yaml"
+    own.write_text("/**/force:\n  ros__parameters: {can_channel: can7}\n")
+    before = own.read_bytes()
+    nodes.process_specs(nodes.rig(tmp_path), tmp_path, parameter_file=own)
+    assert own.read_bytes() == before
 
 
 def written(folder: Path) -> dict[str, dict[str, object]]:
     """What the suite sets, by node name."""
-    data = yaml.safe_load((folder / "parameters.yaml").read_text())
+    data = yaml.safe_load((folder / nodes.OWN_PARAMETERS).read_text())
     return {name.rsplit("/", 1)[-1]: section["ros__parameters"] for name, section in data.items()}
 
 
@@ -99,6 +109,7 @@ def test_keys_of_a_parameter_file_mean_nodes_as_in_ros() -> None:
 
 def test_fingers_have_folders_and_frames_of_their_own(tmp_path: Path) -> None:
     assert folder_of(parser().parse_args(["up"])) == Path("out/rig").absolute()
+    assert namespace_of(parser().parse_args(["up", "--namespace", ""])) == ""  # the global one
     assert default_folder("/finger/") == Path("out/rig")
     assert default_folder("hand/thumb") == Path("out/rig_hand_thumb")
     entries = nodes.rig(tmp_path)
@@ -151,6 +162,9 @@ def test_a_file_that_is_no_parameter_file_is_named(tmp_path: Path, text: str, sa
         (["up", "--namespace", "2nd"], "namespace '2nd' is not one of ROS; use letters"),
         (["up", "--namespace", "hand//thumb"], "namespace 'hand//thumb' is not one of ROS"),
         (["up", "--namespace", "my rig"], "namespace 'my rig' is not one of ROS"),
+        (["up", "--seed", "2"], "--seed is for the node 'simulated_rig', which would not run"),
+        (["up", "--port", "9001", "--without", "page"], "--port is for the node 'page', which"),
+        (["calibrate", "--subject", "S01"], "--folder is for a simulated rig; give --simulated"),
     ],
 )
 def test_bad_arguments_end_with_code_2_and_one_sentence(
@@ -227,6 +241,26 @@ def test_restarts_slow_down_and_are_quick_again_after_a_stable_minute() -> None:
     assert delay.after_running(61.0) == 1.0
 
 
+def test_a_replay_has_areas_whatever_the_images_of_the_bag(
+    tmp_path: Path, project_root: Path
+) -> None:
+    natural = project_root / "bags" / "natural"
+    shown = replay_of(natural)
+    # Its images are compressed, and the vision node reads raw ones: its areas are replayed.
+    assert shown.nodes == ("model",) and "/finger/contact_area" in shown.topics
+    assert not {"/finger/contact_state", "/diagnostics"} & set(shown.topics)
+    with pytest.raises(InputError, match="holds no raw images"):
+        replay_of(natural, vision=True)
+    with BagWriter(tmp_path / "raw") as bag:
+        bag.attach("plate_calibration.yaml", b"a: 1")
+        for topic in ("image_raw", "contact_area"):
+            bag.write(topic, {"header": {"stamp": 10**18}})
+    measured = replay_of(tmp_path / "raw")
+    assert measured.nodes == ("vision", "model") and measured.topics == ("/finger/image_raw",)
+    assert measured.calibration == b"a: 1"
+    assert replay_of(tmp_path / "raw", vision=False).nodes == ("model",)
+
+
 def test_fingers_run_side_by_side_each_in_its_namespace(tmp_path: Path) -> None:
     boards, devices = nodes.simulated_boards(["thumb", "index"])
     entries = nodes.hand(["thumb", "index"], parameters=devices)
@@ -236,7 +270,7 @@ def test_fingers_run_side_by_side_each_in_its_namespace(tmp_path: Path) -> None:
     specs = nodes.process_specs(entries, tmp_path, nodes.HAND_NAMESPACE)
     assert [spec.name for spec in specs] == paths
     assert "__ns:=/hand/index" in specs[1].command and "__ns:=/hand" in specs[-1].command
-    data = yaml.safe_load((tmp_path / "parameters.yaml").read_text())
+    data = yaml.safe_load((tmp_path / nodes.OWN_PARAMETERS).read_text())
     assert [board.name for board in boards] == ["thumb/board", "index/board"]
     force = [data[f"/hand/{name}/force"]["ros__parameters"] for name in ("thumb", "index")]
     # No finger hears another one's board.
@@ -264,6 +298,9 @@ def test_composed_nodes_are_one_process_and_the_others_stay_their_own(tmp_path: 
         (["--fingers", "thumb", "2nd"], "finger '2nd' is no ROS name"),
         (["--fingers", "thumb", "thumb"], "finger 'thumb' is named twice"),
         (["--fingers", "--without", "page"], "node 'page' would not run anyway"),
+        (["--fingers", "--port", "9001"], "--port is for the node 'page', which would not run"),
+        (["--fingers", "--simulated", "--seed", "2"], "--seed is for the node 'simulated_rig'"),
+        (["--fingers", "--lsl"], "--lsl exchanges the streams of one finger"),
         (["--fingers", "--realtime"], "--realtime is for the process of --compose; give both"),
     ],
 )

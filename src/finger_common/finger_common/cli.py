@@ -120,6 +120,20 @@ def integer(text: str) -> int:
     return int(text, 16) if text.lower().startswith("0x") else int(text)
 
 
+class _Listed(argparse.Action):
+    """A list in place of the default; the option given again adds to it."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: str | None = None,
+    ) -> None:
+        before = getattr(namespace, self.dest)
+        setattr(namespace, self.dest, [*(() if before is self.default else before), *values])
+
+
 def add_settings(parser: Any, cls: type[Settings], without: str = "") -> None:
     """Give a parser, or a group of one, an option ``--the-name`` for every field of a settings
     class, under the heading of the field's group.
@@ -145,6 +159,7 @@ def add_settings(parser: Any, cls: type[Settings], without: str = "") -> None:
         elif isinstance(item.default, list):
             parser.add_argument(
                 flag,
+                action=_Listed,
                 nargs="*",
                 type=type(item.default[0]) if item.default else str,
                 default=item.default,

@@ -73,13 +73,26 @@ _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the same, ten ti
 _NUMBER = re.compile(r"[-+.]?[0-9][-+0-9a-zA-Z_.:]*")
 
 
+def _sync_folder(folder: Path) -> None:
+    """Wait until the disk has the names in a folder."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        with suppress(OSError):  # file systems of networks may not know this
+            os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
 @contextmanager
-def atomic_write(path: str | Path, mode: str = "w", **options: Any) -> Iterator[IO[Any]]:
+def atomic_write(
+    path: str | Path, mode: str = "w", *, durable: bool = False, **options: Any
+) -> Iterator[IO[Any]]:
     """Open a file for writing that takes its name only when the block ends without an error.
 
     What is no plain file, such as a device or a pipe, is written to and stays what it is.
-    `mode` is "w" or "wb"; `options` go to `open`. Raises InputError when the folder cannot be
-    written to and when the disk is full.
+    `mode` is "w" or "wb"; `options` go to `open`. durable: wait until the disk has it, which takes
+    milliseconds, so that it survives a crash of the computer. Raises InputError when the folder
+    cannot be written to and when the disk is full.
     """
     path = Path(path)
     if path.is_dir():
@@ -109,10 +122,15 @@ def atomic_write(path: str | Path, mode: str = "w", **options: Any) -> Iterator[
     try:
         with open(temporary, mode, **options) as file:
             yield file
+            if durable:
+                file.flush()
+                os.fsync(file.fileno())
         umask = os.umask(0)
         os.umask(umask)
         os.chmod(temporary, 0o666 & ~umask)
         os.replace(temporary, target)
+        if durable:
+            _sync_folder(target.parent)
     except BaseException as error:
         with suppress(OSError):
             Path(temporary).unlink()

@@ -14,7 +14,7 @@ import importlib.util
 import re
 from pathlib import Path
 
-from finger_common.errors import InputError
+from .errors import InputError
 
 _SEPARATOR = "\n" + "=" * 80 + "\nMSG: "
 _FIELD = re.compile(r"^\s*([a-zA-Z]\w*(?:/[a-zA-Z]\w*)*)(?:<=\d+)?(?:\[[^\]]*\])?\s+[a-zA-Z]\w*")

@@ -8,14 +8,16 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
-from finger_common.cli import Parser
+from finger_common.cli import Parser, add_settings, settings_from
 from finger_common.errors import InputError, known_names
 from finger_common.folder_lock import lock_folder
 from finger_common.progress import Stages, duration_text
+from finger_common.settings import Settings, setting
 
 COMMAND = """\
 from finger_common.cli import Parser
@@ -82,6 +84,31 @@ def test_usage_names_what_must_be_given_and_leaves_the_options_to_the_list() -> 
     assert text.splitlines()[0] == "usage: tool [options] -o OUTPUT bag [bag ...]"
     assert "--option-11" in text and text.endswith("example:\n  tool a.bag\n")
     assert max(map(len, text.splitlines())) <= int(os.environ.get("COLUMNS", "80"))
+
+
+@dataclass(frozen=True)
+class Lists(Settings):
+    bounds: list[str] = setting([], "Bounds.")
+    optimizer: list[str] = setting(["pso"], "Searches.", choices=("pso", "de"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "bounds", "optimizer"),
+    [
+        ([], [], ["pso"]),
+        (["--bounds", "A", "B", "--bounds", "C"], ["A", "B", "C"], ["pso"]),
+        (["--optimizer", "de", "--bounds=A", "--bounds=B"], ["A", "B"], ["de"]),
+        (["--optimizer"], [], []),
+    ],
+)
+def test_a_list_given_twice_is_one_in_place_of_the_default(
+    arguments: list[str], bounds: list[str], optimizer: list[str]
+) -> None:
+    parser = Parser(prog="tool")
+    add_settings(parser, Lists)
+    for _ in range(2):  # a default stays what it was
+        found = settings_from(parser.parse_args(arguments), Lists)
+        assert (found.bounds, found.optimizer) == (bounds, optimizer)
 
 
 def test_the_shell_completes_options(tmp_path: Path) -> None:

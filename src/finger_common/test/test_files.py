@@ -190,3 +190,20 @@ def test_help_shows_the_example(capsys: pytest.CaptureFixture[str]) -> None:
         parser.parse_args(["--help"])
     assert exit_info.value.code == 0
     assert "example:\n  finger-x --force f.csv" in capsys.readouterr().out
+
+
+def test_a_durable_file_is_on_the_disk_before_it_takes_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[str] = []
+
+    def fsync(handle: int) -> None:
+        done.append("folder" if os.path.isdir(f"/proc/self/fd/{handle}") else "file")
+
+    replace = os.replace
+    monkeypatch.setattr(os, "fsync", fsync)
+    monkeypatch.setattr(os, "replace", lambda a, b: (done.append("name"), replace(a, b)))
+    for durable in (False, True):
+        with files.atomic_write(tmp_path / "session.json", durable=durable) as file:
+            file.write("{}")
+    assert done == ["name", "file", "name", "folder"]

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -353,3 +354,55 @@ def test_the_heart_stops_while_no_callback_is_served_and_an_executor_may_change(
         node.destroy_node()
         observer.destroy_node()
         rclpy.shutdown(context=context)
+
+
+@contextmanager
+def plain_node(ros_domain: int, **overrides: Any) -> Iterator[Any]:
+    from rclpy.parameter import Parameter
+
+    from finger_common.node import ManagedNode
+
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=ros_domain)
+    given = [Parameter(name.replace("__", "."), value=value) for name, value in overrides.items()]
+    node = ManagedNode(context=context, parameter_overrides=given)
+    try:
+        assert node.bring_up()
+        yield node
+    finally:
+        node.release()
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
+def test_a_misspelt_parameter_is_named_with_the_one_that_was_meant(
+    ros_domain: int, capfd: pytest.CaptureFixture[str]
+) -> None:
+    good = {"use_sim_time": False, "qos_overrides__/value__publisher__depth": 3}
+    with plain_node(ros_domain, qos_dephts=5, qos_depth=7, **good):
+        pass
+    said = [line for line in capfd.readouterr().err.splitlines() if "does not exist" in line]
+    assert len(said) == 1, said
+    assert "parameter 'qos_dephts' does not exist here; did you mean 'qos_depth'?" in said[0]
+
+
+def test_qos_overrides_reach_streams_that_are_polled(ros_domain: int) -> None:
+    from rclpy.qos import QoSProfile, ReliabilityPolicy
+    from std_msgs.msg import Float64
+
+    best_effort = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+    reliable = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
+    override = {"qos_overrides__/a__subscription__reliability": "reliable"}
+    with plain_node(ros_domain, **override) as node:
+
+        def effective(topic: str, qos: QoSProfile) -> ReliabilityPolicy:
+            polled = node.create_polled_subscription(Float64, topic, qos)
+            (info,) = node.get_subscriptions_info_by_topic(topic)
+            assert polled.qos.reliability == info.qos_profile.reliability
+            polled.destroy()
+            return info.qos_profile.reliability
+
+        assert effective("/a", best_effort) == ReliabilityPolicy.RELIABLE
+        # The node's own choice may change from subscription to subscription.
+        chosen = [effective("/b", qos) for qos in (best_effort, reliable)]
+        assert chosen == [ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE]

@@ -34,7 +34,6 @@ from finger_common.node import (
     LATCHED_QOS,
     POLLED_DEPTH,
     ManagedNode,
-    PolledSubscription,
     main_of,
 )
 from finger_common.stamps import NANOSECONDS, header_stamp, seconds
@@ -44,7 +43,7 @@ from finger_msgs.srv import SetMoisture
 
 from .normal_force import NormalForce
 from .page.access import is_loopback
-from .page.commands import COMMANDS
+from .page.commands import COMMANDS, stale
 from .page.feed import (
     ESTIMATE,
     CurveMemory,
@@ -96,11 +95,11 @@ class PageNode(ManagedNode):
         self._normal_force = NormalForce(settings.normal_axis)
         self._jobs: queue.SimpleQueue[tuple[str, dict[str, Any], Answer]] = queue.SimpleQueue()
         self._job_waits = self.create_guard_condition(self._serve_jobs)
-        self._server = PageServer(settings, self._command)
+        self._server = PageServer(settings, self._command, self.sample_time)
         self._triggers: dict[str, Any] = {}
         self._parameters_client = self.create_client(SetParameters, "protocol/set_parameters")
         self._moisture_client = self.create_client(SetMoisture, "moisture/set_moisture")
-        for name in COMMANDS.keys() - {"tare", "moisture", "preparation", "configure", "curves"}:
+        for name in COMMANDS.keys() - {"tare", "moisture", "configure", "curves"}:
             self._triggers[name] = self.create_client(Trigger, f"protocol/{name}")
         self._triggers["tare"] = self.create_client(Trigger, "force/tare")
 
@@ -125,8 +124,8 @@ class PageNode(ManagedNode):
         qos = self.stream_qos()
         deep = self.stream_qos(max(self.values["qos_depth"], POLLED_DEPTH))
         # An executor round for each sample of two 500 Hz streams would delay the cue.
-        self._wrench = PolledSubscription(self, WrenchStamped, "wrench", deep)
-        self._state = PolledSubscription(self, ContactState, "contact_state", deep)
+        self._wrench = self.create_polled_subscription(WrenchStamped, "wrench", deep)
+        self._state = self.create_polled_subscription(ContactState, "contact_state", deep)
         self._inputs = [
             self.create_stream_subscription(ContactArea, "contact_area", self._on_area, qos),
             self.create_stream_subscription(Moisture, "moisture", self._on_moisture, qos),
@@ -246,7 +245,7 @@ class PageNode(ManagedNode):
         self._server.publish(
             "alive",
             {
-                "time": round(self.get_clock().now().nanoseconds * 1e-9, 3),
+                "time": round(seconds(self.sample_time()), 3),
                 "ages": ages,
                 "tared": self._readiness.tared,
                 "problems": problems,
@@ -336,11 +335,10 @@ class PageNode(ManagedNode):
             self._begin(name, arguments, future)
 
     def _begin(self, name: str, arguments: dict[str, Any], future: Answer) -> None:
-        step, index = self._status.get("step"), self._status.get("index")
-        seen = arguments.pop("seen_trial", index), arguments.pop("seen_step", step)
-        if seen != (index, step):
-            now = "no session is open" if index is None else f"trial {index + 1} is at '{step}'"
-            future.set_result((False, f"{name}: not done, {now} meanwhile; look, and try again"))
+        step = self._status.get("step")
+        reason = stale(arguments, self._status)
+        if reason:
+            future.set_result((False, f"{name}: not done, {reason} meanwhile; look, and try again"))
             return
         # A calibration's presses begin without a key.
         begins = name == "start" and step == "prepare" and not self._status.get("paused")
@@ -362,12 +360,8 @@ class PageNode(ManagedNode):
         elif name == "configure":
             self._set_parameters(arguments, future)
         elif name == "preparation":
-            texts = {
-                **self._status.get("preparations", {}),
-                arguments["condition"]: arguments["text"],
-            }
-            lines = [f"{condition}: {' '.join(text.split())}" for condition, text in texts.items()]
-            self._set_parameters({"preparations": lines}, future)
+            line = f"{arguments['condition']}: {' '.join(arguments['text'].split())}"
+            self._set_then_trigger("preparation", {"preparation": line}, future)
         elif name == "repeat":
             self._set_then_trigger("repeat", {"selected_trial": arguments["index"]}, future)
         elif name == "note":

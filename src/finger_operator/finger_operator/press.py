@@ -37,6 +37,7 @@ class Press:
         self.target_force = guided.target_force
         self.limits = limits
         self._reached: int | None = None
+        self._touch_came: int | None = None
         self.problems: list[str] = []
         self._below_since: int | None = None
 
@@ -141,7 +142,10 @@ class Press:
             self.add_problem(f"camera frames missing for {gap:.2f} s")
 
     def overdue(self, now_ns: int, in_step: float) -> str:
-        """Which limit of time has passed; empty when none. in_step: s since the last cue."""
+        """Which limit of time has passed; empty when none.
+
+        now_ns: by the protocol's clock, from call to call. in_step: s since the last cue.
+        """
         attempt, limits = self.attempt, self.limits
         if attempt.cue_ns is not None:
             late = in_step > limits.lift_timeout
@@ -149,7 +153,9 @@ class Press:
         if attempt.onset_ns is None:
             late = in_step > limits.press_timeout
             return f"no press within {limits.press_timeout:g} s" if late else ""
-        if seconds(now_ns - attempt.onset_ns) > limits.target_timeout + self.guided.hold:
+        if self._touch_came is None:  # stamps may be of another clock
+            self._touch_came = now_ns
+        if seconds(now_ns - self._touch_came) > limits.target_timeout + self.guided.hold:
             return (
                 f"target not reached within {limits.target_timeout:g} s: "
                 f"{attempt.peak_force:.2f} of {self.target_force:.2f} N"

@@ -3,7 +3,9 @@
 
 """A guided session as a state machine, without ROS.
 
-Every input carries a time in nanoseconds. The machine answers with effects (announce a phase, start
+Every input carries a time in nanoseconds: commands and ticks that of the protocol's own clock,
+samples their stamp, which may be of another clock. What is waited for is measured by the first,
+what happened in a press by the second. The machine answers with effects (announce a phase, start
 or stop the recorder) through one callback, and writes its state file at every change, so that a
 crash costs at most the attempt that was under way.
 
@@ -41,6 +43,7 @@ from .session_store import (
     SavedSession,
     folder_size,
     load_state,
+    mark_in_bag,
     save_state,
     save_table,
 )
@@ -136,12 +139,14 @@ class Protocol:
         self._effects = effects
         self._now = 0
         self._step_began = 0
+        self._step_stamp = 0
+        """Stamp of the sample that brought the step, where one did."""
         self.recording = "off"
         self._record_requested = 0
         self._asked = ""
         self._force: tuple[int, float] | None = None
         self._area: tuple[int, float, int] | None = None
-        # When they came, by the protocol's own clock: stamps may be of another.
+        # When they came, by the protocol's own clock; None before its first command or tick.
         self._force_came: int | None = None
         self._area_came: int | None = None
         self._known_result = ""
@@ -164,8 +169,9 @@ class Protocol:
 
     # State file ------------------------------------------------------------------------------
 
-    def save(self) -> None:
-        """Write the state file, the table of trials and the event log.
+    def save(self, state: bool = True) -> None:
+        """Write the state file, the table of trials and the event log; without `state` the log
+        alone.
 
         What cannot be written is named in `save_problem` and is written with the next change.
         """
@@ -173,7 +179,8 @@ class Protocol:
             self.plan, self.step.value, self.paused, self.current, self.trials, self.ended
         )
         try:
-            save_state(self.folder, saved)
+            if state:
+                save_state(self.folder, saved)
             self.log.save()
             if self.step in (Step.DONE, Step.FAILED, Step.FINISHED, Step.PREPARE):
                 save_table(self.folder, self.trials, self.log)
@@ -390,14 +397,14 @@ class Protocol:
             )
         attempt = max(len(self.trials[index].attempts) - 1, 0) if index >= 0 else -1
         self.log.add(Event(now_ns, "note", line, index, attempt))
-        self.save()
+        self.save(state=self.step not in PRESSING)
 
     def mark(self, now_ns: int) -> str:
         """Mark this moment in the trial under way, else in the session; returns its name."""
         self._now = now_ns
         name = f"marker {sum(e.kind == 'marker' for e in self.log.events) + 1}"
         self._log("marker", name)
-        self.save()
+        self.save(state=self.step not in PRESSING)
         return name
 
     def set_preparation(self, condition: str, text: str) -> None:
@@ -405,6 +412,8 @@ class Protocol:
         if condition not in self.plan.conditions:
             known = ", ".join(self.plan.conditions)
             raise InputError(f"condition '{condition}' is not in this session; it has {known}")
+        if self.plan.is_calibration:
+            raise InputError("the texts of a calibration's presses are fixed")
         if not text.strip() or len(text) > 2000:
             raise InputError("the preparation text must have 1 to 2000 characters")
         texts = {**self.plan.preparations, condition: text.strip()}
@@ -418,8 +427,7 @@ class Protocol:
         along the plate; NaN for an invalid one."""
         previous = None if self._force is None else self._force[0]
         self._force = (stamp_ns, normal_force)
-        self._now = max(self._now, stamp_ns)
-        self._force_came = self._now
+        self._force_came = self._now or None
         if self.paused or self.step not in PRESSING or self._press is None:
             return
         event = self._press.add_force(stamp_ns, normal_force, previous, tangential_force)
@@ -439,7 +447,7 @@ class Protocol:
     def area(self, stamp_ns: int, area: float, flags: int, stick_ratio: float = math.nan) -> None:
         """One contact area (m²) with its quality flags, and the stick ratio where it is known."""
         previous = None if self._area is None else self._area[0]
-        self._area, self._area_came = (stamp_ns, area, flags), self._now
+        self._area, self._area_came = (stamp_ns, area, flags), self._now or None
         if not self.paused and self.step in PRESSING and self._press is not None:
             self._press.add_area(stamp_ns, area, flags, previous, stick_ratio)
 
@@ -468,7 +476,6 @@ class Protocol:
         readings = self._attempt.moisture_before if before else self._attempt.moisture_after
         readings.append(value)
         self.message = ""
-        self._now = max(self._now, stamp_ns)
         if len(readings) >= self.plan.readings:
             self._enter(Step.CLEAR) if before else self._close()
         else:
@@ -669,6 +676,11 @@ class Protocol:
         if self.limits.need_recorder and not closing:
             self.recording = "stopping"
             self._effects(StopRecording())
+        elif closing and Path(attempt.bag).is_dir():
+            try:
+                mark_in_bag(Path(attempt.bag), self._announcement(TrialPhase.FAILED))
+            except (OSError, InputError) as error:
+                self._log("fault", f"not marked as failed in its bag: {one_line(error)}")
 
     def _hold(self, message: str) -> None:
         self.paused = True
@@ -718,7 +730,7 @@ class Protocol:
             found = [text for text in (trial.attempts[-1].found,) if text]
             note = "; ".join([*found, *(f"{e.text} ({utc_time(e.stamp_ns)})" for e in events)])
         return TrialEvent(
-            self._step_began if self.step in PRESSING else self._now,
+            self._step_stamp if self.step in PRESSING else self._now,
             self.plan.session,
             self.plan.subject,
             trial.condition,
@@ -754,7 +766,10 @@ class Protocol:
             unknown = FITTING if done else f"Not calibrated: {why}."
             self.message, self._known_result = self._known_result or unknown, ""
         self.step = step
-        self._step_began = self._now if stamp_ns is None else stamp_ns
+        self._step_began = self._now
+        self._step_stamp = self._now if stamp_ns is None else stamp_ns
         self._announce()
         self._log("step", step.value.replace("_", " "))
-        self.save()
+        # Of a session with thousands of trials that takes long, and the next cue must not wait. A
+        # press that is interrupted begins again at whichever of its steps.
+        self.save(state=step not in PRESSING)

@@ -21,6 +21,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
 from rclpy.duration import Duration
+from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message
 from std_srvs.srv import Trigger
 
@@ -31,13 +32,11 @@ from finger_common.diagnostics import ERROR, OK, WARN, Health, full_node_name, s
 from finger_common.errors import FingerError, InputError
 from finger_common.files import atomic_write, read_text
 from finger_common.folder_lock import lock_folder
-from finger_common.host_clock import HostClock
 from finger_common.node import (
     LATCHED_QOS,
     POLLED_DEPTH,
     STATE_QOS,
     ManagedNode,
-    PolledSubscription,
     main_of,
     message_of,
 )
@@ -54,7 +53,14 @@ from .recorder_requests import RecorderRequests
 from .session_store import STATE_FILE, free_space, further_files, sessions_by_subject
 from .status import closed_status, session_status
 from .status_message import status_fields
-from .study_plan import NAME, PREPARATIONS, PlanSettings, StudyPlan, parse_preparations
+from .study_plan import (
+    NAME,
+    PREPARATIONS,
+    PlanSettings,
+    StudyPlan,
+    parse_preparation,
+    parse_preparations,
+)
 
 POINTER = "current_session"
 """File in `output` that names the session under way, so that a restarted node finds it again."""
@@ -65,6 +71,9 @@ TICK = 0.05
 POLL = 0.004
 """s between readings of the force during a press: the longest delay that polling adds to a cue."""
 
+
+STATUS_PAUSE = 9.0
+"""Times what a status took until the next one: a tenth of the node's time goes into it at most."""
 
 FREE_SPACE_PERIOD = 5.0
 """s between readings of the free disk space."""
@@ -78,6 +87,9 @@ class ProtocolSettings(Settings):
         [f"{name}: {text}" for name, text in PREPARATIONS.items()],
         "Preparation texts shown before each trial, one 'condition: text' each.",
         runtime=True,
+    )
+    preparation: str = setting(
+        "", "'condition: text' that ~/preparation puts among `preparations`.", runtime=True
     )
     selected_trial: int = setting(
         0,
@@ -131,6 +143,7 @@ SERVICES = {
     "abort": "End the session at once; a trial under way is void, its bag is kept.",
     "note": "Add the parameter `note` to the trial `note_trial`, or to the session.",
     "marker": "Mark this moment in the event log.",
+    "preparation": "Put `preparation` among `preparations`, and into the open session.",
     "close": "Close the session; the next start begins a new one.",
 }
 """Services of the node (std_srvs/Trigger), for the node reference too."""
@@ -145,9 +158,10 @@ class ProtocolNode(ManagedNode):
     def configure(self) -> None:
         self._health = Health("protocol", stale_after=None)
         self.healths = [self._health]
-        self._host_clock = HostClock()
         self._protocol: Protocol | None = None
         self._status: dict[str, Any] = {}
+        self._status_of: tuple[Any, ...] = ()
+        self._status_due = -math.inf
         self._limits = self.settings(Limits)
         settings = self.settings(ProtocolSettings)
         self._normal_force = NormalForce(settings.normal_axis)
@@ -171,7 +185,7 @@ class ProtocolNode(ManagedNode):
     def activate(self) -> None:
         qos = self.stream_qos()
         deep = self.stream_qos(max(self.values["qos_depth"], POLLED_DEPTH))
-        self._wrench = PolledSubscription(self, WrenchStamped, "wrench", deep)
+        self._wrench = self.create_polled_subscription(WrenchStamped, "wrench", deep)
         self._inputs = [
             self.create_stream_subscription(ContactArea, "contact_area", self._on_area, qos),
             self.create_stream_subscription(Moisture, "moisture", self._on_moisture, qos),
@@ -194,7 +208,7 @@ class ProtocolNode(ManagedNode):
         self._wrench.destroy()
         if self._protocol is not None and not self._protocol.paused:
             if self._protocol.step not in (Step.IDLE, Step.FINISHED):
-                self._protocol.pause(self._now())
+                self._protocol.pause(self.sample_time())
                 # The publisher may be destroyed next.
                 self._trial_publisher.wait_for_all_acked(Duration(seconds=0.5))
 
@@ -221,18 +235,13 @@ class ProtocolNode(ManagedNode):
         self._limits = Limits.select(values)
         if protocol is not None:
             protocol.limits = self._limits
-        # Of an open session they may have been edited since: only texts that are given anew count.
+        # An open session may have texts of its own: only those that are given anew count.
         if protocol is not None and "preparations" in changes:
+            before = parse_preparations(self.values["preparations"])
             for condition in protocol.plan.conditions:
                 text = texts.get(condition)
-                if text and text != protocol.plan.preparation(condition):
+                if text and text != before.get(condition):
                     protocol.set_preparation(condition, text)
-
-    def _now(self) -> int:
-        """Time on the clock that stamps the samples: steps of the system clock do not reach it."""
-        if self.get_parameter("use_sim_time").value:
-            return int(self.get_clock().now().nanoseconds)
-        return self._host_clock.now()
 
     # The session -----------------------------------------------------------------------------
 
@@ -246,7 +255,7 @@ class ProtocolNode(ManagedNode):
             return
         try:
             self._protocol = Protocol.resume_from(
-                self._output / name, self._effect, self._now(), self._limits
+                self._output / name, self._effect, self.sample_time(), self._limits
             )
         except InputError as error:
             self.log_fault(self._health, "state_file", one_line(error), WARN)
@@ -271,7 +280,7 @@ class ProtocolNode(ManagedNode):
         for name, text in further_files(plan).items():
             with atomic_write(folder / name) as file:
                 file.write(text)
-        with atomic_write(self._output / POINTER) as file:
+        with atomic_write(self._output / POINTER, durable=True) as file:
             file.write(plan.session)
         return Protocol(plan, folder, self._effect, self._limits)
 
@@ -280,7 +289,7 @@ class ProtocolNode(ManagedNode):
             if self._recorder.busy:
                 raise InputError("the recorder is still busy; try again in a moment")
             self._protocol = self._new_session()
-        self._protocol.start(self._now())
+        self._protocol.start(self.sample_time())
         prepare = self._protocol.step is Step.PREPARE
         return "prepare finger and plate" if prepare else "the trial begins"
 
@@ -296,7 +305,7 @@ class ProtocolNode(ManagedNode):
         if self._recorder.busy:
             raise InputError("the recorder is still busy; try again in a moment")
         self._protocol = self._new_session(calibration=True)
-        self._protocol.start(self._now())
+        self._protocol.start(self.sample_time())
         return "the calibration begins"
 
     def _open(self) -> Protocol:
@@ -305,41 +314,52 @@ class ProtocolNode(ManagedNode):
         return self._protocol
 
     def _pause(self) -> str:
-        self._open().pause(self._now())
+        self._open().pause(self.sample_time())
         return "paused"
 
     def _resume(self) -> str:
-        self._open().resume(self._now())
+        self._open().resume(self.sample_time())
         return "the session continues"
 
     def _redo(self) -> str:
-        self._open().redo(self._now())
+        self._open().redo(self.sample_time())
         return f"trial {self._open().current + 1} will begin again"
 
     def _repeat(self) -> str:
-        self._open().repeat(self.values["selected_trial"], self._now())
+        self._open().repeat(self.values["selected_trial"], self.sample_time())
         return f"trial {self._open().current + 1} will begin again"
 
     def _skip(self) -> str:
-        self._open().skip(self._now())
+        self._open().skip(self.sample_time())
         return "skipped"
 
     def _end(self) -> str:
-        self._open().end(self._now())
+        self._open().end(self.sample_time())
         finished = self._open().step is Step.FINISHED
         return "the session is ended" if finished else "the session ends after this trial"
 
     def _abort(self) -> str:
-        self._open().abort(self._now())
+        self._open().abort(self.sample_time())
         return "the session is ended"
 
     def _note(self) -> str:
         index = self.values["note_trial"]
-        self._open().note(self._now(), self.values["note"], index)
+        self._open().note(self.sample_time(), self.values["note"], index)
         return "note added to the session" if index < 0 else f"note added to trial {index + 1}"
 
+    def _preparation(self) -> str:
+        condition, text = parse_preparation(self.values["preparation"])
+        if self._protocol is not None:
+            self._protocol.set_preparation(condition, text)
+        texts = {**parse_preparations(self.values["preparations"]), condition: text}
+        lines = [f"{name}: {text}" for name, text in texts.items()]
+        (result,) = self.set_parameters([Parameter("preparations", value=lines)])
+        if not result.successful:
+            raise InputError(result.reason)
+        return f"preparation of '{condition}' changed"
+
     def _marker(self) -> str:
-        return f"{self._open().mark(self._now())} set"
+        return f"{self._open().mark(self.sample_time())} set"
 
     def _close(self) -> str:
         protocol = self._open()
@@ -389,13 +409,13 @@ class ProtocolNode(ManagedNode):
         for status in message.status:
             name = self._watched.get(status_node(status.name))
             if name is not None:
-                self._protocol.health(name, status.level[0], status.message, self._now())
+                self._protocol.health(name, status.level[0], status.message, self.sample_time())
 
     def _on_calibration(self, message: DiagnosticStatus) -> None:
         protocol = self._protocol
         if protocol is not None and protocol.plan.session == message.hardware_id:
             good = message.level[0] < ERROR
-            protocol.calibrated(good, message.message, self._now())
+            protocol.calibrated(good, message.message, self.sample_time())
 
     def _tick(self) -> None:
         self._poll()
@@ -403,13 +423,16 @@ class ProtocolNode(ManagedNode):
         if self._protocol is not None:
             if self._protocol.plan.is_calibration:
                 self._watch_model(self._protocol)
-            self._protocol.tick(self._now())
+            self._protocol.tick(self.sample_time())
         self._recorder.step(self._limits.record_timeout)
         if time.monotonic() - self._free_read > FREE_SPACE_PERIOD:
             self._free_read = time.monotonic()
             self._free = free_space(self._output)
-        self._publish_status()
         pressing = self._protocol is not None and self._protocol.step in (Step.PRESS, Step.PULL)
+        # The status of a long session takes long, and the cue must not wait for it.
+        due = not pressing and time.monotonic() >= self._status_due
+        if due or self._status_of != self._stage():
+            self._publish_status()
         if pressing and self._press_timer.is_canceled():
             self._press_timer.reset()
         elif not pressing:
@@ -419,7 +442,7 @@ class ProtocolNode(ManagedNode):
         """A press that the model node does not see is lost for the calibration."""
         running = self.count_publishers("contact_state") > 0
         level, text = (OK, "") if running else (ERROR, "the node is not running")
-        protocol.health("model", level, text, self._now())
+        protocol.health("model", level, text, self.sample_time())
 
     # Effects ---------------------------------------------------------------------------------
 
@@ -459,20 +482,27 @@ class ProtocolNode(ManagedNode):
             return
         if response is None:
             self._protocol.recorder_answered(
-                started, False, reason, self._now(), asked=request.path
+                started, False, reason, self.sample_time(), asked=request.path
             )
             return
         self._protocol.recorder_answered(
             started,
             response.success,
             response.message,
-            self._now(),
+            self.sample_time(),
             lost=0 if started else int(response.lost_count),
             bag=response.path,
             asked=request.path,
         )
 
+    def _stage(self) -> tuple[Any, ...]:
+        """Of which a new status is published at once."""
+        protocol = self._protocol
+        return () if protocol is None else (protocol.step, protocol.paused, protocol.current)
+
     def _publish_status(self) -> None:
+        began = time.monotonic()
+        self._status_of = self._stage()
         if self._protocol is not None:
             plan = self._protocol.plan
             earlier = [s for s in self._used_subjects.get(plan.subject, []) if s != plan.session]
@@ -487,6 +517,8 @@ class ProtocolNode(ManagedNode):
         if status != self._status:
             self._status = copy.deepcopy(status)
             self._status_publisher.publish(message_of(SessionStatus, status_fields(status)))
+        now = time.monotonic()
+        self._status_due = now + STATUS_PAUSE * (now - began)
 
 
 main = main_of(ProtocolNode)

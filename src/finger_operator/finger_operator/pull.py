@@ -120,7 +120,7 @@ class Pull(Press):
         attempt, limits = self.attempt, self.limits
         if attempt.pull_ns is None or attempt.cue_ns is not None:
             return super().overdue(now_ns, in_step)
-        if seconds(now_ns - attempt.pull_ns) > limits.pull_timeout:
+        if in_step > limits.pull_timeout:
             return f"not slipped within {limits.pull_timeout:g} s: {self._reached_ratio}"
         return ""
 

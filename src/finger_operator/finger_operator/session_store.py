@@ -15,6 +15,10 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
+from finger_bag.reader import open_bag
+from finger_bag.schema import TOPICS, full_name
+from finger_bag.streams import TrialEvent
+from finger_bag.writer import add_message
 from finger_common.errors import InputError
 from finger_common.files import atomic_write, load_json
 from finger_common.plugins import Plugins
@@ -53,7 +57,7 @@ class SavedSession:
 
 
 def save_state(folder: Path, session: SavedSession) -> None:
-    """Write the state file."""
+    """Write the state file, so that it survives a crash of the computer."""
     state = {
         "version": STATE_VERSION,
         "plan": session.plan.to_dict(),
@@ -63,7 +67,7 @@ def save_state(folder: Path, session: SavedSession) -> None:
         "ended": session.ended,
         "trials": [asdict(trial) for trial in session.trials],
     }
-    with atomic_write(folder / STATE_FILE) as file:
+    with atomic_write(folder / STATE_FILE, durable=True) as file:
         json.dump(state, file, indent=1)
 
 
@@ -165,6 +169,17 @@ def folder_size(folder: Path) -> int:
         return sum(f.stat().st_size for f in folder.iterdir() if f.is_file())
     except OSError:
         return 0
+
+
+def mark_in_bag(bag: Path, event: TrialEvent) -> None:
+    """Write what became of a trial into its closed bag, where it was thought to be done: whoever
+    reads the bag learns it there. Raises InputError where that cannot be."""
+    with open_bag(bag) as reader:
+        topic = reader.topic("trial") or full_name("trial")
+        after = (reader.info.end_ns or 0) + 1
+    values = {**vars(event), "header": {"stamp": event.stamp_ns}}
+    del values["stamp_ns"]
+    add_message(bag, topic, TOPICS["trial"].type, values, max(event.stamp_ns, after))
 
 
 def sessions_by_subject(output: Path) -> dict[str, list[str]]:

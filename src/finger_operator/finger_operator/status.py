@@ -75,7 +75,7 @@ def session_status(
         "attempt": attempt.attempt if attempt else len(trial.attempts),
         "condition": trial.condition,
         "preparation": plan.preparation(trial.condition),
-        # Also those of other conditions: what the page edits is kept whole.
+        # Also those of other conditions: the participant's come by the condition of the cue.
         "preparations": {**plan.preparations, **{c: plan.preparation(c) for c in plan.conditions}},
         "prompt": CLEAN_PLATE_PULL if is_pull(trial.condition) else CLEAN_PLATE,
         "target_force": plan.press_of(trial.condition).target_force,

@@ -170,11 +170,12 @@ class StudyPlan(PlanSettings):
             "readings": min(self.readings, int(probe)),
             "order": "as_given",
         }
-        texts = {press.name: press.text for press in CALIBRATION_PRESSES}
-        return StudyPlan(**values, preparations=texts)
+        return StudyPlan(**values, preparations=self.preparations)
 
     def preparation(self, condition: str) -> str:
-        """Preparation text of a condition."""
+        """Preparation text of a condition; the press of a calibration says itself what is done."""
+        if condition in PRESS_BY_NAME:
+            return PRESS_BY_NAME[condition].text
         for name in (condition, skin_of(condition)):
             if name in self.preparations:
                 return self.preparations[name]
@@ -200,14 +201,12 @@ def parse_preparations(lines: list[str]) -> dict[str, str]:
 
     Raises InputError for a line of another form.
     """
-    texts = dict(PREPARATIONS)
-    for line in lines:
-        if not line.strip():
-            continue
-        name, colon, text = line.partition(":")
-        if not colon or not NAME.fullmatch(name.strip()) or not text.strip():
-            raise InputError(
-                f"preparation '{line[:40]}' is not 'condition: text'; add the condition"
-            )
-        texts[name.strip()] = text.strip()[:2000]
-    return texts
+    return {**PREPARATIONS, **dict(parse_preparation(line) for line in lines if line.strip())}
+
+
+def parse_preparation(line: str) -> tuple[str, str]:
+    """Condition and text of a line "condition: text"; raises InputError for one of another form."""
+    name, colon, text = line.partition(":")
+    if not colon or not NAME.fullmatch(name.strip()) or not text.strip():
+        raise InputError(f"preparation '{line[:40]}' is not 'condition: text'; add the condition")
+    return name.strip(), text.strip()[:2000]

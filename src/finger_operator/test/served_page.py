@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -19,9 +20,9 @@ from finger_operator.page.settings import PageSettings
 class Served:
     """A running server and the commands that reached it."""
 
-    def __init__(self, **settings: Any) -> None:
+    def __init__(self, now: Callable[[], int] = time.time_ns, **settings: Any) -> None:
         self.commands: list[tuple[str, dict[str, Any]]] = []
-        self.server = PageServer(PageSettings(port=0, **settings), self.command)
+        self.server = PageServer(PageSettings(port=0, **settings), self.command, now)
         self.server.start()
         self.host = f"127.0.0.1:{self.server.port}"
 

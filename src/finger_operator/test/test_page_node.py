@@ -18,6 +18,8 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
+from finger_operator.study_plan import PREPARATIONS
+
 
 def test_commands_reach_the_protocol_and_its_cues_come_back(
     ros_domain: int, process: Any, free_port: Callable[[], int], tmp_path: Path
@@ -90,8 +92,17 @@ def test_commands_reach_the_protocol_and_its_cues_come_back(
                 assert not refused["success"]
                 # No force driver, and the protocol's heartbeat may not have come yet.
                 assert refused["message"].startswith("Not ready: The ")
-                assert (await command("start"))["success"]
+                assert (await command("start", seen_step="closed"))["success"]
                 assert (await receive("cue", phase="prepare"))["index"] == 0
+                session = (await receive("status", step="prepare"))["session"]
+                refused = await command("start", seen_step="closed")  # of a second tab
+                assert "trial 1 is at 'prepare' meanwhile" in refused["message"]
+                refused = await command("close", seen_session="S00_earlier")
+                assert f"session {session} is open meanwhile" in refused["message"]
+                text = "Wash with soap."
+                seen = {"seen_session": session}
+                assert (await command("preparation", condition="dry", text=text, **seen))["success"]
+                assert (await receive("status", preparation=text))["step"] == "prepare"
                 assert (await receive("status", step="prepare"))["target_force"] == 1.2
                 assert (await command("repeat", index=1))["success"]
                 await receive("status", index=1)
@@ -100,5 +111,10 @@ def test_commands_reach_the_protocol_and_its_cues_come_back(
                 assert not refused["success"]
                 assert "trial 2 is at 'prepare' meanwhile" in refused["message"]
                 assert not (await command("tare"))["success"], "no force driver runs"
+                assert (await command("end"))["success"]
+                await receive("status", step="finished")
+                assert (await command("close"))["success"]
+                # The next session begins with the text that was edited, and with the others.
+                await receive("status", step="closed", preparations={**PREPARATIONS, "dry": text})
 
     asyncio.run(asyncio.wait_for(run(), 45))

@@ -21,7 +21,7 @@ from served_page import Served, next_of, received, run, served_all
 from finger_common.errors import InputError
 from finger_operator.page.access import is_loopback
 from finger_operator.page.browser import IMAGE_BYTES, READABLE, Browser, smaller_image
-from finger_operator.page.commands import COMMANDS, check_command
+from finger_operator.page.commands import COMMANDS, SEEN, check_command, stale
 from finger_operator.page.feed import (
     CurveMemory,
     ForceMemory,
@@ -408,6 +408,35 @@ def test_loopback_addresses() -> None:
     assert not any(map(is_loopback, ["192.168.0.7", "::ffff:10.0.0.1", "fe80::1%eth0", "", None]))
 
 
+def test_participants_hear_that_the_rig_is_alive_and_no_more(served: Served) -> None:
+    async def body(session: aiohttp.ClientSession) -> None:
+        async with served.connect(session, "participant") as socket:
+            await next_of(socket, "hello")
+            served.server.publish("alive", {"time": 1.0, "problems": [{"text": "No force."}]})
+            assert await next_of(socket, "beat") == {"type": "beat"}
+
+    run(body)
+
+
+def test_commands_for_what_is_no_longer_there_are_refused() -> None:
+    closed = {"step": "closed"}
+    now = {"session": "S02_a", "index": 1, "step": "prepare"}
+    begin = {"seen_step": "closed"}
+    assert stale(dict(begin), closed) == ""
+    # A second tab, or one more try: nobody has prepared the trial yet.
+    assert stale(dict(begin), now) == "trial 2 is at 'prepare'"
+    assert stale({"seen_session": "S02_a", "seen_trial": 1}, now) == ""
+    assert stale({"seen_session": "S01_a", "seen_trial": 1}, now) == "session S02_a is open"
+    assert stale({"seen_session": "S01_a"}, closed) == "no session is open"
+    assert stale({"seen_trial": 0, "seen_step": "prepare"}, now) == "trial 2 is at 'prepare'"
+    given = {"index": 0, "seen_step": "done"}
+    assert stale(given, now) and given == {"index": 0}
+    assert {"start", "calibrate", "pause", "resume", "redo", "repeat", "skip", "end", "abort",
+            "marker", "note", "close", "preparation"} == {
+        name for name, wanted in COMMANDS.items() if SEEN.keys() <= wanted.keys()
+    }  # fmt: skip
+
+
 def test_participants_see_no_cue_of_a_protocol_that_is_silent(served: Served) -> None:
     async def phase(socket: Any) -> str:
         return str((await next_of(socket, "cue"))["phase"])
@@ -433,11 +462,12 @@ def test_participants_see_no_cue_of_a_protocol_that_is_silent(served: Served) ->
     run(body)
 
 
-def test_shown_cue_gives_its_delay_from_the_force_sample(served: Served) -> None:
+def test_shown_cue_gives_its_delay_from_the_force_sample(served: Served, step: float = 0.0) -> None:
     async def body(session: aiohttp.ClientSession) -> None:
         async with served.connect(session) as socket:
             await next_of(socket, "hello")
-            served.server.publish_cue(time.time_ns() - 30_000_000, {"phase": "lift"})
+            stamp = time.time_ns() + round(step * 1e9) - 30_000_000
+            served.server.publish_cue(stamp, {"phase": "lift"})
             cue = await next_of(socket, "cue")
             await socket.send_json({"type": "shown", "id": cue["id"]})
             await socket.send_json({"type": "shown", "id": 12345})
@@ -445,6 +475,13 @@ def test_shown_cue_gives_its_delay_from_the_force_sample(served: Served) -> None
 
     run(body)
     assert len(served.server.latencies) == 1 and 0.03 <= served.server.latencies[0] < 30.0
+
+
+def test_the_delay_of_a_cue_is_measured_on_the_clock_of_the_samples() -> None:
+    """The system clock was stepped by an hour since the rig was started."""
+    served = Served(now=lambda: time.time_ns() - 3600 * 10**9)
+    test_shown_cue_gives_its_delay_from_the_force_sample(served, -3600.0)
+    served.server.stop()
 
 
 def test_force_memory_interpolates_and_forgets() -> None:

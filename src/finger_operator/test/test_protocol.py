@@ -16,9 +16,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
+from finger_bag.reader import open_bag
 from finger_bag.streams import TrialEvent
+from finger_bag.writer import BagWriter
 from finger_common.errors import InputError
+from finger_common.guided_presses import PRESS_BY_NAME
 from finger_common.trial_phases import TrialPhase
 from finger_operator.event_log import Event, EventLog
 from finger_operator.limits import Limits
@@ -51,6 +55,7 @@ class Rig:
         self.force_on = self.camera_on = True
         self.print_left = False
         self.force = 0.0
+        self.force_offset = 0
         self.folder = folder
         self.protocol = Protocol(
             StudyPlan("S01", "S01_test", **plan), folder, self.take, self.limits
@@ -86,7 +91,7 @@ class Rig:
             share = (self.now - begin) / (end - begin)
             self.force = first + (target - first) * share if ramp else target
             if self.force_on:
-                self.protocol.wrench(self.now, self.force)
+                self.protocol.wrench(self.now + self.force_offset, self.force)
             if self.now >= self.next_frame:
                 self.next_frame += 100_000_000
                 if self.camera_on:
@@ -171,6 +176,20 @@ def test_cue_to_lift_comes_with_the_first_sample_at_the_target(rig: Rig) -> None
     rig.protocol.wrench(stamp, 1.35)
     assert rig.last.phase is TrialPhase.LIFT
     assert rig.last.stamp_ns == stamp == rig.attempt.cue_ns
+
+
+def test_no_cue_of_a_press_waits_for_the_state_of_a_long_session(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    saved: list[Step] = []
+    monkeypatch.setattr(
+        "finger_operator.protocol.save_state", lambda folder, state: saved.append(Step(state.step))
+    )
+    rig.trial()
+    assert saved[:2] == [Step.MOISTURE_BEFORE] * 2 and saved[-1] is Step.DONE
+    assert not {Step.PRESS, Step.LIFT} & set(saved)
+    steps = [e.text for e in EventLog.load(rig.folder).events if e.kind == "step"]
+    assert {"press", "lift"} <= set(steps)
 
 
 def test_whole_session_runs_in_blocks_and_finishes(rig: Rig) -> None:
@@ -378,6 +397,30 @@ def test_recorder_that_never_answers_holds_the_session(rig: Rig) -> None:
     rig.run(11.0)
     assert rig.protocol.paused
     expect_failure(rig, "did not start: no answer")
+
+
+def test_a_trial_that_failed_when_its_bag_was_closed_is_marked_in_the_bag(rig: Rig) -> None:
+    rig.to_press()
+    rig.press()
+    with BagWriter(Path(rig.attempt.bag), maximum_duration=1.0) as bag:
+        for stamp in (rig.now, rig.now + 2 * SECOND):
+            bag.write("wrench", {"header": {"stamp": stamp}})
+        bag.write("trial", {"header": {"stamp": rig.now}, "phase": int(TrialPhase.DONE)})
+    rig.lost = 7
+    rig.readings(1.0, 2.0, 3.0)
+    rig.run(0.2)
+    assert rig.protocol.step is Step.FAILED
+    with open_bag(rig.attempt.bag) as reader:
+        last = list(reader.messages())[-1].message
+        assert reader.info.message_count == 4 and reader.all_problems() == []
+    assert (last.phase, last.note) == (TrialPhase.FAILED, "the recorder lost 7 messages")
+    assert (last.index, last.attempt, last.session) == (0, 0, "S01_test")
+    metadata = yaml.safe_load((Path(rig.attempt.bag) / "metadata.yaml").read_text())
+    (found,) = metadata.values()
+    topics = found["topics_with_message_count"]
+    assert {t["topic_metadata"]["name"]: t["message_count"] for t in topics} == {
+        "/finger/wrench": 2, "/finger/trial": 2,
+    }  # fmt: skip
 
 
 def test_recorder_that_does_not_close_fails_the_trial(rig: Rig) -> None:
@@ -687,7 +730,7 @@ def test_state_file_is_whole_at_every_effect(tmp_path: Path) -> None:
     rig.run(0.2)
     rig.protocol.start(rig.now)
     rig.trial()
-    assert {"prepare", "clear", "press", "lift", "moisture_after"} <= set(seen)
+    assert {"prepare", "clear", "moisture_after"} <= set(seen)
     assert not [f for f in rig.folder.iterdir() if f.name.startswith(".")]
 
 
@@ -711,6 +754,16 @@ def test_commands_that_make_no_sense_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="under way"):
         rig.protocol.start(rig.now)
     assert rig.protocol.step is Step.PRESS
+
+
+def test_a_calibration_keeps_the_texts_of_the_study(tmp_path: Path) -> None:
+    plan = StudyPlan("S01", "S01_a", preparations={"dry": "Wash."}).for_calibration("S01_b")
+    assert plan.preparations == {"dry": "Wash."}
+    press = plan.conditions[0]
+    assert plan.preparation(press) == PRESS_BY_NAME[press].text
+    protocol = Protocol(plan, tmp_path, lambda effect: None)
+    with pytest.raises(InputError, match="presses are fixed"):
+        protocol.set_preparation(press, "Press as you like.")
 
 
 def test_preparation_texts_can_be_edited_and_survive(rig: Rig) -> None:
@@ -1022,6 +1075,29 @@ def test_stamps_of_another_clock_do_not_make_a_sensor_silent(tmp_path: Path) -> 
     assert protocol.step is Step.PRESS
     protocol.tick(START + step + 5 * SECOND)
     assert protocol.step is Step.FAILED
+
+
+@pytest.mark.parametrize("offset", [-3600, -11, -9, 0, 5, 12, 3600])
+def test_a_press_is_timed_on_one_clock_whatever_that_of_the_force(
+    tmp_path: Path, offset: float
+) -> None:
+    """Force or protocol was started anew after a step of the system clock; s, of force stamps."""
+    rig = Rig(tmp_path, limits=Limits(need_camera=False))
+    rig.force_offset = offset * SECOND
+    rig.protocol.start(rig.now)
+    rig.trial()
+    assert rig.attempt.time_to_target == pytest.approx(1.30 / 1.45, abs=0.004)
+    assert rig.attempt.cue_ns - rig.now == pytest.approx(offset * SECOND, abs=5 * SECOND)
+    cue = next(e for e in rig.effects if getattr(e, "phase", None) is TrialPhase.LIFT)
+    assert cue.stamp_ns == rig.attempt.cue_ns  # as those of the wrench in the bag
+    # The limits of time hold on any clock.
+    rig.run(2.0)
+    rig.to_press()
+    rig.run(0.5, 0.5, ramp=True)
+    rig.run(9.0)
+    assert rig.protocol.step is Step.PRESS
+    rig.run(1.0)
+    assert "target not reached within 10 s: 0.50 of 1.35 N" in rig.last.note
 
 
 def test_an_area_of_zero_is_no_contact_whatever_its_flags(tmp_path: Path) -> None:

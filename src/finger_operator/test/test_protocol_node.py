@@ -319,3 +319,45 @@ def test_names_are_refused_and_a_missing_recorder_is_reported(
         assert "recorder is not running" in suite.status["trials"][0]["reason"]
     finally:
         suite.close()
+
+
+def test_the_status_of_a_long_session_holds_up_no_press(
+    ros_domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from rclpy.parameter import Parameter
+
+    from finger_operator import protocol_node
+    from finger_operator.protocol import Step
+
+    made: list[str] = []
+    clock = [0.0]
+    status = protocol_node.session_status
+
+    def slow(protocol: Any, *more: Any) -> Any:
+        made.append(protocol.step.value)
+        clock[0] += 0.05  # as that of 3000 trials
+        return status(protocol, *more)
+
+    monkeypatch.setattr(protocol_node, "session_status", slow)
+    monkeypatch.setattr(protocol_node.time, "monotonic", lambda: clock[0])
+    values = {"output": str(tmp_path), "subject": "S01", "readings": 0, "need_recorder": False}
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=ros_domain)
+    given = [Parameter(name, value=value) for name, value in values.items()]
+    node = protocol_node.ProtocolNode(context=context, parameter_overrides=given)
+    try:
+        assert node.bring_up()
+        node._start()
+        monkeypatch.setattr(node._protocol, "tick", lambda now_ns: None)
+        for step, ticks in ((Step.PREPARE, 20), (Step.PRESS, 100), (Step.DONE, 1)):
+            node._protocol.step = step
+            for _ in range(ticks):
+                clock[0] += 0.05
+                node._tick()
+    finally:
+        node._protocol = None
+        node.release()
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+    assert made.count("prepare") == 2, "half a second apart"
+    assert made.count("press") == 1 and made[-1] == "done"

@@ -137,6 +137,14 @@ def test_a_driver_that_started_again_has_no_zero() -> None:
     assert "press Tare" in refusal(rig.board.problems(rig.now))
 
 
+def test_a_fault_of_the_force_sensor_stands_there_while_samples_come() -> None:
+    rig = ready()
+    rig.board.report("force", "force: sensor", ERROR, "overload", {}, rig.now)
+    assert rig.texts == ["Force sensor: overload."]
+    rig.tare("no")
+    assert rig.texts == ["Tare needed."]
+
+
 def test_warnings_do_not_stop_a_trial_and_devices_that_were_never_there_are_not_missed() -> None:
     rig = ready()
     rig.board.report("model", "model: inputs", WARN, "moisture outside", {}, rig.now)

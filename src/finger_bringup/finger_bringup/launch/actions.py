@@ -28,6 +28,7 @@ from launch_ros.actions import Node
 
 from finger_bringup import nodes
 from finger_bringup.restarts import RestartDelay
+from finger_common.errors import InputError
 from finger_common.namespaces import DEFAULT_NAMESPACE
 
 COMMON = {
@@ -64,6 +65,14 @@ def truth(context: LaunchContext, name: str) -> bool:
     if text not in ("true", "false"):
         raise ValueError(f"{name}:={text} is not understood; give true or false")
     return text == "true"
+
+
+def composed(context: LaunchContext) -> bool:
+    """Whether the nodes run in one process, by COMPOSE; raises InputError where its arguments
+    contradict each other."""
+    if truth(context, "realtime") and not truth(context, "compose"):
+        raise InputError("realtime:=true is for the process of compose:=true; give both")
+    return truth(context, "compose")
 
 
 def path(context: LaunchContext, name: str) -> Path:

@@ -36,7 +36,8 @@ from std_msgs.msg import String
 
 from ..cli import one_line
 from ..diagnostics import ERROR, WARN, Health, full_node_name
-from ..errors import FingerError, InputError
+from ..errors import FingerError, InputError, known_names
+from ..host_clock import HostClock
 from ..parameters import ParameterTable
 from ..plugins import PluginKind
 from ..settings import S, Settings, parameters_of, setting
@@ -54,6 +55,7 @@ HANGING = 2.5
 REMEMBERED = 30.0
 """s for which the middleware may still show the publishers of a node that was killed."""
 
+QOS_OVERRIDES = "qos_overrides."
 OVERRIDABLE = (
     QoSPolicyKind.HISTORY,
     QoSPolicyKind.DEPTH,
@@ -144,6 +146,8 @@ class ManagedNode(LifecycleNode):
                 self._bad_values[parameter.name] = str(error)
                 value = ros_value(parameter, parameter.default)
             super().set_parameters_atomically([value])
+        self._warn_of_unknown()
+        self._host_clock = HostClock()
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self._streams: list[Any] = []
         self._polled_streams: list[PolledSubscription] = []
@@ -178,7 +182,21 @@ class ManagedNode(LifecycleNode):
         """Whether somebody waits for an answer, for which the process stays up a moment."""
         return False
 
+    def sample_time(self) -> int:
+        """Time (ns) on the clock that stamps samples: the host's, which steps of the system clock
+        do not reach from `configure` on, or the simulated one."""
+        if self.get_parameter("use_sim_time").value:
+            return int(self.get_clock().now().nanoseconds)
+        return self._host_clock.now()
+
     # Parameters ------------------------------------------------------------------------------
+
+    def _warn_of_unknown(self) -> None:
+        """Name given parameters that neither the node nor ROS has: a misspelt one has no effect."""
+        for name in self._parameter_overrides:
+            if not (name.startswith(QOS_OVERRIDES) or self.has_parameter(name)):
+                known = known_names(name, (parameter.name for parameter in self._all))
+                self.get_logger().warning(f"parameter '{name}' does not exist here; {known}")
 
     def read_parameters(self) -> dict[str, Any]:
         """Checked values of all parameters; raises InputError."""
@@ -283,11 +301,19 @@ class ManagedNode(LifecycleNode):
 
         It costs a small part of a round of the executor. It ends with `destroy`.
         """
-        polled = self._with_overrides(
-            partial(PolledSubscription, self), message_type, topic, copy.copy(qos)
-        )
+        polled = self.create_polled_subscription(message_type, topic, qos)
         self._polled_streams.append(polled)
         return WaitedSubscription(self, polled, message_type, callback, self.fail)
+
+    def create_polled_subscription(
+        self, message_type: Any, topic: str, qos: QoSProfile
+    ) -> PolledSubscription:
+        """Subscription that the node reads when it needs its messages. It ends with `destroy`."""
+        # Those of a subscription before it, of another QoS, would be taken for the user's.
+        self._forget_overrides(f"{QOS_OVERRIDES}{self.resolve_topic_name(topic)}.subscription.")
+        return self._with_overrides(  # type: ignore[no-any-return]
+            partial(PolledSubscription, self), message_type, topic, copy.copy(qos)
+        )
 
     def _with_overrides(self, create: Any, *arguments: Any, **options: Any) -> Any:
         """Create a publisher or subscription whose QoS the parameters qos_overrides.… change."""
@@ -306,9 +332,10 @@ class ManagedNode(LifecycleNode):
                 "give history, depth, reliability and durability as ROS names them"
             ) from None
 
-    def _forget_overrides(self) -> None:
+    def _forget_overrides(self, prefix: str = QOS_OVERRIDES) -> None:
         """They are declared anew with the next streams, whose usual values may be others."""
-        for name in self.list_parameters(["qos_overrides"], 0).names:
+        found = self.list_parameters([QOS_OVERRIDES.rstrip(".")], 0).names
+        for name in [name for name in found if name.startswith(prefix)]:
             self.describe_parameter(name).read_only = False
             self.undeclare_parameter(name)
 
@@ -489,6 +516,7 @@ class ManagedNode(LifecycleNode):
             for problem in self.PLUGINS.problems.values() if self.PLUGINS else ():
                 self.get_logger().warning(problem)
             self.values = self.read_parameters()
+            self._host_clock = HostClock()
 
         before, configured = self._interfaces(), False
         try:

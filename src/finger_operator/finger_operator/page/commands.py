@@ -10,26 +10,29 @@ from typing import Any
 
 from finger_common.errors import InputError
 
-SEEN: dict[str, type] = {"seen_trial": int, "seen_step": str}
-"""What a browser showed when the operator asked: another trial is not meant."""
+SEEN: dict[str, type] = {"seen_session": str, "seen_trial": int, "seen_step": str}
+"""What a browser showed when the operator asked: another session, trial or step is not meant.
+
+`seen_step` is "closed" where no session was open.
+"""
 
 COMMANDS: dict[str, dict[str, type]] = {
     "start": SEEN,
-    "calibrate": {},
-    "pause": {},
-    "resume": {},
+    "calibrate": SEEN,
+    "pause": SEEN,
+    "resume": SEEN,
     "redo": SEEN,
     "skip": SEEN,
-    "end": {},
-    "abort": {},
-    "marker": {},
-    "note": {"text": str, "trial": int},
-    "close": {},
+    "end": SEEN,
+    "abort": SEEN,
+    "marker": SEEN,
+    "note": {"text": str, "trial": int, **SEEN},
+    "close": SEEN,
     "tare": {},
     "curves": {},
-    "repeat": {"index": int},
+    "repeat": {"index": int, **SEEN},
     "moisture": {"value": float},
-    "preparation": {"condition": str, "text": str},
+    "preparation": {"condition": str, "text": str, **SEEN},
     "configure": {
         "subject": str,
         "age": int,
@@ -51,6 +54,23 @@ OPTIONAL = {
     *("age", "hand", "finger", "finger_width", "finger_depth", "order", "order_seed"),
 }
 """Arguments that may be left out; the protocol's parameters stay as they are."""
+
+
+def stale(arguments: dict[str, Any], status: Mapping[str, Any]) -> str:
+    """What has begun since the browser showed what the operator meant; empty when nothing has.
+
+    Takes SEEN out of the arguments. status: of the session.
+    """
+    seen = {key: arguments.pop(key) for key in SEEN if key in arguments}
+    session, index, step = (status.get(key) for key in ("session", "index", "step"))
+    now = {"seen_session": session, "seen_trial": index, "seen_step": step}
+    if all(now[key] == value for key, value in seen.items()):
+        return ""
+    if index is None:
+        return "no session is open"
+    if seen.get("seen_session", session) != session:
+        return f"session {session} is open"
+    return f"trial {index + 1} is at '{step}'"
 
 
 def check_command(message: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:

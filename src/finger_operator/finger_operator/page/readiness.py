@@ -198,14 +198,13 @@ class Readiness:
             return Problem(
                 device.key, f"{device.silence}{short}.", device.advice, age, "" if short else fault
             )
-        if device.key == "force":
-            return self._tare_problem()
-        if fault:
-            if len(fault) > SHORT:
-                text = f"The {device.name} has a fault."
-                return Problem(device.key, text, device.advice, None, fault)
-            return Problem(device.key, f"{_capital(device.name)}: {fault}.", device.advice)
-        return None
+        tare = self._tare_problem() if device.key == "force" else None
+        if tare is not None or not fault:
+            return tare
+        if len(fault) > SHORT:
+            text = f"The {device.name} has a fault."
+            return Problem(device.key, text, device.advice, None, fault)
+        return Problem(device.key, f"{_capital(device.name)}: {fault}.", device.advice)
 
     def _tare_problem(self) -> Problem | None:
         if self.tared is False:

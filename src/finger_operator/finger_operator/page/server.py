@@ -70,6 +70,9 @@ HEADERS = {
     "Cache-Control": "no-store",
 }
 
+BEAT = json.dumps({"type": "beat"})
+"""What participants hear with each `alive` of the operators: one who hears nothing sees no cue."""
+
 NO_CUE = json.dumps({"type": "cue", "id": -1, "phase": "idle"})
 """What participants see while there is no cue."""
 
@@ -92,18 +95,21 @@ class PageServer:
     """Serves the page in a thread of its own.
 
     command: called in the server's thread with (name, arguments); returns an awaitable of (success,
-    sentence). The `publish…` methods may be called from any thread.
+    sentence). now: time (ns) on the clock that stamps samples, called there too. The `publish…`
+    methods may be called from any thread.
     """
 
     def __init__(
         self,
         settings: PageSettings,
         command: Callable[[str, dict[str, Any]], Awaitable[tuple[bool, str]]],
+        now: Callable[[], int] = time.time_ns,
     ) -> None:
         self.settings = settings
         self.token = settings.token or secrets.token_urlsafe(16)
         self.port = settings.port
         self._command = command
+        self._now = now
         self._allowed = {name for name in settings.allowed_hosts if name}
         self._browsers: set[Browser] = set()
         self._tasks: set[asyncio.Task[None]] = set()
@@ -321,7 +327,7 @@ class PageServer:
         if kind == "shown" and isinstance(number, int):
             stamp = self._cue_stamps.get(number)
             if stamp is not None and browser.operator:
-                self._latencies.append(time.time() - seconds(stamp))
+                self._latencies.append(seconds(self._now() - stamp))
         elif kind == "got" and isinstance(number, int):
             browser.confirm(number)
         elif kind == "watch" and isinstance(message.get("images"), bool):
@@ -383,6 +389,8 @@ class PageServer:
         for browser in self._browsers:
             if browser.operator:
                 browser.add_state(kind, text)
+            elif kind == "alive":
+                browser.add_state("beat", BEAT)
 
     def publish_cue(self, stamp_ns: int, data: Mapping[str, Any]) -> None:
         """A cue for every browser, at once. stamp_ns: of the sample that caused it."""

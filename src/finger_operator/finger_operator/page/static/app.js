@@ -1,15 +1,13 @@
 // The operator's page. State comes over one WebSocket; every command goes back over it, with the
 // page's token.
 import { Charts } from "./charts.js";
-import { Link, draw, whenShown } from "./cue.js";
+import { Link, SILENT, draw, whenShown } from "./cue.js";
 import { ask, newSession, write } from "./dialogs.js";
 import { RUNNING, showHealth, showLog, showTrials, tabs } from "./lists.js";
 import { liftTone, muteButton, tone } from "./sound.js";
 
 const $ = (id) => document.getElementById(id);
 const token = document.querySelector("meta[name=token]").content;
-// ms without a sign of the server until the page counts as not connected, and of an image.
-const LOST = 1000;
 // s from which a value is too old to stand on the page.
 const OLD = 0.7;
 const FRAMES = 400;
@@ -68,15 +66,20 @@ function once(action) {
 
 // What the operator sees now: a command for it is refused when something else has begun meanwhile.
 function seen() {
-  const { step, index } = state.status;
-  return index === undefined ? {} : { seen_trial: index, seen_step: step };
+  const { step, index, session } = state.status;
+  return index === undefined ? { seen_step: step }
+    : { seen_trial: index, seen_step: step, seen_session: session };
 }
+
+// For commands that mean the trial, or the session, at whichever step it is.
+const seenTrial = () => ({ ...seen(), seen_step: undefined });
+const seenSession = () => ({ seen_session: state.status.session });
 
 function primary() {
   const { step, paused } = state.status;
   if (step === "closed") return openSession();
-  if (paused) return command("resume");
-  if (step === "finished") return command("close");
+  if (paused) return command("resume", seen());
+  if (step === "finished") return command("close", seen());
   return command("start", seen());
 }
 
@@ -92,13 +95,14 @@ const resumable = () => state.status.paused
 
 function openSession() {
   if (!state.status.plan) return notify("The protocol node is not running.", false);
+  const shown = seen();
   newSession(state.status, async (plan, calibrate) => {
     const answer = await command("configure", plan, true);
-    return answer.success ? command(calibrate ? "calibrate" : "start") : answer;
+    return answer.success ? command(calibrate ? "calibrate" : "start", shown) : answer;
   });
 }
 
-const repeat = once((index) => command("repeat", { index }));
+const repeat = once((index) => command("repeat", { index, ...seen() }));
 
 async function skip() {
   const { index, condition } = state.status;
@@ -124,11 +128,12 @@ async function redo() {
 async function end() {
   const open = (state.status.trials || []).filter((t) => t.verdict === "pending").length;
   const running = RUNNING.includes(state.status.step);
+  const shown = seenTrial();
   const chosen = await ask("End the session?",
     `${open} ${open === 1 ? "trial is" : "trials are"} not done. All data are kept.`,
     running ? [["end", "End after this trial"], ["abort", "Abort this trial and end"]]
       : [["end", "End the session"]]);
-  if (chosen) command(chosen);
+  if (chosen) command(chosen, shown);
 }
 
 function note() {
@@ -138,13 +143,15 @@ function note() {
   const newest = RUNNING.includes(step) || step === "done" || step === "failed";
   const chosen = newest && begun.some((t) => t.index === index) ? index + 1
     : begun.length ? begun[begun.length - 1].index + 1 : 0;
-  write("Note", "", choices, chosen, (text, trial) => command("note", { text, trial }));
+  const shown = seenSession();
+  write("Note", "", choices, chosen, (text, trial) => command("note", { text, trial, ...shown }));
 }
 
 function editPreparation() {
   const { condition, preparation } = state.status;
+  const shown = seenSession();
   write(`Preparation: ${condition}`, preparation || "", [], 0,
-    (text) => command("preparation", { condition, text }));
+    (text) => command("preparation", { condition, text, ...shown }));
 }
 
 async function tare() {
@@ -338,7 +345,7 @@ const seconds = (age) => (age < 10 ? age.toFixed(1) : age.toFixed(0));
 
 function check() {
   const now = performance.now();
-  const away = state.link !== "open" || now - state.aliveAt > LOST;
+  const away = state.link !== "open" || now - state.aliveAt > SILENT;
   const changed = away !== state.away;
   state.away = away;
   set($("link-word"), away ? "not connected" : "connected");
@@ -348,7 +355,7 @@ function check() {
   if (changed) showButtons();
   drawCue();
   showNumbers();
-  if (charts.mode === "live" && now - state.imageAt > LOST) hideImage(now);
+  if (charts.mode === "live" && now - state.imageAt > SILENT) hideImage(now);
 }
 setInterval(check, 200);
 
@@ -500,7 +507,7 @@ function receive(data) {
 
 const link = new Link({ view: "operator", token }, receive, (now) => {
   state.link = now;
-  if (now !== "open") for (const [id, resolve] of state.answers) {
+  if (now === "lost") for (const [id, resolve] of state.answers) {
     state.answers.delete(id);
     resolve({ success: false, message: "the connection was lost" });
   }
@@ -542,12 +549,14 @@ setInterval(drawAll, PERIOD);
 // Buttons and keys ----------------------------------------------------------------------------
 
 $("start").onclick = once(() => primary());
-$("pause").onclick = once(() => command(resumable() ? "resume" : "pause"));
+$("pause").onclick = once(
+  () => (resumable() ? command("resume", seen()) : command("pause", seenTrial())),
+);
 $("redo").onclick = once(() => redo());
 $("skip").onclick = skip;
 $("tare").onclick = once(() => tare());
 $("note").onclick = note;
-$("marker").onclick = once(() => command("marker"));
+$("marker").onclick = once(() => command("marker", seenSession()));
 $("end").onclick = end;
 $("preparation-edit").onclick = editPreparation;
 $("keys").onclick = () => $("keys-dialog").showModal();

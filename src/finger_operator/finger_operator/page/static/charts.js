@@ -3,6 +3,8 @@
 
 const $ = (id) => document.getElementById(id);
 const SPAN = 10;
+// s of difference from which stamps are of another clock than the server's.
+const OTHER_CLOCK = 2;
 // s of live curves that stay for a pause; the server keeps as much for a reload.
 const KEPT = 30;
 // s without an estimate that end its line: the finger was off the plate.
@@ -56,6 +58,7 @@ export class Charts {
     this.hover = null;
     this.time = null;
     this.clock = null;
+    this.offset = 0;
     this.third = "loop";
     this.measured = [];
     this.highest = 0;
@@ -74,13 +77,22 @@ export class Charts {
   now() {
     const newest = last(this.live.force)?.[0] ?? 0;
     if (!this.clock) return newest;
-    const now = this.clock.time + (performance.now() - this.clock.at) / 1e3;
-    // Stamps of another clock (a bag that is replayed) are followed instead.
-    return Math.abs(now - newest) > 3600 ? newest : now;
+    return this.serverTime() - this.offset;
+  }
+
+  serverTime() { return this.clock.time + (performance.now() - this.clock.at) / 1e3; }
+
+  // Stamps of another clock, of a bag that is replayed or of a driver that was started before the
+  // system clock was stepped, are followed: what comes now is of now.
+  follow(time) {
+    if (!this.clock) return;
+    const offset = this.serverTime() - time;
+    this.offset = Math.abs(offset) > OTHER_CLOCK ? offset : 0;
   }
 
   add(kind, points) {
     const all = this.live[kind];
+    if (kind === "force" && points.length) this.follow(last(points)[0]);
     if (all.length && points.length && points[0][0] < last(all)[0] - 1) all.length = 0;
     all.push(...points);
     const newest = last(all)?.[0] ?? 0;

@@ -51,8 +51,13 @@ async function servedToken() {
   }
 }
 
+// ms of silence from which what a page shows may be old, and from which its socket is given up: one
+// whose other end is gone stays open for minutes.
+export const SILENT = 1000;
+const DEAD = 5000;
+
 // A socket that connects again by itself, and reloads the page of a rig that was started again.
-// state: called with "open", "lost" or "refused".
+// state: called with "open", "silent", "lost" or "refused".
 export class Link {
   constructor(view, receive, state) {
     this.view = new URLSearchParams(view);
@@ -60,24 +65,50 @@ export class Link {
     this.state = state;
     this.delay = 250;
     this.open();
+    setInterval(() => this.listen(), 200);
+  }
+
+  listen() {
+    const silence = performance.now() - this.heard;
+    if (!this.socket) return;
+    if (silence > DEAD) this.drop();
+    else if (silence > SILENT && this.now === "open") this.say("silent");
+  }
+
+  say(now) {
+    this.now = now;
+    this.state(now);
+  }
+
+  // Without the closing handshake, which a dead connection does not answer.
+  drop() {
+    const socket = this.socket;
+    this.socket = null;
+    socket.onopen = socket.onmessage = socket.onclose = null;
+    socket.close();
+    this.say("lost");
+    setTimeout(() => this.again(), this.delay);
+    this.delay = Math.min(this.delay * 2, 2000);
   }
 
   open() {
     const scheme = location.protocol === "https:" ? "wss" : "ws";
     const socket = new WebSocket(`${scheme}://${location.host}/ws?${this.view}`);
     socket.binaryType = "arraybuffer";
-    socket.onopen = () => { this.delay = 250; this.state("open"); };
+    const heard = () => {
+      this.heard = performance.now();
+      if (this.now !== "open") this.say("open");
+    };
+    this.heard = performance.now();
+    socket.onopen = () => { this.delay = 250; heard(); };
     socket.onmessage = ({ data }) => {
+      heard();
       // The server waits for this before it sends more, so that nothing old is on its way.
       if (typeof data === "string" && data.startsWith('{"type": "round"')) {
         this.send({ ...JSON.parse(data), type: "got" });
       } else this.receive(data);
     };
-    socket.onclose = () => {
-      this.state("lost");
-      setTimeout(() => this.again(), this.delay);
-      this.delay = Math.min(this.delay * 2, 2000);
-    };
+    socket.onclose = () => this.drop();
     this.socket = socket;
   }
 
@@ -86,13 +117,13 @@ export class Link {
     const mine = this.view.get("token") ?? "";
     if (typeof token === "string" && token === mine) return this.open();
     if (typeof token === "string") return location.reload();
-    if (token === null) this.state("refused");
+    if (token === null) this.say("refused");
     setTimeout(() => this.again(), this.delay);
     this.delay = Math.min(this.delay * 2, 2000);
   }
 
   send(message) {
-    if (this.socket.readyState !== WebSocket.OPEN) return false;
+    if (this.socket?.readyState !== WebSocket.OPEN) return false;
     this.socket.send(JSON.stringify(message));
     return true;
   }

@@ -34,7 +34,9 @@ new Link({ view: "participant" }, (data) => {
   if (document.hidden) liftTone();
   else whenShown(() => { if (newest === message) liftTone(); });
 }, (now) => {
-  if (now !== "open") show("idle");
+  if (now === "lost") newest = null;
+  if (now === "open" && newest) show(newest.phase, newest.preparation);
+  else show("idle");
 });
 
 show("idle");
