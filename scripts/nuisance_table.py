@@ -494,7 +494,7 @@ def fit_case(
         true = float(SPACE.quantity(q, truth))
         out[q] = {
             "error": float(np.log(SPACE.quantity(q, fit.parameters) / true)),
-            "deviation": known.interval_deviation(q),
+            "deviation": known.deviation(q),
             "covered": in_interval(problem, q, true, fit.parameters, fit.cost, known),
             "error_without": float(np.log(SPACE.quantity(q, alone.parameters) / true)),
             "covered_without": in_interval(plain, q, true, alone.parameters, alone.cost, without),

@@ -329,7 +329,7 @@ def fit_one(
     for q in QUANTITIES:
         true = float(SPACE.quantity(q, truth))
         out["corrected_error_log"][q] = float(np.log(corrected[q].value / true))
-        out["interval_sd"][q] = known.interval_deviation(q)
+        out["interval_sd"][q] = known.deviation(q)
         out["covered"][q] = in_interval(problem, q, true, best, fit.cost, known)
         # The truth lies in an interval shifted by −bias where truth · exp(bias) lies in the
         # interval itself.

@@ -39,8 +39,10 @@ from finger_offline.trial_checks import (
 )
 from finger_offline.trial_records import TrialRecord
 from finger_offline.trial_split import CONDITION, TrialSettings, presses
+from finger_offline.unloaded import reached_force, unloaded_tare
 
 from .options import FitOptions
+from .problem.trials import smoothed
 from .results import ConditionFit, FitResult, write
 from .study import draw, fit_records, provenance
 
@@ -49,10 +51,6 @@ if TYPE_CHECKING:
 
 EPOCH = 946_684_800 * NANOSECONDS
 """Stamp (ns) of time 0 of a trial: 2000-01-01."""
-
-PART_OF_PEAK = 0.95
-"""Target force over peak force of a trial for which none is given."""
-
 
 ABOUT = ("subject", "condition")
 """Fields of a trial that tell where it belongs."""
@@ -72,9 +70,10 @@ class Trial:
     time (n,): s, or dates as NumPy and pandas have them; force (n,): normal force in N, tared,
     positive when the finger presses, from no contact on; area: gross contact area in m², (n,) with
     NaN where there is no frame, or (k,) at area_time (k,) in s. moisture: readings (a.u.).
-    target_force (N): ends the loading, 95 % of the peak by default. Lists, arrays and pandas
-    columns are taken. Raises InputError for arrays that do not belong together, and for times,
-    forces, areas and indentations that cannot be a finger's. None for subject or condition is none.
+    target_force (N): ends the loading, 95 % of the peak above the tare by default. Lists, arrays
+    and pandas columns are taken. Raises InputError for arrays that do not belong together, and for
+    times, forces, areas and indentations that cannot be a finger's. None for subject or condition
+    is none.
 
     indentation: measured approach of plate and bone in m, positive into the finger, from any zero:
     (n,) with NaN where there is none, or (j,) at indentation_time (j,) in s; None for none.
@@ -155,6 +154,9 @@ class Trial:
                 f"{name}: target_force is {target:g} N, the press goes up to {peak:.3g} N; give "
                 "the force at which the loading ends, or 0"
             )
+        touches, smooth = area[measured] > 0, smoothed(time, force, FitOptions.force_cutoff)
+        seen = frames[measured]
+        rest = unloaded_tare(time, force, smooth, seen[touches], seen[~touches])
         record = TrialRecord(
             bag=self.label or f"{subject} {condition}".strip() or "trials",
             session="python",
@@ -162,14 +164,14 @@ class Trial:
             condition=condition,
             index=index if index >= 0 else number,
             attempt=0,
-            target_force=target or PART_OF_PEAK * peak,
+            target_force=target or reached_force(peak, rest),
             stamp_ns=stamps,
             force=force,
             lateral_force=np.zeros(len(force)),
             area_stamp_ns=_stamps(frames[measured], origin),
             area=area[measured],
             area_sd=np.full(int(measured.sum()), np.nan),
-            area_flags=np.where(area[measured] > 0, 0, int(AreaFlag.NO_CONTACT)),
+            area_flags=np.where(touches, 0, int(AreaFlag.NO_CONTACT)),
             real_area=np.full(int(measured.sum()), np.nan),
             moisture_before=readings.tolist(),
             moisture_after=[],
@@ -350,7 +352,8 @@ class Fit:
     def predict(
         self, time: Any = None, force: Any = None, condition: str | None = None
     ) -> np.ndarray:
-        """Contact area (n,) in m² under a force (n,) in N at times (n,) in s.
+        """Contact area (n,) in m² under a force (n,) in N at times (n,) in s, corrected to full
+        order as the fit was, by the force.
 
         Without arguments: the fitted areas at all frames that count, in the order of `frames()`.
         condition: may be left out where there is one. Raises InputError.
@@ -363,7 +366,8 @@ class Fit:
         if len(seconds) != len(newtons) or len(seconds) < 2 or np.any(np.diff(seconds) <= 0):
             raise InputError("predict: time and force need equal length, and time must increase")
         drive = (seconds - seconds[0], np.maximum(newtons, 0.0), np.arange(len(seconds)))
-        return found.problem.model.batch(found.parameters[None], [drive])[0][0]
+        areas = found.problem.model.batch(found.parameters[None], [drive])[0][0]
+        return areas * found.problem.correction_at(found.parameters, drive[1])
 
     def _condition(self, name: str | None) -> ConditionFit:
         fits = self.result.fits
@@ -442,7 +446,7 @@ def fit(
         options["bounds"] = _bounds(options["bounds"])
     chosen = FitOptions.from_mapping(options, "fit")
     model = model or load_areas("", geometry or "", law)
-    chosen.check_names(model.space)
+    chosen.check_names(model.space, getattr(model, "geometry", None))
     trials = [trials] if isinstance(trials, Trial) else list(trials)
     for number, trial in enumerate(trials):
         if not isinstance(trial, Trial):
@@ -458,9 +462,9 @@ def fit(
     changed = "".join(f", {name}={value!r}" for name, value in options.items())
     found = {}
     for name, part in result.subjects.items():
-        part.sources = provenance(model, chosen, (), f"finger_fit.fit(…{changed})")
+        part.sources = provenance(result.model, chosen, (), f"finger_fit.fit(…{changed})")
         found[name] = Fit(part)
-    result.sources = provenance(model, chosen, (), f"finger_fit.fit(…{changed})")
+    result.sources = provenance(result.model, chosen, (), f"finger_fit.fit(…{changed})")
     return Fit(result, found)
 
 

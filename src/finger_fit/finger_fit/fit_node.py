@@ -71,8 +71,9 @@ def checked_options(goal: Any) -> FitOptions:
 class _Job:
     """One fit in a thread; `events` carries feedback to the executor's thread.
 
-    stop: tells the thread to end. answered: done when the goal may be answered. reason: why it
-    ended before its time, empty where the client cancelled it.
+    bags, output: paths of the goal, with the home folder for ~. stop: tells the thread to end.
+    answered: done when the goal may be answered. reason: why it ended before its time, empty where
+    the client cancelled it.
     """
 
     def __init__(self, goal: Any, settings: FitNodeSettings) -> None:
@@ -84,7 +85,8 @@ class _Job:
         self.answered = Future()
         self.reason = ""
         self.stopped_at = math.inf
-        self.bags = list(goal.bags)
+        self.bags = [str(Path(bag).expanduser()) for bag in goal.bags]
+        self.output = Path(goal.output).expanduser()
         self.stage = "load"
         self._goal = goal
         self._settings = settings
@@ -103,7 +105,7 @@ class _Job:
             model = _model_of(self._settings)
             self.names = model.space.names
             self.outcome = fit_bags(
-                self.bags, options, goal.output, list(goal.conditions), model, self._progress
+                self.bags, options, self.output, list(goal.conditions), model, self._progress
             )
         except Stopped:
             self.error = "nothing was found before"
@@ -248,7 +250,7 @@ class FitNode(ManagedNode):
             result.parameter_file = str(files[0]) if files else ""
             result.report = str(folder / "report.html")
         if job.thread.is_alive():
-            found = f"what was found so far is written to {handle.request.output} in a moment"
+            found = f"what was found so far is written to {job.output} in a moment"
         else:
             found = job.error or "the best found so far is written"
         if job.reason:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from finger_common.contact_threshold import ONSET_FORCE
 from finger_common.errors import InputError
 from finger_common.settings import setting
 from finger_common.units import MODULUS_UNITS, TIME_UNITS, unit_named
+from finger_model.geometry import Geometry
 from finger_model.laws import ParameterSpace, ParameterSpec
 from finger_model.paper import TARGET_FORCE
 
@@ -161,7 +162,13 @@ class FitOptions(NuisancePriors):
         group=SEARCH,
     )
     clusters: int = setting(
-        3, "Moisture clusters to form when trials carry no condition.", "", 1, 9, group=FRAMES
+        3,
+        "Most moisture clusters to form when trials carry no condition; fewer where the readings "
+        "do not lie apart.",
+        "",
+        1,
+        9,
+        group=FRAMES,
     )
     moisture_required: bool = setting(
         False, "Exclude trials without a moisture reading.", group=FRAMES
@@ -210,17 +217,22 @@ class FitOptions(NuisancePriors):
             box[space.index(name)] = _span(text, span, space[name])
         return box
 
-    def for_trial(self, record: Any) -> FitOptions:
-        """These options with the target force of a recorded trial, where none is set."""
-        if self.target_force:
-            return self
+    def target_of(self, record: Any) -> float:
+        """Normal force (N) that ends the loading of a recorded trial: its own, where none is
+        set."""
         own = float(getattr(record, "target_force", 0.0))
-        return replace(self, target_force=own if own > 0.0 else TARGET_FORCE)
+        return self.target_force or (own if own > 0.0 else TARGET_FORCE)
 
-    def check_names(self, space: ParameterSpace) -> None:
-        """Raise InputError for `bounds`, `shared` or lengths that name nothing known."""
+    def check_names(self, space: ParameterSpace, geometry: Geometry | None = None) -> None:
+        """Raise InputError for `bounds`, `shared` or lengths that name nothing known, and for a
+        length that is 0 in the finger's geometry."""
         self.box(space)
-        self.lengths()
+        for name in self.lengths():
+            if geometry is not None and getattr(geometry, name) == 0.0:
+                raise InputError(
+                    f"geometry_sd '{name}': this length of the finger is 0, and so is any relative "
+                    "deviation of it; leave it out, or give the length in the geometry"
+                )
         for name in self.shared:
             space.index(name)
 

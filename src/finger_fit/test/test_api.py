@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import copy
 import csv
 import json
 import re
@@ -20,6 +21,7 @@ import pytest
 
 from finger_common.errors import InputError
 from finger_fit import Fit, Trial, fit
+from finger_fit.problem import AreaCorrection
 from finger_model.geometry import Geometry
 from finger_model.laws import law_of
 from finger_model.reduced.model import load_population
@@ -148,10 +150,69 @@ def test_estimates_on_a_bound_are_not_compared(double: SimpleNamespace, tmp_path
     result = fit(trials, model=double.HereditaryModel(), bounds=bounds, **QUICK)
     found = {c.quantity: c for c in result.result.contrasts}["tau1"]
     assert found.on_bound == ("dry", "moist") and not found.separated
+    for fitted in result.result.fits.values():
+        assert fitted.covariance is not None and fitted.covariance.deviation("tau1") > 0.0
     page = result.report(tmp_path).read_text()
     assert "<i>at a bound</i>" in page
     assert "8 presses of S01 in 2 conditions: dry, moist." in page
     assert "S01 dry trial 0" in page and "−0.000" not in page
+
+
+def test_a_quantity_of_estimates_on_bounds_alone_is_not_compared(double: SimpleNamespace) -> None:
+    """E0 and E1 on bounds hold composite E, of which no sample would have a spread."""
+    soft = np.array([80e3, 15e3, 0.2, 1000e3])
+    trials = [
+        *trials_of(double, 4, condition="dry", subject="S01"),
+        *trials_of(double, 4, condition="moist", subject="S01", truth=soft),
+    ]
+    # Both ends of the box lie between the two fingers.
+    bounds = {"E0": (95e3, 105e3), "E1": (19e3, 21e3)}
+    quick = {**QUICK, "profiles": False, "bootstrap": 0}
+    result = fit(trials, model=double.HereditaryModel(), bounds=bounds, **quick).result
+    for fitted in result.fits.values():
+        assert fitted.covariance is not None and {"E0", "E1"} <= set(fitted.covariance.active)
+        assert fitted.covariance.deviation("composite_E") > 0.0
+    found = {c.quantity: c for c in result.contrasts}["composite_E"]
+    assert found.on_bound == ("dry", "moist") and not found.separated
+
+
+def test_presses_of_pooled_subjects_are_compared_under_the_codes_of_all(
+    double: SimpleNamespace,
+) -> None:
+    soft = np.array([80e3, 15e3, 0.2, 1000e3])
+    trials = [
+        *trials_of(double, 3, condition="dry", subject="S02"),
+        *trials_of(double, 3, condition="moist", subject="S01", truth=soft),
+    ]
+    quick = {**QUICK, "profiles": False, "bootstrap": 0}
+    result = fit(trials, model=double.HereditaryModel(), pool=True, **quick)
+    assert {c.subject for c in result.result.contrasts} == {"S01, S02"}
+
+
+def test_a_tare_that_passes_leaves_the_press_its_target(double: SimpleNamespace) -> None:
+    quick = {**QUICK, "profiles": False, "bootstrap": 0, "grid": 2}
+    plain = [replace(t, target_force=0.0) for t in trials_of(double, 3)]
+    tared = [replace(t, force=np.asarray(t.force) + 0.08) for t in plain]
+    found = [fit(t, model=double.HereditaryModel(), **quick) for t in (plain, tared)]
+    assert not found[1].result.exclusions
+    first, second = (f.parameters["composite_E"] for f in found)
+    assert second == pytest.approx(first, rel=0.02)
+
+
+def test_predicted_areas_are_corrected_to_full_order(double: SimpleNamespace, result: Fit) -> None:
+    """By a model whose areas are too small by a part that grows with the force."""
+    condition = copy.copy(result.result.fits["dry"])
+    problem = copy.copy(condition.problem)
+    part = 0.02 + 0.01 * np.log(problem.force)
+    problem.correction = AreaCorrection(
+        problem.space, condition.parameters, part, np.zeros((4, len(part)))
+    )
+    condition.problem = problem
+    corrected = Fit(replace(result.result, fits={"dry": condition}))
+    time = np.linspace(0.0, 1.5, 16)
+    force = 1.2 * time / 1.5
+    ratio = corrected.predict(time, force)[4:] / result.predict(time, force)[4:]
+    np.testing.assert_allclose(np.log(ratio), 0.02 + 0.01 * np.log(force[4:]), atol=1e-6)
 
 
 def test_a_cluster_fits_each_subject_as_this_machine_does(double: SimpleNamespace) -> None:
@@ -357,7 +418,7 @@ def test_a_parameter_that_may_be_zero_is_fitted_with_intervals(tmp_path: Path) -
     low, high = found.intervals["long_term_E"]
     assert low < 32e3 < high
     for name in fitted.space.quantity_names:
-        assert np.isfinite(fitted.covariance.interval_deviation(name)), name
+        assert np.isfinite(fitted.covariance.deviation(name)), name
     assert not re.search(r"\bnan\b", found.report(tmp_path).read_text())
 
     both = fit(trials, profiles=False, **some)

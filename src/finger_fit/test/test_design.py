@@ -98,6 +98,15 @@ def test_more_presses_narrow_what_they_can(double) -> None:
     assert presses_for(few, name, 0.2 * many.total[name], total=True) is None
 
 
+def test_a_plan_without_gains_of_presses_has_none(double) -> None:
+    model, parts = double.HereditaryModel(), []
+    for scatter in (0.0, 0.1):
+        plan = Plan(presses=5, scatter=scatter)
+        options = FitOptions(press_gain=False, geometry_sd=[])
+        parts.append(expected(plan, model, double.TRUTH, options).data["composite_E"])
+    assert parts[1] == pytest.approx(parts[0], rel=1e-9)
+
+
 def test_a_plan_whose_residuals_are_zero_has_the_noise_that_it_names(double) -> None:
     options = FitOptions(nuisances=False)
     plans = [Plan(presses=5, area_noise=noise) for noise in (1e-6, 3e-6)]

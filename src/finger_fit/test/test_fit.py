@@ -6,12 +6,14 @@
 from __future__ import annotations
 
 import ast
+import copy
 import json
+import math
 import os
 import re
 import shutil
 import signal
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +25,8 @@ from finger_fit import report, results
 from finger_fit.cli import command
 from finger_fit.engine import DaskEngine
 from finger_fit.options import FitOptions
-from finger_fit.problem import MM4, three_digits
-from finger_fit.report import find_browser, write_pdf
+from finger_fit.problem import MM4, fit_power_law, three_digits
+from finger_fit.report import find_browser, write_pdf, write_report
 from finger_fit.results import FitResult
 from finger_fit.search import Stopped, all_free, refine
 from finger_fit.study import fit_condition, fit_records
@@ -165,6 +167,63 @@ def test_what_was_fitted_before_an_interruption_is_kept(double, signal: type) ->
     assert not result.subjects["S01"].interrupted
 
 
+def test_a_fault_of_one_condition_keeps_the_others(double) -> None:
+    records = [double.make_record(i, 0.7 + 0.2 * i, condition="dry") for i in range(3)]
+    weak = [double.make_record(i, 0.7 + 0.2 * i, condition="weak", peak=0.9) for i in range(3)]
+    for record in weak:
+        record.target_force = 0.8
+    # All frames of the weak presses weigh nothing.
+    options = FitOptions(**QUICK, rounds=3, low_force=1.0, low_force_weight=0.0, shared=["E2"])
+    result = fit_records([*records, *weak], double.HereditaryModel(), options)
+    assert list(result.fits) == ["dry"]
+    assert any("'weak' is not fitted: every frame" in note for note in result.problems)
+    assert any("E2 can be shared by two or more" in note for note in result.problems)
+    with pytest.raises(InputError, match=r"no condition can be fitted .*every frame"):
+        fit_records(weak, double.HereditaryModel(), options)
+
+
+def test_a_subject_has_its_own_exclusions(double) -> None:
+    records = []
+    for subject in ("S01", "S02"):
+        for i in range(4):
+            ramp = 0.7 + 0.1 * i + 0.05 * (subject == "S02")
+            peak = 1.0 if subject == "S02" and i == 3 else 1.5
+            record = double.make_record(i, ramp, peak=peak)
+            record.subject, record.bag = subject, f"{subject}_{i}"
+            records.append(record)
+    result = fit_records(records, double.HereditaryModel(), FitOptions(**QUICK, rounds=3))
+    (exclusion,) = result.exclusions
+    assert exclusion.subject == "S02"
+    assert result.subjects["S02"].exclusions == [exclusion]
+    assert not result.subjects["S01"].exclusions
+    assert results.fit_dict(result)["exclusions"][0]["subject"] == "S02"
+
+
+@pytest.mark.parametrize("done", [0, 1])
+def test_an_interruption_of_the_full_order_leaves_one_state(double, done: int) -> None:
+    """Before the first run of it, and in the second round of the correction."""
+    problem = double.make_problem(noise=1e-6, trials=4)
+    calls = []
+
+    class Interrupted(double.Exact):
+        def areas(self, problem, candidates, done=None):
+            calls.append(len(candidates))
+            if len(calls) > stop_after:
+                raise KeyboardInterrupt
+            return 1.1 * super().areas(problem, candidates, done)
+
+    stop_after = done
+    options = FitOptions(profiles=False, bootstrap=0, bias_pairs=0, grid=3, rounds=5)
+    fit = fit_condition(problem, options, better=Interrupted())
+    assert fit.status == "interrupted" and len(calls) == done + 1
+    areas = fit.problem.areas(fit.parameters)[0]
+    assert fit.problem.trial_costs(areas).sum() == pytest.approx(fit.cost)
+    assert fit.problem.cost(fit.parameters)[0] == pytest.approx(fit.objective)
+    assert fit.power_law.cost == pytest.approx(fit_power_law(fit.problem).cost)
+    refined = refine(fit.problem, all_free(fit.problem), fit.parameters)
+    assert refined.cost == pytest.approx(fit.objective, rel=1e-3), "still at its minimum"
+
+
 @pytest.mark.parametrize("stop_at", ["grid", "pso", "bootstrap"])
 @pytest.mark.parametrize("signal", [KeyboardInterrupt, Stopped])
 def test_interruption_leaves_the_best_so_far(double, stop_at: str, signal: type) -> None:
@@ -237,6 +296,47 @@ def test_parameter_file_is_what_the_model_node_loads(study, tmp_path: Path) -> N
         assert entry.moisture == pytest.approx(70.0, abs=0.01)
         eigenvalues = np.linalg.eigvalsh(np.array(entry.covariance_log))
         assert eigenvalues.min() > -1e-12 and eigenvalues.max() > 0
+
+
+def test_a_condition_without_moisture_beside_others_gets_a_file_of_its_own(
+    study, tmp_path: Path
+) -> None:
+    fits = dict(study.fits)
+    dry = fits["dry"] = copy.copy(fits["dry"])
+    dry.problem = copy.copy(dry.problem)
+    dry.problem.trials = tuple(replace(t, moisture=math.nan) for t in dry.problem.trials)
+    mixed = replace(study, fits=fits)
+    found = {n: [s.condition for s in sets.sets] for n, sets in
+             results.parameter_files(mixed).items()}  # fmt: skip
+    assert found == {"parameters.yaml": ["natural"], "parameters_dry.yaml": ["dry"]}
+    results.write(mixed, tmp_path)
+    results.write(study, tmp_path)
+    assert not (tmp_path / "parameters_dry.yaml").exists(), "the later fit has readings of it"
+
+
+def test_a_second_fit_leaves_nothing_of_the_first_but_foreign_files(
+    study, written: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "fit"
+    shutil.copytree(written.parent, folder)
+    foreign = [folder / "figures" / "mine.png", folder / "subjects" / "S02.yaml"]
+    stale = [folder / "report.pdf", folder / "subjects" / "S01.yaml"]
+    stale += [folder / "figures" / f"indentation.{kind}" for kind in ("png", "svg", "pdf")]
+    for path in (*foreign, *stale):
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("of before")
+    fits = {}
+    for name, fit in study.fits.items():
+        fits[name] = copy.copy(fit)
+        fits[name].problem = copy.copy(fit.problem)
+        fits[name].problem.trials = tuple(
+            replace(t, moisture=math.nan) for t in fit.problem.trials
+        )  # fmt: skip
+    unread = replace(study, fits=fits)
+    results.write(unread, folder)
+    write_report(unread, folder)
+    assert not [path.name for path in stale if path.exists()]
+    assert all(path.exists() for path in foreign)
 
 
 def test_report_is_one_self_contained_page_with_its_figures_beside_it(written: Path) -> None:

@@ -172,6 +172,23 @@ def test_goal_gives_feedback_and_the_parameter_file_and_cancel_keeps_the_best(
     assert child.wait(60) == 0, child.output.read_text()
 
 
+def test_the_home_folder_is_meant_by_a_tilde(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from finger_fit import fit_node
+    from finger_msgs.action import FitParameters
+
+    asked: list[Any] = []
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setattr(fit_node, "fit_bags", lambda *arguments: asked.append(arguments))
+    (tmp_path / "bag").mkdir()
+    goal = FitParameters.Goal(bags=["~/bag"], output="~/fit")
+    job = fit_node._Job(goal, fit_node.FitNodeSettings())
+    job.thread.join(60)
+    ((bags, _, output, *_),) = asked
+    assert bags == [str(tmp_path / "bag")] and output == tmp_path / "fit"
+
+
 @pytest.fixture
 def slow_fit(ros_domain: int, monkeypatch: pytest.MonkeyPatch) -> Any:
     """A fit node whose fit is at something that cannot be interrupted until it is let go."""

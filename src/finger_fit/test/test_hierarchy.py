@@ -165,6 +165,22 @@ def test_the_command_reads_fits_and_writes_the_population(
     assert (slope < 0).mean() == entry["probability_slope_negative"]
 
 
+def test_few_subjects_with_moisture_have_no_slope_and_the_rest(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = fit_file(tmp_path / "fit", 5)
+    data = json.loads((folder / "fit.json").read_text())
+    for code in ("S02", "S03", "S04"):
+        for entry in data["subjects"][code]["conditions"].values():
+            entry["moisture_mean"] = None
+    data["subjects"]["S01"]["conditions"]["dry"]["status"] = "interrupted"
+    (folder / "fit.json").write_text(json.dumps(data))
+    assert run(command, ["population", str(folder), "-o", str(tmp_path)]) == 0
+    assert "1 of the fits are not final: S01 dry (interrupted)" in capsys.readouterr().out
+    entry = json.loads((tmp_path / "population.json").read_text())["quantities"]["composite_E"]
+    assert "moisture_slope_log_per_10" not in entry and entry["mean"]["dry"]["median"] > 0
+
+
 def test_bad_input_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = fit_file(tmp_path / "fit")
     few = fit_file(tmp_path / "few", 2)

@@ -88,7 +88,7 @@ def test_bias_spread_and_coverage_over_many_seeds(double, window: str) -> None:
             true = float(quantity(q, double.TRUTH))
             errors[q].append(float(np.log(quantity(q, fit.parameters) / true)))
             covered[q].append(in_interval(problem, q, true, fit.parameters, fit.cost, found))
-            claimed[q].append(found.interval_deviation(q))
+            claimed[q].append(found.deviation(q))
             bound[q] += least[q] / seeds
     for q in names:
         spread = np.std(errors[q], ddof=1)

@@ -30,6 +30,7 @@ from finger_fit.search import all_free, refine
 from finger_fit.study import fit_records
 from finger_fit.uncertainty import bias_pair, covariance, in_interval
 from finger_model.geometry import Geometry
+from finger_model.laws import StandardLinearSolid
 from finger_model.reduced import ReducedModel
 from finger_offline.unloaded import unloaded_tare
 
@@ -392,6 +393,53 @@ def test_a_fit_names_what_it_cannot_estimate(double, tmp_path) -> None:
     assert data["interval_95"]["composite_E"]["low"] < truth
     assert truth < data["interval_95"]["composite_E"]["high"]
     assert fit.objective <= fit.cost * 1.5 + 1e-12
+
+
+def test_a_length_that_is_named_keeps_the_others() -> None:
+    usual = FitOptions().lengths()
+    better = FitOptions(geometry_sd=["epidermis_thickness=0.1"]).lengths()
+    assert len(usual) == 4 and better == {**usual, "epidermis_thickness": 0.1}
+    without = FitOptions(geometry_sd=["epidermis_thickness=0"]).lengths()
+    assert set(without) == set(usual) - {"epidermis_thickness"}
+    assert FitOptions(geometry_sd=[]).lengths() == {}
+
+
+def test_a_relative_deviation_of_no_length_is_refused() -> None:
+    options = FitOptions(geometry_sd=["bone_center_height=0.3"])
+    raised = replace(Geometry(), bone_center_height=0.3e-3)
+    options.check_names(StandardLinearSolid.PARAMETERS, raised)
+    with pytest.raises(InputError, match=r"'bone_center_height': this length .* is 0.*leave it"):
+        options.check_names(StandardLinearSolid.PARAMETERS, Geometry())
+
+
+def test_outliers_do_not_widen_the_intervals_of_the_huber_loss(double) -> None:
+    options = FitOptions(loss="huber", geometry_sd=[])
+    deviations = []
+    for rows in ([], [5, 40, 90]):
+        problem = double.make_problem(noise=NOISE, options=options)
+        problem.measured = problem.measured + np.bincount(
+            rows, minlength=len(problem.measured)
+        ) * 40e-6  # fmt: skip
+        found = NuisanceModel(problem, options).settle(double.TRUTH[None])
+        assert abs(error_of(double, found.fit.parameters)) < 0.02
+        known = covariance(problem, found.fit.parameters)
+        deviations.append([known.data_deviation(n) for n in problem.space.quantity_names])
+    clean, spoilt = np.array(deviations)
+    assert np.all(np.abs(np.log(spoilt / clean)) < np.log(1.5))
+
+
+def test_a_length_that_is_fitted_besides_stays_assumed_in_the_main_fit(double) -> None:
+    found = {}
+    for extra in ("none", "epidermis_thickness"):
+        options = FitOptions(extra=extra)
+        problem = problem_of(double, options)
+        skin = Response(np.array([1.0]), np.array([[0.0, -0.1, -0.3]]))
+        responses = {"epidermis_thickness": skin}
+        result = NuisanceModel(problem, options, responses).settle(double.TRUTH[None])
+        found[extra] = covariance(problem, result.fit.parameters)
+    for name in ("E2", "composite_E"):
+        alone, fitted = (known.assumed_deviation(name) for known in found.values())
+        assert fitted == pytest.approx(alone) and fitted > 0.05
 
 
 def test_a_wrong_length_is_named() -> None:

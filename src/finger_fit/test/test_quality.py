@@ -18,11 +18,15 @@ import pytest
 from finger_common.errors import InputError
 from finger_common.flags import AreaFlag
 from finger_fit.options import FitOptions
+from finger_fit.problem import FitProblem
 from finger_fit.quality import screen
 from finger_fit.results import parameter_files, write
 from finger_fit.study import fit_records
+from finger_model.geometry import Geometry
 from finger_model.laws import StandardLinearSolid
 from finger_model.parameter_sets import ParameterSets
+from finger_model.reduced import ReducedModel
+from finger_model.reduced.model import load_population
 from finger_model.subjects import subject_file
 
 QUICK = FitOptions(
@@ -74,6 +78,15 @@ def test_the_same_press_three_times_counts_once(
     assert len(reasons) == 8 and all("the same press as" in r for r in reasons)
 
 
+def test_a_press_measured_again_counts_once(double: SimpleNamespace, presses: list[Any]) -> None:
+    """Its images by another threshold; another finger under the same drive is no second time."""
+    again = [replace(p, bag="copy", area=1.03 * p.area) for p in presses]
+    other = [replace(p, subject="S02", area=1.2 * p.area) for p in presses]
+    found = screen([*presses, *again, *other])
+    assert len(found.records) == 8
+    assert {e.subject for e in found.exclusions} == {"S01"} and len(found.exclusions) == 4
+
+
 def test_codes_of_subjects_that_differ_in_case_are_noted(
     double: SimpleNamespace, presses: list[Any]
 ) -> None:
@@ -109,6 +122,37 @@ def test_a_large_tare_is_taken_off_and_fails(
     status, words = status_of(result, "tare")
     assert status == "fail" and f"{tare:+.3f} N (median)".replace("-", "−") in words
     assert result.fits["natural"].cost == pytest.approx(clean.cost, rel=0.02)
+
+
+def test_presses_beyond_the_default_fingers_model_are_fitted_with_the_populations(
+    double: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own, population = ReducedModel.load(), load_population(Geometry())
+    truth = own.space.default
+    options = replace(QUICK, polish=False, nuisances=False)
+    monkeypatch.setattr("finger_fit.study.study._further", lambda *_: None)
+
+    def found(peak: float) -> Any:
+        records = []
+        for i in range(3):
+            record = double.make_record(i, 0.5 + 0.2 * i, peak=peak)
+            time = (record.stamp_ns - record.stamp_ns[0]) * 1e-9
+            frames = np.searchsorted(time, (record.area_stamp_ns - record.stamp_ns[0]) * 1e-9)
+            (areas,) = population.batch(truth, [(time, record.force, frames)])
+            record.area, record.target_force = areas[0], 0.97 * peak
+            record.area_flags = (areas[0] <= 0).astype(int)
+            records.append(record)
+        return fit_records(records, own, options)
+
+    result = found(5.0)
+    (fit,) = result.fits.values()
+    assert result.model.serves_population and not fit.reasons
+    assert any("fitted with that of the population box" in note for note in result.problems)
+    held = FitProblem(fit.problem.trials, own, options)
+    assert fit.problem.area_cost(truth) < 0.1 * held.area_cost(truth), "areas above 3 N count"
+    (beyond,) = found(12.0).fits.values()
+    assert re.match(r"the force goes up to 1[12].* N, the model is made for", beyond.reasons[0])
+    assert found(1.5).model is own
 
 
 def test_areas_and_forces_in_another_unit_are_excluded(presses: list[Any]) -> None:

@@ -16,7 +16,7 @@ from finger_fit.options import FitOptions
 from finger_fit.problem import TrialRejected, prepare, prepare_all
 from finger_fit.study import group_trials
 from finger_fit.study.bags import load
-from finger_fit.study.grouping import moisture_clusters
+from finger_fit.study.grouping import best_division, cluster_names, moisture_clusters
 from finger_model.laws import StandardLinearSolid
 
 
@@ -47,7 +47,8 @@ def test_a_trial_that_was_repeated_is_fitted_by_its_last_attempt(tmp_path) -> No
                 bag.write("wrench", {**header, "wrench": {"force": {"z": -force}}})
                 if k % 50 == 0:
                     bag.write("contact_area", {**header, "gross_area": 4e-5 * force})
-    found = load([tmp_path], FitOptions())
+    found = load([tmp_path], FitOptions(), area_per_pixel=1e-9)
+    assert any("not used; measure the images again with --vision" in p for p in found.problems)
     assert [record.attempt for record in found.records] == [1]
     assert [e.reason for e in found.exclusions] == ["attempt 0, done again"]
 
@@ -162,6 +163,30 @@ def test_frames_without_contact_in_the_window_are_dropped_and_counted(double) ->
     assert trial.dropped >= 1
 
 
+def test_an_area_of_zero_is_none_whether_or_not_it_is_flagged(double) -> None:
+    record = double.make_record()
+    first = np.flatnonzero(record.area > 0)[0]
+    area = record.area.copy()
+    area[first + 2] = 0.0
+    record = replace(record, area=area)
+    flagged = prepare(replace(record, area_flags=(area <= 0).astype(int)), FitOptions())
+    plain = prepare(replace(record, area_flags=np.zeros(len(area), int)), FitOptions())
+    assert plain.dropped == flagged.dropped > 0 and plain.rest == flagged.rest
+    for name in ("area", "time", "force", "frames"):
+        np.testing.assert_array_equal(getattr(plain, name), getattr(flagged, name))
+
+
+@pytest.mark.parametrize("target", [0.02, 60.0])
+def test_a_target_that_cannot_end_a_loading_excludes_its_own_press_alone(
+    double, target: float
+) -> None:
+    records = [double.make_record(0), double.make_record(1)]
+    records[1].target_force = target
+    trials, (exclusion,) = prepare_all(records, FitOptions())
+    assert [t.index for t in trials] == [0]
+    assert f"target of {target:g} N" in exclusion.reason and exclusion.subject == "S01"
+
+
 def test_too_short_a_press_is_named(double) -> None:
     with pytest.raises(TrialRejected, match="frames in the contact"):
         prepare(double.make_record(ramp=0.05), FitOptions())
@@ -188,7 +213,7 @@ def test_moisture_clusters_find_the_study_groups() -> None:
 
 def test_moisture_clusters_are_the_exact_optimum() -> None:
     x = np.random.default_rng(5).uniform(0, 100, 9)
-    labels = moisture_clusters(x, 3)
+    labels = best_division(x, 3)
 
     def spread(cut_low: int, cut_high: int) -> float:
         s = np.sort(x)
@@ -198,6 +223,24 @@ def test_moisture_clusters_are_the_exact_optimum() -> None:
     best = min(spread(i, j) for i in range(1, 8) for j in range(i + 1, 9))
     found = sum(((x[labels == k] - x[labels == k].mean()) ** 2).sum() for k in range(3))
     assert found == pytest.approx(best)
+
+
+def test_readings_of_one_condition_are_one_cluster() -> None:
+    rng = np.random.default_rng(1)
+    for readings in (
+        np.full(6, 69.0),
+        *(rng.normal(69.0, sd, 15) for sd in (2.0, 6.5) for _ in range(20)),
+    ):
+        assert not moisture_clusters(readings, 3).any()
+    two = moisture_clusters(np.array([40.0, 41.0, 69.0, 69.0, 70.0]), 3)
+    np.testing.assert_array_equal(two, [0, 0, 1, 1, 1])
+
+
+def test_clusters_are_named_after_the_conditions_that_they_lie_near() -> None:
+    assert cluster_names([40.0, 69.0, 95.0]) == ["dry", "natural", "moist"]
+    assert cluster_names([70.0]) == ["natural"]
+    assert cluster_names([5.0, 20.0, 38.0]) == ["moisture 1", "moisture 2", "moisture 3"]
+    assert cluster_names([60.0, 75.0]) == ["moisture 1", "moisture 2"]
 
 
 def test_trials_without_condition_are_grouped_by_moisture(double) -> None:

@@ -69,6 +69,7 @@ class Exclusion:
     condition: str
     index: int
     reason: str
+    subject: str = ""
 
 
 @dataclass

@@ -147,7 +147,10 @@ def split(
         chosen, without = _by_messages(streams.trials, stamp, normal, found)
     else:
         chosen, without = _by_force(normal, found, settings.minimum_peak), []
-    result.exclusions += [Exclusion(bag, e.condition, e.index, reason) for e, reason in without]
+    result.exclusions += [
+        Exclusion(bag, e.condition, e.index, reason, e.subject or metadata.subject)
+        for e, reason in without
+    ]
     if not chosen and not without:
         result.exclusions.append(
             Exclusion(
@@ -158,6 +161,7 @@ def split(
                 f"{settings.onset_force} N (range {normal.min():.2f} to {normal.max():.2f} N)"
                 if len(normal)
                 else "no press: no usable wrench",
+                metadata.subject,
             )
         )
     moistures = _assign_moistures(streams.moistures, chosen, stamp)
@@ -173,7 +177,9 @@ def split(
         if not CONDITION.fullmatch(record.condition):
             reason = f"condition {record.condition[:40]!r} is no name of letters, digits, blanks, -"
         if reason:
-            result.exclusions.append(Exclusion(bag, record.condition, record.index, reason))
+            result.exclusions.append(
+                Exclusion(bag, record.condition, record.index, reason, record.subject)
+            )
         else:
             result.trials.append(record)
     return result

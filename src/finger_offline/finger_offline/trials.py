@@ -102,7 +102,7 @@ def without_superseded(
         key = (trial.session, trial.subject, trial.condition, trial.index)
         if trial.attempt < last[key]:
             reason = f"attempt {trial.attempt}, done again"
-            again.append(Exclusion(trial.bag, trial.condition, trial.index, reason))
+            again.append(Exclusion(trial.bag, trial.condition, trial.index, reason, trial.subject))
         else:
             kept.append(trial)
     return kept, again

@@ -34,6 +34,10 @@ DRIFT = 0.001
 """N, deviation of the tare between rest and press that no rest shows; an assumption."""
 
 
+PART_OF_PEAK = 0.95
+"""Target force over peak force of a press for which none was set."""
+
+
 @dataclass(frozen=True)
 class Tare:
     """Force (N) of the unloaded plate, its standard deviation, and the seconds it was seen."""
@@ -86,6 +90,12 @@ def unloaded_tare(
     weights = np.array([len(part) for part in ends], dtype=float)
     period = float(np.median(np.diff(time)))
     return Tare(float(np.average(values, weights=weights)), float(deviation), number * period)
+
+
+def reached_force(peak: float, tare: Tare | None) -> float:
+    """Target force (N) that a press to a peak (N) as recorded reaches, whether or not a fit takes
+    its tare off."""
+    return PART_OF_PEAK * (peak - (max(tare.force, 0.0) if tare is not None else 0.0))
 
 
 def _steady(clock: np.ndarray, smooth: np.ndarray, limit: float) -> int:

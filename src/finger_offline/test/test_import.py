@@ -670,6 +670,39 @@ def test_times_to_the_second_are_refused(files: dict[str, str], tmp_path: Path) 
     check_trials(tmp_path / "bag")
 
 
+def test_areas_beside_forces_keep_their_rows_where_times_repeat(tmp_path: Path) -> None:
+    """Times of two decimals at 500 Hz: the area does not stand in the first row of its time."""
+    rows = ["time_s,force_n,area_mm2"]
+    time = np.arange(0.0, 9.0, 0.002)
+    for k, (at, force) in enumerate(zip(time, force_at(time))):
+        area = f"{area_at(at):.4f}" if k % 50 == 3 else ""
+        rows.append(f"{np.floor(100 * at + 1e-6) / 100:.2f},{force:.5f},{area}")
+    (tmp_path / "both.csv").write_text("\n".join(rows) + "\n")
+    both = str(tmp_path / "both.csv")
+    found = import_trial(ImportSettings(force=both, area=both, **ABOUT), tmp_path / "bag")
+    assert len(found.areas) == 90
+    assert len(load_trials(tmp_path / "bag").trials) == 2
+
+
+def test_axes_of_different_lengths_are_refused(files: dict[str, str], tmp_path: Path) -> None:
+    columns = {"t_s": TIME, "fx_n": 0 * TIME, "fy_n": 0 * TIME[1:], "fz_n": -force_at(TIME)}
+    np.savez(tmp_path / "axes.npz", **columns)
+    named = {"force": str(tmp_path / "axes.npz"), "force_time": "t_s"}
+    settings = {**files, **named, "force_column": "fx_n,fy_n,fz_n"}
+    with pytest.raises(InputError, match="columns 't_s' and 'fy_n' have 2250 and 2249 values"):
+        import_trial(ImportSettings(**settings), tmp_path / "bag")
+
+
+def test_a_tare_that_passes_leaves_a_press_its_target(
+    files: dict[str, str], tmp_path: Path
+) -> None:
+    first = TIME < 4.0
+    csv(Path(files["force"]), "time_s,force_n", TIME[first], force_at(TIME[first]) + 0.09)
+    import_trial(ImportSettings(**files), tmp_path / "bag")
+    (trial,) = load_trials(tmp_path / "bag")
+    assert trial.target_force == pytest.approx(0.95 * 1.5, abs=0.011)
+
+
 def test_areas_in_pixels(files: dict[str, str], tmp_path: Path) -> None:
     pixels = area_at(FRAMES) * 1e-6 / 9.86e-10
     named = {"area": csv(tmp_path / "p.csv", "time_s,Area [px]", FRAMES, pixels)}

@@ -15,6 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from finger_model.finger import serving
+
 from ..nuisance.estimate import NuisanceModel
 from ..nuisance.geometry import PopulationGeometry
 from ..options import FitOptions
@@ -44,8 +46,10 @@ class Expected:
 def expected(
     plan: Plan, model: Any, parameters: np.ndarray, options: FitOptions | None = None
 ) -> Expected:
-    """Of a plan for a finger of parameters (N,); options: priors of the nuisances."""
+    """Of a plan for a finger of parameters (N,); options: priors of the nuisances. A force beyond
+    the model takes that of the population box, as in a fit."""
     options = options or FitOptions()
+    model = serving(model, plan.peak, parameters[None])
     return expected_of(plan.problem(model, parameters, options), plan, parameters)
 
 
@@ -57,7 +61,9 @@ def expected_of(problem: FitProblem, plan: Plan, parameters: np.ndarray) -> Expe
         nuisances = NuisanceModel(
             problem, options, population=PopulationGeometry.like(problem.model) if lengths else None
         )
-        nuisances.noise, nuisances.scatter = plan.area_noise, plan.scatter
+        nuisances.noise = plan.area_noise
+        if options.press_gain:
+            nuisances.scatter = plan.scatter
         problem.nuisances = nuisances.linearise(parameters)
     known = covariance(problem, parameters, plan.area_noise)
     names = problem.space.quantity_names
@@ -79,7 +85,7 @@ def presses_for(found: Expected, name: str, wanted: float, total: bool = False) 
 
     def deviation(presses: int) -> float:
         of_so_many = known.with_presses(presses / found.plan.presses)
-        return of_so_many.interval_deviation(name) if total else of_so_many.data_deviation(name)
+        return of_so_many.deviation(name) if total else of_so_many.data_deviation(name)
 
     low, high = 3, MOST_PRESSES
     if deviation(high) > wanted:

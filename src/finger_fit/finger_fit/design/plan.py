@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -101,8 +102,14 @@ class Plan(Settings):
 
         noise: draws the noise of frames, the gains of presses, and noise and zeros of
         indentations; none without. Raises InputError for a plan with a measured indentation and a
-        model without.
+        model without, and for a force beyond the model's limit.
         """
+        limit = getattr(model, "force_limit", lambda parameters: math.inf)(parameters)
+        if self.peak > limit:
+            raise InputError(
+                f"plan: peak is {self.peak:g} N, beyond the {limit:.3g} N for which the model of "
+                "this finger is made; lower it"
+            )
         records = []
         for index in range(self.presses):
             time, force = self.force(index)

@@ -173,17 +173,28 @@ def population(
         draws[f"{name} sd_between_subjects_log"] = found.subject_sd
         draws[f"{name} sd_subject_by_condition_log"] = found.condition_sd
         centre = np.nanmean(moisture) if np.isfinite(moisture).any() else math.nan
-        if np.isfinite(moisture).sum() > 3 and np.nanstd(moisture) > 1.0:
+        read = np.isfinite(moisture)
+        # The posterior needs three subjects that have a mean moisture.
+        enough = (read & np.isfinite(arrays[0])).any(axis=1).sum() >= 3
+        if enough and read.sum() > 3 and np.nanstd(moisture) > 1.0:
             scaled = (moisture - centre) / MOISTURE_UNIT
             slope = posterior(Estimates.of_covariate(*arrays, scaled), priors, seed=seed)
             entry["moisture_slope_log_per_10"] = ends(slope.beta[:, 1])
             draws[f"{name} moisture_slope_log_per_10"] = slope.beta[:, 1]
             entry["probability_slope_negative"] = float((slope.beta[:, 1] < 0).mean())
+        unfinished = [
+            f"{s} {c} ({part[c]['status']})" for s, part in subjects.items() for c in part
+            if part[c].get("status", "final") != "final"
+        ]  # fmt: skip
         bounded = [
             f"{s} {c}" for s, part in subjects.items() for c in part
             if part[c].get("active_bounds")
         ]  # fmt: skip
         entry["words"] = [*found.problems, *_words(entry)]
+        if unfinished:
+            entry["words"].append(
+                f"{len(unfinished)} of the fits are not final: {', '.join(unfinished[:3])}"
+            )
         if bounded:
             entry["words"].append(
                 f"{len(bounded)} of the fits lie on a bound of the search box, which pulls them "

@@ -23,10 +23,26 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..options import FitOptions
-from ..problem import PRESS_GAIN, FitProblem, FitTrial, Nuisances, fit_power_law
+from ..problem import (
+    PRESS_GAIN,
+    FitProblem,
+    FitTrial,
+    Nuisances,
+    fit_power_law,
+    robust_factor,
+)
 from ..search import LocalFit, all_free, refine
 from .geometry import PopulationGeometry, Response
-from .names import AREA_GAIN, COLLAPSE, INDENTATION_GAIN, LAG, TARE, TRIAL_TARE, is_assumed
+from .names import (
+    AREA_GAIN,
+    COLLAPSE,
+    INDENTATION_GAIN,
+    LAG,
+    TARE,
+    TRIAL_TARE,
+    absorber_of,
+    is_assumed,
+)
 
 TRIAL_SHARE = 0.25
 """Deviation of one trial's tare over that of all, where none was measured; an assumption: a sensor
@@ -90,7 +106,7 @@ class NuisanceModel:
     ) -> None:
         self.problem, self.options, self.population = problem, options, population
         self.responses = {name: found.on(problem) for name, found in (responses or {}).items()}
-        wanted = {n: sd for n, sd in options.lengths().items() if n != options.extra}
+        wanted = options.lengths()
         if population is not None:
             self.responses = population.responses(problem, problem.space.default, wanted)
         self.lengths = {n: sd for n, sd in wanted.items() if n in self.responses}
@@ -228,7 +244,7 @@ class NuisanceModel:
             add(name, -1, 0.0, sd, answer)
             if problem.indentations is not None:
                 own = np.where(is_area, 0.0, answer)
-                add(f"indentation by {name}", -1, 0.0, sd, own, absorbs=True)
+                add(absorber_of(name), -1, 0.0, sd, own, absorbs=True)
         for t in range(number):
             own = np.where(inside[:, t], areas, 0.0)
             add(PRESS_GAIN, t, state.press_gain[t], self.scatter, own)
@@ -243,6 +259,7 @@ class NuisanceModel:
             self.noise**2 * float(problem.weight.mean()),
             np.array([is_assumed(name) for name in names], dtype=bool),
             np.array(absorbing, dtype=bool),
+            robust_factor(outputs - problem.observed, options),
         )
 
     # Estimation -----------------------------------------------------------------------------
@@ -299,13 +316,15 @@ class NuisanceModel:
         areas = problem.areas(parameters)[0] * self._factor()
         residual = areas - problem.measured
         counted = problem.weight > 0
+        robust = robust_factor(residual, self.options)
         goal = problem.goal()
         used = len(problem.space) + float((1.0 - goal.spread() ** 2 / found.sd**2).sum())
         degrees = max(float(counted.sum()) - used, 0.2 * counted.sum())
-        self.noise = max(float(np.sqrt((residual[counted] ** 2).sum() / degrees)), 1e-9)
+        clipped = (robust * residual)[counted]
+        self.noise = max(float(np.sqrt((clipped**2).sum() / degrees)), 1e-9)
         if not self.options.press_gain:
             return
-        starts, weight = problem.starts[:-1], problem.weight
+        starts, weight = problem.starts[:-1], problem.weight * robust
         information = np.add.reduceat(weight * areas * areas, starts)
         score = np.add.reduceat(-weight * areas * residual, starts)
         usable = information > 0

@@ -25,7 +25,14 @@ from finger_model.reduced.model import load_population
 from ..engine import Done
 from ..full_order import FullOrder
 from ..full_order.areas import trial_areas
-from ..problem import FitProblem, FitTrial, in_rows, material_of, trial_outputs
+from ..problem import (
+    SMALLEST_FORCE,
+    FitProblem,
+    FitTrial,
+    in_rows,
+    material_of,
+    trial_outputs,
+)
 
 REFINEMENT = 0.5
 """Of the mesh of the full-order runs. It errs by 1 % of the area, nearly the same in both runs of a
@@ -229,5 +236,5 @@ def _parabola(place: np.ndarray, ratio: np.ndarray) -> np.ndarray:
 
 
 def _place(trial: FitTrial, rows: np.ndarray) -> np.ndarray:
-    """Logarithm of the force (k,) at rows (k,); below 0.05 N areas are too small to compare."""
-    return np.log(np.maximum(trial.force[rows], 0.05))
+    """Logarithm of the force (k,) at rows (k,)."""
+    return np.log(np.maximum(trial.force[rows], SMALLEST_FORCE))

@@ -25,6 +25,12 @@ def is_assumed(nuisance: str) -> bool:
     return nuisance == AREA_GAIN or nuisance in LENGTHS
 
 
+def absorber_of(length: str) -> str:
+    """Name of what an assumed length does to the indentation, which is eliminated
+    (`problem.goal`)."""
+    return f"indentation by {length}"
+
+
 WORDS = {
     LAG: "lag of the images",
     AREA_GAIN: "gain of all areas",

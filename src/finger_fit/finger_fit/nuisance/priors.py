@@ -14,6 +14,14 @@ from finger_model.geometry import LENGTHS
 INDENTATION = "measured indentation"
 """Heading of the options of a displacement sensor in the help of the command."""
 
+CALIPERS = {
+    "epidermis_thickness": 0.25,
+    "pad_semi_axis_radial": 0.05,
+    "pad_semi_axis_axial": 0.08,
+    "bone_semi_axis_axial": 0.2,
+}
+"""Relative deviation of the lengths of a finger measured with calipers (finger-model geometry)."""
+
 NUISANCE = "nuisance parameters (standard deviations of their priors; 0 leaves one out)"
 """Heading of the options in the help of the command."""
 
@@ -80,20 +88,20 @@ class NuisancePriors(Settings):
         group=NUISANCE,
     )
     geometry_sd: list[str] = setting(
-        [
-            "epidermis_thickness=0.25",
-            "pad_semi_axis_radial=0.05",
-            "pad_semi_axis_axial=0.08",
-            "bone_semi_axis_axial=0.2",
-        ],
-        "Relative deviation of lengths of the finger, as NAME=DEVIATION; the default is that of a "
-        "finger measured with calipers (finger-model geometry).",
+        [f"{name}={deviation:g}" for name, deviation in CALIPERS.items()],
+        "Relative deviation of lengths of the finger, as NAME=DEVIATION. A length that is not "
+        "named keeps the default, that of a finger measured with calipers (finger-model "
+        "geometry); NAME=0 leaves it out, an empty list leaves out all.",
         group=NUISANCE,
     )
 
     def lengths(self) -> dict[str, float]:
-        """Relative deviation of each length; raises InputError for what is none."""
-        found = {}
+        """Relative deviation of each length; raises InputError for what is none.
+
+        Those of `geometry_sd` over `CALIPERS`; without the lengths of deviation 0, and empty where
+        `geometry_sd` is.
+        """
+        found = dict(CALIPERS) if self.geometry_sd else {}
         for text in self.geometry_sd:
             name, _, number = text.partition("=")
             try:
@@ -105,6 +113,5 @@ class NuisancePriors(Settings):
                     f"geometry_sd '{text}': NAME=DEVIATION is needed, a relative deviation from 0 "
                     f"to 1 and NAME one of {', '.join(LENGTHS)}"
                 )
-            if value > 0:
-                found[name] = value
-        return found
+            found[name] = value
+        return {name: value for name, value in found.items() if value > 0}

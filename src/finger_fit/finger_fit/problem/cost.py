@@ -31,6 +31,9 @@ AREA_NOISE = 1.5e-6
 """m², noise of a frame's area by which indentations weigh until a fit knows its own; an
 assumption."""
 
+SMALLEST_FORCE = 0.05
+"""N; areas under less are too small to compare."""
+
 
 class AreaModel(Protocol):
     """What a fit needs of a model: the space of its parameters, and areas.
@@ -135,6 +138,18 @@ class FitProblem:
         raw = self.raw(parameters)
         return raw if self.correction is None else raw * self.correction.factor(parameters)
 
+    def correction_at(self, parameters: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """Factor (n,) of the correction for the areas of other presses, for parameters (D,) under
+        forces (n,) in N: a parabola of the force's logarithm through those of the frames, held
+        beyond them."""
+        if self.correction is None:
+            return np.ones_like(force)
+        factor = self.correction.factor(parameters)[0, : len(self.measured)]
+        place = np.log(np.maximum(self.force, SMALLEST_FORCE))
+        found = np.polyfit(place, np.log(factor), 2, w=np.sqrt(self.weight))
+        at = np.log(np.maximum(force, SMALLEST_FORCE))
+        return np.exp(np.polyval(found, np.clip(at, place.min(), place.max())))
+
     def outputs(self, parameters: np.ndarray) -> np.ndarray:
         """Rows (P, n + q) in m² for parameters (P, D) that stand against `observed`: areas, and
         indentations as `IndentationRows.compared` makes them."""
@@ -207,6 +222,10 @@ class FitProblem:
         weighted mean of its frames' losses."""
         lost = self.weight * losses(areas - self.measured, self.options)
         return np.add.reduceat(lost, self.starts[:-1], axis=-1)
+
+    def area_cost(self, parameters: np.ndarray) -> float:
+        """J (m⁴) of parameters (D,): of the areas alone, without priors."""
+        return float(self.trial_costs(self.areas(parameters)[0]).sum())
 
     def goal(self, weight: np.ndarray | None = None) -> Goal:
         """What is minimised, under the rows' own weights or others (n + q,), as the bootstrap

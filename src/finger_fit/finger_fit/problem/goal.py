@@ -71,7 +71,8 @@ class Nuisances:
     areas and others, per unit, at the reference; factor (n,): of the model's rows there, from gains
     and shape; variance: s² in m⁴; assumed (k,): whether a parameter stays at its mean, its state;
     absorbing (k,): whether it only keeps the rows of one kind from being trusted further than the
-    assumed parameters allow, and is no error of its own; none without.
+    assumed parameters allow, and is no error of its own; none without. robust (n,): of the rows at
+    the reference, by `robust_factor`; 1 without.
     """
 
     names: tuple[str, ...]
@@ -84,6 +85,7 @@ class Nuisances:
     variance: float
     assumed: np.ndarray
     absorbing: np.ndarray | None = None
+    robust: np.ndarray | None = None
 
     @property
     def shared(self) -> np.ndarray:
@@ -95,6 +97,17 @@ class Nuisances:
         """`absorbing` as a mask (k,)."""
         none = np.zeros(len(self.names), dtype=bool)
         return none if self.absorbing is None else self.absorbing
+
+    def without(self, *names: str) -> Nuisances:
+        """Without the parameters of these names."""
+        keep = ~np.isin(self.names, names)
+        return replace(
+            self,
+            names=tuple(np.array(self.names)[keep].tolist()),
+            slope=self.slope[:, keep],
+            absorbing=self.absorbers[keep],
+            **{n: getattr(self, n)[keep] for n in ("trials", "state", "mean", "sd", "assumed")},
+        )
 
     def with_gains(self, sign: np.ndarray, trial_of: np.ndarray) -> Nuisances:
         """With the log gains of presses multiplied by a sign (T,): other presses of this scatter.
@@ -134,14 +147,16 @@ class Goal:
             self._precision = nuisances.variance * count / nuisances.sd**2
             self._gap = nuisances.state - nuisances.mean
             self._free = ~nuisances.assumed
-            self._best = self._elimination(weight)
+            # Outliers of the reference move no nuisance further than the loss lets them.
+            self._robust = weight if nuisances.robust is None else weight * nuisances.robust
+            self._best = self._elimination(self._robust)
 
     def spread(self) -> np.ndarray:
         """Standard deviation (k,) of the nuisances once the finger's parameters are known."""
         found = self.nuisances
         assert found is not None
         slope, spread = found.slope[:, self._free], found.sd.copy()
-        matrix = slope.T @ (self.weight[:, None] * slope) + np.diag(self._precision[self._free])
+        matrix = slope.T @ (self._robust[:, None] * slope) + np.diag(self._precision[self._free])
         spread[self._free] = np.sqrt(found.variance * np.diag(np.linalg.inv(matrix)))
         return spread
 

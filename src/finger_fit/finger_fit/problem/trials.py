@@ -22,6 +22,7 @@ from finger_common.flags import AreaFlag
 from finger_offline.unloaded import LATE_START, Tare, unloaded_tare
 
 from ..options import FitOptions
+from .report_units import minus
 
 REST_FORCE = 0.005
 """N; a smoothed force up to this is no touch: 1/171 N, the resolution of the Nano17 (paper)."""
@@ -160,6 +161,12 @@ class Exclusion:
     label: str
     condition: str
     reason: str
+    subject: str = ""
+
+    @classmethod
+    def of(cls, record: Any, reason: str) -> Exclusion:
+        """Of a recorded trial."""
+        return cls(label_of(record), record.condition or "", reason, record.subject or "")
 
 
 class TrialRejected(Exception):
@@ -168,7 +175,12 @@ class TrialRejected(Exception):
 
 def prepare(record: Any, options: FitOptions) -> FitTrial:
     """Drive and frames of one recorded trial; raises TrialRejected with the reason."""
-    options = options.for_trial(record)
+    target = options.target_of(record)
+    if target <= options.onset_force:
+        raise TrialRejected(
+            f"its target of {target:g} N is not above the onset force of "
+            f"{options.onset_force:g} N; lower onset_force"
+        )
     start = int(record.stamp_ns[0]) if len(record.stamp_ns) else 0
     time = (np.asarray(record.stamp_ns, dtype=np.int64) - start) * 1e-9
     force = np.asarray(record.force, dtype=float)
@@ -182,27 +194,21 @@ def prepare(record: Any, options: FitOptions) -> FitTrial:
     finite = np.isfinite(force)
     if not finite.all():
         raise TrialRejected(f"{int((~finite).sum())} force samples are not finite")
-    if options.target_force <= options.onset_force:
-        raise TrialRejected(
-            f"its target of {options.target_force:g} N is not above the onset force of "
-            f"{options.onset_force:g} N; lower onset_force"
-        )
+    # An area of 0 is none, also from a segmenter that sets no flags.
+    empty = ((flags & AreaFlag.NO_CONTACT) != 0) | (area <= 0.0)
     smooth = smoothed(time, force, options.force_cutoff)
     rest = None
     if options.nuisances:
-        without = (flags & AreaFlag.NO_CONTACT) != 0
-        touched = frame_time[np.isfinite(area) & (area > 0) & ~without]
-        rest = unloaded_tare(time, force, smooth, touched, frame_time[without])
+        touched = frame_time[np.isfinite(area) & ~empty]
+        rest = unloaded_tare(time, force, smooth, touched, frame_time[empty])
     tare = rest.force if rest else 0.0
     unshifted, smooth = smooth, smooth - tare
 
-    reached = np.flatnonzero(smooth >= options.target_force)
+    reached = np.flatnonzero(smooth >= target)
     if not len(reached):
         less = f" without its tare of {tare:+.2f} N" if abs(tare) > 0.005 else ""
-        raise TrialRejected(
-            f"force stays at {smooth.max():.2f} N{less}, below the target of "
-            f"{options.target_force:g} N".replace("-", "−")
-        )
+        stays = f"force stays at {smooth.max():.2f} N{less}, below the target of {target:g} N"
+        raise TrialRejected(minus(stays))
     onset = options.onset_force
     first, end = next(c for c in contacts(smooth, onset, onset) if c[0] <= reached[0] < c[1])
     if first == 0 and smooth[0] > LATE_START:
@@ -234,7 +240,7 @@ def prepare(record: Any, options: FitOptions) -> FitTrial:
     clipped = int(((flags[counted] & AreaFlag.CLIPPED) != 0).sum())
     if clipped:
         raise TrialRejected(f"the contact runs over the image border in {clipped} frames")
-    usable = np.isfinite(area[counted]) & ((flags[counted] & AreaFlag.NO_CONTACT) == 0)
+    usable = np.isfinite(area[counted]) & ~empty[counted]
     dropped = int((~usable).sum())
     counted = counted[usable]
     if len(counted) < 3:
@@ -368,5 +374,5 @@ def prepare_all(
         try:
             trials.append(prepare(record, options))
         except TrialRejected as reason:
-            exclusions.append(Exclusion(label_of(record), record.condition or "", str(reason)))
+            exclusions.append(Exclusion.of(record, str(reason)))
     return trials, exclusions

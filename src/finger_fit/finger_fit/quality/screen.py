@@ -5,13 +5,13 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from finger_common.files import sha256_of
 from finger_common.moisture import MOISTURE_TEXT, is_moisture
 from finger_offline.trial_checks import LARGEST_FORCE, PLAUSIBLE_AREA, fault_of
 
@@ -35,19 +35,20 @@ def screen(records: Sequence[Any], indentation: bool = True) -> Screened:
     A recorded trial is any object with the fields of `finger_offline.trial_records.TrialRecord`.
     """
     out = Screened()
-    seen: dict[str, str] = {}
+    seen: dict[tuple[str, ...], str] = {}
     labels: set[str] = set()
     for record in records:
         label, number = label_of(record), 2
         while label in labels:  # bags of one name in different folders
             record = replace(record, bag=f"{str(record.bag).split(' (')[0]} ({number})")
             label, number = label_of(record), number + 1
-        first = seen.setdefault(fingerprint(record), label)
+        first = next((seen[key] for key in fingerprints(record) if key in seen), label)
+        seen.update((key, first) for key in fingerprints(record))
         reason = implausible(record) or (implausible_indentation(record) if indentation else "")
         if first is not label:
             reason = f"the same press as {first}; it counts once"
         if reason:
-            out.exclusions.append(Exclusion(label, record.condition or "", reason))
+            out.exclusions.append(Exclusion.of(record, reason))
         else:
             labels.add(label)
             out.records.append(record)
@@ -73,18 +74,20 @@ def _readings(record: Any) -> list[float]:
     return [value for value in values if np.isfinite(value)]
 
 
-def fingerprint(record: Any) -> str:
-    """Hash of a press: its force, areas and the times of both from its beginning."""
+def fingerprints(record: Any) -> tuple[tuple[str, ...], ...]:
+    """By which a press is known again, of its force with its times: with subject and condition,
+    however the areas were measured, and with the areas, whatever it is called.
+
+    Not by the force alone: simulated presses of two fingers may have the same.
+    """
     start = record.stamp_ns[0] if len(record.stamp_ns) else 0
-    sha = hashlib.sha256()
-    for values in (
-        np.asarray(record.stamp_ns) - start,
-        record.force,
-        np.asarray(record.area_stamp_ns) - start,
-        record.area,
-    ):
-        sha.update(np.ascontiguousarray(values, dtype=float).tobytes())
-    return sha.hexdigest()
+    drive = _hash(np.asarray(record.stamp_ns) - start, record.force)
+    areas = _hash(np.asarray(record.area_stamp_ns) - start, record.area)
+    return (drive, record.subject or "", record.condition or ""), (drive, areas)
+
+
+def _hash(*columns: Any) -> str:
+    return sha256_of(b"".join(np.asarray(values, dtype=float).tobytes() for values in columns))
 
 
 def implausible(record: Any) -> str:

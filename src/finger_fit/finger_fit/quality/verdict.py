@@ -1,9 +1,12 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Is a fit final? Only with bounds for which the model is made, and data that pass their checks."""
+"""Is a fit final? Only with bounds and forces for which the model is made, and data that pass their
+checks."""
 
 from __future__ import annotations
+
+import math
 
 from ..results import ConditionFit
 
@@ -19,6 +22,13 @@ def judge(fit: ConditionFit) -> None:
                 f"the bounds of {parameter.name}, {low * factor:g} to {high * factor:g} {unit}, "
                 f"leave {first * factor:g} to {last * factor:g} {unit}, for which the model is made"
             )
+    force = max(float(trial.force.max()) for trial in problem.trials)
+    limit = getattr(problem.model, "force_limit", lambda parameters: math.inf)(fit.parameters)
+    if force > limit:
+        fit.reasons.append(
+            f"the force goes up to {force:.3g} N, the model is made for {limit:.3g} N at most and "
+            "is held there; fit the loading up to less, with target_force"
+        )
     if fit.quality is not None:
         fit.reasons += [f"data: {failure}" for failure in fit.quality.failures]
     if fit.status == "final" and fit.reasons:

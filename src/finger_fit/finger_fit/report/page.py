@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 import io
 import itertools
+from collections.abc import Container
 from html import escape
 from importlib import resources
 from pathlib import Path
@@ -18,7 +19,7 @@ from finger_common.files import atomic_write
 
 from ..results import FitResult
 from . import tables
-from .figures import CAPTIONS, STYLE, all_figures
+from .figures import CAPTIONS, FIGURES, STYLE, all_figures
 from .nuisances import nuisances
 
 NARROW = ("moisture", "convergence")
@@ -40,9 +41,12 @@ def write_report(result: FitResult, folder: Path) -> Path:
     Of several subjects, each has a report in its own folder, and the page compares them.
     """
     page = folder / "report.html"
+    if page.exists():  # of an earlier fit, and so is what was printed of it
+        page.with_suffix(".pdf").unlink(missing_ok=True)
     if result.subjects:
         for name, part in result.subjects.items():
             write_report(part, folder / name)
+        _remove_figures(folder / "figures", ())
         text = render_subjects(result)
     else:
         text = render(result, _write_figures(result, folder / "figures"))
@@ -66,7 +70,15 @@ def _write_figures(result: FitResult, folder: Path) -> dict[str, bytes]:
                 if kind == "png":
                     pictures[name] = buffer.getvalue()
             plt.close(figure)
+    _remove_figures(folder, pictures)
     return pictures
+
+
+def _remove_figures(folder: Path, kept: Container[str]) -> None:
+    """Remove the figures of an earlier fit in this folder that this one has not."""
+    for name, kind in itertools.product(FIGURES, FORMATS):
+        if name not in kept:
+            (folder / f"{name}.{kind}").unlink(missing_ok=True)
 
 
 def _head(title: str) -> list[str]:

@@ -478,7 +478,7 @@ def identifiability(result: FitResult) -> str:
             continue
         found = fit.covariance
         active = ", ".join(f"{space[n].html} ({end})" for n, end in found.active.items())
-        deviation = found.interval_deviation(space.headline)
+        deviation = found.deviation(space.headline)
         rows.append(
             [
                 escape(name),

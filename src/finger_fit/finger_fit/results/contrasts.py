@@ -27,14 +27,14 @@ DRAWS = 4000
 
 @dataclass(frozen=True)
 class Contrast:
-    """A quantity in `first` against `second`, two conditions of one subject.
+    """A quantity in `first` against `second`, two conditions of one subject, or of pooled ones.
 
     ratio: first over second, NaN for what may be zero; difference: first less second (SI); each
     with its 95 % interval;
     probability_greater: that first is greater; separated: the interval of the difference leaves out
-    0; on_bound: the conditions whose estimate lies on a bound of the search box: their samples have
-    no spread of it, so that they are never called separated;
-    source: "bootstrap" over trials, or "covariance" of the logarithms.
+    0; on_bound: the conditions whose estimate lies on a bound of the search box, or follows from
+    such parameters alone: their samples have no spread of it, so that they are never called
+    separated; source: "bootstrap" over trials, or "covariance" of the logarithms.
     """
 
     subject: str
@@ -70,7 +70,7 @@ def contrasts(fits: Mapping[str, ConditionFit], subject: str = "") -> list[Contr
             # A quantity that may be zero has no ratio.
             whole = space.log_offset(name) == 0.0
             ratio, difference = _ends(x / y) if whole else (math.nan, math.nan), _ends(x - y)
-            held = tuple(n for n in (first, second) if name in _active(fits[n]))
+            held = tuple(n for n in (first, second) if _on_bound(fits[n], name))
             one, other = fits[first].quantity(name), fits[second].quantity(name)
             found.append(
                 Contrast(
@@ -91,8 +91,8 @@ def contrasts(fits: Mapping[str, ConditionFit], subject: str = "") -> list[Contr
     return found
 
 
-def _active(fit: ConditionFit) -> dict[str, str]:
-    return {} if fit.covariance is None else fit.covariance.active
+def _on_bound(fit: ConditionFit, name: str) -> bool:
+    return fit.covariance is not None and fit.covariance.holds(name)
 
 
 def _ends(values: np.ndarray) -> tuple[float, float]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
+from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -170,7 +171,12 @@ def fit_dict(result: FitResult) -> dict[str, Any]:
         **_found(result),
         "contrasts": [asdict(c) for c in result.contrasts],
         "exclusions": [
-            {"trial": e.label, "condition": e.condition, "reason": e.reason}
+            {
+                "trial": e.label,
+                "subject": e.subject,
+                "condition": e.condition,
+                "reason": e.reason,
+            }
             for e in result.exclusions
         ],
         "notes": result.problems,
@@ -196,23 +202,31 @@ def _found(result: FitResult) -> dict[str, Any]:
 def parameter_files(result: FitResult) -> dict[str, ParameterSets]:
     """Files for the model node, which interpolates over moisture: name → sets.
 
-    One file, parameters.yaml, of the conditions with moisture readings; conditions of equal mean
-    moisture are separated by 0.001 a.u. Without any reading the model node cannot choose between
-    several conditions: each gets a file of its own, parameters_CONDITION.yaml. A single set is
-    placed in the middle of the scale, where its moisture does not matter.
+    parameters.yaml of the conditions with moisture readings, or of a single one; conditions of
+    equal mean moisture are separated by 0.001 a.u. A condition without readings beside others
+    gets a file of its own, parameters_CONDITION.yaml, since the model node cannot choose it. Its
+    set is placed in the middle of the scale, where its moisture does not matter.
     """
-    known = {n: f for n, f in result.fits.items() if math.isfinite(f.moisture[0])}
-    if known or len(result.fits) == 1:
-        return {"parameters.yaml": _sets(result, known or result.fits)}
-    files: dict[str, ParameterSets] = {}
-    for name, fit in result.fits.items():
-        stem = file = f"parameters_{name.replace(' ', '_')}"
+    fits = result.fits
+    known = {n: f for n, f in fits.items() if math.isfinite(f.moisture[0]) or len(fits) == 1}
+    names = _own_files(fits)
+    return {
+        **({"parameters.yaml": _sets(result, known)} if known else {}),
+        **{names[n]: _sets(result, {n: f}) for n, f in fits.items() if n not in known},
+    }
+
+
+def _own_files(conditions: Iterable[str]) -> dict[str, str]:
+    """Name of the file of each condition, if it gets one of its own."""
+    names: dict[str, str] = {}
+    for condition in conditions:
+        stem = file = f"parameters_{condition.replace(' ', '_')}"
         for number in itertools.count(2):
-            if f"{file}.yaml" not in files:
+            if f"{file}.yaml" not in names.values():
                 break
             file = f"{stem}_{number}"
-        files[f"{file}.yaml"] = _sets(result, {name: fit})
-    return files
+        names[condition] = f"{file}.yaml"
+    return names
 
 
 def _sets(result: FitResult, fits: dict[str, ConditionFit]) -> ParameterSets:
@@ -248,8 +262,13 @@ def write(result: FitResult, folder: Path) -> None:
     for name, part in result.subjects.items():
         _write(part, folder / name)
     _write(result, folder)
-    for code, sets in subject_sets(result).items():
-        sets.save(subject_file(folder / "subjects", code))
+    found = subject_sets(result)
+    for code in filter(is_subject, map(_subject_of, result.subjects.values() or [result])):
+        file = subject_file(folder / "subjects", code)
+        if code in found:
+            found[code].save(file)
+        else:
+            file.unlink(missing_ok=True)  # of an earlier fit in this folder
 
 
 def _write(result: FitResult, folder: Path) -> None:
@@ -273,12 +292,12 @@ def _parameter_files_of(folder: Path) -> set[str]:
         conditions = list(found["conditions"])
     except (InputError, KeyError, TypeError):
         return set()
-    return {"parameters.yaml", *(f"parameters_{c.replace(' ', '_')}.yaml" for c in conditions)}
+    return {"parameters.yaml", *_own_files(map(str, conditions)).values()}
 
 
 def subject_sets(result: FitResult) -> dict[str, ParameterSets]:
-    """Sets of each subject by code, as `finger-rig calibrate` writes them; not of trials that are
-    pooled, have no code, or lie in several files for want of moisture readings."""
+    """Sets of each subject by code, as `finger-rig calibrate` writes them: those of
+    parameters.yaml; not of trials that are pooled or have no code."""
     found = {}
     for part in result.subjects.values() or [result]:
         sets = parameter_files(part).get("parameters.yaml")

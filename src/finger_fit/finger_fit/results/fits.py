@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,11 +24,16 @@ if TYPE_CHECKING:
     from ..full_order import Correction, FullOrderCheck
     from ..nuisance.result import NuisanceResult
     from ..options import FitOptions
-    from ..problem import Exclusion, FitProblem, PowerLaw
+    from ..problem import Exclusion, FitProblem, FitTrial, PowerLaw
     from ..quality import Quality
     from ..search import LocalFit, Search
     from .contrasts import Contrast
     from .indentation import IndentationFit
+
+
+def codes_of(trials: Iterable[FitTrial]) -> str:
+    """Codes of the subjects of trials, with commas between."""
+    return ", ".join(sorted({trial.subject for trial in trials if trial.subject}))
 
 
 @dataclass(frozen=True)
@@ -125,13 +131,7 @@ class ConditionFit:
     def assumed_moves(self, name: str) -> dict[str, float]:
         """Change of a quantity's logarithm by one prior deviation of each assumed length and of the
         gain of all areas, as this fit answers to them."""
-        known = self.covariance
-        if known is None:
-            return {}
-        free = [i for i, n in enumerate(self.space.names) if n not in known.active]
-        moves = known.responses(free) @ self.space.log_gradient(name, self.parameters)
-        names = zip(known.nuisances, moves, known.assumed)
-        return {n: float(move) for n, move, assumed in names if assumed}
+        return {} if self.covariance is None else self.covariance.assumed_moves(name)
 
     def data_interval(self, name: str) -> tuple[float, float] | None:
         """95 % interval of a quantity from the data alone (`data_deviation`), inside the search
@@ -229,6 +229,11 @@ class FitResult:
     def space(self) -> ParameterSpace:
         """The space of the parameters, the same in all conditions."""
         return next(iter(self.fits.values())).space
+
+    @property
+    def model(self) -> Any:
+        """The model that was fitted, the same in all conditions."""
+        return next(iter(self.fits.values())).problem.model
 
     @property
     def interrupted(self) -> bool:

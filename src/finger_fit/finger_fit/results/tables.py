@@ -20,7 +20,7 @@ from finger_common.files import atomic_write
 
 from ..problem import MM, MM2, MM4, three_digits
 from .contrasts import Contrast
-from .fits import ConditionFit, FitResult
+from .fits import ConditionFit, FitResult, codes_of
 
 Rows = list[dict[str, Any]]
 
@@ -218,8 +218,7 @@ def named(result: FitResult) -> Iterator[tuple[str, str, ConditionFit]]:
     """Subject, condition and fit of everything that was fitted."""
     for part in result.subjects.values() or [result]:
         for condition, fit in part.fits.items():
-            subjects = sorted({t.subject for t in fit.problem.trials if t.subject})
-            yield ", ".join(subjects), condition, fit
+            yield codes_of(fit.problem.trials), condition, fit
 
 
 def latex(rows: Rows) -> str:

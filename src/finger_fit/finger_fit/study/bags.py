@@ -101,9 +101,16 @@ def load(
         )
     if progress is not None:
         progress(len(bags), len(bags))
+    recorded = [source["bag"] for source in out.sources if "topic" in source["areas"]]
+    if recorded and (calibration or area_per_pixel):
+        out.problems.append(
+            f"{recorded[0]}{f' and {len(recorded) - 1} more' if recorded[1:] else ''}: areas are "
+            "recorded, so that calibration and area per pixel are not used; measure the images "
+            "again with --vision"
+        )
     out.records, again = without_superseded(out.records)
     out.exclusions = [
-        Exclusion(f"{Path(e.bag).name} trial {e.index}", e.condition, e.reason)
+        Exclusion(f"{Path(e.bag).name} trial {e.index}", e.condition, e.reason, e.subject)
         for e in [*excluded, *again]
     ]
     return out

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +20,7 @@ from ..nuisance.estimate import ROUNDS, NuisanceModel
 from ..nuisance.geometry import FullOrderGeometry, PopulationGeometry, geometry_responses
 from ..nuisance.result import nuisance_result
 from ..options import FitOptions
-from ..problem import FitProblem, fit_power_law
+from ..problem import FitProblem, fit_power_law, robust_factor
 from ..results import ConditionFit, CrossCheck, indentation_fit
 from ..search import LocalFit, Search, Stopped, all_free, best_points, refine, search, search_grid
 from ..uncertainty import (
@@ -68,6 +70,10 @@ def fit_condition(
         except (KeyboardInterrupt, Stopped):
             fit.status = "interrupted"
             fit.reasons = ["interrupted after the search; the later results are incomplete"]
+            # Of the parameters and the problem as the last whole stage left them.
+            fit.cost = problem.area_cost(fit.parameters)
+            fit.objective = float(problem.cost(fit.parameters)[0])
+            fit.power_law = fit_power_law(problem)
     if not len(fit.top):
         fit.top, fit.top_costs = top_candidates(fit, options.top)
     fit.areas, fit.curves = problem.areas(fit.parameters)[0], drive_areas(problem, fit.parameters)
@@ -118,7 +124,7 @@ class _Stages:
             law = fit_power_law(problem)
         fit = ConditionFit(self.progress.condition, problem, parameters, cost, grid, pso, law)
         if problem.indentations is not None:
-            fit.cost = float(problem.trial_costs(problem.areas(parameters)[0]).sum())
+            fit.cost = problem.area_cost(parameters)
         fit.objective = cost
         fit.seconds = progress.seconds
         if not (grid.complete and pso.complete):
@@ -163,29 +169,28 @@ class _Stages:
         model = self.nuisance_model(fit) if options.nuisances else None
         settled = None
         if model is not None:
-            with progress.timed("nuisances"):
+            with progress.timed("nuisances"), self.whole():
                 settled = model.settle(
                     np.vstack([fit.parameters, self.start[:2]]), ROUNDS if self.reduced else 1
                 )
             fit.parameters, fit.objective = settled.fit.parameters, settled.fit.cost
         if options.full_order and options.correct and self.reduced:
-            with progress.timed("full order"):
+            with progress.timed("full order"), self.whole():
                 found, fit.correction = correct(problem, fit.parameters, self.better, done=count)
             fit.parameters, fit.objective = found.parameters, found.cost
             if model is not None:
-                with progress.timed("nuisances"):
+                with progress.timed("nuisances"), self.whole():
                     settled = model.settle(fit.parameters[None])
                 fit.parameters, fit.objective = settled.fit.parameters, settled.fit.cost
         if settled is not None:
             # The baseline has the same force, less the tare and at the images' times.
             fit.power_law = fit_power_law(problem)
-        fit.cost = float(problem.trial_costs(problem.areas(fit.parameters)[0]).sum())
+        fit.cost = problem.area_cost(fit.parameters)
         fit.top, fit.top_costs = top_candidates(fit, options.top)
         with progress.timed("sensitivities"):
             fit.covariance = covariance(problem, fit.parameters)
         if settled is not None and model is not None:
-            asked = [name for name in options.lengths() if name != options.extra]
-            left_out = tuple(name for name in asked if name not in model.lengths)
+            left_out = tuple(name for name in options.lengths() if name not in model.lengths)
             fit.nuisance = nuisance_result(problem, settled, fit.covariance, left_out, without)
         if options.full_order and self.reduced:
             with progress.timed("full order"):
@@ -208,11 +213,21 @@ class _Stages:
             samples = self.map("bootstrap", _bootstrap, seeded, range(options.bootstrap))
             fit.samples = np.array(samples)
 
+    @contextmanager
+    def whole(self) -> Iterator[None]:
+        """A stage that leaves the problem as it was where it does not end."""
+        before = dict(vars(self.problem))
+        try:
+            yield
+        except BaseException:
+            vars(self.problem).update(before)
+            raise
+
     def nuisance_model(self, fit: ConditionFit) -> NuisanceModel:
         """The nuisances of the problem; the finger's lengths by the population's model or, where
         the full order is asked for, by that."""
         problem, options, better = self.problem, self.options, self.better
-        lengths = {n: sd for n, sd in options.lengths().items() if n != options.extra}
+        lengths = options.lengths()
         population = PopulationGeometry.like(problem.model) if lengths and self.reduced else None
         responses = {}
         if population is None and options.full_order and lengths and isinstance(better, FullOrder):
@@ -265,6 +280,7 @@ def residual_noise(problem: FitProblem, parameters: np.ndarray) -> float:
     """Noise (m²) of a frame by the areas' residuals at fitted parameters (N,)."""
     used = problem.weight > 0.0
     residual = (problem.areas(parameters)[0] - problem.measured)[used]
+    residual = residual * robust_factor(residual, problem.options)
     degrees = max(len(residual) - len(problem.space), 1)
     return max(float(np.sqrt((residual**2).sum() / degrees)), SMALLEST_NOISE)
 

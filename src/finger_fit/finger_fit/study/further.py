@@ -14,11 +14,18 @@ from typing import Any
 
 import numpy as np
 
+from finger_model.geometry import LENGTHS
+from finger_model.laws import ParameterSpace, ParameterSpec
+
 from ..full_order import FullOrder
+from ..nuisance.names import absorber_of
 from ..problem import MM4, FitProblem, FitTrial, Goal, prepare_all
 from ..results import ConditionFit
 from ..search import Coordinates, all_free, refine
-from ..uncertainty.covariance import inverse_of
+from ..uncertainty import covariance
+
+EPIDERMIS = "epidermis_thickness"
+"""Key of the fitted length in geometry.yaml, and its name in fit.json."""
 
 THICKNESS_FACTORS = (0.75, 1.0, 1.25)
 """Epidermis thicknesses of the full-order runs, over the geometry's own."""
@@ -72,11 +79,6 @@ class JointGoal:
         return np.concatenate([rows for rows, _ in found]), linear
 
 
-def area_cost(problem: FitProblem, parameters: np.ndarray) -> float:
-    """J (m⁴) of parameters (N,): of the areas alone, without priors."""
-    return float(problem.trial_costs(problem.areas(parameters)[0]).sum())
-
-
 def shared_fit(
     problems: dict[str, FitProblem], best: dict[str, np.ndarray], shared: Sequence[str]
 ) -> dict[str, Any]:
@@ -116,53 +118,48 @@ def shared_fit(
     found = dict(zip(names, fit.parameters.reshape(number, -1)))
     return {
         "parameters": list(shared),
-        "J": sum(area_cost(problems[n], found[n]) for n in names) * MM4,
-        "J_separate": sum(area_cost(problems[n], best[n]) for n in names) * MM4,
+        "J": sum(problems[n].area_cost(found[n]) for n in names) * MM4,
+        "J_separate": sum(problems[n].area_cost(best[n]) for n in names) * MM4,
         "conditions": {
-            name: {**space.mapping(v), "J": area_cost(problems[name], v) * MM4}
+            name: {**space.mapping(v), "J": problems[name].area_cost(v) * MM4}
             for name, v in found.items()
         },
     }
 
 
-class ThicknessProblem:
+class ThicknessProblem(FitProblem):
     """A problem with the epidermis thickness h (m) as an additional, last parameter.
 
     The model has one geometry; h enters through the ratio of full-order areas at three
-    thicknesses: at given parameters, ln ratio is a parabola in ln h, frame by frame.
+    thicknesses: at given parameters, ln ratio is a parabola in ln h, row by row. Of the nuisances
+    those that stand for h are left out.
     """
 
     def __init__(self, problem: FitProblem, thickness: float, log_ratio: np.ndarray) -> None:
-        self._problem = problem
+        vars(self).update(vars(problem))
+        low, high = (thickness * factor for factor in THICKNESS_BOX)
+        own = ParameterSpec(
+            EPIDERMIS, "m", LENGTHS[EPIDERMIS], "h", "mm", 1e3,
+            default=thickness, bounds=(low, high),
+        )  # fmt: skip
+        self.space = ParameterSpace([*problem.space, own])
+        self.box = np.vstack([problem.box, own.bounds])
+        if problem.nuisances is not None:
+            self.nuisances = problem.nuisances.without(EPIDERMIS, absorber_of(EPIDERMIS))
         self._thickness = thickness
-        self.goal = problem.goal
         x = np.log(THICKNESS_FACTORS)
-        low, high = log_ratio[0], log_ratio[2]
+        below, above = log_ratio[0], log_ratio[2]
         # Parabola through 0 at x = 0 and the two outer points.
         determinant = x[0] * x[2] ** 2 - x[2] * x[0] ** 2
-        self._slope = (low * x[2] ** 2 - high * x[0] ** 2) / determinant
-        self._bend = (x[0] * high - x[2] * low) / determinant
+        self._slope = (below * x[2] ** 2 - above * x[0] ** 2) / determinant
+        self._bend = (x[0] * above - x[2] * below) / determinant
 
-    def outputs(self, parameters: np.ndarray) -> np.ndarray:
-        """Rows (P, n) in m² of parameters (P, N + 1), h last."""
+    def corrected(self, parameters: np.ndarray) -> np.ndarray:
+        """As in the base class, of parameters (P, N + 1), h last."""
+        parameters = np.atleast_2d(np.asarray(parameters, dtype=float))
         x = np.log(parameters[:, -1:] / self._thickness)
         factor = np.exp(x * self._slope + x * x * self._bend)
-        return self._problem.compared(self._problem.corrected(parameters[:, :-1]) * factor)
-
-    def coordinates(self) -> Coordinates:
-        """All parameters and h free."""
-        single = all_free(self._problem)
-        low, high = (self._thickness * factor for factor in THICKNESS_BOX)
-
-        def parameters(u: np.ndarray) -> np.ndarray:
-            thickness = np.clip(np.exp(u[:, -1:]), low, high)
-            return np.hstack([single.parameters(u[:, :-1]), thickness])
-
-        def of(vectors: np.ndarray) -> np.ndarray:
-            thickness = np.log(vectors[..., -1:])
-            return np.concatenate([single.of(vectors[..., :-1]), thickness], axis=-1)
-
-        return Coordinates(np.vstack([single.box, np.log([low, high])]), parameters, of)
+        return super().corrected(parameters[:, :-1]) * factor
 
 
 def thickness_fit(problem: FitProblem, best: np.ndarray, full_order: FullOrder) -> dict[str, Any]:
@@ -179,28 +176,12 @@ def thickness_fit(problem: FitProblem, best: np.ndarray, full_order: FullOrder) 
         logs = np.log(np.maximum(np.array(areas), 1e-12))
         # Frames of a run that failed do not depend on the thickness.
         extended = ThicknessProblem(problem, h0, np.nan_to_num(logs - logs[1]))
-        coordinates = extended.coordinates()
-        fit = refine(extended, coordinates, vector)
-        vector = fit.parameters
-    step, number = 5e-3, len(vector)
-    shifts = np.eye(number) * step
-    centre = coordinates.of(vector)
-    moved = extended.outputs(_unclipped(problem, np.vstack([centre + shifts, centre - shifts])))
-    slope = (moved[:number] - moved[number:]) / (2 * step)
-    residual = extended.outputs(vector[None])[0] - problem.observed
-    noise = np.sqrt((residual**2).sum() / max(len(residual) - number, 1))
-    deviation = np.sqrt(np.diag(inverse_of(slope @ slope.T / noise**2)))
+        vector = refine(extended, all_free(extended), vector).parameters
     return {
-        **problem.space.mapping(vector[:-1]),
-        "epidermis_thickness": float(vector[-1]),
-        "sd_log": float(deviation[-1]),
-        "J": fit.cost * MM4,
+        **extended.space.mapping(vector),
+        "sd_log": covariance(extended, vector).deviation(EPIDERMIS),
+        "J": extended.area_cost(vector) * MM4,
     }
-
-
-def _unclipped(problem: FitProblem, u: np.ndarray) -> np.ndarray:
-    """Parameters and thickness (P, N + 1) of coordinates, also outside the box."""
-    return np.hstack([problem.space.from_log(u[:, :-1]), np.exp(u[:, -1:])])
 
 
 def force_modes(fit: ConditionFit, records: Sequence[Any]) -> dict[str, dict[str, float]]:
@@ -231,7 +212,7 @@ def force_modes(fit: ConditionFit, records: Sequence[Any]) -> dict[str, dict[str
     return {
         options.force: {"J": fit.cost * MM4, headline: fit.quantity(headline)},
         other: {
-            "J": area_cost(problem, found.parameters) * MM4,
+            "J": problem.area_cost(found.parameters) * MM4,
             headline: float(fit.space.quantity(headline, found.parameters)),
         },
     }

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ import numpy as np
 
 from finger_common.errors import FingerError, InputError, ModelError
 from finger_model.fem.area_model import FullOrderAreas
+from finger_model.finger import serving
 from finger_model.reduced import ReducedModel
 from finger_offline.trial_split import CONDITION
 
@@ -26,7 +28,7 @@ from ..problem import Exclusion, FitProblem, FitTrial, prepare_all
 from ..problem.trials import label_of
 from ..quality import judge, quality_of, screen
 from ..report import write_report
-from ..results import ConditionFit, FitResult, contrasts
+from ..results import ConditionFit, FitResult, codes_of, contrasts
 from ..search import Stopped
 from .bags import load
 from .condition import fit_condition
@@ -38,6 +40,9 @@ from .provenance import provenance
 
 INTERRUPTIONS = (KeyboardInterrupt, Stopped)
 """What ends a fit; what was fitted before is kept."""
+
+UNNAMED = "unnamed"
+"""Subject of trials without a code, beside others that have one."""
 
 SMALLEST_CONDITION = 3
 """Trials below which a condition is not fitted: too few to separate parameters from scatter."""
@@ -62,6 +67,14 @@ def fit_records(
     notes = list(screened.notes)
     if not trials:
         raise nothing_to_fit(exclusions)
+    highest = max(float(trial.force.max()) for trial in trials)
+    corners = np.array(list(itertools.product(*options.box(model.space))))
+    given, model = model, serving(model, highest, corners)
+    if model is not given:
+        notes.append(
+            f"the force goes up to {highest:.2f} N, beyond the reduced model of the default "
+            "finger: fitted with that of the population box"
+        )
     subjects: dict[str, list[FitTrial]] = {}
     for trial in trials:
         subjects.setdefault(trial.subject, []).append(trial)
@@ -80,7 +93,7 @@ def fit_records(
                 part, exclusions=exclusions, problems=[*notes, *part.problems]
             )
         jobs = {
-            subject or "unnamed": (own, {trial.label: of_trial[trial.label] for trial in own})
+            subject or UNNAMED: (own, {trial.label: of_trial[trial.label] for trial in own})
             for subject, own in sorted(subjects.items())
         }
         outcomes = (
@@ -96,6 +109,7 @@ def fit_records(
                 notes.append(f"subject {name}: {found}")
                 continue
             parts[name] = found
+            _exclude(found, exclusions, name)
             notes += [f"subject {name}: {note}" for note in found.problems]
     if not parts:
         raise InputError(f"no subject can be fitted ({'; '.join(notes)}){_left_out(exclusions)}")
@@ -221,8 +235,8 @@ def _fit_subject(
                 f"{SMALLEST_CONDITION} are needed: not fitted"
             )
             continue
-        problem = FitProblem(group, model, options)
         try:
+            problem = FitProblem(group, model, options)
             fit = fit_condition(problem, options, name, engine, folder, report)
             if fit.status != "interrupted":
                 fit.quality = quality_of(fit, [of_trial[t.label] for t in problem.trials])
@@ -232,32 +246,40 @@ def _fit_subject(
                 raise
             stopped = True
             break
-        except ModelError as error:
-            if not options.bounds:
-                raise
-            raise InputError(
-                f"condition '{name}', bounds {', '.join(options.bounds)}: {error}; narrow them"
-            ) from None
+        except FingerError as error:
+            wide = isinstance(error, ModelError) and options.bounds
+            remedy = f"; narrow the bounds {', '.join(options.bounds)}" if wide else ""
+            notes.append(f"condition '{name}' is not fitted: {error}{remedy}")
+            continue
         fits[name] = fit
         if fit.status == "interrupted":
             break
     if not fits:
         raise InputError(f"no condition can be fitted ({'; '.join(notes)})")
     result = FitResult(options, fits, [], notes, stopped=stopped)
-    if len(fits) > 1 and not any(np.isfinite(fit.moisture[0]) for fit in fits.values()):
+    unread = [name for name, fit in fits.items() if not np.isfinite(fit.moisture[0])]
+    if unread and len(fits) > 1:
         result.problems.append(
-            "no condition has moisture readings: the model node cannot choose between them, so "
-            "each gets a parameter file of its own"
+            f"no moisture readings, by which the model node chooses, of {', '.join(unread)}: each "
+            "gets a parameter file of its own"
         )
     if not result.interrupted:
         try:
+            result.contrasts = contrasts(fits, codes_of(trials))
             _further(result, [of_trial[t.label] for t in trials], engine)
-            result.contrasts = contrasts(fits, trials[0].subject)
         except INTERRUPTIONS:
             result.stopped = True
+        except FingerError as error:
+            result.problems.append(f"the additional fits are not complete: {error}")
     if result.stopped:
         result.problems.append("interrupted: what the report does not show was not computed")
     return result
+
+
+def _exclude(part: FitResult, exclusions: Sequence[Exclusion], subject: str) -> None:
+    """Give the result of one subject the exclusions that are its own."""
+    own = [e for e in exclusions if (e.subject or UNNAMED) == subject]
+    part.exclusions = [*own, *part.exclusions]
 
 
 def nothing_to_fit(exclusions: Sequence[Exclusion]) -> InputError:
@@ -283,7 +305,12 @@ def _further(result: FitResult, records: Sequence[Any], engine: Engine) -> None:
     if not isinstance(next(iter(fits.values())).problem.model, FullOrderAreas):
         with progress.timed("other force mode"):
             result.force_modes = {name: force_modes(fit, records) for name, fit in fits.items()}
-    if options.shared and len(fits) > 1:
+    if options.shared and len(fits) == 1:
+        result.problems.append(
+            f"{', '.join(options.shared)} can be shared by two or more conditions, one is fitted: "
+            "no joint fit"
+        )
+    elif options.shared:
         result.shared = shared_fit(
             {name: fit.problem for name, fit in fits.items()},
             {name: fit.parameters for name, fit in fits.items()},
@@ -323,7 +350,7 @@ def fit_bags(
     """
     options = options or FitOptions()
     model = model or ReducedModel.load()
-    options.check_names(model.space)
+    options.check_names(model.space, getattr(model, "geometry", None))
     folder = None if output is None else Path(output)
     progress = Progress("", len(model.space), report)
     with progress.timed("load"):
@@ -335,10 +362,12 @@ def fit_bags(
         raise nothing_to_fit(loaded.exclusions)
     result = fit_records(loaded.records, model, options, conditions, folder, report)
     result.exclusions = [*loaded.exclusions, *result.exclusions]
+    for name, part in result.subjects.items():
+        _exclude(part, loaded.exclusions, name)
     result.problems = [*loaded.problems, *result.problems]
     result.lost = loaded.lost
     for part in (result, *result.subjects.values()):
-        part.sources = provenance(model, options, loaded.sources, command)
+        part.sources = provenance(result.model, options, loaded.sources, command)
     result.seconds.update(progress.seconds)
     for fit in result.fits.values():
         for stage, spent in fit.seconds.items():

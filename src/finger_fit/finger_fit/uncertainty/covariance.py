@@ -24,7 +24,7 @@ import numpy as np
 
 from finger_model.laws import ParameterSpace
 
-from ..problem import FitProblem
+from ..problem import FitProblem, robust_factor
 
 AT_BOUND = 1e-3
 """A parameter this close to a bound, in its coordinate, lies on it."""
@@ -58,10 +58,12 @@ class Covariance:
     nuisances: tuple[str, ...] = ()
     assumed: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
 
-    def deviation(self, name: str) -> float:
-        """Standard deviation of a quantity's logarithm."""
-        gradient = self.space.log_gradient(name, self.parameters)
-        return float(np.sqrt(gradient @ self.covariance @ gradient))
+    def holds(self, name: str) -> bool:
+        """Whether a quantity follows from parameters on a bound alone, so that samples of
+        `covariance` have no spread of it."""
+        derived = self.space.derived.get(name)
+        of = set(derived.of if derived else (name,))
+        return bool(of) and of <= set(self.active)
 
     def correlation(self, first: str, second: str) -> float:
         """Correlation of two parameters' logarithms as if no bound were active; NaN without
@@ -83,11 +85,17 @@ class Covariance:
 
     def assumed_deviation(self, name: str) -> float:
         """What the assumed nuisances add to it, as squares."""
-        moves = self.responses(self._freed(name)) @ self.space.log_gradient(name, self.parameters)
-        return float(np.linalg.norm(moves[self.assumed]))
+        return float(np.linalg.norm(list(self.assumed_moves(name).values())))
 
-    def interval_deviation(self, name: str) -> float:
-        """Standard deviation of a quantity's logarithm with all that is unknown."""
+    def assumed_moves(self, name: str) -> dict[str, float]:
+        """Change of a quantity's logarithm by one prior deviation of each assumed nuisance."""
+        moves = self.responses(self._freed(name)) @ self.space.log_gradient(name, self.parameters)
+        found = zip(self.nuisances, moves, self.assumed)
+        return {n: float(move) for n, move, assumed in found if assumed}
+
+    def deviation(self, name: str) -> float:
+        """Standard deviation of a quantity's logarithm with all that is unknown; on a bound as in
+        `data_deviation`."""
         return float(np.hypot(self.data_deviation(name), self.assumed_deviation(name)))
 
     def rise(self, name: str) -> float:
@@ -143,7 +151,7 @@ class Covariance:
 
         By the prior of each shared nuisance, and the rest, "data"; their squares add up.
         """
-        free = self._free()
+        free = self._freed(name)
         gradient = self.space.log_gradient(name, self.parameters)
         parts = np.abs(self.responses(free) @ gradient)
         index, part = self._estimated(free, name)
@@ -218,7 +226,7 @@ def covariance(
     expected_noise: m² of a frame, in place of the residuals of a fit: the covariance that data of
     this noise will have, without any bound.
     """
-    space, weight = problem.space, problem.row_weight
+    space = problem.space
     number = len(space)
     goal = problem.goal()
     slope = sensitivities(problem, parameters)
@@ -226,20 +234,26 @@ def covariance(
     planned = expected_noise is not None
     active = {} if planned else active_bounds(space, parameters, problem.box)
     free = [i for i, name in enumerate(space.names) if name not in active]
-    used = weight > 0.0
+    used = problem.row_weight > 0.0
     degrees = float(used.sum() - len(free))
     if problem.indentations is not None:
         degrees -= len(problem.indentations.trials)  # their zeros
     shared = problem.nuisances
     names: tuple[str, ...] = ()
     prior, assumed = np.zeros(number), np.zeros(0, dtype=bool)
+    own, own_sd, variance = np.zeros((len(used), 0)), np.zeros(0), 0.0
+    if shared is not None:
+        residual = residual + shared.slope @ goal.moves(residual)
+    if planned:
+        residual = np.zeros_like(residual)
+    # With the Huber loss an outlier has the influence of the last residual that is none.
+    robust = robust_factor(residual, problem.options)
+    weight = problem.row_weight * robust
     filtered = weight * slope
-    own, own_sd, variance = np.zeros((len(weight), 0)), np.zeros(0), 0.0
     if shared is not None:
         common = shared.shared & ~shared.absorbers
         ordered = [*np.flatnonzero(common), *np.flatnonzero(shared.absorbers)]
         names = tuple(name for name, is_common in zip(shared.names, common) if is_common)
-        residual = residual + shared.slope @ goal.moves(residual)
         slope = np.vstack([slope * shared.factor, shared.slope[:, ordered].T])
         variance, assumed = shared.variance, shared.assumed[common]
         prior = np.concatenate([prior, variance / shared.sd[ordered] ** 2])
@@ -253,10 +267,10 @@ def covariance(
     # Equal noise in every frame; the residuals of the fit are smaller by the fitted parameters.
     # Indentations that fit worse than their stated deviation widen the intervals.
     areas = np.arange(len(weight)) < len(problem.measured)
-    square = max(np.mean(residual[rows] ** 2) for rows in (used, used & areas))
+    square = max(np.mean((robust * residual)[rows] ** 2) for rows in (used, used & areas))
     noise = float(np.sqrt(square * used.sum() / max(degrees, 0.2 * used.sum(), 1.0)))
     if expected_noise is not None:
-        noise, residual = expected_noise, np.zeros_like(residual)
+        noise = expected_noise
     spread = np.hstack([filtered * noise, (filtered @ own) * own_sd])
     information = spread @ spread.T
     scores = problem.by_trial(weight * residual * slope)

@@ -34,7 +34,7 @@ from ..image_areas import area_fields
 from ..indentation_checks import indentation_fault
 from ..trial_checks import LARGEST_FORCE, LONGEST_PRESS, PLAUSIBLE_AREA, SHORTEST_PRESS
 from ..trial_split import TrialSettings, presses
-from ..unloaded import LATE_START, unloaded_tare
+from ..unloaded import LATE_START, Tare, reached_force, unloaded_tare
 from .pictures import Frame, frames_of
 from .settings import PATHS, PIXELS, ImportSettings
 from .tables import Table, Times, read_table
@@ -44,9 +44,6 @@ FEWEST_AREAS = 3
 
 MAXIMUM_PRESSES = 1000
 """Presses of one recording; thousands are the noise of a force that was not tared."""
-
-PART_OF_PEAK = 0.95
-"""Target force over peak force of a press for which none was set."""
 
 MOST_REPEATED = 0.9
 """Share of rows with the time of the row before from which the times are too coarse to use."""
@@ -152,13 +149,13 @@ def _force(settings: ImportSettings, table: Table, notes: list[str]) -> tuple[Ti
     heading, times = _times(table, settings, "force_time", "force_rate", headings[0])
     unit = settings.force_unit or _unit(table, headings[-1], FORCE_UNITS, "--force-unit N")
     columns = [table.numbers(h, gaps=True) * FORCE_UNITS[unit] for h in headings]
-    _check_length(table, heading, headings[0], len(times.ns), len(columns[0]))
+    for name, column in zip(headings, columns):
+        _check_length(table, heading, name, len(times.ns), len(column))
     known = np.all(np.isfinite(columns), axis=0)
     keep = _in_order(table, heading, times, known, notes)
     unknown = int((times.known & ~known).sum())
     if unknown:
         notes.append(f"{table.where}: {unknown} rows without a force, left out")
-    keep &= known
     if not keep.any():
         raise InputError(
             f"{table.where}: no row has both a time in '{heading}' and a force in "
@@ -218,15 +215,15 @@ def _times(
 def _in_order(
     table: Table, heading: str, times: Times, valued: np.ndarray, notes: list[str]
 ) -> np.ndarray:
-    """Mask of the rows that count: those with a time, and of rows with one time, the first.
+    """Mask of the rows that count: those with a time and a value, and of such with one time, the
+    first.
 
     valued (n,): rows that hold a value. Refuses a step back, and times that hardly ever step.
     """
-    keep = times.known.copy()
-    timeless = int((valued & ~keep).sum())
+    timeless = int((valued & ~times.known).sum())
     if timeless:
         notes.append(f"{table.where}: {timeless} rows without a time, left out")
-    rows = np.flatnonzero(keep)
+    rows = np.flatnonzero(times.known)
     steps = np.diff(times.ns[rows])
     if (steps < 0).any():
         row = int(rows[np.flatnonzero(steps < 0)[0] + 1]) + table.first_row
@@ -235,13 +232,16 @@ def _in_order(
             f"{-steps.min() / NANOSECONDS:.3g} s; export the rows in the order of time, or name "
             "the column that tells recordings apart with --trial-column"
         )
-    repeated = rows[1:][steps == 0]
-    if len(repeated) > MOST_REPEATED * len(rows):
+    repeats = int((steps == 0).sum())
+    if repeats > MOST_REPEATED * len(rows):
         raise InputError(
-            f"{table.where}: {len(repeated)} of {len(rows)} rows of column '{heading}' repeat the "
+            f"{table.where}: {repeats} of {len(rows)} rows of column '{heading}' repeat the "
             "time of the row before; export times with milliseconds, name the column that has "
             "them, or give the rate of the rows (--force-rate, --frame-rate)"
         )
+    keep = times.known & valued
+    rows = np.flatnonzero(keep)
+    repeated = rows[1:][np.diff(times.ns[rows]) == 0]
     if len(repeated):
         keep[repeated] = False
         notes.append(
@@ -287,6 +287,7 @@ def _presses(settings: ImportSettings, found: _Force, result: Imported) -> list[
         raise InputError(
             f"{where}: the first press lasts {lengths[0]:.3g} s; give the right --time-unit"
         )
+    rest = _unloaded(found, np.empty(0), np.empty(0))
     items: list[_Item] = []
     for number, (first, end) in enumerate(chosen):
         peak = float(normal[first:end].max())
@@ -294,7 +295,7 @@ def _presses(settings: ImportSettings, found: _Force, result: Imported) -> list[
         result.presses.append((int(stamps[first]), last, peak))
         earlier = int(stamps[chosen[number - 1][1] - 1]) if number else int(stamps[0])
         begin = max(int(stamps[first]) - nanoseconds(BEFORE_PRESS), earlier)
-        target = settings.target_force or math.floor(PART_OF_PEAK * peak * 100) / 100
+        target = settings.target_force or math.floor(reached_force(peak, rest) * 100) / 100
         about = {
             "session": settings.session,
             "subject": settings.subject,
@@ -384,7 +385,6 @@ def _column(
     values = table.numbers(column, gaps=True) * units[unit]
     _check_length(table, heading, column, len(times.ns), len(values))
     keep = _in_order(table, heading, times, np.isfinite(values), result.notes)
-    keep &= np.isfinite(values)
     return times.ns[keep], values[keep], times.absolute
 
 
@@ -488,12 +488,9 @@ def _check_areas(settings: ImportSettings, result: Imported) -> None:
 def _check_tare(settings: ImportSettings, found: _Force, result: Imported) -> None:
     """Refuse a force that was not tared, as the plate shows while nothing touches it; say which
     presses begin before the recording."""
-    time = seconds(found.stamp_ns - found.stamp_ns[0])
     stamps, areas = np.array(result.area_stamps, np.int64), np.array(result.areas)
     frames = seconds(stamps - found.stamp_ns[0])
-    period = float(np.median(np.diff(time))) if len(time) > 1 else TARE_SMOOTHING
-    smooth = uniform_filter1d(found.normal, max(round(TARE_SMOOTHING / period), 1), mode="nearest")
-    tare = unloaded_tare(time, found.normal, smooth, frames[areas > 0], frames[areas <= 0])
+    tare = _unloaded(found, frames[areas > 0], frames[areas <= 0])
     if tare is not None and abs(tare.force) > LARGEST_TARE:
         raise InputError(
             f"{settings.force}: the force is {tare.force:.2f} N while nothing touches the plate "
@@ -507,6 +504,14 @@ def _check_tare(settings: ImportSettings, found: _Force, result: Imported) -> No
             "before the recording and cannot be fitted. If the finger did not touch yet, give "
             "--tare"
         )
+
+
+def _unloaded(found: _Force, touched: np.ndarray, empty: np.ndarray) -> Tare | None:
+    """As `unloaded_tare`, frames (m,), (k,) in s from the first sample of the force."""
+    time = seconds(found.stamp_ns - found.stamp_ns[0])
+    period = float(np.median(np.diff(time))) if len(time) > 1 else TARE_SMOOTHING
+    smooth = uniform_filter1d(found.normal, max(round(TARE_SMOOTHING / period), 1), mode="nearest")
+    return unloaded_tare(time, found.normal, smooth, touched, empty)
 
 
 # Indentation ---------------------------------------------------------------------------------
