@@ -74,7 +74,9 @@ def force_image_lag(trials: Iterable[TrialRecord]) -> float | None:
         time, seen = (trial.stamp_ns - origin) * 1e-9, (trial.area_stamp_ns - origin) * 1e-9
         steps = np.arange(0.0, time[-1], STEP)
         force = np.maximum(np.interp(steps, time, trial.force), 0.0)
-        model, parameters = _fingers()
+        model, parameters, limit = _fingers()
+        # A larger force on a stiffer finger: their ratio is what the model knows.
+        force *= min(1.0, limit / max(force.max(), limit))
         curves = model.batch(parameters, [(steps, force, np.arange(len(steps)))])[0]
         found = _sums(steps, force, np.vstack([curves, force]), seen, trial.area)
         if found is not None:
@@ -87,8 +89,9 @@ def force_image_lag(trials: Iterable[TrialRecord]) -> float | None:
 
 
 @functools.cache
-def _fingers() -> tuple[ReducedModel, np.ndarray]:
-    """The shipped model, and fingers of much and little, of fast and slow creep."""
+def _fingers() -> tuple[ReducedModel, np.ndarray, float]:
+    """The shipped model, fingers of much and little, of fast and slow creep, and the force (N) to
+    which it knows all of them."""
     model = ReducedModel.load()
     space = model.space
     grid = itertools.product(CREEP, CREEP_TIMES)
@@ -97,7 +100,7 @@ def _fingers() -> tuple[ReducedModel, np.ndarray]:
         space.with_quantity("tau1", space.with_quantity("E1", natural, natural[0] * part), tau)
         for part, tau in grid
     ]
-    return model, np.array(fingers)
+    return model, np.array(fingers), min(map(model.force_limit, fingers))
 
 
 def log_lag(

@@ -15,8 +15,13 @@ from finger_model.reduced import ReducedModel
 from finger_offline.lag import force_image_lag
 
 
-def presses(lag: float, parameters: np.ndarray | None, number: int = 4) -> list[Any]:
-    """Presses of 0.6 to 1.8 s with areas at 10 Hz that come late; None: a finger without creep."""
+def presses(
+    lag: float, parameters: np.ndarray | None, number: int = 4, stronger: float = 1.0
+) -> list[Any]:
+    """Presses of 0.6 to 1.8 s with areas at 10 Hz that come late; None: a finger without creep.
+
+    stronger: factor of force and moduli.
+    """
     rng = np.random.default_rng(0)
     model = ReducedModel.load()
     found = []
@@ -33,7 +38,7 @@ def presses(lag: float, parameters: np.ndarray | None, number: int = 4) -> list[
         found.append(
             SimpleNamespace(
                 stamp_ns=(time * 1e9).astype(np.int64),
-                force=force,
+                force=stronger * force,
                 area_stamp_ns=(frames * 1e9).astype(np.int64),
                 area=seen,
             )
@@ -47,6 +52,13 @@ def test_the_lag_of_the_clocks_is_found_whether_or_not_the_skin_creeps(lag: floa
     slow = natural * [1.0, 0.8, 2.5, 1.0]
     for parameters in (None, natural, natural * [1.0, 0.7, 0.3, 0.6], slow):
         assert force_image_lag(presses(lag, parameters)) == pytest.approx(lag, abs=0.03)
+
+
+def test_presses_beyond_the_range_of_the_model_tell_the_lag_too() -> None:
+    """As to 9 N: force over stiffness is all that counts."""
+    natural = ReducedModel.load().space.default
+    found = force_image_lag(presses(0.08, natural, stronger=6.0))
+    assert found == pytest.approx(0.08, abs=0.03)
 
 
 def test_one_press_tells_a_lag_that_is_noted_from_none() -> None:
