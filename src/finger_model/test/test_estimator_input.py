@@ -369,6 +369,22 @@ def test_a_reading_does_not_undo_what_the_contact_measured(
     assert abs(change - 1.0) > 0.1 and (change > 1.0) == (second > first)
 
 
+def test_a_reset_in_a_measured_contact_takes_the_newest_reading(model: ReducedModel) -> None:
+    estimator = ContactEstimator(model)
+    for ms in range(0, 1500, 2):
+        if ms == 500:
+            estimator.add_area(T0 + ms * MS, 55e-6, 0.5e-6)
+        if ms == 1000:
+            estimator.add_moisture(T0 + ms * MS, 105.0)
+        one(estimator, ms, min(0.01 * ms, 1.0))
+    fresh = ContactEstimator(model)
+    fresh.add_moisture(T0, 105.0)
+    estimator.reset()
+    for ms in range(1500, 2500, 2):
+        (again,), (wanted,) = one(estimator, ms, 1.0), one(fresh, ms, 1.0)
+    assert again.model_area == pytest.approx(wanted.model_area, rel=1e-3)
+
+
 def test_an_old_reading_and_an_old_area_are_flagged(model: ReducedModel) -> None:
     settings = EstimatorSettings(moisture_stale_after=1.0, area_stale_after=0.2)
     estimator = ContactEstimator(model, settings=settings)

@@ -159,6 +159,7 @@ class FilterState:
         if keep_stream:
             self._stream[:] = kept
             self.state["members"]["stamp"] = kept["model_stamp"]
+        self.constants = np.repeat(self.base, 1 + members.DIRECTIONS)
         self.finger = self._at_rest()
         self._initialise()
 
