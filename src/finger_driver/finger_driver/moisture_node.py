@@ -74,30 +74,33 @@ class MoistureNode(DeviceNode):
     def on_sample(self, sample: Reading) -> None:
         self._publish(sample)
 
+    def _left_out(self, reading: Reading, fault: str, reason: str) -> str:
+        """Note that the stamp of a reading is wrong, or without a reason that it is not; the
+        sentence."""
+        if not reason:
+            self.device.cleared(fault)
+            return ""
+        text = (
+            f"reading {reading.value:g} a.u. {reason} and is left out; check the clock that stamps "
+            "it"
+        )
+        self.device.note(fault, text)
+        return text
+
     def _publish(self, reading: Reading) -> str:
         """Publish one reading, or tell why not; called by the device thread, by the executor for
         entered ones."""
         health = self.device.health
         with self._publish_lock:
             ahead = seconds(reading.stamp_ns - self.device.clock.now())
-            if ahead > _AHEAD:
-                # Remembered, it would make all later readings older than itself.
-                text = (
-                    f"reading {reading.value:g} a.u. is stamped {ahead:.0f} s ahead of this "
-                    "computer's clock and is left out; check the clock that stamps it"
-                )
-                self.device.note("ahead", text)
+            # Remembered, one from the future would make all later readings older than itself.
+            early = f"is stamped {ahead:.0f} s ahead of this computer's clock"
+            if text := self._left_out(reading, "ahead", early if ahead > _AHEAD else ""):
                 return text
-            self.device.cleared("ahead")
             stamp = self._later(reading.stamp_ns)
-            if not self.accept_stamp(stamp):
-                text = (
-                    f"reading {reading.value:g} a.u. is older than the one before it and is left "
-                    "out; check the clock that stamps it"
-                )
-                self.device.note("backwards", text)
+            old = "" if self.accept_stamp(stamp) else "is older than the one before it"
+            if text := self._left_out(reading, "backwards", old):
                 return text
-            self.device.cleared("backwards")
             if reading.flags & FLAG_OUT_OF_RANGE:
                 text = f"reading {reading.value:g} a.u. is outside {_RANGE}; measure again"
                 self.device.note("out_of_range", text)

@@ -19,7 +19,7 @@ from ..problem import FitTrial
 
 LEAST_DISTANCE = 20.0
 """a.u. between the means of two clusters. The paper's conditions lie 32 and 36 apart, and scatter
-by 3 to 7 each: one of them is cut in 1 % of the cases."""
+by 3 to 7 each."""
 
 SEPARATED = 3.5
 """Distance of the means over the standard deviation within, of two clusters: a cut through the

@@ -20,7 +20,8 @@ Rules of input, all by the stamps the samples carry (int, ns), never by when the
   and leaves the state; the next valid sample bridges it.
 - **Areas and moisture readings** stamped t enter at the first wrench sample stamped t +
   `fusion_delay` or later. One that is handed over after such a sample is not used, is counted and
-  flags the next estimate.
+  flags the next estimate. A reading in a contact of which an area was measured moves the model at
+  the next onset only.
 - **Events** (reset, parameters, settings) take effect before the first wrench sample stamped like
   them or later.
 
