@@ -307,7 +307,6 @@ class Equilibrium:
                 friction,
                 force_tolerance=1e-10 * scale,
                 keep_one=load is not None,
-                settled=norm < 0.05,
                 one_at_a_time=iteration > 14,
             )
         raise NotConverged(f"no convergence in {ITERATIONS} iterations (residual {norm:.1e})")
@@ -318,6 +317,12 @@ class Equilibrium:
         free = active[~self.guided[active]]
         slips = contact.status[free] == SLIP
         return ContactSet(active, free[~slips], free[slips])
+
+    def follow(self, contact: Contact, nodes: np.ndarray) -> None:
+        """Let new nodes of the contact slip as their neighbours towards the axis do."""
+        for node in nodes:
+            contact.status[node] = SLIP
+            contact.direction[node] = 0.0 if self.guided[node] else contact.direction[node - 1]
 
     def _residual(self, contact: Contact, nodes: ContactSet, friction: float) -> np.ndarray:
         """Unbalanced force (2N,) of the unknowns that are not held, from `force`."""
@@ -347,14 +352,12 @@ class Equilibrium:
         friction: float,
         force_tolerance: float,
         keep_one: bool,
-        settled: bool,
         one_at_a_time: bool,
     ) -> bool:
         """Move nodes between open, sticking and slipping; True if any moved.
 
         reaction (k,): of the plate on the active, then on the sticking nodes. keep_one: never open
-        all nodes; settled: near enough to equilibrium to judge friction; one_at_a_time: against
-        cycling.
+        all nodes; one_at_a_time: against cycling.
         """
         active, sticking, slipping = nodes
         surface, status = self.mesh.surface, contact.status
@@ -373,7 +376,7 @@ class Equilibrium:
         if keep_one and len(active) and len(released) == len(active) and not len(touching):
             # The node with the largest reaction stays in contact.
             released = np.delete(released, np.argmax(normal[released]))
-        if friction > 0.0 and settled:
+        if friction > 0.0:
             shear = np.zeros(len(surface))
             shear[sticking] = reaction[len(active) :]
             limit = friction * np.maximum(normal[sticking], 0.0) + force_tolerance
@@ -396,10 +399,5 @@ class Equilibrium:
             contact.direction[stopped] = 0.0
         status[released] = OPEN
         contact.direction[released] = 0.0
-        for node in touching:
-            # The node next to it towards the axis touched before: the new one slips as it does.
-            status[node] = SLIP
-            contact.direction[node] = contact.direction[node - 1] if node > 0 else 0.0
-            if self.guided[node]:
-                contact.direction[node] = 0.0
+        self.follow(contact, touching)
         return bool(np.any(before != status))

@@ -29,7 +29,7 @@ from ..history import (
 from ..laws import ConstitutiveLaw, Tissue
 from .contact_radius import Edge, contact_edge, peak_pressure
 from .elasticity import NEO_HOOKE
-from .equilibrium import OPEN, SLIP, Contact, Equilibrium, NotConverged
+from .equilibrium import OPEN, SLIP, STICK, Contact, Equilibrium, NotConverged
 from .fields import Fields, fields_of
 from .mesh import Mesh, finger_mesh
 from .mesh_material import Crushed, MeshMaterial
@@ -39,7 +39,7 @@ SMALLEST_CUT = 2.0**-14
 
 SMALLEST_PART = 1.0 / 64.0
 """Smallest fraction into which a step is divided to follow its path."""
-MAXIMUM_NEW_NODES = 1
+MAXIMUM_NEW_NODES = 2
 """Maximum number of new contact nodes in one part of a divided step."""
 
 
@@ -297,9 +297,14 @@ class Stepper:
     ) -> tuple[np.ndarray, Contact]:
         """Starting positions and contact of a step: extrapolation, or Hertz at first touch."""
         state, before = self.state, self._before
-        surface = self.model.mesh.surface
+        equilibrium, surface = self.model.equilibrium, self.model.mesh.surface
         contact = state.contact.copy()
         x = state.positions.copy()
+        if self.material.friction > 0.0:
+            # A node that touched beside sticking ones slipped without direction.
+            undecided = (contact.status == SLIP) & (contact.direction == 0.0) & ~equilibrium.guided
+            equilibrium.follow(contact, np.flatnonzero(undecided))
+            contact.status[undecided & (contact.direction == 0.0)] = STICK
         if not contact.status.any():
             if force is not None and force > 0.0:
                 tip = self.model.geometry.tip_radius
@@ -325,10 +330,9 @@ class Stepper:
                 contact.height += ratio * (state.contact.height - before.contact.height)
                 if height is not None:
                     contact.height = height
+                # A part brings few new nodes: of more, those too many would only be released again.
                 touching = (contact.status == OPEN) & (x[surface, 1] < contact.height)
-                contact.status[touching] = SLIP
-                for node in np.flatnonzero(touching):
-                    contact.direction[node] = contact.direction[node - 1] if node else 0.0
+                equilibrium.follow(contact, np.flatnonzero(touching)[:MAXIMUM_NEW_NODES])
         return x, contact
 
     def point(self) -> ContactPoint:
