@@ -12,13 +12,14 @@ import pytest
 from finger_common.cli import run
 from finger_common.errors import InputError
 from finger_model.cli import _main
-from finger_model.fem.equilibrium import SLIP, STICK
+from finger_model.fem.equilibrium import SLIP, STICK, NotConverged
 from finger_model.fem.full_order import FullOrderModel
 from finger_model.geometry import Geometry
 from finger_model.laws import GeneralizedMaxwell2, StandardLinearSolid
 from finger_model.pose.pose import Pose
-from finger_model.solid3d import contact_shape, elements
-from finger_model.solid3d.condensation import Condensation
+from finger_model.solid3d import contact_shape, elements, equilibrium
+from finger_model.solid3d.condensation import Condensation, NotPositive
+from finger_model.solid3d.contact import Plate
 from finger_model.solid3d.contact_shape import node_areas, outline
 from finger_model.solid3d.full_order import SOLID_CSV_HEADER, SolidModel
 from finger_model.solid3d.mesh import MeshSize, solid_mesh
@@ -223,6 +224,29 @@ def test_sticking_skin_may_hang_on_a_spring():
     size = np.hypot(contact.force[:, 0], contact.force[:, 1])
     assert np.all(size[sticks] <= friction * contact.force[sticks, 2] + 1e-6 * largest)
     assert np.allclose(size[slips], friction * contact.force[slips, 2], atol=1e-5 * largest)
+
+
+def test_tissue_that_buckles_is_given_up_soon(monkeypatch):
+    model = SolidModel(size=COARSE)
+    stepper = model.start(elastic(**DRY))
+    stepper.step(0.1, 0.1)
+    model.equilibrium.forget()
+    factorize, tried = Condensation.factorize, []
+
+    def buckles(self, tangent):
+        tried.append(1)
+        if len(tried) > 1:
+            raise NotPositive
+        return factorize(self, tangent)
+
+    monkeypatch.setattr(Condensation, "factorize", buckles)
+    monkeypatch.setattr(equilibrium, "SLOW", 0.0)  # factorise at every iteration
+    state = stepper.state
+    material = stepper.solid.step(0.0, state.tissue)
+    plate = Plate(np.array([0.0, 0.0, math.nan]), np.array([0.0, 0.0, 0.5]))
+    with pytest.raises(NotConverged, match="buckles"):
+        model.equilibrium.solve(state.positions, state.contact, material, 0.0, plate)
+    assert len(tried) <= 10
 
 
 def test_half_and_whole_finger_agree():

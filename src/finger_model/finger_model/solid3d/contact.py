@@ -73,6 +73,36 @@ class Sliding(Exception):
     """No node sticks, and the tangential force is given: the plate slides away."""
 
 
+@dataclass(frozen=True)
+class Nodes:
+    """The m nodes that may touch, and the body under them: f = internal + stiffness · u.
+
+    stiffness (3 m, 3 m); internal (3 m,): force (N) that holds the nodes at positions (m, 3);
+    movable (m, 3): whether a component can move; anchor (m, 2): as in `Contact`. spring: stiffness
+    (m,) in N/m on which sticking nodes hang, and `Contact.begun`; without it they do not move on
+    the plate.
+    """
+
+    stiffness: np.ndarray
+    internal: np.ndarray
+    positions: np.ndarray
+    movable: np.ndarray
+    anchor: np.ndarray
+    spring: tuple[np.ndarray, np.ndarray] | None = None
+
+    @property
+    def slip_stiffness(self) -> np.ndarray:
+        """Stiffness (m,) in N/m by which slip is weighed against friction."""
+        if self.spring is not None:
+            return self.spring[0]
+        diagonal = np.diag(self.stiffness).reshape(-1, 3)
+        return np.where(diagonal[:, 0] > 0, diagonal[:, 0], diagonal[:, 2])
+
+    def slip(self, positions: np.ndarray, plate: np.ndarray) -> np.ndarray:
+        """Way (m, 2) of nodes at positions (m, 3) on the plate (3,) since the step began."""
+        return positions[:, :2] - plate[:2] - self.anchor
+
+
 class Response(NamedTuple):
     """Displacement (m, 3) and force (m, 3) of the nodes, plate (3,), status (m,)."""
 
@@ -83,75 +113,53 @@ class Response(NamedTuple):
 
 
 def respond(
-    stiffness: np.ndarray,
-    internal: np.ndarray,
-    positions: np.ndarray,
-    movable: np.ndarray,
-    anchor: np.ndarray,
+    nodes: Nodes,
     status: np.ndarray,
     force: np.ndarray,
     plate: np.ndarray,
     target: Plate,
     friction: float,
-    spring: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Response:
-    """Displacements of m nodes for which contact and friction hold, f = internal + stiffness · u.
+    """Displacements of the m nodes for which contact and friction hold.
 
-    stiffness (3 m, 3 m); internal (3 m,): force (N) that holds the nodes at positions (m, 3);
-    movable (m, 3): whether a component can move; anchor (m, 2), status (m,), force (m, 3), plate
-    (3,): as in `Contact`, the last three as a first guess. spring: stiffness (m,) in N/m of
-    sticking nodes, and `Contact.begun`; without it they do not move on the plate. Raises
-    NotConverged or Sliding.
+    status (m,), force (m, 3), plate (3,): as in `Contact`, a first guess. Raises NotConverged or
+    Sliding.
     """
-    fixed = stiffness, internal, positions, movable, anchor
     try:
-        return _settle(*fixed, status, force, plate, target, friction, spring)
+        return _settle(nodes, status, force, plate, target, friction)
     except NotConverged:
         if friction == 0.0 or target.slides:
             raise
         # After a turn of the load everything sticks at first.
         held = np.where(status == SLIP, STICK, status)
-        return _settle(*fixed, held, force, plate, target, friction, spring)
+        return _settle(nodes, held, force, plate, target, friction)
 
 
 def _settle(
-    stiffness: np.ndarray,
-    internal: np.ndarray,
-    positions: np.ndarray,
-    movable: np.ndarray,
-    anchor: np.ndarray,
+    nodes: Nodes,
     status: np.ndarray,
     force: np.ndarray,
     plate: np.ndarray,
     target: Plate,
     friction: float,
-    spring: tuple[np.ndarray, np.ndarray] | None,
 ) -> Response:
     """`respond` from one guess."""
-    m = len(positions)
     status = status.copy()
-    force = force.copy()
     plate = np.where(np.isnan(target.position), plate, target.position)
-    loaded = target.loaded
-    pulled = bool(np.any(loaded < 2))
+    pulled = bool(np.any(target.loaded < 2))
     if pulled and friction == 0.0:
         raise Sliding
     loose = 0
-    diagonal = np.diag(stiffness).reshape(m, 3)
-    scale = np.where(diagonal[:, 0] > 0, diagonal[:, 0], diagonal[:, 2])
-    begun = force[:, :2]
-    if spring is not None:
-        scale, begun = spring
-    slip = positions[:, :2] - plate[:2] - anchor
+    slip_stiffness = nodes.slip_stiffness
+    begun = nodes.spring[1] if nodes.spring is not None else None
     # Guess of the slip direction of nodes that already slip: that of their friction.
     trial = force[:, :2].copy()
-    moved = np.zeros(3 * m)
     misfit = math.inf
     seen: list[bytes] = []
     one_at_a_time = False
     for _ in range(ITERATIONS):
         active = status != OPEN
-        if len(loaded) and not active.any():
+        if len(target.loaded) and not active.any():
             raise NotConverged("no node touches")
         if pulled and not np.any(status == STICK):
             # The node nearest to sticking holds the plate until the others settle.
@@ -161,86 +169,16 @@ def _settle(
             bound = friction * np.maximum(force[:, 2], 0.0)
             excess = np.where(active, np.hypot(trial[:, 0], trial[:, 1]) - bound, np.inf)
             status[np.argmin(excess)] = STICK
-        held = np.zeros((m, 3), dtype=bool)
-        held[active, 2] = True
-        if friction > 0.0 and spring is None:
-            held[status == STICK, :2] = True
-        held |= ~movable
-        known = np.zeros((m, 3))
-        by_plate = np.zeros((m, 3, len(loaded)))
-        on_plate = held & movable & active[:, None]
-        goal = np.column_stack([anchor + plate[:2], np.full(m, plate[2])])
-        known[on_plate] = (goal - positions)[on_plate]
-        for column, axis in enumerate(loaded):
-            by_plate[on_plate[:, axis], axis, column] = 1.0
-        free = np.flatnonzero(~held.ravel())
-        fixed = np.flatnonzero(held.ravel())
-        by_plate_flat = by_plate.reshape(3 * m, -1)
-        columns = np.concatenate(
-            [
-                stiffness[:, free],
-                stiffness[:, fixed] @ by_plate_flat[fixed],
-                (internal + stiffness[:, fixed] @ known.ravel()[fixed])[:, None],
-            ],
-            axis=1,
-        )
-        rows = columns[free]
-        tangential = status == SLIP if spring is None else active
-        slipping = np.flatnonzero(tangential) if friction > 0.0 else np.empty(0, dtype=int)
-        if len(slipping):
-            normal = np.maximum(force[slipping, 2], 0.0)
-            size = np.hypot(trial[slipping, 0], trial[slipping, 1])
-            size = np.where(size > 0, size, 1.0)
-            e = trial[slipping] / size[:, None]
-            beta = np.minimum(friction * normal / size, 1.0)
-            where = np.full(3 * m, -1)
-            where[free] = np.arange(len(free))
-            elastic = status[slipping] == STICK
-            e[elastic] = 0.0
-            beta[elastic] = 1.0
-            across = np.eye(2) - e[:, :, None] * e[:, None, :]
-            fx, fy, fz = (columns[3 * slipping + k] for k in range(3))
-            for k in range(2):
-                own = (fx, fy)[k].copy()
-                if spring is None:
-                    own -= beta[:, None] * (across[:, k, :1] * fx + across[:, k, 1:] * fy)
-                else:
-                    own[:, -1] -= beta * np.sum(across[:, k] * begun[slipping], axis=1)
-                own -= friction * e[:, k, None] * fz
-                stiff = beta * scale[slipping]
-                for n in range(2):
-                    factor = stiff * across[:, k, n]
-                    there = where[3 * slipping + n]
-                    ok = there >= 0
-                    own[np.flatnonzero(ok), there[ok]] += factor[ok]
-                    for column, axis in enumerate(loaded):
-                        if axis == n:
-                            own[:, len(free) + column] -= factor
-                    own[:, -1] += factor * (positions[slipping, n] - plate[n] - anchor[slipping, n])
-                there = where[3 * slipping + k]
-                ok = there >= 0
-                rows[there[ok]] = own[ok]
-        sums = np.zeros((len(loaded), columns.shape[1]))
-        for row, axis in enumerate(loaded):
-            sums[row] = columns[3 * np.flatnonzero(active) + axis].sum(axis=0)
-            sums[row, -1] -= target.force[axis]
-        system = np.concatenate([rows, sums])
-        try:
-            unknown = np.linalg.solve(system[:, :-1], -system[:, -1])
-        except np.linalg.LinAlgError:
-            raise NotConverged("the contact problem is singular") from None
-        rise = unknown[len(free) :]
-        moved[free] = unknown[: len(free)]
-        moved[fixed] = known.ravel()[fixed] + by_plate_flat[fixed] @ rise
-        plate_now = plate.copy()
-        plate_now[loaded] += rise
-        force = (internal + stiffness @ moved).reshape(m, 3)
+        system = _System(nodes, status, plate, target, friction)
+        if friction > 0.0:
+            system.set_friction(trial, np.maximum(force[:, 2], 0.0), slip_stiffness)
+        moved, plate_now = system.solve()
+        force = (nodes.internal + nodes.stiffness @ moved.ravel()).reshape(-1, 3)
         force[~active] = 0.0
-        force[~movable] = 0.0
+        force[~nodes.movable] = 0.0
         # New sets.
-        now = positions + moved.reshape(m, 3)
+        now = nodes.positions + moved
         gap = now[:, 2] - plate_now[2]
-        slip = now[:, :2] - plate_now[:2] - anchor
         largest = float(force[:, 2].max(initial=0.0))
         before = status.copy()
         opens = active & (force[:, 2] < -1e-12 * largest)
@@ -249,31 +187,134 @@ def _settle(
             opens, closes = _worst(opens, force[:, 2]), _worst(closes, gap)
         if opens.sum() == active.sum() and not closes.any():
             opens[np.argmax(force[:, 2])] = False
-        trial = (force[:, :2] if spring is None else begun) - scale[:, None] * slip
-        trial[~movable[:, :2]] = 0.0
+        held = force[:, :2] if begun is None else begun
+        trial = held - slip_stiffness[:, None] * nodes.slip(now, plate_now)
+        trial[~nodes.movable[:, :2]] = 0.0
         misfit = 0.0
         if friction > 0.0:
             bound = friction * np.maximum(force[:, 2], 0.0)
             size = np.hypot(trial[:, 0], trial[:, 1])
-            sticks = size <= bound
             inside = active & ~opens
-            wanted = force[:, :2].copy()
-            over = inside & ~sticks
-            wanted[over] = trial[over] / size[over, None] * bound[over, None]
-            off = np.abs(wanted - force[:, :2])[inside & ~sticks]
+            over = inside & (size > bound)
+            wanted = trial[over] / size[over, None] * bound[over, None]
+            off = np.abs(wanted - force[over, :2])
             misfit = float(off.max(initial=0.0)) / max(friction * largest, 1e-300)
-            status[inside & sticks] = STICK
-            status[inside & ~sticks] = SLIP
+            status[inside] = STICK
+            status[over] = SLIP
         status[opens] = OPEN
         status[closes] = SLIP if friction == 0.0 or target.slides else STICK
         if np.array_equal(status, before) and (misfit < TOLERANCE or friction == 0.0):
-            return Response(moved.reshape(m, 3).copy(), force, plate_now, status)
+            return Response(moved, force, plate_now, status)
         key = status.tobytes()
         one_at_a_time = one_at_a_time or seen.count(key) > 2
         seen.append(key)
     if misfit < 1e-3:
-        return Response(moved.reshape(m, 3).copy(), force, plate_now, status)
+        return Response(moved, force, plate_now, status)
     raise NotConverged(f"contact and friction did not settle (misfit {misfit:.1e})")
+
+
+class _System:
+    """Linear equations of nodes that are open, stick or slip as `status` (m,) says.
+
+    Unknown are the components of the nodes that nothing holds, then how far the plate (3,) goes
+    along the axes whose force is given; the last column is the load.
+    """
+
+    def __init__(
+        self, nodes: Nodes, status: np.ndarray, plate: np.ndarray, target: Plate, friction: float
+    ) -> None:
+        self.nodes, self.status, self.plate, self.target = nodes, status, plate, target
+        self.friction, self.loaded = friction, target.loaded
+        m, stiffness, active = len(status), nodes.stiffness, status != OPEN
+        held = np.zeros((m, 3), dtype=bool)
+        held[active, 2] = True
+        if friction > 0.0 and nodes.spring is None:
+            held[status == STICK, :2] = True
+        held |= ~nodes.movable
+        known = np.zeros((m, 3))
+        by_plate = np.zeros((m, 3, len(self.loaded)))
+        on_plate = held & nodes.movable & active[:, None]
+        goal = np.column_stack([nodes.anchor + plate[:2], np.full(m, plate[2])])
+        known[on_plate] = (goal - nodes.positions)[on_plate]
+        for column, axis in enumerate(self.loaded):
+            by_plate[on_plate[:, axis], axis, column] = 1.0
+        self.free = np.flatnonzero(~held.ravel())
+        self.fixed = fixed = np.flatnonzero(held.ravel())
+        self.known, self.by_plate = known.ravel()[fixed], by_plate.reshape(3 * m, -1)[fixed]
+        self.columns = np.concatenate(
+            [
+                stiffness[:, self.free],
+                stiffness[:, fixed] @ self.by_plate,
+                (nodes.internal + stiffness[:, fixed] @ self.known)[:, None],
+            ],
+            axis=1,
+        )
+        self.rows = self.columns[self.free]
+
+    def set_friction(
+        self, trial: np.ndarray, normal: np.ndarray, slip_stiffness: np.ndarray
+    ) -> None:
+        """Put the law of friction, linearised, in the rows of the nodes that may slip.
+
+        trial (m, 2): friction (N) that would stop the slip; normal (m,): force (N); slip_stiffness
+        (m,) as in `Nodes`.
+        """
+        nodes, columns, free = self.nodes, self.columns, self.free
+        spring = nodes.spring
+        slipping = np.flatnonzero(self.status == SLIP if spring is None else self.status != OPEN)
+        if not len(slipping):
+            return
+        size = np.hypot(trial[slipping, 0], trial[slipping, 1])
+        size = np.where(size > 0, size, 1.0)
+        e = trial[slipping] / size[:, None]
+        beta = np.minimum(self.friction * normal[slipping] / size, 1.0)
+        where = np.full(columns.shape[0], -1)
+        where[free] = np.arange(len(free))
+        elastic = self.status[slipping] == STICK
+        e[elastic] = 0.0
+        beta[elastic] = 1.0
+        across = np.eye(2) - e[:, :, None] * e[:, None, :]
+        stiff = beta * slip_stiffness[slipping]
+        slip = nodes.slip(nodes.positions, self.plate)[slipping]
+        fx, fy, fz = (columns[3 * slipping + k] for k in range(3))
+        for k in range(2):
+            own = (fx, fy)[k].copy()
+            if spring is None:
+                own -= beta[:, None] * (across[:, k, :1] * fx + across[:, k, 1:] * fy)
+            else:
+                own[:, -1] -= beta * np.sum(across[:, k] * spring[1][slipping], axis=1)
+            own -= self.friction * e[:, k, None] * fz
+            for n in range(2):
+                factor = stiff * across[:, k, n]
+                there = where[3 * slipping + n]
+                ok = there >= 0
+                own[np.flatnonzero(ok), there[ok]] += factor[ok]
+                own[:, len(free) + np.flatnonzero(self.loaded == n)] -= factor[:, None]
+                own[:, -1] += factor * slip[:, n]
+            there = where[3 * slipping + k]
+            ok = there >= 0
+            self.rows[there[ok]] = own[ok]
+
+    def solve(self) -> tuple[np.ndarray, np.ndarray]:
+        """Displacements (m, 3) of the nodes, and the plate (3,). Raises NotConverged."""
+        columns, free, loaded = self.columns, self.free, self.loaded
+        active = np.flatnonzero(self.status != OPEN)
+        sums = np.zeros((len(loaded), columns.shape[1]))
+        for row, axis in enumerate(loaded):
+            sums[row] = columns[3 * active + axis].sum(axis=0)
+            sums[row, -1] -= self.target.force[axis]
+        system = np.concatenate([self.rows, sums])
+        try:
+            unknown = np.linalg.solve(system[:, :-1], -system[:, -1])
+        except np.linalg.LinAlgError:
+            raise NotConverged("the contact problem is singular") from None
+        rise = unknown[len(free) :]
+        moved = np.empty(columns.shape[0])
+        moved[free] = unknown[: len(free)]
+        moved[self.fixed] = self.known + self.by_plate @ rise
+        plate = self.plate.copy()
+        plate[loaded] += rise
+        return moved.reshape(-1, 3), plate
 
 
 def _worst(mask: np.ndarray, value: np.ndarray) -> np.ndarray:

@@ -17,13 +17,15 @@ from ..fem.equilibrium import OPEN, NotConverged
 from ..fem.mesh_material import StepMaterial
 from . import elements
 from .condensation import Condensation, NotPositive
-from .contact import Contact, Plate, respond
+from .contact import Contact, Nodes, Plate, respond
 from .contact_shape import node_areas
 from .mesh import SolidMesh
 
 TOLERANCE = 2e-5
 """Residual, relative to the plate's force, at which an iteration has converged."""
 ITERATIONS = 40
+MOST_HALVINGS = 6
+"""Halvings of one step in a row."""
 SLOW = 0.25
 """Ratio of two residuals above which the stiffness is factorised again."""
 
@@ -109,7 +111,6 @@ class Equilibrium:
         contact.plate = np.where(np.isnan(plate.position), contact.plate, plate.position)
         surface = self.mesh.surface
         fixed = self.mesh.fixed
-        spring = self._spring
         floor = 1e-3 * float(material.metric[..., :3].mean()) * self.length**2 * 1e-3
         self.residuals = []
         self._choose(x, contact)
@@ -120,13 +121,10 @@ class Equilibrium:
             fresh = self._stiffness is None
             smallest = self._assemble(x, material, fresh)
             if smallest <= 0.0:
-                if step is None or halvings >= 6:
-                    raise NotConverged("elements turn inside out")
+                step = _half(step, halvings, "elements turn inside out")
                 halvings += 1
-                step = 0.5 * step
                 x = x - step
                 continue
-            halvings = 0
             residual = self.force.copy()
             residual[surface] -= contact.force
             residual[fixed] = 0.0
@@ -153,30 +151,31 @@ class Equilibrium:
                 try:
                     self._stiffness = self._condensation.factorize(self.tangent)
                 except NotPositive:
-                    if step is None or halvings >= 6:
-                        raise NotConverged(
-                            "the tangent stiffness is not positive definite (the tissue buckles)"
-                        ) from None
-                    step = 0.5 * step
+                    cause = "the tangent stiffness is not positive definite (the tissue buckles)"
+                    step = _half(step, halvings, cause)
+                    halvings += 1
                     x = x - step
                     continue
+            halvings = 0
             assert self._stiffness is not None
             nodes = self.possible
             total = self.force.copy()
             total[fixed] = 0.0
             internal = -self._condensation.reduce(-total.ravel())
             found = respond(
-                self._stiffness,
-                internal,
-                x[surface[nodes]],
-                ~fixed[surface[nodes]],
-                contact.anchor[nodes],
+                Nodes(
+                    self._stiffness,
+                    internal,
+                    x[surface[nodes]],
+                    ~fixed[surface[nodes]],
+                    contact.anchor[nodes],
+                    None if self._spring is None else (self._spring[nodes], contact.begun[nodes]),
+                ),
                 contact.status[nodes],
                 contact.force[nodes],
                 contact.plate,
                 plate,
                 friction,
-                None if spring is None else (spring[nodes], contact.begun[nodes]),
             )
             step = self._condensation.expand(found.displacement.ravel()).reshape(-1, 3)
             largest = float(np.abs(step).max())
@@ -190,3 +189,10 @@ class Equilibrium:
             x = x + step
             contact.plate = contact.plate + part * (found.plate - contact.plate)
         raise NotConverged(f"no convergence in {ITERATIONS} iterations (residual {norm:.1e})")
+
+
+def _half(step: np.ndarray | None, halvings: int, cause: str) -> np.ndarray:
+    """Half of the last step, which was too long. Raises NotConverged after too many halvings."""
+    if step is None or halvings >= MOST_HALVINGS:
+        raise NotConverged(cause)
+    return 0.5 * step
