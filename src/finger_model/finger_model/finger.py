@@ -65,7 +65,7 @@ def simulate_reduced(
     try:
         return model.for_material(material).simulate(material, time, force)
     except InputError:
-        if model_file or model.serves_population:
+        if not model.gives_way:
             raise
     return load_population(geometry).for_material(material).simulate(material, time, force)
 
@@ -76,7 +76,7 @@ def serving(model: Any, force: float, parameters: np.ndarray) -> Any:
 
     Only the shipped model of the default finger gives way, as in `simulate_reduced`.
     """
-    if not isinstance(model, ReducedModel) or model.meta is not ReducedModel.load().meta:
+    if not isinstance(model, ReducedModel) or not model.gives_way:
         return model
     if force <= min(map(model.force_limit, parameters)):
         return model
@@ -95,7 +95,7 @@ def load_areas(
         if not law:
             return model
         own = model.for_law(law_of(law))
-        if not model_file and "stiffening" in own.space.names and not own.serves_population:
+        if own.gives_way and "stiffening" in own.space.names:
             # The shipped model of the default finger knows no stiffening, which a fit varies.
             return load_population(own.geometry).for_law(law_of(law))
         return own

@@ -21,12 +21,15 @@ from finger_common.moisture import MOISTURE_RANGE
 
 from .geometry import Geometry
 from .laws import MaxwellLaw, StandardLinearSolid
-from .laws.generalized_maxwell import LAWS_BY_BRANCHES, TIME_RANGE
+from .laws.generalized_maxwell import (
+    E0_RANGE,
+    E2_RANGE,
+    LAWS_BY_BRANCHES,
+    STIFFENING_RANGE,
+    TIME_RANGE,
+)
 from .parameter_sets import ParameterSets
-from .reduced.population import BOX, NAIL_INSIDE, STIFFENING
-
-E0_RANGE, E2_RANGE = (20e3, 400e3), (100e3, 5000e3)
-"""Pa, moduli of the population box."""
+from .reduced.population import BOX, NAIL_INSIDE
 
 
 @dataclass(frozen=True)
@@ -134,7 +137,8 @@ class People:
             values[f"tau_{k + 1}"] = _clip(time * math.exp(spread), TIME_RANGE)
             values[f"fraction_{k + 1}"] = float(shares[k])
         stiff = rng.random() >= self.no_stiffening
-        values["stiffening"] = _clip(rng.uniform(0, self.stiffening), STIFFENING) if stiff else 0.0
+        stiffening = _clip(rng.uniform(0, self.stiffening), STIFFENING_RANGE) if stiff else 0.0
+        values["stiffening"] = stiffening
         friction = StandardLinearSolid().friction * math.exp(rng.normal(0.0, self.friction))
         return LAWS_BY_BRANCHES[count](friction=min(friction, 1.0), **values)
 

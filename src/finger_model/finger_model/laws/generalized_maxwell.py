@@ -24,6 +24,10 @@ TIMES = {1: (0.5,), 2: (0.05, 1.0), 3: (0.004, 0.07, 1.4), 4: (0.004, 0.07, 1.4,
 """s, default relaxation times; three branches: Pawluk and Howe 1999."""
 TIME_RANGE = (1e-3, 10.0)
 """s, relaxation times that the models are made for."""
+E0_RANGE, E2_RANGE = (20e3, 400e3), (100e3, 5000e3)
+"""Pa, moduli that the models are made for."""
+STIFFENING_RANGE = (0.0, 10.0)
+"""Stiffening that the models are made for."""
 LOWEST_LONG_TERM_FRACTION = 1e-3
 _SUBSCRIPTS = "₁₂₃₄"
 
@@ -70,11 +74,11 @@ class GeneralizedMaxwell(MaxwellLaw):
     E0: float = parameter(
         80e3,
         "Modulus of the bulk tissue under a sudden small strain.",
-        bounds=(20e3, 400e3),
+        bounds=E0_RANGE,
         **IN_KPA,
         symbol="E₀",
         decimals=1,
-        range=(20e3, 400e3),
+        range=E0_RANGE,
         allowed=MODULUS_RANGE,
     )
 
@@ -134,23 +138,23 @@ def _subclass(count: int) -> type[GeneralizedMaxwell]:
     made["E2"] = parameter(
         paper.NATURAL.parameters["E2"],
         "Modulus of the elastic epidermis.",
-        bounds=(100e3, 5000e3),
+        bounds=E2_RANGE,
         **IN_KPA,
         symbol="E₂",
         decimals=0,
-        range=(100e3, 5000e3),
+        range=E2_RANGE,
         allowed=MODULUS_RANGE,
     )
     made["stiffening"] = parameter(
         0.0,
         "Strain stiffening b of the long-term spring; 0 is none.",
-        bounds=(0.0, 10.0),
+        bounds=STIFFENING_RANGE,
         unit="",
         symbol="b",
         display_unit="",
         display_factor=1.0,
         decimals=2,
-        range=(0.0, 10.0),
+        range=STIFFENING_RANGE,
         log_offset=0.1,
     )
     names = {

@@ -25,7 +25,7 @@ import numpy as np
 from finger_common.files import load_json
 
 from ..geometry import Geometry
-from ..reduced.population import BOX, NAIL_INSIDE
+from ..reduced.population import BOX, NAIL_INSIDE, Range, lengths_of
 from .pose import Pose
 from .touch import Touch, first_touch
 
@@ -118,18 +118,12 @@ def center_terms(touch: Touch) -> np.ndarray:
 
 
 def is_learned(geometry: Geometry) -> bool:
-    """Whether a finger's proportions lie in the population box."""
-    a, c = geometry.pad_semi_axis_radial, geometry.pad_semi_axis_axial
+    """Whether a finger's proportions lie in the population box; its size does not matter."""
     skin, width = BOX["epidermis_thickness"], BOX["pad_semi_axis_radial"]
-    shares = {
-        "aspect": c / a,
-        "bone_radial": geometry.bone_semi_axis_radial / a,
-        "bone_axial": geometry.bone_semi_axis_axial / c,
-        "nail_radius": min(geometry.nail_radius / a, BOX["nail_radius"].high),
-    }
-    limits = [(value, BOX[name].low, BOX[name].high) for name, value in shares.items()]
-    limits.append((geometry.epidermis_thickness / a, skin.low / width.high, skin.high / width.low))
-    inside = all(low * (1 - 1e-9) <= value <= high * (1 + 1e-9) for value, low, high in limits)
+    lengths = lengths_of(geometry)
+    thickness = lengths.pop("epidermis_thickness") / lengths.pop("pad_semi_axis_radial")
+    inside = thickness in Range(skin.low / width.high, skin.high / width.low, "")
+    inside = inside and all(value in BOX[name] for name, value in lengths.items())
     return inside and geometry.bone_center_height == 0.0 and geometry.nail_thickness > 0.0
 
 

@@ -186,11 +186,15 @@ class ReducedModel:
         wanted = {name: getattr(material, name) for name in model.fixed}
         if wanted == model.fixed and (material.stiffening == 0.0 or self.serves_population):
             return model
-        if not self.serves_population:
-            if self.meta is not _shipped().meta:
-                return model
-            return load_population(self.geometry).for_material(material)
-        return ReducedModel(self.arrays, self.meta, model.law, self.geometry, wanted)
+        if self.serves_population:
+            return ReducedModel(self.arrays, self.meta, model.law, self.geometry, wanted)
+        return load_population(self.geometry).for_material(material) if self.gives_way else model
+
+    @property
+    def gives_way(self) -> bool:
+        """Whether this is the shipped model of the default finger: the population's model takes its
+        place for materials and forces that it does not serve."""
+        return self.meta is _shipped().meta
 
     @functools.cached_property
     def material(self) -> ConstitutiveLaw:

@@ -18,6 +18,7 @@ from finger_common.errors import InputError
 
 from ..geometry import Geometry
 from ..laws import ConstitutiveLaw, MaxwellLaw, StandardLinearSolid
+from ..laws.generalized_maxwell import STIFFENING_RANGE
 
 CONTEXT = (
     "pad aspect",
@@ -53,6 +54,10 @@ class Range:
     what: str
     unit: str = ""
 
+    def __contains__(self, value: float) -> bool:
+        """Whether a value lies inside, but for rounding."""
+        return self.low * (1 - 1e-9) <= value <= self.high * (1 + 1e-9)
+
 
 BOX = {
     "pad_semi_axis_radial": Range(5e-3, 12e-3, "half the width of the pad", "mm"),
@@ -75,33 +80,35 @@ def largest_force(slow_scale: float, stiffening: float) -> float:
     return slow_scale * soft * (1.0 + rise * stiffening)
 
 
-MIDDLE = (6e-3, 10e-3)
+MIDDLE_LENGTHS = (6e-3, 10e-3)
 """m, `pad_semi_axis_radial` of the middle of the box: fingers 12 to 20 mm wide."""
 MIDDLE_FORCE = 2.0
 """N, largest force for which the stated error of the middle holds."""
 
 FRICTION = (0.0, 1.0)
 NAIL_MODULUS = (1e7, 2e9)
-STIFFENING = (0.0, 10.0)
 
 OUTSIDE = "build a reduced model of this finger with 'finger-model reduce', or use --solver full"
 
 
+def lengths_of(geometry: Geometry) -> dict[str, float]:
+    """A finger's lengths and ratios, as BOX names them; a wider nail is one of the widest."""
+    a, c = geometry.pad_semi_axis_radial, geometry.pad_semi_axis_axial
+    return {
+        "pad_semi_axis_radial": a,
+        "aspect": c / a,
+        "epidermis_thickness": geometry.epidermis_thickness,
+        "bone_radial": geometry.bone_semi_axis_radial / a,
+        "bone_axial": geometry.bone_semi_axis_axial / c,
+        "nail_radius": min(geometry.nail_radius / a, BOX["nail_radius"].high),
+    }
+
+
 def check_geometry(geometry: Geometry) -> None:
     """Raise InputError naming the length that lies outside the box."""
-    values = {
-        "pad_semi_axis_radial": geometry.pad_semi_axis_radial,
-        "aspect": geometry.pad_semi_axis_axial / geometry.pad_semi_axis_radial,
-        "epidermis_thickness": geometry.epidermis_thickness,
-        "bone_radial": geometry.bone_semi_axis_radial / geometry.pad_semi_axis_radial,
-        "bone_axial": geometry.bone_semi_axis_axial / geometry.pad_semi_axis_axial,
-        "nail_radius": min(
-            geometry.nail_radius / geometry.pad_semi_axis_radial, BOX["nail_radius"].high
-        ),
-    }
-    for name, value in values.items():
+    for name, value in lengths_of(geometry).items():
         limits = BOX[name]
-        if not limits.low * (1 - 1e-9) <= value <= limits.high * (1 + 1e-9):
+        if value not in limits:
             factor = 1e3 if limits.unit else 1.0
             unit = f" {limits.unit}" if limits.unit else ""
             raise InputError(
@@ -123,7 +130,7 @@ def check_geometry(geometry: Geometry) -> None:
 
 def check_fixed(fixed: dict[str, float]) -> None:
     """Raise InputError naming the fixed property of the material that the model does not serve."""
-    limits = {"friction": FRICTION, "nail_modulus": NAIL_MODULUS, "stiffening": STIFFENING}
+    limits = {"friction": FRICTION, "nail_modulus": NAIL_MODULUS, "stiffening": STIFFENING_RANGE}
     default = StandardLinearSolid().to_dict()
     for name, value in fixed.items():
         low, high = limits.get(name, (default.get(name, value),) * 2)
@@ -137,7 +144,8 @@ def check_fixed(fixed: dict[str, float]) -> None:
 
 def region_of(geometry: Geometry) -> str:
     """ "middle" or "whole": the part of the box whose stated error holds for a finger."""
-    return "middle" if MIDDLE[0] <= geometry.pad_semi_axis_radial <= MIDDLE[1] else "whole"
+    low, high = MIDDLE_LENGTHS
+    return "middle" if low <= geometry.pad_semi_axis_radial <= high else "whole"
 
 
 def context_of(geometry: Geometry, material: ConstitutiveLaw) -> np.ndarray:

@@ -28,11 +28,10 @@ from finger_common.settings import Settings, setting
 from ..fem.full_order import FullOrderModel
 from ..fem.mesh import similar_mesh
 from ..geometry import Geometry
-from ..laws.generalized_maxwell import TIME_RANGE
+from ..laws.generalized_maxwell import STIFFENING_RANGE, TIME_RANGE
 from .build import parts_folder
 from .error import ErrorTable
 from .model import LAW, ReducedModel
-from .population import STIFFENING
 from .population_runs import (
     WHOLE,
     Case,
@@ -188,7 +187,7 @@ def with_error(
         "range": {
             **box,
             "tau1": list(TIME_RANGE),
-            "stiffening": list(STIFFENING),
+            "stiffening": list(STIFFENING_RANGE),
             "force": [0.0, LARGEST_FORCE],
         },
         "law": LAW.name,

@@ -22,17 +22,26 @@ from ..fem.linear_contact import LinearContact
 from ..fem.mesh import similar_mesh
 from ..geometry import Geometry
 from ..laws import MaxwellLaw
-from ..laws.generalized_maxwell import LAWS_BY_BRANCHES
+from ..laws.generalized_maxwell import (
+    E0_RANGE,
+    E2_RANGE,
+    LAWS_BY_BRANCHES,
+    STIFFENING_RANGE,
+    TIME_RANGE,
+)
 from ..paper import FRICTION, SEARCH_BOX
 from .elastic_contact import linear_guess
 from .force_histories import KINDS, random_history
 from .kernels import NODES
 from .population import (
     BOX,
+    LARGEST_LOAD,
     MIDDLE_FORCE,
     MIDDLE_FRICTION,
+    MIDDLE_LENGTHS,
     MIDDLE_STIFFENING,
     NAIL_INSIDE,
+    NAIL_MODULUS,
     context_of,
     largest_force,
 )
@@ -41,10 +50,8 @@ from .training_runs import internal_field
 MOST_SECONDS = 6.0
 """A training run that takes more processor time is cut short."""
 
-WHOLE = {"E0": (20e3, 400e3), "E1": (6e3, 150e3), "E2": (100e3, 5000e3)}
+WHOLE = {"E0": E0_RANGE, "E1": (6e3, 150e3), "E2": E2_RANGE}
 MIDDLE = {name: (low / 1.5, high * 1.5) for name, (low, high) in SEARCH_BOX.items()}
-TIMES = (1e-3, 10.0)
-
 SOFT_SHARE = 0.15
 """E∞/E0 below which further histories are run."""
 
@@ -78,8 +85,8 @@ def _between(rng: np.random.Generator, limits: tuple[float, float]) -> float:
 def random_geometry(rng: np.random.Generator, middle: bool) -> Geometry:
     """A finger of the population box; `middle`: 12 to 20 mm wide."""
     while True:
-        low, high = (6e-3, 10e-3) if middle else (BOX["pad_semi_axis_radial"].low, 12e-3)
-        length = rng.uniform(low, high)
+        whole = BOX["pad_semi_axis_radial"]
+        length = rng.uniform(*(MIDDLE_LENGTHS if middle else (whole.low, whole.high)))
         aspect = rng.uniform(BOX["aspect"].low, BOX["aspect"].high)
         skin = rng.uniform(BOX["epidermis_thickness"].low, BOX["epidermis_thickness"].high)
         radial = rng.uniform(BOX["bone_radial"].low, BOX["bone_radial"].high)
@@ -108,10 +115,11 @@ def random_material(
     shares = rng.dirichlet(np.ones(branches)) * E0 / (E0 + E1)
     values = {"E0": E0, "E2": E2}
     for k in range(branches):
-        values |= {f"fraction_{k + 1}": shares[k], f"tau_{k + 1}": _between(rng, TIMES)}
+        values |= {f"fraction_{k + 1}": shares[k], f"tau_{k + 1}": _between(rng, TIME_RANGE)}
     share = rng.uniform(0.0, 1.0 / (1.0 + MIDDLE_FRICTION))
     friction = MIDDLE_FRICTION * share / (1.0 - share)
-    stiffening = rng.uniform(0.0, 10.0 / (10.0 + MIDDLE_STIFFENING))
+    most = STIFFENING_RANGE[1]
+    stiffening = rng.uniform(0.0, most / (most + MIDDLE_STIFFENING))
     stiffening = MIDDLE_STIFFENING * stiffening / (1.0 - stiffening)
     nail = 170e6 * math.exp(rng.normal(0.0, 1.0))
     if plain or rng.random() < 0.35:
@@ -120,7 +128,8 @@ def random_material(
         stiffening = 0.0
     values["stiffening"] = stiffening
     law = LAWS_BY_BRANCHES[branches]
-    return law(friction=min(friction, 1.0), nail_modulus=min(max(nail, 1e7), 2e9), **values)  # type: ignore[arg-type]
+    nail = min(max(nail, NAIL_MODULUS[0]), NAIL_MODULUS[1])
+    return law(friction=min(friction, 1.0), nail_modulus=nail, **values)  # type: ignore[arg-type]
 
 
 def training_history(rng: np.random.Generator, tau: float, peak: float):
@@ -178,7 +187,7 @@ def _training_case(rng: np.random.Generator, middle: bool, largest_share: float)
             break
     length = geometry.pad_semi_axis_radial
     carried = material.instantaneous_modulus * material.long_term_fraction * length**2
-    carried *= 12.0 * (1.0 + 0.3 * material.stiffening)
+    carried *= 12.0 * (1.0 + LARGEST_LOAD[1] * material.stiffening)
     peak = _between(rng, (0.3, 2.2) if middle else (0.2, 11.0))
     peak = min(peak, carried * rng.uniform(0.4, 1.0))
     time, force = training_history(rng, material.branches[0].relaxation_time, peak)
