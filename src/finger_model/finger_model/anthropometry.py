@@ -14,13 +14,12 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from finger_common.errors import InputError
+from finger_common.units import LENGTH_UNITS
 
 from .geometry import LENGTHS, Geometry
-
-UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 
 CALIPER_DEVIATION = 0.3e-3
 """m, standard deviation of one caliper reading on soft tissue; an assumption."""
@@ -86,17 +85,30 @@ NAIL_THICKNESS_DEVIATION = 0.1e-3
 """m; 0.5 mm of women, 0.6 mm of men (Elements of Morphology, without a study behind it)."""
 
 
+class Length(NamedTuple):
+    """A length of the model (m), its standard deviation (m), and the rule that gave both."""
+
+    value: float
+    deviation: float
+    rule: str
+
+
 @dataclass(frozen=True)
 class GeometryEstimate:
     """A geometry and what is known of it.
 
-    deviations, rules: standard deviation (m) and rule of every length of `geometry`, by its key.
+    lengths: value, standard deviation and rule of every length of `geometry`, by its key.
+    measured: the readings that it comes from, in words.
     """
 
     geometry: Geometry
-    deviations: dict[str, float]
-    rules: dict[str, str]
+    lengths: dict[str, Length]
     measured: str
+
+    @property
+    def deviations(self) -> dict[str, float]:
+        """Standard deviation (m) of every length, by its key."""
+        return {key: length.deviation for key, length in self.lengths.items()}
 
     def yaml_text(self) -> str:
         """The file `geometry.yaml`, each length with its deviation in a comment."""
@@ -105,8 +117,8 @@ class GeometryEstimate:
             f"# From {self.measured}. Rules and drawing: docs/your_finger.md",
         ]
         for key, value in self.geometry.to_dict().items():
-            deviation = self.deviations[key]
-            lines.append(f"{key}: {value:.6g}  # ± {deviation:.2g}; {self.rules[key]}")
+            known = self.lengths[key]
+            lines.append(f"{key}: {value:.6g}  # ± {known.deviation:.2g}; {known.rule}")
         return "\n".join(lines) + "\n"
 
 
@@ -119,21 +131,22 @@ def parse_length(text: str, what: str) -> float:
     if match is None:
         raise InputError(f"{what} is {text!r}; give a length such as 14mm")
     value, unit = float(match[1].replace(",", ".")), match[2].lower()
-    if unit and unit not in UNITS:
+    if unit and unit not in LENGTH_UNITS:
         raise InputError(f"{what} is {text!r}, with the unit {match[2]!r}; use mm, cm or m")
     if not unit and value >= 0.1:
         raise InputError(f"{what} is {text!r} without a unit: is it {value:g}mm? Write the unit")
-    return value * UNITS[unit or "m"]
+    return value * LENGTH_UNITS[unit or "m"]
 
 
-def _checked(name: str, value: float) -> float:
+def _said(name: str, value: float) -> str:
+    """A reading in words; raises InputError for one that no fingertip has."""
     low, high = RANGES[name]
     if not (math.isfinite(value) and low <= value <= high):
         raise InputError(
             f"{name.replace('_', ' ')} {value * 1e3:g} mm is outside {low * 1e3:g} … "
             f"{high * 1e3:g} mm, the range of fingertips; check the number and its unit"
         )
-    return value
+    return f"{name.replace('_', ' ')} {value * 1e3:g} mm"
 
 
 def epidermis_of_age(age: float) -> float:
@@ -175,86 +188,89 @@ def estimate_geometry(
         raise InputError(
             f"a typical finger is that of an adult; at the age of {age:g} give the width (--width)"
         )
+    measured = f"a typical adult {finger} finger" if width is None else _said("width", width)
     typical = FINGERS[finger or "index"]
-    known = []
-    width_deviation = CALIPER_DEVIATION
-    if width is None:
-        width, width_deviation = typical.width, typical.width_deviation
-        known.append(f"a typical adult {finger} finger")
-    else:
-        known.append(f"width {_checked('width', width) * 1e3:g} mm")
-    radial, ratio = 0.5 * width, KNOWN_LENGTH
-    radial_rule = "half the width"
-    if length is None:
-        ratio = UNKNOWN_LENGTH
-    else:
-        known.append(f"length {_checked('length', length) * 1e3:g} mm")
-        radial *= math.sqrt(length / (LENGTH_OVER_WIDTH * width))
-        radial_rule = f"half the width, times the root of length over {LENGTH_OVER_WIDTH:g} widths"
-    radial_deviation = math.hypot(0.5 * width_deviation, ratio * radial)
-
-    axial_rule, depth_deviation = "half the depth", CALIPER_DEVIATION
-    if depth is None:
-        depth = width * typical.depth / typical.width
-        depth_deviation = depth * math.hypot(UNKNOWN_DEPTH, width_deviation / width)
-        axial_rule += f", of a typical {finger or 'index'} finger of this width"
-    else:
-        known.append(f"depth {_checked('depth', depth) * 1e3:g} mm")
-        if depth > width + CALIPER_DEVIATION:
-            raise InputError(
-                f"depth {depth * 1e3:g} mm is larger than width {width * 1e3:g} mm; fingertips are "
-                "wider than deep: check whether the two are exchanged"
-            )
-    axial = 0.5 * depth
-    axial_deviation = math.hypot(0.5 * depth_deviation, PAD_SHAPE * axial)
-
-    epidermis, skin_rule = EPIDERMIS, "stratum corneum of a finger pad (Adams 2013)"
+    width_deviation = typical.width_deviation if width is None else CALIPER_DEVIATION
+    width = typical.width if width is None else width
+    for name, reading in (("length", length), ("depth", depth), ("nail_width", nail_width)):
+        if reading is not None:
+            measured += f", {_said(name, reading)}"
     if age is not None:
-        epidermis = epidermis_of_age(age)
-        skin_rule += f", at the age of {age:g}"
-        known.append(f"age {age:g}")
-
-    if nail_width is None:
-        nail, nail_deviation = NAIL_WIDTH * radial, NAIL_WIDTH_DEVIATION * NAIL_WIDTH * radial
-        nail_rule = f"{NAIL_WIDTH:.2f} of the pad, an assumption"
-    else:
-        if _checked("nail_width", nail_width) > width:
-            raise InputError(
-                f"nail width {nail_width * 1e3:g} mm is larger than the width of the finger, "
-                f"{width * 1e3:g} mm; check both"
-            )
-        known.append(f"nail width {nail_width * 1e3:g} mm")
-        # The nail keeps its share of the finger's width when length changes the radial semi-axis.
-        nail = radial * nail_width / width
-        nail_deviation = math.hypot(0.5 * CALIPER_DEVIATION, 0.03 * nail)
-        nail_rule = "half the nail's width, as a share of the finger's"
-
-    values = {
-        "pad_semi_axis_radial": (radial, radial_deviation, radial_rule),
-        "pad_semi_axis_axial": (axial, axial_deviation, axial_rule),
-        "epidermis_thickness": (epidermis, EPIDERMIS_DEVIATION, skin_rule),
-        "bone_semi_axis_radial": (
-            BONE_WIDTH * radial,
-            BONE_WIDTH * math.hypot(BONE_WIDTH_DEVIATION * radial, radial_deviation),
-            f"{BONE_WIDTH:.2f} of the pad (tuft: Mintalucci 2014)",
+        measured += f", age {age:g}"
+    radial = _radial(width, width_deviation, length)
+    axial = _axial(width, width_deviation, depth, finger or "index")
+    lengths = {
+        "pad_semi_axis_radial": radial,
+        "pad_semi_axis_axial": axial,
+        "epidermis_thickness": _epidermis(age),
+        "bone_semi_axis_radial": _share(
+            radial, BONE_WIDTH, BONE_WIDTH_DEVIATION, "tuft: Mintalucci 2014"
         ),
-        "bone_semi_axis_axial": (
-            BONE_HEIGHT * axial,
-            BONE_HEIGHT * math.hypot(BONE_HEIGHT_DEVIATION * axial, axial_deviation),
-            f"{BONE_HEIGHT:.2f} of the pad, an assumption",
-        ),
-        "bone_center_height": (0.0, BONE_CENTER_DEVIATION, "an assumption"),
-        "nail_radius": (nail, nail_deviation, nail_rule),
-        "nail_thickness": (NAIL_THICKNESS, NAIL_THICKNESS_DEVIATION, "an assumption"),
+        "bone_semi_axis_axial": _share(axial, BONE_HEIGHT, BONE_HEIGHT_DEVIATION),
+        "bone_center_height": Length(0.0, BONE_CENTER_DEVIATION, "an assumption"),
+        "nail_radius": _nail(radial.value, width, nail_width),
+        "nail_thickness": Length(NAIL_THICKNESS, NAIL_THICKNESS_DEVIATION, "an assumption"),
     }
-    assert set(values) == set(LENGTHS)
-    geometry = Geometry(**{key: round(value[0], 8) for key, value in values.items()})
-    return GeometryEstimate(
-        geometry,
-        {key: value[1] for key, value in values.items()},
-        {key: value[2] for key, value in values.items()},
-        ", ".join(known),
-    )
+    assert set(lengths) == set(LENGTHS)
+    geometry = Geometry(**{key: round(length.value, 8) for key, length in lengths.items()})
+    return GeometryEstimate(geometry, lengths, measured)
+
+
+def _radial(width: float, width_deviation: float, length: float | None) -> Length:
+    """Semi-axis of a pad that is as round, from above, as the finger's width and length are."""
+    radial, ratio, rule = 0.5 * width, UNKNOWN_LENGTH, "half the width"
+    if length is not None:
+        radial *= math.sqrt(length / (LENGTH_OVER_WIDTH * width))
+        ratio = KNOWN_LENGTH
+        rule = f"half the width, times the root of length over {LENGTH_OVER_WIDTH:g} widths"
+    return Length(radial, math.hypot(0.5 * width_deviation, ratio * radial), rule)
+
+
+def _axial(width: float, width_deviation: float, depth: float | None, finger: str) -> Length:
+    """Height of the pad: half the finger's depth."""
+    rule, deviation = "half the depth", CALIPER_DEVIATION
+    if depth is None:
+        depth = width * FINGERS[finger].depth / FINGERS[finger].width
+        deviation = depth * math.hypot(UNKNOWN_DEPTH, width_deviation / width)
+        rule += f", of a typical {finger} finger of this width"
+    elif depth > width + CALIPER_DEVIATION:
+        raise InputError(
+            f"depth {depth * 1e3:g} mm is larger than width {width * 1e3:g} mm; fingertips are "
+            "wider than deep: check whether the two are exchanged"
+        )
+    axial = 0.5 * depth
+    return Length(axial, math.hypot(0.5 * deviation, PAD_SHAPE * axial), rule)
+
+
+def _epidermis(age: float | None) -> Length:
+    rule = "stratum corneum of a finger pad (Adams 2013)"
+    if age is None:
+        return Length(EPIDERMIS, EPIDERMIS_DEVIATION, rule)
+    return Length(epidermis_of_age(age), EPIDERMIS_DEVIATION, f"{rule}, at the age of {age:g}")
+
+
+def _share(pad: Length, share: float, deviation: float, source: str = "") -> Length:
+    """A length that is a share of the pad's; deviation: of the share, relative."""
+    rule = f"{share:.2f} of the pad" + (f" ({source})" if source else ", an assumption")
+    spread = share * math.hypot(deviation * pad.value, pad.deviation)
+    return Length(share * pad.value, spread, rule)
+
+
+def _nail(radial: float, width: float, nail_width: float | None) -> Length:
+    """Half the nail's width; it keeps its share of the finger's width where length changes
+    `radial`."""
+    if nail_width is None:
+        nail = NAIL_WIDTH * radial
+        rule = f"{NAIL_WIDTH:.2f} of the pad, an assumption"
+        return Length(nail, NAIL_WIDTH_DEVIATION * NAIL_WIDTH * radial, rule)
+    if nail_width > width:
+        raise InputError(
+            f"nail width {nail_width * 1e3:g} mm is larger than the width of the finger, "
+            f"{width * 1e3:g} mm; check both"
+        )
+    nail = radial * nail_width / width
+    deviation = math.hypot(0.5 * CALIPER_DEVIATION, 0.03 * nail)
+    return Length(nail, deviation, "half the nail's width, as a share of the finger's")
 
 
 def session_geometry(plan: Mapping[str, Any]) -> str | None:
