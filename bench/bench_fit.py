@@ -153,12 +153,12 @@ def _population(report: Any, model: ReducedModel, folder: Path) -> None:
 
 def _vision(report: Any, place: Path) -> None:
     """Reading bags with images through the segmenter, per bag and for 45 of them."""
-    from finger_fit.study import load
+    from finger_fit.study import load, reading
     from finger_sim.study import simulate_study
 
     bags = simulate_study(SEED, place / "images", trials=1, refinement=1.0, report=None)
     start = time.perf_counter()
-    loaded = load(bags, FitOptions())
+    loaded = load(bags, reading(FitOptions()))
     seconds = time.perf_counter() - start
     frames = sum(len(r.area) for r in loaded.records)
     report.note(f"{len(bags)} bags with images: {frames} frames in {seconds:.2f} s")

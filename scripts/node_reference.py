@@ -147,6 +147,9 @@ def uses_of(module: Any) -> dict[str, list[tuple[str, str]]]:
         else ()
     ):
         found.setdefault("serves", []).append((f"~/{name}", "Trigger"))
+    for command in getattr(module, "COMMANDS", {}).values():  # of the operator's page
+        if command.service:
+            found.setdefault("calls", []).append((command.service, ""))
     return found
 
 
@@ -208,7 +211,7 @@ def uses_markdown(node: NodeDescription) -> list[str]:
     called = node.uses.get("calls", [])
     if called:
         names = ", ".join(f"`{name}`" for name, _ in called)
-        lines += [f"Calls: {names}.", ""]
+        lines += [*textwrap.wrap(f"Calls: {names}.", 100, break_on_hyphens=False), ""]
     return lines
 
 

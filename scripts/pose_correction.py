@@ -204,7 +204,7 @@ def tilts(rows: list[Row]) -> None:
         pose = press[0].pose
         errors = np.degrees([shape.pitch - pose.pitch, shape.roll - pose.roll])
         all_errors += np.abs(errors).tolist()
-        sds = np.degrees([shape.pitch_sd, shape.roll_sd])
+        sds = np.degrees([shape.pitch_stddev, shape.roll_stddev])
         missed += bool(np.any(np.abs(errors) > 3.0) and not shape.flags & ShapeFlag.TILT_UNCERTAIN)
         print(f"{errors.round(1)} {sds.round(1)} {shape.pad_aspect:.2f} {name}")
     spent = (time.process_time() - began) / len(groups)
@@ -256,7 +256,7 @@ def _pressed(press: list[Row], rng: np.random.Generator) -> ShapeEstimate:
         values |= {"stamp_ns": stamp, "onset_ns": 10**9, "in_contact": True, "parameter_set": ""}
         values |= {"area": round_area, "normal_force": force}
         estimate = ContactEstimate(**values)
-        estimator.follow(estimate, pull.tolist(), torque.tolist())
+        estimator.add(estimate, pull.tolist(), torque.tolist())
     return estimator.shape(estimate)
 
 

@@ -28,6 +28,7 @@ from finger_model.verification.cases import CALCULIX_FINGER, elastic
 from finger_model.verification.solids import SHEAR_DEPTH
 from finger_sim.ftir import Contact, FtirRenderer
 from finger_sim.skin_slip import SkinSlip
+from finger_vision.followed_points import in_newest
 from finger_vision.ftir import FtirSegmenter
 from finger_vision.ridge_motion import RidgeMotion
 
@@ -89,11 +90,10 @@ def seen(ratios: list[float], radius: float) -> list[tuple[np.ndarray, np.ndarra
         contact = Contact(radius, slip=replace(still, ratio=ratio))
         image = show(renderer.render_frame([contact]).image)
         if ratio in ratios:
-            points = motion.points
-            scale = motion._pitch
-            slip = np.hypot(*(points.travel - points.stuck).T) * scale * points.slipped
-            pixels = points.place * image.shape[1] / motion._plate.shape[1]
-            found.append((image, pixels[points.good], slip[points.good]))
+            points = motion.points[in_newest(motion.points)]
+            slip = np.hypot(*(points["travel"] - points["stuck"]).T) * motion._pitch
+            pixels = points["place"] * image.shape[1] / motion._ridges.frame(image).shape[1]
+            found.append((image, pixels, slip * points["slipped"]))
     return found
 
 

@@ -32,7 +32,8 @@ from finger_model.pose.correction import PoseCorrection
 from finger_model.pose.pose import Pose
 from finger_model.reduced import ReducedModel
 from finger_model.reduced.model import load_population
-from finger_model.subjects import PressCollector, save_subject, subject_file
+from finger_model.subject_calibration import PressCollector
+from finger_model.subjects import save_subject, subject_file
 from finger_sim.press import guided_style, plan_press
 from finger_sim.study_trial import AREA_NOISE
 

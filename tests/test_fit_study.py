@@ -146,7 +146,7 @@ def test_bad_input_ends_with_one_sentence(
 def test_study_writes_bags_that_agree_with_their_metadata(tmp_path: Path) -> None:
     from finger_bag.reader import open_bag
     from finger_fit.options import FitOptions
-    from finger_fit.study import load
+    from finger_fit.study import load, reading
 
     folders = []
     for images in (False, True):
@@ -169,7 +169,7 @@ def test_study_writes_bags_that_agree_with_their_metadata(tmp_path: Path) -> Non
     with open_bag(folders[1] / "natural_00") as reader:
         topics = {t.rsplit("/", 1)[-1] for t in reader.info.topics}
         assert "contact_area" not in topics and "image_raw" in topics
-    noisy, seen = (load([f], FitOptions()) for f in folders)
+    noisy, seen = (load([f], reading(FitOptions())) for f in folders)
     truth = plan_study_trial(3, "natural", 0, refinement=0.6)
     assert noisy.sources[0]["areas"] == ["topic"] and seen.sources[0]["areas"] == ["images"]
     times = (noisy.records[0].area_stamp_ns - START_NS) * 1e-9

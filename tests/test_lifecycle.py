@@ -17,7 +17,7 @@ from rcl_interfaces.srv import SetParameters  # noqa: E402
 from rclpy.parameter import Parameter as RosParameter  # noqa: E402
 
 from finger_bringup import nodes  # noqa: E402
-from finger_common.node import ManagedNode, managed  # noqa: E402
+from finger_common.node import ManagedNode, stream_watch  # noqa: E402
 from finger_common.node.described import ros_value  # noqa: E402
 from finger_common.parameters import Parameter  # noqa: E402
 from finger_msgs.msg import ContactArea, ContactState  # noqa: E402
@@ -95,7 +95,7 @@ def test_every_node_goes_down_and_up_twice_and_leaves_nothing_behind(
             hand.executor.spin_once(timeout_sec=0.05)
 
     # The streams flow again, and nobody takes what is left for a second publisher.
-    monkeypatch.setattr(managed, "REMEMBERED", 0.2)
+    monkeypatch.setattr(stream_watch, "REMEMBERED", 0.2)
     hand.first(ContactArea, "/thumb/contact_area")
     hand.first(ContactState, "/thumb/contact_state")
     time.sleep(0.3)

@@ -14,7 +14,7 @@ from finger_bag.reader import open_bag
 from finger_fit.problem import MM2, MM4
 from finger_fit.results import ConditionFit
 from finger_model.reduced import ReducedModel
-from finger_offline.image_areas import calibration_of
+from finger_offline.image_settings import ImageSettings
 from finger_offline.trial_records import TrialRecord
 from finger_offline.trials import load_trials
 from finger_sim.conditions import STUDY
@@ -249,7 +249,7 @@ def outline_in_pixels(bag: Path, hull: np.ndarray, shape: tuple[int, ...]) -> np
     if not len(hull):
         return hull
     with open_bag(bag) as reader:
-        calibration = calibration_of(reader)
+        calibration = ImageSettings().plate(reader)
     return calibration.to_pixels(hull, shape[1], shape[0])
 
 

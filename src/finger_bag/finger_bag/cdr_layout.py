@@ -12,7 +12,7 @@ once the lengths of its texts are known; messages of equal lengths are one struc
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -22,7 +22,7 @@ from rosbags.interfaces import Nodetype
 from finger_common.errors import InputError
 from finger_common.stamps import NANOSECONDS, header_stamp
 
-from .definitions import typestore
+from .definitions import Decoder, typestore
 from .schema import TOPICS
 
 WRENCH_TYPE = TOPICS["wrench"].type
@@ -121,15 +121,16 @@ def set_stamps(table: np.ndarray, prefix: str, stamps_ns: np.ndarray) -> None:
 
 
 def stamps_and_wrenches(
-    raws: Sequence[bytes], decode: Callable[[bytes], Any] | None = None, fixed: bool = True
+    raws: Sequence[bytes], decoder: Decoder | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Stamps (n,) in ns, forces (n, 3) in N and torques (n, 3) in N m of n serialized
     WrenchStamped.
 
-    decode: decoder for messages that are not laid out as expected, or, without `fixed`, for all;
-    None refuses them. A message that is neither is given the stamp -1.
+    decoder: for messages that are not laid out as expected, and for all where their definition is
+    not the known one; None refuses them. A message that is neither is given the stamp -1.
     """
     number = len(raws)
+    fixed = decoder is None or decoder.standard
     stamps = np.full(number, -1, np.int64)
     values = {part: np.full((number, 3), np.nan) for part in ("force", "torque")}
     groups: dict[tuple[int, bytes], list[int]] = defaultdict(list)
@@ -155,9 +156,9 @@ def stamps_and_wrenches(
         for part, columns in values.items():
             for axis, name in enumerate("xyz"):
                 columns[where, axis] = table[f"wrench.{part}.{name}"]
-    for index in others if decode is not None else ():
+    for index in others if decoder is not None else ():
         try:
-            message = decode(raws[index])  # type: ignore[misc]
+            message = decoder(raws[index])  # type: ignore[misc]
             for part, columns in values.items():
                 vector = getattr(message.wrench, part)
                 columns[index] = vector.x, vector.y, vector.z

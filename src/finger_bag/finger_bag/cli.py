@@ -334,10 +334,6 @@ def parser() -> argparse.ArgumentParser:
     record.add_argument("--condition", default="", help="moisture condition")
     record.add_argument("--calibration", metavar="FILE", help="plate calibration to attach")
     add_settings(record.add_argument_group("how the bag is written"), RecorderSettings)
-    # The names that these two had before; scripts of users go on.
-    earlier: Any = {"default": argparse.SUPPRESS, "help": argparse.SUPPRESS}
-    record.add_argument("--split-size", dest="maximum_size", type=int, **earlier)
-    record.add_argument("--split-duration", dest="maximum_duration", type=float, **earlier)
 
     recover = command(
         "recover",

@@ -18,7 +18,7 @@ docs/bags.md, "Preparing your data", explains each key.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -28,28 +28,37 @@ from finger_common.errors import InputError
 from finger_common.files import load_yaml
 from finger_common.units import AREA_UNITS, FORCE_UNITS, LENGTH_UNITS
 
-MAPPED_TOPICS = (
-    "wrench",
-    "contact_area",
-    "moisture",
-    "indentation",
-    "image_raw",
-    "image_raw/compressed",
-    "trial",
-    "model_events",
-    "contact_state",
-)
-_OWN_STAMP = ("trial", "model_events", "contact_state")
-"""Messages of the suite, whose stamps mean something."""
-_UNITS: dict[str, dict[str, float]] = {
-    "wrench": FORCE_UNITS,
-    "contact_area": AREA_UNITS,
-    "moisture": {"a.u.": 1.0},
-    "indentation": LENGTH_UNITS,
+
+@dataclass(frozen=True)
+class _Rule:
+    """What may be said of a topic.
+
+    units: SI value of each. own_stamp: a message of the suite, whose stamp means something. signed:
+    whether its values may have the other sign.
+    """
+
+    units: Mapping[str, float] = field(default_factory=dict)
+    own_stamp: bool = False
+    signed: bool = False
+
+
+RULES = {
+    "wrench": _Rule(FORCE_UNITS),
+    "contact_area": _Rule(AREA_UNITS),
+    "moisture": _Rule({"a.u.": 1.0}),
+    "indentation": _Rule(LENGTH_UNITS, signed=True),
+    "image_raw": _Rule(),
+    "image_raw/compressed": _Rule(),
+    "trial": _Rule(own_stamp=True),
+    "model_events": _Rule(own_stamp=True),
+    "contact_state": _Rule(own_stamp=True),
 }
+"""The topics that can be mapped."""
+
 TRIAL_KEYS = ("session", "subject", "condition", "trial_index", "target_force", "rig", "source")
 """Of `trial`, as in `SessionMetadata`."""
-_KEYS = {"topic", "unit", "field", "stamp", "sign"}
+_KEYS = ("field", "sign", "stamp", "topic", "unit")
+_STAMPS = ("header", "log_time")
 _SIGNS = {"positive": 1.0, "negative": -1.0}
 
 
@@ -94,9 +103,8 @@ class TopicMapping:
                     f"{where}: key '{key}' is not known; use topics, normal_axis and trial"
                 )
         axis = data.get("normal_axis")
-        if axis is not None and axis not in NORMAL_AXES:
-            allowed = ", ".join(NORMAL_AXES)
-            raise InputError(f"{where}: normal_axis is {axis!r}, choose one of {allowed}")
+        if axis is not None:
+            axis = _chosen(axis, NORMAL_AXES, f"{where}: normal_axis")
         topics = data.get("topics") or {}
         trial = data.get("trial") or {}
         if not isinstance(topics, Mapping) or not isinstance(trial, Mapping):
@@ -123,40 +131,38 @@ def _is_number(text: str, above: float) -> bool:
     return above < value < math.inf
 
 
+def _chosen(value: Any, allowed: Collection[str], what: str) -> str:
+    """A value that is one of the texts allowed; raises InputError, which begins with `what`."""
+    if isinstance(value, str) and value in allowed:
+        return value
+    choice = " or ".join(allowed) if len(allowed) == 2 else f"one of {', '.join(allowed) or 'none'}"
+    raise InputError(f"{what} is {value!r}, choose {choice}")
+
+
 def _entry(name: str, value: Any, where: str) -> MappedTopic:
-    if name not in MAPPED_TOPICS:
-        raise InputError(
-            f"{where}: topic '{name}' cannot be mapped; known are {', '.join(MAPPED_TOPICS)}"
-        )
+    rule = RULES.get(name)
+    if rule is None:
+        raise InputError(f"{where}: topic '{name}' cannot be mapped; known are {', '.join(RULES)}")
     if isinstance(value, str):
         value = {"topic": value}
+    where = f"{where}: topics.{name}"
     if not isinstance(value, Mapping) or not isinstance(value.get("topic", ""), str):
-        raise InputError(f"{where}: topics.{name} needs the topic's name in the bag")
-    unknown = set(value) - _KEYS
+        raise InputError(f"{where} needs the topic's name in the bag")
+    unknown = sorted(str(key) for key in value if key not in _KEYS)
     if unknown:
-        raise InputError(
-            f"{where}: topics.{name} has the unknown key '{sorted(map(str, unknown))[0]}'; "
-            f"use {', '.join(sorted(_KEYS))}"
-        )
-    unit = value.get("unit")
-    allowed = _UNITS.get(name, {})
-    if unit is not None and not (isinstance(unit, str) and unit in allowed):
-        raise InputError(
-            f"{where}: topics.{name}.unit is {unit!r}, choose one of {', '.join(allowed) or 'none'}"
-        )
-    stamp = value.get("stamp", "header")
-    if stamp not in ("header", "log_time"):
-        raise InputError(f"{where}: topics.{name}.stamp is {stamp!r}, choose header or log_time")
-    if "stamp" in value and name in _OWN_STAMP:
-        raise InputError(f"{where}: topics.{name} has the key 'stamp', but needs its own stamps")
-    sign = value.get("sign", "positive")
-    if sign not in _SIGNS:
-        raise InputError(f"{where}: topics.{name}.sign is {sign!r}, choose positive or negative")
-    if "sign" in value and name != "indentation":
-        raise InputError(f"{where}: topics.{name} has the key 'sign', which is for indentation")
+        raise InputError(f"{where} has the unknown key '{unknown[0]}'; use {', '.join(_KEYS)}")
+    scale = 1.0
+    if value.get("unit") is not None:
+        scale = rule.units[_chosen(value["unit"], rule.units, f"{where}.unit")]
+    stamp = _chosen(value.get("stamp", "header"), _STAMPS, f"{where}.stamp")
+    if "stamp" in value and rule.own_stamp:
+        raise InputError(f"{where} has the key 'stamp', but needs its own stamps")
+    sign = _chosen(value.get("sign", "positive"), _SIGNS, f"{where}.sign")
+    if "sign" in value and not rule.signed:
+        raise InputError(f"{where} has the key 'sign', which is for indentation")
     return MappedTopic(
         value.get("topic", ""),
-        _SIGNS[sign] * (allowed[unit] if unit else 1.0),
+        _SIGNS[sign] * scale,
         str(value.get("field", "")),
         stamp == "log_time",
     )

@@ -126,6 +126,16 @@ class _Safe:
     taken: Counter[str] = field(default_factory=Counter)
 
 
+@dataclass
+class _Content:
+    """What a bag begins with, as `Recorder.start` takes it."""
+
+    metadata: SessionMetadata | Mapping[str, Any] | None = None
+    topics: Mapping[str, str] = field(default_factory=dict)
+    attachments: Mapping[str, bytes] = field(default_factory=dict)
+    definitions: Mapping[str, str] = field(default_factory=dict)
+
+
 class Recorder:
     """Records one bag after the other; thread-safe.
 
@@ -149,7 +159,7 @@ class Recorder:
         self._lost: Counter[str] = Counter()
         self._before: Counter[str] = Counter()
         self._safe_counts: dict[str, int] | None = None
-        self._content: tuple[Any, ...] = (None, None, None, None)
+        self._content = _Content()
         self._errors: list[str] = []
         self._interrupted = ""
         self.parts: list[Path] = []
@@ -196,7 +206,7 @@ class Recorder:
         """
         if self._thread is not None:
             raise InputError(f"recording into {self.path} runs already; stop it first")
-        self._content = (metadata, topics, attachments, definitions or {})
+        self._content = _Content(metadata, topics or {}, attachments or {}, definitions or {})
         writer = self._open(Path(path), self.settings.minimum_free)
         self._lost, self._before, self._errors, self.parts = Counter(), Counter(), [], []
         self._begin(writer)
@@ -225,8 +235,7 @@ class Recorder:
         return path
 
     def _open(self, path: Path, needed: int) -> BagWriter:
-        settings = self.settings
-        metadata, topics, attachments, definitions = self._content
+        settings, content = self.settings, self._content
         try:
             parent = next(p for p in (path.absolute(), *path.absolute().parents) if p.exists())
             free = shutil.disk_usage(parent).free
@@ -241,18 +250,18 @@ class Recorder:
         existed = path.exists()
         writer = BagWriter(
             path,
-            metadata,
+            content.metadata,
             in_place=True,
             maximum_size=settings.maximum_size,
             maximum_duration=settings.maximum_duration,
             compression=settings.compression,
         )
         try:
-            for name, data in (attachments or {}).items():
+            for name, data in content.attachments.items():
                 writer.attach(name, data)
-            for topic, message_type in (topics or {}).items():
+            for topic, message_type in content.topics.items():
                 name, stored = self._stored(topic, message_type)
-                writer.add_topic(name, stored, definition=definitions.get(stored))
+                writer.add_topic(name, stored, definition=content.definitions.get(stored))
             writer.flush()
         except (FingerError, OSError) as error:
             with suppress(OSError):

@@ -16,6 +16,7 @@ import math
 import re
 import time
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -28,6 +29,7 @@ from finger_common.errors import FingerError, InputError
 from finger_common.files import read_bytes
 from finger_common.interface_text import message_text
 from finger_common.node import LATCHED_QOS, ManagedNode, PolledSubscription, main_of
+from finger_common.node.qos import RELIABLE
 from finger_common.retry import Pauses
 from finger_common.settings import Settings, setting
 from finger_common.stamps import NANOSECONDS, seconds
@@ -121,6 +123,32 @@ def _attached(settings: RecordingSettings) -> dict[str, Path]:
     return files
 
 
+@dataclass
+class _Topic:
+    """A topic that is recorded.
+
+    name: absolute. rate: of its samples in Hz, as far as is known. steady: whether the schema fixes
+    that rate, so that gaps between its stamps tell what is missing. latched: the newest messages of
+    a latched topic, which are repeated at the head of a bag; others keep none. subscription: while
+    the node is active; reliable: its QoS. newest: log time (ns) of the last message.
+    """
+
+    name: str
+    type: str
+    rate: float
+    steady: bool
+    latched: deque[Serialized]
+    gaps: StampGaps | None = None
+    subscription: PolledSubscription | None = None
+    reliable: bool = False
+    newest: int = 0
+
+    @property
+    def is_latched(self) -> bool:
+        """Whether its newest messages count as long as no others come."""
+        return bool(self.latched.maxlen)
+
+
 class RecorderNode(ManagedNode):
     """Records topics into bags."""
 
@@ -129,8 +157,7 @@ class RecorderNode(ManagedNode):
 
     def configure(self) -> None:
         self._recorder = Recorder(self.settings(RecorderSettings), on_error=self._on_error)
-        self._topics: dict[str, tuple[str, int, str]] = {}
-        self._names: dict[str, str] = {}
+        self._topics: dict[str, _Topic] = {}
         self._definitions: dict[str, str] = {}
         """Definitions of types that `definitions` does not know, as installed."""
         for entry in self.settings(RecordingSettings).topics:
@@ -146,25 +173,20 @@ class RecorderNode(ManagedNode):
             if not type_hash(kind):
                 self._definitions[kind] = message_text(kind)
             absolute = self.resolve_topic_name(name)
-            # The schema fixes the period of streams; others are not checked for gaps.
-            stream = "stamped" if spec is not None and (spec.rate or 0) >= 5 else ""
-            self._names[absolute] = name
-            self._topics[absolute] = (kind, spec.latched if spec is not None else 0, stream)
+            rate = (spec.rate if spec is not None else None) or 0.0
+            kept: deque[Serialized] = deque(maxlen=spec.latched if spec is not None else 0)
+            self._topics[absolute] = _Topic(absolute, kind, rate or 50.0, rate >= 5, kept)
         self._health = Health("recorder")
         self.healths = [self._health]
-        self._subs: dict[str, tuple[PolledSubscription, bool]] = {}
-        self._latched: dict[str, deque[Serialized]] = {}
-        self._gaps: dict[str, StampGaps] = {}
-        self._announced: dict[str, int] = {}
-        self._newest: dict[str, int] = {}
-        """Log time of the last message of each topic."""
+        self._lost_told = 0
+        """Messages lost in the newest warning."""
         self._pauses = Pauses(1.0, 3.0)
         self._next_attempt = self._last_attempt = self._next_reminder = 0.0
-        self._service = self.create_service(Record, "~/record", self._on_record)
+        self.create_service(Record, "~/record", self._on_record)
 
     def activate(self) -> None:
-        for topic in self._topics:
-            self._subscribe(topic, self.values["qos_reliability"] == "reliable")
+        for topic in self._topics.values():
+            self._subscribe(topic, self.values["qos_reliability"] == RELIABLE)
         if self.values["record_at_start"]:
             try:
                 self._start("", None)
@@ -172,125 +194,127 @@ class RecorderNode(ManagedNode):
                 self._unsubscribe()
                 raise
         # Steady time: recording continues when simulated time stands still or jumps.
-        self._rounds = [
-            self.create_steady_timer(POLL, self._poll),
-            self.create_steady_timer(1.0, self._each_second),
-        ]
+        self.create_steady_timer(POLL, self._poll)
+        self.create_steady_timer(1.0, self._each_second)
 
     def deactivate(self) -> None:
-        for timer in self._rounds:
-            self.destroy_timer(timer)
         if self._recorder.started:
             self._finish()
         self._unsubscribe()
 
-    def cleanup(self) -> None:
-        service = self.__dict__.pop("_service", None)
-        if service is not None:
-            self.destroy_service(service)
-
     # Subscriptions ---------------------------------------------------------------------------
 
-    def _subscribe(self, topic: str, reliable: bool) -> None:
-        kind, latched, _ = self._topics[topic]
-        if latched:
+    def _subscribe(self, topic: _Topic, reliable: bool) -> None:
+        if topic.is_latched:
             # Deeper than those of other readers: several messages may come between two polls.
             qos = copy.copy(LATCHED_QOS)
             qos.depth = max(qos.depth, math.ceil(50.0 * self.values["buffer_time"]))
-            self._latched.setdefault(topic, deque(maxlen=latched))
         else:
-            spec = TOPICS.get(self._names[topic])
-            rate = (spec.rate if spec is not None else None) or 50.0
-            qos = self.stream_qos(max(20, math.ceil(rate * self.values["buffer_time"])))
+            qos = self.stream_qos(max(20, math.ceil(topic.rate * self.values["buffer_time"])))
             if reliable:
                 qos.reliability = ReliabilityPolicy.RELIABLE
-        old = self._subs.pop(topic, None)
-        if old is not None:
-            old[0].destroy()
-        subscription = self.create_polled_subscription(message_class(kind), topic, qos)
-        self._subs[topic] = (subscription, reliable or bool(latched))
+        if topic.subscription is not None:
+            topic.subscription.destroy()
+        kind = message_class(topic.type)
+        topic.subscription = self.create_polled_subscription(kind, topic.name, qos)
+        topic.reliable = reliable or topic.is_latched
 
     def _unsubscribe(self) -> None:
-        for subscription, _ in self._subs.values():
-            subscription.destroy()
-        self._subs.clear()
+        self.destroy_active_interfaces()
+        for topic in self._topics.values():
+            topic.subscription = None
+
+    def _subscribed(self) -> Iterator[tuple[_Topic, PolledSubscription]]:
+        for topic in self._topics.values():
+            if topic.subscription is not None:
+                yield topic, topic.subscription
 
     def _poll(self) -> None:
         """Take what has come."""
-        for topic, (subscription, _) in self._subs.items():
-            kind, latched, _ = self._topics[topic]
+        for topic, subscription in self._subscribed():
             for cdr, info in subscription.take():
-                self._take(topic, kind, latched, cdr, info)
+                self._take(topic, cdr, info)
 
-    def _take(self, topic: str, kind: str, latched: int, cdr: bytes, info: dict[str, Any]) -> None:
+    def _take(self, topic: _Topic, cdr: bytes, info: dict[str, Any]) -> None:
         # On a clock that steps of the system clock do not reach: a bag is read in this order.
         now = self._host_clock.now()
         earliest = now - round(_LONGEST_DELAY * NANOSECONDS)
         received = self._host_clock.of_stamp(info.get("received_timestamp") or None, earliest)
         # What the middleware had to send again keeps its place among its publisher's messages.
-        received = self._newest[topic] = max(received, self._newest.get(topic, 0))
+        received = topic.newest = max(received, topic.newest)
         sent = self._host_clock.of_stamp(info.get("source_timestamp") or None, 0)
-        message = Serialized(topic, kind, cdr, received, min(sent, received))
-        if latched:
-            self._latched[topic].append(message)
+        message = Serialized(topic.name, topic.type, cdr, received, min(sent, received))
+        topic.latched.append(message)
         if self._recorder.put(message):
-            gaps = self._gaps.get(topic)
-            if gaps is not None:
-                gaps.add(stamp_of_cdr(cdr), seconds(received))
+            if topic.gaps is not None:
+                topic.gaps.add(stamp_of_cdr(cdr), seconds(received))
             self._health.sample()
+
+    def _missing(self) -> dict[str, int]:
+        """Messages missing between the stamps of topics, where there are any."""
+        gaps = {topic.name: topic.gaps for topic in self._topics.values() if topic.gaps is not None}
+        return {name: found.missing for name, found in gaps.items() if found.missing}
+
+    # Each second -----------------------------------------------------------------------------
+
+    def _each_second(self) -> None:
+        self._check_middleware()
+        self._note_bag()
+        self._watch_interruption()
+        self._watch_clock()
+        self._note_accounts()
+        if not self._recorder.recording:
+            self._follow_publishers()
 
     def _check_middleware(self) -> None:
         """Note what the middleware lost, and publishers that it does not connect."""
-        for topic, (subscription, _) in self._subs.items():
+        for topic, subscription in self._subscribed():
             lost = subscription.newly_lost()
             if lost and self._recorder.recording:
-                self._recorder.note_lost(topic, lost)
+                self._recorder.note_lost(topic.name, lost)
             if subscription.new_mismatches():
                 self.log_fault(
                     self._health,
                     "qos_mismatch",
-                    f"a publisher of '{topic}' has a QoS that does not fit and is not recorded; "
-                    "set qos_reliability alike on both sides",
+                    f"a publisher of '{topic.name}' has a QoS that does not fit and is not "
+                    "recorded; set qos_reliability alike on both sides",
                     WARN,
                 )
 
-    def _each_second(self) -> None:
-        self._check_middleware()
-        recorder = self._recorder
+    def _note_bag(self) -> None:
+        path = self._recorder.path if self._recorder.recording else None
+        self._health.notes["recording"] = "no" if path is None else str(path)
+        self._health.activity = "idle" if path is None else f"recording {path.name}"
+
+    def _watch_clock(self) -> None:
+        if warning := self._host_clock.step_warning("log times"):
+            self.log_fault(self._health, "clock_step", warning, WARN)
+        else:
+            self._health.recovered("clock_step")
+
+    def _note_accounts(self) -> None:
+        """Say how many messages are recorded, wait, are lost and are missing."""
+        recorder, notes = self._recorder, self._health.notes
         lost = recorder.lost
-        notes = self._health.notes
-        notes["recording"] = str(recorder.path) if recorder.recording else "no"
-        path = recorder.path if recorder.recording else None
-        self._health.activity = f"recording {path.name}" if path is not None else "idle"
-        self._watch_interruption()
-        step = self._host_clock.step()
-        if abs(step) > 0.05:
-            self.log_fault(
-                self._health,
-                "clock_step",
-                f"the system clock was stepped by {step:+.3f} s; log times continue as before, "
-                "restart all nodes to follow it",
-                WARN,
-            )
         notes["messages"] = str(sum(recorder.counts.values()))
         notes["waiting_bytes"] = str(recorder.waiting)
-        notes["lost"] = ", ".join(f"{t} {n}" for t, n in lost.items()) or "0"
-        gaps = {t: g.missing for t, g in self._gaps.items() if g.missing}
-        notes["missing_stamps"] = ", ".join(f"{t} {n}" for t, n in gaps.items()) or "0"
-        if lost and sum(lost.values()) > self._announced.get("lost", 0):
-            self._announced["lost"] = sum(lost.values())
+        for name, numbers in (("lost", lost), ("missing_stamps", self._missing())):
+            notes[name] = ", ".join(f"{topic} {n}" for topic, n in numbers.items()) or "0"
+        if sum(lost.values()) > self._lost_told:
+            self._lost_told = sum(lost.values())
             self.log_fault(self._health, "lost", f"messages lost: {notes['lost']}", WARN)
-        if recorder.recording:
+
+    def _follow_publishers(self) -> None:
+        """Where every publisher offers it, reliable delivery costs nothing and loses nothing."""
+        if self.values["qos_reliability"] == RELIABLE:
             return
-        for topic, (_, reliable) in list(self._subs.items()):
-            # Where every publisher offers it, reliable delivery costs nothing and loses nothing.
-            offers = self.get_publishers_info_by_topic(topic)
-            always = self.values["qos_reliability"] == "reliable" or self._topics[topic][1] > 0
-            if offers and not always:
+        for topic, _ in self._subscribed():
+            offers = self.get_publishers_info_by_topic(topic.name)
+            if offers and not topic.is_latched:
                 all_reliable = all(
                     o.qos_profile.reliability == ReliabilityPolicy.RELIABLE for o in offers
                 )
-                if all_reliable != reliable:
+                if all_reliable != topic.reliable:
                     self._subscribe(topic, all_reliable)
 
     def _watch_interruption(self) -> None:
@@ -365,13 +389,14 @@ class RecorderNode(ManagedNode):
         attachments = {
             name: read_bytes(file, "file to attach") for name, file in _attached(settings).items()
         }
-        topics = {t: kind for t, (kind, _, _) in self._topics.items()}
+        topics = {topic.name: topic.type for topic in self._topics.values()}
         # What came before the start does not belong to the bag.
         self._poll()
         self._check_middleware()
         if not self._recorder.started:  # else the start is refused, and these are of what runs
-            self._gaps = {t: StampGaps() for t, (_, _, stream) in self._topics.items() if stream}
-            self._announced.clear()
+            for topic in self._topics.values():
+                topic.gaps = StampGaps() if topic.steady else None
+            self._lost_told = 0
             self._health.recovered()
         started = self._recorder.start(
             target, SessionMetadata.from_mapping(session), topics, attachments, self._definitions
@@ -394,15 +419,15 @@ class RecorderNode(ManagedNode):
     def _put_latched(self) -> None:
         """Repeat the latched messages at the head of a bag."""
         now = self._host_clock.now()
-        for messages in self._latched.values():
-            for message in messages:
+        for topic in self._topics.values():
+            for message in topic.latched:
                 self._recorder.put(message._replace(log_time_ns=now))
 
     def _finish(self) -> Any:
         self._poll()
         self._check_middleware()
         result = self._recorder.stop()
-        missing = {t: g.missing for t, g in self._gaps.items() if g.missing}
+        missing = self._missing()
         if result.error:
             self.exit_code = 1
             self.get_logger().error(

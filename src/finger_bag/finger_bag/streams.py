@@ -6,16 +6,17 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from finger_common.errors import InputError
 from finger_common.stamps import header_stamp
 
-from .cdr_layout import WRENCH_TYPE, stamp_of_cdr, stamps_and_wrenches
+from .cdr_layout import WRENCH_TYPE, frame_id_of_cdr, stamp_of_cdr, stamps_and_wrenches
+from .definitions import Decoder
 from .mapping import MappedTopic
 from .read_settings import ReadSettings
 from .reader import BagMessage, BagReader
@@ -28,6 +29,25 @@ STREAMS = ("contact_area", "moisture", "indentation", "trial")
 """Topics that are read beside the wrench."""
 IMAGES = ("image_raw", "image_raw/compressed")
 """Topics of which the first that holds messages is read, where images are wanted."""
+
+AREA = np.dtype(
+    [
+        ("stamp_ns", "i8"),
+        ("log_ns", "i8"),
+        ("area", "f8"),
+        ("real_area", "f8"),
+        ("sd", "f8"),
+        ("flags", "i8"),
+    ]
+)
+"""A measured contact: stamp of its image and log time, gross area, real area and standard deviation
+of the gross area in m² (NaN where unknown), flags as in ContactArea."""
+
+IMAGE = np.dtype([("stamp_ns", "i8"), ("log_ns", "i8")])
+"""Stamp and log time of a frame."""
+
+INDENTATION = np.dtype([("stamp_ns", "i8"), ("indentation", "f8")])
+"""Stamp, and approach of plate and bone in m."""
 
 MOISTURE_BEFORE, MOISTURE_AFTER = 1, 2
 """Phases of a reading, as in finger_msgs/Moisture."""
@@ -58,34 +78,32 @@ class TrialEvent:
     note: str = ""
 
 
+class Wrenches(NamedTuple):
+    """Wrenches in the order recorded: log time and stamp (n,) in ns, force (n, 3) in N and torque
+    (n, 3) in N m in the sensor's axes."""
+
+    log_ns: np.ndarray
+    stamp_ns: np.ndarray
+    force: np.ndarray
+    torque: np.ndarray
+
+
 @dataclass
 class SessionStreams:
     """Streams of one bag in SI units, in the order recorded.
 
-    wrench_stamp_ns, wrench_log_ns (n,): header stamp and log time; force, torque (n, 3) in the
-    sensor's axes. area_stamp_ns (k,), area, real_area, area_sd (k,) in m², area_flags (k,).
-    indentation_stamp_ns, indentation (j,) in m, empty where none was measured. image_stamp_ns,
-    image_log_ns (m,): frames, whether or not they were looked at.
+    areas (k,): of AREA. indentations (j,): of INDENTATION, empty where none was measured. images
+    (m,): of IMAGE, whether or not they were looked at. area_source: "topic" or "images".
     """
 
-    wrench_stamp_ns: np.ndarray
-    wrench_log_ns: np.ndarray
-    force: np.ndarray
-    torque: np.ndarray
-    area_stamp_ns: np.ndarray
-    area_log_ns: np.ndarray
-    area: np.ndarray
-    real_area: np.ndarray
-    area_sd: np.ndarray
-    area_flags: np.ndarray
-    image_stamp_ns: np.ndarray
-    image_log_ns: np.ndarray
+    wrenches: Wrenches
+    areas: np.ndarray
+    images: np.ndarray
+    indentations: np.ndarray
     moistures: list[MoistureReading] = field(default_factory=list)
     trials: list[TrialEvent] = field(default_factory=list)
     area_source: str = "topic"
     problems: list[str] = field(default_factory=list)
-    indentation_stamp_ns: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
-    indentation: np.ndarray = field(default_factory=lambda: np.empty(0))
 
 
 def missing(reader: BagReader, name: str) -> InputError:
@@ -161,36 +179,61 @@ class Malformed:
         ]
 
 
+def read_wrenches(
+    items: Sequence[BagMessage], decoder: Decoder | None, mapped: MappedTopic, malformed: Malformed
+) -> tuple[Wrenches, str]:
+    """Wrenches of the messages of a topic, as it is mapped, and the frame_id of the first of them.
+
+    decoder: as for `stamps_and_wrenches`. Messages that are none are left out and counted.
+    """
+    stamps, force, torque = stamps_and_wrenches([item.raw for item in items], decoder)
+    log = np.array([item.log_time_ns for item in items], np.int64)
+    good = stamps >= 0
+    if not good.all():
+        reason = f"bytes are not a {WRENCH_TYPE}"
+        malformed.add(items[0].topic, reason, int((~good).sum()))
+        stamps, force, torque, log = stamps[good], force[good], torque[good], log[good]
+    frame = ""
+    if len(stamps):
+        first = items[int(np.argmax(good))].raw
+        if decoder is None or decoder.standard:
+            frame = frame_id_of_cdr(first)
+        else:
+            frame = str(decoder(first).header.frame_id)
+    if mapped.scale != 1.0:
+        # The mapping tells the unit of the force alone: zero is a sensor without torque.
+        torque = np.zeros_like(torque)
+    stamps = log.copy() if mapped.log_time else stamps
+    return Wrenches(log, stamps, force * mapped.scale, torque), frame
+
+
 class _Wrenches:
     """Wrench messages, turned into numbers block by block: hours of them fit into memory."""
 
     BLOCK, BLOCK_BYTES = 20_000, 16 << 20
 
-    def __init__(self, reader: BagReader, topic: str) -> None:
-        self._reader, self._topic = reader, topic
-        self._log: list[int] = []
-        self._raw: list[bytes] = []
+    def __init__(self, reader: BagReader, mapped: MappedTopic, malformed: Malformed) -> None:
+        self._reader, self._mapped, self._malformed = reader, mapped, malformed
+        self._items: list[BagMessage] = []
         self._bytes = 0
-        self._done: list[tuple[np.ndarray, ...]] = []
+        self._done: list[Wrenches] = []
 
     def add(self, item: BagMessage) -> None:
-        self._log.append(item.log_time_ns)
-        self._raw.append(item.raw)
+        self._items.append(item)
         self._bytes += len(item.raw)
-        if len(self._raw) >= self.BLOCK or self._bytes >= self.BLOCK_BYTES:
+        if len(self._items) >= self.BLOCK or self._bytes >= self.BLOCK_BYTES:
             self._convert()
 
     def _convert(self) -> None:
-        decode = self._reader.decoder(self._topic, WRENCH_TYPE) if self._raw else None
-        fixed = decode is None or decode.standard
-        numbers = stamps_and_wrenches(self._raw, decode, fixed)
-        self._done.append((np.array(self._log, np.int64), *numbers))
-        self._log, self._raw, self._bytes = [], [], 0
+        items = self._items
+        decoder = self._reader.decoder(items[0].topic, WRENCH_TYPE) if items else None
+        self._done.append(read_wrenches(items, decoder, self._mapped, self._malformed)[0])
+        self._items, self._bytes = [], 0
 
-    def arrays(self) -> list[np.ndarray]:
-        """Log time, stamp, force and torque of all, as `stamps_and_wrenches` gives them."""
+    def arrays(self) -> Wrenches:
+        """All of them."""
         self._convert()
-        return [np.concatenate(parts) for parts in zip(*self._done)]
+        return Wrenches(*(np.concatenate(parts) for parts in zip(*self._done)))
 
 
 def wrong_type(item: BagMessage, needed: str) -> InputError:
@@ -219,13 +262,20 @@ def read_streams(
         topic = find_topic(reader, name, settings)
         if topic is not None:
             names.setdefault(topic, name)
-    wrenches = _Wrenches(reader, wrench)
     areas: list[tuple[int, int, float, float, float, int]] = []
     images: list[tuple[int, int]] = []
+    indentations: list[tuple[int, float]] = []
     moistures: list[MoistureReading] = []
     trials: list[TrialEvent] = []
-    indentations: list[tuple[int, float]] = []
+    kinds: dict[str, tuple[list[Any], Callable[[BagMessage, MappedTopic], Any]]] = {
+        "contact_area": (areas, _area),
+        "moisture": (moistures, _moisture),
+        "indentation": (indentations, _indentation),
+        "trial": (trials, _trial),
+        **{name: (images, _image) for name in images_of},
+    }
     malformed = Malformed()
+    wrenches = _Wrenches(reader, mapping.topic("wrench"), malformed)
     for item in reader.messages(names):
         name = names[item.topic]
         mapped = mapping.topic(name)
@@ -234,48 +284,24 @@ def read_streams(
                 raise wrong_type(item, TOPICS[name].type)
             if name == "wrench":
                 wrenches.add(item)
-            elif name == "contact_area":
-                areas.append(_area(item, mapped))
-            elif name == "moisture":
-                moistures.append(_moisture(item, mapped))
-            elif name == "indentation":
-                indentations.append(_indentation(item, mapped))
-            elif name == "trial":
-                trials.append(_trial(item.message))
-            else:
-                shot = item.log_time_ns if mapped.log_time else stamp_of_cdr(item.raw)
-                images.append((shot, item.log_time_ns))
-                if on_image is not None:
-                    on_image(item, shot)
+                continue
+            rows, row_of = kinds[name]
+            rows.append(row_of(item, mapped))
+            if rows is images and on_image is not None:
+                on_image(item, images[-1][0])
         except (InputError, AttributeError, TypeError, ValueError) as error:
             malformed.add(item.topic, error)
-    log, stamps, force, torque = wrenches.arrays()
-    good = stamps >= 0
-    if not good.all():
-        malformed.add(wrench, f"bytes are not a {WRENCH_TYPE}", int((~good).sum()))
-        stamps, force, torque, log = stamps[good], force[good], torque[good], log[good]
-    if not len(stamps):
+    found = wrenches.arrays()
+    if not len(found.stamp_ns):
         reason = malformed.reasons.get(wrench, "it is empty")
         raise InputError(f"{reader.path}: topic '{wrench}' holds no wrench ({reason})")
-    wrench_map = mapping.topic("wrench")
-    table = np.array([a[2:5] for a in areas], float).reshape(-1, 3)
     return SessionStreams(
-        wrench_stamp_ns=log.copy() if wrench_map.log_time else stamps,
-        wrench_log_ns=log,
-        force=force * wrench_map.scale,
-        torque=torque,
-        area_stamp_ns=np.array([a[0] for a in areas], np.int64),
-        area_log_ns=np.array([a[1] for a in areas], np.int64),
-        area=table[:, 0],
-        real_area=table[:, 1],
-        area_sd=table[:, 2],
-        area_flags=np.array([a[5] for a in areas], np.int64),
-        image_stamp_ns=np.array([i[0] for i in images], np.int64),
-        image_log_ns=np.array([i[1] for i in images], np.int64),
-        moistures=moistures,
-        trials=trials,
-        indentation_stamp_ns=np.array([i[0] for i in indentations], np.int64),
-        indentation=np.array([i[1] for i in indentations], float),
+        found,
+        np.array(areas, AREA),
+        np.array(images, IMAGE),
+        np.array(indentations, INDENTATION),
+        moistures,
+        trials,
         problems=malformed.problems() + reader.all_problems(),
     )
 
@@ -301,6 +327,11 @@ def _area(item: BagMessage, mapped: MappedTopic) -> tuple[int, int, float, float
     return stamp, item.log_time_ns, gross, real, sd, int(message.flags)
 
 
+def _image(item: BagMessage, mapped: MappedTopic) -> tuple[int, int]:
+    stamp = item.log_time_ns if mapped.log_time else stamp_of_cdr(item.raw)
+    return stamp, item.log_time_ns
+
+
 def _indentation(item: BagMessage, mapped: MappedTopic) -> tuple[int, float]:
     stamp, value = stamp_and_value(item, mapped)
     return stamp, float(item.message.point.z) * mapped.scale if value is None else value
@@ -314,7 +345,8 @@ def _moisture(item: BagMessage, mapped: MappedTopic) -> MoistureReading:
     return MoistureReading(stamp, float(message.value), int(message.phase), int(message.flags))
 
 
-def _trial(message: Any) -> TrialEvent:
+def _trial(item: BagMessage, mapped: MappedTopic) -> TrialEvent:
+    message = item.message
     texts = [str(getattr(message, name)) for name in ("session", "subject", "condition")]
     note = str(message.note)
     if max(map(len, (*texts, note))) > MAXIMUM_TEXT:
@@ -326,13 +358,8 @@ def _trial(message: Any) -> TrialEvent:
     return TrialEvent(*values)
 
 
-def in_stamp_order(stamps: np.ndarray, *others: np.ndarray) -> Iterator[np.ndarray]:
-    """Arrays sorted by stamp, later duplicates of a stamp left out."""
-    if not len(stamps):
-        yield from (stamps, *others)
-        return
-    order = np.argsort(stamps, kind="stable")
-    ordered = stamps[order]
-    keep = order[np.concatenate([[True], np.diff(ordered) > 0])]
-    for array in (stamps, *others):
-        yield array[keep]
+def in_stamp_order(table: np.ndarray) -> np.ndarray:
+    """The rows (n,) of a table sorted by `stamp_ns`, later duplicates of a stamp left out."""
+    ordered = table[np.argsort(table["stamp_ns"], kind="stable")]
+    later = np.diff(ordered["stamp_ns"]) > 0
+    return ordered[np.concatenate([[True], later])[: len(ordered)]]

@@ -181,12 +181,15 @@ def _rate(stamps: np.ndarray) -> float:
 
 
 def _check_streams(streams: SessionStreams, settings: ReadSettings, result: Validation) -> None:
-    if len(streams.area_stamp_ns):
-        frames = ("contact_area", streams.area_stamp_ns, streams.area_log_ns)
+    if len(streams.areas):
+        name_of_frames, frames = "contact_area", streams.areas
     else:
-        frames = ("image_raw", streams.image_stamp_ns, streams.image_log_ns)
-    wrenches = ("wrench", streams.wrench_stamp_ns, streams.wrench_log_ns)
-    for name, stamps, logs in (wrenches, frames):
+        name_of_frames, frames = "image_raw", streams.images
+    wrenches = streams.wrenches
+    for name, stamps, logs in (
+        ("wrench", wrenches.stamp_ns, wrenches.log_ns),
+        (name_of_frames, frames["stamp_ns"], frames["log_ns"]),
+    ):
         if not len(stamps):
             continue
         rate, expected = _rate(stamps), TOPICS[name].rate or 0.0
@@ -204,8 +207,8 @@ def _check_streams(streams: SessionStreams, settings: ReadSettings, result: Vali
             f"{middle * 1e3:.1f} ms behind the stamp (median; {delay.min() * 1e3:.1f} to "
             f"{delay.max() * 1e3:.1f} ms)" + ("" if status == OK else "; clocks disagree"),
         )
-    if len(streams.indentation):
-        _check_order("indentation", streams.indentation_stamp_ns, result)
+    if len(streams.indentations):
+        _check_order("indentation", streams.indentations["stamp_ns"], result)
     _check_gaps(streams, settings, result)
     _check_saturation(streams, result)
 
@@ -218,7 +221,7 @@ def _check_order(name: str, stamps: np.ndarray, result: Validation) -> None:
 
 
 def _check_gaps(streams: SessionStreams, settings: ReadSettings, result: Validation) -> None:
-    stamps = np.sort(streams.wrench_stamp_ns)
+    stamps = np.sort(streams.wrenches.stamp_ns)
     if len(stamps) < 2:
         result.add("gaps in wrench", FAIL, f"{len(stamps)} samples in all")
         return
@@ -228,8 +231,8 @@ def _check_gaps(streams: SessionStreams, settings: ReadSettings, result: Validat
     if not len(where):
         result.add("gaps in wrench", OK, f"longest step {steps.max() * 1e3:.1f} ms")
         return
-    order = np.argsort(streams.wrench_stamp_ns, kind="stable")
-    normal = normal_force(streams.force[order], settings.axis)
+    order = np.argsort(streams.wrenches.stamp_ns, kind="stable")
+    normal = normal_force(streams.wrenches.force[order], settings.axis)
     touching = np.fmax(normal[where], normal[where + 1]) >= ONSET_FORCE
     count = int(touching.sum())
     result.add(
@@ -242,10 +245,10 @@ def _check_gaps(streams: SessionStreams, settings: ReadSettings, result: Validat
 
 def _check_saturation(streams: SessionStreams, result: Validation) -> None:
     axes, coarse = [], True
-    steps = np.diff(streams.wrench_stamp_ns)
+    steps = np.diff(streams.wrenches.stamp_ns)
     rate = NANOSECONDS / max(float(np.median(steps)), 1.0) if len(steps) else 0.0
     for column, name in enumerate("xyz"):
-        values = streams.force[:, column]
+        values = streams.wrenches.force[:, column]
         values = values[np.isfinite(values)]
         if not len(values):
             continue
@@ -260,8 +263,8 @@ def _check_saturation(streams: SessionStreams, result: Validation) -> None:
             if longest >= max(SATURATED_SAMPLES, SATURATED_TIME * rate):
                 coarse = coarse and bool(rounding >= COARSE)
                 axes.append(f"{name} stays at {extreme:.2f} N for {longest} samples")
-    invalid = int((~np.isfinite(streams.force).all(axis=1)).sum())
-    flags = streams.area_flags
+    invalid = int((~np.isfinite(streams.wrenches.force).all(axis=1)).sum())
+    flags = streams.areas["flags"]
     clipped = int(((flags & AreaFlag.CLIPPED) != 0).sum())
     bright = int(((flags & AreaFlag.SATURATED) != 0).sum())
     parts = [*axes]
@@ -277,13 +280,13 @@ def _check_saturation(streams: SessionStreams, result: Validation) -> None:
 
 def _check_calibration(reader: BagReader, streams: SessionStreams, result: Validation) -> None:
     attached = CALIBRATION_ATTACHMENT in reader.info.attachments
-    uncalibrated = bool(((streams.area_flags & AreaFlag.UNCALIBRATED) != 0).any())
+    uncalibrated = bool(((streams.areas["flags"] & AreaFlag.UNCALIBRATED) != 0).any())
     if attached:
         result.add("calibration", OK, f"{CALIBRATION_ATTACHMENT} is attached")
     elif uncalibrated:
         result.add("calibration", NOTE, "areas were measured without a plate calibration")
-    elif len(streams.area_stamp_ns):
-        status = NOTE if len(streams.image_stamp_ns) else OK
+    elif len(streams.areas):
+        status = NOTE if len(streams.images) else OK
         result.add("calibration", status, "not attached; areas are recorded")
     else:
         result.add(

@@ -104,10 +104,6 @@ def test_bad_input_is_one_sentence_and_exit_code_2(
             ),
         ),
         (["--no-png", "--maximum-duration", "60"], RecorderSettings(maximum_duration=60.0)),
-        (
-            ["--split-size", "1000000", "--split-duration", "60"],
-            RecorderSettings(maximum_size=1_000_000, maximum_duration=60.0),
-        ),
     ],
 )
 def test_record_gives_the_node_its_settings(

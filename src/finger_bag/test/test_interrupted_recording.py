@@ -348,14 +348,14 @@ def test_log_times_do_not_follow_a_step_of_the_system_clock(node: Any) -> None:
     node._host_clock = HostClock(lambda: wall[0], lambda: steady[0])
     taken: list[Any] = []
     node._recorder = type("Taking", (), {"put": lambda self, m: taken.append(m) or False})()
-    topic, (kind, latched, _) = next(t for t in node._topics.items() if not t[1][1])
+    topic = next(topic for topic in node._topics.values() if not topic.is_latched)
     for number in range(10):
         steady[0] += 2_000_000
         wall[0] += 2_000_000
         if number == 5:
             wall[0] -= 3600 * 10**9
         node._take(
-            topic, kind, latched, bytes(20),
+            topic, bytes(20),
             {"received_timestamp": wall[0] - 1000, "source_timestamp": wall[0] - 2000},
         )  # fmt: skip
     times = [m.log_time_ns - 10**18 for m in taken]
@@ -363,12 +363,25 @@ def test_log_times_do_not_follow_a_step_of_the_system_clock(node: Any) -> None:
     node._recorder = Recorder()
 
 
+def test_a_step_of_the_system_clock_is_named_until_it_is_taken_back(node: Any) -> None:
+    from finger_common.host_clock import HostClock
+
+    wall = [10**18]
+    node._host_clock = HostClock(lambda: wall[0], lambda: 0)
+    for step, named in ((0, False), (3600, True), (0, False)):
+        wall[0] = 10**18 + step * 10**9
+        node._each_second()
+        assert ("clock_step" in node._health.faults) == named
+        assert ("stepped by +3600.000 s" in node._health.report().message) == named
+
+
 def test_a_refused_start_leaves_the_accounts_of_the_recording_that_runs(node: Any) -> None:
-    gaps = node._gaps
+    gaps = [topic.gaps for topic in node._topics.values()]
     node._health.fault("lost", "messages lost: wrench 3", 1)
     with pytest.raises(InputError, match="stop it first"):
         node._start("second", None)
-    assert node._gaps is gaps and "wrench 3" in node._health.report().message
+    assert gaps == [topic.gaps for topic in node._topics.values()]
+    assert "wrench 3" in node._health.report().message
 
 
 def test_attachments_keep_their_names_and_two_of_one_name_are_refused(tmp_path: Path) -> None:
@@ -396,7 +409,7 @@ def test_messages_of_any_installed_type_are_recorded(
     topics = ["wrench", "skin=lab_msgs/msg/Skin"]
     with running_node(ros_domain, tmp_path, monkeypatch, topics=topics) as node:
         raw = encode("std_msgs/msg/String", {"data": "soft"})
-        node._take("/skin", "lab_msgs/msg/Skin", 0, raw, {})
+        node._take(node._topics["/skin"], raw, {})
         path = node._finish().path
     with open_bag(path) as reader:
         assert [(m.type, m.message.data) for m in reader] == [("lab_msgs/msg/Skin", "soft")]

@@ -11,7 +11,6 @@ shows it, with the quality of service of its publishers. Needs `pip install foxg
 from __future__ import annotations
 
 import importlib
-import queue
 import threading
 import time
 from collections import deque
@@ -28,7 +27,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from finger_common.diagnostics import WARN, Health
 from finger_common.errors import DeviceError, FingerError, InputError
 from finger_common.interface_text import message_text, service_texts
-from finger_common.node import POLLED_DEPTH, ManagedNode, PolledSubscription, main_of
+from finger_common.node import POLLED_DEPTH, Jobs, ManagedNode, main_of
 
 from .foxglove_server import IMAGE_TYPES, FoxgloveSettings, Interface, Server
 
@@ -109,7 +108,9 @@ class Shown:
         latched = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
         self.last: deque[tuple[bytes, int]] = deque(maxlen=1 if latched else 0)
         """The newest message of a latched topic, for clients that come later."""
-        self.subscription = PolledSubscription(node, interface_class(kind), topic, qos)
+        self.subscription = node.create_polled_subscription(
+            interface_class(kind), topic, qos, overridable=False
+        )
 
 
 class FoxgloveNode(ManagedNode):
@@ -122,8 +123,6 @@ class FoxgloveNode(ManagedNode):
         self._settings = self.settings(FoxgloveSettings)
         self._health = Health("foxglove")
         self.healths = [self._health]
-        self._jobs: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
-        self._job_waits = self.create_guard_condition(self._do_jobs)
         self._callers: dict[str, Any] = {}
         self._service_types: dict[str, str] = {}
         self._topic_types: dict[str, str] = {}
@@ -131,36 +130,24 @@ class FoxgloveNode(ManagedNode):
         self._unknown: set[str] = set()
 
     def activate(self) -> None:
+        self._jobs = Jobs(self)
         self._server = Server(self._settings, self)
         where = "localhost" if self._settings.is_local else self._settings.host
         address = f"ws://{where}:{self._server.port}"
         self._health.notes["address"] = address
         control = "" if self._settings.allows_control else "; services and parameters read-only"
         self.get_logger().info(f"Foxglove: open a connection to {address}{control}")
-        self._changes = self.create_subscription(
-            ParameterEvent, "/parameter_events", self._on_parameter_event, 100
-        )
-        self._periodic = [
-            self.create_steady_timer(POLL, self._poll),
-            self.create_steady_timer(1.0, self._look_around),
-        ]
+        self.create_subscription(ParameterEvent, "/parameter_events", self._on_parameter_event, 100)
+        self.create_steady_timer(POLL, self._poll)
+        self.create_steady_timer(1.0, self._look_around)
         self._look_around()
 
     def deactivate(self) -> None:
-        for timer in self._periodic:
-            self.destroy_timer(timer)
-        self.destroy_subscription(self._changes)
-        for shown in self._shown.values():
-            shown.subscription.destroy()
-        self._shown.clear()
+        self._jobs.close()
         self._server.stop()
-
-    def cleanup(self) -> None:
-        if hasattr(self, "_job_waits"):
-            self.destroy_guard_condition(self._job_waits)
-            for client in self._callers.values():
-                self.destroy_client(client)
-            del self._job_waits
+        self.destroy_active_interfaces()
+        self._shown.clear()
+        self._callers.clear()
 
     # Topics and services that there are ------------------------------------------------------
 
@@ -374,25 +361,15 @@ class FoxgloveNode(ManagedNode):
 
     def _in_node(self, action: Callable[[], T]) -> Future[T]:
         """Do something in the node's own thread."""
-        future: Future[T] = Future()
 
-        def do() -> None:
+        def do() -> T:
             try:
-                future.set_result(action())
+                return action()
             except Exception as error:
-                future.set_exception(error)
                 self.log_fault(self._health, "failed", f"Foxglove: {error}", WARN)
+                raise
 
-        if self._active:
-            self._jobs.put(do)
-            self._job_waits.trigger()
-        else:
-            future.set_exception(DeviceError("the node is ending"))
-        return future
-
-    def _do_jobs(self) -> None:
-        while not self._jobs.empty():
-            self._jobs.get_nowait()()
+        return self._jobs.call(do)
 
 
 main = main_of(FoxgloveNode)

@@ -127,21 +127,15 @@ class LslNode(ManagedNode):
             polled = self.create_polled_subscription(TYPES[topic], topic, chosen)
             self._senders[topic] = sender, polled
         self._receivers = [self._receiver(t, n) for t, n in self._settings.received.items()]
-        self._timer = self.create_steady_timer(POLL, self._send)
+        self.create_steady_timer(POLL, self._send)
         for receiver in self._receivers:
             receiver.start()
 
     def deactivate(self) -> None:
-        self.destroy_timer(self._timer)
+        self.destroy_active_interfaces()
         for receiver in self._receivers:
             receiver.stop()
-        for _, subscription in self._senders.values():
-            subscription.destroy()
         self._senders.clear()
-
-    def cleanup(self) -> None:
-        for publisher in self.__dict__.pop("_outputs", {}).values():
-            self.destroy_publisher(publisher)
 
     def _send(self) -> None:
         for topic, (sender, subscription) in self._senders.items():

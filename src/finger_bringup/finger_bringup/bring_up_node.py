@@ -22,7 +22,7 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 
 from finger_common.diagnostics import ERROR, STARTING, WARN, Health
-from finger_common.node import HEARTBEAT, ManagedNode, PolledSubscription, main_of
+from finger_common.node import HEARTBEAT, ManagedNode, main_of
 from finger_common.settings import Settings, setting
 
 from .bring_up import ACTIVE, ALL_ACTIVE, CONFIGURE, INACTIVE, UNCONFIGURED, BringUp
@@ -102,11 +102,15 @@ class BringUpNode(ManagedNode):
         """Time of the last answer or heartbeat of each node that ever answered."""
         depth = QoSProfile(depth=100)
         self._beating = {
-            space: PolledSubscription(self, String, f"{space}heartbeat", depth)
+            space: self.create_polled_subscription(
+                String, f"{space}heartbeat", depth, overridable=False
+            )
             for space in {_namespace(n) for n in nodes}
         }
         self._moving = {
-            n: PolledSubscription(self, TransitionEvent, f"{n}/transition_event", depth)
+            n: self.create_polled_subscription(
+                TransitionEvent, f"{n}/transition_event", depth, overridable=False
+            )
             for n in nodes
         }
         self._requested: dict[str, tuple[float, Any]] = {}
@@ -116,18 +120,10 @@ class BringUpNode(ManagedNode):
         self._told = time.monotonic()
 
     def activate(self) -> None:
-        self._timer = self.create_steady_timer(STEP, self._step)
+        self.create_steady_timer(STEP, self._step)
 
     def deactivate(self) -> None:
-        self.destroy_timer(self._timer)
-
-    def cleanup(self) -> None:
-        for name in ("_state_clients", "_change_clients"):
-            for client in self.__dict__.pop(name, {}).values():
-                self.destroy_client(client)
-        for name in ("_beating", "_moving"):
-            for subscription in self.__dict__.pop(name, {}).values():
-                subscription.destroy()
+        self.destroy_active_interfaces()
 
     def _step(self) -> None:
         now = time.monotonic()

@@ -66,6 +66,10 @@ class NodeEntry:
         """Full namespace of the node."""
         return "/" + "/".join(part for part in (of_suite.strip("/"), self.finger) if part)
 
+    def full_name(self, of_suite: str) -> str:
+        """Name of the node with its full namespace."""
+        return f"{self.namespace(of_suite).rstrip('/')}/{self.name}"
+
     @property
     def module(self) -> str:
         """For `python -m`."""
@@ -331,9 +335,7 @@ QuotingDumper.add_representer(str, QuotingDumper.represent_str)
 def write_parameter_file(entries: Iterable[NodeEntry], namespace: str, path: Path) -> Path:
     """Write the settled entries' own parameters as a ROS parameter file and return its path."""
     data = {
-        f"{entry.namespace(namespace)}/{entry.name}".replace("//", "/"): {
-            "ros__parameters": dict(entry.parameters)
-        }
+        entry.full_name(namespace): {"ros__parameters": dict(entry.parameters)}
         for entry in entries
         if entry.parameters
     }
@@ -377,7 +379,7 @@ def settled(
         prefix = own_name(entry.namespace(namespace), "/")
         if prefix and entry.name in FRAMED:
             entry = replace(entry, defaults={"frame_prefix": f"{prefix}/", **entry.defaults})
-        name = f"{entry.namespace(namespace)}/{entry.name}".replace("//", "/")
+        name = entry.full_name(namespace)
         set_there = {key for node in file if matches(node, name) for key in file[node]}
         free = {key: value for key, value in entry.defaults.items() if key not in set_there}
         result.append(replace(entry, parameters={**free, **entry.parameters}, defaults={}))

@@ -23,6 +23,12 @@ def axis_of(normal_axis: str) -> tuple[int, float]:
     return "xyz".index(normal_axis[1]), -1.0 if normal_axis[0] == "-" else 1.0
 
 
+def lateral_axes(normal_axis: str) -> tuple[int, int]:
+    """The two axes that follow the normal one (x, y, z in a circle); raises InputError."""
+    index, _ = axis_of(normal_axis)
+    return (index + 1) % 3, (index + 2) % 3
+
+
 def normal_force(force: np.ndarray, normal_axis: str) -> np.ndarray:
     """Normal force (…) in N, positive in compression, of forces (…, 3) in sensor axes."""
     index, sign = axis_of(normal_axis)
@@ -31,6 +37,6 @@ def normal_force(force: np.ndarray, normal_axis: str) -> np.ndarray:
 
 def lateral_force(force: np.ndarray, normal_axis: str) -> np.ndarray:
     """Magnitude (…) in N of the force in the plate's plane, of forces (…, 3) in sensor axes."""
-    index, _ = axis_of(normal_axis)
+    first, second = lateral_axes(normal_axis)
     force = np.asarray(force, dtype=float)
-    return np.hypot(force[..., (index + 1) % 3], force[..., (index + 2) % 3])
+    return np.hypot(force[..., first], force[..., second])

@@ -10,6 +10,9 @@ from collections.abc import Callable
 
 from .stamps import seconds
 
+_NOTABLE_STEP = 0.05
+"""s of a step of the system clock that is worth a warning."""
+
 
 class HostClock:
     """Nanoseconds since the epoch that only ever increase.
@@ -44,3 +47,16 @@ class HostClock:
     def step(self) -> float:
         """Seconds by which the wall clock has been stepped since this clock was made."""
         return seconds(self._wall() - self.now())
+
+    def step_warning(self, what: str) -> str:
+        """Sentence that names a step of the wall clock; empty where there is none to speak of.
+
+        what: the times that do not follow it, such as "stamps".
+        """
+        step = self.step()
+        if abs(step) <= _NOTABLE_STEP:
+            return ""
+        return (
+            f"the system clock was stepped by {step:+.3f} s; {what} continue as before, "
+            "restart all nodes to follow it"
+        )

@@ -406,3 +406,136 @@ def test_qos_overrides_reach_streams_that_are_polled(ros_domain: int) -> None:
         # The node's own choice may change from subscription to subscription.
         chosen = [effective("/b", qos) for qos in (best_effort, reliable)]
         assert chosen == [ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE]
+
+
+def test_what_a_node_made_ends_with_the_state_it_was_made_for(ros_domain: int) -> None:
+    from rclpy.parameter import Parameter
+    from rclpy.qos import QoSProfile
+    from std_msgs.msg import Float64
+    from std_srvs.srv import Trigger
+
+    from finger_common.node import Jobs, ManagedNode
+
+    class Maker(ManagedNode):
+        def configure(self) -> None:
+            qos = QoSProfile(depth=5)
+            self.closed: list[str] = []
+            for name in "ab":
+                self.closing.callback(self.closed.append, name)
+            self.create_publisher(Float64, "value", qos)
+            self.create_service(Trigger, "~/trigger", lambda request, response: response)
+            self.create_client(Trigger, "trigger")
+            self.waited = self.create_waited_subscription(Float64, "waited", print, qos)
+            self.polled = self.create_polled_subscription(Float64, "polled", qos)
+            self.polled.destroy()  # one that the node ends itself
+            self.polled = self.create_polled_subscription(Float64, "polled", qos)
+
+        def activate(self) -> None:
+            self.jobs = Jobs(self)
+            self.create_steady_timer(1.0, lambda: None)
+            self.create_polled_subscription(Float64, "read", QoSProfile(depth=5))
+
+        def deactivate(self) -> None:
+            self.destroy_active_interfaces()
+
+        def cleanup(self) -> None:
+            assert not self.closed and next(self.services), "all is still there"
+            self.farewell = self.create_steady_timer(1.0, lambda: None)
+
+    def made(node: Any) -> list[Any]:
+        kinds = ("publishers", "subscriptions", "services", "clients", "timers", "guards")
+        return [entity for kind in kinds for entity in getattr(node, kind)]
+
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=ros_domain)
+    node = Maker(context=context)
+    try:
+        fresh = made(node)
+        assert node.trigger_configure().name == "SUCCESS"
+        inactive = made(node)
+        assert len(inactive) == len(fresh) + 5
+        for _ in range(2):
+            assert node.trigger_activate().name == "SUCCESS"
+            assert len(made(node)) == len(inactive) + 3
+            assert node.trigger_deactivate().name == "SUCCESS"
+            assert made(node) == inactive
+        # Simulated time is rclpy's own affair.
+        node.set_parameters([Parameter("use_sim_time", value=True)])
+        (clock,) = set(made(node)) - set(inactive)
+        assert node.trigger_cleanup().name == "SUCCESS"
+        assert set(made(node)) - set(fresh) == {clock, node.farewell}
+        assert node.closed == ["b", "a"]
+        # Streams of their own kind have ended wholly.
+        for polled in (node.polled, node.waited.polled):
+            with pytest.raises(Exception, match="destruction"):
+                list(polled.take())
+    finally:
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
+def test_jobs_are_done_in_order_in_the_thread_of_the_node_and_refused_after_its_end(
+    ros_domain: int,
+) -> None:
+    import threading
+
+    from finger_common.errors import DeviceError
+    from finger_common.node import Jobs
+
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=ros_domain)
+    node = rclpy.create_node("worker", context=context)
+    executor = rclpy.executors.SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    jobs, done = Jobs(node), []
+
+    def work(number: int) -> int:
+        done.append(threading.current_thread())
+        return 1 // number
+
+    def ask() -> None:
+        futures.extend(jobs.call(partial(work, number)) for number in (1, 0, 2))
+
+    try:
+        futures: list[Any] = []
+        asking = threading.Thread(target=ask)
+        asking.start()
+        wait_for(lambda: len(done) == 3, lambda: executor.spin_once(timeout_sec=0.05))
+        asking.join()
+        assert set(done) == {threading.current_thread()}
+        assert futures[0].result() == 1 and futures[2].result() == 0
+        with pytest.raises(ZeroDivisionError):
+            futures[1].result()
+        given_up, waiting = jobs.call(partial(work, 1)), jobs.call(partial(work, 1))
+        assert given_up.cancel()
+        jobs.close()
+        for late in (waiting, jobs.call(partial(work, 1))):
+            with pytest.raises(DeviceError, match="ending"):
+                late.result(0)
+        assert len(done) == 3 and not list(node.guards)
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
+def test_what_nodes_share_ends_with_their_context_and_is_forgotten(ros_domain: int) -> None:
+    import gc
+    import weakref
+
+    from finger_common.node.heartbeat import Heartbeats
+    from finger_common.node.shared import SharedInContext
+
+    def context_that_ended() -> Any:
+        context = rclpy.Context()
+        rclpy.init(context=context, domain_id=ros_domain)
+        shared = Heartbeats.of(context)
+        assert Heartbeats.of(context) is shared
+        rclpy.shutdown(context=context)
+        assert not shared._thread.is_alive()
+        return weakref.ref(context)
+
+    ended = [context_that_ended() for _ in range(3)]
+    gc.collect()
+    assert [context() for context in ended[:2]] == [None, None]
+    assert sum(key[1] is ended[2]() for key in SharedInContext._all) == 1

@@ -23,7 +23,7 @@ from service_calls import call  # noqa: E402
 from std_msgs.msg import Float64  # noqa: E402
 
 from finger_common.diagnostics import Health  # noqa: E402
-from finger_common.node import ManagedNode, managed  # noqa: E402
+from finger_common.node import ManagedNode, stream_watch  # noqa: E402
 from finger_common.settings import Settings, setting  # noqa: E402
 
 
@@ -299,6 +299,6 @@ def test_a_second_publisher_of_a_stream_is_an_error_and_a_restarted_node_is_not(
     assert twin.bring_up()
     bench.until(lambda: gauge.count_publishers("value") == 2)
     assert bench.level(gauge) == 0
-    monkeypatch.setattr(managed, "REMEMBERED", 0.5)
+    monkeypatch.setattr(stream_watch, "REMEMBERED", 0.5)
     bench.until(lambda: "second_publisher" in gauge.healths[0].faults)
     assert "another /left/gauge" in gauge.healths[0].faults["second_publisher"]

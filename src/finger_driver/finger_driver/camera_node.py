@@ -75,14 +75,7 @@ class CameraNode(DeviceNode):
         qos = self.stream_qos(min(_IMAGE_DEPTH, self.values["qos_depth"]), publisher=True)
         self._image = self.create_stream_publisher(Image, "image_raw", qos)
         self._info = self.create_stream_publisher(CameraInfo, "camera_info", qos)
-        self._service = self.create_service(
-            SetCameraInfo, "~/set_camera_info", self._on_set_camera_info
-        )
-
-    def destroy_interfaces(self) -> None:
-        self.destroy_service(self._service)
-        self.destroy_publisher(self._image)
-        self.destroy_publisher(self._info)
+        self.create_service(SetCameraInfo, "~/set_camera_info", self._on_set_camera_info)
 
     def _load_calibration(self) -> CameraCalibration:
         name = self.values["camera_name"]

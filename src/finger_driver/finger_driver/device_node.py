@@ -46,16 +46,12 @@ class DeviceNodeSettings(FrameSettings):
     )
 
 
-_CLOCK_STEP = 0.05
-"""Step of the system clock, s, that is worth a warning."""
-
-
 class DeviceNode(ManagedNode):
     """Lifecycle of a node around one device.
 
     configure connects and checks, activate starts the reading thread, deactivate ends it, cleanup
     releases the device. A node names its PLUGINS (kinds of devices), has settings that derive from
-    DeviceNodeSettings and gives `create_interfaces`, `destroy_interfaces` and `on_sample`.
+    DeviceNodeSettings and gives `create_interfaces` and `on_sample`.
     """
 
     PLUGINS: PluginKind[Any]
@@ -64,10 +60,6 @@ class DeviceNode(ManagedNode):
 
     def create_interfaces(self) -> None:
         """Publishers and services, once the device is connected."""
-        raise NotImplementedError
-
-    def destroy_interfaces(self) -> None:
-        """What `create_interfaces` made."""
         raise NotImplementedError
 
     def on_sample(self, sample: Any) -> Rest:
@@ -84,6 +76,7 @@ class DeviceNode(ManagedNode):
 
     def configure(self) -> None:
         self.device = self.PLUGINS.open(self.values)
+        self.closing.callback(self.device.close)
         self.device.log = self._log
         self.healths = [self.device.health]
         self._stamps = IncreasingStamps()
@@ -92,6 +85,7 @@ class DeviceNode(ManagedNode):
         settings = self.settings(DeviceNodeSettings)
         pauses = Pauses(settings.reconnect_first_pause, settings.reconnect_longest_pause)
         self._thread = DeviceThread(self.device, self._deliver, pauses)
+        self.closing.callback(self._thread.stop)
         try:
             self._thread.connect(settings.connect_timeout)
         except DeviceError as error:
@@ -110,12 +104,7 @@ class DeviceNode(ManagedNode):
             )
 
     def cleanup(self) -> None:
-        if hasattr(self, "_thread"):
-            self._thread.stop()
-            self.device.close()
-        if self._configured:
-            self._configured = False
-            self.destroy_interfaces()
+        self._configured = False
 
     # For the nodes ---------------------------------------------------------------------------
 
@@ -158,12 +147,7 @@ class DeviceNode(ManagedNode):
         if self._configured:
             health = self.device.health
             health.notes.update(self._statistics.notes())
-            step = self._host_clock.step()
-            self.device.note_if(
-                abs(step) > _CLOCK_STEP,
-                "clock_step",
-                f"the system clock was stepped by {step:+.3f} s; stamps continue as before, "
-                "restart all nodes to follow it",
-            )
+            warning = self._host_clock.step_warning("stamps")
+            self.device.note_if(bool(warning), "clock_step", warning)
             self.device.end_passed()
         super().publish_diagnostics()

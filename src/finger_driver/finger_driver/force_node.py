@@ -28,7 +28,7 @@ from finger_common.stamps import NANOSECONDS
 from .device_node import DeviceNode, DeviceNodeSettings
 from .force import GOOD, SOURCES, ForceSource, WrenchSample
 from .shared_polling import Rest
-from .tare import TareCollector, TareResult
+from .tare import TareCollector
 
 TARE_NEEDED = "tare needed: take the finger off the plate, then call ~/tare"
 
@@ -96,18 +96,10 @@ class ForceNode(DeviceNode):
         self._tared = self.create_stream_publisher(WrenchStamped, "wrench", qos)
         self._tared_listeners, self._raw_listeners = Listeners(self._tared), Listeners(self._raw)
         self._local = LocalPublisher(self, "wrench")
+        self.closing.callback(self._local.close)
         self._message = FixedMessage(WrenchStamped(header=Header(frame_id=self._frame)))
-        self._tare_services = [
-            self.create_service(Trigger, "~/tare", self._on_tare),
-            self.create_service(Trigger, "~/reset_tare", self._on_reset_tare),
-        ]
-
-    def destroy_interfaces(self) -> None:
-        for service in self._tare_services:
-            self.destroy_service(service)
-        self._local.close()
-        self.destroy_publisher(self._raw)
-        self.destroy_publisher(self._tared)
+        self.create_service(Trigger, "~/tare", self._on_tare)
+        self.create_service(Trigger, "~/reset_tare", self._on_reset_tare)
 
     def on_sample(self, sample: WrenchSample) -> Rest:
         received = time.time_ns()
@@ -160,25 +152,26 @@ class ForceNode(DeviceNode):
     # Services --------------------------------------------------------------------------------
 
     def _on_tare(self, request: Any, response: Any) -> Any:
-        result = self._tare()
-        response.success = result.bias is not None
-        response.message = result.message
-        if result.bias is not None:
-            removed = np.zeros(6) if self._bias is None else self._offset
-            change = result.offset[:3] - removed[:3]
-            was = float(normal_force(change, self.values["normal_axis"]))
-            self._bias, self._offset = result.bias, result.offset
-            self._note_tare()
-            response.message = f"Zero set (was {was:.2f} N)"
-            self.device.health.recovered("tare_void")
-            self.device.health.notes["tare_offset"] = ", ".join(f"{v:.5g}" for v in result.offset)
-            self.get_logger().info(response.message)
-            self.publish_diagnostics()
+        try:
+            bias, offset = self._tare()
+        except DeviceError as error:
+            response.success, response.message = False, f"not tared: {error}"
+            return response
+        removed = np.zeros(6) if self._bias is None else self._offset
+        was = float(normal_force((offset - removed)[:3], self.values["normal_axis"]))
+        self._bias, self._offset = bias, offset
+        self._note_tare()
+        response.success, response.message = True, f"Zero set (was {was:.2f} N)"
+        self.device.health.recovered("tare_void")
+        self.device.health.notes["tare_offset"] = ", ".join(f"{v:.5g}" for v in offset)
+        self.get_logger().info(response.message)
+        self.publish_diagnostics()
         return response
 
-    def _tare(self) -> TareResult:
+    def _tare(self) -> tuple[np.ndarray, np.ndarray]:
+        """Bias and offset, as `TareCollector.result` gives them; raises DeviceError."""
         if not self.reading:
-            return TareResult(None, np.zeros(6), "not tared: the node is not active")
+            raise DeviceError("the node is not active")
         collector = TareCollector(
             self.values["tare_duration"],
             self.values["tare_force_limit"],
@@ -192,10 +185,7 @@ class ForceNode(DeviceNode):
             self.not_hanging()
         with self._tare_lock:
             self._collector = None
-        try:
-            return collector.result(self.device)
-        except DeviceError as error:
-            return TareResult(None, np.zeros(6), f"not tared: {error}")
+        return collector.result(self.device)
 
     def _on_reset_tare(self, request: Any, response: Any) -> Any:
         self._bias = None

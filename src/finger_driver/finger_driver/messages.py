@@ -62,11 +62,11 @@ def calibration_of(message: Any, name: str) -> CameraCalibration:
     )
 
 
-def fill_moisture(message: Any, reading: Reading, frame_id: str) -> Any:
-    """Fill a finger_msgs/Moisture; returns it."""
+def fill_moisture(message: Any, reading: Reading, index: int, frame_id: str) -> Any:
+    """Fill a finger_msgs/Moisture with a reading and its number; returns it."""
     fill_header(message.header, reading.stamp_ns, frame_id)
     message.value = float(reading.value)
-    message.index = int(reading.index)
+    message.index = index
     message.phase = int(reading.phase)
     message.source = reading.source
     message.flags = int(reading.flags)

@@ -61,57 +61,43 @@ class MoistureNode(DeviceNode):
         self._index = 0
         # Readings are few and each counts: always reliable, and late joiners get the newest.
         self._publisher = self.create_stream_publisher(Moisture, "moisture", LATCHED_QOS)
-        self._service = self.create_service(SetMoisture, "~/set_moisture", self._on_set_moisture)
-        self._subscription = self.create_stream_subscription(
+        self.create_service(SetMoisture, "~/set_moisture", self._on_set_moisture)
+        self.create_stream_subscription(
             Float64, "~/entered", self._on_entered, QoSProfile(depth=10)
         )
-
-    def destroy_interfaces(self) -> None:
-        self.destroy_service(self._service)
-        self.destroy_subscription(self._subscription)
-        self.destroy_publisher(self._publisher)
 
     def on_sample(self, sample: Reading) -> None:
         self._publish(sample)
 
-    def _left_out(self, reading: Reading, fault: str, reason: str) -> str:
-        """Note that the stamp of a reading is wrong, or without a reason that it is not; the
-        sentence."""
-        if not reason:
-            self.device.cleared(fault)
-            return ""
-        text = (
-            f"reading {reading.value:g} a.u. {reason} and is left out; check the clock that stamps "
-            "it"
-        )
-        self.device.note(fault, text)
-        return text
-
     def _publish(self, reading: Reading) -> str:
         """Publish one reading, or tell why not; called by the device thread, by the executor for
         entered ones."""
-        health = self.device.health
+        device = self.device
+        name = f"reading {reading.value:g} a.u."
+        left_out = "and is left out; check the clock that stamps it"
         with self._publish_lock:
-            ahead = seconds(reading.stamp_ns - self.device.clock.now())
+            ahead = seconds(reading.stamp_ns - device.clock.now())
             # Remembered, one from the future would make all later readings older than itself.
-            early = f"is stamped {ahead:.0f} s ahead of this computer's clock"
-            if text := self._left_out(reading, "ahead", early if ahead > _AHEAD else ""):
+            early = ahead > _AHEAD
+            text = f"{name} is stamped {ahead:.0f} s ahead of this computer's clock {left_out}"
+            device.note_if(early, "ahead", text)
+            if early:
                 return text
             stamp = self._later(reading.stamp_ns)
-            old = "" if self.accept_stamp(stamp) else "is older than the one before it"
-            if text := self._left_out(reading, "backwards", old):
+            old = not self.accept_stamp(stamp)
+            text = f"{name} is older than the one before it {left_out}"
+            device.note_if(old, "backwards", text)
+            if old:
                 return text
-            if reading.flags & FLAG_OUT_OF_RANGE:
-                text = f"reading {reading.value:g} a.u. is outside {_RANGE}; measure again"
-                self.device.note("out_of_range", text)
-                if self.values["out_of_range"] == "drop":
-                    return text
-            else:
-                self.device.cleared("out_of_range")
-            health.sample()
-            reading = replace(reading, stamp_ns=stamp, index=self._index)
+            wild = bool(reading.flags & FLAG_OUT_OF_RANGE)
+            text = f"{name} is outside {_RANGE}; measure again"
+            device.note_if(wild, "out_of_range", text)
+            if wild and self.values["out_of_range"] == "drop":
+                return text
+            device.health.sample()
+            reading = replace(reading, stamp_ns=stamp)
+            self._publisher.publish(fill_moisture(Moisture(), reading, self._index, self.frame))
             self._index += 1
-            self._publisher.publish(fill_moisture(Moisture(), reading, self.frame))
         return ""
 
     def _later(self, stamp_ns: int) -> int:

@@ -5,24 +5,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from finger_common.errors import DeviceError
+
 from .force.source import GOOD, ForceSource, WrenchSample
-
-
-@dataclass(frozen=True)
-class TareResult:
-    """Outcome of a tare.
-
-    bias (6,) in the source's channels, None when refused. offset (6,) N and N m. message: one
-    sentence.
-    """
-
-    bias: np.ndarray | None
-    offset: np.ndarray
-    message: str
 
 
 class TareCollector:
@@ -52,37 +39,32 @@ class TareCollector:
         self._channels.append(sample.channels)
         return (self._stamps[-1] - self._stamps[0]) * 1e-9 >= self._duration
 
-    def result(self, source: ForceSource) -> TareResult:
-        """Offset of what was collected, or why there is none."""
-        nothing = np.zeros(6)
+    def result(self, source: ForceSource) -> tuple[np.ndarray, np.ndarray]:
+        """Bias (6,) in the source's channels and offset (6,) in N and N m of what was collected.
+
+        Raises DeviceError with the reason where that is no tare.
+        """
         if self._bad > 10:
-            return TareResult(None, nothing, "not tared: the sensor reports faults")
+            raise DeviceError("the sensor reports faults")
         if len(self._channels) < 2 * self.PARTS:
-            return TareResult(
-                None,
-                nothing,
-                f"not tared: {len(self._channels)} samples came in {self._duration:g} s, "
-                f"{2 * self.PARTS} are needed; check the sensor, or make 'tare_duration' longer",
+            raise DeviceError(
+                f"{len(self._channels)} samples came in {self._duration:g} s, "
+                f"{2 * self.PARTS} are needed; check the sensor, or make 'tare_duration' longer"
             )
         channels, time = np.array(self._channels), np.array(self._stamps) - self._stamps[0]
         part = np.minimum(time * 1e-9 * self.PARTS / self._duration, self.PARTS - 1).astype(int)
         filled = np.unique(part)
         if len(filled) < self.FILLED:
-            return TareResult(
-                None,
-                nothing,
-                f"not tared: samples came in {len(filled) / self.PARTS:.0%} of "
-                f"{self._duration:g} s only; check the sensor and try again",
+            raise DeviceError(
+                f"samples came in {len(filled) / self.PARTS:.0%} of {self._duration:g} s only; "
+                "check the sensor and try again"
             )
         wrenches = np.array([source.wrench_of(channels[part == p].mean(axis=0)) for p in filled])
         moved = np.ptp(wrenches, axis=0)
         if np.any(moved > self._limits):
-            return TareResult(
-                None,
-                nothing,
-                "not tared: the signal moved by up to "
-                f"{moved[:3].max():.3g} N and {moved[3:].max():.3g} N m; take the finger off and "
-                "try again",
+            raise DeviceError(
+                f"the signal moved by up to {moved[:3].max():.3g} N and {moved[3:].max():.3g} N m; "
+                "take the finger off and try again"
             )
         bias = channels.mean(axis=0)
-        return TareResult(bias, source.wrench_of(bias), "zero set")
+        return bias, source.wrench_of(bias)

@@ -422,7 +422,7 @@ def test_a_pattern_without_a_value_is_refused() -> None:
             lines.compile_pattern(pattern)
 
 
-def test_serial_readings_arrive_with_phase_index_and_time_of_arrival() -> None:
+def test_serial_readings_arrive_with_phase_and_time_of_arrival() -> None:
     with SerialMoistureSimulator() as simulator:
         source = moisture.open_source({"device": "serial", "path": simulator.port})
         simulator.send(99.0)
@@ -435,9 +435,9 @@ def test_serial_readings_arrive_with_phase_index_and_time_of_arrival() -> None:
             before = time.time_ns()
             reading = source.read(2.0)
             assert reading is not None and before < reading.stamp_ns < time.time_ns()
-            sent.append((reading.value, reading.phase, reading.index, reading.flags))
+            sent.append((reading.value, reading.phase, reading.flags))
         source.close()
-    assert sent == [(41.0, 1, 0, 0), (42.5, 2, 1, 0), (131.0, 0, 2, 1)]
+    assert sent == [(41.0, 1, 0), (42.5, 2, 0), (131.0, 0, 1)]
 
 
 def test_the_rest_of_a_line_is_no_reading() -> None:
@@ -545,6 +545,6 @@ def test_export_readings_carry_their_own_time(tmp_path: Path, name: str) -> None
     sent = time.time_ns()
     reading = source.read(5.0)
     assert reading is not None
-    assert (reading.value, reading.phase, reading.index) == (42.5, 2, 0)
+    assert (reading.value, reading.phase) == (42.5, 2)
     # The table has whole seconds.
     assert abs(reading.stamp_ns - sent) < 2e9 and reading.stamp_ns % 10**9 == 0

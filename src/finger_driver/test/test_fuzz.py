@@ -20,6 +20,7 @@ import pytest
 from finger_common.errors import DeviceError
 from finger_driver.force.dbc import SHIPPED, DbcSettings, DbcSource
 from finger_driver.force.netcanoem import NetcanoemSettings, NetcanoemSource
+from finger_driver.force.netcanoem_dialog import Dialog
 from finger_driver.force.netft import NetFtSettings, NetFtSource
 from finger_driver.protocols import lines, netcanoem, netft_xml, rdt
 from finger_driver.protocols.dbc import SampleAssembler, SensorMapping
@@ -93,8 +94,7 @@ def netcanoem_driver(random_: random.Random) -> Iterator[None]:
     source._period = 1e-6
     bus = FuzzBus(random_)
     source.calibration = default_calibration()
-    source._rows = source.calibration.matrix
-    source._bus = bus
+    source._dialog = Dialog(bus, netcanoem.DEFAULT_BASE, 0.001, source, "board")
     source._begin()
     while True:
         before = bus.frames

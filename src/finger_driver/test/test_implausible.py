@@ -28,6 +28,7 @@ from finger_driver.force import (
 from finger_driver.force.netcanoem import NetcanoemSource
 from finger_driver.force.netft import NetFtSettings, NetFtSource
 from finger_driver.protocols import netcanoem, rdt
+from finger_driver.protocols.rdt_order import RecordOrder
 from finger_driver.simulators.netcanoem import NetcanoemSimulator, default_calibration
 from finger_driver.simulators.netft import DEFAULT_CONFIGURATION, NetFtOptions, NetFtSimulator
 
@@ -90,81 +91,22 @@ def test_a_value_beyond_the_sensors_range_is_not_good(value: float, axis: int) -
 # Numbering of RDT --------------------------------------------------------------------------------
 
 
-class Stream:
-    """Records into a driver without a socket; numbers of those that it uses."""
+def test_what_is_wrong_with_the_numbering_is_counted_and_told() -> None:
+    source = NetFtSource(NetFtSettings())
+    source._order = RecordOrder()
 
-    def __init__(self) -> None:
-        self.source = NetFtSource(NetFtSettings())
-        self.source._mapper = None  # type: ignore[assignment]
-        self.source._records, self.source._pending = [], []  # type: ignore[assignment]
-        self.source._last = self.source._held = None
+    def feed(*numbers: int, force: int = 0) -> list[int]:
+        records = [rdt.Record(n, 14 * n, 0, (force, 0, 0, 0, 0, 0)) for n in numbers]
+        return [used.rdt_sequence for r in records for used, _ in source._in_order(r, 0)]
 
-    def feed(self, *numbers: int | rdt.Record) -> list[int]:
-        used = []
-        for number in numbers:
-            record = number if isinstance(number, rdt.Record) else of_number(number)
-            used += [r.rdt_sequence for r, _ in self.source._in_order(record, 0)]
-        return used
-
-    def counted(self, what: str) -> int:
-        return self.source.health.counters[what]
-
-
-def of_number(number: int, force: int = 0) -> rdt.Record:
-    return rdt.Record(number % 2**32, 14 * number % 2**32, 0, (force, 0, 0, 0, 0, 0))
-
-
-def test_a_forged_jump_is_left_out_and_the_stream_goes_on() -> None:
-    stream = Stream()
-    assert stream.feed(10, 11, 5011, 12, 13, 20, 14, 15) == [10, 11, 12, 13, 14, 15]
-    assert stream.counted("jump") == 2 and stream.counted("lost") == 0
-
-
-def test_a_forged_old_number_does_not_end_the_stream() -> None:
-    stream = Stream()
-    assert stream.feed(5000, 5001, 1, 5002, 5003) == [5000, 5001, 5002, 5003]
-    assert stream.counted("jump") == 1
-
-
-def test_records_lost_in_the_network_are_counted_and_the_next_ones_used() -> None:
-    stream = Stream()
-    assert stream.feed(1, 2, 5, 6, 7) == [1, 2, 5, 6, 7]
-    assert stream.counted("lost") == 2 and stream.counted("jump") == 0
-    # Every second one lost: still a stream.
-    assert stream.feed(9, 11, 13, 15) == [9, 11, 13, 15]
-    assert stream.counted("lost") == 6
-
-
-def test_records_that_swapped_places_are_both_used() -> None:
-    stream = Stream()
-    assert stream.feed(1, 3, 2, 4, 2, 5) == [1, 2, 3, 4, 5]
-    assert stream.counted("out_of_order") == 2 and stream.counted("lost") == 0
-    assert stream.feed(10, 9, 11) == [9, 10, 11] and stream.counted("lost") == 3
-
-
-def test_numbers_pass_their_end() -> None:
-    top = 2**32
-    assert Stream().feed(top - 2, top - 1, top, top + 1) == [top - 2, top - 1, 0, 1]
-
-
-def test_a_numbering_begun_anew_ends_the_connection() -> None:
-    stream = Stream()
-    stream.feed(5000, 5001, 1)
+    counters = source.health.counters
+    assert feed(110, 111, 5111, 112, 102, 120, 121) == [110, 111, 112, 120, 121]
+    assert counters["jump"] == 1 and counters["lost"] == 7
+    assert feed(123, 122) == [122, 123] and counters["out_of_order"] == 2
+    assert feed(123, force=5) == [] and "another sender" in source.health.faults["conflict"]
+    assert counters["out_of_order"] == 3 and counters["conflict"] == 1
     with pytest.raises(DeviceError, match="numbering restarted"):
-        stream.feed(2)
-
-
-def test_two_contents_of_one_number_are_reported() -> None:
-    stream = Stream()
-    assert stream.feed(1, of_number(2, force=99), of_number(2), 3) == [1, 2, 3]
-    assert "another sender" in stream.source.health.faults["conflict"]
-    assert stream.feed(3, 3) == [] and stream.counted("conflict") == 1
-
-
-def test_an_internal_number_that_goes_back_is_not_used_alone() -> None:
-    stream = Stream()
-    wild = replace(of_number(3), ft_sequence=1)
-    assert stream.feed(1, 2, wild, of_number(3), 4) == [1, 2, 3, 4]
+        feed(1, 2)
 
 
 def test_datagrams_of_another_sender_are_not_read(box: NetFtSimulator) -> None:

@@ -182,6 +182,28 @@ def test_frames_of_two_readings_are_never_joined(channel: str, fault: str) -> No
         assert np.all(np.abs(wrench - size * direction) <= limit), "two readings were mixed"
 
 
+def test_a_slow_board_is_not_lost_with_one_poll_and_its_fence(channel: str) -> None:
+    """At 3 Hz each poll comes 0.33 s after the reply to the one before; silence is 1 s."""
+    bus, simulator = board(channel)
+    simulator.start()
+    source = driver(channel, rate=3.0, response_timeout=0.05, calibration_check_period=3600.0)
+    try:
+        source.connect()
+        assert source.read(1.0) is not None
+        simulator.faults.set("silent")
+        assert source.read(1.0) is None
+        simulator.faults.set("silent", 0)
+        assert source.read(1.0) is not None
+        simulator.faults.set("silent")
+        with pytest.raises(DeviceError, match="no reply for"):
+            for _ in range(4):
+                source.read(1.0)
+    finally:
+        source.close()
+        simulator.stop()
+        bus.shutdown()
+
+
 @pytest.mark.parametrize("slower", ["own", "other"])
 @pytest.mark.parametrize("other_slot", [0, 3])
 def test_a_second_board_is_named_and_nothing_is_given_whichever_answers_first(

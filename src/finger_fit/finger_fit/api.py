@@ -16,7 +16,7 @@ Everything is in SI: s, N, m², Pa.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -43,7 +43,7 @@ from finger_offline.unloaded import reached_force, unloaded_tare
 
 from .options import FitOptions
 from .problem.trials import smoothed
-from .results import ConditionFit, FitResult, write
+from .results import ConditionFit, FitResult, QuantityResult, write
 from .study import draw, fit_records, provenance
 
 if TYPE_CHECKING:
@@ -51,9 +51,6 @@ if TYPE_CHECKING:
 
 EPOCH = 946_684_800 * NANOSECONDS
 """Stamp (ns) of time 0 of a trial: 2000-01-01."""
-
-ABOUT = ("subject", "condition")
-"""Fields of a trial that tell where it belongs."""
 
 REMEDIES = {
     "unit": "give the indentation in m",
@@ -93,70 +90,38 @@ class Trial:
     indentation_time: Any = None
 
     def record(self, number: int) -> TrialRecord:
-        """As a trial of a bag; number: its place in a list of trials."""
+        """Give the press as a trial of a bag has it; number: its place in a list of trials."""
         name = self.label or f"trial {number}"
-        time, force = _column(self.time, f"{name}: time"), _column(self.force, f"{name}: force")
-        area = _column(self.area, f"{name}: area", gaps=True)
-        frames = time if self.area_time is None else _column(self.area_time, f"{name}: area_time")
-        indented, indentation = np.empty(0), np.empty(0)
+        force = _Signal.of(self, name, "force")
+        area = _Signal.of(self, name, "area", force.time)
+        indentation = _Signal(np.empty(0), np.empty(0))
         if self.indentation is not None:
-            indentation = _column(self.indentation, f"{name}: indentation", gaps=True)
-            own = self.indentation_time
-            indented = time if own is None else _column(own, f"{name}: indentation_time")
-            if not np.isfinite(indentation).any():
-                raise InputError(f"{name}: indentation holds no number; leave it out")
-        for what, other, against in (
-            ("force", force, time),
-            ("area", area, frames),
-            ("indentation", indentation, indented),
-        ):
-            if len(other) != len(against):
-                raise InputError(
-                    f"{name}: {len(other)} values of {what} for {len(against)} times; give as many"
-                )
-        for what, values in (
-            ("time", time), ("area_time", frames), ("indentation_time", indented),
-        ):  # fmt: skip
-            if what == "indentation_time" and self.indentation is None:
-                continue
-            late = np.flatnonzero(~(np.diff(values) > 0))
-            if len(values) < 2 or len(late):
-                at = f" (values {late[0]} and {late[0] + 1} do not)" if len(late) else ""
-                raise InputError(
-                    f"{name}: {what} must increase{at}; sort the rows by time, and drop rows that "
-                    "repeat one"
-                )
-        origin = min(float(min(v[0] for v in (time, frames, indented) if len(v))), 0.0)
-        stamps = _stamps(time, origin)
-        found = presses(stamps, force, ONSET_FORCE, LIFTOFF_FORCE)
-        peaks = [float(force[begin:end].max()) for begin, end in found]
-        least = TrialSettings().minimum_peak
-        if max(peaks, default=0.0) < least:
-            raise InputError(
-                f"{name}: no press of {least:g} N or more, the largest force is "
-                f"{force.max():.3g} N; give the normal force in N, positive when the finger presses"
-            )
-        first, end = found[int(np.argmax(peaks))]
-        peak = max(peaks)
-        measured = np.isfinite(area)
-        last = float(time[min(end, len(time) - 1)])
-        _check_units(name, (float(time[first]), last), peak, frames[measured], area[measured])
+            indentation = _Signal.of(self, name, "indentation", force.time)
+        starts = [s.time[0] for s in (force, area, indentation) if len(s.time)]
+        origin = min(float(min(starts)), 0.0)
+        stamps = _stamps(force.time, origin)
+        first, end = _press(name, stamps, force.values)
+        peak = float(force.values[first:end].max())
+        span = (float(force.time[first]), float(force.time[min(end, len(stamps) - 1)]))
+        seen, indented = area.measured, indentation.measured
+        _check_units(name, span, peak, seen)
         readings = _column(
             [] if self.moisture is None else self.moisture, f"{name}: moisture", True
         )
-        subject, condition = (_code(getattr(self, w), f"{name}: {w}") for w in ABOUT)
-        known = np.isfinite(indentation)
-        index, target = (
-            _scalar(getattr(self, w), f"{name}: {w}") for w in ("index", "target_force")
-        )
+        subject = _code(self.subject, f"{name}: subject")
+        condition = _code(self.condition, f"{name}: condition")
+        index = _scalar(self.index, f"{name}: index")
+        target = _scalar(self.target_force, f"{name}: target_force")
         if not 0.0 <= target <= peak:
             raise InputError(
                 f"{name}: target_force is {target:g} N, the press goes up to {peak:.3g} N; give "
                 "the force at which the loading ends, or 0"
             )
-        touches, smooth = area[measured] > 0, smoothed(time, force, FitOptions.force_cutoff)
-        seen = frames[measured]
-        rest = unloaded_tare(time, force, smooth, seen[touches], seen[~touches])
+        touches = seen.values > 0
+        smooth = smoothed(force.time, force.values, FitOptions.force_cutoff)
+        rest = unloaded_tare(
+            force.time, force.values, smooth, seen.time[touches], seen.time[~touches]
+        )
         record = TrialRecord(
             bag=self.label or f"{subject} {condition}".strip() or "trials",
             session="python",
@@ -166,32 +131,84 @@ class Trial:
             attempt=0,
             target_force=target or reached_force(peak, rest),
             stamp_ns=stamps,
-            force=force,
-            lateral_force=np.zeros(len(force)),
-            area_stamp_ns=_stamps(frames[measured], origin),
-            area=area[measured],
-            area_sd=np.full(int(measured.sum()), np.nan),
+            force=force.values,
+            lateral_force=np.zeros(len(stamps)),
+            area_stamp_ns=_stamps(seen.time, origin),
+            area=seen.values,
+            area_sd=np.full(len(seen.values), np.nan),
             area_flags=np.where(touches, 0, int(AreaFlag.NO_CONTACT)),
-            real_area=np.full(int(measured.sum()), np.nan),
+            real_area=np.full(len(seen.values), np.nan),
             moisture_before=readings.tolist(),
             moisture_after=[],
             onset_ns=int(stamps[first]),
-            liftoff_ns=int(stamps[end]) if end < len(time) else None,
+            liftoff_ns=int(stamps[end]) if end < len(stamps) else None,
             area_source="arrays",
-            indentation_stamp_ns=_stamps(indented[known], origin),
-            indentation=indentation[known],
+            indentation_stamp_ns=_stamps(indented.time, origin),
+            indentation=indented.values,
         )
-        fault = fault_of(record) if known.any() else None
+        fault = fault_of(record) if len(indented.values) else None
         if fault is not None and fault.certain:
             raise InputError(f"{name}: {fault.text}; {REMEDIES[fault.option]}")
         return record
 
 
-def _check_units(
-    name: str, span: tuple[float, float], peak: float, frames: np.ndarray, area: np.ndarray
-) -> None:
-    """Raise InputError for what no press can be: its span (s) and peak (N), the times of its frames
-    (k,) in s and their areas (k,) in m²."""
+@dataclass(frozen=True)
+class _Signal:
+    """Values (n,) of a trial at increasing times (n,) in s, NaN where there is none."""
+
+    time: np.ndarray
+    values: np.ndarray
+
+    @classmethod
+    def of(cls, trial: Trial, name: str, what: str, time: np.ndarray | None = None) -> _Signal:
+        """Check a field of a trial and its times; raises InputError that names the trial.
+
+        time (n,): that of the force, for fields without a time of their own; None for the force.
+        """
+        clock = "time" if time is None else f"{what}_time"
+        given = getattr(trial, clock)
+        if given is not None or time is None:
+            time = _column(given, f"{name}: {clock}")
+        values = _column(getattr(trial, what), f"{name}: {what}", gaps=what != "force")
+        if what == "indentation" and not np.isfinite(values).any():
+            raise InputError(f"{name}: indentation holds no number; leave it out")
+        if len(values) != len(time):
+            raise InputError(
+                f"{name}: {len(values)} values of {what} for {len(time)} times; give as many"
+            )
+        late = np.flatnonzero(~(np.diff(time) > 0))
+        if len(time) < 2 or len(late):
+            at = f" (values {late[0]} and {late[0] + 1} do not)" if len(late) else ""
+            raise InputError(
+                f"{name}: {clock} must increase{at}; sort the rows by time, and drop rows that "
+                "repeat one"
+            )
+        return cls(time, values)
+
+    @property
+    def measured(self) -> _Signal:
+        """The part with values."""
+        known = np.isfinite(self.values)
+        return _Signal(self.time[known], self.values[known])
+
+
+def _press(name: str, stamps: np.ndarray, force: np.ndarray) -> tuple[int, int]:
+    """Find the highest press: its first sample, and the first after it; raises InputError without
+    one."""
+    found = presses(stamps, force, ONSET_FORCE, LIFTOFF_FORCE)
+    peaks = [float(force[begin:end].max()) for begin, end in found]
+    least = TrialSettings().minimum_peak
+    if max(peaks, default=0.0) < least:
+        raise InputError(
+            f"{name}: no press of {least:g} N or more, the largest force is "
+            f"{force.max():.3g} N; give the normal force in N, positive when the finger presses"
+        )
+    return found[int(np.argmax(peaks))]
+
+
+def _check_units(name: str, span: tuple[float, float], peak: float, seen: _Signal) -> None:
+    """Raise InputError for what no press can be: its span (s), its peak (N), and its areas (m²)."""
+    frames, area = seen.time, seen.values
     lasts, (low, high) = span[1] - span[0], PLAUSIBLE_AREA
     if not SHORTEST_PRESS <= lasts <= LONGEST_PRESS:
         raise InputError(f"{name}: the press lasts {lasts:.3g} s; give the time in s")
@@ -309,26 +326,25 @@ class Fit:
         They hold all that is unknown, also the assumed lengths of the finger and the gain of all
         areas. An end at the bound of the search box means that the data do not limit it.
         """
-        found = ByCondition()
-        for name, condition in self.result.fits.items():
-            ends = {q: condition.interval(q) for q in condition.space.quantity_names}
-            found[name] = {q: interval for q, interval in ends.items() if interval is not None}
-        return found
+        return self._intervals(lambda found: found.interval)
 
     @property
     def data_intervals(self) -> ByCondition:
         """Condition → quantity → 95 % interval (low, high) from the data alone: if the lengths of
         the finger and the gain of all areas were as assumed."""
+        return self._intervals(lambda found: found.data_interval)
+
+    def _intervals(self, kind: Callable[[QuantityResult], tuple[float, float]]) -> ByCondition:
         found = ByCondition()
         for name, condition in self.result.fits.items():
-            ends = {q: condition.data_interval(q) for q in condition.space.quantity_names}
-            found[name] = {q: interval for q, interval in ends.items() if interval is not None}
+            ends = {q: kind(condition.found(q)) for q in condition.space.quantity_names}
+            found[name] = {q: interval for q, interval in ends.items() if not np.isnan(interval[0])}
         return found
 
     @property
     def covariance(self) -> ByCondition:
         """Condition → covariance (N, N) of the logarithms of the parameters, in the order of
-        `names`; for a single condition the array itself under its name."""
+        `names`."""
         return ByCondition({n: f.covariance_log() for n, f in self.result.fits.items()})
 
     @property
@@ -391,12 +407,11 @@ class Fit:
         for name, found in self.result.fits.items():
             lines.append(f"{name or 'all'} ({len(found.problem)} presses): {found.status}")
             for quantity in map(found.space.describe, found.space.quantity_names):
-                ends = found.interval(quantity.name)
-                text = quantity.text(found.quantity(quantity.name))
-                span = f"  [{quantity.text(ends[0])}, {quantity.text(ends[1])}]" if ends else ""
-                alone = found.data_interval(quantity.name)
-                if alone is not None:
-                    span += f"  data [{quantity.text(alone[0])}, {quantity.text(alone[1])}]"
+                known, span = found.found(quantity.name), ""
+                for word, ends in (("", known.interval), ("data ", known.data_interval)):
+                    if not np.isnan(ends[0]):
+                        span += f"  {word}[{quantity.text(ends[0])}, {quantity.text(ends[1])}]"
+                text = quantity.text(known.value)
                 lines.append(f"  {quantity.name:12} {text:>9}{span} {quantity.display_unit}")
         return "\n".join(lines)
 

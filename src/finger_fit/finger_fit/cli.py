@@ -37,7 +37,7 @@ from .options import FitOptions
 from .problem import MM4, three_digits
 from .report import find_browser, write_pdf
 from .results import FitResult
-from .study import fit_bags
+from .study import fit_bags, reading
 
 EXAMPLE = (
     "finger-fit out/study/* -o out/fit\n"
@@ -145,13 +145,19 @@ def command(argv: Sequence[str] | None = None) -> int:
             raise InputError(f"{bag}: no such bag; check the path")
     if args.calibration and args.area_per_pixel:
         raise InputError("--calibration and --area-per-pixel: give one of the two")
+    settings = reading(
+        options,
+        args.mapping,
+        normal_axis=args.normal_axis or "",
+        calibration=args.calibration or "",
+        area_per_pixel=args.area_per_pixel,
+    )
     # Before the fit, which is long.
     browser = find_browser() if args.pdf else ""
     model = load_areas(args.model or "", args.geometry, args.law)
     with Screen(args.quiet) as screen:
         result = fit_bags(
-            args.bags, options, args.output, args.condition, model, screen,
-            args.normal_axis, args.calibration, args.mapping, args.area_per_pixel,
+            args.bags, options, args.output, args.condition, model, screen, settings,
             shlex.join(["finger-fit", *given]),
         )  # fmt: skip
     console = Console(width=None if sys.stdout.isatty() else 160)
@@ -162,9 +168,10 @@ def command(argv: Sequence[str] | None = None) -> int:
         print(f"excluded: {plain(exclusion.label)}: {plain(exclusion.reason)}")
     for name, fit in result.fits.items():
         headline = fit.space.describe(fit.space.headline)
-        ends, alone = fit.interval(headline.name), fit.data_interval(headline.name)
-        if ends is not None and alone is not None:
-            whole, part = (" to ".join(map(headline.text, e)) for e in (ends, alone))
+        found = fit.found(headline.name)
+        if not np.isnan(found.data_interval[0]):
+            ends = (found.interval, found.data_interval)
+            whole, part = (" to ".join(map(headline.text, e)) for e in ends)
             print(
                 f"{plain(name)}: {headline.symbol} {whole} {headline.display_unit} (95 %); from "
                 f"the data alone, with lengths and gain as assumed, {part}"

@@ -65,7 +65,7 @@ class LocalEngine:
     def spread(
         self, function: Work, shared: Any, items: Sequence[Any], done: Done | None = None
     ) -> list[Any]:
-        """As `map`, in one process per core."""
+        """Work as `map` does, in one process per core."""
         workers = min(self._processes, len(items))
         if workers < 2:
             return self.map(function, shared, items, done)

@@ -75,7 +75,7 @@ def check_expected(double, nuisances: bool, sensor: float, number: int, toleranc
         if nuisances:
             at = NuisanceModel(problem, options)
             at.noise, at.scatter = plan.area_noise, plan.scatter
-            problem.nuisances = at.linearise(truth)
+            at.apply(truth)
         fit = refine(problem, all_free(problem), truth)
         found.append([problem.space.quantity(n, fit.parameters) for n in predicted.total])
     spread = dict(zip(predicted.total, np.log(found).std(axis=0, ddof=1)))

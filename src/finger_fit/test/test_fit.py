@@ -40,8 +40,7 @@ QUICK = {
 
 
 def test_fit_finds_the_truth_without_noise(double) -> None:
-    problem = double.make_problem()
-    fit = fit_condition(problem, FitOptions(**QUICK))
+    fit = fit_condition(double.make_problem(options=FitOptions(**QUICK)))
     assert fit.quantity("composite_E") == pytest.approx(double.composite(double.TRUTH), rel=0.01)
     assert fit.parameters[3] == pytest.approx(double.TRUTH[3], rel=0.03)
     assert fit.cost * MM4 < 0.05
@@ -50,8 +49,8 @@ def test_fit_finds_the_truth_without_noise(double) -> None:
 
 
 def test_fit_costs_no_more_than_the_truth_and_keeps_the_gap_to_the_power_law(double) -> None:
-    problem = double.make_problem(noise=1.5e-6)
-    fit = fit_condition(problem, FitOptions(**QUICK))
+    problem = double.make_problem(noise=1.5e-6, options=FitOptions(**QUICK))
+    fit = fit_condition(problem)
     at_truth = problem.cost(double.TRUTH)[0]
     assert fit.cost <= 1.05 * at_truth
     gap, true_gap = fit.power_law.cost - fit.cost, fit.power_law.cost - at_truth
@@ -59,19 +58,19 @@ def test_fit_costs_no_more_than_the_truth_and_keeps_the_gap_to_the_power_law(dou
 
 
 def test_fit_is_repeatable_to_the_bit(double) -> None:
-    problem = double.make_problem(noise=1.5e-6, trials=5)
     options = FitOptions(
         full_order=False, bootstrap=3, bias_pairs=2, profiles=False, grid=3, rounds=10
     )
-    first, second = (fit_condition(problem, options) for _ in range(2))
+    problem = double.make_problem(noise=1.5e-6, trials=5, options=options)
+    first, second = (fit_condition(problem) for _ in range(2))
     np.testing.assert_array_equal(first.parameters, second.parameters)
     np.testing.assert_array_equal(first.samples, second.samples)
     assert first.bias_corrected == second.bias_corrected
 
 
 def test_a_swarm_without_polish_has_no_bias_to_correct(double) -> None:
-    problem = double.make_problem(noise=1.5e-6, trials=4)
-    fit = fit_condition(problem, FitOptions(**{**QUICK, "bias_pairs": 2}, rounds=5, polish=False))
+    options = FitOptions(**{**QUICK, "bias_pairs": 2}, rounds=5, polish=False)
+    fit = fit_condition(double.make_problem(noise=1.5e-6, trials=4, options=options))
     assert fit.bias_corrected == {}
     assert "bias_corrected" not in results.condition_dict(fit)
 
@@ -81,12 +80,12 @@ def test_a_corrected_fit_without_polish_is_a_minimum_and_has_its_bias(double) ->
         def areas(self, problem, candidates, done=None):
             return 1.02 * super().areas(problem, candidates)
 
-    problem = double.make_problem(noise=1.5e-6, trials=4)
     options = FitOptions(
         polish=False, profiles=False, bootstrap=0, grid=3, rounds=5, top=1, bias_pairs=2,
         nuisances=False,
     )  # fmt: skip
-    fit = fit_condition(problem, options, better=Better())
+    problem = double.make_problem(noise=1.5e-6, trials=4, options=options)
+    fit = fit_condition(problem, better=Better())
     assert fit.polish is None and fit.correction is not None
     further = refine(fit.problem, all_free(problem), fit.parameters)
     assert further.cost == pytest.approx(fit.cost, rel=1e-4)
@@ -202,7 +201,8 @@ def test_a_subject_has_its_own_exclusions(double) -> None:
 @pytest.mark.parametrize("done", [0, 1])
 def test_an_interruption_of_the_full_order_leaves_one_state(double, done: int) -> None:
     """Before the first run of it, and in the second round of the correction."""
-    problem = double.make_problem(noise=1e-6, trials=4)
+    options = FitOptions(profiles=False, bootstrap=0, bias_pairs=0, grid=3, rounds=5)
+    problem = double.make_problem(noise=1e-6, trials=4, options=options)
     calls = []
 
     class Interrupted(double.Exact):
@@ -213,8 +213,7 @@ def test_an_interruption_of_the_full_order_leaves_one_state(double, done: int) -
             return 1.1 * super().areas(problem, candidates, done)
 
     stop_after = done
-    options = FitOptions(profiles=False, bootstrap=0, bias_pairs=0, grid=3, rounds=5)
-    fit = fit_condition(problem, options, better=Interrupted())
+    fit = fit_condition(problem, better=Interrupted())
     assert fit.status == "interrupted" and len(calls) == done + 1
     areas = fit.problem.areas(fit.parameters)[0]
     assert fit.problem.trial_costs(areas).sum() == pytest.approx(fit.cost)
@@ -227,16 +226,16 @@ def test_an_interruption_of_the_full_order_leaves_one_state(double, done: int) -
 @pytest.mark.parametrize("stop_at", ["grid", "pso", "bootstrap"])
 @pytest.mark.parametrize("signal", [KeyboardInterrupt, Stopped])
 def test_interruption_leaves_the_best_so_far(double, stop_at: str, signal: type) -> None:
-    problem = double.make_problem(noise=1e-6, trials=4)
     options = FitOptions(
         full_order=False, profiles=False, bootstrap=5, bias_pairs=2, grid=4, rounds=10
     )
+    problem = double.make_problem(noise=1e-6, trials=4, options=options)
 
     def progress(condition: str, stage: str, number: int, *_: object) -> None:
         if stage == stop_at and number == 2:
             raise signal
 
-    fit = fit_condition(problem, options, report=progress)
+    fit = fit_condition(problem, report=progress)
     assert fit.status == "interrupted" and fit.reasons
     areas = fit.problem.areas(fit.parameters)[0]
     assert fit.problem.trial_costs(areas).sum() == pytest.approx(fit.cost)
@@ -246,25 +245,26 @@ def test_interruption_leaves_the_best_so_far(double, stop_at: str, signal: type)
 
 
 def test_resumed_fit_equals_the_uninterrupted_one(double, tmp_path: Path) -> None:
-    problem = double.make_problem(noise=1e-6, trials=4)
-    options = {
-        "full_order": False, "profiles": False, "bootstrap": 0, "bias_pairs": 0, "grid": 3,
-        "rounds": 12,
-    }  # fmt: skip
-    whole = fit_condition(problem, FitOptions(**options))
+    options = FitOptions(
+        full_order=False, profiles=False, bootstrap=0, bias_pairs=0, grid=3, rounds=12
+    )
+    problem = double.make_problem(noise=1e-6, trials=4, options=options)
+    whole = fit_condition(problem)
 
     def stop(condition: str, stage: str, number: int, *_: object) -> None:
         if stage == "pso" and number == 5:
             raise KeyboardInterrupt
 
-    cut = fit_condition(problem, FitOptions(**options), folder=tmp_path, report=stop)
+    cut = fit_condition(problem, folder=tmp_path, report=stop)
     assert cut.status == "interrupted"
-    rest = fit_condition(problem, FitOptions(resume=True, **options), folder=tmp_path)
+    resumed = replace(options, resume=True)
+    again = double.make_problem(noise=1e-6, trials=4, options=resumed)
+    rest = fit_condition(again, folder=tmp_path)
     np.testing.assert_array_equal(rest.pso.candidates, whole.pso.candidates)
     np.testing.assert_array_equal(rest.parameters, whole.parameters)
-    other = double.make_problem(noise=1e-6, trials=5)
+    other = double.make_problem(noise=1e-6, trials=5, options=resumed)
     with pytest.raises(InputError, match="another search"):
-        fit_condition(other, FitOptions(resume=True, **options), folder=tmp_path)
+        fit_condition(other, folder=tmp_path)
 
 
 def test_files_hold_every_documented_entry(study, tmp_path: Path) -> None:
@@ -462,11 +462,11 @@ def test_report_draws_and_computes_nothing(written: Path) -> None:
 
 def test_dask_gives_the_local_result_also_after_a_worker_was_killed(double) -> None:
     distributed = pytest.importorskip("distributed")
-    problem = double.make_problem(noise=1e-6, trials=4)
     options = FitOptions(
         full_order=False, profiles=False, bootstrap=12, bias_pairs=3, grid=3, rounds=5
     )
-    local = fit_condition(problem, options)
+    problem = double.make_problem(noise=1e-6, trials=4, options=options)
+    local = fit_condition(problem)
     killed = []
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
@@ -479,7 +479,7 @@ def test_dask_gives_the_local_result_also_after_a_worker_was_killed(double) -> N
                 killed.append(worker.process.pid)
                 os.kill(worker.process.pid, signal.SIGKILL)
 
-        remote = fit_condition(problem, options, engine=engine, report=report)
+        remote = fit_condition(problem, engine=engine, report=report)
         engine.close()
     assert killed
     np.testing.assert_array_equal(remote.samples, local.samples)

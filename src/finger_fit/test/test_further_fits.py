@@ -90,9 +90,7 @@ def test_what_stands_for_the_thickness_is_left_out_where_it_is_fitted(double) ->
     options = FitOptions()
     problem = double.make_problem(trials=3, options=options)
     response = Response(np.array([1.0]), np.array([[0.0, 0.0, -0.3]]))
-    problem.nuisances = NuisanceModel(problem, options, {EPIDERMIS: response}).linearise(
-        double.TRUTH
-    )
+    NuisanceModel(problem, options, {EPIDERMIS: response}).apply(double.TRUTH)
     extended = ThicknessProblem(problem, 0.3e-3, np.zeros((3, len(problem.measured))))
     assert set(problem.nuisances.names) - set(extended.nuisances.names) == {EPIDERMIS}
     assert extended.nuisances.slope.shape[1] == len(extended.nuisances.names)

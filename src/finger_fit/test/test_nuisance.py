@@ -24,7 +24,7 @@ from finger_fit.nuisance.geometry import (
 )
 from finger_fit.nuisance.names import COLLAPSE, LAG, TARE
 from finger_fit.options import FitOptions
-from finger_fit.problem import MM4, FitProblem, Goal, Nuisances, prepare_all
+from finger_fit.problem import MM4, FitProblem, Goal, Nuisance, Nuisances, prepare_all
 from finger_fit.results import fit_dict
 from finger_fit.search import all_free, refine
 from finger_fit.study import fit_records
@@ -92,17 +92,11 @@ def some_nuisances(rng, frames=40, trials=4) -> Nuisances:
     trial_of = np.repeat(np.arange(trials), frames // trials)
     columns = [rng.normal(size=frames), rng.normal(size=frames)]
     columns += [np.where(trial_of == t, 3.0, 0.0) for t in range(trials)]
-    return Nuisances(
-        ("lag", "collapse", *["press_gain"] * trials),
-        np.array([-1, -1, *range(trials)]),
-        rng.normal(size=2 + trials) * 0.1,
-        np.zeros(2 + trials),
-        np.array([0.5, 1.0, *[0.3] * trials]),
-        np.array(columns).T * 1e-6,
-        np.exp(0.1 * rng.normal(size=frames)),
-        1e-13,
-        np.zeros(2 + trials, dtype=bool),
-    )
+    names = ("lag", "collapse", *["press_gain"] * trials)
+    states = rng.normal(size=2 + trials) * 0.1
+    values = zip(names, [-1, -1, *range(trials)], states, [0.5, 1.0, *[0.3] * trials], columns)
+    found = [Nuisance(name, t, at, sd, 1e-6 * column) for name, t, at, sd, column in values]
+    return Nuisances(found, np.exp(0.1 * rng.normal(size=frames)), 1e-13)
 
 
 @pytest.mark.parametrize("loss", ["squares", "huber"])
@@ -116,7 +110,7 @@ def test_elimination_is_the_minimum_over_the_nuisances(loss: str) -> None:
 
     def joint(x: np.ndarray) -> float:
         left = areas * nuisances.factor - measured + nuisances.slope @ (x - nuisances.state)
-        prior = nuisances.variance * (((x - nuisances.mean) / nuisances.sd) ** 2).sum()
+        prior = nuisances.variance * ((x / nuisances.sd) ** 2).sum()
         return float((weight * left**2).sum() + prior) * MM4
 
     best = minimize(joint, nuisances.state, method="BFGS", options={"gtol": 1e-9})
@@ -142,10 +136,10 @@ def test_a_wide_prior_takes_a_nuisance_out_and_a_narrow_one_leaves_j(double) -> 
     plain = problem.cost(1.1 * double.TRUTH)[0]
     none = {"press_gain": False, "tare_sd": 0.0, **SHARED_OUT}
     narrow = NuisanceModel(problem, FitOptions(lag_sd=1e-7, **none))
-    problem.nuisances = narrow.linearise(double.TRUTH)
+    narrow.apply(double.TRUTH)
     assert problem.cost(1.1 * double.TRUTH)[0] == pytest.approx(plain, rel=1e-2)
     wide = NuisanceModel(problem, FitOptions(lag_sd=1.0, **none))
-    problem.nuisances = wide.linearise(double.TRUTH)
+    wide.apply(double.TRUTH)
     assert problem.cost(1.1 * double.TRUTH)[0] < 0.9 * plain
 
 
@@ -203,7 +197,7 @@ def test_a_large_tare_is_believed_where_the_camera_saw_no_contact() -> None:
 def test_a_tare_seen_at_rest_does_not_move_e(double, tare: float) -> None:
     options = FitOptions(**SHARED_OUT)
     problem, found, known = settled(double, options, tare=tare)
-    assert [t.tare for t in problem.trials] == pytest.approx([tare] * 8, abs=0.004)
+    assert [t.drive.tare for t in problem.trials] == pytest.approx([tare] * 8, abs=0.004)
     error = error_of(double, found.fit.parameters)
     assert abs(error) < max(0.03, 0.5 * known.deviation("composite_E"))
 
@@ -221,7 +215,7 @@ def test_a_tare_without_rest_is_estimated_or_in_the_interval(double) -> None:
 def test_the_lag_of_the_images_is_found(double, lag: float) -> None:
     options = FitOptions(**SHARED_OUT)
     problem, found, known = settled(double, options, lag=lag)
-    assert problem.trials[0].lag == pytest.approx(lag, abs=0.008)
+    assert problem.trials[0].drive.lag == pytest.approx(lag, abs=0.008)
     error = error_of(double, found.fit.parameters)
     assert abs(error) < max(0.03, 0.5 * known.deviation("composite_E"))
 
@@ -351,14 +345,14 @@ def test_lengths_widen_the_interval_but_not_that_from_the_data(double) -> None:
         options = FitOptions(area_gain_sd=gain, **quick)
         wide[gain] = fit_records(records, double.HereditaryModel(), options)
     fits = {gain: found.fits["dry"] for gain, found in wide.items()}
-    narrow, broad = (fits[g].data_deviation("composite_E") for g in (0.02, 0.15))
+    narrow, broad = (fits[g].found("composite_E").data_sd for g in (0.02, 0.15))
     assert broad == pytest.approx(narrow, rel=0.1)
-    assert fits[0.15].assumed_deviation("composite_E") > 0.15
-    low, high = fits[0.15].data_interval("composite_E")
+    assert fits[0.15].found("composite_E").assumed_sd > 0.15
+    low, high = fits[0.15].found("composite_E").data_interval
     profile = fits[0.15].profiles["composite_E"].interval
     assert profile[0] < low < fits[0.15].quantity("composite_E") < high < profile[1]
     entry = fit_dict(wide[0.15])["conditions"]["dry"]["from_data"]["composite_E"]
-    assert entry["sd_log_assumed"] == pytest.approx(fits[0.15].assumed_deviation("composite_E"))
+    assert entry["sd_log_assumed"] == pytest.approx(fits[0.15].found("composite_E").assumed_sd)
     (ratio,) = (c for c in wide[0.15].contrasts if c.quantity == "composite_E")
     alone = np.hypot(*(f.covariance.deviation("composite_E") for f in wide[0.15].fits.values()))
     shown = np.log(ratio.ratio_95[1] / ratio.ratio_95[0]) / 3.92

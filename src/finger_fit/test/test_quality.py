@@ -220,6 +220,21 @@ def test_a_failing_check_is_named_and_keeps_a_fit_from_being_final(
     assert any(reason.startswith(f"data: {name}") for reason in fit.reasons)
 
 
+def test_flags_of_frames_after_the_loading_are_not_those_of_equal_areas_within(
+    double: SimpleNamespace,
+) -> None:
+    """Areas rounded to 1 mm² come again while the finger is lifted, saturated there alone."""
+    records = []
+    for index in range(4):
+        record = double.make_record(index, 0.8 + 0.4 * index, 0.3e-6, release=3.0)
+        lifted = record.area_stamp_ns > record.stamp_ns[int(np.argmax(record.force))]
+        flags = record.area_flags | np.where(lifted, int(AreaFlag.SATURATED), 0)
+        records.append(replace(record, area=np.round(record.area, 6), area_flags=flags))
+    result = fitted(double, records)
+    assert status_of(result, "frames")[0] == "ok"
+    assert [t.saturated for t in result.fits["natural"].quality.trials] == [0] * 4
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

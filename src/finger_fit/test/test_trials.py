@@ -15,7 +15,7 @@ from finger_common.errors import InputError
 from finger_fit.options import FitOptions
 from finger_fit.problem import TrialRejected, prepare, prepare_all
 from finger_fit.study import group_trials
-from finger_fit.study.bags import load
+from finger_fit.study.bags import load, reading
 from finger_fit.study.grouping import best_division, cluster_names, moisture_clusters
 from finger_model.laws import StandardLinearSolid
 
@@ -47,7 +47,7 @@ def test_a_trial_that_was_repeated_is_fitted_by_its_last_attempt(tmp_path) -> No
                 bag.write("wrench", {**header, "wrench": {"force": {"z": -force}}})
                 if k % 50 == 0:
                     bag.write("contact_area", {**header, "gross_area": 4e-5 * force})
-    found = load([tmp_path], FitOptions(), area_per_pixel=1e-9)
+    found = load([tmp_path], reading(FitOptions(), area_per_pixel=1e-9))
     assert any("not used; measure the images again with --vision" in p for p in found.problems)
     assert [record.attempt for record in found.records] == [1]
     assert [e.reason for e in found.exclusions] == ["attempt 0, done again"]

@@ -121,17 +121,7 @@ def state_numbers(estimate: ContactEstimate) -> tuple[float, ...]:
 
 def slip_numbers(estimate: SlipEstimate, lateral_axes: tuple[int, int]) -> tuple[float, ...]:
     """Numbers of a finger_msgs/ContactSlip in the order of its fields, without its text."""
-    stamp, normal_force, force, *middle, moved, stiffness, slips, flags = estimate
-    return (
-        *divmod(stamp, NANOSECONDS),
-        normal_force,
-        *in_space(force, lateral_axes),
-        *middle,
-        *in_space(moved, lateral_axes),
-        stiffness,
-        slips,
-        flags,
-    )
+    return _numbers(estimate, lateral_axes)
 
 
 def outline_of(message: Any) -> MeasuredOutline:
@@ -147,32 +137,16 @@ def outline_of(message: Any) -> MeasuredOutline:
 
 def shape_numbers(shape: ShapeEstimate) -> tuple[float, ...]:
     """Numbers of a finger_msgs/ContactShape in the order of its fields, without its text."""
-    stamp, area, axes, angle, center, pressure, *pose = shape
-    return (
-        *divmod(stamp, NANOSECONDS),
-        area,
-        *axes,
-        angle,
-        *(*center, 0.0),
-        *(*pressure, 0.0),
-        *pose,
-    )
+    return _numbers(shape, (0, 1))
 
 
 def shape_fields(shape: ShapeEstimate, frame_id: str = "") -> dict[str, Any]:
     """Fields of a finger_msgs/ContactShape."""
-    stamp, area, axes, angle, center, pressure, *pose = shape
-    names = ("pad_aspect", "pad_aspect_stddev", "pitch", "pitch_stddev", "roll", "roll_stddev")
-    return {
-        "header": {"stamp": time_fields(stamp), "frame_id": frame_id},
-        "area": area,
-        "semi_axis_major": axes[0],
-        "semi_axis_minor": axes[1],
-        "angle": angle,
-        "center": {"x": center[0], "y": center[1], "z": 0.0},
-        "center_of_pressure": {"x": pressure[0], "y": pressure[1], "z": 0.0},
-        **dict(zip((*names, "flags"), pose)),
-    }
+    fields = shape._asdict()
+    header = {"stamp": time_fields(fields.pop("stamp_ns")), "frame_id": frame_id}
+    for name in ("center", "center_of_pressure"):
+        fields[name] = dict(zip("xy", fields[name]))
+    return {"header": header, **fields}
 
 
 def torque_of(message: Any) -> tuple[float, float, float]:
@@ -181,8 +155,19 @@ def torque_of(message: Any) -> tuple[float, float, float]:
     return torque.x, torque.y, torque.z
 
 
-def in_space(vector: tuple[float, float], lateral_axes: tuple[int, int]) -> list[float]:
-    """Vector (3,) in sensor axes of one (2,) along the two lateral axes."""
-    found = [0.0, 0.0, 0.0]
-    found[lateral_axes[0]], found[lateral_axes[1]] = vector
-    return found
+def _numbers(
+    estimate: SlipEstimate | ShapeEstimate, vector_axes: tuple[int, int]
+) -> tuple[float, ...]:
+    """Stamp and fields of an estimate one after the other; a vector (2,) of it is one (3,) of the
+    message, along these axes."""
+    found: list[float] = [*divmod(estimate.stamp_ns, NANOSECONDS)]
+    first, second = vector_axes
+    values: tuple[Any, ...] = estimate[1:]
+    for value in values:
+        if isinstance(value, tuple):
+            vector = [0.0, 0.0, 0.0]
+            vector[first], vector[second] = value
+            found += vector
+        else:
+            found.append(value)
+    return tuple(found)

@@ -14,10 +14,9 @@ import json
 import math
 import threading
 import time
-from array import array
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -34,7 +33,7 @@ from std_srvs.srv import Trigger
 
 from finger_common.cli import one_line
 from finger_common.diagnostics import ERROR, OK, WARN, Health
-from finger_common.errors import FingerError, InputError
+from finger_common.errors import FingerError
 from finger_common.flags import StateFlag
 from finger_common.moisture import MOISTURE_TEXT, is_moisture
 from finger_common.node import (
@@ -53,7 +52,6 @@ from finger_common.node import (
 from finger_common.parameter_values import parameter_values
 from finger_common.settings import Settings, setting
 from finger_common.stamps import seconds
-from finger_common.trial_phases import TrialPhase
 from finger_msgs.msg import (
     ContactArea,
     ContactShape,
@@ -67,13 +65,15 @@ from finger_msgs.msg import (
 from finger_msgs.srv import ForceForArea, PredictContact
 
 from .anthropometry import GeometryEstimate, session_estimate
-from .calibration import Calibration, CalibrationPress, calibrate, on_level_plate, subject_model
+from .calibration import CalibrationPress
 from .estimator import ContactEstimate, ContactEstimator, EstimatorEvent, EstimatorSettings
 from .estimator.estimator import FUTURE
 from .estimator.events import ANOTHER_SUBJECT
 from .estimator.parameter_selection import check_sets
 from .finger import load_for, load_reduced
+from .followers import Followers
 from .geometry import Geometry
+from .latency import LatencyHistogram
 from .lateness import Lateness
 from .messages import (
     area_of,
@@ -88,11 +88,11 @@ from .messages import (
     wrench_of,
 )
 from .parameter_sets import ParameterSets
-from .pose.estimator import PoseEstimator
 from .pose.settings import PoseSettings
 from .reduced.model import ReducedModel, load_population
-from .slip import SlipEstimator, SlipSettings
-from .subjects import PressCollector, check_folder, save_subject, subject_file
+from .slip import SlipSettings
+from .subject_calibration import PressCollector, fit_subject, keep_subject, why_refused
+from .subjects import subject_file
 from .warm_up import warm_up
 
 
@@ -137,6 +137,8 @@ class ModelSettings(Settings):
     )
 
 
+Vector = tuple[float, float, float]
+
 SAMPLES_PER_CALLBACK = 64
 """Waiting samples processed in one callback, before other callbacks have their turn."""
 
@@ -159,28 +161,52 @@ _WARNINGS = {
 _NO_AREA = "in contact for longer than area_stale_after, and no area was fused in this contact"
 
 
-class LatencyHistogram:
-    """Counts of delays in steps of 10 µs up to 100 ms."""
+class _Texted:
+    """Serializes messages of one type whose texts change seldom.
 
-    STEP = 10_000
-    SIZE = 10_000
+    prototype: makes a message of its texts.
+    """
 
-    def __init__(self) -> None:
-        # An array, since turning a long list into one holds up every thread for a millisecond.
-        self.counts = array("q", bytes(8 * (self.SIZE + 1)))
+    def __init__(self, prototype: Callable[..., Any]) -> None:
+        self._prototype = prototype
+        self._texts: tuple[str, ...] | None = None
 
-    def add(self, nanoseconds: int) -> None:
-        """Count one delay (ns)."""
-        self.counts[min(max(nanoseconds, 0) // self.STEP, self.SIZE)] += 1
+    def pack(self, texts: tuple[str, ...], numbers: tuple[float, ...]) -> bytes:
+        """The message with these texts and numbers, in the order of its fields."""
+        if texts != self._texts:
+            self._texts, self._message = texts, FixedMessage(self._prototype(*texts))
+        return self._message.pack(*numbers)
 
-    def percentile(self, percent: float) -> float:
-        """Upper edge (ms) of the step that holds the percentile; NaN without samples."""
-        counts = np.array(memoryview(self.counts))
-        total = counts.sum()
-        if not total:
-            return float("nan")
-        at = int(np.searchsorted(np.cumsum(counts), total * percent / 100.0))
-        return (at + 1) * self.STEP * 1e-6
+
+@dataclass
+class _Run:
+    """The estimator with what follows it, and what the node has seen since it was activated."""
+
+    followers: Followers
+    reason: str = "start"
+    first_stamp: int | None = None
+    """Of the first sample, before which the start is not told; None until it comes."""
+    before: tuple[Vector, Vector] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    """Force and torque of the newest sample, which may wait for the next one."""
+    sampled_at: float = -math.inf
+    unused_areas: list[int] = field(default_factory=list)
+    jumped: bool = False
+    last: ContactEstimate | None = None
+    flags: int = 0
+    area_received: bool = False
+    latency: LatencyHistogram = field(default_factory=LatencyHistogram)
+    age: LatencyHistogram = field(default_factory=LatencyHistogram)
+
+    @property
+    def estimator(self) -> ContactEstimator:
+        """The estimator in use."""
+        return self.followers.estimator
+
+    def begin_anew(self, estimator: ContactEstimator, reason: str) -> None:
+        """Go on with another estimator from the next sample on."""
+        self.followers.estimator = estimator
+        self.followers.keep_up()
+        self.reason, self.first_stamp, self.unused_areas = reason, None, []
 
 
 class ModelNode(ManagedNode):
@@ -199,37 +225,24 @@ class ModelNode(ManagedNode):
         # Apart from the stream, so that a warning of an input does not hide a silent sensor.
         self.inputs = Health("inputs")
         self.healths += [self.health, self.inputs]
-        self.estimator: ContactEstimator | None = None
         self._model: ReducedModel | None = None
         self._sets: ParameterSets | None = None
-        self._active = False
+        self._run: _Run | None = None
         self._reading: tuple[int, float] | None = None
         self._readings: deque[tuple[int, float]] = deque(maxlen=64)
-        self._started = False
-        self._first_stamp = 0
-        self._start_reason = "start"
-        self._sampled_at = -math.inf
-        self._unused_areas: list[int] = []
-        self._jumped = False
         self._sequence = 0
-        self._last: ContactEstimate | None = None
-        self._flags = 0
-        self._area_received = False
         self._late = {
             "late_areas": Lateness("contact areas"),
             "late_moistures": Lateness("moisture readings"),
         }
         self._lock = threading.RLock()
-        self._serializer: tuple[tuple[str, str], FixedMessage] | None = None
-        self._slip: SlipEstimator | None = None
-        self._force: tuple[float, float, float] = (0.0, 0.0, 0.0)
-        self._slip_serializer: tuple[str, FixedMessage] | None = None
-        self._pose: PoseEstimator | None = None
-        self._torque: tuple[float, float, float] = (0.0, 0.0, 0.0)
-        self._shape_serializer: tuple[str, FixedMessage] | None = None
+        self._pack_state = _Texted(
+            lambda frame, name: ContactState(header=Header(frame_id=frame), parameter_set=name)
+        ).pack
+        self._pack_slip = _Texted(lambda frame: ContactSlip(header=Header(frame_id=frame))).pack
+        self._pack_shape = _Texted(lambda frame: ContactShape(header=Header(frame_id=frame))).pack
         self._wrench: Any = None
         self._local: LocalSubscription | None = None
-        self._latency, self._age = LatencyHistogram(), LatencyHistogram()
         self._entities: list[tuple[Any, Any]] = []
         self._jump_handle: Any = None
         self._subject = ""
@@ -248,7 +261,7 @@ class ModelNode(ManagedNode):
             # The kernels of a finger of its own lengths, which a subject may bring.
             warm_up(ContactEstimator(load_population(Geometry())))
         warm_up(self._new_estimator(self._sets))
-        self.estimator = self._new_estimator(self._sets)
+        self._run = self._new_run(self._sets)
         self._sequence = 0
         self.health.stale_after = values["force_stale_after"]
         qos = self.stream_qos()
@@ -317,30 +330,19 @@ class ModelNode(ManagedNode):
         """Begin with a finger at rest."""
         assert self._model is not None
         self._follow_wrench()
-        sets, self._collector = self._sets_of(self._subject), PressCollector()
-        self.estimator = self._new_estimator(sets)
+        self._collector = PressCollector()
+        self._run = self._new_run(self._sets_of(self._subject))
         if self._reading is not None:
-            self.estimator.add_moisture(*self._reading)
-        self._slip = self._new_slip_estimator()
-        self._pose = None
-        self._started = False
-        self._start_reason = "start"
-        self._sampled_at = -math.inf
-        self._unused_areas = []
-        self._jumped = False
-        self._last = None
-        self._flags = 0
-        self._area_received = False
-        self._latency, self._age = LatencyHistogram(), LatencyHistogram()
+            self._run.estimator.add_moisture(*self._reading)
         # What exists now lives as long as the node; the garbage collector leaves it alone.
         gc.collect()
         gc.freeze()
-        self._active = True
 
     def deactivate(self) -> None:
         """Take no more samples."""
+        # A sample that another thread took before is done with when this returns.
         with self._lock:
-            self._active = False
+            pass
 
     def cleanup(self) -> None:
         """Disconnect."""
@@ -352,8 +354,7 @@ class ModelNode(ManagedNode):
             self._local = None
         self._follow_wrench()
         with self._lock:
-            self._active = False
-            self.estimator = None
+            self._run = None
         if self._jump_handle is not None:
             self._jump_handle.unregister()
             self._jump_handle = None
@@ -363,10 +364,11 @@ class ModelNode(ManagedNode):
 
     def parameters_changed(self, changes: dict[str, Any]) -> None:
         """New settings or parameter sets, from the next sample on."""
-        assert self.estimator is not None
+        run = self._run
+        assert run is not None
         merged = {**self.values, **changes}
         settings, slip = EstimatorSettings.select(merged), SlipSettings.select(merged)
-        PoseSettings.select(merged)
+        pose = PoseSettings.select(merged)
         sets = self._load_sets(merged["parameter_file"]) if "parameter_file" in changes else None
         # Nothing is refused from here on; what is made anew has all of the changes.
         self.values = merged
@@ -375,24 +377,12 @@ class ModelNode(ManagedNode):
         with self._lock:
             if changed:
                 reason = f"parameter {', '.join(changed)} set"
-                self._publish_event(self.estimator.change_settings(settings, reason))
-            if "normal_axis" in changes:
-                self._slip = self._new_slip_estimator()
-            elif self._slip is not None:
-                self._slip.configure(slip)
-            of_pose = PoseSettings.parameters()
-            if any(name == "normal_axis" or name in of_pose for name in changes):
-                self._pose = None
+                self._publish_event(run.estimator.change_settings(settings, reason))
+            run.followers.configure(slip, pose if merged["contact_shape"] else None)
             if sets is not None:
                 self._sets = sets
                 reason = f"parameter file {changes['parameter_file'] or 'unset, shipped sets'}"
                 self._use_sets(self._sets_of(self._subject), reason, forget=False)
-
-    def _new_slip_estimator(self) -> SlipEstimator:
-        found = SlipEstimator(self.settings(SlipSettings), self.values["normal_axis"])
-        if self.estimator is not None:
-            found.assume(self.estimator.model.geometry, self.estimator.material)
-        return found
 
     def _load_sets(self, path: str) -> ParameterSets:
         sets = ParameterSets.load(path) if path else ParameterSets.default()
@@ -412,6 +402,15 @@ class ModelNode(ManagedNode):
 
     def _new_estimator(self, sets: ParameterSets) -> ContactEstimator:
         return ContactEstimator(self._model_of(sets), sets, self.settings(EstimatorSettings))
+
+    def _new_run(self, sets: ParameterSets) -> _Run:
+        pose = self.settings(PoseSettings) if self.values["contact_shape"] else None
+        return _Run(Followers(self._new_estimator(sets), self.settings(SlipSettings), pose))
+
+    @property
+    def _running(self) -> _Run | None:
+        """The run, None while the node is not active."""
+        return self._run if self.active else None
 
     # Streams ---------------------------------------------------------------------------------
 
@@ -451,137 +450,95 @@ class ModelNode(ManagedNode):
     def _on_sample(
         self,
         stamp: int,
-        force: tuple[float, float, float],
+        force: Vector,
         frame: str,
         received: int,
-        torque: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        torque: Vector = (0.0, 0.0, 0.0),
     ) -> Callable[[], None] | None:
         """One sample: stamp (ns), force (3,) in N, its frame, when it came (ns), torque (3,) in
         N m. Returns what is left to do, slip and shape: the states of other fingers come first."""
-        left = []
         with self._lock:
-            estimator = self.estimator
-            if not self._active or estimator is None:
+            run = self._running
+            if run is None:
                 return None
-            if not self._started:
-                self._started, self._first_stamp = True, stamp
-                self._publish_event(estimator.start_event(stamp, self._start_reason))
-            self._sampled_at = time.monotonic()
-            if self._unused_areas:
-                self._publish_event(estimator.note_late(areas=self._unused_areas))
-                self._unused_areas = []
-            if self._jumped:
-                self._jumped = False
+            estimator = run.estimator
+            if run.first_stamp is None:
+                run.first_stamp = stamp
+                self._publish_event(estimator.start_event(stamp, run.reason))
+            run.sampled_at = time.monotonic()
+            if run.unused_areas:
+                self._publish_event(estimator.note_late(areas=run.unused_areas))
+                run.unused_areas = []
+            if run.jumped:
+                run.jumped = False
                 last = estimator.last_stamp
                 if last is not None and stamp <= last:
                     self._publish_event(estimator.clock_jump_event(stamp))
-            before, self._force = self._force, force
-            before_torque, self._torque = self._torque, torque
-            for estimate in estimator.add_wrench(stamp, force):
+            estimates = estimator.add_wrench(stamp, force)
+            for estimate in estimates:
                 if self._collector.collecting:
                     self._collector.add_force(estimate.stamp_ns, estimate.normal_force)
-                self._state_publisher.publish(self._serialized(estimate, frame))
+                texts = frame, estimate.parameter_set
+                self._state_publisher.publish(self._pack_state(texts, state_numbers(estimate)))
                 now = time.time_ns()
-                self._latency.add(now - received)
-                self._age.add(now - stamp)
-                self._last = estimate
-                self._flags |= estimate.flags
+                run.latency.add(now - received)
+                run.age.add(now - stamp)
+                run.last = estimate
+                run.flags |= estimate.flags
                 self.health.sample()
-                # A sample that waited for its successor comes with it.
-                if estimate.stamp_ns == stamp:
-                    left.append((estimate, force, torque))
-                else:
-                    left.append((estimate, before, before_torque))
+            # Of two estimates the first is of the sample before, which had waited.
+            samples = (run.before, (force, torque))
+            run.before = samples[1]
+            left = list(zip(estimates, samples[-len(estimates) :]))
         return partial(self._publish_slip_and_shape, left, frame) if left else None
 
-    def _publish_slip_and_shape(self, estimates: list[tuple[Any, ...]], frame: str) -> None:
+    def _publish_slip_and_shape(
+        self, left: list[tuple[ContactEstimate, tuple[Vector, Vector]]], frame: str
+    ) -> None:
+        """Slip, and ellipse and tilt where they are wanted, of estimates with their samples."""
         with self._lock:
-            if not self._active or self.estimator is None:
+            run = self._running
+            if run is None:
                 return
-            for estimate, force, torque in estimates:
-                self._publish_slip(estimate, force, frame)
-                self._publish_shape(estimate, force, torque, frame)
-
-    def _publish_slip(
-        self, estimate: ContactEstimate, force: tuple[float, float, float], frame: str
-    ) -> None:
-        """Slip of the sample."""
-        assert self._slip is not None and self.estimator is not None
-        self._slip.assume(self.estimator.model.geometry, self.estimator.material)
-        found = self._slip.add(estimate, force)
-        if not self._slip_listeners.present():
-            return
-        if self._slip_serializer is None or self._slip_serializer[0] != frame:
-            prototype = ContactSlip(header=Header(frame_id=frame))
-            self._slip_serializer = frame, FixedMessage(prototype)
-        numbers = slip_numbers(found, self._slip.lateral_axes)
-        self._slip_publisher.publish(self._slip_serializer[1].pack(*numbers))
-
-    def _publish_shape(
-        self,
-        estimate: ContactEstimate,
-        force: tuple[float, float, float],
-        torque: tuple[float, float, float],
-        frame: str,
-    ) -> None:
-        """Ellipse and tilt at the sample, where they are wanted."""
-        if not self.values["contact_shape"]:
-            self._pose = None
-            return
-        assert self.estimator is not None
-        if self._pose is None:
-            settings = self.estimator.settings
-            found = self.estimator.pose_correction
-            pose_settings = self.settings(PoseSettings)
-            self._pose = PoseEstimator(found, pose_settings, settings.normal_axis)
-        self._pose.assume(self.estimator.pose_correction)
-        self._pose.follow(estimate, force, torque)
-        if not self._pose.due(estimate.stamp_ns):
-            return
-        if self._shape_serializer is None or self._shape_serializer[0] != frame:
-            prototype = ContactShape(header=Header(frame_id=frame))
-            self._shape_serializer = frame, FixedMessage(prototype)
-        numbers = shape_numbers(self._pose.shape(estimate))
-        self._shape_publisher.publish(self._shape_serializer[1].pack(*numbers))
-
-    def _serialized(self, estimate: ContactEstimate, frame: str) -> bytes:
-        """The estimate as a ContactState."""
-        texts = (frame, estimate.parameter_set)
-        if self._serializer is None or self._serializer[0] != texts:
-            prototype = ContactState(header=Header(frame_id=frame), parameter_set=texts[1])
-            self._serializer = texts, FixedMessage(prototype)
-        return self._serializer[1].pack(*state_numbers(estimate))
+            for estimate, sample in left:
+                slip, shape = run.followers.follow(estimate, *sample)
+                if slip is not None and self._slip_listeners.present():
+                    numbers = slip_numbers(slip, run.followers.lateral_axes)
+                    self._slip_publisher.publish(self._pack_slip((frame,), numbers))
+                if shape is not None:
+                    packed = self._pack_shape((frame,), shape_numbers(shape))
+                    self._shape_publisher.publish(packed)
 
     def _on_area(self, message: ContactArea) -> None:
         with self._lock:
-            if self._active and self.estimator is not None:
-                self._area_received = True
-                area = area_of(message)
-                if self._collector.collecting:
-                    self._collector.add_area(*area)
-                used = self.estimator.add_area(*area, live=True)
-                silent = self._force_is_silent()
-                if not silent:
-                    self._late["late_areas"].add(not used, self._behind(area[0]))
-                if not used and silent:
-                    # One event for all of a pause, when it ends.
-                    self._unused_areas.append(area[0])
-                elif not used:
-                    self._publish_event(self.estimator.note_late(areas=[area[0]]))
-                elif self._slip is not None:
-                    delay = self.estimator.settings.fusion_delay
-                    self._slip.expect_stick_ratio(area[0], *stick_of(message), delay)
-                    if self._pose is not None:
-                        self._pose.expect_outline(area[0], outline_of(message), delay)
+            run = self._running
+            if run is None:
+                return
+            run.area_received = True
+            area = area_of(message)
+            if self._collector.collecting:
+                self._collector.add_area(*area)
+            used = run.estimator.add_area(*area, live=True)
+            silent = self._force_is_silent(run)
+            if not silent:
+                self._late["late_areas"].add(not used, self._behind(run, area[0]))
+            if used:
+                run.followers.see_area(area[0], stick_of(message), outline_of(message))
+            elif silent:
+                # One event for all of a pause, when it ends.
+                run.unused_areas.append(area[0])
+            else:
+                self._publish_event(run.estimator.note_late(areas=[area[0]]))
 
-    def _force_is_silent(self) -> bool:
+    @staticmethod
+    def _force_is_silent(run: _Run) -> bool:
         """Whether no sample came for so long that a stamp ahead of the newest tells nothing."""
-        return time.monotonic() - self._sampled_at > 0.5 * FUTURE
+        return time.monotonic() - run.sampled_at > 0.5 * FUTURE
 
-    def _behind(self, stamp: int) -> float:
+    @staticmethod
+    def _behind(run: _Run, stamp: int) -> float:
         """s by which a stamp is behind the newest force's."""
-        assert self.estimator is not None
-        newest = self.estimator.last_stamp
+        newest = run.estimator.last_stamp
         return 0.0 if newest is None else seconds(newest - stamp)
 
     def _on_moisture(self, message: Moisture) -> None:
@@ -596,17 +553,18 @@ class ModelNode(ManagedNode):
                 return
             self.inputs.recovered("bad_moisture")
             self._reading = reading
-            estimator = self.estimator
-            if not self._active or estimator is None:
+            run = self._running
+            if run is None:
                 return
+            estimator = run.estimator
             if self._collector.collecting:
                 self._collector.add_moisture(reading[1])
-            before = seconds(self._first_stamp - reading[0]) if self._started else 0.0
+            before = 0.0 if run.first_stamp is None else seconds(run.first_stamp - reading[0])
             if estimator.moisture is None and 0.0 < before < self.values["moisture_stale_after"]:
                 # Kept for late joiners, but it came after the first force.
-                self._begin_anew(estimator.model, estimator.parameter_sets)
-            elif not estimator.add_moisture(*reading, live=not self._force_is_silent()):
-                self._late["late_moistures"].add(True, self._behind(reading[0]))
+                self._begin_anew(run, estimator.model, estimator.parameter_sets)
+            elif not estimator.add_moisture(*reading, live=not self._force_is_silent(run)):
+                self._late["late_moistures"].add(True, self._behind(run, reading[0]))
                 self._publish_event(estimator.note_late(moistures=[reading[0]]))
 
     # Subjects --------------------------------------------------------------------------------
@@ -619,13 +577,18 @@ class ModelNode(ManagedNode):
                     self._reading = None
                 reason = (ANOTHER_SUBJECT if self._subject else "subject ") + message.subject
                 self._subject = message.subject
-                if self._active:
+                if self.active:
                     self._use_sets(self._sets_of(message.subject), reason, forget=True)
-            if not self._active or self.estimator is None:
+            run = self._running
+            if run is None:
                 return
-            self._collector.rejected_flags = self.estimator.settings.rejected_area_flags
+            self._collector.rejected_flags = run.estimator.settings.rejected_area_flags
             if self._collector.begins(message.session, message.condition):
-                self._check_calibration(message)
+                # Before somebody presses for it in vain.
+                folder = self.values["subjects_folder"]
+                reason = why_refused(message.index, message.phase, message.note, folder)
+                if reason:
+                    self._refuse_calibration(message, reason)
             of_trial = message.session, message.condition, message.index, message.attempt
             if not self._collector.announce(*of_trial, message.phase):
                 return
@@ -633,28 +596,23 @@ class ModelNode(ManagedNode):
             if self._calibration is not None and self._calibration.is_alive():
                 self._refuse_calibration(message, "the one before is still being computed")
                 return
-            arguments = message.session, message.subject, presses, moisture, self._sets
+            arguments = message, presses, moisture, self._sets
             self._calibration = threading.Thread(
                 target=self._calibrate, args=arguments, name="calibration", daemon=True
             )
             self._calibration.start()
 
-    def _check_calibration(self, message: Trial) -> None:
-        """Refuse a calibration that cannot succeed, before somebody presses for it in vain."""
-        if self._collector.presses_before(message.index, message.phase, message.note):
-            reason = "the model node was started meanwhile and has not seen all presses; begin anew"
-            self._refuse_calibration(message, reason)
-        elif message.phase != TrialPhase.IDLE and self.values["subjects_folder"]:
-            try:
-                check_folder(self.values["subjects_folder"])
-            except InputError as error:
-                self._refuse_calibration(message, one_line(error))
-
     def _refuse_calibration(self, message: Trial, reason: str) -> None:
         self.get_logger().error(f"subject {message.subject} not calibrated: {reason}")
-        status = DiagnosticStatus(level=bytes([ERROR]), name=message.subject, message=reason)
+        self._tell(message, ERROR, reason, {})
+
+    def _tell(self, message: Trial, level: int, text: str, values: dict[str, str]) -> None:
+        """Publish what became of the calibration that a trial belongs to."""
+        status = DiagnosticStatus(level=bytes([level]), name=message.subject, message=text)
         status.hardware_id = message.session
-        self._calibration_publisher.publish(status)
+        status.values = [KeyValue(key=key, value=value) for key, value in values.items()]
+        if rclpy.ok(context=self.context):
+            self._calibration_publisher.publish(status)
 
     def _calipers_of(self, session: str) -> GeometryEstimate | None:
         """What calipers told of the finger of a session, as the protocol node's status has it."""
@@ -681,92 +639,60 @@ class ModelNode(ManagedNode):
 
     def _use_sets(self, sets: ParameterSets, reason: str, forget: bool) -> None:
         """Parameters from the next sample on; the caller holds the lock."""
-        assert self.estimator is not None
+        run = self._run
+        assert run is not None
         model = self._model_of(sets)
-        if not self._started or model.hash != self.estimator.model.hash:
+        if run.first_stamp is None or model.hash != run.estimator.model.hash:
             # A finger of other lengths begins anew.
-            self._begin_anew(model, sets, reason)
+            self._begin_anew(run, model, sets, reason)
             return
-        if sets.hash != self.estimator.parameter_sets.hash:
-            self._publish_event(self.estimator.change_parameters(sets, reason))
+        if sets.hash != run.estimator.parameter_sets.hash:
+            self._publish_event(run.estimator.change_parameters(sets, reason))
         if forget:
-            self._publish_event(self.estimator.reset(reason))
-            self._forget_contacts()
+            self._publish_event(run.estimator.reset(reason))
+        run.followers.keep_up()
 
-    def _begin_anew(self, model: ReducedModel, sets: ParameterSets, reason: str = "start") -> None:
+    def _begin_anew(
+        self, run: _Run, model: ReducedModel, sets: ParameterSets, reason: str = "start"
+    ) -> None:
         """A finger that was not seen before, with the reading there is, from the next sample on,
         whose event names sets and model; the caller holds the lock."""
-        self._start_reason = reason
-        self.estimator = ContactEstimator(model, sets, self.settings(EstimatorSettings))
+        estimator = ContactEstimator(model, sets, self.settings(EstimatorSettings))
         if self._reading is not None:
-            self.estimator.add_moisture(*self._reading)
-        self._started = False
-        self._unused_areas = []
-        self._forget_contacts()
-
-    def _forget_contacts(self) -> None:
-        """Friction and pose of a finger that was not seen before."""
-        if self._slip is not None:
-            assert self.estimator is not None
-            self._slip.reset()
-            # Takes long for a new geometry: not between two samples.
-            self._slip.assume(self.estimator.model.geometry, self.estimator.material)
-        if self._pose is not None:
-            self._pose.reset()
+            estimator.add_moisture(*self._reading)
+        run.begin_anew(estimator, reason)
 
     def _calibrate(
         self,
-        session: str,
-        subject: str,
+        message: Trial,
         presses: list[CalibrationPress],
         moisture: float | None,
         sets: ParameterSets,
     ) -> None:
         """Fit the presses, take the result live and save it; in a thread of its own."""
-        assert self._model is not None
-        began = time.monotonic()
-        status = DiagnosticStatus(level=bytes([OK]), name=subject, hardware_id=session)
+        began, subject = time.monotonic(), message.subject
         try:
-            calipers = self._calipers_of(session)
-            model, lengths = subject_model(self._model_of(sets), calipers, sets)
-            if self.estimator is not None:
-                presses = on_level_plate(presses, model, self.estimator.pose_correction)
+            calipers, run = self._calipers_of(message.session), self._run
+            pose = None if run is None else run.estimator.pose_correction
             settings = self.settings(EstimatorSettings)
-            found = calibrate(model, sets, presses, moisture, settings, lengths)
+            model = self._model_of(sets)
+            found = fit_subject(model, sets, presses, moisture, settings, calipers, pose)
             taken = time.monotonic() - began
             with self._lock:
-                if self._active and self._subject == subject:
+                if self.active and self._subject == subject:
                     self._use_sets(found.sets, f"calibration of subject {subject}", forget=False)
-            status.message = found.sentence()
-            status.values = _values(found, taken)
-            kept = self._keep(subject, found.sets)
-            status.values.append(kept)
-            self.get_logger().info(
-                f"subject {subject} calibrated: {found.sentence()}; {kept.value}"
-            )
-            if kept.key != "file":
-                status.level = bytes([WARN])
-                status.message += f"; {kept.value}"
+            answer = keep_subject(self.values["subjects_folder"], subject, found, taken)
         except Exception as error:
             reason = one_line(error) if isinstance(error, FingerError) else repr(error)
-            status.level, status.message = bytes([ERROR]), reason
-            self.get_logger().error(f"subject {subject} not calibrated: {reason}")
-        if rclpy.ok(context=self.context):
-            self._calibration_publisher.publish(status)
-
-    def _keep(self, subject: str, sets: ParameterSets) -> KeyValue:
-        """Write a subject's parameters: the file, or why there is none."""
-        folder = self.values["subjects_folder"]
-        reason = "the model node has no 'subjects_folder'"
-        if folder:
-            try:
-                return KeyValue(key="file", value=str(save_subject(folder, subject, sets)))
-            except InputError as error:
-                reason = one_line(error)
-        return KeyValue(key="not_kept", value=f"not kept in a file: {reason}")
+            self._refuse_calibration(message, reason)
+            return
+        told = f"{answer.sentence}; {answer.place}"
+        self.get_logger().info(f"subject {subject} calibrated: {told}")
+        self._tell(message, OK if answer.kept else WARN, answer.message, answer.values)
 
     def _on_jump(self, jump: Any) -> None:
-        self._jumped = True
+        if self._run is not None:
+            self._run.jumped = True
         self._readings.clear()
 
     def _publish_event(self, event: EstimatorEvent) -> None:
@@ -778,12 +704,13 @@ class ModelNode(ManagedNode):
 
     def _answer(self, response: Any, request: Callable[[ContactEstimator], None]) -> Any:
         """Carry out a service request; errors become the response's message."""
-        if not self._active or self.estimator is None:
+        run = self._running
+        if run is None:
             response.success, response.message = False, "the node is not active; activate it first"
             return response
         try:
             with self._lock:
-                request(self.estimator)
+                request(run.estimator)
             response.success = True
         except FingerError as error:
             response.success, response.message = False, one_line(error)
@@ -792,7 +719,6 @@ class ModelNode(ManagedNode):
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         def reset(estimator: ContactEstimator) -> None:
             self._publish_event(estimator.reset("service ~/reset"))
-            self._forget_contacts()
             response.message = "reset to a finger at rest that was not seen before"
 
         return self._answer(response, reset)
@@ -815,18 +741,19 @@ class ModelNode(ManagedNode):
 
     def publish_diagnostics(self) -> None:
         """Warnings of the estimates' flags; counters and latency as notes."""
-        if self.estimator is not None and self._active:
+        run = self._running
+        if run is not None:
             # Also what came and went since the diagnostics before.
-            flags, self._flags = self._flags, 0
+            flags, run.flags = run.flags, 0
             for flag, sentence in _WARNINGS.items():
                 key = flag.name.lower()  # type: ignore[union-attr]
-                moisture = math.nan if self._last is None else self._last.moisture
+                moisture = math.nan if run.last is None else run.last.moisture
                 self._warn_while(bool(flags & flag), key, sentence.format(moisture=moisture))
-            self._warn_while(self._area_is_overdue(), "area_missing", _NO_AREA)
+            self._warn_while(self._area_is_overdue(run), "area_missing", _NO_AREA)
             for key, late in self._late.items():
                 sentence = late.look()
                 self._warn_while(bool(sentence), key, sentence)
-            found = self.estimator.mismatch()
+            found = run.estimator.mismatch()
             self._warn_while(
                 bool(flags & StateFlag.MODEL_MISMATCH),
                 "model_mismatch",
@@ -836,12 +763,12 @@ class ModelNode(ManagedNode):
             self.health.notes["finger_deviation_sd"] = f"{found.deviation:.2f}"
             self.health.notes["finger_probability"] = f"{found.probability:.3g}"
             self.health.notes["surprise"] = f"{found.surprise:.2f}"
-            for name, number in self.estimator.statistics().items():
+            for name, number in run.estimator.statistics().items():
                 self.health.notes[name] = str(number)
             self.health.notes["parameters"] = json.dumps(
-                [float(f"{v:.6g}") for v in self.estimator.parameters]
+                [float(f"{v:.6g}") for v in run.estimator.parameters]
             )
-            for name, delays in (("latency", self._latency), ("age", self._age)):
+            for name, delays in (("latency", run.latency), ("age", run.age)):
                 for percent in (50, 99):
                     value = delays.percentile(percent)
                     self.health.notes[f"{name}_p{percent}_ms"] = f"{value:.3f}"
@@ -856,37 +783,25 @@ class ModelNode(ManagedNode):
         else:
             self.inputs.recovered(key)
 
-    def _area_is_overdue(self) -> bool:
+    def _area_is_overdue(self, run: _Run) -> bool:
         """Whether the contact has lasted longer than `area_stale_after` without a fused area.
 
         Never in a rig without a camera: areas must be asked for (`fuse_area`), and one must have
         come or `contact_area` must have a publisher.
         """
-        last = self._last
+        last = run.last
         if last is None or not last.flags & StateFlag.AREA_MISSING:
             return False
         settings = self.settings(EstimatorSettings)
         duration = seconds(last.stamp_ns - last.onset_ns)
         if not settings.fuse_area or duration <= settings.area_stale_after:
             return False
-        return self._area_received or self.count_publishers("contact_area") > 0
-
-
-def _values(found: Calibration, taken: float) -> list[KeyValue]:
-    """Numbers of a calibration with their deviations, for the page and the command."""
-    rows = {}
-    for quantity in found.quantities:
-        rows[quantity.name] = f"{quantity.value:.6g}"
-        rows[f"{quantity.name}_sd"] = f"{quantity.deviation:.3g}"
-    rows["press_scatter"] = f"{found.press_scatter:.4f}"
-    rows["presses"], rows["areas"] = str(found.presses), str(found.areas)
-    rows["computing_s"] = f"{taken:.2f}"
-    return [KeyValue(key=key, value=value) for key, value in rows.items()]
+        return run.area_received or self.count_publishers("contact_area") > 0
 
 
 def _sample_of(
     message: WrenchStamped, info: dict[str, int]
-) -> tuple[int, tuple[float, float, float], str, int, tuple[float, float, float]]:
+) -> tuple[int, Vector, str, int, Vector]:
     """Stamp, force, frame, time of receipt and torque of a message and what the middleware adds."""
     return (
         *wrench_of(message),

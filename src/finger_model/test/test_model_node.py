@@ -46,8 +46,17 @@ from finger_model.messages import (  # noqa: E402
     wrench_of,
 )
 from finger_model.parameter_sets import ParameterSets  # noqa: E402
+from finger_model.pose.estimator import PoseEstimator, ShapeEstimate  # noqa: E402
 from finger_model.reduced import ReducedModel  # noqa: E402
-from finger_msgs.msg import ContactArea, ContactState, ModelEvent, Moisture  # noqa: E402
+from finger_model.slip import SlipEstimate, SlipEstimator  # noqa: E402
+from finger_msgs.msg import (  # noqa: E402
+    ContactArea,
+    ContactShape,
+    ContactSlip,
+    ContactState,
+    ModelEvent,
+    Moisture,
+)
 from finger_msgs.srv import ForceForArea, PredictContact  # noqa: E402
 
 RELIABLE = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
@@ -572,6 +581,12 @@ def test_estimates_have_the_fields_of_the_message_in_its_order() -> None:
     assert ESTIMATE_DTYPE.names == ContactEstimate._fields == tuple(f.name for f in ESTIMATE_FIELDS)
 
 
+def test_slip_and_shape_have_the_fields_of_their_messages_in_their_order() -> None:
+    for estimate, message in ((SlipEstimate, ContactSlip), (ShapeEstimate, ContactShape)):
+        names = list(message.get_fields_and_field_types())
+        assert names == ["header", *estimate._fields[1:]]
+
+
 def serialized(estimate: ContactEstimate) -> ContactState:
     """The message as the node publishes it, through its bytes."""
     prototype = ContactState(parameter_set=estimate.parameter_set)
@@ -604,8 +619,6 @@ def test_slip_goes_out_where_somebody_listens_as_the_core_has_it(
     bench: Bench, process: Callable[..., Any]
 ) -> None:
     from finger_model.messages import slip_numbers
-    from finger_model.slip import SlipEstimator
-    from finger_msgs.msg import ContactSlip
 
     start(process)
     slips: list[ContactSlip] = []
@@ -643,8 +656,6 @@ def test_shape_goes_out_where_it_is_wanted_as_the_core_has_it(
 ) -> None:
     from finger_model.estimator import EstimatorSettings
     from finger_model.messages import shape_numbers
-    from finger_model.pose.estimator import PoseEstimator
-    from finger_msgs.msg import ContactShape
 
     start(process, "contact_shape:=true", "pad_aspect:=1.3", "plate_pitch:=0.2")
     shapes: list[ContactShape] = []
@@ -668,9 +679,9 @@ def test_shape_goes_out_where_it_is_wanted_as_the_core_has_it(
             message.wrench.torque.x, message.wrench.torque.y, _ = torque
             bench.wrench.publish(message)
         for estimate in estimator.add_wrench(stamp, force):
-            core.follow(estimate, force, torque)
-            if core.due(estimate.stamp_ns):
-                wanted.append(layout.pack(*shape_numbers(core.shape(estimate))))
+            shape = core.add(estimate, force, torque)
+            if shape is not None:
+                wanted.append(layout.pack(*shape_numbers(shape)))
     assert len(wanted) > 10
     bench.until(lambda: len(shapes) >= len(wanted))
     for found, values in zip(shapes, wanted):

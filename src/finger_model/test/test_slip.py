@@ -18,7 +18,7 @@ from finger_model.geometry import Geometry
 from finger_model.material import Material
 from finger_model.reduced import ReducedModel
 from finger_model.slip import SlipEstimator, SlipSettings, backbone, kernels
-from finger_model.slip.estimator import slip_estimates
+from finger_model.slip.estimate import slip_estimates
 from finger_model.verification.cases import CALCULIX_FINGER, elastic
 
 RATE = 500.0

@@ -13,8 +13,8 @@ import numpy as np
 from finger_bag.reader import open_bag
 from finger_common.errors import InputError
 from finger_common.image_size import PixelBudget
+from finger_common.mono8 import as_mono8
 from finger_common.stamps import header_stamp, seconds
-from finger_vision.images import as_mono8
 
 from .image_areas import grey_image
 

@@ -1,11 +1,11 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Many estimates at once: to serialized ContactState and ContactSlip, CSV and Parquet."""
+"""Many estimates at once: to serialized messages, CSV and Parquet."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -13,15 +13,19 @@ from typing import Any
 import numpy as np
 
 from finger_bag.cdr_layout import serialized, set_stamps, zero_messages
+from finger_bag.definitions import encode
 from finger_bag.schema import TOPICS
 from finger_common.errors import InputError
 from finger_common.files import atomic_write
 from finger_common.stamps import seconds
 from finger_model.estimator import EstimateBlock
 from finger_model.estimator.estimate import CSV_FIELDS, ESTIMATE_FIELDS
+from finger_model.messages import shape_fields
+from finger_model.pose.estimator import ShapeEstimate
 
 STATE_TYPE = TOPICS["contact_state"].type
 SLIP_TYPE = TOPICS["contact_slip"].type
+SHAPE_TYPE = TOPICS["contact_shape"].type
 
 _COLUMN_FIELDS = {f.column: f for name in CSV_FIELDS for f in ESTIMATE_FIELDS if f.name == name}
 
@@ -52,7 +56,7 @@ def serialize_slips(rows: np.ndarray, axes: tuple[int, int], frame_id: str = "")
     """Rows (n,) of the slip estimator as serialized ContactSlip; axes: its `lateral_axes`."""
     table = zero_messages(SLIP_TYPE, len(rows), {"header.frame_id": frame_id})
     for name in rows.dtype.names or ():
-        if name == "stamp":
+        if name == "stamp_ns":
             set_stamps(table, "header.stamp", rows[name])
         elif rows.dtype[name].shape:
             for k, axis in enumerate(axes):
@@ -60,6 +64,14 @@ def serialize_slips(rows: np.ndarray, axes: tuple[int, int], frame_id: str = "")
         else:
             table[name] = rows[name]
     return serialized(table)
+
+
+def serialize_shapes(
+    shapes: Iterable[tuple[int, ShapeEstimate]], frame_id: str = ""
+) -> Iterator[tuple[int, bytes]]:
+    """Shapes as serialized ContactShape, each with the log time (ns) that it came with."""
+    for log_ns, shape in shapes:
+        yield log_ns, encode(SHAPE_TYPE, shape_fields(shape, frame_id))
 
 
 def columns(block: EstimateBlock, start_ns: int) -> dict[str, np.ndarray]:

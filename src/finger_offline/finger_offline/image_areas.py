@@ -15,21 +15,23 @@ import numpy as np
 
 from finger_bag.definitions import typestore
 from finger_bag.reader import BagMessage, BagReader
-from finger_bag.schema import CALIBRATION_ATTACHMENT
+from finger_bag.streams import AREA
 from finger_common.errors import FingerError, InputError
-from finger_common.image_size import PixelBudget, check_image
+from finger_common.image_files import decode_image
+from finger_common.image_size import PixelBudget
 from finger_common.mono8 import brightest_channel
 from finger_vision.area_sensor import (
     AREA_SENSORS,
     AreaSensor,
     ContactMeasurement,
 )
-from finger_vision.calibration import PlateCalibration
 from finger_vision.messages import contact_area_fields, image_of
 from finger_vision.ridge_motion import RidgeMotion, with_motion
 
-DARKEST = 4096
-"""Value of a 16-bit pixel that some pixel of a recording reaches where the camera fills 16 bits."""
+from .image_settings import ImageSettings
+
+LEAST_BRIGHTEST = 4096
+"""Value that the brightest 16-bit pixel of a recording reaches where the camera fills 16 bits."""
 
 IMAGES_AHEAD = 6
 """Images that may wait to be measured."""
@@ -42,36 +44,9 @@ def grey_image(message: Any) -> np.ndarray:
     """
     if not hasattr(message, "format"):
         return image_of(message)
-    data = np.frombuffer(bytes(message.data), np.uint8)
-    check_image(data.data, f"compressed image ('{message.format[:40]}')")
-    try:
-        image = cv2.imdecode(data, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH)
-    except cv2.error:
-        image = None
-    if image is None:
-        raise InputError(f"compressed image ('{message.format[:40]}') cannot be decoded")
+    where = f"compressed image ('{message.format[:40]}')"
+    image = decode_image(bytes(message.data), where, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH)
     return image if image.ndim == 2 else brightest_channel(image)
-
-
-def calibration_of(
-    reader: BagReader, file: str = "", area_per_pixel: float = 0.0
-) -> PlateCalibration:
-    """Plate calibration from a file or an area (m²), else from the bag's attachment.
-
-    Raises InputError when there is none.
-    """
-    if file:
-        return PlateCalibration.load(file)
-    if area_per_pixel:
-        return PlateCalibration.from_area_per_pixel(area_per_pixel)
-    data = reader.attachment(CALIBRATION_ATTACHMENT)
-    if data is None:
-        raise InputError(
-            f"{reader.path}: no plate calibration attached ({CALIBRATION_ATTACHMENT}); "
-            "give one with --calibration, or --area-per-pixel"
-        )
-    where = f"{reader.path}, {CALIBRATION_ATTACHMENT}"
-    return PlateCalibration.from_yaml(data.decode(errors="replace"), where)
 
 
 class ImageAreas:
@@ -97,21 +72,16 @@ class ImageAreas:
 
     @classmethod
     def for_bag(
-        cls,
-        reader: BagReader,
-        calibration: str = "",
-        area_per_pixel: float = 0.0,
-        area_sensor: str = AREA_SENSORS.default,
-        ridge_motion: bool = False,
+        cls, reader: BagReader, settings: ImageSettings, ridge_motion: bool = False
     ) -> ImageAreas:
-        """With the area sensor's default settings and the bag's calibration.
+        """With the area sensor's default settings; raises InputError without a plate calibration.
 
         ridge_motion: whether ridges are followed from image to image.
         """
-        found = calibration_of(reader, calibration, area_per_pixel)
+        plate = settings.plate(reader)
         pixels = PixelBudget(reader.info.size)
-        sensor = AREA_SENSORS.open({"area_sensor": area_sensor}, found)
-        return cls(sensor, pixels, RidgeMotion(calibration=found) if ridge_motion else None)
+        sensor = AREA_SENSORS.open({"area_sensor": settings.area_sensor}, plate)
+        return cls(sensor, pixels, RidgeMotion(calibration=plate) if ridge_motion else None)
 
     def measure(self, message: Any) -> ContactMeasurement:
         """Measure one image; raises InputError when it is no usable image."""
@@ -128,20 +98,12 @@ class ImageAreas:
     def add(self, item: BagMessage, stamp: int) -> None:
         """Measure one image and keep its area; raises InputError when it is no usable image."""
         found = self.measure(item.message)
-        self._rows.append(
-            (
-                stamp,
-                item.log_time_ns,
-                found.gross_area,
-                found.real_area,
-                found.area_sd,
-                int(found.flags),
-            )
-        )
+        areas = found.gross_area, found.real_area, found.area_sd
+        self._rows.append((stamp, item.log_time_ns, *areas, int(found.flags)))
 
     def problems(self) -> list[str]:
         """Sentences on what the images as a whole lack."""
-        if not 0 < self._brightest < DARKEST:
+        if not 0 < self._brightest < LEAST_BRIGHTEST:
             return []
         return [
             f"the images have 16 bits, but no pixel is brighter than {self._brightest}: a camera "
@@ -149,17 +111,9 @@ class ImageAreas:
             "contacts are hardly seen"
         ]
 
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Columns for SessionStreams."""
-        table = np.array([r[2:5] for r in self._rows], float).reshape(-1, 3)
-        return {
-            "area_stamp_ns": np.array([r[0] for r in self._rows], np.int64),
-            "area_log_ns": np.array([r[1] for r in self._rows], np.int64),
-            "area": table[:, 0],
-            "real_area": table[:, 1],
-            "area_sd": table[:, 2],
-            "area_flags": np.array([r[5] for r in self._rows], np.int64),
-        }
+    def table(self) -> np.ndarray:
+        """The areas (k,), of `finger_bag.streams.AREA`."""
+        return np.array(self._rows, AREA)
 
 
 class MeasuringThread:

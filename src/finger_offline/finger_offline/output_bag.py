@@ -5,24 +5,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from types import TracebackType
-from typing import Any
 
-import numpy as np
-
-from finger_bag.cdr_layout import frame_id_of_cdr
 from finger_bag.copying import announce, copy_attachments
 from finger_bag.reader import BagMessage, BagReader
 from finger_bag.schema import IMAGE_TOPICS, PARAMETERS_ATTACHMENT, TOPICS, spec_of
 from finger_bag.writer import BagWriter
 from finger_common.errors import InputError
 from finger_common.files import read_bytes
-from finger_model.estimator import EstimateBlock, EstimatorEvent
+from finger_model.estimator import EstimatorEvent
 from finger_model.messages import event_fields
 from finger_vision.area_sensor import ContactMeasurement
 
-from .contact_states import serialize
 from .image_areas import area_fields
 from .input_topics import InputTopics, sibling
 from .process_options import ProcessOptions
@@ -50,13 +46,10 @@ class OutputBag:
             "areas_from": "contact_area" if topics.image is None else "images",
         }
         self._reader, self._options = reader, options
-        self._state_topic = sibling(topics.wrench, "contact_state")
-        self._slip_topic = sibling(topics.wrench, "contact_slip")
-        self._shape_topic = sibling(topics.wrench, "contact_shape")
+        self._wrench = topics.wrench
         self._area_topic = sibling(topics.wrench, "contact_area")
         self._event_topic = sibling(topics.wrench, "model_events")
         self._skipped = set(topics.replaced)
-        self._last_log = 0
         self._announced: set[tuple[str, str]] = set()
         self.left_out: dict[tuple[str, str], str] = {}
         """Why topics of the input, by name and type, could not be copied."""
@@ -68,11 +61,10 @@ class OutputBag:
         if self._options.parameter_file:
             data = read_bytes(self._options.parameter_file, "parameter file")
             writer.attach(PARAMETERS_ATTACHMENT, data)
-        writer.add_topic(self._state_topic)
-        if self._options.slip:
-            writer.add_topic(self._slip_topic)
-        if self._options.shape:
-            writer.add_topic(self._shape_topic)
+        options = self._options
+        made = {"contact_state": True, "contact_slip": options.slip, "contact_shape": options.shape}
+        for name in (name for name, wanted in made.items() if wanted):
+            writer.add_topic(sibling(self._wrench, name))
         return self
 
     def __exit__(
@@ -107,36 +99,12 @@ class OutputBag:
         """Write an event of the estimator."""
         self._writer.write(self._event_topic, event_fields(event, 0), log_ns)
 
-    def write_states(
-        self,
-        block: EstimateBlock,
-        stamps: np.ndarray,
-        logs: np.ndarray,
-        wrench: bytes,
-        slips: list[bytes],
-        shapes: list[tuple[int, dict[str, Any]]],
-    ) -> None:
-        """Write estimates, each logged with its wrench.
-
-        stamps, logs (n,): of all wrenches, ns. wrench: one of them, serialized; slips: serialized
-        ContactSlips of the estimates, or none; shapes: number of
-        the estimate and fields of each ContactShape, or none.
-        """
-        own = block.column("stamp_ns")
-        if np.array_equal(own, stamps):
-            times = logs.tolist()
-        else:
-            # Samples that the estimator dropped, such as repeated stamps, have no estimate; one
-            # that waited for its successor may be of the block before.
-            log_of = dict(zip(stamps[::-1].tolist(), logs[::-1].tolist()))
-            times = [log_of.get(stamp, self._last_log) for stamp in own.tolist()]
-        self._last_log = int(logs[-1])
-        states = serialize(block, frame_id_of_cdr(wrench))
-        self._writer.write_many(self._state_topic, states, times)
-        if slips:
-            self._writer.write_many(self._slip_topic, slips, times)
-        for number, fields in shapes:
-            self._writer.write(self._shape_topic, fields, times[number])
+    def write(self, name: str, messages: Iterable[tuple[int, bytes]]) -> None:
+        """Write estimates, serialized, to the topic of this name beside the wrench's; each with its
+        log time (ns)."""
+        topic = sibling(self._wrench, name)
+        for log_ns, message in messages:
+            self._writer.write_raw(topic, message, log_ns)
 
 
 def _is_image(item: BagMessage) -> bool:

@@ -18,14 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
-from finger_bag.cdr_layout import (
-    WRENCH_TYPE,
-    frame_id_of_cdr,
-    stamp_of_cdr,
-    stamps_and_wrenches,
-)
+from finger_bag.cdr_layout import WRENCH_TYPE, stamp_of_cdr
 from finger_bag.reader import BagMessage, BagReader, open_bag
-from finger_bag.streams import Malformed, stamp_and_value, wrong_type
+from finger_bag.streams import Malformed, Wrenches, read_wrenches, stamp_and_value, wrong_type
 from finger_common.errors import FingerError, InputError
 from finger_common.stamps import seconds
 from finger_model.estimator import (
@@ -37,6 +32,7 @@ from finger_model.estimator import (
 )
 from finger_model.estimator.estimate import ESTIMATE_DTYPE
 from finger_model.finger import load_for
+from finger_model.followers import Followers
 from finger_model.messages import (
     NO_OUTLINE,
     NOT_WHOLE,
@@ -44,16 +40,15 @@ from finger_model.messages import (
     event_of,
     moisture_of,
     outline_of,
-    shape_fields,
     stick_of,
 )
 from finger_model.parameter_sets import ParameterSets
-from finger_model.pose.estimator import MeasuredOutline, PoseEstimator, ShapeEstimate
+from finger_model.pose.estimator import MeasuredOutline, ShapeEstimate
 from finger_model.pose.settings import PoseSettings
-from finger_model.slip import SlipEstimator
+from finger_model.slip import SlipSettings
 from finger_vision.area_sensor import ContactMeasurement
 
-from .contact_states import open_table, serialize_slips
+from .contact_states import open_table, serialize, serialize_shapes, serialize_slips
 from .image_areas import ImageAreas, MeasuringThread
 from .input_order import HEAD_START_NS, InputOrder
 from .input_topics import InputTopics
@@ -105,13 +100,7 @@ def process(
         topics = InputTopics.of(reader, options)
         images = None
         if topics.image is not None:
-            areas = ImageAreas.for_bag(
-                reader,
-                options.calibration,
-                options.area_per_pixel,
-                options.area_sensor,
-                ridge_motion=options.slip,
-            )
+            areas = ImageAreas.for_bag(reader, options, ridge_motion=options.slip)
             images = stack.enter_context(MeasuringThread(areas))
         start = None if topics.events is None else _recorded_start(reader, topics.events)
         estimator = _estimator(options, start)
@@ -193,21 +182,20 @@ class _Run:
         self.reader, self.mapping, self.topics = reader, options.mapping, topics
         self.estimator, self.images, self.output, self.sinks = estimator, images, output, sinks
         self.start = start
+        written = output is not None
+        self.followers = Followers(
+            estimator,
+            SlipSettings() if written and options.slip else None,
+            PoseSettings.from_mapping(options.pose) if written and options.shape else None,
+        )
+        # What pictures show beside the areas that wait, by stamp.
+        self.seen: dict[int, tuple[tuple[float, float], MeasuredOutline]] = {}
+        self.before = Wrenches(np.zeros(1, np.int64), np.zeros(1, np.int64), *np.zeros((2, 1, 3)))
         # Images are not held for so long: they need memory.
-        axis = estimator.settings.normal_axis
-        self.slip = SlipEstimator(normal_axis=axis) if options.slip else None
-        self.pose = None
-        if options.shape:
-            settings = PoseSettings.from_mapping(options.pose)
-            self.pose = PoseEstimator(estimator.pose_correction, settings, axis)
-        self._outlines: dict[int, MeasuredOutline] = {}
-        self.last_force = np.zeros(3)
-        self._sticks: dict[int, tuple[float, float]] = {}
         self.queue = InputOrder(topics.events is not None and topics.image is None)
         self.malformed = Malformed()
-        self.decode = reader.decoder(topics.wrench, reader.info.topics[topics.wrench].type)
+        self.decoder = reader.decoder(topics.wrench, WRENCH_TYPE)
         self.started = False
-        self.fingers = estimator.fingers
         self.states = self.areas = 0
 
     def read_all(self, progress: Callable[[float], None] | None) -> None:
@@ -293,8 +281,7 @@ class _Run:
             stamp, value = stamp_and_value(item, mapped)
             if value is None:
                 _, area, sd, flags = area_of(item.message)
-                self._sticks[stamp] = stick_of(item.message)
-                self._outlines[stamp] = outline_of(item.message)
+                self.seen[stamp] = stick_of(item.message), outline_of(item.message)
                 area, sd = area * mapped.scale, sd * mapped.scale
             else:
                 area, sd, flags = value, RELATIVE_AREA_SD * abs(value), 0
@@ -329,8 +316,8 @@ class _Run:
             by_log = self.topics.image_by_log
             stamp = item.log_time_ns if by_log else stamp_of_cdr(item.raw)
             if not measured.flags & NOT_WHOLE:
-                self._sticks[stamp] = measured.motion.stick_ratio, measured.motion.stick_ratio_sd
-                self._outlines[stamp] = measured_outline(measured)
+                stick = measured.motion.stick_ratio, measured.motion.stick_ratio_sd
+                self.seen[stamp] = stick, measured_outline(measured)
             self._add_area(item.log_time_ns, stamp, area, sd, int(measured.flags))
             if self.output is not None:
                 self.output.write_area(measured, stamp, item.log_time_ns)
@@ -345,100 +332,41 @@ class _Run:
                 self.estimator.add_moisture(*values)
             else:
                 used = self.estimator.add_area(*values)
-                stick = self._sticks.pop(values[0], None)
-                if used and stick is not None and self.slip is not None:
-                    delay = self.estimator.settings.fusion_delay
-                    self.slip.expect_stick_ratio(values[0], *stick, delay)
-                outline = self._outlines.pop(values[0], None)
-                if used and outline is not None and self.pose is not None:
-                    delay = self.estimator.settings.fusion_delay
-                    self.pose.expect_outline(values[0], outline, delay)
+                seen = self.seen.pop(values[0], None)
+                if used and seen is not None:
+                    self.followers.see_area(values[0], *seen)
         for items in self.queue.wrenches_due(now_ns):
             self._estimate(items)
 
     def _estimate(self, items: Sequence[BagMessage]) -> None:
         mapped = self.mapping.topic("wrench")
-        stamps, forces, torques = stamps_and_wrenches([i.raw for i in items], self.decode)
-        logs = np.array([i.log_time_ns for i in items], np.int64)
-        good = stamps >= 0
-        if not good.all():
-            reason = f"bytes are not a {WRENCH_TYPE}"
-            self.malformed.add(self.topics.wrench, reason, int((~good).sum()))
-            stamps, forces, logs = stamps[good], forces[good], logs[good]
-            torques = torques[good]
-        if mapped.log_time:
-            stamps = logs.copy()
-        if not len(stamps):
+        found, frame = read_wrenches(items, self.decoder, mapped, self.malformed)
+        if not len(found.stamp_ns):
             return
         if not self.started:
             self.started = True
-            event = self.estimator.start_event(int(stamps[0]), "processed offline")
+            event = self.estimator.start_event(int(found.stamp_ns[0]), "processed offline")
             if self.output is not None:
-                self.output.write_event(event, int(logs[0]))
-        forces = forces * mapped.scale
-        if mapped.scale != 1.0:
-            # The mapping tells the unit of the force alone.
-            torques = np.zeros_like(torques)
-        wrench = items[int(np.argmax(good))].raw
-        frame = frame_id_of_cdr(wrench)
-        place = {stamp: i for i, stamp in reversed(list(enumerate(stamps.tolist())))}
-        rows, shapes, done = [np.empty(0, ESTIMATE_DTYPE)], [], 0
-        slips: list[np.ndarray] = []
-        for part in self.estimator.wrench_parts(stamps, forces):
+                self.output.write_event(event, int(found.log_ns[0]))
+        # The last sample of the block before may have waited for the first of this one.
+        given = Wrenches(*map(np.concatenate, zip(self.before, found)))
+        self.before = Wrenches(*(column[-1:] for column in found))
+        rows, logs = [np.empty(0, ESTIMATE_DTYPE)], []
+        slips: list[bytes] = []
+        shapes: list[tuple[int, ShapeEstimate]] = []
+        for first, part in self.estimator.wrench_parts(found.stamp_ns, found.force):
+            own = slice(first + 1, first + 1 + len(part))
+            log = given.log_ns[own].tolist()
+            slip, shape = self.followers.follow_block(part, given.force[own], given.torque[own])
             rows.append(part.rows)
-            if self.estimator.fingers != self.fingers:
-                self.fingers = self.estimator.fingers
-                for follower in (self.slip, self.pose):
-                    if follower is not None:
-                        follower.reset()
-            if self.pose is not None:
-                self.pose.assume(self.estimator.pose_correction)
-                for k, shape in self._shapes(self.pose, part, place, forces, torques):
-                    shapes.append((done + k, shape_fields(shape, frame)))
-            if self.slip is not None and self.output is not None:
-                self.slip.assume(self.estimator.model.geometry, self.estimator.material)
-                slips.append(self._slips(self.slip, part, place, forces))
-            done += len(part)
-        self.last_force = forces[-1]
+            logs += log
+            slips += serialize_slips(slip, self.followers.lateral_axes, frame)
+            shapes += [(log[number], estimate) for number, estimate in shape]
         block = EstimateBlock(np.concatenate(rows))
         self.states += len(block)
-        if self.output is not None and len(block):
-            slip_messages = []
-            if self.slip is not None:
-                axes = self.slip.lateral_axes
-                slip_messages = serialize_slips(np.concatenate(slips), axes, frame)
-            self.output.write_states(block, stamps, logs, wrench, slip_messages, shapes)
+        if self.output is not None:
+            self.output.write("contact_state", zip(logs, serialize(block, frame)))
+            self.output.write("contact_slip", zip(logs, slips))
+            self.output.write("contact_shape", serialize_shapes(shapes, frame))
         for sink in self.sinks:
             sink(block)
-
-    def _shapes(
-        self,
-        pose: PoseEstimator,
-        block: EstimateBlock,
-        place: dict[int, int],
-        forces: np.ndarray,
-        torques: np.ndarray,
-    ) -> list[tuple[int, ShapeEstimate]]:
-        """The shapes of a block, each with the number of its estimate; place: row of a stamp in the
-        forces and torques (n, 3) of all wrenches."""
-        found = []
-        for k, estimate in enumerate(block):
-            # One that waited for its successor may be of the block before: without torque then.
-            at = place.get(estimate.stamp_ns)
-            torque = torques[at].tolist() if at is not None else (0.0, 0.0, 0.0)
-            pose.follow(estimate, forces[at or 0].tolist(), torque)
-            if pose.due(estimate.stamp_ns):
-                found.append((k, pose.shape(estimate)))
-        return found
-
-    def _slips(
-        self, slip: SlipEstimator, block: EstimateBlock, place: dict[int, int], forces: np.ndarray
-    ) -> np.ndarray:
-        """Slip (n,) of the estimates of a block; place: row of a stamp in the forces (n, 3) of all
-        wrenches."""
-        # One that waited for its successor may be of the block before.
-        own = [
-            forces[place[stamp]] if stamp in place else self.last_force
-            for stamp in block.column("stamp_ns").tolist()
-        ]
-        return slip.add_block(block, np.array(own).reshape(-1, 3))

@@ -11,11 +11,12 @@ from typing import Any
 
 from finger_bag.read_settings import ReadSettings
 from finger_common.settings import setting
-from finger_vision.area_sensor import AREA_SENSORS
+
+from .image_settings import ImageSettings
 
 
 @dataclass(frozen=True)
-class ProcessOptions(ReadSettings):
+class ProcessOptions(ImageSettings, ReadSettings):
     """What to run and to write.
 
     estimator: settings of the estimator by name that replace those recorded. parameter_file,
@@ -27,13 +28,6 @@ class ProcessOptions(ReadSettings):
         "auto",
         "Measure areas in the images; auto: where contact_area is absent.",
         choices=("auto", "yes", "no"),
-    )
-    calibration: str = setting("", "Plate calibration for the images; empty: the one attached.")
-    area_per_pixel: float = setting(
-        0.0, "Area of a pixel in place of a calibration; 0: not given.", unit="m²", minimum=0.0
-    )
-    area_sensor: str = setting(
-        AREA_SENSORS.default, "Area sensor that measures the contact in the images."
     )
     keep_images: bool = setting(False, "Copy images to the new bag.")
     slip: bool = setting(False, "Estimate stick, slip and friction: writes contact_slip.")

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from finger_bag.streams import AREA
 from finger_bag.validate import FAIL, NOTE, OK, CheckedBag, Validation
 
 from .indentation_checks import IndentationFault, indentation_fault
@@ -35,17 +36,12 @@ LATERAL_RATIO = 0.25
 def check_trials(bag: CheckedBag, result: Validation) -> None:
     """Add the checks of the trials in a bag to a validation."""
     streams = bag.streams
-    if not len(streams.area_stamp_ns) and len(streams.image_stamp_ns):
+    if not len(streams.areas) and len(streams.images):
         # The images stand for the areas that will be measured in them.
-        unknown = np.full(len(streams.image_stamp_ns), np.nan)
-        streams = replace(
-            streams,
-            area_stamp_ns=streams.image_stamp_ns,
-            area=unknown,
-            real_area=unknown,
-            area_sd=unknown,
-            area_flags=np.zeros(len(unknown), np.int64),
-        )
+        areas = np.zeros(len(streams.images), AREA)
+        areas["stamp_ns"] = streams.images["stamp_ns"]
+        areas["area"] = areas["real_area"] = areas["sd"] = np.nan
+        streams = replace(streams, areas=areas)
     settings = TrialSettings.of(bag.settings)
     reader = bag.reader
     found = split(streams, reader.info.metadata, settings, str(reader.path))
@@ -64,7 +60,7 @@ def check_trials(bag: CheckedBag, result: Validation) -> None:
         )
     result.add("target force", FAIL if short else OK, detail)
     _check_values(found, result)
-    if len(bag.streams.area_stamp_ns):
+    if len(bag.streams.areas):
         _check_areas(found, result)
     _check_indentation(found, result)
     _check_moisture(found, result)

@@ -28,8 +28,8 @@ from finger_common.settings import setting
 from finger_common.stamps import nanoseconds, seconds
 from finger_common.trial_phases import TrialPhase
 from finger_model.paper import TARGET_FORCE
-from finger_vision.area_sensor import AREA_SENSORS
 
+from .image_settings import ImageSettings
 from .trial_records import Exclusion, TrialRecord, TrialSet
 
 CONDITION = re.compile(r"(?:\w[\w .,+()%-]{0,63})?")
@@ -39,7 +39,7 @@ PULLED = "pulled sideways: a trial for the friction, not for the area"
 
 
 @dataclass(frozen=True)
-class TrialSettings(ReadSettings):
+class TrialSettings(ImageSettings, ReadSettings):
     """How trials are read."""
 
     onset_force: float = setting(
@@ -64,15 +64,6 @@ class TrialSettings(ReadSettings):
         "absent",
         "Measure areas in the images: where contact_area is absent, or always.",
         choices=("absent", "always"),
-    )
-    calibration: str = setting(
-        "", "Plate calibration file for the images; empty: the one attached to the bag."
-    )
-    area_per_pixel: float = setting(
-        0.0, "Area of a pixel in place of a calibration; 0: not given.", unit="m²", minimum=0.0
-    )
-    area_sensor: str = setting(
-        AREA_SENSORS.default, "Area sensor that measures the contact in the images."
     )
 
     def validate(self) -> None:
@@ -114,6 +105,9 @@ class _Press:
     reason: str = ""
 
 
+_SAMPLE = np.dtype([("stamp_ns", "i8"), ("normal", "f8"), ("lateral", "f8")])
+
+
 def split(
     streams: SessionStreams, metadata: SessionMetadata, settings: TrialSettings, bag: str
 ) -> TrialSet:
@@ -121,32 +115,17 @@ def split(
     metadata = SessionMetadata.from_mapping(
         {**metadata.to_mapping(), **{k: str(v) for k, v in settings.mapping.trial.items()}}
     )
-    result = TrialSet(problems=[f"{bag}: {p}" for p in streams.problems])
-    normal = normal_force(streams.force, settings.axis)
-    lateral = lateral_force(streams.force, settings.axis)
-    finite = np.isfinite(normal)
-    if not finite.all():
-        result.problems.append(f"{bag}: {int((~finite).sum())} wrenches without a finite force")
+    recording = _Recording(streams, metadata, settings, bag)
+    stamp, normal = recording.stamp_ns, recording.normal
     doubts = _doubts(streams, bag)
+    result = TrialSet(problems=[f"{bag}: {p}" for p in streams.problems])
+    if recording.unusable:
+        result.problems.append(f"{bag}: {recording.unusable} wrenches without a finite force")
     result.problems += doubts
-    stamp, normal, lateral = in_stamp_order(
-        streams.wrench_stamp_ns[finite], normal[finite], lateral[finite]
-    )
-    areas = list(
-        in_stamp_order(
-            streams.area_stamp_ns,
-            streams.area,
-            streams.area_sd,
-            streams.area_flags,
-            streams.real_area,
-        )
-    )
-    indentation = list(in_stamp_order(streams.indentation_stamp_ns, streams.indentation))
-    found = presses(stamp, normal, settings.onset_force, settings.liftoff_force, settings.merge_gap)
     if streams.trials:
-        chosen, without = _by_messages(streams.trials, stamp, normal, found)
+        chosen, without = _by_messages(streams.trials, stamp, normal, recording.presses)
     else:
-        chosen, without = _by_force(normal, found, settings.minimum_peak), []
+        chosen, without = _by_force(normal, recording.presses, settings.minimum_peak), []
     result.exclusions += [
         Exclusion(bag, e.condition, e.index, reason, e.subject or metadata.subject)
         for e, reason in without
@@ -165,11 +144,8 @@ def split(
             )
         )
     moistures = _assign_moistures(streams.moistures, chosen, stamp)
-    for number, press in enumerate(chosen):
-        record = _record(
-            press, found, number, stamp, normal, lateral, areas, indentation, moistures[number],
-            metadata, settings, bag,
-        )  # fmt: skip
+    for number, (press, moisture) in enumerate(zip(chosen, moistures)):
+        record = recording.trial(press, number, moisture)
         record = replace(record, area_source=streams.area_source, doubts=tuple(doubts))
         reason = press.reason
         if not reason and not len(record.area_stamp_ns):
@@ -185,12 +161,87 @@ def split(
     return result
 
 
+class _Recording:
+    """Streams of one bag in the order of their stamps, and the presses in them.
+
+    unusable: wrenches without a finite force, which are left out.
+    """
+
+    def __init__(
+        self, streams: SessionStreams, metadata: SessionMetadata, settings: TrialSettings, bag: str
+    ) -> None:
+        self._metadata, self._settings, self._bag = metadata, settings, bag
+        samples = np.empty(len(streams.wrenches.stamp_ns), _SAMPLE)
+        samples["stamp_ns"] = streams.wrenches.stamp_ns
+        samples["normal"] = normal_force(streams.wrenches.force, settings.axis)
+        samples["lateral"] = lateral_force(streams.wrenches.force, settings.axis)
+        finite = np.isfinite(samples["normal"])
+        self.unusable = int((~finite).sum())
+        samples = in_stamp_order(samples[finite])
+        self.stamp_ns, self.normal, self._lateral = (
+            np.ascontiguousarray(samples[name]) for name in ("stamp_ns", "normal", "lateral")
+        )
+        self._areas = in_stamp_order(streams.areas)
+        self._indentations = in_stamp_order(streams.indentations)
+        self.presses = presses(
+            self.stamp_ns,
+            self.normal,
+            settings.onset_force,
+            settings.liftoff_force,
+            settings.merge_gap,
+        )
+
+    def trial(
+        self, press: _Press, number: int, moisture: tuple[list[float], list[float]]
+    ) -> TrialRecord:
+        """The trial of a press; number: of the trial in the bag, where no message tells it."""
+        stamp, metadata = self.stamp_ns, self._metadata
+        margin = nanoseconds(self._settings.margin)
+        onset = int(stamp[press.first])
+        last = int(stamp[min(press.end, len(stamp)) - 1])
+        # The margins hold nothing of the presses before and after.
+        low = max((end for _, end in self.presses if end <= press.first), default=0)
+        high = min((first for first, _ in self.presses if first >= press.end), default=len(stamp))
+        low = max(low, int(np.searchsorted(stamp, onset - margin)))
+        high = min(high, int(np.searchsorted(stamp, last + margin, side="right")))
+        areas, indentations = (
+            table[(table["stamp_ns"] >= stamp[low]) & (table["stamp_ns"] <= stamp[high - 1])]
+            for table in (self._areas, self._indentations)
+        )
+        event = press.event
+        index = _integer(metadata.trial_index, number) if event is None else event.index
+        target = _number(event.target_force if event is not None else metadata.target_force)
+        return TrialRecord(
+            bag=self._bag,
+            session=(event.session if event else "") or metadata.session,
+            subject=(event.subject if event else "") or metadata.subject,
+            condition=(event.condition if event else "") or metadata.condition,
+            index=index,
+            attempt=event.attempt if event else 0,
+            target_force=target if target > 0 else TARGET_FORCE,
+            stamp_ns=stamp[low:high],
+            force=self.normal[low:high],
+            lateral_force=self._lateral[low:high],
+            area_stamp_ns=areas["stamp_ns"].copy(),
+            area=areas["area"].copy(),
+            area_sd=areas["sd"].copy(),
+            area_flags=areas["flags"].copy(),
+            real_area=areas["real_area"].copy(),
+            moisture_before=moisture[0],
+            moisture_after=moisture[1],
+            onset_ns=onset,
+            liftoff_ns=int(stamp[press.end]) if press.end < len(stamp) else None,
+            indentation_stamp_ns=indentations["stamp_ns"].copy(),
+            indentation=indentations["indentation"].copy(),
+        )
+
+
 def _doubts(streams: SessionStreams, bag: str) -> list[str]:
     """Stamps that run back: they are put in order, but one of two clocks was wrong."""
     stamps = {
-        "wrench": streams.wrench_stamp_ns,
-        "contact_area": streams.area_stamp_ns,
-        "indentation": streams.indentation_stamp_ns,
+        "wrench": streams.wrenches.stamp_ns,
+        "contact_area": streams.areas["stamp_ns"],
+        "indentation": streams.indentations["stamp_ns"],
     }
     back = {name: int((np.diff(values) < 0).sum()) for name, values in stamps.items()}
     return [
@@ -282,58 +333,6 @@ def _assign_moistures(
         elif not after and following < len(chosen):
             result[following][0].append(reading.value)
     return result
-
-
-def _record(
-    press: _Press,
-    found: Sequence[tuple[int, int]],
-    number: int,
-    stamp: np.ndarray,
-    normal: np.ndarray,
-    lateral: np.ndarray,
-    areas: list[np.ndarray],
-    indentation: list[np.ndarray],
-    moisture: tuple[list[float], list[float]],
-    metadata: SessionMetadata,
-    settings: TrialSettings,
-    bag: str,
-) -> TrialRecord:
-    margin = nanoseconds(settings.margin)
-    onset = int(stamp[press.first])
-    last = int(stamp[min(press.end, len(stamp)) - 1])
-    # The margins hold nothing of the presses before and after.
-    low = max((end for _, end in found if end <= press.first), default=0)
-    high = min((first for first, _ in found if first >= press.end), default=len(stamp))
-    low = max(low, int(np.searchsorted(stamp, onset - margin)))
-    high = min(high, int(np.searchsorted(stamp, last + margin, side="right")))
-    begin, over = int(stamp[low]), int(stamp[high - 1])
-    near, beside = ((stamps >= begin) & (stamps <= over) for stamps in (areas[0], indentation[0]))
-    event = press.event
-    index = _integer(metadata.trial_index, number) if event is None else event.index
-    target = _number(event.target_force if event is not None else metadata.target_force)
-    return TrialRecord(
-        bag=bag,
-        session=(event.session if event else "") or metadata.session,
-        subject=(event.subject if event else "") or metadata.subject,
-        condition=(event.condition if event else "") or metadata.condition,
-        index=index,
-        attempt=event.attempt if event else 0,
-        target_force=target if target > 0 else TARGET_FORCE,
-        stamp_ns=stamp[low:high],
-        force=normal[low:high],
-        lateral_force=lateral[low:high],
-        area_stamp_ns=areas[0][near],
-        area=areas[1][near],
-        area_sd=areas[2][near],
-        area_flags=areas[3][near],
-        real_area=areas[4][near],
-        moisture_before=moisture[0],
-        moisture_after=moisture[1],
-        onset_ns=onset,
-        liftoff_ns=int(stamp[press.end]) if press.end < len(stamp) else None,
-        indentation_stamp_ns=indentation[0][beside],
-        indentation=indentation[1][beside],
-    )
 
 
 def _integer(text: str, default: int) -> int:

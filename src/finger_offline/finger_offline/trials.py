@@ -70,11 +70,7 @@ def streams_with_areas(reader: BagReader, settings: TrialSettings) -> SessionStr
     from_images = settings.image_areas == "always" or not has_areas
     if from_images and not any(find_topic(reader, name, settings) for name in IMAGES):
         raise missing(reader, "contact_area" if settings.image_areas == "absent" else "image_raw")
-    measure = None
-    if from_images:
-        measure = ImageAreas.for_bag(
-            reader, settings.calibration, settings.area_per_pixel, settings.area_sensor
-        )
+    measure = ImageAreas.for_bag(reader, settings) if from_images else None
     streams = read_streams(
         reader,
         settings,
@@ -82,9 +78,7 @@ def streams_with_areas(reader: BagReader, settings: TrialSettings) -> SessionStr
         with_images=from_images,
     )
     if measure is not None:
-        for name, values in measure.arrays().items():
-            setattr(streams, name, values)
-        streams.area_source = "images"
+        streams.areas, streams.area_source = measure.table(), "images"
         streams.problems += measure.problems()
     return streams
 

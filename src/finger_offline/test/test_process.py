@@ -14,9 +14,11 @@ import pytest
 from session_bags import START, wrench
 
 from finger_bag.cli import command
-from finger_bag.definitions import encode
+from finger_bag.definitions import definition_text, encode
 from finger_bag.mapping import TopicMapping
+from finger_bag.read_settings import ReadSettings
 from finger_bag.reader import open_bag
+from finger_bag.streams import read_streams
 from finger_bag.writer import BagWriter
 from finger_common.cli import run
 from finger_common.errors import InputError
@@ -343,6 +345,41 @@ def test_memory_does_not_grow_with_the_bag(tmp_path: Path) -> None:
     finally:
         module._Run._estimate = original  # type: ignore[method-assign]
     assert max(waiting) < 3 * 500
+
+
+def test_a_wrench_of_another_definition_is_read_by_its_own(tmp_path: Path) -> None:
+    """Torque before force: the same numbers as `read_streams` gives."""
+    kind = "geometry_msgs/msg/WrenchStamped"
+    known = definition_text(kind)
+    force, torque = ("geometry_msgs/Vector3 force", "geometry_msgs/Vector3 torque")
+    assert force in known and torque in known
+    turned = known.replace(force, "?").replace(torque, force).replace("?", torque)
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic("wrench", definition=turned)
+        for i in range(500):
+            fields = wrench(START + i * 2_000_000, 1.35)
+            swapped = dict(zip(("force", "torque"), reversed(fields["wrench"].values())))
+            raw = encode(kind, {**fields, "wrench": swapped})
+            bag.write_raw("wrench", raw, START + i * 2_000_000)
+    with open_bag(tmp_path / "bag") as reader:
+        wrenches = read_streams(reader, ReadSettings()).wrenches
+    assert np.all(wrenches.force[:, 2] == -1.35) and np.all(wrenches.torque[:, 0] == 0.001)
+    blocks: list[EstimateBlock] = []
+    assert process(tmp_path / "bag", tmp_path / "out", on_block=blocks.append).problems == []
+    assert np.all(column(blocks, "normal_force") == 1.35)
+    with open_bag(tmp_path / "out") as reader:
+        states = [m.message for m in reader.messages(["/finger/contact_state"])]
+    assert {state.header.frame_id for state in states} == {"force_sensor"}
+
+
+def test_torque_of_a_unit_that_is_not_told_is_left_out(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as bag:
+        for i in range(10):
+            bag.write("wrench", wrench(START + i * 2_000_000, 1350.0))
+    mapping = TopicMapping.from_mapping({"topics": {"wrench": {"unit": "mN"}}})
+    with open_bag(tmp_path / "bag") as reader:
+        wrenches = read_streams(reader, ReadSettings(mapping=mapping)).wrenches
+    assert wrenches.force[:, 2] == pytest.approx(-1.35) and not wrenches.torque.any()
 
 
 def test_a_bag_of_a_failed_run_is_not_left_behind(tmp_path: Path) -> None:

@@ -166,9 +166,9 @@ def live_recording(path: Path, pressed: Path) -> list[bytes]:
             force, torque = ([v.x, v.y, v.z] for v in (force, torque))
             for estimate in estimator.add_wrench(stamp, force):
                 core.assume(estimator.pose_correction)
-                core.follow(estimate, force, torque)
-                if core.due(estimate.stamp_ns):
-                    shapes.append(encode(SHAPE, shape_fields(core.shape(estimate))))
+                shape = core.add(estimate, force, torque)
+                if shape is not None:
+                    shapes.append(encode(SHAPE, shape_fields(shape)))
     return shapes
 
 

@@ -128,9 +128,9 @@ def test_images_of_another_clock_are_stamped_when_they_were_recorded(tmp_path: P
         area = 1e-8
         settings = TrialSettings(mapping=mapping, image_areas="always", area_per_pixel=area)
         measured = streams_with_areas(reader, settings)
-    assert np.array_equal(logged.image_stamp_ns, own.image_log_ns)
-    assert np.array_equal(logged.image_stamp_ns, own.image_stamp_ns + 20_000_000)
-    assert np.array_equal(measured.area_stamp_ns, logged.image_stamp_ns)
+    assert np.array_equal(logged.images["stamp_ns"], own.images["log_ns"])
+    assert np.array_equal(logged.images["stamp_ns"], own.images["stamp_ns"] + 20_000_000)
+    assert np.array_equal(measured.areas["stamp_ns"], logged.images["stamp_ns"])
 
 
 def test_a_camera_that_fills_the_lower_bits_is_named(tmp_path: Path) -> None:
@@ -154,9 +154,9 @@ def test_raw_and_compressed_images_are_the_same_ones(tmp_path: Path) -> None:
             if item.topic == "/finger/image_raw":
                 header = {"stamp": item.log_time_ns}
                 bag.write("image_raw/compressed", {"header": header, "format": "png"})
-        wanted = read_streams(reader, ReadSettings()).image_stamp_ns
+        wanted = read_streams(reader, ReadSettings()).images
     with open_bag(tmp_path / "two") as reader:
-        assert np.array_equal(read_streams(reader, ReadSettings()).image_stamp_ns, wanted)
+        assert np.array_equal(read_streams(reader, ReadSettings()).images, wanted)
 
 
 def test_each_trial_in_a_bag_of_its_own_reads_like_one_session(tmp_path: Path) -> None:
@@ -261,6 +261,7 @@ def test_a_mapping_knows_every_force_unit_of_the_sensors() -> None:
         ({"topics": {"wrench": {"topic": "/x", "scale": 2}}}, "'scale'"),
         ({"topics": {"moisture": {"topic": "/x", "stamp": "now"}}}, "stamp"),
         ({"topics": {"trial": {"topic": "/x", "stamp": "log_time"}}}, "needs its own stamps"),
+        ({"topics": {"indentation": {"topic": "/x", "sign": ["negative"]}}}, "choose positive"),
         ({"topics": [1]}, "'topics'"),
     ],
 )

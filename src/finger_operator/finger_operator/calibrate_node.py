@@ -10,26 +10,36 @@ aborts the session: nothing is written. Once all are made the model node fits an
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.srv import GetParameters, SetParameters
-from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from finger_common.diagnostics import ERROR, Health
 from finger_common.errors import FingerError, InputError
 from finger_common.flags import AreaFlag
 from finger_common.guided_presses import FITTING
-from finger_common.node import LATCHED_QOS, STATE_QOS, ManagedNode, main_of
+from finger_common.node import (
+    LATCHED_QOS,
+    STATE_QOS,
+    ManagedNode,
+    main_of,
+    refusal_of,
+    set_request,
+)
 from finger_common.settings import Settings, setting
 from finger_msgs.msg import ContactArea, ContactState, SessionStatus
 
 from .status_message import status_of
+
+T = TypeVar("T")
+Work = Generator[None, None, T]
+"""Steps of some work, and its result."""
 
 PERIOD = 0.1
 """s between looks at what has come."""
@@ -73,6 +83,11 @@ class CalibrateSettings(Settings):
     )
 
 
+def _problem(text: str) -> InputError:
+    """The error of a sentence that another node gave."""
+    return InputError(text[:1].lower() + text[1:].rstrip("."))
+
+
 class CalibrateNode(ManagedNode):
     """Follows one calibration of the protocol node."""
 
@@ -85,13 +100,14 @@ class CalibrateNode(ManagedNode):
         self._settings = self.settings(CalibrateSettings)
         self._failure: FingerError | None = None
         self._seen: dict[str, float] = {}
-        self._touched = self._touched_since_tare = False
-        self._frames = 0
+        self._frames, self._touched = 0, -1
+        """Areas that came, and the number of the last one with something on the plate."""
         self._shown = ""
         self._session = self._before = ""
         self._newest: SessionStatus | None = None
         self._status: dict[str, Any] = {}
         self._requested = self._under_way = False
+        self._result: DiagnosticStatus | None = None
 
     def activate(self) -> None:
         self._since = self._began = time.monotonic()
@@ -103,8 +119,8 @@ class CalibrateNode(ManagedNode):
         self._triggers = {name: self.create_client(Trigger, name) for name in TRIGGERS}
         self._model = self.create_client(GetParameters, "model/get_parameters")
         self._protocol = self.create_client(SetParameters, "protocol/set_parameters")
-        self._say("waiting for the rig")
-        self._timer = self.create_steady_timer(PERIOD, self._await_rig)
+        self._work = self._steps()
+        self._timer = self.create_steady_timer(PERIOD, self._advance)
 
     def deactivate(self) -> None:
         self.destroy_timer(self._timer)
@@ -124,40 +140,88 @@ class CalibrateNode(ManagedNode):
         else:
             self._say("the protocol node does not answer; end the session on the operator's page")
 
+    # In this order ---------------------------------------------------------------------------
+
+    def _steps(self) -> Work[None]:
+        """All that is done; what comes is looked at between two yields, each PERIOD."""
+        self._say("waiting for the rig")
+        yield from self._await_rig()
+        request = GetParameters.Request(names=["subjects_folder"])
+        answer = yield from self._ask(self._model, request)
+        self._check_folder(answer.values[0].string_value)
+        assert self._newest is not None
+        self._before = self._newest.session
+        if self._newest.step == "finished":  # one that is over but open holds its plan
+            yield from self._call("protocol/close")
+        answer = yield from self._ask(self._protocol, set_request(self._plan()))
+        if reason := refusal_of(answer):
+            raise _problem(reason)
+        self._say("keep the plate empty: the force is tared")
+        while not (yield from self._tare()):
+            self._show("The plate was touched during the tare: once more.")
+        self._requested = True
+        answer = yield from self._ask(self._triggers["protocol/calibrate"], Trigger.Request())
+        self._requested = answer.success  # else there is no session of ours to end
+        if not answer.success:
+            raise _problem(answer.message)
+        self._under_way = True
+        self._on_status(self._newest)
+        yield from self._until(lambda: self._result is not None)
+        self._show_result()
+        yield from self._call("protocol/close")
+
+    def _advance(self) -> None:
+        try:
+            next(self._work)
+        except StopIteration:
+            raise KeyboardInterrupt from None  # Done: end as after Ctrl-C.
+
+    def _until(self, condition: Callable[[], bool]) -> Work[None]:
+        """Let time pass until the condition holds; raises InputError when the rig fails."""
+        self._since = time.monotonic()
+        while not condition():
+            yield
+            self._watch()
+
+    def _ask(self, client: Any, request: Any) -> Work[Any]:
+        """Response of a service."""
+        future = client.call_async(request)
+        yield from self._until(future.done)
+        return future.result()
+
+    def _call(self, name: str) -> Work[None]:
+        """Call a service that has to succeed."""
+        answer = yield from self._ask(self._triggers[name], Trigger.Request())
+        if not answer.success:
+            raise _problem(answer.message)
+
     # Before ------------------------------------------------------------------------------------
 
     def _marking(self, topic: str) -> Callable[[Any], None]:
         def mark(message: Any) -> None:
             self._seen[topic] = time.monotonic()
             if isinstance(message, ContactArea):
-                self._touched = not message.flags & AreaFlag.NO_CONTACT
                 self._frames += 1
-                self._touched_since_tare |= self._touched
+                if not message.flags & AreaFlag.NO_CONTACT:
+                    self._touched = self._frames
 
         return mark
 
-    def _proceed(self, step: Callable[[], None]) -> None:
-        """Call `step` every PERIOD from now on."""
-        self.destroy_timer(self._timer)
-        self._since = time.monotonic()
-        self._timer = self.create_steady_timer(PERIOD, step)
-
-    def _await_rig(self) -> None:
+    def _await_rig(self) -> Work[None]:
         clients = [*self._triggers.values(), self._model, self._protocol]
-        ready = all(client.service_is_ready() for client in clients) and self._newest is not None
-        missing = [text for topic, (_, text) in STREAMS.items() if topic not in self._seen]
-        if not ready or missing:
+        while True:
+            ready = all(c.service_is_ready() for c in clients) and self._newest is not None
+            missing = [text for topic, (_, text) in STREAMS.items() if topic not in self._seen]
+            if ready and not missing:
+                break
             if time.monotonic() - self._since > self._settings.patience:
                 raise InputError(self._absence(clients, missing))
-            return
+            yield
         assert self._newest is not None
         if self._newest.step not in ("closed", "finished"):
             raise InputError(
                 f"a session is open ({self._newest.session}); end and close it before a calibration"
             )
-        self._proceed(self._watch)
-        request = GetParameters.Request(names=["subjects_folder"])
-        self._model.call_async(request).add_done_callback(self._on_folder)
 
     def _absence(self, clients: list[Any], missing: list[str]) -> str:
         if not any(client.service_is_ready() for client in clients):
@@ -169,31 +233,21 @@ class CalibrateNode(ManagedNode):
             return missing[0] + SEE
         return "the rig is not complete: force, model and protocol nodes are needed"
 
-    def _on_folder(self, future: Any) -> None:
-        folder = future.result().values[0].string_value
+    def _check_folder(self, folder: str) -> None:
+        """Raise InputError where the model node keeps no result, or has one already."""
         subject = self._settings.subject
         if not folder:
-            self._fail("the model node has no 'subjects_folder' to keep the result in; set it")
-            return
+            raise InputError(
+                "the model node has no 'subjects_folder' to keep the result in; set it"
+            )
         path = Path(folder).expanduser() / f"{subject}.yaml"
         if path.exists() and not self._settings.again:
-            self._fail(
+            raise InputError(
                 f"subject {subject} is calibrated already ({path}); give --again to replace that"
             )
-        else:
-            self._close_earlier()
 
-    def _close_earlier(self) -> None:
-        """A session that is over but open holds its plan."""
-        assert self._newest is not None
-        self._before = self._newest.session
-        if self._newest.step == "finished":
-            self._call("protocol/close", lambda _: self._set_plan())
-        else:
-            self._set_plan()
-
-    def _set_plan(self) -> None:
-        values = {
+    def _plan(self) -> dict[str, Any]:
+        return {
             "subject": self._settings.subject,
             "session": "",
             "finger_width": self._settings.finger_width,
@@ -202,61 +256,17 @@ class CalibrateNode(ManagedNode):
             "hand": "",
             "age": self._settings.age,
         }
-        request = SetParameters.Request(
-            parameters=[Parameter(k, value=v).to_parameter_msg() for k, v in values.items()]
-        )
 
-        def answered(future: Any) -> None:
-            refused = [r.reason for r in future.result().results if not r.successful]
-            if refused:
-                self._fail(refused[0])
-            else:
-                self._say("keep the plate empty: the force is tared")
-                self._proceed(self._tare_when_clear)
-
-        self._protocol.call_async(request).add_done_callback(answered)
-
-    def _tare_when_clear(self) -> None:
-        """Take the zero once the camera sees nothing on the plate."""
-        self._watch()
-        if self._touched:
+    def _tare(self) -> Work[bool]:
+        """Take the zero; whether the camera saw an empty plate from before until after it."""
+        if self._touched == self._frames:
             self._show("Waiting: something is on the plate; lift the finger and clean the plate.")
-            return
-        self._proceed(self._watch)
-        self._touched_since_tare = False
-        self._call("force/tare", self._on_tared)
-
-    def _on_tared(self, message: str) -> None:
-        self._frames = 0
-        self._proceed(self._begin_when_seen)
-
-    def _begin_when_seen(self) -> None:
-        """Begin unless the camera saw the plate touched while the zero was taken."""
-        self._watch()
-        if self._touched_since_tare:
-            self._show("The plate was touched during the tare: once more.")
-            self._proceed(self._tare_when_clear)
-        elif self._frames >= FRAMES_AFTER_TARE:
-            self._proceed(self._watch)
-            self._requested = True
-            self._call("protocol/calibrate", self._on_begun)
-
-    def _on_begun(self, message: str) -> None:
-        self._under_way = True
-        if self._newest is not None:
-            self._on_status(self._newest)
-
-    def _call(self, name: str, following: Callable[[str], None]) -> None:
-        def answered(future: Any) -> None:
-            response = future.result()
-            if response.success:
-                following(response.message)
-            else:
-                if name == "protocol/calibrate":
-                    self._requested = False  # no session of ours to end
-                self._fail(response.message)
-
-        self._triggers[name].call_async(Trigger.Request()).add_done_callback(answered)
+        yield from self._until(lambda: self._touched != self._frames)
+        before = self._frames
+        yield from self._call("force/tare")
+        enough = self._frames + FRAMES_AFTER_TARE
+        yield from self._until(lambda: self._touched > before or self._frames >= enough)
+        return self._touched <= before
 
     # During ------------------------------------------------------------------------------------
 
@@ -289,24 +299,24 @@ class CalibrateNode(ManagedNode):
     def _on_calibration(self, message: DiagnosticStatus) -> None:
         if not self._session or message.hardware_id != self._session:
             return
-        self._under_way = False
+        self._under_way, self._result = False, message
+
+    def _show_result(self) -> None:
+        """Print what was found and where it is kept; raises InputError where it is not."""
+        message = self._result
+        assert message is not None
         if message.level[0] >= ERROR:
             self._status = {}
-            self._fail(f"not calibrated: {message.message}")
-            return
+            raise _problem(f"not calibrated: {message.message}")
         self._requested = False
         values = {item.key: item.value for item in message.values}
         self._say(message.message)
         self._say(f"computed in {values['computing_s']} s and live in the model node")
         if "file" not in values:
-            self._fail(f"live until the model node ends, but {values.get('not_kept', 'not kept')}")
-            return
+            not_kept = values.get("not_kept", "not kept")
+            raise _problem(f"live until the model node ends, but {not_kept}")
         taken = time.monotonic() - self._began
         self._say(f"written: {values['file']} ({taken:.0f} s in all)")
-        self._call("protocol/close", self._end)
-
-    def _end(self, message: str) -> None:
-        raise KeyboardInterrupt  # Done: end as after Ctrl-C.
 
     def _watch(self) -> None:
         if self._failure is not None:
@@ -323,7 +333,7 @@ class CalibrateNode(ManagedNode):
 
     def _fail(self, text: str) -> None:
         """End with this sentence, from the timer."""
-        self._failure = self._failure or InputError(text[:1].lower() + text[1:].rstrip("."))
+        self._failure = self._failure or _problem(text)
 
     def _show(self, text: str) -> None:
         """Print what has not just been printed."""

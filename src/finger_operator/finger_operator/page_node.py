@@ -11,18 +11,18 @@ from __future__ import annotations
 
 import asyncio
 import math
-import queue
 import sys
 import time
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any
+from contextlib import nullcontext
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.srv import SetParameters
-from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
@@ -30,11 +30,15 @@ from std_srvs.srv import Trigger
 
 from finger_bag.cdr_layout import stamp_of_cdr
 from finger_common.diagnostics import Health, node_within
+from finger_common.errors import DeviceError, InputError
 from finger_common.node import (
     LATCHED_QOS,
     POLLED_DEPTH,
+    Jobs,
     ManagedNode,
     main_of,
+    refusal_of,
+    set_request,
 )
 from finger_common.stamps import NANOSECONDS, header_stamp, seconds
 from finger_common.trial_phases import TrialPhase
@@ -43,7 +47,7 @@ from finger_msgs.srv import SetMoisture
 
 from .normal_force import NormalForce
 from .page.access import is_loopback
-from .page.commands import COMMANDS, stale
+from .page.commands import COMMANDS, PARAMETERS, stale
 from .page.feed import (
     ESTIMATE,
     CurveMemory,
@@ -57,14 +61,16 @@ from .page.server import PageServer
 from .page.settings import PageSettings
 from .status_message import status_of
 
+T = TypeVar("T")
+
 POLL = 0.04
 """s between readings of force samples and estimates."""
 
 ALIVE = 0.2
 """s between messages that say which values are fresh and what is wrong."""
 
-Answer = Future[tuple[bool, str]]
-"""Success and a sentence, for the browser that gave a command."""
+NODES = {"protocol": "protocol node", "force": "force driver", "moisture": "moisture node"}
+"""What the nodes that carry out commands are called."""
 
 
 def picture(message: Image) -> np.ndarray | None:
@@ -93,17 +99,14 @@ class PageNode(ManagedNode):
         self._health = Health("page")
         self.healths = [self._health]
         self._normal_force = NormalForce(settings.normal_axis)
-        self._jobs: queue.SimpleQueue[tuple[str, dict[str, Any], Answer]] = queue.SimpleQueue()
-        self._job_waits = self.create_guard_condition(self._serve_jobs)
         self._server = PageServer(settings, self._command, self.sample_time)
-        self._triggers: dict[str, Any] = {}
-        self._parameters_client = self.create_client(SetParameters, "protocol/set_parameters")
-        self._moisture_client = self.create_client(SetMoisture, "moisture/set_moisture")
-        for name in COMMANDS.keys() - {"tare", "moisture", "configure", "curves"}:
-            self._triggers[name] = self.create_client(Trigger, f"protocol/{name}")
-        self._triggers["tare"] = self.create_client(Trigger, "force/tare")
+        self.closing.callback(self._server.stop)
+        kinds: dict[str, Any] = {c.service: Trigger for c in COMMANDS.values() if c.service}
+        kinds |= {PARAMETERS: SetParameters, COMMANDS["moisture"].service: SetMoisture}
+        self._callers = {name: self.create_client(kind, name) for name, kind in kinds.items()}
 
     def activate(self) -> None:
+        self._jobs, self._turn = Jobs(self), asyncio.Lock()
         self._memory = ForceMemory()
         self._curves = CurveMemory()
         self._preparing: tuple[int, str, dict[str, Any]] | None = None
@@ -126,43 +129,21 @@ class PageNode(ManagedNode):
         # An executor round for each sample of two 500 Hz streams would delay the cue.
         self._wrench = self.create_polled_subscription(WrenchStamped, "wrench", deep)
         self._state = self.create_polled_subscription(ContactState, "contact_state", deep)
-        self._inputs = [
-            self.create_stream_subscription(ContactArea, "contact_area", self._on_area, qos),
-            self.create_stream_subscription(Moisture, "moisture", self._on_moisture, qos),
-            self.create_subscription(Trial, "trial", self._on_trial, LATCHED_QOS),
-            self.create_subscription(
-                SessionStatus, "protocol/status", self._on_status, LATCHED_QOS
-            ),
-            self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50),
-            self.create_subscription(String, "heartbeat", self._on_heartbeat, 50),
-        ]
-        self._alive_timer = self.create_steady_timer(ALIVE, self._alive)
-        self._poll_timer = self.create_steady_timer(POLL, self._poll)
-        self._slow_timer = self.create_steady_timer(0.5, self._slow)
+        self.create_stream_subscription(ContactArea, "contact_area", self._on_area, qos)
+        self.create_stream_subscription(Moisture, "moisture", self._on_moisture, qos)
+        self.create_subscription(Trial, "trial", self._on_trial, LATCHED_QOS)
+        self.create_subscription(SessionStatus, "protocol/status", self._on_status, LATCHED_QOS)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
+        self.create_subscription(String, "heartbeat", self._on_heartbeat, 50)
+        self.create_steady_timer(ALIVE, self._alive)
+        self.create_steady_timer(POLL, self._poll)
+        self.create_steady_timer(0.5, self._slow)
 
     def deactivate(self) -> None:
-        for timer in (self._poll_timer, self._slow_timer, self._alive_timer):
-            self.destroy_timer(timer)
-        for subscription in self._inputs:
-            self.destroy_subscription(subscription)
-        for polled in (self._wrench, self._state):
-            polled.destroy()
-        self._watch_images(False)
+        self.destroy_active_interfaces()
         self._painter.shutdown()
+        self._jobs.close()
         self._server.stop()
-
-    def cleanup(self) -> None:
-        if hasattr(self, "_server"):
-            self._server.stop()
-        if hasattr(self, "_job_waits"):
-            self.destroy_guard_condition(self._job_waits)
-            for client in (
-                self._parameters_client,
-                self._moisture_client,
-                *self._triggers.values(),
-            ):
-                self.destroy_client(client)
-            del self._job_waits
 
     # What is shown ---------------------------------------------------------------------------
 
@@ -320,102 +301,74 @@ class PageNode(ManagedNode):
     # Commands --------------------------------------------------------------------------------
 
     async def _command(self, name: str, arguments: dict[str, Any]) -> tuple[bool, str]:
-        """Runs in the server's thread; the node's own thread does the work."""
-        future: Answer = Future()
-        self._jobs.put((name, arguments, future))
-        self._job_waits.trigger()
-        return await asyncio.wrap_future(future)
+        """Success and a sentence, for the browser that gave a command; in the server's thread."""
+        of_protocol = COMMANDS[name].service.startswith("protocol/")
+        # What one command sets there must not change before that one has been carried out.
+        async with self._turn if of_protocol else nullcontext():
+            return await self._carry_out(name, arguments)
 
-    def _serve_jobs(self) -> None:
-        while True:
-            try:
-                name, arguments, future = self._jobs.get_nowait()
-            except queue.Empty:
-                return
-            self._begin(name, arguments, future)
+    async def _carry_out(self, name: str, arguments: dict[str, Any]) -> tuple[bool, str]:
+        command = COMMANDS[name]
+        request = await self._in_node(lambda: self._begin(name, arguments))
+        if values := command.sets(arguments):
+            reason = refusal_of(await self._call(PARAMETERS, set_request(values)))
+            if reason:
+                return False, reason
+        if command.service in ("", PARAMETERS):
+            return True, ""
+        response = await self._call(command.service, request)
+        if name == "tare" and response.success:
+            await self._in_node(self._forget_curves)
+        return response.success, response.message
 
-    def _begin(self, name: str, arguments: dict[str, Any], future: Answer) -> None:
+    def _begin(self, name: str, arguments: dict[str, Any]) -> Any:
+        """Request of the command's service; raises InputError where it is not to be carried out.
+
+        Takes SEEN out of the arguments.
+        """
         step = self._status.get("step")
-        reason = stale(arguments, self._status)
-        if reason:
-            future.set_result((False, f"{name}: not done, {reason} meanwhile; look, and try again"))
-            return
+        if reason := stale(arguments, self._status):
+            raise InputError(f"{name}: not done, {reason} meanwhile; look, and try again")
         # A calibration's presses begin without a key.
         begins = name == "start" and step == "prepare" and not self._status.get("paused")
         if begins or name == "calibrate":
-            reason = refusal(self._readiness.problems(time.monotonic()))
-            if reason:
-                future.set_result((False, reason))
-                return
+            if reason := refusal(self._readiness.problems(time.monotonic())):
+                raise InputError(reason)
         if name == "curves":
-            self._server.publish("curves", self._curves.snapshot())
-            future.set_result((True, ""))
-        elif name == "moisture":
+            self._publish_curves()
+        if name == "moisture":
             phase = {
                 "moisture_before": Moisture.PHASE_BEFORE,
                 "moisture_after": Moisture.PHASE_AFTER,
             }.get(str(step), Moisture.PHASE_UNKNOWN)
-            request = SetMoisture.Request(value=arguments["value"], phase=phase)
-            self._call(self._moisture_client, request, future, "the moisture node is not running")
-        elif name == "configure":
-            self._set_parameters(arguments, future)
-        elif name == "preparation":
-            line = f"{arguments['condition']}: {' '.join(arguments['text'].split())}"
-            self._set_then_trigger("preparation", {"preparation": line}, future)
-        elif name == "repeat":
-            self._set_then_trigger("repeat", {"selected_trial": arguments["index"]}, future)
-        elif name == "note":
-            note = {"note": arguments["text"], "note_trial": arguments["trial"] - 1}
-            self._set_then_trigger("note", note, future)
-        else:
-            self._trigger(name, future)
+            return SetMoisture.Request(value=arguments["value"], phase=phase)
+        return Trigger.Request()
 
-    def _trigger(self, name: str, future: Answer) -> None:
-        who = "force driver" if name == "tare" else "protocol node"
-        if name == "tare":
-            future.add_done_callback(self._on_tared)
-        self._call(self._triggers[name], Trigger.Request(), future, f"the {who} is not running")
+    def _publish_curves(self) -> None:
+        self._server.publish("curves", self._curves.snapshot())
 
-    def _on_tared(self, done: Answer) -> None:
+    def _forget_curves(self) -> None:
         """Curves of the former zero are gone for all browsers."""
-        good, _ = done.result()
-        if good:
-            self._curves = CurveMemory()
-            self._server.publish("curves", self._curves.snapshot())
+        self._curves = CurveMemory()
+        self._publish_curves()
 
-    def _set_then_trigger(self, name: str, values: dict[str, Any], future: Answer) -> None:
-        selected: Answer = Future()
+    def _in_node(self, action: Callable[[], T]) -> asyncio.Future[T]:
+        """Do something in the node's own thread."""
+        return asyncio.wrap_future(self._jobs.call(action))
 
-        def then(done: Answer) -> None:
-            good, reason = done.result()
-            self._trigger(name, future) if good else future.set_result((False, reason))
-
-        selected.add_done_callback(then)
-        self._set_parameters(values, selected)
-
-    def _set_parameters(self, values: dict[str, Any], future: Answer) -> None:
-        request = SetParameters.Request(
-            parameters=[Parameter(k, value=v).to_parameter_msg() for k, v in values.items()]
-        )
-        absent = "the protocol node is not running"
-        self._call(self._parameters_client, request, future, absent)
-
-    def _call(self, client: Any, request: Any, future: Answer, absent: str) -> None:
+    async def _call(self, service: str, request: Any) -> Any:
+        """Response of a service; raises DeviceError where its node is not running."""
+        client = self._callers[service]
         if not client.service_is_ready():
-            future.set_result((False, absent))
-            return
+            raise DeviceError(f"the {NODES[service.partition('/')[0]]} is not running")
+        answer: Future[Any] = Future()
 
         def answered(done: Any) -> None:
-            if future.done():
-                return
-            response = done.result()
-            if isinstance(response, SetParameters.Response):
-                refused = [r.reason for r in response.results if not r.successful]
-                future.set_result((not refused, refused[0] if refused else ""))
-            else:
-                future.set_result((response.success, response.message))
+            if answer.set_running_or_notify_cancel():  # else nobody waits any longer
+                answer.set_result(done.result())
 
         client.call_async(request).add_done_callback(answered)
+        return await asyncio.wrap_future(answer)
 
 
 main = main_of(PageNode)

@@ -26,7 +26,6 @@ from finger_bag.streams import TrialEvent
 from finger_common.cli import one_line
 from finger_common.diagnostics import ERROR
 from finger_common.errors import InputError
-from finger_common.flags import AreaFlag
 from finger_common.guided_presses import FITTING
 from finger_common.guided_pulls import is_pull
 from finger_common.moisture import MOISTURE_RANGE, is_moisture
@@ -35,6 +34,7 @@ from finger_common.trial_phases import TrialPhase
 
 from .attempt import Attempt, TrialState
 from .event_log import Event, EventLog, note_text, utc_time
+from .inputs import Inputs
 from .limits import Limits
 from .press import Press, PressEvent
 from .pull import Pull
@@ -48,12 +48,6 @@ from .session_store import (
     save_table,
 )
 from .study_plan import StudyPlan
-
-ERROR_MEMORY = 3.0
-"""s for which an error in /diagnostics counts; each node repeats it once a second."""
-
-LOGGED_SILENCE = 1.0
-"""s without a sample from which silence is an event of the log."""
 
 
 class Step(str, Enum):
@@ -144,17 +138,20 @@ class Protocol:
         self.recording = "off"
         self._record_requested = 0
         self._asked = ""
-        self._force: tuple[int, float] | None = None
-        self._area: tuple[int, float, int] | None = None
-        # When they came, by the protocol's own clock; None before its first command or tick.
-        self._force_came: int | None = None
-        self._area_came: int | None = None
+        self._inputs = Inputs()
         self._known_result = ""
-        self._errors: dict[str, tuple[int, str]] = {}
-        self._silent: set[str] = set()
         self._announced: tuple[object, ...] = ()
         self._clear_since: int | None = None
         self._press: Press | None = None
+        self._waits: dict[Step, Callable[[float], None]] = {
+            Step.PREPARE: self._await_preparation,
+            Step.CLEAR: self._await_clear_plate,
+            **dict.fromkeys(PRESSING, self._check_time),
+            Step.CLOSING: self._await_recorder,
+            **dict.fromkeys((Step.DONE, Step.FAILED), self._show_verdict),
+            Step.FINISHED: self._await_fit,
+        }
+        """What is done at each tick, by step; called with the s that the step has lasted."""
 
     @property
     def limits(self) -> Limits:
@@ -425,9 +422,8 @@ class Protocol:
     def wrench(self, stamp_ns: int, normal_force: float, tangential_force: float = 0.0) -> None:
         """One force sample: normal force in N, positive in compression, and the size of the force
         along the plate; NaN for an invalid one."""
-        previous = None if self._force is None else self._force[0]
-        self._force = (stamp_ns, normal_force)
-        self._force_came = self._now or None
+        previous = self._inputs.force_stamp
+        self._inputs.add_force(stamp_ns, normal_force, self._now)
         if self.paused or self.step not in PRESSING or self._press is None:
             return
         event = self._press.add_force(stamp_ns, normal_force, previous, tangential_force)
@@ -436,7 +432,7 @@ class Protocol:
         elif event is PressEvent.PULL_BEGINS:
             self._enter(Step.PULL, stamp_ns)
         elif event is PressEvent.FINGER_OFF:
-            reason = self._press.verdict(None if self._area is None else self._area[0])
+            reason = self._press.verdict(self._inputs.area_stamp)
             if reason:
                 self._fail(reason)
             elif self.plan.readings:
@@ -446,8 +442,8 @@ class Protocol:
 
     def area(self, stamp_ns: int, area: float, flags: int, stick_ratio: float = math.nan) -> None:
         """One contact area (m²) with its quality flags, and the stick ratio where it is known."""
-        previous = None if self._area is None else self._area[0]
-        self._area, self._area_came = (stamp_ns, area, flags), self._now or None
+        previous = self._inputs.area_stamp
+        self._inputs.add_area(stamp_ns, area, flags, self._now)
         if not self.paused and self.step in PRESSING and self._press is not None:
             self._press.add_area(stamp_ns, area, flags, previous, stick_ratio)
 
@@ -484,42 +480,32 @@ class Protocol:
     def health(self, name: str, level: int, message: str, now_ns: int) -> None:
         """State of a device or node whose failure makes a trial invalid, from /diagnostics."""
         self._now = max(self._now, now_ns)
-        if level < ERROR:
-            if self._errors.pop(name, None):
-                self._log("fault", f"{name}: over")
-            return
-        if name not in self._errors:
-            self._log("fault", f"{name}: {message}")
-        self._errors[name] = (now_ns, message)
-        if self.step in PRESSING and self._press is not None:
+        if news := self._inputs.add_health(name, level, message, now_ns):
+            self._log("fault", news)
+        if level >= ERROR and self.step in PRESSING and self._press is not None:
             if self._press.attempt.onset_ns is not None:
                 self._press.add_problem(f"{name}: {message}")
 
-    def recorder_answered(
-        self,
-        started: bool,
-        success: bool,
-        message: str,
-        now_ns: int,
-        lost: int = 0,
-        bag: str = "",
-        asked: str = "",
+    def recorder_started(
+        self, success: bool, message: str, now_ns: int, bag: str = "", asked: str = ""
     ) -> None:
-        """The recorder's answer to a start (`started`) or stop; asked: path of the start."""
+        """The recorder's answer to a start. bag: what it writes; asked: path of the start."""
         self._now = max(self._now, now_ns)
-        if started:
-            if self.recording != "starting" or asked not in ("", self._asked):
-                return  # to an earlier start, which has been stopped since
-            if success:
-                self.recording = "on"
-                if bag:
-                    self._attempt.bag = bag
-                return
-            self.recording = "off"
-            if self.step in UNDER_WAY:
-                self._fail(f"the recorder did not start: {message}")
-                self._hold("The recorder did not start; check its state, then resume.")
+        if self.recording != "starting" or asked not in ("", self._asked):
+            return  # to an earlier start, which has been stopped since
+        if success:
+            self.recording = "on"
+            if bag:
+                self._attempt.bag = bag
             return
+        self.recording = "off"
+        if self.step in UNDER_WAY:
+            self._fail(f"the recorder did not start: {message}")
+            self._hold("The recorder did not start; check its state, then resume.")
+
+    def recorder_stopped(self, success: bool, message: str, now_ns: int, lost: int = 0) -> None:
+        """The recorder's answer to a stop. lost: messages that are not in the bag."""
+        self._now = max(self._now, now_ns)
         if self.recording not in ("stopping", "on"):
             # The answer to the stop of an earlier attempt; the next bag is being opened already.
             return
@@ -531,54 +517,55 @@ class Protocol:
         elif lost > self.limits.lost_limit:
             self._fail(f"the recorder lost {lost} messages")
         else:
-            self._conclude_done()
-            self._enter(Step.DONE)
+            self._keep()
 
     def tick(self, now_ns: int) -> None:
         """Let time pass; to be called ten times a second or more."""
         self._now = max(self._now, now_ns)
-        self._log_silence()
-        if self.paused:
-            return
-        limits = self.limits
-        in_step = seconds(self._now - self._step_began)
-        if self.step is Step.PREPARE and self.plan.is_calibration:
-            if in_step >= GUIDANCE_TIME:
-                self._begin_attempt()
-        elif self.step is Step.PREPARE and not limits.confirm_preparation:
-            if in_step >= limits.verdict_time:
-                self._begin_attempt()
-        elif self.step is Step.FINISHED and self.message == FITTING and in_step > FIT_TIME:
+        for news in self._inputs.silences(self._now, self.limits):
+            self._log("fault", news)
+        if not self.paused and self.step in self._waits:
+            self._waits[self.step](seconds(self._now - self._step_began))
+
+    def _await_preparation(self, in_step: float) -> None:
+        if self.plan.is_calibration:
+            begins = in_step >= GUIDANCE_TIME
+        else:
+            begins = not self.limits.confirm_preparation and in_step >= self.limits.verdict_time
+        if begins:
+            self._begin_attempt()
+
+    def _await_clear_plate(self, in_step: float) -> None:
+        if self.waiting_for():
+            self._clear_since = None
+            if self.recording == "starting" and self._record_late():
+                self.recorder_started(False, "no answer", self._now)
+        elif self._clear_since is None:
+            self._clear_since = self._now
+        elif seconds(self._now - self._clear_since) >= self.limits.clear_time:
+            self._enter(Step.PRESS)
+
+    def _check_time(self, in_step: float) -> None:
+        """Fail a press whose force is missing or that exceeds a limit of time."""
+        assert self._press is not None
+        if self._inputs.force_fell_silent(self._now, self.limits):
+            self._fail("the force sensor fell silent")
+        elif reason := self._press.overdue(self._now, in_step):
+            self._fail(reason)
+
+    def _await_recorder(self, in_step: float) -> None:
+        if self._record_late():
+            self.recorder_stopped(False, "no answer", self._now)
+
+    def _show_verdict(self, in_step: float) -> None:
+        if in_step >= self.limits.verdict_time:
+            self._next()
+
+    def _await_fit(self, in_step: float) -> None:
+        if self.message == FITTING and in_step > FIT_TIME:
             self.calibrated(
                 False, f"the model node gave no result within {FIT_TIME:.0f} s", self._now
             )
-        elif self.step is Step.CLEAR:
-            if self.waiting_for():
-                self._clear_since = None
-                if self.recording == "starting" and self._record_late():
-                    self.recorder_answered(True, False, "no answer", self._now)
-            elif self._clear_since is None:
-                self._clear_since = self._now
-            elif seconds(self._now - self._clear_since) >= limits.clear_time:
-                self._enter(Step.PRESS)
-        elif self.step in PRESSING:
-            self._check_time(in_step)
-        elif self.step is Step.CLOSING and self._record_late():
-            self.recorder_answered(False, False, "no answer", self._now)
-        elif self.step in (Step.DONE, Step.FAILED) and in_step >= limits.verdict_time:
-            self._next()
-
-    def _log_silence(self) -> None:
-        """Note in the event log when force or camera falls silent, and when it is back."""
-        newest = {"force sensor": self._force_came}
-        if self.limits.need_camera:
-            newest["camera"] = self._area_came
-        for name, stamp in newest.items():
-            age = 0.0 if stamp is None else seconds(self._now - stamp)
-            silent = age > max(self.limits.stale_after, LOGGED_SILENCE)
-            if silent != (name in self._silent):
-                self._silent ^= {name}
-                self._log("fault", f"{name}: {'silent' if silent else 'over'}")
 
     def calibrated(self, success: bool, result: str, now_ns: int) -> None:
         """What the model node made of the presses, in a sentence; a refusal ends the presses. There
@@ -596,24 +583,11 @@ class Protocol:
 
     def waiting_for(self) -> str:
         """Why the press does not begin yet; empty when nothing is in the way."""
-        for name, (stamp, message) in self._errors.items():
-            if seconds(self._now - stamp) < ERROR_MEMORY:
-                return f"{name}: {message}"
-        if self._force is None or self._is_old(self._force_came):
-            return "the force sensor is silent"
-        if not abs(self._force[1]) < self.limits.onset_force:
-            return f"{self._force[1]:.2f} N on the plate: lift the finger, or tare"
-        if self.limits.need_camera:
-            if self._area is None or self._is_old(self._area_came):
-                return "no contact area comes from the camera"
-            if self._area[1] > 0.0 and not self._area[2] & AreaFlag.NO_CONTACT:
-                return "something is on the plate: lift the finger and clean the plate"
+        if reason := self._inputs.waiting_for(self._now, self.limits):
+            return reason
         if self.limits.need_recorder and self.recording != "on":
             return "the recorder is not running yet"
         return ""
-
-    def _is_old(self, came_ns: int | None) -> bool:
-        return came_ns is None or seconds(self._now - came_ns) > self.limits.stale_after
 
     # Transitions -----------------------------------------------------------------------------
 
@@ -623,14 +597,6 @@ class Protocol:
 
     def _record_late(self) -> bool:
         return seconds(self._now - self._record_requested) > self.limits.record_timeout
-
-    def _check_time(self, in_step: float) -> None:
-        """Fail a press whose force is missing or that exceeds a limit of time."""
-        assert self._press is not None
-        if self._force is not None and self._is_old(self._force_came):
-            self._fail("the force sensor fell silent")
-        elif reason := self._press.overdue(self._now, in_step):
-            self._fail(reason)
 
     def _begin_attempt(self) -> None:
         trial = self.trials[self.current]
@@ -656,8 +622,11 @@ class Protocol:
             self.recording, self._record_requested = "stopping", self._now
             self._effects(StopRecording())
         else:
-            self._conclude_done()
-            self._enter(Step.DONE)
+            self._keep()
+
+    def _keep(self) -> None:
+        self._conclude_done()
+        self._enter(Step.DONE)
 
     def _conclude_done(self) -> None:
         attempt = self._attempt

@@ -169,61 +169,38 @@ class ProtocolNode(ManagedNode):
         self._watched = {full_node_name(name, namespace): name for name in settings.watched}
         parse_preparations(settings.preparations)
         self._output = Path(settings.output).expanduser().resolve()
-        self._lock = lock_folder(self._output, "a protocol node")
+        self.closing.enter_context(lock_folder(self._output, "a protocol node"))
         self._used_subjects = sessions_by_subject(self._output)
         self._free: int | None = None
         self._free_read = -math.inf
         self._trial_publisher = self.create_publisher(Trial, "trial", STATE_QOS)
         self._status_publisher = self.create_publisher(SessionStatus, "~/status", STATE_QOS)
-        self._record_client = self.create_client(Record, self.values["recorder_service"])
-        self._recorder = RecorderRequests(self._record_client, self._recorded)
-        self._command_services = [
+        client = self.create_client(Record, self.values["recorder_service"])
+        self._recorder = RecorderRequests(client, self._recorded)
+        for name in SERVICES:
             self.create_service(Trigger, f"~/{name}", self._command(getattr(self, f"_{name}")))
-            for name in SERVICES
-        ]
 
     def activate(self) -> None:
         qos = self.stream_qos()
         deep = self.stream_qos(max(self.values["qos_depth"], POLLED_DEPTH))
         self._wrench = self.create_polled_subscription(WrenchStamped, "wrench", deep)
-        self._inputs = [
-            self.create_stream_subscription(ContactArea, "contact_area", self._on_area, qos),
-            self.create_stream_subscription(Moisture, "moisture", self._on_moisture, qos),
-            self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50),
-            self.create_subscription(
-                DiagnosticStatus, "calibration", self._on_calibration, LATCHED_QOS
-            ),
-        ]
+        self.create_stream_subscription(ContactArea, "contact_area", self._on_area, qos)
+        self.create_stream_subscription(Moisture, "moisture", self._on_moisture, qos)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
+        self.create_subscription(DiagnosticStatus, "calibration", self._on_calibration, LATCHED_QOS)
         self._resume_pointer()
         # Steady time, so that the tick continues when simulated time jumps.
-        self._tick_timer = self.create_steady_timer(TICK, self._tick)
+        self.create_steady_timer(TICK, self._tick)
         self._press_timer = self.create_steady_timer(POLL, self._poll)
         self._press_timer.cancel()
 
     def deactivate(self) -> None:
-        for timer in (self._tick_timer, self._press_timer):
-            self.destroy_timer(timer)
-        for subscription in self._inputs:
-            self.destroy_subscription(subscription)
-        self._wrench.destroy()
+        self.destroy_active_interfaces()
         if self._protocol is not None and not self._protocol.paused:
             if self._protocol.step not in (Step.IDLE, Step.FINISHED):
                 self._protocol.pause(self.sample_time())
                 # The publisher may be destroyed next.
                 self._trial_publisher.wait_for_all_acked(Duration(seconds=0.5))
-
-    def cleanup(self) -> None:
-        for service in getattr(self, "_command_services", []):
-            self.destroy_service(service)
-        for publisher in ("_trial_publisher", "_status_publisher"):
-            if hasattr(self, publisher):
-                self.destroy_publisher(getattr(self, publisher))
-        self._command_services = []
-        client = self.__dict__.pop("_record_client", None)
-        if client is not None:
-            self.destroy_client(client)
-        if hasattr(self, "_lock"):
-            self._lock.close()
 
     def parameters_changed(self, changes: dict[str, Any]) -> None:
         values = {**self.values, **changes}
@@ -477,23 +454,15 @@ class ProtocolNode(ManagedNode):
         return message
 
     def _recorded(self, request: Record.Request, response: Any, reason: str) -> None:
-        started = request.command == Record.Request.COMMAND_START
         if self._protocol is None:
             return
         if response is None:
-            self._protocol.recorder_answered(
-                started, False, reason, self.sample_time(), asked=request.path
-            )
-            return
-        self._protocol.recorder_answered(
-            started,
-            response.success,
-            response.message,
-            self.sample_time(),
-            lost=0 if started else int(response.lost_count),
-            bag=response.path,
-            asked=request.path,
-        )
+            response = Record.Response(success=False, message=reason)
+        answer = response.success, response.message, self.sample_time()
+        if request.command == Record.Request.COMMAND_START:
+            self._protocol.recorder_started(*answer, bag=response.path, asked=request.path)
+        else:
+            self._protocol.recorder_stopped(*answer, lost=int(response.lost_count))
 
     def _stage(self) -> tuple[Any, ...]:
         """Of which a new status is published at once."""

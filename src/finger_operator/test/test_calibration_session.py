@@ -52,9 +52,9 @@ class Session:
             if self.now % (SECOND // 20) == 0:
                 self.protocol.tick(self.now)
             if self.protocol.recording == "starting":
-                self.protocol.recorder_answered(True, True, "", self.now)
+                self.protocol.recorder_started(True, "", self.now)
             elif self.protocol.recording == "stopping":
-                self.protocol.recorder_answered(False, True, "", self.now)
+                self.protocol.recorder_stopped(True, "", self.now)
 
     def to_press(self) -> None:
         self.run(GUIDANCE_TIME + 1.0)

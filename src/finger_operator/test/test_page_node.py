@@ -56,6 +56,11 @@ def test_commands_reach_the_protocol_and_its_cues_come_back(
                 numbers = itertools.count()
                 received: list[dict[str, Any]] = []
 
+                async def receive_one() -> None:
+                    received.append(await socket.receive_json())
+                    if received[-1]["type"] == "round":  # confirmed, as the page does
+                        await socket.send_json({**received[-1], "type": "got"})
+
                 async def receive(kind: str, **wanted: Any) -> dict[str, Any]:
                     """The first message of that kind and content, also one that came before."""
                     wanted["type"] = kind
@@ -63,13 +68,11 @@ def test_commands_reach_the_protocol_and_its_cues_come_back(
                         if wanted.items() <= message.items():
                             return message
                     while True:
-                        received.append(await socket.receive_json())
-                        if received[-1]["type"] == "round":  # confirmed, as the page does
-                            await socket.send_json({**received[-1], "type": "got"})
+                        await receive_one()
                         if wanted.items() <= received[-1].items():
                             return received[-1]
 
-                async def command(name: str, **arguments: Any) -> dict[str, Any]:
+                async def send(name: str, **arguments: Any) -> int:
                     number = next(numbers)
                     await socket.send_json(
                         {
@@ -80,7 +83,10 @@ def test_commands_reach_the_protocol_and_its_cues_come_back(
                             "id": number,
                         }
                     )
-                    return await receive("answer", id=number)
+                    return number
+
+                async def command(name: str, **arguments: Any) -> dict[str, Any]:
+                    return await receive("answer", id=await send(name, **arguments))
 
                 closed = await receive("status", step="closed")
                 assert closed["plan"]["trials"] == 15
@@ -104,6 +110,20 @@ def test_commands_reach_the_protocol_and_its_cues_come_back(
                 assert (await command("preparation", condition="dry", text=text, **seen))["success"]
                 assert (await receive("status", preparation=text))["step"] == "prepare"
                 assert (await receive("status", step="prepare"))["target_force"] == 1.2
+                # Two notes at once, as of an operator who is quick.
+                notes = {1: "sneezed", 2: "window opened"}
+                sent = [await send("note", text=notes[trial], trial=trial) for trial in notes]
+                for number, trial in zip(sent, notes, strict=True):
+                    answer = await receive("answer", id=number)
+                    assert answer["message"] == f"note added to trial {trial}"
+
+                def kept() -> list[list[str]]:
+                    """Texts of the notes of each trial in the newest status."""
+                    status = [message for message in received if message["type"] == "status"][-1]
+                    return [[note["text"] for note in row["notes"]] for row in status["trials"]]
+
+                while kept() != [["sneezed"], ["window opened"]]:
+                    await receive_one()
                 assert (await command("repeat", index=1))["success"]
                 await receive("status", index=1)
                 # A dialog that was open meanwhile meant another trial.

@@ -433,7 +433,7 @@ def test_commands_for_what_is_no_longer_there_are_refused() -> None:
     assert stale(given, now) and given == {"index": 0}
     assert {"start", "calibrate", "pause", "resume", "redo", "repeat", "skip", "end", "abort",
             "marker", "note", "close", "preparation"} == {
-        name for name, wanted in COMMANDS.items() if SEEN.keys() <= wanted.keys()
+        name for name, command in COMMANDS.items() if SEEN.keys() <= command.arguments.keys()
     }  # fmt: skip
 
 

@@ -77,8 +77,10 @@ class Rig:
         pending = [e for e in self.effects if not isinstance(e, TrialEvent)]
         for effect in pending[getattr(self, "answered", 0) :]:
             if self.recorder_answers:
-                started = isinstance(effect, StartRecording)
-                self.protocol.recorder_answered(started, True, "", self.now, lost=self.lost)
+                if isinstance(effect, StartRecording):
+                    self.protocol.recorder_started(True, "", self.now)
+                else:
+                    self.protocol.recorder_stopped(True, "", self.now, lost=self.lost)
         self.answered = len(pending)
 
     def run(self, seconds: float, force: float | None = None, ramp: bool = False) -> None:
@@ -233,7 +235,7 @@ def test_press_is_not_asked_for_until_the_frame_is_empty_and_all_is_well(
     if restore:
         setattr(rig, *restore)
     else:
-        rig.protocol.recorder_answered(True, True, "", rig.now)
+        rig.protocol.recorder_started(True, "", rig.now)
     rig.run(1.0)
     assert rig.protocol.step is Step.PRESS
 
@@ -384,7 +386,7 @@ def test_recorder_that_refuses_holds_the_session(rig: Rig) -> None:
     rig.recorder_answers = False
     rig.run(0.2)
     rig.protocol.start(rig.now)
-    rig.protocol.recorder_answered(True, False, "disk is full", rig.now)
+    rig.protocol.recorder_started(False, "disk is full", rig.now)
     assert rig.protocol.paused and "recorder" in session_status(rig.protocol)["message"]
     expect_failure(rig, "disk is full")
 
@@ -438,8 +440,8 @@ def test_late_answer_to_an_old_stop_leaves_the_next_recording_alone(rig: Rig) ->
     rig.recorder_answers = False
     rig.protocol.redo(rig.now)
     rig.protocol.start(rig.now)
-    rig.protocol.recorder_answered(False, True, "", rig.now)
-    rig.protocol.recorder_answered(True, True, "", rig.now)
+    rig.protocol.recorder_stopped(True, "", rig.now)
+    rig.protocol.recorder_started(True, "", rig.now)
     assert session_status(rig.protocol)["recording"] == "on"
 
 
@@ -451,10 +453,10 @@ def test_late_answer_to_an_old_start_is_not_that_of_the_next_recording(rig: Rig)
     rig.protocol.redo(rig.now)
     rig.protocol.start(rig.now)
     first, second = (e.path for e in rig.effects if isinstance(e, StartRecording))
-    rig.protocol.recorder_answered(True, True, "", rig.now, bag=first, asked=first)
+    rig.protocol.recorder_started(True, "", rig.now, bag=first, asked=first)
     assert session_status(rig.protocol)["recording"] == "starting"
-    rig.protocol.recorder_answered(False, True, "", rig.now)
-    rig.protocol.recorder_answered(True, True, "", rig.now, bag=second, asked=second)
+    rig.protocol.recorder_stopped(True, "", rig.now)
+    rig.protocol.recorder_started(True, "", rig.now, bag=second, asked=second)
     assert session_status(rig.protocol)["recording"] == "on"
     assert rig.protocol.trials[0].attempts[-1].bag == second
 

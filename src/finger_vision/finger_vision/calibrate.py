@@ -22,7 +22,7 @@ import numpy as np
 from finger_common.errors import InputError
 
 from .board import View
-from .calibration import PlateCalibration
+from .calibration import PlateCalibration, apply_homography
 
 MINIMUM_VIEWS = 6
 MAXIMUM_ERROR = 1.0
@@ -145,7 +145,7 @@ def _plate(
         sources.append(undistorted)
         targets.append(_in_plate_frame(undistorted, view.points[:, :2], centre, view.name))
     homography = _fit(np.concatenate(sources), np.concatenate(targets), "plate views")
-    residual = _apply(homography, np.concatenate(sources)) - np.concatenate(targets)
+    residual = apply_homography(homography, np.concatenate(sources)) - np.concatenate(targets)
     plate_error = float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
     extent = float(np.ptp(np.concatenate(targets), axis=0).max())
     if plate_error > 0.01 * extent:
@@ -154,11 +154,13 @@ def _plate(
             "plate in each, and do not move the camera"
         )
     probe = centre + np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
-    corner = _apply(homography, probe)
+    corner = apply_homography(homography, probe)
     area = cv2.contourArea(((corner - corner[0]) * 1e6).astype(np.float32)) * 1e-12
     error = base.reprojection_error
     if math.isnan(error):
-        back = _apply(np.linalg.inv(homography), np.concatenate(targets)) - np.concatenate(sources)
+        back = apply_homography(
+            np.linalg.inv(homography), np.concatenate(targets)
+        ) - np.concatenate(sources)
         error = float(np.sqrt(np.mean(np.sum(back**2, axis=1))))
         if error > MAXIMUM_ERROR:
             raise InputError(
@@ -182,7 +184,7 @@ def _in_plate_frame(
     y points down in the image.
     """
     homography = _fit(pixels, board, name)
-    origin, right, below = _apply(homography, centre + np.array([[0, 0], [1, 0], [0, 1]]))
+    origin, right, below = apply_homography(homography, centre + np.array([[0, 0], [1, 0], [0, 1]]))
     along = (right - origin) / np.linalg.norm(right - origin)
     across = np.array([-along[1], along[0]])
     if across @ (below - origin) < 0:
@@ -197,8 +199,3 @@ def _fit(pixels: np.ndarray, plane: np.ndarray, name: str) -> np.ndarray:
     if homography is None or not np.isfinite(homography).all():
         raise InputError(f"{name}: the corners found do not form a plane; leave this view out")
     return np.diag([scale, scale, 1.0]) @ homography
-
-
-def _apply(homography: np.ndarray, points: np.ndarray) -> np.ndarray:
-    w = points @ homography[2, :2] + homography[2, 2]
-    return (points @ homography[:2, :2].T + homography[:2, 2]) / w[:, None]

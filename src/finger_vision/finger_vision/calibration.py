@@ -32,6 +32,12 @@ PAPER_AREA_PER_PIXEL = 0.000986e-6
 _CORNERS = 250_000  # of pixels that are mapped to the plate at once
 
 
+def apply_homography(homography: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Map points (n, 2) by a homography (3, 3); gives (n, 2)."""
+    w = points @ homography[2, :2] + homography[2, 2]
+    return (points @ homography[:2, :2].T + homography[:2, 2]) / w[:, None]
+
+
 @dataclass(frozen=True)
 class PlateCalibration:
     """Mapping of the pixels of one camera to the plate.
@@ -64,6 +70,11 @@ class PlateCalibration:
     def from_area_per_pixel(cls, area: float) -> PlateCalibration:
         """A camera that looks squarely at the plate; `area` in m² of a pixel."""
         return cls(float(area))
+
+    @classmethod
+    def given(cls, file: str | Path | None, area_per_pixel: float) -> PlateCalibration:
+        """The one of a file, or of an area of a pixel (m²) where no file is named."""
+        return cls.load(file) if file else cls.from_area_per_pixel(area_per_pixel)
 
     @property
     def calibrated(self) -> bool:
@@ -103,17 +114,12 @@ class PlateCalibration:
 
     def to_plate(self, pixels: np.ndarray, width: int, height: int) -> np.ndarray:
         """(n, 2) metres on the plate from (n, 2) pixels of an image of that size."""
-        points = self.undistort(pixels)
-        g = self.homography_for(width, height)
-        w = points @ g[2, :2] + g[2, 2]
-        return (points @ g[:2, :2].T + g[:2, 2]) / w[:, None]
+        return apply_homography(self.homography_for(width, height), self.undistort(pixels))
 
     def to_pixels(self, plate: np.ndarray, width: int, height: int) -> np.ndarray:
         """(n, 2) pixels from (n, 2) metres on the plate; the inverse of `to_plate`."""
-        g = np.linalg.inv(self.homography_for(width, height))
-        plate = np.asarray(plate, float).reshape(-1, 2)
-        w = plate @ g[2, :2] + g[2, 2]
-        points = (plate @ g[:2, :2].T + g[:2, 2]) / w[:, None]
+        pixel_from_plate = np.linalg.inv(self.homography_for(width, height))
+        points = apply_homography(pixel_from_plate, np.asarray(plate, float).reshape(-1, 2))
         if self.camera_matrix is None or not np.any(self.distortion):
             return points
         k = self.camera_matrix
@@ -126,6 +132,12 @@ class PlateCalibration:
         )
         zero = np.zeros(3)
         return cv2.projectPoints(rays, zero, zero, k, self.distortion)[0].reshape(-1, 2)
+
+    def pitch(self, width: int, height: int) -> float:
+        """Width (m) on the plate of a pixel in the middle of an image of that size."""
+        middle = np.array([[width / 2, height / 2], [width / 2 + 1, height / 2]])
+        plate = self.to_plate(middle, width, height)
+        return float(np.hypot(*(plate[1] - plate[0])))
 
     def pixel_areas(self, width: int, height: int, step: int = 1) -> np.ndarray:
         """Area (m²) on the plate of one pixel at the centre of each step × step block, float32."""
@@ -270,6 +282,4 @@ class CalibrationSettings(Settings):
 
     def load(self) -> PlateCalibration:
         """The calibration; raises InputError for a file that cannot be used."""
-        if self.calibration_file:
-            return PlateCalibration.load(self.calibration_file)
-        return PlateCalibration.from_area_per_pixel(self.area_per_pixel)
+        return PlateCalibration.given(self.calibration_file, self.area_per_pixel)

@@ -183,10 +183,7 @@ def _output(path: Path | None) -> AbstractContextManager[IO[Any]]:
 def _area(arguments: Any) -> int:
     inputs = [*arguments.images, *arguments.background, arguments.calibration]
     check_output(arguments.output, inputs)
-    if arguments.calibration is not None:
-        calibration = PlateCalibration.load(arguments.calibration)
-    else:
-        calibration = PlateCalibration.from_area_per_pixel(arguments.area_per_pixel)
+    calibration = PlateCalibration.given(arguments.calibration, arguments.area_per_pixel)
     sensor = AREA_SENSORS.open(vars(arguments), calibration)
     plate: tuple[Path, tuple[int, ...]] | None = None
     for path in arguments.background:

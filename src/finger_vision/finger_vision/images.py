@@ -11,13 +11,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from finger_common.errors import InputError
 from finger_common.files import exists
-from finger_common.image_size import MAX_PIXELS, check_image
-from finger_common.mono8 import as_mono8, brightest_channel, in_full_range
+from finger_common.image_files import decode_image
+from finger_common.image_size import MAX_PIXELS
+from finger_common.mono8 import as_mono8, brightest_channel
 from finger_common.plugins import Plugins
 
 BAG_ENDINGS = (".mcap", ".db3", ".bag")
@@ -101,15 +101,8 @@ def read_signal(path: str | Path) -> np.ndarray:
         content = np.fromfile(path, np.uint8)
     except OSError as error:
         raise InputError(f"{path}: image cannot be read ({error.strerror})") from None
-    check_image(content.data, str(path))
-    try:
-        with silent_libraries():
-            image = cv2.imdecode(content, cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        image = None
-    if image is None:
-        raise InputError(f"{path}: not an image that can be decoded; give PNG, TIFF, JPEG or BMP")
-    return in_full_range(image, content.data)
+    with silent_libraries():
+        return decode_image(content, str(path))
 
 
 @contextmanager

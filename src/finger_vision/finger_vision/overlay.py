@@ -14,6 +14,7 @@ from finger_common.flags import AreaFlag, flag_names
 
 from .area_sensor import ContactMeasurement
 from .calibration import PlateCalibration
+from .working_grid import to_fine
 
 SMALLEST_WIDTH = 320
 """Pixels; pictures of signals with fewer columns are enlarged by a whole factor."""
@@ -42,8 +43,7 @@ def draw_overlay(
     picture = picture.repeat(factor, axis=0).repeat(factor, axis=1)
     if len(measurement.hull):
         for points, colour in ((_ellipse(measurement), BLUE), (measurement.hull, GREEN)):
-            pixels = calibration.to_pixels(points, width, height)
-            pixels = (pixels + 0.5) * factor - 0.5
+            pixels = to_fine(calibration.to_pixels(points, width, height), factor)
             drawn = np.rint(np.clip(pixels, -1e4, 1e4)).astype(np.int32)
             cv2.polylines(picture, [drawn], True, colour, 2, cv2.LINE_AA)
     _draw_scale_bar(picture, calibration, width, height, factor)

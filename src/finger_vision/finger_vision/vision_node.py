@@ -94,8 +94,7 @@ class VisionNode(ManagedNode):
         self._areas = self.create_stream_publisher(ContactArea, "contact_area", qos)
         newest = self.stream_qos(1, publisher=True)
         self._overlays = self.create_stream_publisher(Image, "contact_image", newest)
-        self._reset = self.create_service(Trigger, "~/reset", self._on_reset)
-        self._images: Any = None
+        self.create_service(Trigger, "~/reset", self._on_reset)
         if not self.calibration.calibrated:
             self.get_logger().warning(
                 "no plate calibration: a plain area per pixel is used and every area is flagged; "
@@ -109,25 +108,12 @@ class VisionNode(ManagedNode):
         )
         self._worker.start()
         # A few images of depth, so that the node, not the middleware, drops and counts them.
-        self._images = self.create_stream_subscription(
-            Image, "image_raw", self._on_image, self.stream_qos(3)
-        )
+        self.create_stream_subscription(Image, "image_raw", self._on_image, self.stream_qos(3))
 
     def deactivate(self) -> None:
-        if getattr(self, "_images", None) is not None:
-            self.destroy_subscription(self._images)
-            self._images = None
-            self._replace(None)
-            self._worker.join(5)
-
-    def cleanup(self) -> None:
-        for name in ("_areas", "_overlays"):
-            publisher = self.__dict__.pop(name, None)
-            if publisher is not None:
-                self.destroy_publisher(publisher)
-        service = self.__dict__.pop("_reset", None)
-        if service is not None:
-            self.destroy_service(service)
+        self.destroy_active_interfaces()
+        self._replace(None)
+        self._worker.join(5)
 
     # Work ------------------------------------------------------------------------------------
 
@@ -155,7 +141,7 @@ class VisionNode(ManagedNode):
                 self.log_fault(self.health, "frame", str(error), WARN)
             except Exception as error:
                 # One image must not end the worker. After deactivation its failure is no fault.
-                if self._images is not None:
+                if self.active:
                     self.health.count("failed")
                     self.log_fault(self.health, "failure", f"{type(error).__name__}: {error}")
 

@@ -21,6 +21,16 @@ Box = tuple[slice, slice]
 """Rows and columns of a part of the working image."""
 
 
+def to_coarse(points: np.ndarray, step: int) -> np.ndarray:
+    """Points (n, 2) of a frame in pixels of step × step of its own; centres are at integers."""
+    return (points + 0.5) / step - 0.5
+
+
+def to_fine(points: np.ndarray, step: int) -> np.ndarray:
+    """Points (n, 2) in the frame's own pixels; the inverse of `to_coarse`."""
+    return (points + 0.5) * step - 0.5
+
+
 class WorkingGrid:
     """Pixels of about `working_pixel` (m), made of step × step pixels of the frame; larger ones
     for a frame of which these would be too many.
@@ -41,9 +51,7 @@ class WorkingGrid:
         width, height = size
         self.size = size
         self.calibration = calibration
-        middle = np.array([[width / 2, height / 2], [width / 2 + 1, height / 2]])
-        plate = calibration.to_plate(middle, width, height)
-        pitch = float(np.hypot(*(plate[1] - plate[0])))
+        pitch = calibration.pitch(width, height)
         fewest = math.ceil(math.sqrt(width * height / MAXIMUM_PIXELS))
         self.step = max(1, round(working_pixel / pitch), fewest)
         self.pitch = pitch * self.step
@@ -69,5 +77,6 @@ class WorkingGrid:
 
     def to_plate(self, points: np.ndarray, box: Box) -> np.ndarray:
         """(n, 2) m from points in working pixels of a box; pixel centres are at integers."""
-        pixels = (points + [box[1].start, box[0].start] + 0.5) * self.step - 0.5
+        corner = np.array([box[1].start, box[0].start])
+        pixels = to_fine(points + corner, self.step)
         return self.calibration.to_plate(pixels, *self.size)

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from finger_common.errors import InputError
-from finger_vision.images import as_mono8, decode, read_image
+from finger_common.mono8 import as_mono8
+from finger_vision.images import decode, read_image
 from finger_vision.messages import image_of
 
 GREY = np.arange(12, dtype=np.uint8).reshape(3, 4) * 20

@@ -109,13 +109,15 @@ def test_bags_are_measured_with_it(
         "import sys\n"
         "from finger_bag.reader import open_bag\n"
         "from finger_offline.image_areas import ImageAreas\n"
+        "from finger_offline.image_settings import ImageSettings\n"
         "with open_bag(sys.argv[1]) as reader:\n"
-        "    areas = ImageAreas.for_bag(\n"
-        "        reader, area_per_pixel=float(sys.argv[2]), area_sensor='capacitive_array'\n"
+        "    settings = ImageSettings(\n"
+        "        area_per_pixel=float(sys.argv[2]), area_sensor='capacitive_array'\n"
         "    )\n"
+        "    areas = ImageAreas.for_bag(reader, settings)\n"
         "    for item in reader.messages(['/finger/image_raw']):\n"
         "        areas.add(item, item.log_time_ns)\n"
-        "print(*areas.arrays()['area'])\n",
+        "print(*areas.table()['area'])\n",
         tmp_path / "bag",
         AREA_PER_PIXEL,
     )

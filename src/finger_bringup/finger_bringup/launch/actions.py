@@ -111,7 +111,7 @@ def node_actions(
         own = Path(tempfile.mkdtemp(prefix="finger_launch_")) / "parameters.yaml"
         nodes.write_parameter_file(together, suite, own)
         bring_up_loggers = [
-            f"{entry.namespace(suite)}/{entry.name}".strip("/").replace("/", ".")
+            entry.full_name(suite).strip("/").replace("/", ".")
             for entry in together
             if entry.name == nodes.BRING_UP.name
         ]

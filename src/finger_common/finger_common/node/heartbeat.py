@@ -15,33 +15,22 @@ from collections.abc import Callable
 
 from rclpy.context import Context
 
+from .shared import SharedInContext
+
 HEARTBEAT = 0.25
 """s between heartbeats: what no diagnostic at 1 Hz can, they show a dead node within a second."""
 
 
-class Heartbeats:
+class Heartbeats(SharedInContext):
     """The thread of one context, which calls every beat each 0.25 s, spread over that time."""
 
-    _all: dict[int, Heartbeats] = {}
-    _making = threading.Lock()
-
-    @classmethod
-    def of(cls, context: Context) -> Heartbeats:
-        """That of a context; it is made when it is first needed."""
-        with cls._making:
-            found = cls._all.get(id(context))
-            if found is None or found.context is not context:
-                found = cls._all[id(context)] = cls(context)
-            return found
-
     def __init__(self, context: Context) -> None:
-        self.context = context
+        super().__init__(context)
         self._beats: list[Callable[[], None]] = []
         self._lock = threading.Lock()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="heartbeats", daemon=True)
         self._thread.start()
-        context.on_shutdown(self._end)
 
     def add(self, beat: Callable[[], None]) -> None:
         """Call it from now on; it shall neither wait nor raise."""
@@ -53,8 +42,7 @@ class Heartbeats:
         with self._lock:
             self._beats = [other for other in self._beats if other != beat]
 
-    def _end(self) -> None:
-        """The context has ended: so does the thread, which must not outlive the interpreter."""
+    def end(self) -> None:
         self._ended.set()
         if self._thread is not threading.current_thread():
             self._thread.join(1.0)

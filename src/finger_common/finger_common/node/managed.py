@@ -7,7 +7,7 @@
 values with a reason, publishes `/diagnostics` at 1 Hz and its name on `heartbeat` at 4 Hz, brings
 itself up when `autostart` is true, and turns errors of the core into failed transitions with one
 sentence in the log. A node overrides `configure`, `activate`, `deactivate` and `cleanup`, which
-raise a FingerError to refuse.
+raise a FingerError to refuse. What of ROS it made since `configure` is destroyed after `cleanup`.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from __future__ import annotations
 import copy
 import time
 import traceback
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -30,12 +30,13 @@ from rclpy.exceptions import ParameterException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter as RosParameter
-from rclpy.qos import QoSCompatibility, QoSPolicyKind, QoSProfile, qos_check_compatible
+from rclpy.qos import QoSPolicyKind, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.time_source import CLOCK_TOPIC
 from std_msgs.msg import String
 
 from ..cli import one_line
-from ..diagnostics import ERROR, WARN, Health, full_node_name
+from ..diagnostics import ERROR, Health, full_node_name
 from ..errors import FingerError, InputError, known_names
 from ..host_clock import HostClock
 from ..parameters import ParameterTable
@@ -45,15 +46,13 @@ from .described import descriptor_of, ros_value, type_of
 from .heartbeat import HEARTBEAT, Heartbeats
 from .polling import PolledSubscription
 from .qos import AUTO, BEST_EFFORT, RELIABLE, stream_qos
+from .stream_watch import StreamWatch
 from .waiting import WaitedSubscription
 
 BEATS_PER_SECOND = round(1.0 / HEARTBEAT)
 
 HANGING = 2.5
 """s without a callback after which a node's heart stops: its diagnostics alone come each second."""
-
-REMEMBERED = 30.0
-"""s for which the middleware may still show the publishers of a node that was killed."""
 
 QOS_OVERRIDES = "qos_overrides."
 OVERRIDABLE = (
@@ -129,8 +128,12 @@ class ManagedNode(LifecycleNode):
         """Of the node's process when a signal ends it."""
         self.refused: FingerError | None = None
         """Why the newest transition that failed did."""
+        self.closing = ExitStack()
+        """Closes, after `cleanup`, what `configure` opened that is no interface of ROS."""
         self._live = False
         self._active = False
+        self._ends: dict[Any, Callable[[], Any]] = {}
+        """How subscriptions end that have more to end than themselves."""
         self._all = self.parameter_table()
         self._bad_values: dict[str, str] = {}
         for parameter in self._all:
@@ -149,16 +152,17 @@ class ManagedNode(LifecycleNode):
         self._warn_of_unknown()
         self._host_clock = HostClock()
         self.add_on_set_parameters_callback(self._on_set_parameters)
-        self._streams: list[Any] = []
-        self._polled_streams: list[PolledSubscription] = []
-        self._mismatches: dict[str, QoSProfile] = {}
-        self._shared_since: dict[str, float] = {}
+        self._stream_watch = StreamWatch(self)
+        self._unconfigured: set[Any] = set()
+        self._inactive: set[Any] = set()
+        """Interfaces that the node had before it was configured, and before it was activated."""
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._heartbeat = self.create_publisher(String, "heartbeat", 10)
         self._beats = 0
         self._served = time.monotonic()
         self._second: tuple[Any, Any] = (None, None)
-        Heartbeats.of(self.context).add(self._beat)
+        self._heartbeats = Heartbeats.of(self.context)
+        self._heartbeats.add(self._beat)
 
     # What a node overrides -------------------------------------------------------------------
 
@@ -172,7 +176,10 @@ class ManagedNode(LifecycleNode):
         """Stop publishing; the source stays connected."""
 
     def cleanup(self) -> None:
-        """Release everything `configure` took. Also called after a failed `configure`."""
+        """Release what `configure` took and neither `closing` closes nor is an interface of ROS.
+
+        Also called after a failed `configure`. An interface that is made here stays.
+        """
 
     def parameters_changed(self, changes: dict[str, Any]) -> None:
         """Take over changed run-time parameters; raises FingerError to refuse all of them."""
@@ -238,7 +245,7 @@ class ManagedNode(LifecycleNode):
     def _on_set_parameters(self, parameters: Sequence[RosParameter]) -> SetParametersResult:
         try:
             own = [self._checked(p) for p in parameters if p.name in self._all]
-            changes = {p.name: self._all[p.name].check(p.value) for p in own}
+            changes = {p.name: p.value for p in own}
             if self._live and changes:
                 self.parameters_changed(changes)
                 self.values.update(changes)
@@ -273,7 +280,7 @@ class ManagedNode(LifecycleNode):
         publisher = self._with_overrides(
             self.create_publisher, message_type, topic, copy.copy(qos), event_callbacks=events
         )
-        self._streams.append(publisher)
+        self._stream_watch.published.append(publisher)
         return publisher
 
     def create_stream_subscription(
@@ -282,7 +289,7 @@ class ManagedNode(LifecycleNode):
         """Subscription that reports publishers whose QoS is incompatible."""
         qos = copy.copy(qos)
         events = SubscriptionEventCallbacks(
-            incompatible_qos=lambda event: self._report_mismatch(topic, qos)
+            incompatible_qos=lambda event: self._stream_watch.report_mismatch(topic, qos)
         )
         return self._with_overrides(
             self.create_subscription,
@@ -302,18 +309,31 @@ class ManagedNode(LifecycleNode):
         It costs a small part of a round of the executor. It ends with `destroy`.
         """
         polled = self.create_polled_subscription(message_type, topic, qos)
-        self._polled_streams.append(polled)
-        return WaitedSubscription(self, polled, message_type, callback, self.fail)
+        self._stream_watch.polled.append(polled)
+        waited = WaitedSubscription(self, polled, message_type, callback, self.fail)
+        self._ends[polled.subscription] = waited.destroy
+        return waited
 
     def create_polled_subscription(
-        self, message_type: Any, topic: str, qos: QoSProfile
+        self, message_type: Any, topic: str, qos: QoSProfile, overridable: bool = True
     ) -> PolledSubscription:
-        """Subscription that the node reads when it needs its messages. It ends with `destroy`."""
-        # Those of a subscription before it, of another QoS, would be taken for the user's.
-        self._forget_overrides(f"{QOS_OVERRIDES}{self.resolve_topic_name(topic)}.subscription.")
-        return self._with_overrides(  # type: ignore[no-any-return]
-            partial(PolledSubscription, self), message_type, topic, copy.copy(qos)
-        )
+        """Subscription that the node reads when it needs its messages. It ends with `destroy`.
+
+        overridable: whether the parameters qos_overrides.… change its QoS.
+        """
+        create = partial(PolledSubscription, self)
+        if overridable:
+            # Those of a subscription before it, of another QoS, would be taken for the user's.
+            self._forget_overrides(f"{QOS_OVERRIDES}{self.resolve_topic_name(topic)}.subscription.")
+            create = partial(self._with_overrides, create)
+        polled: PolledSubscription = create(message_type, topic, copy.copy(qos))
+        self._ends[polled.subscription] = polled.destroy
+        return polled
+
+    def destroy_subscription(self, subscription: Any) -> bool:
+        """Destroy a subscription, as rclpy does."""
+        self._ends.pop(subscription, None)
+        return super().destroy_subscription(subscription)
 
     def _with_overrides(self, create: Any, *arguments: Any, **options: Any) -> Any:
         """Create a publisher or subscription whose QoS the parameters qos_overrides.… change."""
@@ -341,61 +361,7 @@ class ManagedNode(LifecycleNode):
 
     def check_mismatch(self, polled: PolledSubscription) -> None:
         """Report publishers of a polled topic whose QoS is incompatible."""
-        if polled.new_mismatches():
-            self._report_mismatch(polled.topic, polled.qos)
-
-    def _report_mismatch(self, topic: str, qos: QoSProfile) -> None:
-        self._mismatches[topic] = qos
-        message = (
-            f"a publisher of '{topic}' has an incompatible QoS and exchanges no data with this "
-            "node; set qos_reliability to auto on both sides"
-        )
-        if not self.healths or self.healths[0].fault("qos_mismatch", message, WARN):
-            self.get_logger().warning(message)
-
-    def _watch_mismatches(self) -> None:
-        """End the fault when the publishers that did not fit are gone."""
-        for topic, qos in list(self._mismatches.items()):
-            offers = [offer.qos_profile for offer in self.get_publishers_info_by_topic(topic)]
-            if all(qos_check_compatible(o, qos)[0] != QoSCompatibility.ERROR for o in offers):
-                del self._mismatches[topic]
-                if not self._mismatches:
-                    self.healths[0].recovered("qos_mismatch")
-
-    def _watch_publishers(self) -> None:
-        """Report other publishers of the node's streams: whoever reads them mixes both."""
-        others: set[str] = set()
-        for publisher in self._streams:
-            if self.count_publishers(publisher.topic_name) > 1:
-                others |= self._other_publishers(publisher.topic_name)
-            else:
-                self._shared_since.pop(publisher.topic_name, None)
-        if others:
-            text = (
-                f"also published by {', '.join(sorted(others))}: readers mix both; end one, or "
-                "give it another namespace"
-            )
-            self.log_fault(self.healths[0], "second_publisher", text, ERROR)
-        else:
-            self.healths[0].recovered("second_publisher")
-
-    def _other_publishers(self, topic: str) -> set[str]:
-        """Topic and node of publishers of a stream of this node that are not this node's.
-
-        One of this node's own name may be what is left of a node that was killed and is now
-        running again, so it counts only after a while.
-        """
-        names = [
-            f"{info.node_namespace.rstrip('/')}/{info.node_name}"
-            for info in self.get_publishers_info_by_topic(topic)
-        ]
-        own = self.get_fully_qualified_name()
-        found = {f"{name} ({topic})" for name in names if name != own}
-        if names.count(own) < 2:
-            self._shared_since.pop(topic, None)
-        elif time.monotonic() - self._shared_since.setdefault(topic, time.monotonic()) > REMEMBERED:
-            found.add(f"another {own} ({topic})")
-        return found
+        self._stream_watch.check_mismatch(polled)
 
     # Diagnostics -----------------------------------------------------------------------------
 
@@ -411,10 +377,7 @@ class ManagedNode(LifecycleNode):
         """One DiagnosticStatus per health."""
         if not self.healths:
             return
-        for polled in self._polled_streams:
-            self.check_mismatch(polled)
-        self._watch_mismatches()
-        self._watch_publishers()
+        self._stream_watch.look()
         array = DiagnosticArray()
         array.header.stamp = self.get_clock().now().to_msg()
         for health in self.healths:
@@ -432,7 +395,7 @@ class ManagedNode(LifecycleNode):
 
     def destroy_node(self) -> None:
         """End the node."""
-        Heartbeats.of(self.context).remove(self._beat)
+        self._heartbeats.remove(self._beat)
         super().destroy_node()
 
     def _beat(self) -> None:
@@ -469,10 +432,11 @@ class ManagedNode(LifecycleNode):
         if self.executor is not None:
             self.executor.create_task(raise_error)
 
-    def log_fault(self, health: Health, key: str, message: str, level: int = 2) -> None:
+    def log_fault(self, health: Health, key: str, message: str, level: int = ERROR) -> None:
         """Note a fault and log it if it is new."""
         if health.fault(key, message, level):
-            self.get_logger().error(message) if level >= 2 else self.get_logger().warning(message)
+            logger = self.get_logger()
+            logger.error(message) if level >= ERROR else logger.warning(message)
 
     # Lifecycle -------------------------------------------------------------------------------
 
@@ -518,32 +482,41 @@ class ManagedNode(LifecycleNode):
             self.values = self.read_parameters()
             self._host_clock = HostClock()
 
-        before, configured = self._interfaces(), False
+        self._unconfigured, configured = set(self._interfaces()), False
         try:
             configured = self._attempt("configure", read, self.configure)
         finally:  # also after a defect of the program, such as one of an outside driver
             if not configured:
                 self._attempt("cleanup", self._clean_up)
-                for interface, destroy in self._interfaces().items():
-                    if interface not in before:  # made before it failed
-                        destroy(interface)
         if not configured:
             return TransitionCallbackReturn.FAILURE
         self._describe_live(True)
         self._set_state("inactive")
         return TransitionCallbackReturn.SUCCESS
 
-    def _interfaces(self) -> dict[Any, Callable[[Any], Any]]:
-        """What the node has now, and how it is destroyed."""
-        return {
-            **dict.fromkeys(self.publishers, self.destroy_publisher),
-            **dict.fromkeys(self.subscriptions, self.destroy_subscription),
-            **dict.fromkeys(self.services, self.destroy_service),
-            **dict.fromkeys(self.clients, self.destroy_client),
-            **dict.fromkeys(self.timers, self.destroy_timer),
-        }
+    def _interfaces(self) -> dict[Any, Callable[[], Any]]:
+        """What the node has now, and how each is destroyed."""
+        clock = self.resolve_topic_name(CLOCK_TOPIC)  # whose subscription is rclpy's own
+        inputs = (s for s in self.subscriptions if s.topic_name != clock)
+        kinds: tuple[tuple[Iterable[Any], Callable[[Any], Any]], ...] = (
+            (self.publishers, self.destroy_publisher),
+            (inputs, self.destroy_subscription),
+            (self.services, self.destroy_service),
+            (self.clients, self.destroy_client),
+            (self.guards, self.destroy_guard_condition),
+            (self.timers, self.destroy_timer),
+        )
+        found = {one: partial(destroy, one) for each, destroy in kinds for one in each}
+        return {**found, **self._ends}
+
+    def destroy_active_interfaces(self) -> None:
+        """Destroy what was made since `activate` began; for `deactivate`, where that fits."""
+        for made, destroy in self._interfaces().items():
+            if made not in self._inactive:
+                destroy()
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._inactive = set(self._interfaces())
         if not self._attempt("activate", self.activate):
             return TransitionCallbackReturn.FAILURE
         self._active = True
@@ -572,14 +545,16 @@ class ManagedNode(LifecycleNode):
         return TransitionCallbackReturn.SUCCESS
 
     def _clean_up(self) -> None:
-        self._streams.clear()
-        self._polled_streams.clear()
-        self._mismatches.clear()
-        try:
+        self._stream_watch = StreamWatch(self)
+        with ExitStack() as ending:  # the last one first, each also where one before it fails
+            ending.callback(self._describe_live, False)
+            ending.callback(self._forget_overrides)
+            # What `cleanup` makes, such as a timer for a farewell, outlives it.
+            for made, destroy in self._interfaces().items():
+                if made not in self._unconfigured:
+                    ending.callback(destroy)
+            ending.callback(self.closing.close)
             self.cleanup()
-        finally:
-            self._forget_overrides()
-            self._describe_live(False)
 
     def release(self) -> None:
         """Deactivate and clean up, in any state."""

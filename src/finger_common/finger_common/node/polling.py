@@ -52,7 +52,7 @@ class PolledSubscription:
         self.qos = qos
         self._node = node
         self._type = message_type
-        self._subscription = node.create_subscription(
+        self.subscription = node.create_subscription(
             message_type,
             topic,
             lambda message: None,
@@ -68,13 +68,13 @@ class PolledSubscription:
         ):
             # Not every middleware has both events.
             with suppress(UnsupportedEventTypeError):
-                handle = rclpy_implementation.EventHandle(self._subscription.handle, kind)
+                handle = rclpy_implementation.EventHandle(self.subscription.handle, kind)
                 self._events[kind] = handle
 
     @property
     def handle(self) -> Any:
         """The middleware's subscription."""
-        return self._subscription.handle
+        return self.subscription.handle
 
     def take(self) -> Iterator[tuple[bytes, dict[str, Any]]]:
         """Messages received since the last call, serialized, with their times.
@@ -82,8 +82,8 @@ class PolledSubscription:
         The mapping holds the middleware's `received_timestamp` and `source_timestamp` in ns.
         """
         while True:
-            with self._subscription.handle:
-                taken = self._subscription.handle.take_message(self._type, True)
+            with self.subscription.handle:
+                taken = self.subscription.handle.take_message(self._type, True)
             if taken is None:
                 return
             yield taken
@@ -108,4 +108,4 @@ class PolledSubscription:
         """End the subscription."""
         for handle in self._events.values():
             handle.destroy_when_not_in_use()
-        self._node.destroy_subscription(self._subscription)
+        self._node.destroy_subscription(self.subscription)

@@ -21,6 +21,7 @@ from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 
 from .polling import PolledSubscription
+from .shared import SharedInContext
 
 _LONGEST_WAIT = 1.0
 """s after which the thread looks whether the context has ended."""
@@ -69,23 +70,11 @@ class WaitedSubscription:
         self.polled.destroy()
 
 
-class _Waiter:
+class _Waiter(SharedInContext):
     """The thread of one context."""
 
-    _all: dict[int, _Waiter] = {}
-    _lock = threading.Lock()
-
-    @classmethod
-    def of(cls, context: Context) -> _Waiter:
-        """The waiter of a context, which is made when it is first needed."""
-        with cls._lock:
-            waiter = cls._all.get(id(context))
-            if waiter is None or waiter.context is not context:
-                waiter = cls._all[id(context)] = cls(context)
-            return waiter
-
     def __init__(self, context: Context) -> None:
-        self.context = context
+        super().__init__(context)
         self._streams: tuple[WaitedSubscription, ...] = ()
         self._change = threading.Lock()
         self._running = False
@@ -94,7 +83,6 @@ class _Waiter:
         with handle:
             self._guard = rclpy_implementation.GuardCondition(handle)
         self._thread: threading.Thread | None = None
-        context.on_shutdown(self._end)
 
     def add(self, stream: WaitedSubscription) -> None:
         """Deliver a stream."""
@@ -116,8 +104,7 @@ class _Waiter:
         with self._guard:
             self._guard.trigger_guard_condition()
 
-    def _end(self) -> None:
-        """The context has ended: so does the thread, which must not outlive the interpreter."""
+    def end(self) -> None:
         thread = self._thread
         if thread is not None and thread is not threading.current_thread():
             self._wake()

@@ -16,12 +16,10 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from finger_common.errors import DeviceError, InputError
-from finger_common.image_size import check_image
-from finger_common.mono8 import in_full_range
+from finger_common.image_files import decode_image
 from finger_common.stamps import nanoseconds
 
 from .source import CameraSettings, CameraSource, Frame
@@ -140,11 +138,8 @@ class FolderSource(CameraSource):
             self.health.count("skipped")
             return None
         try:
-            check_image(data.data, name)
-            image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
-        except (InputError, cv2.error):
-            image = None
-        if image is None:
+            image = decode_image(data, name)
+        except InputError:
             self.note("malformed", f"{name}: not an image that can be read")
             return None
-        return self.frame(stamp, in_full_range(image, data.data), sequence, name)
+        return self.frame(stamp, image, sequence, name)

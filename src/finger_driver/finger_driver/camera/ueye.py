@@ -105,11 +105,7 @@ class UeyeSource(CameraSource):
         except DeviceError:
             self._camera = None
             raise
-        try:
-            self._set_up(u)
-        except DeviceError:
-            self.close()
-            raise
+        self._set_up(u)
 
     def _set_up(self, u: Any) -> None:
         camera = self._camera

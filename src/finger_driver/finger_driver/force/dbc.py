@@ -74,11 +74,7 @@ class DbcSource(ForceSource):
                     "the mapping"
                 )
         except can.CanError as error:
-            self.close()
             raise DeviceError(f"{self._where()}: the bus failed at start-up ({error})") from None
-        except DeviceError:
-            self.close()
-            raise
         self._begin()
         self.health.hardware_id = self._where()
 
@@ -103,7 +99,7 @@ class DbcSource(ForceSource):
             bus.shutdown()
 
     def read(self, timeout: float = 1.0) -> WrenchSample | None:
-        """Next sample; raises DeviceError after 0.25 s without one or when the bus fails."""
+        """Next sample; raises DeviceError after `longest_silence` or when the bus fails."""
         if self._bus is None:
             raise DeviceError(f"{self._where()}: not connected")
         try:

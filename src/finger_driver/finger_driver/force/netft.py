@@ -14,7 +14,7 @@
 - A box that sends faster than `rate` is averaged over whole blocks, stamped in the block's middle.
   Its own decimation has no filter.
 - UDP has no protection against a forger who sends from the box's address. What can be checked is:
-  the sender's address and port (by the kernel), whole records, the numbering (`_in_order`), the
+  the sender's address and port (by the kernel), whole records, the numbering (`RecordOrder`), the
   scale and the sensor's range.
 - The box forgets the stream at a reboot and serves one client only; silence or a restarted
   numbering leads to a new connection. Its software bias is never changed.
@@ -40,6 +40,7 @@ from finger_common.settings import setting
 
 from ..clock import ClockMapper, receive_stamped, request_kernel_stamps
 from ..protocols import netft_xml, rdt
+from ..protocols.rdt_order import Received, RecordOrder
 from .source import CRITICAL, GOOD, SATURATED, ForceSettings, ForceSource, WrenchSample
 
 _TIMEOUT = 1.0
@@ -49,8 +50,6 @@ _CHECK_PERIOD = 2.0
 _OLD = 0.5
 _BUFFER = 1 << 20
 """Bytes asked for to hold what comes meanwhile; the kernel may grant less (net.core.rmem_max)."""
-_REORDERED = 64
-"""A record number at most this far back is a late datagram, one further back a new numbering."""
 _DRIFT_LIMIT = 2e-3
 """Deviation of the box's rate from its page beyond which its numbering is not used as a clock."""
 _CLOCK_BLOCK, _CLOCK_BLOCKS = 0.25, 120
@@ -82,17 +81,6 @@ class _PageWatcher(threading.Thread):
             if now != self._known:
                 self.changed = True
                 return
-
-
-def _step(earlier: rdt.Record, later: rdt.Record) -> int:
-    """Difference of two record numbers, which are of 32 bits."""
-    return (later.rdt_sequence - earlier.rdt_sequence + (1 << 31)) % (1 << 32) - (1 << 31)
-
-
-def _follows(earlier: rdt.Record, later: rdt.Record) -> bool:
-    """Whether both numbers of `later` are soon after those of `earlier`."""
-    internal = (later.ft_sequence - earlier.ft_sequence) & 0xFFFFFFFF
-    return 1 <= _step(earlier, later) <= _REORDERED and internal < 1 << 31
 
 
 @dataclass(frozen=True)
@@ -151,7 +139,6 @@ class NetFtSource(ForceSource):
         try:
             self._open()
         except OSError as error:
-            self.close()
             raise DeviceError(
                 f"{self._where()}: {error.strerror or error}; check address and network"
             ) from None
@@ -177,20 +164,18 @@ class NetFtSource(ForceSource):
             except OSError as error:
                 failed = f"no record can be received ({error.strerror or error}); check"
         if failed:
-            self.close()
             raise DeviceError(
                 f"{self._where()}: the web page answers but {failed} UDP port "
                 f"{self.settings.netft_port}"
             )
 
     def _begin(self) -> None:
-        self._records: deque[tuple[rdt.Record, int]] = deque()
-        """Records in order, with the host time of their receipt."""
+        self._records: deque[Received] = deque()
+        """Records in order."""
         self._pending: list[tuple[int, np.ndarray]] = []
         self._pending_quality = GOOD
         self._pending_status = 0
-        self._last: rdt.Record | None = None
-        self._held: tuple[rdt.Record, int] | None = None
+        self._order = RecordOrder()
         self._internal: tuple[int, int] | None = None
         """Number of the newest internal sample, and when it was received first."""
         self._stamp = 0
@@ -236,7 +221,7 @@ class NetFtSource(ForceSource):
     # Reading ---------------------------------------------------------------------------------
 
     def read(self, timeout: float = 1.0) -> WrenchSample | None:
-        """Next sample; raises DeviceError after 0.25 s of silence or a restart of the numbering."""
+        """Next sample; raises DeviceError after `longest_silence` or a restart of the numbering."""
         if self._socket is None:
             raise DeviceError(f"{self._where()}: not connected")
         if self._watcher is not None and self._watcher.changed:
@@ -283,62 +268,34 @@ class NetFtSource(ForceSource):
             self._records.extend(self._in_order(record, received))
         return True
 
-    def _in_order(self, record: rdt.Record, received: int) -> list[tuple[rdt.Record, int]]:
-        """Records that can be used now that this one has come, with their times of receipt.
-
-        A record that follows the last one can be used at once. Any other one, after a gap or of a
-        numbering begun anew, is held until the next has come, and used when that follows it. So a
-        single forged or damaged record neither passes nor ends the stream.
-        """
-        last, held, self._held = self._last, self._held, None
-        step = 1 if last is None else _step(last, record)
-        if last is None or (step == 1 and _follows(last, record)):
-            self._last = record
+    def _in_order(self, record: rdt.Record, received: int) -> list[Received]:
+        """Records that can be used now that this one has come; what was noticed goes to health."""
+        usable, outcome = self._order.add(record, received)
+        if outcome.follows:
             self.cleared("jump", "conflict", "malformed")
-            if held is None:
-                return [(record, received)]
-            if _step(record, held[0]) == 1 and _follows(record, held[0]):
-                self.health.count("out_of_order")
-                self._last = held[0]
-                return [(record, received), held]
-            self._left_out()
-            return [(record, received)]
-        late = -_REORDERED <= step < 0 and record.ft_sequence < last.ft_sequence
-        if step == 0 or late:
+        if outcome.out_of_order:
             self.health.count("out_of_order")
-            self._held = held
-            if step == 0 and record.counts != last.counts:
-                self.note(
-                    "conflict",
-                    "two different records of one number; is another sender in the network?",
-                )
-            return []
-        if held is not None and _follows(record, held[0]):
-            self.health.count("out_of_order")
-            held, (record, received) = (record, received), held
-        if held is not None and _follows(held[0], record):
-            gap = _step(last, held[0])
-            if gap < 1:
-                raise DeviceError(
-                    f"{self._where()}: the numbering restarted; the box rebooted or another client "
-                    "started it"
-                )
-            if (lost := gap - 1 + _step(held[0], record) - 1) > 0:
-                self.health.count("lost", lost)
+        if outcome.conflict:
+            self.note(
+                "conflict",
+                "two different records of one number; is another sender in the network?",
+            )
+        if outcome.left_out:
+            self.note(
+                "jump",
+                "a record was left out: its number jumped and the next record did not follow it; "
+                "was it damaged, or is another sender in the network?",
+            )
+        if outcome.restarted:
+            raise DeviceError(
+                f"{self._where()}: the numbering restarted; the box rebooted or another client "
+                "started it"
+            )
+        if outcome.lost:
+            self.health.count("lost", outcome.lost)
+        if outcome.gap:
             self._begin_block()
-            self._last = record
-            return [held, (record, received)]
-        if held is not None:
-            self._left_out()
-        self._held = (record, received)
-        return []
-
-    def _left_out(self) -> None:
-        self.note(
-            "jump",
-            "a record was left out: its number jumped and the next record did not follow it; was "
-            "it damaged, or is another sender in the network?",
-        )
+        return usable
 
     def _sample_of(self, record: rdt.Record, received: int) -> WrenchSample | None:
         if self._internal is not None and self._internal[0] == record.ft_sequence:

@@ -40,20 +40,18 @@ class Reading:
     """One reading of skin moisture.
 
     stamp_ns: when the probe took it, ns since the epoch. value: 0…130 a.u., or what the probe gave
-    with FLAG_OUT_OF_RANGE. index: number since the source was opened, from 0. phase: PHASE_*.
-    flags: FLAG_*.
+    with FLAG_OUT_OF_RANGE. phase: PHASE_*. flags: FLAG_*.
     """
 
     stamp_ns: int
     value: float
-    index: int
     phase: int = PHASE_UNKNOWN
     flags: int = 0
     source: str = ""
 
 
 class MoistureSource(Device[Reading]):
-    """A source of moisture readings, each with an index of its own."""
+    """A source of moisture readings."""
 
     SETTINGS: type[MoistureSettings] = MoistureSettings
     NAME = ""
@@ -61,11 +59,9 @@ class MoistureSource(Device[Reading]):
 
     def __init__(self, settings: MoistureSettings) -> None:
         super().__init__(settings, Health("moisture"))
-        self._index = 0
 
     def reading(self, stamp_ns: int, value: float, phase: int = 0, flags: int = 0) -> Reading:
-        """The next reading; a value off the scale is flagged."""
+        """A reading; a value off the scale is flagged."""
         if not is_moisture(value):
             flags |= FLAG_OUT_OF_RANGE
-        index, self._index = self._index, self._index + 1
-        return Reading(stamp_ns, value, index, phase, flags, self.NAME)
+        return Reading(stamp_ns, value, phase, flags, self.NAME)

@@ -14,6 +14,7 @@ Nothing in this module touches a bus: frames are (identifier, data) pairs.
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -36,7 +37,10 @@ SET_BASE = 0xD
 SET_BITRATE = 0xE
 READ_FIRMWARE = 0xF
 
-REPLIES: dict[int, tuple[tuple[int, int], ...]] = {
+Key = tuple[int, int]
+"""Opcode and length of a frame."""
+
+REPLIES: dict[int, tuple[Key, ...]] = {
     READ_GAUGES: ((0x0, 8), (0x1, 6)),
     READ_MATRIX: ((0x2, 8), (0x3, 8), (0x4, 8)),
     READ_SERIAL: ((0x5, 8),),
@@ -49,7 +53,9 @@ REPLIES: dict[int, tuple[tuple[int, int], ...]] = {
     SET_BITRATE: ((0xE, 0),),
     READ_FIRMWARE: ((0xF, 4),),
 }
-"""(opcode, length) of each reply frame to a request's opcode (manual, table 4.2)."""
+"""Each reply frame to a request's opcode (manual, table 4.2)."""
+
+READING, ROW = REPLIES[READ_GAUGES], REPLIES[READ_MATRIX]
 
 REQUEST_LENGTH = {
     READ_GAUGES: 0,
@@ -87,7 +93,7 @@ CRITICAL_MASK = sum(1 << bit for bit in CRITICAL_BITS)
 """Bits with which the gauge data cannot be used. Bit 15 does not follow bit 14 on real boards."""
 
 BAD_CALIBRATION = 1 << 6
-SATURATED = (-32768, 32767)
+GAUGE_ENDS = (-32768, 32767)
 """Gauge readings that mean saturation (manual, section 7.3)."""
 
 SLOTS = 16
@@ -133,8 +139,11 @@ def encode_gauges(status: int, gauges: np.ndarray) -> tuple[bytes, bytes]:
     return (struct.pack(">Hhhh", status, g[0], g[2], g[4]), struct.pack(">hhh", g[1], g[3], g[5]))
 
 
-def decode_matrix_row(frames: tuple[bytes, bytes, bytes]) -> np.ndarray:
-    """One row (6,) float64 of the calibration matrix; raises DeviceError for a wrong length."""
+def decode_matrix_row(frames: Sequence[bytes]) -> np.ndarray:
+    """One row (6,) float64 of the calibration matrix, from its three frames.
+
+    Raises DeviceError for a wrong length.
+    """
     for data in frames:
         _need(data, 8, "matrix")
     return np.array(struct.unpack(">6f", b"".join(frames)), dtype=float)
@@ -179,7 +188,7 @@ def decode_serial(data: bytes) -> str:
 
 def saturated(gauges: np.ndarray) -> list[int]:
     """Indices of saturated gauges."""
-    return [index for index, value in enumerate(gauges.tolist()) if value in SATURATED]
+    return [index for index, value in enumerate(gauges.tolist()) if value in GAUGE_ENDS]
 
 
 @dataclass(frozen=True)

@@ -212,7 +212,7 @@ def _table(
 
 
 def gains(space: ParameterSpace, found: dict[str, Expected]) -> list[str]:
-    """What a displacement sensor brings, a sentence for each plan."""
+    """Say what a displacement sensor brings, in a sentence for each plan."""
     lines = []
     for name, e in found.items():
         other = found.get(f"{name} + indentation")
@@ -244,7 +244,8 @@ def _entry(found: Expected, wanted: tuple[str, float] | None) -> dict[str, Any]:
 def _contrasts(
     first: dict[str, Expected], second: dict[str, Expected], subjects: int, between: float
 ) -> dict[str, Any]:
-    """By plan and quantity: difference of the logarithms, its deviation in a subject, power."""
+    """Compute, by plan and quantity, the difference of the logarithms, its deviation in a subject,
+    and the power."""
     out: dict[str, Any] = {}
     for plan, one in first.items():
         other, space = second[plan], one.covariance.space

@@ -46,15 +46,15 @@ class Expected:
 def expected(
     plan: Plan, model: Any, parameters: np.ndarray, options: FitOptions | None = None
 ) -> Expected:
-    """Of a plan for a finger of parameters (N,); options: priors of the nuisances. A force beyond
-    the model takes that of the population box, as in a fit."""
+    """Predict what a plan will tell of a finger of parameters (N,); options: priors of the
+    nuisances. A force beyond the model takes that of the population box, as in a fit."""
     options = options or FitOptions()
     model = serving(model, plan.peak, parameters[None])
     return expected_of(plan.problem(model, parameters, options), plan, parameters)
 
 
 def expected_of(problem: FitProblem, plan: Plan, parameters: np.ndarray) -> Expected:
-    """As `expected`, of a problem that was made by the plan."""
+    """Predict as `expected` does, from a problem that was made by the plan."""
     options = problem.options
     if options.nuisances:
         lengths = options.lengths()
@@ -64,7 +64,7 @@ def expected_of(problem: FitProblem, plan: Plan, parameters: np.ndarray) -> Expe
         nuisances.noise = plan.area_noise
         if options.press_gain:
             nuisances.scatter = plan.scatter
-        problem.nuisances = nuisances.linearise(parameters)
+        nuisances.apply(parameters)
     known = covariance(problem, parameters, plan.area_noise)
     names = problem.space.quantity_names
     return Expected(

@@ -20,8 +20,9 @@ from ..engine import Done, Engine, LocalEngine
 from ..problem import FitProblem, FitTrial, in_rows, material_of, trial_outputs
 
 REFINEMENT = 1.25
-"""Of the mesh. The areas of the default mesh err by 0.05–0.15 %, which in the poorly constrained
-direction of bulk against epidermis stiffness makes 1 %; those of this mesh by 0.02–0.07 %."""
+"""Refinement of the mesh. The areas of the default mesh err by 0.05–0.15 %, which in the poorly
+constrained direction of bulk against epidermis stiffness makes 1 %; those of this mesh by
+0.02–0.07 %."""
 
 
 class BetterModel(Protocol):
@@ -49,7 +50,7 @@ class FullOrder:
 
     @classmethod
     def like(cls, model: Any, engine: Engine | None = None) -> FullOrder:
-        """With the law, geometry, friction and other constants that a model was built for."""
+        """Take the law, geometry, friction and other constants that a model was built for."""
         geometry = getattr(model, "geometry", None) or Geometry()
         return cls(geometry, material_of(model), engine or LocalEngine())
 

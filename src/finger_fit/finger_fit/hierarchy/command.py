@@ -154,8 +154,8 @@ def population(
     space: ParameterSpace,
     seed: int = 0,
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """What population.json holds, of the entries of fit.json; and independent draws (d,) of the
-    posterior by column of population_draws.csv."""
+    """Compute what population.json holds from the entries of fit.json, and draw from the posterior:
+    (d,) by column of population_draws.csv."""
     conditions = list(dict.fromkeys(c for part in subjects.values() for c in part))
     draws: dict[str, np.ndarray] = {}
     out: dict[str, Any] = {"subjects": list(subjects), "conditions": conditions, "quantities": {}}

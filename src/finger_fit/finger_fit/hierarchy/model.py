@@ -75,7 +75,7 @@ class Estimates:
     def of_conditions(
         cls, value: np.ndarray, sd: np.ndarray, shared: np.ndarray, common: np.ndarray
     ) -> Estimates:
-        """With a mean of its own for each condition."""
+        """Give each condition a mean of its own."""
         number, conditions = value.shape
         design = np.broadcast_to(np.eye(conditions), (number, conditions, conditions))
         return cls(value, sd, shared, common, design, conditions)
@@ -89,7 +89,7 @@ class Estimates:
         common: np.ndarray,
         covariate: np.ndarray,
     ) -> Estimates:
-        """With a level and a slope over a covariate (n, m)."""
+        """Let the mean follow a covariate (n, m): a level and a slope."""
         design = np.stack([np.ones_like(covariate), np.nan_to_num(covariate)], axis=-1)
         known = np.where(np.isfinite(covariate), value, np.nan)
         return cls(known, sd, shared, common, design, 1)

@@ -17,6 +17,7 @@ is therefore eliminated, within the prior of the length (`problem.goal`).
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -27,6 +28,7 @@ from ..problem import (
     PRESS_GAIN,
     FitProblem,
     FitTrial,
+    Nuisance,
     Nuisances,
     fit_power_law,
     robust_factor,
@@ -110,7 +112,6 @@ class NuisanceModel:
         if population is not None:
             self.responses = population.responses(problem, problem.space.default, wanted)
         self.lengths = {n: sd for n, sd in wanted.items() if n in self.responses}
-        self.redrivable = all(t.recording is not None for t in problem.trials)
         number = len(problem)
         self.rests = np.array([t.rest.force if t.rest else np.nan for t in problem.trials])
         self.unseen = np.isnan(self.rests)
@@ -163,12 +164,12 @@ class NuisanceModel:
         return np.exp(log)
 
     def _row_factor(self) -> np.ndarray:
-        """As `_factor`, of all rows (n + q,)."""
+        """Factor (n + q,) of all rows: `_factor`, and the gain of the sensor."""
         factor = self._factor()
         others = len(self.problem.observed) - len(factor)
         return np.concatenate([factor, np.full(others, np.exp(self.state.indentation_gain))])
 
-    def _drives(self, lag: float, tare: float) -> list[FitTrial]:
+    def _drives(self, lag: float = 0.0, tare: float = 0.0) -> list[FitTrial]:
         """The trials under the present state, moved by a lag (s) and a tare (N)."""
         state = self.state
         common = np.where(self.unseen, state.tare, 0.0)
@@ -178,87 +179,76 @@ class NuisanceModel:
             for t, value in zip(self.problem.trials, tares)
         ]
 
-    def linearise(self, parameters: np.ndarray) -> Nuisances:
-        """Around the present state and parameters (N,); sets the problem's drives besides."""
-        problem, options, state = self.problem, self.options, self.state
+    def _slope(self, parameters: np.ndarray, lag: float = 0.0, tare: float = 0.0) -> np.ndarray:
+        """Slope (n + q,) of the rows over a step of the lag (s) or of the tare (N), at parameters
+        (N,)."""
+        moved = copy.copy(self.problem)
+        ends = []
+        for side in (1.0, -1.0):
+            moved.redrive(self._drives(side * lag, side * tare))
+            ends.append(moved.outputs(parameters)[0])
+        return (ends[0] - ends[1]) / (2.0 * (lag + tare))
+
+    def apply(self, parameters: np.ndarray) -> Nuisances:
+        """Give the problem the present state: weights, drives, and the nuisances, linearised around
+        it at parameters (N,); returns the nuisances."""
+        problem = self.problem
         problem.weigh(self.noise)
-        number, rows = len(problem), len(problem.observed)
-        is_area = np.arange(rows) < len(problem.measured)
-        slopes = {}
-        if self.redrivable:
-            for name, step, sides in (
-                (LAG, _LAG_STEP, ((_LAG_STEP, 0.0), (-_LAG_STEP, 0.0))),
-                (TARE, _TARE_STEP, ((0.0, _TARE_STEP), (0.0, -_TARE_STEP))),
-            ):
-                found = []
-                for lag, tare in sides:
-                    problem.redrive(self._drives(lag, tare))
-                    found.append(problem.outputs(parameters)[0])
-                slopes[name] = (found[0] - found[1]) / (2.0 * step)
-            problem.redrive(self._drives(0.0, 0.0))
+        problem.redrive(self._drives())
         if self.population is not None:
             place = problem.space.to_log(parameters)
             if self._answered is None or np.abs(place - self._answered).max() > RESPONSE_HOLDS:
                 self.responses = self.population.responses(problem, parameters, self.lengths)
                 self._answered = place
+        problem.nuisances = self._linearised(parameters)
+        return problem.nuisances
+
+    def _linearised(self, parameters: np.ndarray) -> Nuisances:
+        """Linearise around the present state and parameters (N,)."""
+        problem, options, state = self.problem, self.options, self.state
         factor = self._row_factor()
         raw = problem.corrected(parameters)[0]
         outputs = problem.compared(raw) * factor
-        areas = np.where(is_area, outputs, 0.0)
-        absorbing: list[bool] = []
-        names: list[str] = []
-        trials, states, means, deviations, columns = [], [], [], [], []
+        is_area = np.arange(len(outputs)) < len(problem.measured)
+        areas, others = np.where(is_area, outputs, 0.0), np.where(is_area, 0.0, outputs)
+        lag = self._slope(parameters, lag=_LAG_STEP) * factor
+        tare = self._slope(parameters, tare=_TARE_STEP) * factor
+        unseen = np.where(self.unseen[problem.row_trial], tare, 0.0)
 
-        def add(
-            name: str, trial: int, at: float, sd: float, column: np.ndarray, absorbs: bool = False
-        ) -> None:
-            if sd > 0:
-                absorbing.append(absorbs)
-                names.append(name)
-                trials.append(trial)
-                states.append(at)
-                means.append(0.0)
-                deviations.append(sd)
-                columns.append(column)
+        def each(
+            name: str, states: np.ndarray, deviations: np.ndarray, column: np.ndarray
+        ) -> list[Nuisance]:
+            """One parameter for every press."""
+            return [
+                Nuisance(name, t, at, float(sd), np.where(problem.row_trial == t, column, 0.0))
+                for t, (at, sd) in enumerate(zip(states, deviations))
+            ]
 
-        inside = problem.row_trial[:, None] == np.arange(number)
-        if self.redrivable:
-            add(LAG, -1, state.lag, options.lag_sd, slopes[LAG] * factor)
-            tare = slopes[TARE] * factor
-            unseen = self.unseen[problem.row_trial]
-            add(TARE, -1, state.tare, self.common_tare_sd, np.where(unseen, tare, 0.0))
-            for t in range(number):
-                sd = float(self.tare_sd[t])
-                add(TRIAL_TARE, t, state.trial_tare[t], sd, np.where(inside[:, t], tare, 0.0))
-        add(AREA_GAIN, -1, 0.0, options.area_gain_sd, areas)
+        found = [
+            Nuisance(LAG, -1, state.lag, options.lag_sd, lag),
+            Nuisance(TARE, -1, state.tare, self.common_tare_sd, unseen),
+            *each(TRIAL_TARE, state.trial_tare, self.tare_sd, tare),
+            Nuisance(AREA_GAIN, -1, 0.0, options.area_gain_sd, areas),
+        ]
         if options.low_force > 0:
-            low = np.zeros(rows)
+            low = np.zeros(len(outputs))
             low[is_area] = -self._collapse_shape() * areas[is_area]
-            add(COLLAPSE, -1, state.collapse, options.collapse_sd, low)
+            found.append(Nuisance(COLLAPSE, -1, state.collapse, options.collapse_sd, low))
         if problem.indentations is not None:
-            gain_sd = options.indentation_gain_sd
-            own = np.where(is_area, 0.0, outputs)
-            add(INDENTATION_GAIN, -1, state.indentation_gain, gain_sd, own)
+            sd = options.indentation_gain_sd
+            found.append(Nuisance(INDENTATION_GAIN, -1, state.indentation_gain, sd, others))
         for name, sd in self.lengths.items():
             answer = problem.compared(raw * self.responses[name]) * factor
-            add(name, -1, 0.0, sd, answer)
+            found.append(Nuisance(name, -1, 0.0, sd, answer))
             if problem.indentations is not None:
                 own = np.where(is_area, 0.0, answer)
-                add(absorber_of(name), -1, 0.0, sd, own, absorbs=True)
-        for t in range(number):
-            own = np.where(inside[:, t], areas, 0.0)
-            add(PRESS_GAIN, t, state.press_gain[t], self.scatter, own)
+                found.append(Nuisance(absorber_of(name), -1, 0.0, sd, own, absorbing=True))
+        scatters = np.full(len(problem), self.scatter)
+        found += each(PRESS_GAIN, state.press_gain, scatters, areas)
         return Nuisances(
-            tuple(names),
-            np.array(trials, dtype=int),
-            np.array(states),
-            np.array(means),
-            np.array(deviations),
-            np.array(columns).T if columns else np.zeros((rows, 0)),
+            [one for one in found if one.sd > 0],
             factor,
             self.noise**2 * float(problem.weight.mean()),
-            np.array([is_assumed(name) for name in names], dtype=bool),
-            np.array(absorbing, dtype=bool),
             robust_factor(outputs - problem.observed, options),
         )
 
@@ -272,7 +262,7 @@ class NuisanceModel:
         starts = np.atleast_2d(starts)
         at = starts[0]
         for _ in range(rounds):
-            problem.nuisances = self.linearise(at)
+            self.apply(at)
             found = [refine(problem, free, start) for start in (at, *starts[1:])]
             fit = min(found, key=lambda f: f.cost)
             starts = starts[:1]
@@ -285,9 +275,8 @@ class NuisanceModel:
             if max(change, 0.1 * move, 0.1 * growth) < SETTLED:
                 break
         self._answered = None
-        problem.nuisances = self.linearise(at)
-        fit = refine(problem, free, at)
-        return Settled(fit, problem.nuisances, self.scatter, self.noise)
+        nuisances = self.apply(at)
+        return Settled(refine(problem, free, at), nuisances, self.scatter, self.noise)
 
     def _follow(self, parameters: np.ndarray) -> float:
         """Move the state to the best nuisances at parameters (N,); the largest move over its
@@ -296,23 +285,20 @@ class NuisanceModel:
         assert found is not None
         goal = self.problem.goal()
         moves = goal.moves(goal.residuals(self.problem.outputs(parameters)[0]))
+        moves = np.where(found.absorbing, 0.0, moves)
         state = self.state
-        for name, trial, move, absorbs in zip(found.names, found.trials, moves, found.absorbers):
-            if absorbs:
-                continue
-            if trial >= 0:
-                getattr(state, name)[trial] += move
-            elif not is_assumed(name):
-                setattr(state, name, getattr(state, name) + move)
-        moves = np.where(found.absorbers, 0.0, moves)
+        for one, move in zip(found.parameters, moves):
+            if one.trial >= 0:
+                getattr(state, one.name)[one.trial] += move
+            elif not (one.absorbing or is_assumed(one.name)):
+                setattr(state, one.name, getattr(state, one.name) + move)
         return float(np.abs(moves / found.sd).max()) if len(moves) else 0.0
 
     def _learn(self, parameters: np.ndarray) -> None:
         """Renew noise of a frame and scatter of the gains at the present state."""
         problem, found = self.problem, self.problem.nuisances
         assert found is not None
-        if self.redrivable:
-            problem.redrive(self._drives(0.0, 0.0))
+        problem.redrive(self._drives())
         areas = problem.areas(parameters)[0] * self._factor()
         residual = areas - problem.measured
         counted = problem.weight > 0

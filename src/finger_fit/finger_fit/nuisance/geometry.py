@@ -35,8 +35,8 @@ from ..problem import (
 )
 
 REFINEMENT = 0.5
-"""Of the mesh of the full-order runs. It errs by 1 % of the area, nearly the same in both runs of a
-difference."""
+"""Refinement of the mesh of the full-order runs, which errs by 1 % of the area, nearly the same in
+both runs of a difference."""
 
 SAMPLED = 3
 """Trials that are simulated: the shortest, the median and the longest; the others lie between."""
@@ -58,7 +58,7 @@ class Response:
         parts = []
         for trial in problem.trials:
             own = [np.interp(trial.time[-1], self.durations, column) for column in self.slope.T]
-            places = _place(trial, trial.frames), _place(trial, trial.indentation_rows)
+            places = _place(trial, trial.frames), _place(trial, trial.drive.indentation_rows)
             areas, indentations = map(np.polyval, (own[:3], own[3:]), places)
             parts.append(np.concatenate([areas, indentations]))
         return in_rows(parts, problem.trials)
@@ -75,14 +75,14 @@ class GeometryModel(Protocol):
     def areas(
         self, parameters: np.ndarray, geometry: Geometry, trials: Sequence[FitTrial]
     ) -> list[np.ndarray]:
-        """Of each trial for parameters (N,), as `problem.trial_outputs`, (k + q,): areas in m² at
-        its frames, then its indentations in m; NaN where there is none."""
+        """Areas in m² at the frames of each trial, then its indentations in m, (k + q,), for
+        parameters (N,), as `problem.trial_outputs`; NaN where there is none."""
         ...
 
 
 @dataclass(frozen=True)
 class FullOrderGeometry:
-    """By full-order runs on a coarse mesh: about 0.1 s a trial and geometry."""
+    """Full-order runs on a coarse mesh: about 0.1 s a trial and geometry."""
 
     full_order: FullOrder
     done: Done | None = None
@@ -103,7 +103,7 @@ class FullOrderGeometry:
 
 @functools.lru_cache(maxsize=64)
 def _population(geometry: Geometry, material: ConstitutiveLaw) -> ReducedModel | None:
-    """None for a finger outside the box, which is kept, too."""
+    """The population's model of a finger; None, which is kept too, for one outside the box."""
     try:
         return load_population(geometry).for_material(material)
     except InputError:
@@ -112,7 +112,7 @@ def _population(geometry: Geometry, material: ConstitutiveLaw) -> ReducedModel |
 
 @dataclass(frozen=True)
 class PopulationGeometry:
-    """By the reduced model of the population box: milliseconds for all presses.
+    """The reduced model of the population box: milliseconds for all presses.
 
     Both sides of a difference come from the same model: beside full-order runs on a coarse mesh
     the answers of the default finger agree to 0.3 % of the area for one deviation of each length.
@@ -123,7 +123,7 @@ class PopulationGeometry:
 
     @classmethod
     def like(cls, model: Any) -> PopulationGeometry | None:
-        """For the finger of a model; None where no reduced model serves it."""
+        """Take the finger of a model; None where no reduced model serves it."""
         geometry, material = getattr(model, "geometry", None), material_of(model)
         if geometry is None or not isinstance(material, MaxwellLaw):
             return None
@@ -202,7 +202,11 @@ def geometry_responses(
     if problem.indentations is not None:
         # At all frames, whether or not these very trials have an indentation.
         sample = [
-            replace(t, indentation=np.zeros(len(t.frames)), indentation_rows=t.frames)
+            replace(
+                t,
+                indentation=np.zeros(len(t.frames)),
+                drive=replace(t.drive, indentation_rows=t.frames),
+            )
             for t in sample
         ]
     base = model.areas(parameters, model.geometry, sample)

@@ -50,7 +50,7 @@ class PressNuisance:
 
 @dataclass(frozen=True)
 class NuisanceResult:
-    """Of one condition.
+    """What the fit of one condition found about its nuisances.
 
     values: the shared nuisances; presses: by the trials' labels; scatter: standard deviation of
     the presses' gains (logarithm); noise: m² of a frame; budget: per quantity, what the standard
@@ -77,7 +77,7 @@ class NuisanceResult:
         return [*self.not_estimated, *self.left_out]
 
     def to_dict(self) -> dict[str, object]:
-        """As in fit.json."""
+        """Make the entry of fit.json."""
         return {
             "values": {n: {**asdict(v), "estimated": v.estimated} for n, v in self.values.items()},
             "not_estimated": self.not_estimated,
@@ -97,7 +97,8 @@ def nuisance_result(
     left_out: tuple[str, ...],
     without: np.ndarray,
 ) -> NuisanceResult:
-    """Of a problem whose nuisances have settled; without (N,): the parameters that minimise J."""
+    """Collect the nuisances of a problem where they have settled; without (N,): the parameters that
+    minimise J."""
     found = settled.nuisances
     after = known.nuisance_deviations()
     values = {
@@ -117,7 +118,7 @@ def nuisance_result(
         gain, _ = own.get((PRESS_GAIN, index), (0.0, 0.0))
         seen = trial.rest is not None
         presses[trial.label] = PressNuisance(
-            trial.tare,
+            trial.drive.tare,
             tare_sd if seen else float(np.hypot(spread, tare_sd)),
             seen,
             float(np.exp(gain)),

@@ -125,7 +125,7 @@ class FitProblem:
         return self.corrected(parameters)[:, : len(self.measured)]
 
     def raw_areas(self, parameters: np.ndarray) -> np.ndarray:
-        """As `areas`, without the correction."""
+        """Areas (P, n) in m² as of `areas`, without the correction."""
         return self.raw(parameters)[:, : len(self.measured)]
 
     def raw(self, parameters: np.ndarray) -> np.ndarray:
@@ -134,7 +134,7 @@ class FitProblem:
         return in_rows(trial_outputs(self.model, parameters, self.trials), self.trials)
 
     def corrected(self, parameters: np.ndarray) -> np.ndarray:
-        """As `raw`, corrected."""
+        """Areas and indentations (P, n + q) as of `raw`, corrected."""
         raw = self.raw(parameters)
         return raw if self.correction is None else raw * self.correction.factor(parameters)
 
@@ -206,7 +206,7 @@ class FitProblem:
         )
 
     def uncorrected(self) -> FitProblem:
-        """The same problem without correction and nuisances, which a fit sets."""
+        """Copy the problem without correction and nuisances, which a fit sets."""
         found = copy.copy(self)
         found.correction = found.nuisances = None
         found.weigh(AREA_NOISE)

@@ -4,11 +4,11 @@
 """What a fit minimises: J, or J with nuisance parameters eliminated.
 
 A nuisance parameter x (the gain of a press, the images' lag, …) changes the areas by S x near a
-reference, and is known beforehand as x ~ N(mean, sd²). Given the finger's parameters, the best
+reference, and is known beforehand as x ~ N(0, sd²). Given the finger's parameters, the best
 nuisances follow in closed form, and with Gaussian priors minimising over them is the same as
 integrating over them (up to a constant). So a search keeps the finger's parameters alone:
 
-    Q = min over x of  Σ w (A + S x − measured)² + s² Σ ((x − mean) / sd)²,
+    Q = min over x of  Σ w (A + S x − measured)² + s² Σ (x / sd)²,
 
 with s² the variance of a frame of weight one. Without nuisances Q is J.
 
@@ -21,12 +21,13 @@ what the assumption allows. So its rows get a copy of that parameter that is eli
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 
+from ..nuisance.names import is_assumed
 from .report_units import MM2
 
 PRESS_GAIN = "press_gain"
@@ -59,71 +60,88 @@ def robust_factor(residual: np.ndarray, loss: Loss) -> np.ndarray:
     """Weights that turn squares into the loss near these residuals (m²)."""
     if loss.loss != "huber":
         return np.ones_like(residual)
-    return np.minimum(1.0, loss.huber_scale / np.maximum(np.abs(residual), 1e-30))
+    return huber_factor(residual, loss.huber_scale)
+
+
+def huber_factor(residual: np.ndarray, scale: float) -> np.ndarray:
+    """Weights that turn squares into the Huber loss near residuals in the unit of its scale."""
+    return np.minimum(1.0, scale / np.maximum(np.abs(residual), 1e-30))
 
 
 @dataclass(frozen=True)
-class Nuisances:
-    """Nuisance parameters linearised at a reference state.
+class Nuisance:
+    """One nuisance parameter near a reference.
 
-    names (k,), trials (k,): the trial that a parameter belongs to, −1 for one shared by all;
-    state (k,): value at the reference; mean, sd (k,): prior; slope (n, k): change of the rows (m²),
-    areas and others, per unit, at the reference; factor (n,): of the model's rows there, from gains
-    and shape; variance: s² in m⁴; assumed (k,): whether a parameter stays at its mean, its state;
-    absorbing (k,): whether it only keeps the rows of one kind from being trusted further than the
-    assumed parameters allow, and is no error of its own; none without. robust (n,): of the rows at
-    the reference, by `robust_factor`; 1 without.
+    trial: the trial that it belongs to, −1 for one shared by all; state: value at the reference;
+    sd: of its prior; column (n,): change of the rows (m²), areas and others, per unit; absorbing:
+    it only keeps the rows of one kind from being trusted further than the assumed parameters
+    allow, and is no error of its own.
     """
 
-    names: tuple[str, ...]
-    trials: np.ndarray
-    state: np.ndarray
-    mean: np.ndarray
-    sd: np.ndarray
-    slope: np.ndarray
-    factor: np.ndarray
-    variance: float
-    assumed: np.ndarray
-    absorbing: np.ndarray | None = None
-    robust: np.ndarray | None = None
+    name: str
+    trial: int
+    state: float
+    sd: float
+    column: np.ndarray
+    absorbing: bool = False
+
+
+class Nuisances:
+    """Nuisance parameters linearised at a reference, and their values as arrays.
+
+    parameters: k of them; factor (n,): of the model's rows at the reference, from gains and shape;
+    variance: s² in m⁴; robust (n,): of the rows there, by `robust_factor`; 1 without. names,
+    trials, state, sd, absorbing (k,): of the parameters; slope (n, k): their columns; assumed (k,):
+    whether a parameter stays at its mean, its state.
+    """
+
+    def __init__(
+        self,
+        parameters: Iterable[Nuisance],
+        factor: np.ndarray,
+        variance: float,
+        robust: np.ndarray | None = None,
+    ) -> None:
+        self.parameters = tuple(parameters)
+        self.factor, self.variance, self.robust = factor, variance, robust
+        self.names = tuple(p.name for p in self.parameters)
+        self.trials = np.array([p.trial for p in self.parameters], dtype=int)
+        self.state = np.array([p.state for p in self.parameters])
+        self.sd = np.array([p.sd for p in self.parameters])
+        self.slope = np.array([p.column for p in self.parameters]).reshape(-1, len(factor)).T
+        self.assumed = np.array([is_assumed(name) for name in self.names], dtype=bool)
+        self.absorbing = np.array([p.absorbing for p in self.parameters], dtype=bool)
 
     @property
     def shared(self) -> np.ndarray:
         """Mask (k,) of the parameters shared by all trials."""
         return self.trials < 0
 
-    @property
-    def absorbers(self) -> np.ndarray:
-        """`absorbing` as a mask (k,)."""
-        none = np.zeros(len(self.names), dtype=bool)
-        return none if self.absorbing is None else self.absorbing
-
     def without(self, *names: str) -> Nuisances:
-        """Without the parameters of these names."""
-        keep = ~np.isin(self.names, names)
-        return replace(
-            self,
-            names=tuple(np.array(self.names)[keep].tolist()),
-            slope=self.slope[:, keep],
-            absorbing=self.absorbers[keep],
-            **{n: getattr(self, n)[keep] for n in ("trials", "state", "mean", "sd", "assumed")},
-        )
+        """Leave out the parameters of these names."""
+        kept = [p for p in self.parameters if p.name not in names]
+        return Nuisances(kept, self.factor, self.variance, self.robust)
 
     def with_gains(self, sign: np.ndarray, trial_of: np.ndarray) -> Nuisances:
-        """With the log gains of presses multiplied by a sign (T,): other presses of this scatter.
+        """Multiply the log gains of presses by a sign (T,): other presses of this scatter.
 
         trial_of (n,): the frames' trials; rows beyond them are no areas.
         """
-        chosen = np.array([name == PRESS_GAIN for name in self.names], dtype=bool)
-        state = self.state.copy()
-        state[chosen] *= sign[self.trials[chosen]]
-        change = np.zeros(len(sign))
-        change[self.trials[chosen]] = state[chosen] - self.state[chosen]
+        gains = np.zeros(len(sign))
+        for p in self.parameters:
+            if p.name == PRESS_GAIN:
+                gains[p.trial] = p.state
         growth = np.ones(len(self.factor))
-        growth[: len(trial_of)] = np.exp(change)[trial_of]
-        return replace(
-            self, state=state, factor=self.factor * growth, slope=self.slope * growth[:, None]
-        )
+        growth[: len(trial_of)] = np.exp(sign * gains - gains)[trial_of]
+        parameters = [
+            replace(
+                p,
+                state=p.state * sign[p.trial] if p.name == PRESS_GAIN else p.state,
+                column=p.column * growth,
+            )
+            for p in self.parameters
+        ]
+        return Nuisances(parameters, self.factor * growth, self.variance, self.robust)
 
 
 class Goal:
@@ -145,7 +163,6 @@ class Goal:
             if repeats is not None:
                 count[own] = repeats[nuisances.trials[own]]
             self._precision = nuisances.variance * count / nuisances.sd**2
-            self._gap = nuisances.state - nuisances.mean
             self._free = ~nuisances.assumed
             # Outliers of the reference move no nuisance further than the loss lets them.
             self._robust = weight if nuisances.robust is None else weight * nuisances.robust
@@ -168,7 +185,7 @@ class Goal:
         # A trial that does not count leaves its own nuisances at the prior; any value does.
         precision = self._precision[free] + 1e-12 * found.variance / found.sd[free] ** 2
         weighted = weight[:, None] * slope
-        pulls = self._precision[free] * self._gap[free]
+        pulls = self._precision[free] * found.state[free]
         solved = np.linalg.solve(
             slope.T @ weighted + np.diag(precision), np.column_stack([weighted.T, pulls])
         )
@@ -199,7 +216,7 @@ class Goal:
             return (self.weight * losses(residual, self.loss)).sum(axis=-1)
         move = self.moves(residual)
         left = residual + move @ self.nuisances.slope.T
-        prior = (self._precision * (move + self._gap) ** 2).sum(axis=-1)
+        prior = (self._precision * (move + self.nuisances.state) ** 2).sum(axis=-1)
         return (self.weight * losses(left, self.loss)).sum(axis=-1) + prior
 
     def rows(self, areas: np.ndarray) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
@@ -230,6 +247,6 @@ class Goal:
             )
 
         at = np.concatenate(
-            [root * (residual + found.slope @ move), prior * (move + self._gap)], axis=-1
+            [root * (residual + found.slope @ move), prior * (move + found.state)], axis=-1
         )
         return at, linear

@@ -39,7 +39,7 @@ class IndentationRows:
 
     @classmethod
     def of(cls, trials: Sequence[FitTrial], model: Any, sd: float) -> IndentationRows | None:
-        """Of trials, None where none has any.
+        """Take the indentations of trials; None where none has any.
 
         sd: m, of a measured indentation; the model's own error is added as squares.
         """
@@ -75,6 +75,6 @@ class IndentationRows:
         return np.repeat(self.sums(values) / number, number, axis=-1)
 
     def compared(self, values: np.ndarray, noise: float) -> np.ndarray:
-        """What of indentations (…, q) in m is compared, as rows (…, q) in m² beside areas of a
-        noise (m²)."""
+        """Turn indentations (…, q) in m into rows (…, q) in m² that stand beside areas of a noise
+        (m²)."""
         return (values - self.means(values)) * (noise / self.sd)

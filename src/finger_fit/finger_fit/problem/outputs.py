@@ -51,14 +51,14 @@ def trial_outputs(
     """
     if not any(len(t.indentation) for t in trials):
         return batch_areas(model, parameters, [(t.time, t.force, t.frames) for t in trials])
-    rows = [np.union1d(t.frames, t.indentation_rows) for t in trials]
+    rows = [np.union1d(t.frames, t.drive.indentation_rows) for t in trials]
     drives = [(t.time, t.force, wanted) for t, wanted in zip(trials, rows)]
     found = batch_contacts(model, parameters, drives)
     return [
         np.concatenate(
             [
                 areas[:, np.searchsorted(wanted, t.frames)],
-                indentations[:, np.searchsorted(wanted, t.indentation_rows)],
+                indentations[:, np.searchsorted(wanted, t.drive.indentation_rows)],
             ],
             axis=1,
         )

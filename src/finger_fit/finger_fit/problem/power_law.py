@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.optimize import least_squares, minimize_scalar
 
-from .goal import losses
+from .goal import huber_factor, losses
 from .report_units import MM2, MM4
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ def _reweighted(problem: FitProblem, weight: np.ndarray, k: float, m: float) -> 
     for _ in range(50):
         before = found
         residual = found[0] * force ** found[1] - measured
-        robust = np.minimum(1.0, scale / np.maximum(np.abs(residual), 1e-12))
+        robust = huber_factor(residual, scale)
         found = least_squares(
             lambda v, r=robust: np.sqrt(weight * r) * (v[0] * force ** v[1] - measured), before
         ).x

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -27,7 +27,6 @@ from .report_units import minus
 REST_FORCE = 0.005
 """N; a smoothed force up to this is no touch: 1/171 N, the resolution of the Nano17 (paper)."""
 
-
 LONGEST_GAP = 0.05
 """s without force during the contact that a trial may have; a slow sensor's period is no gap."""
 
@@ -39,6 +38,26 @@ FEWEST_INDENTATIONS = 3
 
 LONGEST_INDENTATION_GAP = 0.05
 """s between two readings of the indentation over which it is not interpolated."""
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What drives the model through a trial, from rest on (SI), time from first touch.
+
+    time (n,), force (n,): at the model's steps; frames (k,), indentation_rows (q,): indices into
+    time at which areas and indentations are compared; record_time (r,), record_force (r,): force
+    during the contact as recorded, for plots; tare: N, taken off the force; lag: s by which the
+    images' stamps are late.
+    """
+
+    time: np.ndarray
+    force: np.ndarray
+    frames: np.ndarray
+    indentation_rows: np.ndarray
+    record_time: np.ndarray
+    record_force: np.ndarray
+    tare: float
+    lag: float
 
 
 @dataclass(frozen=True)
@@ -59,16 +78,10 @@ class Recording:
     last: int
     frame_time: np.ndarray
     counted: np.ndarray
-    indentation_time: np.ndarray = field(default_factory=lambda: np.empty(0))
+    indentation_time: np.ndarray
 
-    def drive(
-        self, tare: float, lag: float, options: FitOptions
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Times (d,) of the model's steps, force (d,) there, and the indices of the frames (k,) and
-        of the indentations (q,).
-
-        tare: N, taken off the force; lag: s by which the images' stamps are late.
-        """
+    def drive(self, tare: float, lag: float, options: FitOptions) -> Drive:
+        """Make the drive for a tare (N) of the force and a lag (s) of the images."""
         time, smooth, first = self.time, self.smooth - tare, self.onset
         touch = first
         while touch > 0 and smooth[touch - 1] > REST_FORCE and time[first] - time[touch - 1] < 1.0:
@@ -85,63 +98,64 @@ class Recording:
         knots = drive_times(start, float(wanted[-1]), frame_time, wanted, options)
         driving = np.maximum(np.interp(knots, time, self.driving - tare), 0.0)
         driving[knots <= time[touch]] = 0.0
-        rows = [np.searchsorted(knots, t - 2e-9) for t in (counted, self.indentation_time)]
-        return knots, driving, *rows
+        frames, rows = (np.searchsorted(knots, t - 2e-9) for t in (counted, self.indentation_time))
+        shown = slice(int(np.searchsorted(time, knots[0])), self.last + 1)
+        return Drive(
+            knots - knots[0],
+            driving,
+            frames,
+            rows,
+            time[shown] - knots[0],
+            self.force[shown] - tare,
+            tare,
+            lag,
+        )
 
 
 @dataclass(frozen=True)
 class FitTrial:
     """One trial as a fit uses it (SI).
 
-    label: bag and index; time (n,), force (n,): what drives the model from rest, time from first
-    touch; frames (k,): indices into time at which areas are compared; area (k,), area_sd (k,):
-    measured; low (k,): the frame lies below the low force; moisture: mean of the readings, NaN
-    without any; readings (m,): a.u.; record_time (r,), record_force (r,): force as recorded during
-    the contact, for plots; dropped: frames inside the window without a measured area. indentation
-    (q,): measured, in m from an unknown zero, at the times of the frames that count on the clock of
-    the force; indentation_rows (q,): indices into time; empty where none was measured.
+    label: bag and index; area (k,), area_sd (k,): measured at the frames that count; low (k,): the
+    frame lies below the low force; moisture: mean of the readings, NaN without any; readings (m,):
+    a.u.; dropped: frames inside the window without a measured area; rest: the unloaded plate, None
+    where the trial does not show it. indentation (q,): measured, in m from an unknown zero, at the
+    times of the frames that count on the clock of the force; empty where none was measured.
     """
 
     label: str
     condition: str
     subject: str
     index: int
-    time: np.ndarray
-    force: np.ndarray
-    frames: np.ndarray
     area: np.ndarray
     area_sd: np.ndarray
     low: np.ndarray
     moisture: float
     readings: np.ndarray
-    record_time: np.ndarray
-    record_force: np.ndarray
-    dropped: int = 0
-    rest: Tare | None = None
-    tare: float = 0.0
-    lag: float = 0.0
-    recording: Recording | None = None
-    indentation: np.ndarray = field(default_factory=lambda: np.empty(0))
-    indentation_rows: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
+    dropped: int
+    rest: Tare | None
+    indentation: np.ndarray
+    recording: Recording
+    drive: Drive
 
     def with_drive(self, tare: float, lag: float, options: FitOptions) -> FitTrial:
-        """The same frames under a drive with another tare (N) and another lag of the images (s)."""
-        source = self.recording
-        if source is None:
-            raise ValueError(f"{self.label} keeps no recording to make another drive of")
-        knots, force, frames, indentation_rows = source.drive(tare, lag, options)
-        shown = slice(int(np.searchsorted(source.time, knots[0])), source.last + 1)
-        return replace(
-            self,
-            time=knots - knots[0],
-            force=force,
-            frames=frames,
-            indentation_rows=indentation_rows,
-            record_time=source.time[shown] - knots[0],
-            record_force=source.force[shown] - tare,
-            tare=tare,
-            lag=lag,
-        )
+        """Drive the same frames with another tare (N) and another lag of the images (s)."""
+        return replace(self, drive=self.recording.drive(tare, lag, options))
+
+    @property
+    def time(self) -> np.ndarray:
+        """Times (n,) in s of the drive."""
+        return self.drive.time
+
+    @property
+    def force(self) -> np.ndarray:
+        """Force (n,) in N of the drive."""
+        return self.drive.force
+
+    @property
+    def frames(self) -> np.ndarray:
+        """Indices (k,) into time of the frames that count."""
+        return self.drive.frames
 
     @property
     def frame_time(self) -> np.ndarray:
@@ -165,12 +179,64 @@ class Exclusion:
 
     @classmethod
     def of(cls, record: Any, reason: str) -> Exclusion:
-        """Of a recorded trial."""
+        """Name a recorded trial that is left out."""
         return cls(label_of(record), record.condition or "", reason, record.subject or "")
 
 
 class TrialRejected(Exception):
     """A trial that cannot be used; the message is the reason."""
+
+
+@dataclass(frozen=True)
+class _Streams:
+    """Force (n,) in N and areas (m,) in m² of a record, times in s from its stamp `start` (ns).
+
+    flags (m,): of the areas.
+    """
+
+    start: int
+    time: np.ndarray
+    force: np.ndarray
+    frame_time: np.ndarray
+    area: np.ndarray
+    flags: np.ndarray
+
+    @classmethod
+    def of(cls, record: Any) -> _Streams:
+        """Take the streams out of a record; raises TrialRejected where one is missing."""
+        start = int(record.stamp_ns[0]) if len(record.stamp_ns) else 0
+        found = cls(
+            start,
+            (np.asarray(record.stamp_ns, dtype=np.int64) - start) * 1e-9,
+            np.asarray(record.force, dtype=float),
+            (np.asarray(record.area_stamp_ns, dtype=np.int64) - start) * 1e-9,
+            np.asarray(record.area, dtype=float),
+            np.asarray(record.area_flags, dtype=np.int64),
+        )
+        if len(found.time) < 10:
+            raise TrialRejected("no force was recorded")
+        if len(found.frame_time) < 2:
+            raise TrialRejected("no contact area was recorded")
+        wrong = int((~np.isfinite(found.force)).sum())
+        if wrong:
+            raise TrialRejected(f"{wrong} force samples are not finite")
+        return found
+
+    @property
+    def empty(self) -> np.ndarray:
+        """Mask (m,) of the frames without a contact."""
+        # An area of 0 is none, also from a segmenter that sets no flags.
+        return ((self.flags & AreaFlag.NO_CONTACT) != 0) | (self.area <= 0.0)
+
+    @property
+    def measured(self) -> np.ndarray:
+        """Mask (m,) of the frames with an area."""
+        return np.isfinite(self.area) & ~self.empty
+
+    @property
+    def period(self) -> float:
+        """Time (s) between frames."""
+        return float(np.median(np.diff(self.frame_time)))
 
 
 def prepare(record: Any, options: FitOptions) -> FitTrial:
@@ -181,29 +247,56 @@ def prepare(record: Any, options: FitOptions) -> FitTrial:
             f"its target of {target:g} N is not above the onset force of "
             f"{options.onset_force:g} N; lower onset_force"
         )
-    start = int(record.stamp_ns[0]) if len(record.stamp_ns) else 0
-    time = (np.asarray(record.stamp_ns, dtype=np.int64) - start) * 1e-9
-    force = np.asarray(record.force, dtype=float)
-    frame_time = (np.asarray(record.area_stamp_ns, dtype=np.int64) - start) * 1e-9
-    area = np.asarray(record.area, dtype=float)
-    flags = np.asarray(record.area_flags, dtype=np.int64)
-    if len(time) < 10:
-        raise TrialRejected("no force was recorded")
-    if len(frame_time) < 2:
-        raise TrialRejected("no contact area was recorded")
-    finite = np.isfinite(force)
-    if not finite.all():
-        raise TrialRejected(f"{int((~finite).sum())} force samples are not finite")
-    # An area of 0 is none, also from a segmenter that sets no flags.
-    empty = ((flags & AreaFlag.NO_CONTACT) != 0) | (area <= 0.0)
+    streams = _Streams.of(record)
+    time, force, frame_time = streams.time, streams.force, streams.frame_time
     smooth = smoothed(time, force, options.force_cutoff)
     rest = None
     if options.nuisances:
-        touched = frame_time[np.isfinite(area) & ~empty]
-        rest = unloaded_tare(time, force, smooth, touched, frame_time[empty])
+        touched, empty = frame_time[streams.measured], frame_time[streams.empty]
+        rest = unloaded_tare(time, force, smooth, touched, empty)
     tare = rest.force if rest else 0.0
-    unshifted, smooth = smooth, smooth - tare
+    first, reached, last = _contact(time, smooth, tare, target, options)
+    counted, dropped = _frames(streams, time[first], time[reached], time[last], options)
+    readings = np.array([*record.moisture_before, *record.moisture_after], dtype=float)
+    readings = readings[np.isfinite(readings)]
+    if options.moisture_required and not len(readings):
+        raise TrialRejected("no moisture reading")
+    driving = smooth
+    if options.force == "paper":
+        # The paper brought the force to the frames; 0.45 of their rate keeps the filter below its
+        # limit.
+        driving = smoothed(time, force, 0.45 / streams.period)
+    indented, indentation = _indentation(record, streams.start, frame_time[counted], options)
+    recording = Recording(time, force, smooth, driving, first, last, frame_time, counted, indented)
+    drive = recording.drive(tare, 0.0, options)
+    sd = np.asarray(record.area_sd, dtype=float)
+    return FitTrial(
+        label=label_of(record),
+        condition=record.condition or "",
+        subject=record.subject or "",
+        index=int(record.index),
+        area=streams.area[counted],
+        area_sd=sd[counted] if len(sd) == len(frame_time) else np.full(len(counted), np.nan),
+        low=drive.force[drive.frames] < options.low_force,
+        moisture=float(readings.mean()) if len(readings) else np.nan,
+        readings=readings,
+        dropped=dropped,
+        rest=rest,
+        indentation=indentation,
+        recording=recording,
+        drive=drive,
+    )
 
+
+def _contact(
+    time: np.ndarray, smooth: np.ndarray, tare: float, target: float, options: FitOptions
+) -> tuple[int, int, int]:
+    """Find the samples at which the contact begins, reaches its target (N), and ends.
+
+    time (n,) in s, smooth (n,): force in N with its tare. Raises TrialRejected without such a
+    contact, or with gaps in it.
+    """
+    smooth = smooth - tare
     reached = np.flatnonzero(smooth >= target)
     if not len(reached):
         less = f" without its tare of {tare:+.2f} N" if abs(tare) > 0.005 else ""
@@ -217,17 +310,25 @@ def prepare(record: Any, options: FitOptions) -> FitTrial:
             "recording, and what the skin did then is unknown; record from before the contact on, "
             "or take the tare off"
         )
-    last = end - 1
-    gaps = np.diff(time[first : last + 1])
+    gaps = np.diff(time[first:end])
     if len(gaps) and gaps.max() > max(LONGEST_GAP, 2.5 * sample_period(time)):
         raise TrialRejected(f"force samples are missing for {gaps.max():.2f} s during the contact")
+    return first, int(reached[0]), end - 1
 
-    target_time = time[reached[0]]
-    period = float(np.median(np.diff(frame_time)))
-    inside = (frame_time >= time[first]) & (frame_time <= time[last])
+
+def _frames(
+    streams: _Streams, onset: float, reached: float, liftoff: float, options: FitOptions
+) -> tuple[np.ndarray, int]:
+    """Find the frames (k,) that count, and how many inside the window have no area.
+
+    onset, reached, liftoff: times in s of the contact's begin, of its target force and of its end.
+    Raises TrialRejected where the window has too few frames, or one runs over the border.
+    """
+    frame_time, period = streams.frame_time, streams.period
+    inside = (frame_time >= onset) & (frame_time <= liftoff)
     if options.window == "loading":
-        after = np.flatnonzero(frame_time >= target_time)
-        if not len(after) or frame_time[after[0]] > target_time + 1.5 * period:
+        after = np.flatnonzero(frame_time >= reached)
+        if not len(after) or frame_time[after[0]] > reached + 1.5 * period:
             raise TrialRejected("no frame at the target force")
         inside &= frame_time <= frame_time[after[0]]
     counted = np.flatnonzero(inside)
@@ -237,60 +338,23 @@ def prepare(record: Any, options: FitOptions) -> FitTrial:
     if holes.max() > 1.5 * period:
         number = round(float(holes.max() / period)) - 1
         raise TrialRejected(f"{number} frames were dropped in a row during the press")
-    clipped = int(((flags[counted] & AreaFlag.CLIPPED) != 0).sum())
+    clipped = int(((streams.flags[counted] & AreaFlag.CLIPPED) != 0).sum())
     if clipped:
         raise TrialRejected(f"the contact runs over the image border in {clipped} frames")
-    usable = np.isfinite(area[counted]) & ~empty[counted]
-    dropped = int((~usable).sum())
-    counted = counted[usable]
-    if len(counted) < 3:
+    measured = counted[streams.measured[counted]]
+    if len(measured) < 3:
         raise TrialRejected(
-            f"vision measured {len(counted)} frames of the contact, at least 3 are needed"
+            f"vision measured {len(measured)} frames of the contact, at least 3 are needed"
         )
-    readings = np.array([*record.moisture_before, *record.moisture_after], dtype=float)
-    readings = readings[np.isfinite(readings)]
-    if options.moisture_required and not len(readings):
-        raise TrialRejected("no moisture reading")
-
-    driving = unshifted
-    if options.force == "paper":
-        # The paper brought the force to the frames; 0.45 of their rate keeps the filter below its
-        # limit.
-        driving = smoothed(time, force, 0.45 / period)
-    indented, indentation = _indentation(record, start, frame_time[counted], options)
-    recording = Recording(
-        time, force, unshifted, driving, first, last, frame_time, counted, indented
-    )
-    sd = np.asarray(record.area_sd, dtype=float)
-    nothing = np.empty(0)
-    trial = FitTrial(
-        label_of(record),
-        record.condition or "",
-        record.subject or "",
-        int(record.index),
-        nothing,
-        nothing,
-        nothing,
-        area[counted],
-        sd[counted] if len(sd) == len(area) else np.full(len(counted), np.nan),
-        nothing,
-        float(readings.mean()) if len(readings) else np.nan,
-        readings,
-        nothing,
-        nothing,
-        dropped,
-        rest,
-        recording=recording,
-        indentation=indentation,
-    ).with_drive(tare, 0.0, options)
-    return replace(trial, low=trial.frame_force < options.low_force)
+    return measured, len(counted) - len(measured)
 
 
 def _indentation(
     record: Any, start: int, instants: np.ndarray, options: FitOptions
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Times (q,) among the instants (k,) in s at which the indentation of a record is known, and
-    its values (q,) in m, smoothed as the force is; nothing where fewer than three are known.
+    """Find the times (q,) among the instants (k,) in s at which the indentation of a record is
+    known, and its values (q,) in m, smoothed as the force is; nothing where fewer than three are
+    known.
 
     start: ns, time 0.
     """

@@ -95,17 +95,17 @@ class Quality:
         self.checks.append(Check(name, status, detail))
 
     def to_data(self) -> dict[str, Any]:
-        """For JSON: `checks`, `trials` (SI, J in mm⁴)."""
+        """Make `checks` and `trials` (SI, J in mm⁴) for JSON."""
         trials = [{**asdict(t), "J": t.J * 1e12} for t in self.trials]
         return {"checks": [asdict(c) for c in self.checks], "trials": trials}
 
 
 def quality_of(fit: ConditionFit, records: Sequence[Any]) -> Quality:
-    """Of a fitted condition; records: the recorded trials, in the order of the problem's."""
+    """Check a fitted condition; records: the recorded trials, in the order of the problem's."""
     problem = fit.problem
     out = Quality()
     costs = problem.trial_costs(fit.areas)
-    drives = [_drive(record, t.tare) for t, record in zip(problem.trials, records)]
+    drives = [_drive(record, t.drive.tare) for t, record in zip(problem.trials, records)]
     curves = problem.model.batch(fit.parameters[None], drives)
     for index, (trial, record) in enumerate(zip(problem.trials, records)):
         part = slice(problem.starts[index], problem.starts[index + 1])
@@ -136,9 +136,8 @@ def quality_of(fit: ConditionFit, records: Sequence[Any]) -> Quality:
 
 
 def _flags(record: Any, trial: FitTrial) -> np.ndarray:
-    """Flags of the frames that count: those of the areas that the trial kept."""
-    counted = np.isin(np.asarray(record.area, dtype=float), trial.area)
-    return np.asarray(record.area_flags, dtype=np.int64)[counted]
+    """Flags (k,) of the frames that count."""
+    return np.asarray(record.area_flags, dtype=np.int64)[trial.recording.counted]
 
 
 def _drive(record: Any, tare: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -224,7 +223,7 @@ def _check_scatter(out: Quality) -> None:
 
 
 def _check_misfit(out: Quality, found: Misfit) -> None:
-    """Whether the model gives areas like these at all, and follows them within a press."""
+    """Check that the model gives areas like these at all, and follows them within a press."""
     gain, status = float(np.log(found.gain)), OK
     words: list[str] = []
     if abs(gain) > GAIN_NOTE or found.residual > RESIDUAL_NOTE:
@@ -252,7 +251,7 @@ def _check_misfit(out: Quality, found: Misfit) -> None:
 
 
 def _check_indentation(out: Quality, fit: ConditionFit, records: Sequence[Any]) -> None:
-    """Nothing for a condition in which no indentation was measured, or none is to be used."""
+    """Check the indentation, where one was measured and is to be used."""
     given = [r for r in records if len(getattr(r, "indentation", ()))]
     if not given or not fit.problem.options.indentation_sd:
         return

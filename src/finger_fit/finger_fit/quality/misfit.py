@@ -45,7 +45,7 @@ class Trend:
 
 @dataclass(frozen=True)
 class Misfit:
-    """Of one condition.
+    """What of one condition's areas the model does not explain.
 
     gain: measured area over the model's, geometric mean of the presses; residual: RMS difference
     within a press over the RMS area; trend: None with too few frames; duration: change of the
@@ -60,7 +60,8 @@ class Misfit:
 
 
 def misfit(fit: ConditionFit, gains: np.ndarray) -> Misfit:
-    """Of a fitted condition; gains (T,): measured area over the model's of each press."""
+    """Compare areas and model of a fitted condition; gains (T,): measured area over the model's of
+    each press."""
     problem = fit.problem
     measured, trial = problem.measured, problem.trial_of
     left = measured - gains[trial] * fit.areas
@@ -71,7 +72,8 @@ def misfit(fit: ConditionFit, gains: np.ndarray) -> Misfit:
 
 
 def _trend(fit: ConditionFit, left: np.ndarray) -> Trend | None:
-    """Of residuals (n,) in m², by force; below the low force an outline loses area."""
+    """Look for a trend of residuals (n,) in m² over the force, above the low force: below it an
+    outline loses area."""
     problem = fit.problem
     force, trial = problem.force, problem.trial_of
     high = force >= problem.options.low_force

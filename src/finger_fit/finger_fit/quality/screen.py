@@ -75,8 +75,8 @@ def _readings(record: Any) -> list[float]:
 
 
 def fingerprints(record: Any) -> tuple[tuple[str, ...], ...]:
-    """By which a press is known again, of its force with its times: with subject and condition,
-    however the areas were measured, and with the areas, whatever it is called.
+    """Make the keys by which a press is known again, of its force with its times: with subject and
+    condition, however the areas were measured, and with the areas, whatever it is called.
 
     Not by the force alone: simulated presses of two fingers may have the same.
     """

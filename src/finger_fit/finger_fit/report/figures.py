@@ -68,15 +68,12 @@ COLUMN = 7.1
 ABREAST = 3
 """Panels of conditions beside each other; further ones go into further rows."""
 
-SUBSCRIPTS = str.maketrans("₀₁₂₃₄₅₆₇₈₉∞", "0123456789∞")
-
 PROFILES_IN_ROW = 6
 
 
 def title_of(quantity: Quantity) -> str:
     """Symbol and unit of a quantity, as an axis title."""
-    letter = quantity.symbol.rstrip("₀₁₂₃₄₅₆₇₈₉∞")
-    index = quantity.symbol[len(letter) :].translate(SUBSCRIPTS)
+    letter, index = quantity.letter_and_index
     symbol = f"${letter}_{{{index}}}$" if index else f"${letter}$"
     return f"{symbol} ({quantity.display_unit})" if quantity.display_unit else symbol
 
@@ -232,8 +229,8 @@ def force_over_time_figure(report: FitResult) -> Figure:
     for panel, (name, fit) in zip(panels, report.fits.items()):
         for trial in fit.problem.trials:
             panel.plot(
-                trial.record_time,
-                trial.record_force,
+                trial.drive.record_time,
+                trial.drive.record_force,
                 color=colour_of(report, name),
                 lw=0.6,
                 alpha=0.6,
@@ -262,7 +259,9 @@ def example_figure(report: FitResult) -> Figure:
     top = figure.add_subplot(grid[0, 0])
     bottom = figure.add_subplot(grid[1, 0], sharex=top)
     side = figure.add_subplot(grid[:, 1])
-    top.plot(trial.record_time, trial.record_force, color="0.55", lw=0.6, label="recorded")
+    top.plot(
+        trial.drive.record_time, trial.drive.record_force, color="0.55", lw=0.6, label="recorded"
+    )
     top.plot(trial.time, trial.force, color="0.1", lw=0.9, label="drives the model")
     top.set_ylabel("force (N)")
     top.tick_params(labelbottom=False)

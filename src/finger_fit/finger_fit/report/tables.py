@@ -16,8 +16,8 @@ import numpy as np
 from finger_model.laws import ParameterSpace
 
 from ..problem.report_units import MM2, MM4, minus, three_digits
-from ..results import ConditionFit, FitResult
-from ..uncertainty import shifted_interval
+from ..results import ConditionFit, FitResult, QuantityResult
+from ..results.tables import goodness_rows, trial_rows
 
 PAPER_TIME = "2 min a trial, 27,000 min (19 days) in COMSOL"
 """Time of the paper's search (Nam and Kuchenbecker 2021)."""
@@ -86,16 +86,17 @@ def parameters(result: FitResult) -> str:
     for condition, fit in result.fits.items():
         mean, deviation = fit.moisture
         active = fit.covariance.active if fit.covariance else {}
+        quantities = {name: fit.found(name) for name in names}
         kind = "final" if fit.status == "final" else "bad"
         rows.append(
             [
                 f"{escape(condition)}<br><span class='status {kind}'>{escape(fit.status)}</span>",
                 f"{mean:.1f} ± {deviation:.1f}" if np.isfinite(mean) else "–",
                 *(
-                    show(space, name, fit.quantity(name))
+                    show(space, name, found.value)
                     + ("<sup>†</sup>" if name in active else "")
-                    + _interval(fit, name)
-                    for name in names
+                    + _interval(space, name, found)
+                    for name, found in quantities.items()
                 ),
                 area_cost(fit.cost),
                 area_cost(fit.power_law.cost),
@@ -103,10 +104,10 @@ def parameters(result: FitResult) -> str:
             ]
         )
         if _has_assumed(fit):
-            cells = [_from_data(fit, name) for name in names]
+            cells = [_from_data(space, name, found) for name, found in quantities.items()]
             rows.append(["<i>from the data alone</i>", "", *cells, "", "", ""])
         if fit.bias_corrected:
-            cells = [_corrected(fit, name) for name in names]
+            cells = [_corrected(space, name, found) for name, found in quantities.items()]
             rows.append(["<i class=corrected>bias-corrected</i>", "", *cells, "", "", ""])
     note = (
         "Estimates with 95 % intervals by profile likelihood. <sup>†</sup> The estimate lies on a "
@@ -131,15 +132,19 @@ def parameters(result: FitResult) -> str:
     return table(header, rows) + f"<p class=lead>{note}</p>"
 
 
-def _interval(fit: ConditionFit, name: str) -> str:
-    profile, ends = fit.profiles.get(name), fit.interval(name)
-    if ends is None:
+def _span(space: ParameterSpace, name: str, ends: tuple[float, float]) -> str:
+    return " – ".join(show(space, name, end) for end in ends)
+
+
+def _interval(space: ParameterSpace, name: str, found: QuantityResult) -> str:
+    if math.isnan(found.interval[0]):
         return ""
-    if profile is not None and not profile.identifiable:
+    if found.identifiable is None:
+        return f"<small>{_span(space, name, found.interval)}</small>"
+    if not found.identifiable:
         return "<small>not identifiable</small>"
-    low, high = (show(fit.space, name, v) for v in ends)
-    before, after = ("≤ " * profile.open_low, " ≤" * profile.open_high) if profile else ("", "")
-    return f"<small>{before}{low} – {high}{after}</small>"
+    before, after = "≤ " * found.low_is_bound, " ≤" * found.high_is_bound
+    return f"<small>{before}{_span(space, name, found.interval)}{after}</small>"
 
 
 def _has_assumed(fit: ConditionFit) -> bool:
@@ -147,26 +152,22 @@ def _has_assumed(fit: ConditionFit) -> bool:
     return fit.covariance is not None and bool(fit.covariance.assumed.any())
 
 
-def _from_data(fit: ConditionFit, name: str) -> str:
+def _from_data(space: ParameterSpace, name: str, found: QuantityResult) -> str:
     """The interval from the data alone, and what the assumptions add."""
-    profile, ends = fit.profiles.get(name), fit.data_interval(name)
-    if ends is None or (profile is not None and not profile.identifiable):
+    if math.isnan(found.data_interval[0]) or found.identifiable is False:
         return "<i>–</i>"
-    low, high = (show(fit.space, name, v) for v in ends)
-    assumed = 100.0 * fit.assumed_deviation(name)
-    return f"<i>{low} – {high}</i><small>assumed: ± {assumed:.0f} %</small>"
+    assumed = f"assumed: ± {100.0 * found.assumed_sd:.0f} %"
+    return f"<i>{_span(space, name, found.data_interval)}</i><small>{assumed}</small>"
 
 
-def _corrected(fit: ConditionFit, name: str) -> str:
+def _corrected(space: ParameterSpace, name: str, found: QuantityResult) -> str:
     """The bias-corrected value and its interval; a dash where it is not identifiable."""
-    found, profile = fit.bias_corrected[name], fit.profiles.get(name)
-    value = f"<i class=corrected>{show(fit.space, name, found.value)}</i>"
-    if profile is None:
-        return value
-    if not profile.identifiable:
+    if found.bias is None or found.identifiable is False:
         return "<i class=corrected>–</i>"
-    low, high = (show(fit.space, name, v) for v in shifted_interval(profile, found.bias))
-    return f"{value}<small>{low} – {high}</small>"
+    value = f"<i class=corrected>{show(space, name, found.bias.value)}</i>"
+    if found.identifiable is None:
+        return value
+    return f"{value}<small>{_span(space, name, found.corrected_interval)}</small>"
 
 
 def quality(result: FitResult) -> str:
@@ -255,7 +256,11 @@ def subjects(result: FitResult) -> str:
                     f"{escape(condition)}<br><span class='status {kind}'>"
                     f"{escape(fit.status)}</span>",
                     str(len(fit.problem)),
-                    *(show(space, n, fit.quantity(n)) + _interval(fit, n) for n in names),
+                    *(
+                        show(space, name, found.value) + _interval(space, name, found)
+                        for name in names
+                        for found in [fit.found(name)]
+                    ),
                     area_cost(fit.cost),
                 ]
             )
@@ -332,31 +337,25 @@ def exclusions(result: FitResult) -> str:
 
 def costs(result: FitResult) -> str:
     """J and R² of model and power law, and the power law's constants."""
-    rows = []
-    for name, fit in result.fits.items():
-        law, problem, full, found = fit.power_law, fit.problem, fit.full_order, fit.goodness
-        fits = ["–"] * 5
-        if found is not None:
-            k = found.k
-            fits = [
-                with_interval(k.value * MM2, k.low * MM2, k.high * MM2, 1),
-                *(
-                    with_interval(v.value, v.low, v.high, 3)
-                    for v in (found.m, found.model, found.power_law)
-                ),
-                with_interval(found.rms.value * MM2, found.rms.low * MM2, found.rms.high * MM2, 2),
-            ]
-        rows.append(
-            [
-                escape(name),
-                str(len(problem)),
-                str(len(problem.measured)),
-                area_cost(fit.cost),
-                area_cost(full.full_costs[0]) if full else "–",
-                area_cost(law.cost),
-                *fits,
-            ]
-        )
+    decimals = {"k_mm2_per_Nm": 1, "m": 3, "R2": 3, "R2_power_law": 3, "rms_mm2": 2}
+    rows = [
+        [
+            escape(name),
+            str(row["trials"]),
+            str(row["frames"]),
+            *(
+                minus(three_digits(row[key]))
+                for key in ("J_mm4", "J_full_order_mm4", "J_power_law_mm4")
+            ),
+            *(
+                with_interval(row[key], row[f"{key}_low_95"], row[f"{key}_high_95"], number)
+                if key in row
+                else "–"
+                for key, number in decimals.items()
+            ),
+        ]
+        for name, row in zip(result.fits, goodness_rows(result))
+    ]
     header = [
         "condition", "trials", "frames", "<i>J</i> model (mm⁴)", "<i>J</i> full order (mm⁴)",
         "<i>J</i> power law (mm⁴)", "<i>k</i> (mm²/N<sup><i>m</i></sup>)", "<i>m</i>",
@@ -404,35 +403,17 @@ def indentations(result: FitResult) -> str:
 
 def trials(result: FitResult) -> str:
     """One row per trial."""
-    rows = []
-    for name, fit in result.fits.items():
-        problem = fit.problem
-        costs = problem.trial_costs(fit.areas)
-        by_law = problem.trial_costs(fit.power_law.area(problem.force))
-        known = {t.label: t for t in fit.quality.trials} if fit.quality else {}
-        for index, trial in enumerate(problem.trials):
-            found = known.get(trial.label)
-            rows.append(
-                [
-                    escape(trial.label),
-                    escape(name),
-                    f"{trial.moisture:.1f}" if np.isfinite(trial.moisture) else "–",
-                    f"{trial.frame_time[-1]:.2f}",
-                    f"{trial.record_force.max():.2f}",
-                    str(len(trial.area)),
-                    f"{trial.area.max() * MM2:.1f}",
-                    area_cost(costs[index]),
-                    area_cost(by_law[index]),
-                    *(
-                        minus(f"{value:{form}}") if np.isfinite(value) else "–"
-                        for value, form in (
-                            (found.lag * 1e3 if found else np.nan, ".0f"),
-                            (found.tare if found else np.nan, ".3f"),
-                            (found.gain if found else np.nan, ".3f"),
-                        )
-                    ),
-                ]
-            )
+    formats = {
+        "moisture_au": (1.0, ".1f"), "loading_s": (1.0, ".2f"), "peak_force_n": (1.0, ".2f"),
+        "frames": (1, "d"), "largest_area_mm2": (1.0, ".1f"), "J_mm4": None,
+        "J_power_law_mm4": None, "lag_s": (1e3, ".0f"), "tare_n": (1.0, ".3f"),
+        "gain": (1.0, ".3f"),
+    }  # fmt: skip
+    rows = [
+        [escape(row["trial"]), escape(row["condition"])]
+        + [_number(row[key], form) for key, form in formats.items()]
+        for row in trial_rows(result)
+    ]
     header = [
         "trial", "condition", "moisture (a.u.)", "loading (s)", "peak force (N)", "frames",
         "largest area (mm²)", "<i>J</i> model (mm⁴)", "<i>J</i> power law (mm⁴)", "lag (ms)",
@@ -443,6 +424,13 @@ def trials(result: FitResult) -> str:
         "trial's part of the cost. Lag: of the areas behind the fitted model. Tare: force before "
         "the contact. Gain: measured area over the model's.</p>"
     )
+
+
+def _number(value: float, form: tuple[float, str] | None) -> str:
+    """A value by its factor and format, or with three digits; a dash for NaN."""
+    if form is None or not np.isfinite(value):
+        return minus(three_digits(value))
+    return minus(f"{form[0] * value:{form[1]}}")
 
 
 def force_modes(result: FitResult) -> str:
@@ -478,7 +466,7 @@ def identifiability(result: FitResult) -> str:
             continue
         found = fit.covariance
         active = ", ".join(f"{space[n].html} ({end})" for n, end in found.active.items())
-        deviation = found.deviation(space.headline)
+        deviation = fit.found(space.headline).sd
         rows.append(
             [
                 escape(name),
@@ -528,8 +516,8 @@ def bootstrap(result: FitResult) -> str:
     for condition, fit in result.fits.items():
         cells = [escape(condition)]
         for name in space.quantity_names:
-            found = fit.bootstrap_interval(name)
-            cells.append(" – ".join(show(space, name, end) for end in found) if found else "–")
+            ends = fit.found(name).bootstrap
+            cells.append("–" if math.isnan(ends[0]) else _span(space, name, ends))
         rows.append(cells)
     return f"<p>Bootstrap over trials, {samples} samples, 95 % (percentiles):</p>" + table(
         ["condition", *headings(space, space.quantity_names)], rows

@@ -5,5 +5,5 @@
 
 from .contrasts import Contrast, contrasts
 from .files import condition_dict, fit_dict, parameter_files, write
-from .fits import ConditionFit, CrossCheck, DeformedFinger, FitResult, codes_of
+from .fits import ConditionFit, CrossCheck, DeformedFinger, FitResult, QuantityResult, codes_of
 from .indentation import IndentationFit, indentation_fit

@@ -23,7 +23,6 @@ from finger_model.parameter_sets import ParameterSet, ParameterSets
 from finger_model.subjects import subject_file
 
 from ..problem import MM4, material_of
-from ..uncertainty import shifted_interval
 from .fits import ConditionFit, FitResult
 from .tables import write_tables
 
@@ -39,6 +38,7 @@ def condition_dict(fit: ConditionFit) -> dict[str, Any]:
     space = fit.space
     mean, deviation = fit.moisture
     law = fit.power_law
+    quantities = {name: fit.found(name) for name in space.quantity_names}
     out: dict[str, Any] = {
         **space.quantities(fit.parameters),
         "J": fit.cost * MM4,
@@ -111,57 +111,44 @@ def condition_dict(fit: ConditionFit) -> dict[str, Any]:
         }
         for first, second in itertools.combinations(space.names, 2):
             out[f"correlation_{first}_{second}"] = c.correlation(first, second)
-        out["sd_log"] = {name: c.deviation(name) for name in space.quantity_names}
-        out["from_data"] = {name: _from_data(fit, name) for name in space.quantity_names}
+        out["sd_log"] = {name: q.sd for name, q in quantities.items()}
+        out["from_data"] = {
+            name: {
+                **_ends(q.data_interval),
+                "sd_log": q.data_sd,
+                "sd_log_assumed": q.assumed_sd,
+                "assumed": q.assumed,
+            }
+            for name, q in quantities.items()
+        }
     if fit.profiles or fit.covariance is not None:
-        out["interval_95"] = {name: _whole(fit, name) for name in space.quantity_names}
+        out["interval_95"] = {
+            name: {
+                **_ends(q.interval),
+                "low_is_bound": q.low_is_bound,
+                "high_is_bound": q.high_is_bound,
+                "identifiable": q.identifiable,
+            }
+            for name, q in quantities.items()
+        }
     if fit.bias_corrected:
         out["bias_corrected"] = {
             name: {
-                "value": found.value,
-                "bias_log": found.bias,
-                "bias_log_error": found.bias_error,
-                **_shifted(fit, name, found.bias),
+                "value": q.bias.value,
+                "bias_log": q.bias.bias,
+                "bias_log_error": q.bias.bias_error,
+                **({} if q.identifiable is None else _ends(q.corrected_interval)),
             }
-            for name, found in fit.bias_corrected.items()
+            for name, q in quantities.items()
+            if q.bias is not None
         }
     if fit.samples is not None:
-        out["bootstrap_95"] = {name: fit.bootstrap_interval(name) for name in space.quantity_names}
+        out["bootstrap_95"] = {name: q.bootstrap for name, q in quantities.items()}
     return out
 
 
-def _shifted(fit: ConditionFit, name: str, bias: float) -> dict[str, float]:
-    """The 95 % interval of a bias-corrected value, where there is a profile."""
-    if name not in fit.profiles:
-        return {}
-    low, high = shifted_interval(fit.profiles[name], bias)
-    return {"low": low, "high": high}
-
-
-def _whole(fit: ConditionFit, name: str) -> dict[str, Any]:
-    """Interval with all that is unknown; whether its ends are those of the search box."""
-    low, high = fit.interval(name) or (math.nan, math.nan)
-    profile = fit.profiles.get(name)
-    first, last = fit.space.quantity_bounds(name, fit.problem.box)
-    return {
-        "low": low,
-        "high": high,
-        "low_is_bound": low <= first if profile is None else profile.open_low,
-        "high_is_bound": high >= last if profile is None else profile.open_high,
-        "identifiable": None if profile is None else profile.identifiable,
-    }
-
-
-def _from_data(fit: ConditionFit, name: str) -> dict[str, Any]:
-    """Interval and deviation from the data alone, and what the assumptions add."""
-    low, high = fit.data_interval(name) or (math.nan, math.nan)
-    return {
-        "low": low,
-        "high": high,
-        "sd_log": fit.data_deviation(name),
-        "sd_log_assumed": fit.assumed_deviation(name),
-        "assumed": fit.assumed_moves(name),
-    }
+def _ends(interval: tuple[float, float]) -> dict[str, float]:
+    return dict(zip(("low", "high"), interval))
 
 
 def fit_dict(result: FitResult) -> dict[str, Any]:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.stats import t as student
 
-from ..uncertainty import NORMAL_95, BiasCorrected, Covariance, Goodness, Profile
+from ..uncertainty import NORMAL_95, BiasCorrected, Covariance, Goodness, Profile, shifted_interval
 
 if TYPE_CHECKING:
     from finger_model.fem.fields import Fields
@@ -48,17 +49,51 @@ class CrossCheck:
     agrees: bool
 
 
+NO_INTERVAL = (math.nan, math.nan)
+
+
+@dataclass(frozen=True)
+class QuantityResult:
+    """What a fit found of one parameter or derived quantity (SI; deviations: of its logarithm).
+
+    interval: 95 % with all that is unknown, inside the search box: by the profile, without one by
+    the covariance, else by the bootstrap; low_is_bound, high_is_bound: its end is the box's.
+    data_interval: from the data alone, as if the lengths of the finger and the gain of all areas
+    were those of this fit; by the profile, without one of the logarithm, symmetric, with Student's
+    t for one degree of freedom less than trials. bootstrap: 95 % percentiles. identifiable: None
+    without a profile. sd, data_sd: with all that is unknown, and from the data alone; assumed_sd:
+    what the assumed lengths and the gain of all areas add (as squares); assumed: change of the
+    logarithm by one prior deviation of each. bias: None without bias pairs; corrected_interval: of
+    its value, by the profile. Ends are NaN where there is no interval, deviations without
+    covariance.
+    """
+
+    value: float
+    interval: tuple[float, float]
+    low_is_bound: bool
+    high_is_bound: bool
+    data_interval: tuple[float, float]
+    bootstrap: tuple[float, float]
+    identifiable: bool | None
+    sd: float
+    data_sd: float
+    assumed_sd: float
+    assumed: dict[str, float]
+    bias: BiasCorrected | None
+    corrected_interval: tuple[float, float]
+
+
 @dataclass
 class ConditionFit:
     """Everything that the fit of one condition found (SI, J in m⁴).
 
     parameters (N,): the result; cost: its J; objective: what was minimised, J with the nuisances
     eliminated (`problem.Goal`) and with the measured indentations; nuisance, indentation: None
-    without. pso: the search alone; polish: the local
-    least squares of J, None without. top (C, N), top_costs (C,): best distinct candidates.
-    bias_corrected: empty without bias pairs; samples (B, N): bootstrap. areas (n,): the model's
-    areas (m²) at the frames; goodness: R² there; curves: at every step of each trial's drive.
-    status: "final", "not checked", "not final" or "interrupted", with reasons.
+    without. pso: the search alone; polish: the local least squares of J, None without. top (C, N),
+    top_costs (C,): best distinct candidates. bias_corrected: empty without bias pairs; samples (B,
+    N): bootstrap. areas (n,): the model's areas (m²) at the frames; goodness: R² there; curves: at
+    every step of each trial's drive. status: "final", "not checked", "not final" or "interrupted",
+    with reasons.
     """
 
     condition: str
@@ -107,58 +142,40 @@ class ConditionFit:
             return float("nan"), float("nan")
         return float(values.mean()), float(values.std(ddof=1)) if len(values) > 1 else 0.0
 
-    def bootstrap_interval(self, name: str) -> tuple[float, float] | None:
-        """95 % percentile interval of a quantity, None without bootstrap."""
-        if self.samples is None or not len(self.samples):
-            return None
-        low, high = np.quantile(self.space.quantity(name, self.samples), [0.025, 0.975])
-        return float(low), float(high)
-
-    def data_deviation(self, name: str) -> float:
-        """Standard deviation of a quantity's logarithm from the data alone, as if the lengths of
-        the finger and the gain of all areas were those of this fit; NaN without covariance."""
-        if self.covariance is None:
-            return float("nan")
-        return self.covariance.data_deviation(name)
-
-    def assumed_deviation(self, name: str) -> float:
-        """Standard deviation of a quantity's logarithm that the assumed lengths and the gain of all
-        areas add (as squares) to that from the data; NaN without covariance."""
-        if self.covariance is None:
-            return float("nan")
-        return self.covariance.assumed_deviation(name)
-
-    def assumed_moves(self, name: str) -> dict[str, float]:
-        """Change of a quantity's logarithm by one prior deviation of each assumed length and of the
-        gain of all areas, as this fit answers to them."""
-        return {} if self.covariance is None else self.covariance.assumed_moves(name)
-
-    def data_interval(self, name: str) -> tuple[float, float] | None:
-        """95 % interval of a quantity from the data alone (`data_deviation`), inside the search
-        box; None without covariance.
-
-        By the profile; without one of the logarithm, symmetric, with Student's t for one degree of
-        freedom less than trials.
-        """
-        if self.covariance is None:
-            return None
-        if name in self.profiles:
-            return self.profiles[name].data_interval
-        return self._around(name, self._reach(name))
-
-    def interval(self, name: str) -> tuple[float, float] | None:
-        """95 % interval of a quantity with all that is unknown, inside the search box: by the
-        profile, without one by the covariance, else by the bootstrap; None without any."""
-        if name in self.profiles:
-            return self.profiles[name].interval
-        if self.covariance is None:
-            return self.bootstrap_interval(name)
-        assumed = NORMAL_95 * self.assumed_deviation(name)
-        return self._around(name, float(np.hypot(self._reach(name), assumed)))
-
-    def _reach(self, name: str) -> float:
-        degrees = max(len(self.problem) - 1, 1)
-        return float(student.ppf(0.975, degrees)) * self.data_deviation(name)
+    def found(self, name: str) -> QuantityResult:
+        """Collect what the fit says of a parameter or derived quantity."""
+        known, profile = self.covariance, self.profiles.get(name)
+        bias = self.bias_corrected.get(name)
+        bootstrap = data_interval = NO_INTERVAL
+        if self.samples is not None and len(self.samples):
+            low, high = np.quantile(self.space.quantity(name, self.samples), [0.025, 0.975])
+            bootstrap = float(low), float(high)
+        interval = bootstrap
+        data_sd = assumed_sd = math.nan
+        if known is not None:
+            data_sd, assumed_sd = known.data_deviation(name), known.assumed_deviation(name)
+            reach = float(student.ppf(0.975, max(len(self.problem) - 1, 1))) * data_sd
+            data_interval = self._around(name, reach)
+            interval = self._around(name, float(np.hypot(reach, NORMAL_95 * assumed_sd)))
+        first, last = self.space.quantity_bounds(name, self.problem.box)
+        bounds = bool(interval[0] <= first), bool(interval[1] >= last)
+        if profile is not None:
+            interval, data_interval = profile.interval, profile.data_interval
+            bounds = profile.open_low, profile.open_high
+        return QuantityResult(
+            self.quantity(name),
+            interval,
+            *bounds,
+            data_interval,
+            bootstrap,
+            None if profile is None else profile.identifiable,
+            float(np.hypot(data_sd, assumed_sd)),
+            data_sd,
+            assumed_sd,
+            {} if known is None else known.assumed_moves(name),
+            bias,
+            shifted_interval(profile, bias.bias) if profile and bias else NO_INTERVAL,
+        )
 
     def _around(self, name: str, reach: float) -> tuple[float, float]:
         low, high = self.space.quantity_bounds(name, self.problem.box)

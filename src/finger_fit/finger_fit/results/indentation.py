@@ -14,7 +14,7 @@ from ..problem import FitProblem
 
 @dataclass(frozen=True)
 class IndentationFit:
-    """Of one condition, trial after trial (SI).
+    """Indentations of one condition beside the model's, trial after trial (SI).
 
     measured, predicted (q,): m, the measured ones less the zero of their trial; time (q,), force
     (q,): s from first touch and N; trial_of (q,): index of the trial; zeros: m by label of the
@@ -44,7 +44,7 @@ class IndentationFit:
         )
 
     def to_dict(self) -> dict[str, object]:
-        """As in fit.json."""
+        """Make the entry of fit.json."""
         return {
             "trials": len(self.zeros),
             "frames": len(self.measured),
@@ -56,7 +56,7 @@ class IndentationFit:
 
 
 def indentation_fit(problem: FitProblem, parameters: np.ndarray) -> IndentationFit | None:
-    """At fitted parameters (N,); None where no trial has an indentation."""
+    """Compare at fitted parameters (N,); None where no trial has an indentation."""
     rows = problem.indentations
     if rows is None:
         return None
@@ -70,8 +70,8 @@ def indentation_fit(problem: FitProblem, parameters: np.ndarray) -> IndentationF
     return IndentationFit(
         rows.measured - zeros,
         predicted,
-        np.concatenate([trials[t].time[trials[t].indentation_rows] for t in used]),
-        np.concatenate([trials[t].force[trials[t].indentation_rows] for t in used]),
+        np.concatenate([trials[t].time[trials[t].drive.indentation_rows] for t in used]),
+        np.concatenate([trials[t].force[trials[t].drive.indentation_rows] for t in used]),
         rows.trial_of,
         {trials[t].label: float(zeros[k]) for t, k in zip(used, first)},
         float(np.sqrt(np.mean(rows.sd**2))),

@@ -57,29 +57,25 @@ def parameter_rows(result: FitResult) -> Rows:
     for subject, condition, fit in named(result):
         for name in fit.space.quantity_names:
             quantity = fit.space.describe(name)
-            profile, found = fit.profiles.get(name), fit.bias_corrected.get(name)
-            factor, unit = quantity.display_factor, quantity.display_unit
-            ends = fit.interval(name) or (np.nan, np.nan)
-            resampled = fit.bootstrap_interval(name) or (np.nan, np.nan)
-            alone = fit.data_interval(name) or (np.nan, np.nan)
+            factor, found = quantity.display_factor, fit.found(name)
             rows.append(
                 {
                     "subject": subject,
                     "condition": condition,
                     "quantity": name,
-                    "unit": unit,
-                    "value": factor * fit.quantity(name),
-                    "low_95": factor * ends[0],
-                    "high_95": factor * ends[1],
-                    "identifiable": profile.identifiable if profile else "",
-                    "sd_log": fit.covariance.deviation(name) if fit.covariance else np.nan,
-                    "data_low_95": factor * alone[0],
-                    "data_high_95": factor * alone[1],
-                    "sd_log_data": fit.data_deviation(name),
-                    "sd_log_assumed": fit.assumed_deviation(name),
-                    "bootstrap_low_95": factor * resampled[0],
-                    "bootstrap_high_95": factor * resampled[1],
-                    "bias_corrected": factor * found.value if found else np.nan,
+                    "unit": quantity.display_unit,
+                    "value": factor * found.value,
+                    "low_95": factor * found.interval[0],
+                    "high_95": factor * found.interval[1],
+                    "identifiable": "" if found.identifiable is None else found.identifiable,
+                    "sd_log": found.sd,
+                    "data_low_95": factor * found.data_interval[0],
+                    "data_high_95": factor * found.data_interval[1],
+                    "sd_log_data": found.data_sd,
+                    "sd_log_assumed": found.assumed_sd,
+                    "bootstrap_low_95": factor * found.bootstrap[0],
+                    "bootstrap_high_95": factor * found.bootstrap[1],
+                    "bias_corrected": factor * found.bias.value if found.bias else np.nan,
                     "status": fit.status,
                 }
             )
@@ -159,7 +155,7 @@ def trial_rows(result: FitResult) -> Rows:
                     "trial": trial.label,
                     "moisture_au": trial.moisture,
                     "loading_s": trial.frame_time[-1],
-                    "peak_force_n": trial.record_force.max(),
+                    "peak_force_n": trial.drive.record_force.max(),
                     "frames": len(trial.area),
                     "largest_area_mm2": trial.area.max() * MM2,
                     "J_mm4": costs[index] * MM4,

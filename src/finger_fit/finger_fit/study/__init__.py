@@ -3,7 +3,7 @@
 
 """The stages of a fit: bags, conditions, one condition's fit, additional fits, files."""
 
-from .bags import load
+from .bags import load, reading
 from .condition import fit_condition, polish
 from .grouping import group_trials
 from .progress import Report

@@ -15,6 +15,7 @@ import numpy as np
 from finger_bag.bag_files import find_bags, storage_of
 from finger_bag.mapping import TopicMapping
 from finger_bag.reader import open_bag
+from finger_common.contact_threshold import LIFTOFF_FORCE, ONSET_FORCE
 from finger_common.errors import InputError
 from finger_common.files import sha256_of, sha256_of_file
 from finger_offline.trial_records import Exclusion as TrialExclusion
@@ -29,10 +30,6 @@ from finger_offline.trials import (
 
 from ..options import FitOptions
 from ..problem import Exclusion
-
-LIFTOFF_SHARE = 0.6
-"""Lift-off force over onset force: a contact ends below its onset, so that noise does not end
-it."""
 
 
 @dataclass
@@ -50,35 +47,39 @@ class Loaded:
     sources: list[dict[str, Any]] = field(default_factory=list)
 
 
+def reading(options: FitOptions, mapping: str | Path | None = None, **given: Any) -> TrialSettings:
+    """Settings by which the trials of a fit are read.
+
+    mapping: file that names other topics and units (docs/bags.md); given: further fields of
+    TrialSettings, such as calibration. Raises InputError for a mapping or values that are wrong.
+    """
+    return TrialSettings(
+        mapping=TopicMapping.load(mapping) if mapping else TopicMapping(),
+        onset_force=options.onset_force,
+        # Below the onset, so that noise does not end a contact.
+        liftoff_force=LIFTOFF_FORCE / ONSET_FORCE * options.onset_force,
+        image_areas="always" if options.vision else "absent",
+        **given,
+    )
+
+
 def load(
     paths: Iterable[str | Path],
-    options: FitOptions,
-    normal_axis: str | None = None,
-    calibration: str | None = None,
+    settings: TrialSettings,
     progress: Callable[[int, int], None] | None = None,
-    mapping: str | Path | None = None,
-    area_per_pixel: float = 0.0,
 ) -> Loaded:
     """Read every bag among paths (bags, or folders of bags).
 
-    Areas come from contact_area, or from the images where it is absent or options.vision is set.
-    Force comes from wrench, or else from wrench_raw less its mean before the press. mapping: file
-    that names other topics and units (docs/bags.md); area_per_pixel: m², for images without a
-    calibration; progress: called with bags read and all bags.
-    Raises InputError when a path is no bag or a bag holds no trial data.
+    Areas come from contact_area, or from the images where it is absent or the settings say so.
+    Force comes from wrench, or else from wrench_raw less its mean before the press. progress:
+    called with bags read and all bags. Raises InputError when a path is no bag or a bag holds no
+    trial data.
     """
     bags = find_bags(paths)
-    if calibration and not Path(calibration).is_file():
-        raise InputError(f"{calibration}: no such file; give the calibration of the camera")
-    settings = TrialSettings(
-        normal_axis=normal_axis or "",
-        onset_force=options.onset_force,
-        liftoff_force=LIFTOFF_SHARE * options.onset_force,
-        image_areas="always" if options.vision else "absent",
-        calibration=calibration or "",
-        area_per_pixel=area_per_pixel,
-        mapping=TopicMapping.load(mapping) if mapping else TopicMapping(),
-    )
+    if settings.calibration and not Path(settings.calibration).is_file():
+        raise InputError(
+            f"{settings.calibration}: no such file; give the calibration of the camera"
+        )
     out = Loaded()
     excluded: list[TrialExclusion] = []
     for number, bag in enumerate(bags):
@@ -102,7 +103,7 @@ def load(
     if progress is not None:
         progress(len(bags), len(bags))
     recorded = [source["bag"] for source in out.sources if "topic" in source["areas"]]
-    if recorded and (calibration or area_per_pixel):
+    if recorded and (settings.calibration or settings.area_per_pixel):
         out.problems.append(
             f"{recorded[0]}{f' and {len(recorded) - 1} more' if recorded[1:] else ''}: areas are "
             "recorded, so that calibration and area per pixel are not used; measure the images "
@@ -130,8 +131,9 @@ def _read(bag: Path, settings: TrialSettings) -> tuple[TrialSet, str, str]:
                 "topic in a mapping file"
             )
         streams = streams_with_areas(reader, replace(settings, wrench_topic="wrench_raw"))
-        tare = recorded_tare(metadata.extra, streams.force, streams.wrench_stamp_ns)
-        streams.force = streams.force - tare
+        wrenches = streams.wrenches
+        tare = recorded_tare(metadata.extra, wrenches.force, wrenches.stamp_ns)
+        streams.wrenches = wrenches._replace(force=wrenches.force - tare)
         return trials_in(reader, streams, settings), "wrench_raw less tare", made_by
 
 

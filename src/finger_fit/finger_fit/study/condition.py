@@ -16,10 +16,9 @@ from finger_model.fem.area_model import FullOrderAreas
 
 from ..engine import Engine, LocalEngine
 from ..full_order import BetterModel, FullOrder, check, correct
-from ..nuisance.estimate import ROUNDS, NuisanceModel
+from ..nuisance.estimate import ROUNDS, NuisanceModel, Settled
 from ..nuisance.geometry import FullOrderGeometry, PopulationGeometry, geometry_responses
 from ..nuisance.result import nuisance_result
-from ..options import FitOptions
 from ..problem import FitProblem, fit_power_law, robust_factor
 from ..results import ConditionFit, CrossCheck, indentation_fit
 from ..search import LocalFit, Search, Stopped, all_free, best_points, refine, search, search_grid
@@ -47,26 +46,28 @@ AGREEMENT = 0.02
 
 def fit_condition(
     problem: FitProblem,
-    options: FitOptions,
     condition: str = "",
     engine: Engine | None = None,
     folder: Path | None = None,
     report: Report | None = None,
     better: BetterModel | None = None,
 ) -> ConditionFit:
-    """Fit one condition: grid, PSO, polish, then what the options ask for.
+    """Fit one condition: grid, PSO, polish, then what the problem's options ask for.
 
     folder: for checkpoints, none are kept without; better: the model to correct to and check with,
     the full-order model of the same finger when None. Ctrl-C (KeyboardInterrupt) and Stopped end
     the work; what was found until then comes back with status "interrupted".
     """
     problem = problem.uncorrected()
-    stages = _Stages(problem, options, condition or "all", engine, folder, report, better)
-    stages.progress = Progress(condition, len(problem.space), report)
+    progress = Progress(condition, len(problem.space), report)
+    stages = _Stages(problem, progress, engine or LocalEngine(), folder, better)
     fit = stages.search()
     if fit.status != "interrupted":
         try:
-            stages.after_search(fit)
+            stages.polish_best(fit)
+            without = fit.parameters
+            settled = stages.minimise(fit)
+            stages.assess(fit, settled, without)
         except (KeyboardInterrupt, Stopped):
             fit.status = "interrupted"
             fit.reasons = ["interrupted after the search; the later results are incomplete"]
@@ -75,31 +76,27 @@ def fit_condition(
             fit.objective = float(problem.cost(fit.parameters)[0])
             fit.power_law = fit_power_law(problem)
     if not len(fit.top):
-        fit.top, fit.top_costs = top_candidates(fit, options.top)
+        fit.top, fit.top_costs = top_candidates(fit, problem.options.top)
     fit.areas, fit.curves = problem.areas(fit.parameters)[0], drive_areas(problem, fit.parameters)
     fit.indentation = indentation_fit(problem, fit.parameters)
-    fit.goodness = goodness(problem, fit.areas, fit.power_law, options.seed)
+    fit.goodness = goodness(problem, fit.areas, fit.power_law, problem.options.seed)
     return fit
 
 
 class _Stages:
     """The stages of one condition's fit, and what they share."""
 
-    progress: Progress
-
     def __init__(
         self,
         problem: FitProblem,
-        options: FitOptions,
-        name: str,
-        engine: Engine | None,
+        progress: Progress,
+        engine: Engine,
         folder: Path | None,
-        report: Report | None,
         better: BetterModel | None,
     ) -> None:
-        self.problem, self.options, self.name, self.folder = problem, options, name, folder
-        self.engine = engine or LocalEngine()
-        self.better = better or FullOrder.like(problem.model, self.engine)
+        self.problem, self.options, self.progress = problem, problem.options, progress
+        self.engine, self.folder = engine, folder
+        self.better = better or FullOrder.like(problem.model, engine)
         # A full-order model needs neither correction nor check.
         self.reduced = not isinstance(problem.model, FullOrderAreas)
         self.coordinates = all_free(problem)
@@ -122,7 +119,7 @@ class _Stages:
         parameters, cost = min((grid.best, pso.best), key=lambda found: found[1])
         with progress.timed("power law"):
             law = fit_power_law(problem)
-        fit = ConditionFit(self.progress.condition, problem, parameters, cost, grid, pso, law)
+        fit = ConditionFit(progress.condition, problem, parameters, cost, grid, pso, law)
         if problem.indentations is not None:
             fit.cost = problem.area_cost(parameters)
         fit.objective = cost
@@ -135,7 +132,7 @@ class _Stages:
 
     def run(self, optimizer: str) -> Search:
         """One population search from the best grid points, with its checkpoint."""
-        file = f"checkpoint_{self.name}_{optimizer}.json"
+        file = f"checkpoint_{self.progress.condition or 'all'}_{optimizer}.json"
         return search(
             optimizer,
             self.problem.cost,
@@ -149,10 +146,10 @@ class _Stages:
             self.problem.key(),
         )
 
-    def after_search(self, fit: ConditionFit) -> None:
-        """Polish, cross-checks, full order, covariance, profiles, bias, bootstrap; fills `fit`."""
-        problem, options, progress = self.problem, self.options, self.progress
-        if options.polish:
+    def polish_best(self, fit: ConditionFit) -> None:
+        """Polish the best candidate, and let the other optimisers check it."""
+        problem, progress = self.problem, self.progress
+        if self.options.polish:
             with progress.timed("polish"):
                 fit.polish = polish(problem, fit.parameters, self.start)
                 if problem.indentations is not None:
@@ -162,39 +159,56 @@ class _Stages:
                 fit.parameters, fit.objective = fit.polish.parameters, fit.polish.cost
             progress.rounds("polish")(1, 1, fit.objective, fit.parameters)
         with progress.timed("cross-checks"):
-            others = [name for name in options.optimizer if name != "pso"]
+            others = [name for name in self.options.optimizer if name != "pso"]
             fit.cross_checks = [self.cross_check(fit, name) for name in others]
-        count = progress.count("full order")
-        without = fit.parameters
+
+    def minimise(self, fit: ConditionFit) -> Settled | None:
+        """Estimate the nuisances and correct to full order; the nuisances, where there are any."""
+        problem, options, progress = self.problem, self.options, self.progress
         model = self.nuisance_model(fit) if options.nuisances else None
         settled = None
         if model is not None:
-            with progress.timed("nuisances"), self.whole():
-                settled = model.settle(
-                    np.vstack([fit.parameters, self.start[:2]]), ROUNDS if self.reduced else 1
-                )
-            fit.parameters, fit.objective = settled.fit.parameters, settled.fit.cost
+            starts = np.vstack([fit.parameters, self.start[:2]])
+            settled = self.settle(fit, model, starts, ROUNDS if self.reduced else 1)
         if options.full_order and options.correct and self.reduced:
             with progress.timed("full order"), self.whole():
-                found, fit.correction = correct(problem, fit.parameters, self.better, done=count)
+                found, fit.correction = correct(
+                    problem, fit.parameters, self.better, done=progress.count("full order")
+                )
             fit.parameters, fit.objective = found.parameters, found.cost
             if model is not None:
-                with progress.timed("nuisances"), self.whole():
-                    settled = model.settle(fit.parameters[None])
-                fit.parameters, fit.objective = settled.fit.parameters, settled.fit.cost
+                settled = self.settle(fit, model, fit.parameters[None], ROUNDS)
         if settled is not None:
             # The baseline has the same force, less the tare and at the images' times.
             fit.power_law = fit_power_law(problem)
+        return settled
+
+    def settle(
+        self, fit: ConditionFit, model: NuisanceModel, starts: np.ndarray, rounds: int
+    ) -> Settled:
+        """Fit from parameters (C, N) with the nuisances eliminated."""
+        with self.progress.timed("nuisances"), self.whole():
+            settled = model.settle(starts, rounds)
+        fit.parameters, fit.objective = settled.fit.parameters, settled.fit.cost
+        return settled
+
+    def assess(self, fit: ConditionFit, settled: Settled | None, without: np.ndarray) -> None:
+        """Compute covariance, full-order check, profiles, bias and bootstrap of a fit.
+
+        without (N,): the parameters before the nuisances were estimated.
+        """
+        problem, options, progress = self.problem, self.options, self.progress
         fit.cost = problem.area_cost(fit.parameters)
         fit.top, fit.top_costs = top_candidates(fit, options.top)
         with progress.timed("sensitivities"):
             fit.covariance = covariance(problem, fit.parameters)
-        if settled is not None and model is not None:
-            left_out = tuple(name for name in options.lengths() if name not in model.lengths)
+        if settled is not None:
+            allowed = settled.nuisances.names
+            left_out = tuple(name for name in options.lengths() if name not in allowed)
             fit.nuisance = nuisance_result(problem, settled, fit.covariance, left_out, without)
         if options.full_order and self.reduced:
             with progress.timed("full order"):
-                fit.full_order = check(problem, fit.top, self.better, count)
+                fit.full_order = check(problem, fit.top, self.better, progress.count("full order"))
             fit.reasons = fit.full_order.reasons
         if options.full_order:
             fit.status = "not final" if fit.reasons else "final"

@@ -68,7 +68,7 @@ class JointGoal:
         return np.sum([goal.cost(part) for goal, part in zip(self._goals, parts)], axis=0)
 
     def rows(self, areas: np.ndarray) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
-        """As `Goal.rows`, the conditions' rows one after the other."""
+        """Rows as of `Goal.rows`, those of the conditions one after the other."""
         parts = np.split(areas, self._splits)
         found = [goal.rows(part) for goal, part in zip(self._goals, parts)]
 
@@ -155,7 +155,7 @@ class ThicknessProblem(FitProblem):
         self._bend = (x[0] * above - x[2] * below) / determinant
 
     def corrected(self, parameters: np.ndarray) -> np.ndarray:
-        """As in the base class, of parameters (P, N + 1), h last."""
+        """Areas and indentations as in the base class, for parameters (P, N + 1), h last."""
         parameters = np.atleast_2d(np.asarray(parameters, dtype=float))
         x = np.log(parameters[:, -1:] / self._thickness)
         factor = np.exp(x * self._slope + x * x * self._bend)
@@ -206,7 +206,9 @@ def force_modes(fit: ConditionFit, records: Sequence[Any]) -> dict[str, dict[str
         if fit.problem.nuisances is not None:
             problem.nuisances = fit.problem.nuisances
             drives = zip(problem.trials, fit.problem.trials)
-            problem.redrive([t.with_drive(known.tare, known.lag, changed) for t, known in drives])
+            problem.redrive(
+                [t.with_drive(known.drive.tare, known.drive.lag, changed) for t, known in drives]
+            )
     free = all_free(problem)
     found = refine(problem, free, fit.parameters, tolerance=1e-5)
     return {

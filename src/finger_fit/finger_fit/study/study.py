@@ -18,7 +18,7 @@ from finger_common.errors import FingerError, InputError, ModelError
 from finger_model.fem.area_model import FullOrderAreas
 from finger_model.finger import serving
 from finger_model.reduced import ReducedModel
-from finger_offline.trial_split import CONDITION
+from finger_offline.trial_split import CONDITION, TrialSettings
 
 from .. import results
 from ..engine import Engine, LocalEngine, engine_for
@@ -30,7 +30,7 @@ from ..quality import judge, quality_of, screen
 from ..report import write_report
 from ..results import ConditionFit, FitResult, codes_of, contrasts
 from ..search import Stopped
-from .bags import load
+from .bags import load, reading
 from .condition import fit_condition
 from .deformed import deformed_finger
 from .further import force_modes, shared_fit, thickness_fit
@@ -80,27 +80,19 @@ def fit_records(
         subjects.setdefault(trial.subject, []).append(trial)
     notes += _check_codes(subjects)
     with engine_for(options.dask) as engine:
+        work = _Work(model, options, of_trial, conditions, engine, folder, report)
         if len(subjects) == 1 or options.pool:
             if len(subjects) > 1:
                 notes.append(f"{len(subjects)} subjects are pooled: {', '.join(subjects)}")
             try:
-                part = _fit_subject(
-                    trials, of_trial, model, options, conditions, engine, folder, report
-                )
+                part = work.fit_subject(trials)
             except InputError as error:
                 raise InputError(f"{error}{_left_out(exclusions)}") from None
             return dataclasses.replace(
                 part, exclusions=exclusions, problems=[*notes, *part.problems]
             )
-        jobs = {
-            subject or UNNAMED: (own, {trial.label: of_trial[trial.label] for trial in own})
-            for subject, own in sorted(subjects.items())
-        }
-        outcomes = (
-            _on_cluster(jobs, model, options, conditions, engine, report)
-            if options.dask
-            else _one_by_one(jobs, model, options, conditions, engine, folder, report)
-        )
+        own = {subject or UNNAMED: found for subject, found in sorted(subjects.items())}
+        outcomes = work.on_cluster(own) if options.dask else work.one_by_one(own)
         parts: dict[str, FitResult] = {}
         tried = 0
         for name, found in outcomes:
@@ -120,7 +112,7 @@ def fit_records(
         notes,
         subjects=parts,
         contrasts=[found for part in parts.values() for found in part.contrasts],
-        stopped=tried < len(jobs) or any(part.stopped for part in parts.values()),
+        stopped=tried < len(own) or any(part.stopped for part in parts.values()),
     )
 
 
@@ -144,65 +136,122 @@ def _check_codes(subjects: Iterable[str]) -> list[str]:
     return notes
 
 
-_Job = tuple[Sequence[FitTrial], Mapping[str, Any]]
-"""Trials of one subject, and their records by label."""
-
 _Outcome = FitResult | FingerError
 """Result of one subject, or why it cannot be fitted."""
 
 
-def _one_by_one(
-    jobs: Mapping[str, _Job],
-    model: Any,
-    options: FitOptions,
-    conditions: Sequence[str],
-    engine: Engine,
-    folder: Path | None,
-    report: Report | None,
-) -> Iterator[tuple[str, _Outcome]]:
-    """Each subject's fit on this machine, up to one that was interrupted."""
-    fitted = False
-    for name, (trials, of_trial) in jobs.items():
-        within = None if folder is None else folder / name
-        try:
-            part = _fit_subject(
-                trials, of_trial, model, options, conditions, engine, within, _told(report, name)
+@dataclasses.dataclass(frozen=True)
+class _Work:
+    """What the fits of all subjects share.
+
+    records: the recorded trials by label; conditions: names to fit, empty for all; folder: for
+    checkpoints, none are kept without; report: learns of the progress.
+    """
+
+    model: Any
+    options: FitOptions
+    records: Mapping[str, Any]
+    conditions: Sequence[str]
+    engine: Engine
+    folder: Path | None = None
+    report: Report | None = None
+
+    def one_by_one(
+        self, subjects: Mapping[str, Sequence[FitTrial]]
+    ) -> Iterator[tuple[str, _Outcome]]:
+        """Fit each subject's trials on this machine, up to a fit that was interrupted."""
+        fitted = False
+        for name, trials in subjects.items():
+            within = None if self.folder is None else self.folder / name
+            own = dataclasses.replace(self, folder=within, report=_told(self.report, name))
+            try:
+                part = own.fit_subject(trials)
+            except FingerError as error:
+                yield name, error
+                continue
+            except INTERRUPTIONS:
+                if not fitted:
+                    raise
+                return
+            fitted = True
+            yield name, part
+            if part.interrupted:
+                return
+
+    def on_cluster(
+        self, subjects: Mapping[str, Sequence[FitTrial]]
+    ) -> Iterator[tuple[str, _Outcome]]:
+        """Fit each subject's trials as one piece of work of a cluster, without checkpoints."""
+        done = Progress("", len(self.model.space), self.report).count("subjects")
+        # A worker may have no processes of its own.
+        shared = _Work(self.model, self.options, {}, self.conditions, LocalEngine(1))
+        jobs = [
+            (trials, {trial.label: self.records[trial.label] for trial in trials})
+            for trials in subjects.values()
+        ]
+        return zip(subjects, self.engine.map(_fit_alone, shared, jobs, done), strict=True)
+
+    def fit_subject(self, trials: Sequence[FitTrial]) -> FitResult:
+        """Fit the conditions of one subject; raises InputError when none can be fitted."""
+        groups, notes = group_trials(trials, self.options, self.conditions)
+        fits: dict[str, ConditionFit] = {}
+        stopped = False
+        for name, group in groups.items():
+            if len(group) < SMALLEST_CONDITION:
+                notes.append(
+                    f"condition '{name}' has {len(group)} trial{'s' * (len(group) != 1)}, "
+                    f"{SMALLEST_CONDITION} are needed: not fitted"
+                )
+                continue
+            try:
+                problem = FitProblem(group, self.model, self.options)
+                fit = fit_condition(problem, name, self.engine, self.folder, self.report)
+                if fit.status != "interrupted":
+                    fit.quality = quality_of(fit, self._records_of(problem.trials))
+                    judge(fit)
+            except INTERRUPTIONS:
+                if not fits:
+                    raise
+                stopped = True
+                break
+            except FingerError as error:
+                wide = isinstance(error, ModelError) and self.options.bounds
+                remedy = f"; narrow the bounds {', '.join(self.options.bounds)}" if wide else ""
+                notes.append(f"condition '{name}' is not fitted: {error}{remedy}")
+                continue
+            fits[name] = fit
+            if fit.status == "interrupted":
+                break
+        if not fits:
+            raise InputError(f"no condition can be fitted ({'; '.join(notes)})")
+        result = FitResult(self.options, fits, [], notes, stopped=stopped)
+        unread = [name for name, fit in fits.items() if not np.isfinite(fit.moisture[0])]
+        if unread and len(fits) > 1:
+            result.problems.append(
+                f"no moisture readings, by which the model node chooses, of {', '.join(unread)}: "
+                "each gets a parameter file of its own"
             )
-        except FingerError as error:
-            yield name, error
-            continue
-        except INTERRUPTIONS:
-            if not fitted:
-                raise
-            return
-        fitted = True
-        yield name, part
-        if part.interrupted:
-            return
+        if not result.interrupted:
+            try:
+                result.contrasts = contrasts(fits, codes_of(trials))
+                _further(result, self._records_of(trials), self.engine)
+            except INTERRUPTIONS:
+                result.stopped = True
+            except FingerError as error:
+                result.problems.append(f"the additional fits are not complete: {error}")
+        if result.stopped:
+            result.problems.append("interrupted: what the report does not show was not computed")
+        return result
+
+    def _records_of(self, trials: Iterable[FitTrial]) -> list[Any]:
+        return [self.records[trial.label] for trial in trials]
 
 
-def _on_cluster(
-    jobs: Mapping[str, _Job],
-    model: Any,
-    options: FitOptions,
-    conditions: Sequence[str],
-    engine: Engine,
-    report: Report | None,
-) -> Iterator[tuple[str, _Outcome]]:
-    """Each subject's fit as one piece of work of a cluster, without checkpoints."""
-    done = Progress("", len(model.space), report).count("subjects")
-    shared = (model, options, conditions)
-    return zip(jobs, engine.map(_fit_alone, shared, list(jobs.values()), done), strict=True)
-
-
-def _fit_alone(shared: tuple[Any, FitOptions, Sequence[str]], job: _Job) -> _Outcome:
-    """One subject's fit in a worker of a cluster, which may have no processes of its own."""
-    trials, of_trial = job
-    model, options, conditions = shared
+def _fit_alone(work: _Work, job: tuple[Sequence[FitTrial], Mapping[str, Any]]) -> _Outcome:
+    """Fit one subject's trials, given with their records by label, in a worker of a cluster."""
+    trials, records = job
     try:
-        return _fit_subject(
-            trials, of_trial, model, options, conditions, LocalEngine(1), None, None
-        )
+        return dataclasses.replace(work, records=records).fit_subject(trials)
     except FingerError as error:
         return error
 
@@ -212,68 +261,6 @@ def _told(report: Report | None, subject: str) -> Report | None:
     if report is None:
         return None
     return lambda condition, *rest: report(f"{subject} {condition}".strip(), *rest)
-
-
-def _fit_subject(
-    trials: Sequence[FitTrial],
-    of_trial: Mapping[str, Any],
-    model: Any,
-    options: FitOptions,
-    conditions: Sequence[str],
-    engine: Engine,
-    folder: Path | None,
-    report: Report | None,
-) -> FitResult:
-    """Fit the conditions of one subject; raises InputError when none can be fitted."""
-    groups, notes = group_trials(trials, options, conditions)
-    fits: dict[str, ConditionFit] = {}
-    stopped = False
-    for name, group in groups.items():
-        if len(group) < SMALLEST_CONDITION:
-            notes.append(
-                f"condition '{name}' has {len(group)} trial{'s' * (len(group) != 1)}, "
-                f"{SMALLEST_CONDITION} are needed: not fitted"
-            )
-            continue
-        try:
-            problem = FitProblem(group, model, options)
-            fit = fit_condition(problem, options, name, engine, folder, report)
-            if fit.status != "interrupted":
-                fit.quality = quality_of(fit, [of_trial[t.label] for t in problem.trials])
-                judge(fit)
-        except INTERRUPTIONS:
-            if not fits:
-                raise
-            stopped = True
-            break
-        except FingerError as error:
-            wide = isinstance(error, ModelError) and options.bounds
-            remedy = f"; narrow the bounds {', '.join(options.bounds)}" if wide else ""
-            notes.append(f"condition '{name}' is not fitted: {error}{remedy}")
-            continue
-        fits[name] = fit
-        if fit.status == "interrupted":
-            break
-    if not fits:
-        raise InputError(f"no condition can be fitted ({'; '.join(notes)})")
-    result = FitResult(options, fits, [], notes, stopped=stopped)
-    unread = [name for name, fit in fits.items() if not np.isfinite(fit.moisture[0])]
-    if unread and len(fits) > 1:
-        result.problems.append(
-            f"no moisture readings, by which the model node chooses, of {', '.join(unread)}: each "
-            "gets a parameter file of its own"
-        )
-    if not result.interrupted:
-        try:
-            result.contrasts = contrasts(fits, codes_of(trials))
-            _further(result, [of_trial[t.label] for t in trials], engine)
-        except INTERRUPTIONS:
-            result.stopped = True
-        except FingerError as error:
-            result.problems.append(f"the additional fits are not complete: {error}")
-    if result.stopped:
-        result.problems.append("interrupted: what the report does not show was not computed")
-    return result
 
 
 def _exclude(part: FitResult, exclusions: Sequence[Exclusion], subject: str) -> None:
@@ -334,17 +321,14 @@ def fit_bags(
     conditions: Sequence[str] = (),
     model: Any = None,
     report: Report | None = None,
-    normal_axis: str | None = None,
-    calibration: str | None = None,
-    mapping: str | Path | None = None,
-    area_per_pixel: float = 0.0,
+    settings: TrialSettings | None = None,
     command: str = "",
 ) -> FitResult:
     """Fit bags and write fit.json, parameters.yaml, report.html and its figures into `output`.
 
     paths: bags and folders of bags; model: a ReducedModel, or a FullOrderAreas of any law, None for
-    the shipped reduced model; conditions: names to fit, empty for all; area_per_pixel: m², in place
-    of a calibration; command: how the fit was asked for, for its provenance. Of several subjects,
+    the shipped reduced model; conditions: names to fit, empty for all; settings: how the bags are
+    read, by `reading`; command: how the fit was asked for, for its provenance. Of several subjects,
     each has its own folder in `output`. Nothing is written without `output`. Raises InputError for
     bags that cannot be fitted.
     """
@@ -354,10 +338,7 @@ def fit_bags(
     folder = None if output is None else Path(output)
     progress = Progress("", len(model.space), report)
     with progress.timed("load"):
-        loaded = load(
-            paths, options, normal_axis, calibration, progress.count("load"), mapping,
-            area_per_pixel,
-        )  # fmt: skip
+        loaded = load(paths, settings or reading(options), progress.count("load"))
     if not loaded.records:
         raise nothing_to_fit(loaded.exclusions)
     result = fit_records(loaded.records, model, options, conditions, folder, report)

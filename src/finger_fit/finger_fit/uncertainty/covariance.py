@@ -84,7 +84,7 @@ class Covariance:
         return float(np.sqrt(part @ self._sandwich(index) @ part))
 
     def assumed_deviation(self, name: str) -> float:
-        """What the assumed nuisances add to it, as squares."""
+        """Standard deviation that the assumed nuisances add to `data_deviation`, as squares."""
         return float(np.linalg.norm(list(self.assumed_moves(name).values())))
 
     def assumed_moves(self, name: str) -> dict[str, float]:
@@ -160,7 +160,7 @@ class Covariance:
         return {"data": float(data), **dict(zip(self.nuisances, map(float, parts)))}
 
     def with_presses(self, factor: float) -> Covariance:
-        """As of `factor` times as many presses of the same kind; `covariance` stays as it is."""
+        """Predict `factor` times as many presses of the same kind; `covariance` stays as it is."""
         prior = np.diag(self.prior)
         return replace(
             self,
@@ -251,8 +251,8 @@ def covariance(
     weight = problem.row_weight * robust
     filtered = weight * slope
     if shared is not None:
-        common = shared.shared & ~shared.absorbers
-        ordered = [*np.flatnonzero(common), *np.flatnonzero(shared.absorbers)]
+        common = shared.shared & ~shared.absorbing
+        ordered = [*np.flatnonzero(common), *np.flatnonzero(shared.absorbing)]
         names = tuple(name for name, is_common in zip(shared.names, common) if is_common)
         slope = np.vstack([slope * shared.factor, shared.slope[:, ordered].T])
         variance, assumed = shared.variance, shared.assumed[common]

@@ -47,7 +47,7 @@ def r_squared(problem: FitProblem, areas: np.ndarray, weight: np.ndarray) -> flo
 
 
 def goodness(problem: FitProblem, areas: np.ndarray, law: PowerLaw, seed: int) -> Goodness:
-    """Of the fitted model's areas (n,) and of the power law.
+    """Measure how well the fitted model's areas (n,) and the power law describe the frames.
 
     The power law is fitted again to each resampling of the trials; the model is not.
     """

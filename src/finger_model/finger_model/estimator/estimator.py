@@ -106,7 +106,8 @@ class ContactEstimator:
     def add_wrench(self, stamp_ns: int, force: Sequence[float]) -> list[ContactEstimate]:
         """Estimates for a sample of force (3,) in N, in the sensor's axes.
 
-        One as a rule; none for a sample that was dropped or waits, two when one had waited.
+        One as a rule; none for a sample that was dropped or waits, two when the one before had
+        waited.
         """
         return [self._estimate(*sample) for sample in self._admit(stamp_ns, force)]
 
@@ -124,12 +125,18 @@ class ContactEstimator:
         stamps_ns (n,) whole numbers, forces (n, 3) in N. Rows of dropped samples are left out of
         the block. Raises InputError for stamps in seconds and for other shapes.
         """
-        parts = [part.rows for part in self.wrench_parts(stamps_ns, forces)]
+        parts = [part.rows for _, part in self.wrench_parts(stamps_ns, forces)]
         return EstimateBlock(np.concatenate([np.empty(0, ESTIMATE_DTYPE), *parts]))
 
-    def wrench_parts(self, stamps_ns: np.ndarray, forces: np.ndarray) -> Iterator[EstimateBlock]:
+    def wrench_parts(
+        self, stamps_ns: np.ndarray, forces: np.ndarray
+    ) -> Iterator[tuple[int, EstimateBlock]]:
         """As `add_wrenches`, in parts; between two of them settings and parameters may change, and
-        until the next is asked for the estimator has those of the last."""
+        until the next is asked for the estimator has those of the last.
+
+        Each with the number of the sample that its first estimate is of, which the others follow;
+        −1 for the last sample of the call before, which had waited.
+        """
         stamps = stamp_array(stamps_ns)
         forces = np.ascontiguousarray(forces, dtype=float)
         if forces.shape != (len(stamps), 3):
@@ -143,7 +150,7 @@ class ContactEstimator:
                     self._estimate(*sample)
                     rows.append(self._one_row.copy())
                 at += 1
-                yield EstimateBlock(np.concatenate(rows))
+                yield at - len(admitted), EstimateBlock(np.concatenate(rows))
                 continue
             self._apply_due(int(stamps[at]))
             # As far as stamps increase by little and no event or reading comes due.
@@ -156,8 +163,8 @@ class ContactEstimator:
             end = max(end, at + 1)
             block = EstimateBlock(new_rows(end - at, self._selected.name))
             self._process(stamps[at:end], forces[at:end], block.rows)
-            at = end
-            yield block
+            begin, at = at, end
+            yield begin, block
 
     def add_area(
         self, stamp_ns: int, area: float, sd: float, flags: int = 0, live: bool = False

@@ -43,10 +43,15 @@ class Quantity:
     decimals: int = 3
 
     @property
+    def letter_and_index(self) -> tuple[str, str]:
+        """The symbol in two parts, the index in plain characters: "E" and "0"."""
+        letter = self.symbol.rstrip("₀₁₂₃₄₅₆₇₈₉∞")
+        return letter, self.symbol[len(letter) :].translate(_SUBSCRIPTS)
+
+    @property
     def html(self) -> str:
         """The symbol as HTML: italic, its index a subscript."""
-        letter = self.symbol.rstrip("₀₁₂₃₄₅₆₇₈₉∞")
-        index = self.symbol[len(letter) :].translate(_SUBSCRIPTS)
+        letter, index = self.letter_and_index
         return f"<i>{letter}</i>" + (f"<sub>{index}</sub>" if index else "")
 
     @property

@@ -12,7 +12,6 @@ it is known as well as the place of the finger is. The aspect stays from contact
 
 from __future__ import annotations
 
-import bisect
 import math
 from collections import deque
 from collections.abc import Sequence
@@ -20,11 +19,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from finger_common.axes import DEFAULT_NORMAL_AXIS, axis_of
+from finger_common.axes import DEFAULT_NORMAL_AXIS, axis_of, lateral_axes
 from finger_common.flags import ShapeFlag, StateFlag
 from finger_common.stamps import NANOSECONDS, nanoseconds
 
 from ..estimator import ContactEstimate
+from ..estimator.delayed import Delayed
 from .correction import Outline, PoseCorrection
 from .pose import ASPECTS, LARGEST_TILT, Pose
 from .settings import PoseSettings
@@ -83,27 +83,33 @@ class MeasuredOutline(NamedTuple):
 
 
 class ShapeEstimate(NamedTuple):
-    """Shape of the contact at one instant (SI), in the axes of the plate; see ContactShape.msg."""
+    """Shape of the contact at one instant (SI): the fields of ContactShape.msg, in its order.
+
+    The message is made of these by name: to add a field, add it here and there, and to the copy in
+    src/finger_bag/finger_bag/data/finger_msgs. center, center_of_pressure (2,): in the plate.
+    """
 
     stamp_ns: int
     area: float
-    semi_axes: tuple[float, float]
+    semi_axis_major: float
+    semi_axis_minor: float
     angle: float
     center: tuple[float, float]
     center_of_pressure: tuple[float, float]
     pad_aspect: float
-    pad_aspect_sd: float
+    pad_aspect_stddev: float
     pitch: float
-    pitch_sd: float
+    pitch_stddev: float
     roll: float
-    roll_sd: float
+    roll_stddev: float
     flags: int
 
 
 class PoseEstimator:
     """Shape and pose of one finger's contact; see the module.
 
-    assumed: as for `assume`.
+    assumed: as for `assume`; settings: None for the defaults; normal_axis: as in EstimatorSettings.
+    Raises InputError for another axis.
     """
 
     def __init__(
@@ -113,15 +119,16 @@ class PoseEstimator:
         normal_axis: str = DEFAULT_NORMAL_AXIS,
     ) -> None:
         self.settings = settings or PoseSettings()
-        axis, self._sign = axis_of(normal_axis)
-        self._axis, self._first, self._second = axis, (axis + 1) % 3, (axis + 2) % 3
-        # Seen towards the finger, the other two axes of a sensor that is turned over are mirrored.
-        self._mirror = -1.0 if self._sign > 0 else 1.0
         self._assumed = assumed
         self._correction: PoseCorrection | None = None
-        self._waiting: list[tuple[int, int, MeasuredOutline]] = []
-        self._outline_stamps: deque[int] = deque(maxlen=64)
+        self.outlines: Delayed[MeasuredOutline] = Delayed()
+        """Outlines that wait."""
         self._areas: deque[tuple[int, float]] = deque(maxlen=REMEMBERED)
+        self.turn(normal_axis)
+
+    def configure(self, settings: PoseSettings) -> None:
+        """Take over settings, and begin anew."""
+        self.settings = settings
         self.reset()
 
     def assume(self, assumed: PoseCorrection) -> None:
@@ -136,6 +143,17 @@ class PoseEstimator:
         self._correction = None
         if assumed.pose != before.pose:
             self._begin_search()
+
+    def turn(self, normal_axis: str) -> None:
+        """Begin anew with this axis of the sensor along the plate's normal.
+
+        Raises InputError for another axis.
+        """
+        self._axis, self._sign = axis_of(normal_axis)
+        self._first, self._second = lateral_axes(normal_axis)
+        # Seen towards the finger, the other two axes of a sensor that is turned over are mirrored.
+        self._mirror = -1.0 if self._sign > 0 else 1.0
+        self.reset()
 
     def reset(self) -> None:
         """A finger that was not seen before."""
@@ -174,30 +192,40 @@ class PoseEstimator:
 
     def expect_outline(self, stamp_ns: int, outline: MeasuredOutline, delay: float) -> None:
         """An outline seen at `stamp_ns`; it is used at the first sample stamped that plus `delay`
-        (s) or later, so that the result does not depend on when it comes. A second one of a stamp
-        is left out."""
-        if outline.usable and stamp_ns not in self._outline_stamps:
-            self._outline_stamps.append(stamp_ns)
-            bisect.insort(self._waiting, (stamp_ns + nanoseconds(delay), stamp_ns, outline))
+        (s) or later, so that the result does not depend on when it comes. The delay is that of all
+        that wait. A second one of a stamp is left out."""
+        self.outlines.delay = delay
+        if outline.usable:
+            self.outlines.add(stamp_ns, outline)
 
-    def follow(
+    def add(
+        self, estimate: ContactEstimate, force: Sequence[float], torque: Sequence[float]
+    ) -> ShapeEstimate | None:
+        """One sample: the contact's estimate, and the force (3,) in N and torque (3,) in N m that
+        it came with. Torques of zero are those of a sensor without.
+
+        Gives the shape where one is due, one in SHAPE_PERIOD.
+        """
+        self._follow(estimate, force, torque)
+        if 0 <= estimate.stamp_ns - self._given < SHAPE_PERIOD:
+            return None
+        self._given = estimate.stamp_ns
+        return self.shape(estimate)
+
+    def _follow(
         self, estimate: ContactEstimate, force: Sequence[float], torque: Sequence[float]
     ) -> None:
-        """One sample: the contact's estimate, and the force (3,) in N and torque (3,) in N m that
-        it came with. Torques of zero are those of a sensor without."""
         stamp = estimate.stamp_ns
         if estimate.flags & StateFlag.TIME_RESET:
-            # Time jumped back to this stamp: outlines near it are still to come.
+            # Time jumped back to this stamp.
             self.reset()
-            self._outline_stamps.clear()
-            self._waiting = [w for w in self._waiting if abs(w[1] - stamp) < NANOSECONDS]
+            self.outlines.jump_back(stamp)
         round_area = self._assumed.round_area(estimate.area) if estimate.area > 0 else 0.0
         self._areas.append((stamp, round_area))
         if estimate.in_contact and not self._touching:
             self._begin(stamp)
         self._touching = bool(estimate.in_contact)
-        while self._waiting and self._waiting[0][0] <= stamp:
-            _, seen, outline = self._waiting.pop(0)
+        for seen, outline in self.outlines.due(stamp):
             if self._touching and seen >= estimate.onset_ns:
                 self._see_outline(seen, outline)
         pressed = estimate.normal_force > SMALLEST_FORCE and round_area > 0.0
@@ -339,13 +367,6 @@ class PoseEstimator:
             back -= 1
         return areas[back][1] if back >= 0 else math.nan
 
-    def due(self, stamp_ns: int) -> bool:
-        """Whether a shape is due at the sample of this stamp: one in SHAPE_PERIOD."""
-        if 0 <= stamp_ns - self._given < SHAPE_PERIOD:
-            return False
-        self._given = stamp_ns
-        return True
-
     # Results ---------------------------------------------------------------------------------
 
     @property
@@ -354,7 +375,7 @@ class PoseEstimator:
         return self._corrected(self.mean).pose
 
     def shape(self, estimate: ContactEstimate) -> ShapeEstimate:
-        """Shape at the sample that `follow` had last."""
+        """Shape at the sample that `add` had last."""
         if self._correction is None:
             self._correction = self._corrected(self.mean)
         sds = np.sqrt(np.maximum(np.diag(self.covariance), 0.0)).tolist()
@@ -384,7 +405,7 @@ class PoseEstimator:
         return ShapeEstimate(
             estimate.stamp_ns,
             area,
-            axes,
+            *axes,
             angle,
             center,
             self._pressure if self._touching else (math.nan, math.nan),

@@ -3,7 +3,8 @@
 
 """Stick, slip and friction of a contact from force, at the force rate."""
 
-from .estimator import SlipEstimate, SlipEstimator
+from .estimate import SlipEstimate
+from .estimator import SlipEstimator
 from .settings import SlipSettings
 
 __all__ = ["SlipEstimate", "SlipEstimator", "SlipSettings"]

@@ -16,55 +16,25 @@ rate. The output is a function of the inputs in their order.
 
 from __future__ import annotations
 
-import bisect
 import math
-from collections import deque
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
-from finger_common.axes import DEFAULT_NORMAL_AXIS, axis_of
+from finger_common.axes import DEFAULT_NORMAL_AXIS, lateral_axes
 from finger_common.errors import InputError
 from finger_common.flags import StateFlag
-from finger_common.stamps import NANOSECONDS, nanoseconds, stamp_array
+from finger_common.stamps import stamp_array
 
 from ..estimator import ContactEstimate, EstimateBlock
+from ..estimator.delayed import Delayed
 from ..geometry import Geometry
 from ..laws import MaxwellLaw
 from ..material import Material
 from . import kernels
+from .estimate import OUTPUT, SlipEstimate, slip_estimates
 from .settings import SlipSettings
 from .shear import set_finger
-
-
-class SlipEstimate(NamedTuple):
-    """Tangential state of the contact at one instant (SI).
-
-    stamp_ns; normal_force P (N); tangential_force Q (2,) in N: the wrench's components along the
-    two sensor axes that follow the normal one (x, y, z in a circle); stick_ratio: share of the
-    contact's area that sticks; slip_margin: 1 − |Q|/(μP); each with its standard deviation;
-    slip_probability: that the whole contact slips now or within the horizon; friction μ and its
-    standard deviation; tangential_displacement (2,) in m: of the bone over the plate since the
-    contact began, as far as the skin sticks; tangential_stiffness (N/m); slips: slips seen so far;
-    flags: bits of SlipFlag. Without contact all but forces and friction are NaN and the
-    probability is 0.
-    """
-
-    stamp_ns: int
-    normal_force: float
-    tangential_force: tuple[float, float]
-    stick_ratio: float
-    stick_ratio_stddev: float
-    slip_margin: float
-    slip_margin_stddev: float
-    slip_probability: float
-    friction: float
-    friction_stddev: float
-    tangential_displacement: tuple[float, float]
-    tangential_stiffness: float
-    slips: int
-    flags: int
 
 
 class SlipEstimator:
@@ -77,8 +47,6 @@ class SlipEstimator:
     def __init__(
         self, settings: SlipSettings | None = None, normal_axis: str = DEFAULT_NORMAL_AXIS
     ) -> None:
-        axis, _ = axis_of(normal_axis)
-        self.lateral_axes = (axis + 1) % 3, (axis + 2) % 3
         self._config = np.zeros(1, kernels.CONFIGURATION)
         self._state = np.zeros(1, kernels.STATE)
         self._samples = (
@@ -90,13 +58,13 @@ class SlipEstimator:
             np.zeros(1),
             np.zeros(1),
         )
-        self._row = np.zeros(1, kernels.OUTPUT)
-        self._waiting: list[tuple[int, int, float, float]] = []
-        self._stick_stamps: deque[int] = deque(maxlen=64)
+        self._row = np.zeros(1, OUTPUT)
+        self.sticks: Delayed[tuple[float, float]] = Delayed()
+        """Stick ratios that wait, each with its standard deviation."""
         self._finger: tuple[Geometry, MaxwellLaw] | None = None
         self.assume(Geometry(), Material())
         self.configure(settings or SlipSettings())
-        self.reset()
+        self.turn(normal_axis)
 
     def configure(self, settings: SlipSettings) -> None:
         """Take over settings; their prior enters at the next reset, or now if none was learned."""
@@ -119,6 +87,14 @@ class SlipEstimator:
         if self._finger is None or self._finger != (geometry, material):
             self._finger = geometry, material
             set_finger(self._config[0], geometry, material)
+
+    def turn(self, normal_axis: str) -> None:
+        """Begin anew with this axis of the sensor along the plate's normal.
+
+        Raises InputError for another axis.
+        """
+        self.lateral_axes = lateral_axes(normal_axis)
+        self.reset()
 
     def reset(self) -> None:
         """A finger and a plate that were not seen before."""
@@ -146,15 +122,15 @@ class SlipEstimator:
         """As `add` for a block of n estimates and their forces (n, 3); rows (n,) of OUTPUT."""
         stamps = block.column("stamp_ns")
         resets = np.flatnonzero(block.column("flags") & int(StateFlag.TIME_RESET)).tolist()
-        found = [np.zeros(0, kernels.OUTPUT)]
+        found = [np.zeros(0, OUTPUT)]
         for begin, end in zip([0, *resets], [*resets, len(block)]):
             if begin in resets:
                 self._begin_anew(int(stamps[begin]))
             while begin < end:
                 self._see_due(int(stamps[begin]))
-                until = end
-                if self._waiting:
-                    until = begin + int(np.searchsorted(stamps[begin:end], self._waiting[0][0]))
+                until, due = end, self.sticks.next_due
+                if due is not None:
+                    until = begin + int(np.searchsorted(stamps[begin:end], due))
                 rows = block.rows[begin:until]
                 found.append(
                     self.add_many(
@@ -180,7 +156,7 @@ class SlipEstimator:
         moisture: np.ndarray | None = None,
         doubted: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Rows (n,) of `kernels.OUTPUT` for n samples.
+        """Rows (n,) of OUTPUT for n samples.
 
         normal_force, indentation, moisture (n,), lateral (n, 2) in SI; touching (n,): whether in
         contact; doubted (n,): whether the force is hardly a finger's (FORCE_OFFSET): nothing is
@@ -201,7 +177,7 @@ class SlipEstimator:
         ):
             if np.shape(array) != shape:
                 raise InputError(f"{name} has shape {np.shape(array)}, {shape} is needed")
-        rows = np.zeros(n, kernels.OUTPUT)
+        rows = np.zeros(n, OUTPUT)
         kernels.follow_many(
             self._config,
             self._state,
@@ -221,25 +197,22 @@ class SlipEstimator:
     ) -> None:
         """As `add_stick_ratio`, at the first sample stamped `stamp_ns` + `delay` (s) or later.
 
-        So that the result does not depend on when the reading comes. A second one of a stamp, and
-        one without a finite ratio, is left out.
+        So that the result does not depend on when the reading comes. The delay is that of all that
+        wait. A second reading of a stamp, and one without a finite ratio, is left out.
         """
-        if not math.isfinite(stick_ratio) or stamp_ns in self._stick_stamps:
-            return
-        self._stick_stamps.append(stamp_ns)
-        due = stamp_ns + nanoseconds(delay)
-        bisect.insort(self._waiting, (due, stamp_ns, float(stick_ratio), float(sd)))
+        self.sticks.delay = delay
+        if math.isfinite(stick_ratio):
+            self.sticks.add(stamp_ns, (stick_ratio, sd))
 
     def _see_due(self, stamp_ns: int) -> None:
         """Use the stick ratios that are due at a sample of this stamp."""
-        while self._waiting and self._waiting[0][0] <= stamp_ns:
-            self.add_stick_ratio(*self._waiting.pop(0)[1:])
+        for seen_at, stick in self.sticks.due(stamp_ns):
+            self.add_stick_ratio(seen_at, *stick)
 
     def _begin_anew(self, stamp_ns: int) -> None:
-        """Time jumped back to a stamp: what is near it is still to come."""
+        """Time jumped back to a stamp."""
         self.reset()
-        self._stick_stamps.clear()
-        self._waiting = [w for w in self._waiting if abs(w[1] - stamp_ns) < NANOSECONDS]
+        self.sticks.jump_back(stamp_ns)
 
     def add_stick_ratio(self, stamp_ns: int, stick_ratio: float, sd: float) -> bool:
         """A stick ratio seen by a camera at `stamp_ns`, with its standard deviation.
@@ -249,13 +222,3 @@ class SlipEstimator:
         if not (math.isfinite(stick_ratio) and sd > 0.0):
             return False
         return bool(kernels.see_stick(self._state[0], stamp_ns, float(stick_ratio), float(sd)))
-
-
-def slip_estimates(rows: np.ndarray) -> list[SlipEstimate]:
-    """Rows (n,) of `kernels.OUTPUT` as SlipEstimates."""
-    found = []
-    for row in rows.tolist():
-        values = list(row)
-        values[2], values[10] = tuple(values[2]), tuple(values[10])
-        found.append(SlipEstimate._make(values))
-    return found

@@ -147,25 +147,6 @@ STATE = np.dtype(
     align=True,
 )
 
-OUTPUT = np.dtype(
-    [
-        ("stamp", "i8"),
-        ("normal_force", "f8"),
-        ("tangential_force", "f8", (2,)),
-        ("stick_ratio", "f8"),
-        ("stick_ratio_stddev", "f8"),
-        ("slip_margin", "f8"),
-        ("slip_margin_stddev", "f8"),
-        ("slip_probability", "f8"),
-        ("friction", "f8"),
-        ("friction_stddev", "f8"),
-        ("tangential_displacement", "f8", (2,)),
-        ("tangential_stiffness", "f8"),
-        ("slips", "u4"),
-        ("flags", "u4"),
-    ]
-)
-
 
 @njit(cache=True)
 def _normal(x):
@@ -515,7 +496,7 @@ def _displace(config, state, dt, stiffness, q):
 def follow(config, state, stamp, normal, q0, q1, touching, doubted, indentation, moisture, out):
     """One sample: stamp (ns), P and Q (N), whether in contact and whether that is doubted,
     indentation (m), moisture (a.u.)."""
-    out.stamp = stamp
+    out.stamp_ns = stamp
     out.normal_force = normal
     out.tangential_force[0], out.tangential_force[1] = q0, q1
     if not math.isfinite(normal + q0 + q1):

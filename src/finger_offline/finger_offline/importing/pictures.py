@@ -16,8 +16,9 @@ import numpy as np
 from finger_common.errors import InputError
 from finger_common.files import bounded_memory
 from finger_common.image_size import VIDEO_PIXELS_PER_BYTE, PixelBudget, check_claim
+from finger_common.mono8 import as_mono8
 from finger_common.stamps import NANOSECONDS, nanoseconds
-from finger_vision.images import as_mono8, read_image, silent_libraries
+from finger_vision.images import read_image, silent_libraries
 
 from .settings import ImportSettings
 from .tables import Times, read_table

@@ -20,16 +20,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from finger_bag.xdf import read_xdf
 from finger_common.errors import InputError, known_names
 from finger_common.files import MAXIMUM_FILE, bounded_memory, exists, read_bytes
-from finger_common.stamps import NANOSECONDS
 
 from .array_files import no_part, read_hdf5, read_matlab, read_npy, read_npz
 from .cells import is_missing, is_value
-from .table import Table, Times, numbered, of_rows
+from .table import Table, Times, of_rows
+from .xdf import read_xdf_table
 
 __all__ = ["READERS", "Table", "Times", "of_rows", "read_table"]
 
@@ -206,35 +203,6 @@ def _read_parquet(path: Path, part: str) -> Table:
     return Table(str(path), columns)
 
 
-def _read_xdf(path: Path, part: str) -> Table:
-    """A stream by its name or type: `time_s`, and its channels by label or number."""
-    file = read_xdf(path)
-    if not part:
-        numbers = [s for s in file.streams if s.values.dtype.kind in "iuf"]
-        if len(numbers) != 1:
-            names = ", ".join(s.name for s in file.streams)
-            raise InputError(
-                f"{path}: holds {len(numbers)} streams of numbers; name one as {path}::STREAM "
-                f"({names})"
-            )
-        part = numbers[0].name
-    stream = file.stream(part)
-    # All streams count from the same moment: which one that was is known to the second.
-    first = min((s.time[0] for s in file.streams if len(s.time)), default=0.0)
-    since = np.round((stream.time - first) * NANOSECONDS).astype(np.int64)
-    times = since * 1e-9 if file.begun_ns is None else _datetime(since + file.begun_ns)
-    headings = [label or str(i) for i, label in enumerate(stream.labels, 1)]
-    headings = numbered(["time_s", *headings])[1:]
-    named = dict(zip(headings, stream.values.T))
-    units = dict(zip(headings, stream.units))
-    where = f"{path}::{part}"
-    return Table(where, {"time_s": times, **named}, units, problems=file.problems)
-
-
-def _datetime(stamps_ns: np.ndarray) -> np.ndarray:
-    return stamps_ns.astype("datetime64[ns]")
-
-
 OTHER_WORKBOOKS = (".xls", ".xlsb", ".ods", ".numbers")
 """Workbooks that are not read."""
 
@@ -246,6 +214,6 @@ READERS: dict[str, Callable[[Path, str], Table]] = {
     ".mat": read_matlab,
     ".npz": read_npz,
     ".npy": read_npy,
-    ".xdf": _read_xdf,
+    ".xdf": read_xdf_table,
 }
 """Ending of a file -> what reads it."""

@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from finger_common.errors import InputError
@@ -16,37 +17,65 @@ SEEN: dict[str, type] = {"seen_session": str, "seen_trial": int, "seen_step": st
 `seen_step` is "closed" where no session was open.
 """
 
-COMMANDS: dict[str, dict[str, type]] = {
-    "start": SEEN,
-    "calibrate": SEEN,
-    "pause": SEEN,
-    "resume": SEEN,
-    "redo": SEEN,
-    "skip": SEEN,
-    "end": SEEN,
-    "abort": SEEN,
-    "marker": SEEN,
-    "note": {"text": str, "trial": int, **SEEN},
-    "close": SEEN,
-    "tare": {},
-    "curves": {},
-    "repeat": {"index": int, **SEEN},
-    "moisture": {"value": float},
-    "preparation": {"condition": str, "text": str, **SEEN},
-    "configure": {
-        "subject": str,
-        "age": int,
-        "hand": str,
-        "finger": str,
-        "finger_width": float,
-        "finger_depth": float,
-        "conditions": list,
-        "trials": int,
-        "readings": int,
-        "target_force": float,
-        "order": str,
-        "order_seed": int,
+
+PARAMETERS = "protocol/set_parameters"
+"""Service that takes what a command sets."""
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command of the page, and who carries it out.
+
+    arguments: types by name. service: that carries it out; empty for none. sets: makes of the
+    arguments the parameters of the protocol node, by name, that are set before.
+    """
+
+    arguments: Mapping[str, type]
+    service: str = ""
+    sets: Callable[[dict[str, Any]], dict[str, Any]] = lambda given: {}
+
+
+COMMANDS: dict[str, Command] = {
+    **{
+        name: Command(SEEN, f"protocol/{name}")
+        for name in "start calibrate pause resume redo skip end abort marker close".split()
     },
+    "note": Command(
+        {"text": str, "trial": int, **SEEN},
+        "protocol/note",
+        lambda given: {"note": given["text"], "note_trial": given["trial"] - 1},
+    ),
+    "repeat": Command(
+        {"index": int, **SEEN},
+        "protocol/repeat",
+        lambda given: {"selected_trial": given["index"]},
+    ),
+    "preparation": Command(
+        {"condition": str, "text": str, **SEEN},
+        "protocol/preparation",
+        lambda given: {"preparation": f"{given['condition']}: {' '.join(given['text'].split())}"},
+    ),
+    "configure": Command(
+        {
+            "subject": str,
+            "age": int,
+            "hand": str,
+            "finger": str,
+            "finger_width": float,
+            "finger_depth": float,
+            "conditions": list,
+            "trials": int,
+            "readings": int,
+            "target_force": float,
+            "order": str,
+            "order_seed": int,
+        },
+        PARAMETERS,
+        dict,
+    ),
+    "tare": Command({}, "force/tare"),
+    "moisture": Command({"value": float}, "moisture/set_moisture"),
+    "curves": Command({}),
 }
 
 OPTIONAL = {
@@ -79,7 +108,7 @@ def check_command(message: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
     if not isinstance(name, str) or name not in COMMANDS:
         raise InputError("no such command")
     given = message.get("arguments", {})
-    wanted = COMMANDS[name]
+    wanted = COMMANDS[name].arguments
     if not isinstance(given, dict) or not wanted.keys() - OPTIONAL <= given.keys() <= wanted.keys():
         raise InputError(f"command '{name}' takes the arguments {', '.join(wanted) or 'none'}")
     arguments = {}

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from xdf_files import number_header, stream_chunks, write_xdf
 
-from finger_bag.xdf import read_xdf
 from finger_common.errors import InputError
+from finger_offline.importing.xdf import read_xdf
 
 DRIFT, DELAY, JITTER = 2e-5, 3.0, 1e-4
 """Of the simulated second computer's clock: relative, in s, and of single measurements in s."""

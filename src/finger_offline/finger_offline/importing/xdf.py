@@ -1,7 +1,7 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Streams of an XDF file, which LabRecorder writes from the Lab Streaming Layer, as plain arrays.
+"""Streams of an XDF file, which LabRecorder writes from the Lab Streaming Layer.
 
 `pyxdf` reads the file and puts all streams on the clock of the recording computer.
 """
@@ -20,6 +20,8 @@ import numpy as np
 from finger_common.errors import InputError, known_names
 from finger_common.files import bounded_memory
 from finger_common.stamps import NANOSECONDS
+
+from .table import Table, numbered
 
 NEEDS = "reading XDF files needs the package pyxdf: pip install pyxdf"
 
@@ -106,6 +108,33 @@ def read_xdf(path: Path) -> XdfFile:
     for data, stream in zip(found, streams):
         problems += [f"{path}: stream '{stream.name}' {cut}" for cut in _cut(data, stream)]
     return XdfFile(path, _begun(header), streams, tuple(problems))
+
+
+def read_xdf_table(path: Path, part: str) -> Table:
+    """A stream by its name or type: `time_s`, and its channels by label or number."""
+    file = read_xdf(path)
+    if not part:
+        numbers = [s for s in file.streams if s.values.dtype.kind in "iuf"]
+        if len(numbers) != 1:
+            names = ", ".join(s.name for s in file.streams)
+            raise InputError(
+                f"{path}: holds {len(numbers)} streams of numbers; name one as {path}::STREAM "
+                f"({names})"
+            )
+        part = numbers[0].name
+    stream = file.stream(part)
+    # All streams count from the same moment: which one that was is known to the second.
+    first = min((s.time[0] for s in file.streams if len(s.time)), default=0.0)
+    since = np.round((stream.time - first) * NANOSECONDS).astype(np.int64)
+    times = since * 1e-9
+    if file.begun_ns is not None:
+        times = (since + file.begun_ns).astype("datetime64[ns]")
+    headings = [label or str(i) for i, label in enumerate(stream.labels, 1)]
+    headings = numbered(["time_s", *headings])[1:]
+    named = dict(zip(headings, stream.values.T))
+    units = dict(zip(headings, stream.units))
+    where = f"{path}::{part}"
+    return Table(where, {"time_s": times, **named}, units, problems=file.problems)
 
 
 class _Errors(logging.Handler):

@@ -1,0 +1,102 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What other nodes do to the streams of a node: QoS that does not fit, second publishers."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any
+
+from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
+
+from ..diagnostics import ERROR, WARN
+from .polling import PolledSubscription
+
+if TYPE_CHECKING:
+    from .managed import ManagedNode
+
+REMEMBERED = 30.0
+"""s for which the middleware may still show the publishers of a node that was killed."""
+
+
+class StreamWatch:
+    """Reports in a node's first health what harms its streams; `look` is called each second.
+
+    published: publishers of streams. polled: subscriptions whose QoS events nobody else reads.
+    """
+
+    def __init__(self, node: ManagedNode) -> None:
+        self.published: list[Any] = []
+        self.polled: list[PolledSubscription] = []
+        self._node = node
+        self._mismatches: dict[str, QoSProfile] = {}
+        self._shared_since: dict[str, float] = {}
+
+    def look(self) -> None:
+        """Report what is wrong now, and end the faults that are over."""
+        for polled in self.polled:
+            self.check_mismatch(polled)
+        self._end_mismatches()
+        self._report_second_publishers()
+
+    def check_mismatch(self, polled: PolledSubscription) -> None:
+        """Report publishers of a polled topic whose QoS is incompatible."""
+        if polled.new_mismatches():
+            self.report_mismatch(polled.topic, polled.qos)
+
+    def report_mismatch(self, topic: str, qos: QoSProfile) -> None:
+        """Report that a publisher does not fit a subscription of this QoS."""
+        self._mismatches[topic] = qos
+        message = (
+            f"a publisher of '{topic}' has an incompatible QoS and exchanges no data with this "
+            "node; set qos_reliability to auto on both sides"
+        )
+        if self._node.healths:
+            self._node.log_fault(self._node.healths[0], "qos_mismatch", message, WARN)
+        else:
+            self._node.get_logger().warning(message)
+
+    def _end_mismatches(self) -> None:
+        """End the fault when the publishers that did not fit are gone."""
+        for topic, qos in list(self._mismatches.items()):
+            offers = [offer.qos_profile for offer in self._node.get_publishers_info_by_topic(topic)]
+            if all(qos_check_compatible(o, qos)[0] != QoSCompatibility.ERROR for o in offers):
+                del self._mismatches[topic]
+                if not self._mismatches:
+                    self._node.healths[0].recovered("qos_mismatch")
+
+    def _report_second_publishers(self) -> None:
+        """Report other publishers of the node's streams: whoever reads them mixes both."""
+        others: set[str] = set()
+        for publisher in self.published:
+            if self._node.count_publishers(publisher.topic_name) > 1:
+                others |= self._other_publishers(publisher.topic_name)
+            else:
+                self._shared_since.pop(publisher.topic_name, None)
+        if others:
+            text = (
+                f"also published by {', '.join(sorted(others))}: readers mix both; end one, or "
+                "give it another namespace"
+            )
+            self._node.log_fault(self._node.healths[0], "second_publisher", text, ERROR)
+        else:
+            self._node.healths[0].recovered("second_publisher")
+
+    def _other_publishers(self, topic: str) -> set[str]:
+        """Topic and node of publishers of a stream of this node that are not this node's.
+
+        One of this node's own name may be what is left of a node that was killed and is now
+        running again, so it counts only after a while.
+        """
+        names = [
+            f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+            for info in self._node.get_publishers_info_by_topic(topic)
+        ]
+        own = self._node.get_fully_qualified_name()
+        found = {f"{name} ({topic})" for name in names if name != own}
+        if names.count(own) < 2:
+            self._shared_since.pop(topic, None)
+        elif time.monotonic() - self._shared_since.setdefault(topic, time.monotonic()) > REMEMBERED:
+            found.add(f"another {own} ({topic})")
+        return found

@@ -1,0 +1,167 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The force of a recording that is imported: its axes, its presses, and whether it was tared."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from finger_common.axes import axis_of
+from finger_common.errors import InputError
+from finger_common.stamps import seconds
+
+from ..trial_checks import LARGEST_FORCE, LONGEST_PRESS, SHORTEST_PRESS
+from ..trial_split import TrialSettings, presses
+from ..unloaded import LATE_START, Tare, unloaded_tare
+from .series import FORCE, check_length, factor_of, rows_in_order, times_of
+from .settings import ImportSettings
+from .table import Table, Times
+
+MAXIMUM_PRESSES = 1000
+"""Presses of one recording; thousands are the noise of a force that was not tared."""
+
+LARGEST_TARE = 0.1
+"""N of force without contact from which it is refused: a fit of such a force is not final."""
+
+TARE_SMOOTHING = 0.04
+"""s over which the force is averaged to see whether it rests."""
+
+
+@dataclass(frozen=True)
+class Force:
+    """Force (n, 3) in the bag's axes, normal force (n,), both in N, and stamps (n,) in ns."""
+
+    stamp_ns: np.ndarray
+    force: np.ndarray
+    normal: np.ndarray
+
+
+def read_force(
+    settings: ImportSettings, table: Table, notes: list[str]
+) -> tuple[Times, np.ndarray]:
+    """Times, and forces (n, 3) in N in the bag's axes: negative in z under a press.
+
+    Raises InputError for a table without them.
+    """
+    headings = [
+        table.heading(name.strip(), "--force-column") for name in settings.force_column.split(",")
+    ]
+    if len(headings) not in (1, 3):
+        raise InputError(
+            f"--force-column {settings.force_column}: name the normal force, or x, y and z as "
+            "Fx,Fy,Fz"
+        )
+    heading, times = times_of(FORCE, settings, table, headings[0])
+    factor = factor_of(FORCE, settings, table, headings[-1])
+    columns = [table.numbers(h, gaps=True) * factor for h in headings]
+    for name, column in zip(headings, columns):
+        check_length(table, heading, name, len(times.ns), len(column))
+    known = np.all(np.isfinite(columns), axis=0)
+    keep = rows_in_order(table, heading, times, known, notes)
+    unknown = int((times.known & ~known).sum())
+    if unknown:
+        notes.append(f"{table.where}: {unknown} rows without a force, left out")
+    if not keep.any():
+        raise InputError(
+            f"{table.where}: no row has both a time in '{heading}' and a force in "
+            f"'{', '.join(headings)}'; name the columns that belong together"
+        )
+    times = times.at(keep)
+    force = np.zeros((len(times.ns), 3))
+    if len(columns) == 1:
+        force[:, 2] = columns[0][keep] * (1.0 if settings.force_sign == "negative" else -1.0)
+    else:
+        index, sign = axis_of(settings.normal_axis)
+        force[:, 2] = -sign * columns[index][keep]
+        force[:, 0], force[:, 1] = (columns[(index + k) % 3][keep] for k in (1, 2))
+    if settings.tare:
+        first = seconds(times.ns - times.ns[0]) <= settings.tare
+        force -= force[first].mean(axis=0)
+        spread = float(force[first, 2].std())
+        if spread > 0.05:
+            raise InputError(
+                f"{table.where}: the force varies by {spread:.2f} N in the first "
+                f"{settings.tare:g} s; shorten --tare to the part without contact"
+            )
+    return times, force
+
+
+def presses_in(found: Force, where: str) -> list[tuple[int, int]]:
+    """Presses as (first sample, first sample after); raises InputError, naming `where`, without
+    one and for a force that cannot be a finger's.
+    """
+    normal, stamps = found.normal, found.stamp_ns
+    split = TrialSettings()
+    high, low = float(normal.max()), float(normal.min())
+    if high > LARGEST_FORCE:
+        raise InputError(
+            f"{where}: force goes up to {high:.4g} N, more than a finger can press; give the "
+            "right --force-unit"
+        )
+    if -low > max(high, split.minimum_peak):
+        raise InputError(
+            f"{where}: force goes down to {low:.3g} N and up to {high:.3g} N; give "
+            "--force-sign negative, or the --normal-axis along which a press is positive"
+        )
+    chosen = [
+        (first, end)
+        for first, end in presses(stamps, normal)
+        if normal[first:end].max() >= split.minimum_peak
+    ]
+    if not chosen:
+        raise InputError(
+            f"{where}: no press of {split.minimum_peak:g} N or more, the largest force is "
+            f"{high:.3g} N; check --force-column, --force-unit and --tare"
+        )
+    if len(chosen) > MAXIMUM_PRESSES:
+        raise InputError(
+            f"{where}: {len(chosen)} presses, {MAXIMUM_PRESSES} at most are read; check --tare and "
+            "--force-unit, or give a part of the recording"
+        )
+    last_row = len(stamps) - 1
+    lengths = [seconds(int(stamps[min(b, last_row)] - stamps[a])) for a, b in chosen]
+    if min(lengths) > LONGEST_PRESS or max(lengths) < SHORTEST_PRESS:
+        raise InputError(
+            f"{where}: the first press lasts {lengths[0]:.3g} s; give the right --time-unit"
+        )
+    return chosen
+
+
+def check_tare(
+    found: Force, first_onset: int, area_stamps: list[int], areas: Sequence[float], where: str
+) -> list[str]:
+    """Refuse a force that was not tared, as the plate shows while nothing touches it.
+
+    first_onset: of the first press, ns. area_stamps (k,) in ns, areas (k,) in m². Gives what a
+    press lacks that began before the recording. Raises InputError, naming `where`.
+    """
+    area = np.array(areas)
+    frames = seconds(np.array(area_stamps, np.int64) - found.stamp_ns[0])
+    tare = unloaded(found, frames[area > 0], frames[area <= 0])
+    if tare is not None and abs(tare.force) > LARGEST_TARE:
+        raise InputError(
+            f"{where}: the force is {tare.force:.2f} N while nothing touches the plate "
+            f"({tare.seconds:.2g} s at the beginning or end); give a tared force, or the seconds "
+            "without contact at its beginning with --tare"
+        )
+    begins = found.normal[0] - (tare.force if tare is not None else 0.0)
+    if first_onset == found.stamp_ns[0] and begins > LATE_START:
+        return [
+            f"press 0: the force is {found.normal[0]:.2f} N at its first sample: the press began "
+            "before the recording and cannot be fitted. If the finger did not touch yet, give "
+            "--tare"
+        ]
+    return []
+
+
+def unloaded(found: Force, touched: np.ndarray, empty: np.ndarray) -> Tare | None:
+    """As `unloaded_tare`; frames with contact (m,) and without (k,), s from the first sample."""
+    time = seconds(found.stamp_ns - found.stamp_ns[0])
+    period = float(np.median(np.diff(time))) if len(time) > 1 else TARE_SMOOTHING
+    smooth = uniform_filter1d(found.normal, max(round(TARE_SMOOTHING / period), 1), mode="nearest")
+    return unloaded_tare(time, found.normal, smooth, touched, empty)

@@ -1,0 +1,107 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What came last from force sensor, camera and diagnostics, and whether it is fresh."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from finger_common.diagnostics import ERROR
+from finger_common.flags import AreaFlag
+from finger_common.stamps import seconds
+
+from .limits import Limits
+
+ERROR_MEMORY = 3.0
+"""s for which an error in /diagnostics counts; each node repeats it once a second."""
+
+LOGGED_SILENCE = 1.0
+"""s without a sample from which silence is an event of the log."""
+
+
+@dataclass(frozen=True)
+class _Sample:
+    """The newest one of a stream: its stamp, and when it came by the protocol's own clock (ns),
+    None before that clock's first reading."""
+
+    stamp_ns: int
+    came_ns: int | None
+    value: float
+    flags: int = 0
+
+
+class Inputs:
+    """Newest force (N), contact area (m²) and errors. `now_ns`: by the protocol's own clock; 0
+    before its first reading."""
+
+    def __init__(self) -> None:
+        self._force: _Sample | None = None
+        self._area: _Sample | None = None
+        self._errors: dict[str, tuple[int, str]] = {}
+        self._silent: set[str] = set()
+
+    @property
+    def force_stamp(self) -> int | None:
+        """Stamp of the newest force."""
+        return None if self._force is None else self._force.stamp_ns
+
+    @property
+    def area_stamp(self) -> int | None:
+        """Stamp of the newest area."""
+        return None if self._area is None else self._area.stamp_ns
+
+    def add_force(self, stamp_ns: int, force: float, now_ns: int) -> None:
+        """One normal force."""
+        self._force = _Sample(stamp_ns, now_ns or None, force)
+
+    def add_area(self, stamp_ns: int, area: float, flags: int, now_ns: int) -> None:
+        """One contact area with its quality flags."""
+        self._area = _Sample(stamp_ns, now_ns or None, area, flags)
+
+    def add_health(self, name: str, level: int, message: str, now_ns: int) -> str:
+        """State of a device or node; the news of it for the event log, empty for none."""
+        if level < ERROR:
+            return f"{name}: over" if self._errors.pop(name, None) else ""
+        new = name not in self._errors
+        self._errors[name] = (now_ns, message)
+        return f"{name}: {message}" if new else ""
+
+    def force_fell_silent(self, now_ns: int, limits: Limits) -> bool:
+        """Whether no force comes any longer."""
+        return self._force is not None and _is_old(self._force, now_ns, limits)
+
+    def silences(self, now_ns: int, limits: Limits) -> Iterator[str]:
+        """News for the event log: force or camera has fallen silent, or is back."""
+        newest = {"force sensor": self._force}
+        if limits.need_camera:
+            newest["camera"] = self._area
+        for name, sample in newest.items():
+            came = None if sample is None else sample.came_ns
+            age = 0.0 if came is None else seconds(now_ns - came)
+            silent = age > max(limits.stale_after, LOGGED_SILENCE)
+            if silent != (name in self._silent):
+                self._silent ^= {name}
+                yield f"{name}: {'silent' if silent else 'over'}"
+
+    def waiting_for(self, now_ns: int, limits: Limits) -> str:
+        """Why the press does not begin yet; empty when nothing is in the way."""
+        for name, (stamp, message) in self._errors.items():
+            if seconds(now_ns - stamp) < ERROR_MEMORY:
+                return f"{name}: {message}"
+        force, area = self._force, self._area
+        if force is None or _is_old(force, now_ns, limits):
+            return "the force sensor is silent"
+        if not abs(force.value) < limits.onset_force:
+            return f"{force.value:.2f} N on the plate: lift the finger, or tare"
+        if limits.need_camera:
+            if area is None or _is_old(area, now_ns, limits):
+                return "no contact area comes from the camera"
+            if area.value > 0.0 and not area.flags & AreaFlag.NO_CONTACT:
+                return "something is on the plate: lift the finger and clean the plate"
+        return ""
+
+
+def _is_old(sample: _Sample, now_ns: int, limits: Limits) -> bool:
+    return sample.came_ns is None or seconds(now_ns - sample.came_ns) > limits.stale_after
