@@ -7,7 +7,8 @@
       wrench: {topic: /ft_sensor/wrench, unit: N}
       contact_area: {topic: /camera/area, field: area, unit: mm2, stamp: log_time}
       moisture: {topic: /skin/moisture, field: data, stamp: log_time}
-      indentation: {topic: /laser/distance, field: range, unit: mm, sign: negative}
+      indentation: {topic: /laser/distance, field: range, unit: mm, sign: negative,
+                    time_offset: -0.3}
       image_raw: {topic: /camera/image_mono}
     normal_axis: "+z"
     trial: {subject: S01, condition: natural, target_force: 1.35}
@@ -26,6 +27,7 @@ from typing import Any
 from finger_common.axes import NORMAL_AXES
 from finger_common.errors import InputError
 from finger_common.files import load_yaml
+from finger_common.stamps import nanoseconds
 from finger_common.units import AREA_UNITS, FORCE_UNITS, LENGTH_UNITS
 
 
@@ -34,21 +36,23 @@ class _Rule:
     """What may be said of a topic.
 
     units: SI value of each. own_stamp: a message of the suite, whose stamp means something. signed:
-    whether its values may have the other sign.
+    whether its values may have the other sign. shifted: whether its clock may differ from the
+    force's.
     """
 
     units: Mapping[str, float] = field(default_factory=dict)
     own_stamp: bool = False
     signed: bool = False
+    shifted: bool = False
 
 
 RULES = {
     "wrench": _Rule(FORCE_UNITS),
-    "contact_area": _Rule(AREA_UNITS),
+    "contact_area": _Rule(AREA_UNITS, shifted=True),
     "moisture": _Rule({"a.u.": 1.0}),
-    "indentation": _Rule(LENGTH_UNITS, signed=True),
-    "image_raw": _Rule(),
-    "image_raw/compressed": _Rule(),
+    "indentation": _Rule(LENGTH_UNITS, signed=True, shifted=True),
+    "image_raw": _Rule(shifted=True),
+    "image_raw/compressed": _Rule(shifted=True),
     "trial": _Rule(own_stamp=True),
     "model_events": _Rule(own_stamp=True),
     "contact_state": _Rule(own_stamp=True),
@@ -57,7 +61,10 @@ RULES = {
 
 TRIAL_KEYS = ("session", "subject", "condition", "trial_index", "target_force", "rig", "source")
 """Of `trial`, as in `SessionMetadata`."""
-_KEYS = ("field", "sign", "stamp", "topic", "unit")
+_KEYS = ("field", "sign", "stamp", "time_offset", "topic", "unit")
+LARGEST_OFFSET = 1e9
+"""s by which a clock may differ."""
+
 _STAMPS = ("header", "log_time")
 _SIGNS = {"positive": 1.0, "negative": -1.0}
 
@@ -68,13 +75,14 @@ class MappedTopic:
 
     field: dotted name of the value in the message, empty for the schema's own. scale: SI per unit
     of the bag, below 0 for an indentation of the other sign. log_time: take the recorder's time,
-    for messages without a header.
+    for messages without a header. offset_ns: added to the stamps.
     """
 
     topic: str = ""
     scale: float = 1.0
     field: str = ""
     log_time: bool = False
+    offset_ns: int = 0
 
 
 @dataclass(frozen=True)
@@ -160,9 +168,17 @@ def _entry(name: str, value: Any, where: str) -> MappedTopic:
     sign = _chosen(value.get("sign", "positive"), _SIGNS, f"{where}.sign")
     if "sign" in value and not rule.signed:
         raise InputError(f"{where} has the key 'sign', which is for indentation")
+    offset = value.get("time_offset", 0.0)
+    if "time_offset" in value and not rule.shifted:
+        raise InputError(f"{where} has the key 'time_offset', which is for areas and indentation")
+    if not isinstance(offset, (int, float)) or not abs(offset) <= LARGEST_OFFSET:
+        raise InputError(
+            f"{where}.time_offset is {offset!r}; give seconds without a unit, as in -0.3"
+        )
     return MappedTopic(
         value.get("topic", ""),
         _SIGNS[sign] * scale,
         str(value.get("field", "")),
         stamp == "log_time",
+        nanoseconds(float(offset)),
     )

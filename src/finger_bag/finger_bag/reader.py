@@ -24,7 +24,7 @@ import numpy as np
 import yaml
 import zstandard
 
-from finger_common.errors import InputError
+from finger_common.errors import InputError, listed
 from finger_common.files import exists, load_yaml
 from finger_common.stamps import seconds
 
@@ -178,7 +178,7 @@ class BagReader:
             if not files:
                 raise InputError(f"{self.path}: no .mcap or .db3 file in this folder; give a bag")
             if not are_one_bag(files):
-                names = ", ".join(file.name for file in files[:3])
+                names = listed((file.name for file in files), 3)
                 raise InputError(f"{self.path}: holds several bags ({names}); give one of them")
         kinds = {storage_of(file) or "mcap" for file in files}
         if len(kinds) > 1:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from finger_common.errors import InputError
+from finger_common.errors import InputError, listed
 from finger_common.stamps import header_stamp
 
 from .cdr_layout import WRENCH_TYPE, frame_id_of_cdr, stamp_of_cdr, stamps_and_wrenches
@@ -112,7 +112,7 @@ def missing(reader: BagReader, name: str) -> InputError:
     kind = f" ({spec.type})" if spec else ""
     same = [t for t, i in reader.info.topics.items() if spec and i.type == spec.type]
     remedy = (
-        f"name the topic that holds it ({', '.join(sorted(same)[:5])}) in a mapping file"
+        f"name the topic that holds it ({listed(sorted(same))}) in a mapping file"
         if same
         else "record it, or name the topic that holds it in a mapping file"
     )
@@ -309,7 +309,7 @@ def read_streams(
 def stamp_and_value(item: BagMessage, mapped: MappedTopic) -> tuple[int, float | None]:
     """Stamp (ns) of a message, and the value (SI) of the field that its mapping names, if any."""
     message = item.message
-    stamp = item.log_time_ns if mapped.log_time else header_stamp(message)
+    stamp = (item.log_time_ns if mapped.log_time else header_stamp(message)) + mapped.offset_ns
     if not mapped.field:
         return stamp, None
     for name in mapped.field.split("."):
@@ -329,7 +329,7 @@ def _area(item: BagMessage, mapped: MappedTopic) -> tuple[int, int, float, float
 
 def _image(item: BagMessage, mapped: MappedTopic) -> tuple[int, int]:
     stamp = item.log_time_ns if mapped.log_time else stamp_of_cdr(item.raw)
-    return stamp, item.log_time_ns
+    return stamp + mapped.offset_ns, item.log_time_ns
 
 
 def _indentation(item: BagMessage, mapped: MappedTopic) -> tuple[int, float]:

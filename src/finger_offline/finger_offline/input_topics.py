@@ -23,6 +23,8 @@ class InputTopics:
     image: str | None
     image_by_log: bool
     """Whether the images are stamped by their log time."""
+    image_offset_ns: int
+    """Added to the stamps of the images."""
     events: str | None
     replaced: frozenset[str]
     """Topics of the input that are not copied: the run writes its own or does not follow them."""
@@ -33,7 +35,7 @@ class InputTopics:
         wrench = find_wrench(reader, options)
         area = find_topic(reader, "contact_area", options)
         images = [
-            (topic, options.mapping.topic(name).log_time)
+            (topic, options.mapping.topic(name))
             for name in IMAGES
             if (topic := find_used(reader, name, options)) is not None
         ]
@@ -60,7 +62,8 @@ class InputTopics:
             area=None if from_images else area,
             moisture=find_topic(reader, "moisture", options),
             image=images[0][0] if from_images else None,
-            image_by_log=from_images and images[0][1],
+            image_by_log=from_images and images[0][1].log_time,
+            image_offset_ns=images[0][1].offset_ns if from_images else 0,
             events=recorded if follow else None,
             replaced=frozenset(replaced),
         )

@@ -45,6 +45,7 @@ from finger_model.messages import (
 from finger_model.parameter_sets import ParameterSets
 from finger_model.pose.estimator import MeasuredOutline, ShapeEstimate
 from finger_model.pose.settings import PoseSettings
+from finger_model.reduced.model import load_population
 from finger_model.slip import SlipSettings
 from finger_vision.area_sensor import ContactMeasurement
 
@@ -54,6 +55,7 @@ from .input_order import HEAD_START_NS, InputOrder
 from .input_topics import InputTopics
 from .output_bag import OutputBag
 from .process_options import ProcessOptions
+from .validity import Validity
 
 ROUND_NS = 500_000_000
 """Log time between two rounds of handing inputs to the estimator."""
@@ -64,12 +66,21 @@ MAXIMUM_WRENCH = 1024
 RELATIVE_AREA_SD = 0.1
 """Standard deviation over value of an area that a mapping takes from a bare number."""
 
+GAVE_WAY = (
+    "the force goes beyond the model of the default finger; the model of the population was used "
+    "(name your finger's with --geometry or --model)"
+)
+
 BlockSink = Callable[[EstimateBlock], None]
 
 
 @dataclass
 class ProcessResult:
-    """What was made. duration: s of log time; replayed: with the events of the recording."""
+    """What was made.
+
+    duration: s of log time; replayed: with the events of the recording; notes: on how far the
+    estimates can be trusted.
+    """
 
     path: Path | None
     states: int = 0
@@ -78,6 +89,7 @@ class ProcessResult:
     replayed: bool = False
     counters: dict[str, int] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
     lost: bool = False
     """Whether something that the bag holds could not be read, or was not, by a limit."""
 
@@ -91,10 +103,34 @@ def process(
 ) -> ProcessResult:
     """Process one bag into a new one (None: no bag is written).
 
-    progress is called with the fraction done, on_block with each block of estimates. Raises
-    InputError when the bag lacks what is needed or the target exists.
+    progress is called with the fraction done, on_block with each block of estimates. A recording
+    without events whose force leaves the range of the default finger's model is processed once
+    more, from its first block, with the model of the population, unless the options name a model.
+    Raises InputError when the bag lacks what is needed or the target exists.
     """
     options = options or ProcessOptions()
+    try:
+        return _processed(source, target, options, progress, on_block, False)
+    except _BeyondModel:
+        return _processed(source, target, options, progress, on_block, True)
+
+
+class _BeyondModel(Exception):
+    """The force goes beyond a model that gives way to that of the population."""
+
+
+def _processed(
+    source: str | Path,
+    target: str | Path | None,
+    options: ProcessOptions,
+    progress: Callable[[float], None] | None,
+    on_block: BlockSink | None,
+    population: bool,
+) -> ProcessResult:
+    """As `process`; population: with the model of the population for the default finger.
+
+    Raises _BeyondModel where another model has to be used.
+    """
     with ExitStack() as stack:
         reader = stack.enter_context(open_bag(source))
         topics = InputTopics.of(reader, options)
@@ -103,7 +139,7 @@ def process(
             areas = ImageAreas.for_bag(reader, options, ridge_motion=options.slip)
             images = stack.enter_context(MeasuringThread(areas))
         start = None if topics.events is None else _recorded_start(reader, topics.events)
-        estimator = _estimator(options, start)
+        estimator = _estimator(options, start, population)
         # Everything is checked and loaded before anything is written.
         output = None
         if target is not None:
@@ -115,17 +151,26 @@ def process(
         run = _Run(reader, options, topics, estimator, start, images, output, sinks)
         run.read_all(progress)
         result = run.result()
+    if population:
+        result.notes.insert(0, GAVE_WAY)
     result.path = None if target is None else Path(target)
     return result
 
 
-def _estimator(options: ProcessOptions, start: EstimatorEvent | None) -> ContactEstimator:
+def _estimator(
+    options: ProcessOptions, start: EstimatorEvent | None, population: bool
+) -> ContactEstimator:
     """With the options' files or, where none are given, for the finger of the recorded start."""
     sets = ParameterSets.load(options.parameter_file) if options.parameter_file else None
     finger = sets or ParameterSets.default()
     if start is not None:
         finger = ParameterSets.parse(start.parameter_sets, "recorded parameter sets")
     model = load_for(finger, options.model_file, options.geometry_file)
+    recorded = start is not None and start.model_hash != model.hash and model.gives_way
+    if population or recorded:
+        other = load_population(model.geometry)
+        if start is None or start.model_hash == other.hash:
+            model = other
     values = {"normal_axis": options.axis, **options.estimator}
     return ContactEstimator(model, sets, EstimatorSettings.from_mapping(values))
 
@@ -197,6 +242,11 @@ class _Run:
         self.decoder = reader.decoder(topics.wrench, WRENCH_TYPE)
         self.started = False
         self.states = self.areas = 0
+        self.validity = Validity()
+        model = estimator.model
+        named = options.model_file or options.geometry_file
+        # What a live node published is given again with its own model.
+        self.may_give_way = topics.events is None and not named and model.gives_way
 
     def read_all(self, progress: Callable[[float], None] | None) -> None:
         """Read and estimate everything; raises InputError when there is no wrench."""
@@ -256,6 +306,7 @@ class _Run:
             replayed,
             counters,
             problems,
+            self.validity.notes(),
             self.reader.lost or (self.images is not None and self.images.areas.left_out > 0),
         )
 
@@ -302,6 +353,7 @@ class _Run:
 
     def _add_area(self, log_ns: int, stamp: int, area: float, sd: float, flags: int) -> None:
         self.areas += 1
+        self.validity.add_area(area, sd)
         self.queue.add_area(log_ns, stamp, area, sd, flags)
 
     def _collect_areas(self, until_ns: int) -> None:
@@ -315,6 +367,7 @@ class _Run:
             area, sd = measured.gross_area, measured.area_sd
             by_log = self.topics.image_by_log
             stamp = item.log_time_ns if by_log else stamp_of_cdr(item.raw)
+            stamp += self.topics.image_offset_ns
             if not measured.flags & NOT_WHOLE:
                 stick = measured.motion.stick_ratio, measured.motion.stick_ratio_sd
                 self.seen[stamp] = stick, measured_outline(measured)
@@ -363,6 +416,9 @@ class _Run:
             slips += serialize_slips(slip, self.followers.lateral_axes, frame)
             shapes += [(log[number], estimate) for number, estimate in shape]
         block = EstimateBlock(np.concatenate(rows))
+        self.validity.add(block)
+        if self.may_give_way and self.validity.leaves_model:
+            raise _BeyondModel
         self.states += len(block)
         if self.output is not None:
             self.output.write("contact_state", zip(logs, serialize(block, frame)))

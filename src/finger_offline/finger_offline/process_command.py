@@ -147,6 +147,8 @@ def _report(results: Sequence[ProcessResult | FingerError], took: float) -> int:
     for result in good:
         for problem in result.problems:
             print(f"finger-bag: {plain(result.path)}: {plain(problem)}", file=sys.stderr)
+        for note in result.notes:
+            print(f"{plain(result.path)}: {plain(note)}")
     total = sum(r.duration for r in good)
     print(
         f"{sum(r.states for r in good)} contact states, {sum(r.areas for r in good)} areas from "

@@ -9,13 +9,27 @@ from dataclasses import replace
 
 import numpy as np
 
-from finger_bag.streams import AREA
+from finger_bag.streams import AREA, SessionStreams, in_stamp_order
 from finger_bag.validate import FAIL, NOTE, OK, CheckedBag, Validation
+from finger_common.errors import listed
+from finger_common.stamps import seconds
 
 from .indentation_checks import IndentationFault, indentation_fault
-from .lag import MAXIMUM_LAG, WORTH_A_NOTE, force_image_lag
+from .lag import (
+    LONGEST_LAG,
+    MAXIMUM_LAG,
+    WORTH_A_NOTE,
+    Press,
+    force_image_lag,
+    indentation_lag,
+    lag_change,
+    lag_text,
+    press_lags,
+    travel_ratio,
+)
 from .trial_records import TrialRecord, TrialSet
-from .trial_split import TrialSettings, split
+from .trial_split import TrialSettings, forces_of, pressing_samples, split, without_contact
+from .unloaded import LARGEST_TARE, unloaded_plate
 
 PLAUSIBLE_AREA = (5e-6, 2e-3)
 """m²; the largest area of a press of a fingertip lies between (the paper's: 60 to 150 mm²)."""
@@ -25,6 +39,16 @@ SHORTEST_PRESS, LONGEST_PRESS = 0.02, 300.0
 
 LARGEST_FORCE = 100.0
 """N; a finger cannot press harder without injury, another unit can."""
+
+NOTED_TARE = 0.03
+"""N of force without contact that is noted: as much ends a contact."""
+
+MANY_PRESSES, MANY_AREAS = 3, 10
+"""Presses, and areas in each, of which a lag can be told where clocks are right."""
+
+LARGEST_RATIO = 1.5
+"""Measured indentation over that of the default finger at the same area beyond which, or below its
+inverse, it is noted; fingers differ by a third or so."""
 
 READINGS = 3
 """Moisture readings expected before and after each press (paper, section III)."""
@@ -45,8 +69,9 @@ def check_trials(bag: CheckedBag, result: Validation) -> None:
     settings = TrialSettings.of(bag.settings)
     reader = bag.reader
     found = split(streams, reader.info.metadata, settings, str(reader.path))
+    _check_tare(streams, settings, result)
     if not found.trials:
-        reasons = "; ".join(dict.fromkeys(e.reason for e in found.exclusions[:3]))
+        reasons = listed(dict.fromkeys(e.reason for e in found.exclusions), 3, "; ")
         result.add("trials", FAIL, f"none can be used ({reasons})")
         return
     conditions = ", ".join(f"{len(found.of(c))} {c or 'unnamed'}" for c in found.conditions)
@@ -55,8 +80,8 @@ def check_trials(bag: CheckedBag, result: Validation) -> None:
     short = [t for t in found.trials if t.peak_force < t.target_force]
     detail = f"{len(found) - len(short)} of {len(found)} reach it"
     if short:
-        detail += "; " + ", ".join(
-            f"trial {t.index}: {t.peak_force:.2f} of {t.target_force:g} N" for t in short[:5]
+        detail += "; " + listed(
+            f"trial {t.index}: {t.peak_force:.2f} of {t.target_force:g} N" for t in short
         )
     result.add("target force", FAIL if short else OK, detail)
     _check_values(found, result)
@@ -65,11 +90,30 @@ def check_trials(bag: CheckedBag, result: Validation) -> None:
     _check_indentation(found, result)
     _check_moisture(found, result)
     _check_lateral(found, result)
-    _check_sync(found, result)
+    _check_sync(found, streams, settings, result)
+
+
+def _check_tare(streams: SessionStreams, settings: TrialSettings, result: Validation) -> None:
+    """Force of the unloaded plate; nothing where the recording shows none."""
+    samples = forces_of(streams, settings)
+    if not len(samples):
+        return
+    stamp = samples["stamp_ns"]
+    areas = streams.areas
+    frames, time = (seconds(stamps - stamp[0]) for stamps in (areas["stamp_ns"], stamp))
+    empty = without_contact(areas)
+    touched = np.isfinite(areas["area"]) & ~empty
+    plate = unloaded_plate(time, samples["normal"], frames[touched], frames[empty])
+    if plate is None:
+        return
+    size = abs(plate.force)
+    status = FAIL if size > LARGEST_TARE else NOTE if size > NOTED_TARE else OK
+    remedy = "" if status == OK else "; record a tared force, or take this off before the import"
+    result.add("tare", status, plate.words + remedy)
 
 
 def _exclusions(found: TrialSet) -> str:
-    return "; ".join(f"trial {e.index} ({e.reason})" for e in found.exclusions[:5])
+    return listed((f"trial {e.index} ({e.reason})" for e in found.exclusions), 5, "; ")
 
 
 def _check_values(found: TrialSet, result: Validation) -> None:
@@ -93,7 +137,7 @@ def _check_areas(found: TrialSet, result: Validation) -> None:
         result.add(
             "areas",
             FAIL,
-            f"no contact in the areas of trial {', '.join(map(str, without[:5]))}: was a finger on "
+            f"no contact in the areas of trial {listed(without)}: was a finger on "
             "the plate when the camera learned it? Recorded images can be measured again, "
             "finger-bag process --images yes",
         )
@@ -105,26 +149,48 @@ def _check_indentation(found: TrialSet, result: Validation) -> None:
     if not measured:
         return
     faults = [(t.index, fault) for t in measured if (fault := fault_of(t)) is not None]
-    words = [f"trial {index}: {fault.text}" for index, fault in faults[:3]]
+    words = [f"trial {index}: {fault.text}" for index, fault in faults]
+    words = [listed(words, 3, "; ")] if words else []
     status = FAIL if any(f.certain for _, f in faults) else NOTE if faults else OK
+    lag = indentation_lag(map(_indented, measured)) if status != FAIL else None
+    if lag is not None and abs(lag) > WORTH_A_NOTE:
+        status = FAIL if abs(lag) > MAXIMUM_LAG else NOTE
+        words.append(
+            f"{lag_text('readings', lag)}; move them by {-lag:.2f} s (import: "
+            "--indentation-time-offset; mapping file: time_offset), or correct the clocks"
+        )
+    elif status == OK and abs(np.log(ratio := _travel_ratio(measured))) > np.log(LARGEST_RATIO):
+        status = NOTE
+        words.append(
+            f"the indentation is {ratio:.2g} times that of the default finger at the same areas; "
+            "check the gain of the sensor, or whether the finger is another one"
+        )
     if len(measured) < len(found):
         words.append(f"{len(measured)} of {len(found)} trials have one")
         status = NOTE if status == OK else status
-    if status == FAIL:
+    if any(fault.certain for _, fault in faults):
         words.append("correct unit, sign and stamp in a mapping file")
     result.add("indentation", status, "; ".join(words) or "rises with the force in all trials")
 
 
-def fault_of(trial: TrialRecord) -> IndentationFault | None:
-    """What is wrong with the measured indentation of a trial that has one."""
+def _indented(trial: TrialRecord) -> Press:
+    """The press of a trial that has a measured indentation."""
     end = trial.stamp_ns[-1] if trial.liftoff_ns is None else trial.liftoff_ns
     press = (trial.stamp_ns >= trial.onset_ns) & (trial.stamp_ns <= end)
-    return indentation_fault(
-        trial.stamp_ns[press],
-        trial.force[press],
-        trial.indentation_stamp_ns,
-        trial.indentation,
-    )
+    readings = trial.indentation_stamp_ns, trial.indentation
+    return (trial.stamp_ns[press], trial.force[press], *readings)
+
+
+def fault_of(trial: TrialRecord) -> IndentationFault | None:
+    """What is wrong with the measured indentation of a trial that has one."""
+    return indentation_fault(*_indented(trial))
+
+
+def _travel_ratio(trials: list[TrialRecord]) -> float:
+    """Median travel of the presses over that of the default finger; NaN where it is unknown."""
+    ratios = [travel_ratio(_indented(t), t.area_stamp_ns, t.area) for t in trials]
+    known = [ratio for ratio in ratios if np.isfinite(ratio)]
+    return float(np.median(known)) if known else float("nan")
 
 
 def _check_moisture(found: TrialSet, result: Validation) -> None:
@@ -137,13 +203,13 @@ def _check_moisture(found: TrialSet, result: Validation) -> None:
     unnamed = [t.index for t in found if t.index in without and not t.condition]
     if unnamed:
         status = FAIL
-        detail = f"neither reading nor condition for trial {', '.join(map(str, unnamed[:5]))}"
+        detail = f"neither reading nor condition for trial {listed(unnamed)}"
     elif without:
         status = NOTE
-        detail = f"no reading for trial {', '.join(map(str, without[:5]))}; its condition is named"
+        detail = f"no reading for trial {listed(without)}; its condition is named"
     elif other:
         status = NOTE
-        detail = f"{', '.join(other[:5])}; {READINGS} + {READINGS} are expected"
+        detail = f"{listed(other)}; {READINGS} + {READINGS} are expected"
     else:
         status, detail = OK, f"{READINGS} + {READINGS} readings per trial"
     result.add("moisture", status, detail)
@@ -160,15 +226,55 @@ def _check_lateral(found: TrialSet, result: Validation) -> None:
     result.add("lateral force", status, f"at most {worst:.2f} of the normal force (trial medians)")
 
 
-def _check_sync(found: TrialSet, result: Validation) -> None:
+def _check_sync(
+    found: TrialSet, streams: SessionStreams, settings: TrialSettings, result: Validation
+) -> None:
+    """Lag of the areas behind the force, and whether it changes from press to press."""
+    name = "sync of force and image"
+    forces, areas = pressing_samples(streams, settings), in_stamp_order(streams.areas)
+    stamp = forces["stamp_ns"]
+    pressed = [
+        (int(stamp[first]), int(stamp[end - 1]))
+        for first, end in settings.presses(stamp, forces["normal"])
+        if forces["normal"][first:end].max() >= settings.minimum_peak
+    ]
+    if not pressed:
+        result.add(name, NOTE, "unknown: no press")
+        return
+    at = seconds(np.array(pressed) - stamp[0])
+    frames = seconds(areas["stamp_ns"] - stamp[0])
+    lags = press_lags(at, frames, areas["area"])
+    period = float(np.median(np.diff(frames))) if len(frames) > 1 else 0.0
+    change = lag_change(at, lags, period) if lags is not None else ""
+    if change:
+        result.add(name, FAIL, change)
+        return
     lag = force_image_lag(found)
+    # The model is compared within a press; what is later than that is told by the presses' times.
+    if lags is not None and abs(middle := float(np.median(lags))) > LONGEST_LAG:
+        lag = middle
     if lag is None:
-        result.add("sync of force and image", NOTE, "unknown: no areas over a rising force")
+        usable = [t for t in found if np.count_nonzero(t.area > 0) >= MANY_AREAS]
+        if len(usable) < MANY_PRESSES:
+            result.add(name, NOTE, "unknown: no areas over a rising force")
+            return
+        result.add(
+            name,
+            FAIL,
+            f"the areas of {len(usable)} presses do not follow the force (areas over "
+            f"{np.ptp(frames):.1f} s, force over {seconds(stamp[-1] - stamp[0]):.1f} s); correct "
+            "the clock or the frame rate of the areas",
+        )
         return
     status = FAIL if abs(lag) > MAXIMUM_LAG else NOTE if abs(lag) > WORTH_A_NOTE else OK
     result.add(
-        "sync of force and image",
+        name,
         status,
-        f"areas come {abs(lag) * 1e3:.0f} ms {'late' if lag >= 0 else 'early'} beyond the creep of "
-        "the skin" + ("" if status == OK else "; correct image_time_offset or the clocks"),
+        lag_text("areas", lag)
+        + (
+            ""
+            if status == OK
+            else f"; move them by {-lag:.2f} s (import: --time-offset; mapping file: time_offset; "
+            "rig: image_time_offset), or correct the clocks"
+        ),
     )

@@ -24,6 +24,7 @@ from finger_bag.streams import (
 )
 from finger_common.axes import lateral_force, normal_force
 from finger_common.contact_threshold import LIFTOFF_FORCE, ONSET_FORCE, check_thresholds, contacts
+from finger_common.flags import AreaFlag
 from finger_common.settings import setting
 from finger_common.stamps import nanoseconds, seconds
 from finger_common.trial_phases import TrialPhase
@@ -31,6 +32,7 @@ from finger_model.paper import TARGET_FORCE
 
 from .image_settings import ImageSettings
 from .trial_records import Exclusion, TrialRecord, TrialSet
+from .unloaded import pressing_force
 
 CONDITION = re.compile(r"(?:\w[\w .,+()%-]{0,63})?")
 """Names of conditions; they name files of a fit too, so none may lead to another folder."""
@@ -69,6 +71,10 @@ class TrialSettings(ImageSettings, ReadSettings):
     def validate(self) -> None:
         check_thresholds(self.onset_force, self.liftoff_force)
 
+    def presses(self, stamp_ns: np.ndarray, force: np.ndarray) -> list[tuple[int, int]]:
+        """As the function `presses`, with these settings."""
+        return presses(stamp_ns, force, self.onset_force, self.liftoff_force, self.merge_gap)
+
     @classmethod
     def of(cls, settings: ReadSettings) -> TrialSettings:
         """Default settings for a bag that is read in this way."""
@@ -95,6 +101,11 @@ def presses(
     return found
 
 
+def without_contact(areas: np.ndarray) -> np.ndarray:
+    """Mask (k,) of the frames of a table of areas, of `finger_bag.streams.AREA`, that show none."""
+    return (areas["area"] <= 0.0) | ((areas["flags"] & AreaFlag.NO_CONTACT) != 0)
+
+
 @dataclass
 class _Press:
     """A press that may become a trial."""
@@ -108,6 +119,31 @@ class _Press:
 _SAMPLE = np.dtype([("stamp_ns", "i8"), ("normal", "f8"), ("lateral", "f8")])
 
 
+def forces_of(streams: SessionStreams, settings: ReadSettings) -> np.ndarray:
+    """Stamps, normal and lateral forces (n,) of the finite wrenches, in the order of their
+    stamps."""
+    samples = np.empty(len(streams.wrenches.stamp_ns), _SAMPLE)
+    samples["stamp_ns"] = streams.wrenches.stamp_ns
+    samples["normal"] = normal_force(streams.wrenches.force, settings.axis)
+    samples["lateral"] = lateral_force(streams.wrenches.force, settings.axis)
+    return in_stamp_order(samples[np.isfinite(samples["normal"])])
+
+
+def pressing_samples(streams: SessionStreams, settings: ReadSettings) -> np.ndarray:
+    """As `forces_of`, with the normal force by which presses are told apart."""
+    samples, areas = forces_of(streams, settings), in_stamp_order(streams.areas)
+    empty = without_contact(areas)
+    touched = np.isfinite(areas["area"]) & ~empty
+    frames = areas["stamp_ns"]
+    samples["normal"] = pressing_force(
+        np.ascontiguousarray(samples["stamp_ns"]),
+        np.ascontiguousarray(samples["normal"]),
+        frames[touched],
+        frames[empty],
+    )
+    return samples
+
+
 def split(
     streams: SessionStreams, metadata: SessionMetadata, settings: TrialSettings, bag: str
 ) -> TrialSet:
@@ -116,7 +152,7 @@ def split(
         {**metadata.to_mapping(), **{k: str(v) for k, v in settings.mapping.trial.items()}}
     )
     recording = _Recording(streams, metadata, settings, bag)
-    stamp, normal = recording.stamp_ns, recording.normal
+    stamp, normal = recording.stamp_ns, recording.pressing
     doubts = _doubts(streams, bag)
     result = TrialSet(problems=[f"{bag}: {p}" for p in streams.problems])
     if recording.unusable:
@@ -171,25 +207,16 @@ class _Recording:
         self, streams: SessionStreams, metadata: SessionMetadata, settings: TrialSettings, bag: str
     ) -> None:
         self._metadata, self._settings, self._bag = metadata, settings, bag
-        samples = np.empty(len(streams.wrenches.stamp_ns), _SAMPLE)
-        samples["stamp_ns"] = streams.wrenches.stamp_ns
-        samples["normal"] = normal_force(streams.wrenches.force, settings.axis)
-        samples["lateral"] = lateral_force(streams.wrenches.force, settings.axis)
-        finite = np.isfinite(samples["normal"])
-        self.unusable = int((~finite).sum())
-        samples = in_stamp_order(samples[finite])
+        normal = normal_force(streams.wrenches.force, settings.axis)
+        self.unusable = int((~np.isfinite(normal)).sum())
+        samples = forces_of(streams, settings)
         self.stamp_ns, self.normal, self._lateral = (
             np.ascontiguousarray(samples[name]) for name in ("stamp_ns", "normal", "lateral")
         )
         self._areas = in_stamp_order(streams.areas)
         self._indentations = in_stamp_order(streams.indentations)
-        self.presses = presses(
-            self.stamp_ns,
-            self.normal,
-            settings.onset_force,
-            settings.liftoff_force,
-            settings.merge_gap,
-        )
+        self.pressing = pressing_samples(streams, settings)["normal"]
+        self.presses = settings.presses(self.stamp_ns, self.pressing)
 
     def trial(
         self, press: _Press, number: int, moisture: tuple[list[float], list[float]]

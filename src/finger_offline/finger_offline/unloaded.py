@@ -1,13 +1,17 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the force sensor reads of an unloaded plate: the tare that is left in a recorded trial."""
+"""What the force sensor reads of an unloaded plate: the tare that is left in a recording."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d, uniform_filter1d
+
+from finger_common.contact_threshold import contacts
+from finger_common.stamps import seconds
 
 SHORTEST = 0.1
 """s of rest below which no tare is measured."""
@@ -33,6 +37,27 @@ moves E by less than 10 % (simulated; at 0.1 N by 14 %, E2 by −36 %); 0.05 N m
 DRIFT = 0.001
 """N, deviation of the tare between rest and press that no rest shows; an assumption."""
 
+SMOOTHING = 0.04
+"""s over which the force is averaged to see whether it rests."""
+
+REST = 0.2
+"""s of steady force that count as a rest between two presses."""
+
+SMALL_TARE = 0.02
+"""N; presses are told apart without regard to a smaller tare: a contact ends at 0.03 N."""
+
+LARGEST_TARE = 0.1
+"""N of force without contact from which it is refused: a fit of such a force is not final."""
+
+DRIFTS = 0.03
+"""N between two rests from which the tare is called drifting."""
+
+SPIKE, SPIKE_WINDOW = 0.3, 7
+"""N by which a spike leaves the samples beside it, and samples among which it is sought; one or two
+of them may be spikes."""
+
+SPIKE_RATIO = 4.0
+"""Height of a spike over the range of the samples beside it: a fast press is none."""
 
 PART_OF_PEAK = 0.95
 """Target force over peak force of a press for which none was set."""
@@ -45,6 +70,16 @@ class Tare:
     force: float
     deviation: float
     seconds: float
+
+
+@dataclass(frozen=True)
+class Unloaded:
+    """The unloaded plate in a whole recording: its force (N) farthest from zero, whether it drifts,
+    and both in words."""
+
+    force: float
+    drifts: bool
+    words: str
 
 
 def unloaded_tare(
@@ -96,6 +131,109 @@ def reached_force(peak: float, tare: Tare | None) -> float:
     """Target force (N) that a press to a peak (N) as recorded reaches, whether or not a fit takes
     its tare off."""
     return PART_OF_PEAK * (peak - (max(tare.force, 0.0) if tare is not None else 0.0))
+
+
+def without_spikes(force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Force (n,) whose isolated spikes, of one or two samples, have the median of the samples
+    around them; and the indices (k,) of the spikes."""
+    if len(force) < SPIKE_WINDOW:
+        return force, np.empty(0, int)
+    middle = median_filter(force, SPIKE_WINDOW, mode="nearest")
+    away = force - middle
+    found = np.flatnonzero(np.abs(away) > SPIKE)
+    around = np.clip(found[:, None] + np.arange(SPIKE_WINDOW) - SPIKE_WINDOW // 2, 0, None)
+    values = np.sort(force[np.minimum(around, len(force) - 1)], axis=1)
+    up = values[:, -3] - values[:, 0]
+    down = values[:, -1] - values[:, 2]
+    beside = np.where(away[found] > 0.0, up, down)
+    found = found[np.abs(away[found]) > SPIKE_RATIO * beside]
+    if not len(found):
+        return force, found
+    cleaned = force.copy()
+    cleaned[found] = middle[found]
+    return cleaned, found
+
+
+def smooth_force(time: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """Force (n,) averaged over `SMOOTHING`; time (n,) in s."""
+    period = float(np.median(np.diff(time))) if len(time) > 1 else SMOOTHING
+    return uniform_filter1d(force, max(round(SMOOTHING / period), 1), mode="nearest")
+
+
+def rest_levels(
+    time: np.ndarray, force: np.ndarray, touched: np.ndarray, empty: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Middle times (r,) in s and forces (r,) in N of the rests of a recording, in its order: where
+    the force is steady and no finger touches.
+
+    time (n,) in s, force (n,) in N; touched (m,), empty (k,): times at which the camera saw a
+    contact, and at which it saw none. Without a camera a small steady force is a rest; a larger one
+    is none, whatever the camera says: its clock may be wrong.
+    """
+    nothing = np.empty(0)
+    if len(time) < 10 or time[-1] <= REST:
+        return nothing, nothing
+    smooth = smooth_force(time, force)
+    window = max(round(REST / max(float(np.median(np.diff(time))), 1e-6)), 2)
+    high = maximum_filter1d(smooth, window, mode="nearest")
+    steady = high - minimum_filter1d(smooth, window, mode="nearest") <= 2.0 * STEADY
+    middles, levels = [], []
+    for first, end in contacts(steady.astype(float), 0.5, 0.5):
+        begin, stop = float(time[first]), float(time[end - 1])
+        if stop - begin < 0.5 * SHORTEST:
+            continue
+        seen, free = (
+            int(np.count_nonzero((times >= begin) & (times <= stop))) for times in (touched, empty)
+        )
+        level = float(np.median(smooth[first:end]))
+        # Areas of a clock that is a little late touch the edge of a rest.
+        if seen > free or abs(level) > LARGEST:
+            continue
+        middles.append(0.5 * (begin + stop))
+        levels.append(level)
+    return np.array(middles), np.array(levels)
+
+
+def pressing_force(
+    stamp_ns: np.ndarray, force: np.ndarray, touched_ns: np.ndarray, empty_ns: np.ndarray
+) -> np.ndarray:
+    """Force (n,) in N by which presses are told apart: without isolated spikes and, where the
+    unloaded plate would count as touched, without a tare that may drift.
+
+    stamp_ns (n,); touched_ns (m,), empty_ns (k,): of the frames that show a contact, and none.
+    """
+    cleaned, _ = without_spikes(force)
+    if not len(force):
+        return cleaned
+    time, touched, empty = (
+        seconds(np.asarray(stamps) - stamp_ns[0]) for stamps in (stamp_ns, touched_ns, empty_ns)
+    )
+    at, levels = rest_levels(time, cleaned, touched, empty)
+    if not len(at) or levels.max() < SMALL_TARE:
+        return cleaned
+    return cleaned - np.maximum(np.interp(time, at, levels), 0.0)
+
+
+def unloaded_plate(
+    time: np.ndarray, force: np.ndarray, touched: np.ndarray, empty: np.ndarray
+) -> Unloaded | None:
+    """What the recording shows of the unloaded plate, None where it shows no rest; arguments as of
+    `rest_levels`."""
+    force, _ = without_spikes(force)
+    _, levels = rest_levels(time, force, touched, empty)
+    if len(levels) and float(np.ptp(levels)) > DRIFTS:
+        worst = float(levels[np.argmax(np.abs(levels))])
+        words = f"the force drifts from {_newtons(levels[0])} to {_newtons(levels[-1])}"
+        return Unloaded(worst, True, f"{words} while nothing touches the plate")
+    tare = unloaded_tare(time, force, smooth_force(time, force), touched, empty)
+    if tare is None:
+        return None
+    words = f"the force is {_newtons(tare.force)} while nothing touches the plate"
+    return Unloaded(tare.force, False, f"{words} ({tare.seconds:.2g} s at the beginning or end)")
+
+
+def _newtons(force: float) -> str:
+    return f"{round(force, 2) + 0.0:.2f} N"
 
 
 def _steady(clock: np.ndarray, smooth: np.ndarray, limit: float) -> int:

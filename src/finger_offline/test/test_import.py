@@ -27,15 +27,20 @@ from finger_common.files import read_csv
 from finger_common.image_size import ALL_PIXELS, PixelBudget
 from finger_common.units import FORCE_UNITS
 from finger_driver.protocols.export_table import TableFormat, parse_table
+from finger_model.reduced import ReducedModel
 from finger_offline.importing.cells import stamp_of
+from finger_offline.importing.pictures import frames_of
 from finger_offline.importing.settings import ImportSettings
 from finger_offline.importing.tables import Table, of_rows, read_table
 from finger_offline.importing.trial import import_trial
 from finger_offline.trial_records import TrialRecord
 from finger_offline.trials import load_trials
+from finger_offline.unloaded import without_spikes
+from finger_vision.images import read_signal
 
 TIME = np.arange(0.0, 9.0, 0.004)
 FRAMES = np.arange(0.0, 9.0, 0.1)
+FIFTEEN = np.arange(0.0, 20.0, 1 / 15)
 ABOUT = {"subject": "S01", "condition": "dry"}
 
 
@@ -102,10 +107,21 @@ def test_csv_files_of_the_contract_make_a_bag_fit_for_use(
     assert "2 presses" in capsys.readouterr().out
     trials = check_trials(bag)
     assert [t.index for t in trials] == [0, 1]
-    assert trials[0].onset_ns > load_start(bag) and np.isnan(trials[0].area_sd[-1])
+    assert trials[0].onset_ns > load_start(bag)
     with open_bag(bag) as reader:
         text = reader.info.metadata.to_mapping()
     assert text["source"] == "finger-bag import" and "area.csv sha256:" in text["files"]
+
+
+def test_areas_of_a_table_have_a_deviation_and_correct_the_model(
+    files: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for share in (0.03, 0.1):
+        imported = import_trial(ImportSettings(**files, area_sd=share), tmp_path / f"{share}")
+        found = load_trials(imported.path).trials[0]
+        assert np.allclose(found.area_sd, np.maximum(share * found.area, 0.5e-6), rtol=1e-5)
+    assert command(["process", str(tmp_path / "0.03"), "-o", str(tmp_path / "out")]) == 0
+    assert "AREA_REJECTED" not in capsys.readouterr().out
 
 
 def write_german(path: Path) -> None:
@@ -427,6 +443,112 @@ def test_a_force_that_was_not_tared_is_told_the_option(
     check_trials(tmp_path / "bag", 3e-3)
 
 
+@pytest.mark.parametrize("first, last", [(0.04, 0.04), (0.09, 0.09), (0.0, 0.09)])
+def test_a_tare_that_passes_or_drifts_merges_no_presses(
+    files: dict[str, str], tmp_path: Path, first: float, last: float
+) -> None:
+    force = force_at(TIME) + np.interp(TIME, [0.0, 9.0], [first, last])
+    csv(tmp_path / "force.csv", "time_s,force_n", TIME, force)
+    areas = np.where(area_at(FRAMES) > 1e-9, area_at(FRAMES), 0.0)
+    csv(tmp_path / "area.csv", "time_s,area_mm2", FRAMES, areas)
+    imported = import_trial(ImportSettings(**files), tmp_path / "bag")
+    assert len(imported.presses) == 2
+    onsets = [(t.onset_ns - load_start(imported.path)) * 1e-9 for t in load_trials(imported.path)]
+    assert onsets == pytest.approx([0.533, 5.042], abs=0.02)
+    assert validate(imported.path).fit
+
+
+def test_a_force_that_drifts_is_not_told_to_tare_again(
+    files: dict[str, str], tmp_path: Path
+) -> None:
+    csv(tmp_path / "force.csv", "time_s,force_n", TIME, force_at(TIME) + 0.03 * TIME)
+    areas = np.where(area_at(FRAMES) > 1e-9, area_at(FRAMES), 0.0)
+    csv(tmp_path / "area.csv", "time_s,area_mm2", FRAMES, areas)
+    with pytest.raises(InputError, match=r"drifts from 0.00 N to 0.1\d N .* without drift"):
+        import_trial(ImportSettings(**files, tare=0.1), tmp_path / "bag")
+
+
+def test_spikes_of_single_samples_make_no_press_and_no_target(
+    files: dict[str, str], tmp_path: Path
+) -> None:
+    force = force_at(TIME)
+    for row in (300, 1000, 1500):
+        force[row] += 5.0
+    force[2100] = force[2101] = -4.0
+    csv(tmp_path / "force.csv", "time_s,force_n", TIME, force)
+    imported = import_trial(ImportSettings(**files), tmp_path / "bag")
+    assert [round(peak, 1) for _, _, peak in imported.presses] == [1.5, 1.2]
+    assert [t.target_force for t in load_trials(imported.path)] == pytest.approx(
+        [1.42, 1.14], abs=0.02
+    )
+    assert "5 isolated spikes" in imported.notes[0] and "row 302 (6.05 N" in imported.notes[0]
+    with open_bag(imported.path) as reader:
+        forces = [m.message.wrench.force.z for m in reader.messages(["/finger/wrench"])]
+    assert min(forces) < -6.0
+
+
+def long_files(tmp_path: Path, area_time: np.ndarray) -> dict[str, str]:
+    """Five presses of the model's finger, with areas at 15 Hz."""
+    time, frames = np.arange(0.0, 20.0, 0.004), np.arange(0.0, 20.0, 1 / 15)
+    force = 1.4 * np.clip(np.minimum(time % 4.0 - 0.5, 2.5 - time % 4.0), 0.0, 1.0)
+    model = ReducedModel.load()
+    natural = model.space.default[None]
+    ((areas, travels),) = model.contacts(natural, [(time, force, np.arange(len(time)))])
+    seen = 1e6 * np.interp(area_time, time, areas[0])
+    csv(tmp_path / "laser.csv", "time_s,indentation_mm", time, 1e3 * travels[0])
+    return {
+        "force": csv(tmp_path / "long_f.csv", "time_s,force_n", time, force),
+        "area": csv(tmp_path / "long_a.csv", "time_s,area_mm2", frames, seen),
+        **ABOUT,
+    }
+
+
+@pytest.mark.parametrize(
+    "area_time, words",
+    [
+        (FIFTEEN, None),
+        (FIFTEEN / 1.03, "grows by"),
+        (2.0 * FIFTEEN, "falls by 500 ms a second"),
+        (FIFTEEN - 1.2, "areas come 12.. ms late"),
+        (np.roll(FIFTEEN, 150), "jumps|do not follow"),
+    ],
+)
+def test_areas_on_a_wrong_clock_are_not_fit_for_use(
+    tmp_path: Path, area_time: np.ndarray, words: str | None
+) -> None:
+    files = long_files(tmp_path, area_time)
+    bag = import_trial(ImportSettings(**files), tmp_path / "bag").path
+    found = {check.name: check for check in validate(bag).checks}["sync of force and image"]
+    assert found.status == ("ok" if words is None else "fail"), found
+    assert words is None or re.search(words, found.detail)
+
+
+def test_images_of_two_cameras_in_one_folder_are_refused(
+    files: dict[str, str], tmp_path: Path
+) -> None:
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    image = np.zeros((96, 96), np.uint8)
+    for number in range(8):
+        cv2.imwrite(str(folder / f"cam{number % 2}_{number:04d}.png"), image)
+    files |= {"images": str(folder), "area": ""}
+    settings = ImportSettings(**files, frame_rate=10.0, area_per_pixel=1e-9)
+    with pytest.raises(InputError, match=r"two series of images, 'cam0_' and 'cam1_'.*folder"):
+        import_trial(settings, tmp_path / "bag")
+    for number in range(8):  # one series, whose names begin in two ways
+        name = f"cam{number % 2}_{number:04d}.png"
+        (folder / name).rename(folder / f"day{number // 4}_{number:04d}.png")
+    with pytest.raises(InputError, match="no area above zero"):
+        import_trial(settings, tmp_path / "bag")
+
+
+def test_a_fast_press_is_no_spike() -> None:
+    for rise in (2, 3, 5):
+        force = np.interp(np.arange(60.0), [20 - rise, 20, 20 + rise + 1], [0.0, 1.5, 0.0])
+        _, spikes = without_spikes(force)
+        assert len(spikes) == 0
+
+
 def test_a_press_that_began_before_the_recording_is_a_problem(
     files: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -606,6 +728,125 @@ def test_times_as_programs_write_them(cells: Any, absolute: bool) -> None:
         assert np.datetime64(int(day), "D") == np.datetime64("2024-05-01")
 
 
+@pytest.mark.parametrize(
+    ("cells", "seconds", "absolute"),
+    [
+        (["01:45:10.25 PM", "1:45:10.5 pm"], 49_510.25, False),
+        (["12:00:01.25 AM", "12:00:01.5 a.m."], 1.25, False),
+        (["00:28.25", "00:28.5"], 28.25, False),
+        (["75:10,25", "75:10,5"], 4510.25, False),
+        (["23:59:59.9", "0:00:00.15"], 86_399.9, False),
+        (["05/13/2024 13:45:10.25", "05/13/2024 13:45:10.5"], 1_715_607_910.25, True),
+        (["13/05/2024 13:45:10.25", "13/05/2024 13:45:10.5"], 1_715_607_910.25, True),
+        (["05/06/2024 01:45:10.25 PM", "05/06/2024 01:45:10.5 PM"], 1_715_003_110.25, True),
+        (["2024-05-01 13:45:10.25 CEST", "2024-05-01 13:45:10.5 CEST"], 1_714_563_910.25, True),
+        (["2024-05-01 13:45:10:250", "2024-05-01 13:45:10:500"], 1_714_571_110.25, True),
+        (["20240501_134510.250", "20240501_134510.500"], 1_714_571_110.25, True),
+        (["20240501134510.25", "20240501134510.5"], 1_714_571_110.25, True),
+    ],
+)
+def test_times_of_other_programs(cells: list[str], seconds: float, absolute: bool) -> None:
+    times = Table("t", {"time": cells}).times("time")
+    assert times.absolute == absolute
+    assert times.ns[0] == round(seconds * 1e3) * 1_000_000
+    assert np.diff(times.ns)[0] == 250_000_000
+
+
+@pytest.mark.parametrize(
+    ("cell", "sentence"),
+    [
+        ("05/06/2024 13:45:10.25", "may have its day or its month first; export dates with the"),
+        ("2024-05-01 13:45:10.25 CST", r"names the time zone 'CST'; give it as .* \+02:00"),
+        ("13:45:10.25 PM", "is no time as in"),
+        ("1_000.5", "is no number; correct it"),
+        ("12345678901.5", "is no time in seconds; name its unit with --time-unit"),
+    ],
+)
+def test_times_that_cannot_be_told_are_refused_by_their_first_row(cell: str, sentence: str) -> None:
+    table = Table("t.csv", {"time": [cell, cell.replace("5", "6")]}, first_row=2)
+    with pytest.raises(
+        InputError, match=f"row 2, column 'time': {re.escape(repr(cell))} {sentence}"
+    ):
+        table.times("time")
+
+
+def test_a_recording_over_midnight_and_a_footer(files: dict[str, str], tmp_path: Path) -> None:
+    def clock(seconds: np.ndarray) -> list[str]:
+        midnight = np.datetime64("2024-05-01T00:00")
+        at = [midnight + np.timedelta64(round(1e3 * (s - 1.0)), "ms") for s in seconds]
+        return [str(t).split("T")[1] for t in at]
+
+    forces = [f"{t},{f:.5f}" for t, f in zip(clock(TIME), force_at(TIME))]
+    # The camera begins behind midnight.
+    seen = FRAMES[FRAMES >= 1.0]
+    areas = [f"{t},{a:.5f}" for t, a in zip(clock(seen), area_at(seen))]
+    for name, rows in (("force_n", forces), ("area_mm2", areas)):
+        text = "\n".join([f"time_s,{name}", *rows, "End of file,"])
+        (tmp_path / f"{name[:-2].strip('_m')}.csv").write_text(text)
+    imported = import_trial(ImportSettings(**files), tmp_path / "bag")
+    onset = (imported.presses[0][0] - imported.area_stamps[0]) * 1e-9
+    assert onset == pytest.approx(0.533 - 1.0, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    "name", ["im_{0:.0f}ms", "20240501_134510_{0:04.0f}", "{1}", "17145711{2}"]
+)
+def test_names_of_images_may_be_times(tmp_path: Path, name: str) -> None:
+    times = np.array([107.0, 1074.0, 9841.0])
+    for time in times:
+        text = name.format(time, 1_714_571_110_000 + round(time), f"10.{round(time):04d}")
+        cv2.imwrite(str(tmp_path / f"{text}.png"), np.zeros((96, 96), np.uint8))
+    settings = ImportSettings(
+        force="x",
+        images=str(tmp_path),
+        area_per_pixel=1e-9,
+        **ABOUT,  # type: ignore[arg-type]
+    )
+    frames, count, absolute = frames_of(settings, [])
+    stamps = np.array([stamp for stamp, _ in frames])
+    scale = 1e6 if name.startswith(("im", "{1}")) else 1e5
+    assert count == 3 and absolute == (not name.startswith("im"))
+    assert np.array_equal(np.diff(stamps), np.round(np.diff(times) * scale))
+
+
+def test_pages_of_one_file_and_dark_pixels_are_refused(
+    files: dict[str, str], tmp_path: Path
+) -> None:
+    given = {**files, "area": "", "frame_rate": 10.0, "area_per_pixel": 1e-9}
+    stack = tmp_path / "stack.tif"
+    cv2.imwritemulti(str(stack), [np.full((96, 96), 90, np.uint8)] * 3)
+    with pytest.raises(InputError, match=r"stack\.tif: is an image and no video; save its pages"):
+        import_trial(ImportSettings(**given, video=str(stack)), tmp_path / "bag")
+    with pytest.raises(InputError, match=r"stack\.tif: has several pages"):
+        read_signal(stack)
+    cv2.imwrite(str(tmp_path / "one.tif"), np.full((96, 96), 90, np.uint8))
+    assert read_signal(tmp_path / "one.tif").shape == (96, 96)
+    (tmp_path / "dark").mkdir()
+    for number in range(4):
+        image = np.full((96, 96), 16 * (200 + number), np.uint16)
+        cv2.imwrite(str(tmp_path / "dark" / f"{number}.png"), image)
+    with pytest.raises(
+        InputError, match=r"the plate is dark.* pixels of 12 bits; multiply them by 16"
+    ):
+        import_trial(ImportSettings(**given, images=str(tmp_path / "dark")), tmp_path / "bag")
+
+
+def test_force_and_areas_may_have_times_of_different_units(
+    files: dict[str, str], tmp_path: Path
+) -> None:
+    csv(tmp_path / "force.csv", "time,force_n", 1e3 * TIME, force_at(TIME))
+    csv(tmp_path / "area.csv", "time,area_mm2", 1e9 * FRAMES, area_at(FRAMES))
+    csv(tmp_path / "laser.csv", "time,indentation_mm", 1e6 * LASER, indentation_at(LASER))
+    columns = {name: "time" for name in ("force_time", "area_time", "indentation_time")}
+    units = {"force_time_unit": "ms", "area_time_unit": "ns", "indentation_time_unit": "us"}
+    import_trial(ImportSettings(**files, **columns, **units), tmp_path / "bag")
+    check_trials(tmp_path / "bag")
+    laser = {"indentation": str(tmp_path / "laser.csv")}
+    import_trial(ImportSettings(**files, **columns, **units, **laser), tmp_path / "laser")
+    for trial in load_trials(tmp_path / "laser"):
+        assert np.ptp(trial.indentation) == pytest.approx(1e-3, rel=0.2)
+
+
 def test_two_blocks_of_one_sheet_may_differ_in_length(
     files: dict[str, str], tmp_path: Path
 ) -> None:
@@ -701,6 +942,29 @@ def test_a_tare_that_passes_leaves_a_press_its_target(
     import_trial(ImportSettings(**files), tmp_path / "bag")
     (trial,) = load_trials(tmp_path / "bag")
     assert trial.target_force == pytest.approx(0.95 * 1.5, abs=0.011)
+
+
+def test_zeros_between_the_frames_are_told(files: dict[str, str], tmp_path: Path) -> None:
+    for gap in (0.0, -1.0):
+        between = np.arange(len(FRAMES)) % 3 > 0
+        area = np.where(between, gap, area_at(FRAMES))
+        csv(tmp_path / "area.csv", "time_s,area_mm2", FRAMES, area)
+        found = import_trial(ImportSettings(**files), tmp_path / f"bag{gap}")
+        (note,) = found.notes
+        assert re.search(r"\d+ of \d+ areas in the middle of presses are zero or negative", note)
+        assert "leave the cells of rows without a frame empty" in note
+    csv(tmp_path / "area.csv", "time_s,area_mm2", FRAMES, area_at(FRAMES))
+    assert import_trial(ImportSettings(**files), tmp_path / "bag").notes == []
+
+
+def test_numbers_of_frames_are_no_seconds(files: dict[str, str], tmp_path: Path) -> None:
+    counts = np.arange(len(FRAMES), dtype=float)
+    named = {"area": csv(tmp_path / "p.csv", "frame,area_mm2", counts, area_at(FRAMES))}
+    settings = {**files, **named, "area_time": "frame"}
+    with pytest.raises(InputError, match=r"'frame' counts rows; give --frame-rate in place of it"):
+        import_trial(ImportSettings(**settings), tmp_path / "bag")
+    import_trial(ImportSettings(**settings, frame_rate=10.0), tmp_path / "bag")
+    check_trials(tmp_path / "bag")
 
 
 def test_areas_in_pixels(files: dict[str, str], tmp_path: Path) -> None:
@@ -1113,6 +1377,22 @@ def test_an_indentation_of_another_lab_is_read_by_a_mapping(tmp_path: Path) -> N
         TopicMapping.from_mapping({"topics": {"indentation": {**entry, "sign": "up"}}})
     with pytest.raises(InputError, match="'sign', which is for indentation"):
         TopicMapping.from_mapping({"topics": {"wrench": {"topic": "/w", "sign": "negative"}}})
+
+
+def test_an_indentation_on_another_clock_or_of_another_gain_is_told(tmp_path: Path) -> None:
+    """The clock as docs/your_data.md says: refused in one sentence."""
+    files = long_files(tmp_path, FIFTEEN) | {"indentation": str(tmp_path / "laser.csv")}
+    laser = np.loadtxt(tmp_path / "laser.csv", delimiter=",", skiprows=1)
+    csv(tmp_path / "laser.csv", "time_s,indentation_mm", laser[:, 0] + 0.3, laser[:, 1])
+    with pytest.raises(InputError, match=r"2\d\d ms late .*; give --indentation-time-offset -0\.2"):
+        import_trial(ImportSettings(**files), tmp_path / "late")
+    assert not (tmp_path / "late").exists()
+    for gain, status in ((1.0, "ok"), (1.5, "note")):
+        csv(tmp_path / "laser.csv", "time_s,indentation_mm", laser[:, 0], gain * laser[:, 1])
+        bag = import_trial(ImportSettings(**files), tmp_path / f"bag{gain}").path
+        found = {c.name: c for c in validate(bag).checks}["indentation"]
+        assert found.status == status
+        assert gain == 1.0 or "1.6 times that of the default finger" in found.detail
 
 
 def test_times_of_any_number_of_decimals_are_read_by_every_python() -> None:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 
 from finger_model.reduced import ReducedModel
-from finger_offline.lag import force_image_lag
+from finger_offline.lag import force_image_lag, lag_change, press_lags
 
 
 def presses(
@@ -76,3 +77,46 @@ def test_without_a_press_the_lag_is_unknown() -> None:
     (few,) = presses(0.0, None, 1)
     few.area_stamp_ns, few.area = press.area_stamp_ns[:5], press.area[:5]
     assert force_image_lag([few]) is None
+
+
+AT = np.array([[1.0 + 4.0 * k, 3.0 + 4.0 * k + 0.3 * (k % 3)] for k in range(8)])
+"""Begin and end of presses (s)."""
+
+
+def frames_of(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Frames at 15 Hz of presses at other times, and their areas."""
+    time = np.arange(0.0, at.max() + 2.0, 1 / 15)
+    inside = [(time >= low) & (time <= high) for low, high in at]
+    return time, np.where(np.any(inside, axis=0), 60e-6, 0.0)
+
+
+@pytest.mark.parametrize("rate", [1.03, 0.5])
+def test_a_clock_of_another_rate_is_told(rate: float) -> None:
+    lags = press_lags(AT, *frames_of(AT * rate))
+    assert lags is not None
+    found = lag_change(AT, lags, 1 / 15)
+    words = re.search(r"the lag (grows|falls) by (\d+) ms a second", found)
+    assert words is not None and words[1] == ("grows" if rate > 1 else "falls")
+    assert int(words[2]) == pytest.approx(1e3 * abs(rate - 1), rel=0.15)
+
+
+def test_frames_that_are_missing_are_told_by_their_press() -> None:
+    moved = AT - np.where(np.arange(8) > 3, 1.0, 0.0)[:, None]
+    lags = press_lags(AT, *frames_of(moved))
+    assert lags is not None
+    assert "jumps by -1.0" in (found := lag_change(AT, lags, 1 / 15)) and "press 3" in found
+
+
+def test_two_presses_tell_a_gross_change_alone() -> None:
+    assert "in the last" in lag_change(AT[:2], np.array([-0.5, -2.5]), 1 / 30)
+    assert lag_change(AT[:2], np.array([0.2, 0.5]), 1 / 30) == ""
+
+
+def test_presses_of_many_durations_have_one_lag() -> None:
+    rng = np.random.default_rng(0)
+    for number in (4, 6, 8):
+        told = [
+            lag_change(AT[:number], rng.normal(0.3, 0.15, number), 1 / 15) != "" for _ in range(200)
+        ]
+        assert sum(told) <= 2, number
+    assert press_lags(AT, *frames_of(AT[:5])) is None

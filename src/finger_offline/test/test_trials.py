@@ -22,11 +22,15 @@ from finger_bag.mapping import TopicMapping
 from finger_bag.read_settings import ReadSettings
 from finger_bag.reader import open_bag
 from finger_bag.streams import read_streams
+from finger_bag.validate import validate
 from finger_bag.writer import BagWriter
 from finger_common.axes import lateral_force, normal_force
 from finger_common.errors import InputError
 from finger_common.units import FORCE_UNITS
 from finger_offline.image_areas import grey_image
+from finger_offline.lag import force_image_lag
+from finger_offline.process import process
+from finger_offline.process_options import ProcessOptions
 from finger_offline.trial_split import TrialSettings, presses
 from finger_offline.trials import load_trials, streams_with_areas
 
@@ -262,12 +266,59 @@ def test_a_mapping_knows_every_force_unit_of_the_sensors() -> None:
         ({"topics": {"moisture": {"topic": "/x", "stamp": "now"}}}, "stamp"),
         ({"topics": {"trial": {"topic": "/x", "stamp": "log_time"}}}, "needs its own stamps"),
         ({"topics": {"indentation": {"topic": "/x", "sign": ["negative"]}}}, "choose positive"),
+        ({"topics": {"wrench": {"topic": "/x", "time_offset": 1}}}, "'time_offset', which is for"),
+        ({"topics": {"image_raw": {"topic": "/x", "time_offset": "1 s"}}}, "seconds without a"),
         ({"topics": [1]}, "'topics'"),
     ],
 )
 def test_bad_mappings_are_refused(data: dict[str, Any], word: str) -> None:
     with pytest.raises(InputError, match=word):
         TopicMapping.from_mapping(data)
+
+
+@pytest.mark.parametrize("images", [False, True])
+def test_a_clock_that_differs_is_moved_by_a_mapping(tmp_path: Path, images: bool) -> None:
+    late = 0.3
+    path = tmp_path / "bag"
+    with BagWriter(path, {"condition": "dry", "subject": "S01"}) as bag:
+        for t in np.arange(0, 4 * 4.0, 0.002):
+            stamp = START + round(t * 1e9)
+            bag.write("wrench", wrench(stamp, float(press_force(np.array(t % 4.0)))))
+            if round(t * 500) % 50 == 0:
+                area = 60e-6 * float(press_force(np.array((t - late) % 4.0))) ** 0.4
+                if images:
+                    bag.write("image_raw", image(stamp, area))
+                    continue
+                fields = {"header": {"stamp": stamp}, "gross_area": area, "area_stddev": 1e-6}
+                bag.write("contact_area", fields)
+    name = "image_raw" if images else "contact_area"
+    mapping = TopicMapping.from_mapping({"topics": {name: {"time_offset": -late}}})
+    for read, lag in ((ReadSettings(), late), (ReadSettings(mapping), 0.0)):
+        options = {"area_per_pixel": 4e-8} if images else {}
+        trials = load_trials(path, TrialSettings(read.mapping, **options))
+        assert force_image_lag(trials) == pytest.approx(lag, abs=0.04)
+        checks = {c.name: c for c in validate(path, read).checks}
+        assert checks[f"log time of {name}"].status == "ok"
+        if not images:
+            assert checks["sync of force and image"].status == ("fail" if lag else "ok")
+        run = process(path, tmp_path / f"out{lag}", ProcessOptions(read.mapping, **options))
+        assert ("MODEL_MISMATCH" in str(run.notes)) or not lag
+
+
+def test_an_untared_force_of_another_lab_is_not_fit_for_use(tmp_path: Path) -> None:
+    for tare in (0.0, 0.5):
+        path = tmp_path / f"bag{tare}"
+        with BagWriter(path, {"condition": "dry", "subject": "S01"}) as bag:
+            for t in np.arange(0, 8 * 4.0, 0.002):
+                stamp, force = START + round(t * 1e9), float(press_force(np.array(t % 4.0)))
+                bag.write("wrench", wrench(stamp, force + tare))
+                if round(t * 500) % 50 == 0:
+                    area = 60e-6 * force**0.4
+                    fields = {"header": {"stamp": stamp}, "gross_area": area}
+                    bag.write("contact_area", fields)
+        checks = {c.name: c for c in validate(path).checks}
+        assert checks["tare"].status == ("fail" if tare else "ok")
+        assert f"{tare:.2f} N while nothing touches the plate" in checks["tare"].detail
 
 
 def test_what_is_missing_is_named_with_the_remedy(tmp_path: Path) -> None:

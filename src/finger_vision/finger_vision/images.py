@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import os
+import struct
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -90,7 +91,7 @@ def read_signal(path: str | Path) -> np.ndarray:
     """Array of an image file as stored: (H, W) or (H, W, channels), any depth. Of PGM, white is the
     largest value that its type holds.
 
-    Raises InputError naming the file.
+    Raises InputError naming the file, also for one of several pages.
     """
     path = Path(path)
     if not exists(path):
@@ -101,8 +102,27 @@ def read_signal(path: str | Path) -> np.ndarray:
         content = np.fromfile(path, np.uint8)
     except OSError as error:
         raise InputError(f"{path}: image cannot be read ({error.strerror})") from None
+    if _has_pages(content.tobytes()):
+        raise InputError(
+            f"{path}: has several pages, of which one alone would be read; save each page as an "
+            "image of its own"
+        )
     with silent_libraries():
         return decode_image(content, str(path))
+
+
+def _has_pages(content: bytes) -> bool:
+    """Whether a TIFF file holds a second image."""
+    order = {b"II*\0": "<", b"MM\0*": ">"}.get(content[:4])
+    if order is None:
+        return False
+    try:
+        (first,) = struct.unpack_from(order + "I", content, 4)
+        (entries,) = struct.unpack_from(order + "H", content, first)
+        (following,) = struct.unpack_from(order + "I", content, first + 2 + 12 * entries)
+    except struct.error:
+        return False
+    return 0 < following < len(content)
 
 
 @contextmanager

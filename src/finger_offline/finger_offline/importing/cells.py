@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from datetime import date, datetime, time, timezone
+from dataclasses import dataclass
+from datetime import date, datetime, time, timedelta, timezone
 from typing import Any
 
 from finger_common.stamps import NANOSECONDS
@@ -25,6 +26,20 @@ _WITH_GROUPS = {  # by decimal mark: a number with the other mark between thousa
     decimal: re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:\{mark}\d{{3}})+(?:\{decimal}\d*)?")
     for decimal, mark in ((".", ","), (",", "."))
 }
+_MINUTES = re.compile(r"\d+:\d{1,2}[.,]\d+")
+"""Minutes and seconds: a fraction belongs to seconds."""
+
+_COMPACT = re.compile(r"((?:19|20)\d\d)(\d\d)(\d\d)[_T -]?(\d\d)(\d\d)(\d\d)(?:[.,_](\d+))?")
+"""As in names of files: 20240501_134510.250."""
+
+_SLASHED = re.compile(r"(\d{1,2})/(\d{1,2})/(\d{4})(?=\D|$)")
+"""A date whose order of day and month is that of its country."""
+
+_NOON = re.compile(r"\s*([ap])\.?m\.?", re.IGNORECASE)
+
+_ZONES = {"UTC": "+00:00", "GMT": "+00:00", "CET": "+01:00", "CEST": "+02:00"}
+"""Names of time zones with one meaning."""
+
 _DAY_FIRST = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})(?=\D|$)")
 _YEAR_FIRST = re.compile(r"(\d{4})[-/](\d{1,2})[-/](\d{1,2})(?=\D|$)")
 
@@ -48,13 +63,20 @@ def is_value(cell: Any) -> bool:
     if not isinstance(cell, str):
         return cell is not None
     text = cell.strip().replace(",", ".")
-    if text[:1].isdigit() and ":" in text:
+    if (text[:1].isdigit() and ":" in text) or _COMPACT.fullmatch(text):
         return True
     try:
-        float(text)
+        plain_float(text)
     except ValueError:
         return False
     return True
+
+
+def plain_float(text: str) -> float:
+    """A number without the marks between digits that Python knows; raises ValueError."""
+    if "_" in text:
+        raise ValueError(text)
+    return float(text)
 
 
 def decimal_mark(texts: Iterable[str]) -> str:
@@ -68,7 +90,7 @@ def decimal_mark(texts: Iterable[str]) -> str:
         mark = "." if point >= 0 else "," if comma >= 0 else ""
         if not mark:
             try:
-                largest = max(largest, abs(float(cell)))
+                largest = max(largest, abs(plain_float(cell)))
             except ValueError:
                 pass
         elif not _GROUPED[mark].fullmatch(cell):
@@ -104,35 +126,65 @@ def number_of(cell: Any, decimal: str) -> float:
             raise NoNumber(f"is no number with the decimal mark '{decimal}' of this column")
         text = text.replace(other, "")
     try:
-        return float(text.replace(",", "."))
+        return plain_float(text.replace(",", "."))
     except ValueError:
         raise NoNumber("is no number; correct it") from None
 
 
 def is_clock(cell: Any) -> bool:
     """Whether a cell is a date with time, or a time of day."""
-    return isinstance(cell, (datetime, time)) or (isinstance(cell, str) and ":" in cell)
+    if isinstance(cell, str):
+        return ":" in cell or bool(_COMPACT.fullmatch(cell.strip()))
+    return isinstance(cell, (datetime, time))
 
 
 def has_date(cell: Any) -> bool:
     """Whether a time has a date."""
     if isinstance(cell, str):
-        return bool(_DAY_FIRST.match(cell.strip()) or _YEAR_FIRST.match(cell.strip()))
+        dates = (_DAY_FIRST, _YEAR_FIRST, _SLASHED, _COMPACT)
+        return any(date.match(cell.strip()) for date in dates)
     return not isinstance(cell, time)
 
 
-def stamp_of(cell: Any) -> int:
+@dataclass(frozen=True)
+class TimeStyle:
+    """How the times of a column are written, where one cell does not tell.
+
+    minutes: with one colon, as minutes and seconds. month_first: of dates between slashes; None
+    where no cell tells.
+    """
+
+    minutes: bool = False
+    month_first: bool | None = None
+
+    @classmethod
+    def of(cls, cells: Iterable[Any]) -> TimeStyle:
+        """The style of a column."""
+        minutes, month_first = False, None
+        for cell in cells:
+            if not isinstance(cell, str):
+                continue
+            text = cell.strip()
+            minutes = minutes or bool(_MINUTES.fullmatch(text))
+            slashed = _SLASHED.match(text)
+            if slashed and month_first is None:
+                # Countries that write am and pm behind such dates write the month first.
+                if int(slashed[1]) > 12:
+                    month_first = False
+                elif int(slashed[2]) > 12 or _NOON.search(text):
+                    month_first = True
+        return cls(minutes, month_first)
+
+
+def stamp_of(cell: Any, style: TimeStyle | None = None) -> int:
     """A date with time, or a time of day, in ns since 1970 or midnight; UTC where it names no time
-    zone. Raises ValueError for what is none."""
+    zone.
+
+    style: of its column. Raises ValueError for what is none, NoNumber with the reason where a
+    reader cannot see it.
+    """
     if isinstance(cell, str):
-        text = cell.strip().replace(",", ".")
-        text = _DAY_FIRST.sub(lambda m: f"{m[3]}-{m[2]:0>2}-{m[1]:0>2}", text, count=1)
-        text = _YEAR_FIRST.sub(lambda m: f"{m[1]}-{m[2]:0>2}-{m[3]:0>2}", text, count=1)
-        text = re.sub(r"^(\d{4}-\d\d-\d\d)?[ T]*(\d):", r"\1 0\2:", text).strip()
-        # As Python 3.10 takes them, too: six decimals, no letter for UTC.
-        text = re.sub(r"\.(\d{1,6})\d*", lambda m: "." + m[1].ljust(6, "0"), text)
-        text = re.sub(r"[zZ]$", "+00:00", text)
-        cell = datetime.fromisoformat(text if "-" in text[:5] else f"1970-01-01T{text}")
+        cell = _datetime_of(cell.strip(), style or TimeStyle.of([cell]))
     elif isinstance(cell, time):
         cell = datetime.combine(date(1970, 1, 1), cell)
     if not isinstance(cell, datetime):
@@ -141,3 +193,56 @@ def stamp_of(cell: Any) -> int:
         cell = cell.replace(tzinfo=timezone.utc)
     since = cell - datetime(1970, 1, 1, tzinfo=timezone.utc)
     return (since.days * 86400 + since.seconds) * NANOSECONDS + since.microseconds * 1000
+
+
+def _datetime_of(text: str, style: TimeStyle) -> datetime:
+    if style.minutes and text.count(":") == 1:
+        minutes, seconds = text.split(":")
+        left = plain_float(seconds.replace(",", "."))
+        return datetime(1970, 1, 1) + timedelta(minutes=int(minutes), seconds=left)
+    text = _COMPACT.sub(_spread, text)
+    text = text.replace(",", ".")
+    slashed = _SLASHED.match(text)
+    if slashed:
+        if style.month_first is None:
+            raise NoNumber(
+                "may have its day or its month first; export dates with the year first, as in "
+                "2024-05-01"
+            )
+        month, day = (slashed[1], slashed[2]) if style.month_first else (slashed[2], slashed[1])
+        text = f"{slashed[3]}-{month:0>2}-{day:0>2}{text[slashed.end() :]}"
+    text = _DAY_FIRST.sub(lambda m: f"{m[3]}-{m[2]:0>2}-{m[1]:0>2}", text, count=1)
+    text = _YEAR_FIRST.sub(lambda m: f"{m[1]}-{m[2]:0>2}-{m[3]:0>2}", text, count=1)
+    text = re.sub(r"^(\d{4}-\d\d-\d\d)?[ T]*(\d):", r"\1 0\2:", text).strip()
+    # Three digits behind a colon are milliseconds; two may be the number of a frame.
+    text = re.sub(r"(:\d\d:\d\d):(\d{3,})", r"\1.\2", text)
+    text, afternoon = _without_noon(text)
+    zone = re.search(r"\s*([A-Za-z]{2,5})$", text)
+    if zone:
+        if zone[1].upper() not in _ZONES:
+            raise NoNumber(
+                f"names the time zone '{zone[1]}'; give it as a difference from UTC, as in +02:00"
+            )
+        text = text[: zone.start()] + _ZONES[zone[1].upper()]
+    # As Python 3.10 takes them, too: six decimals, no letter for UTC.
+    text = re.sub(r"\.(\d{1,6})\d*", lambda m: "." + m[1].ljust(6, "0"), text)
+    text = re.sub(r"[zZ]$", "+00:00", text)
+    found = datetime.fromisoformat(text if "-" in text[:5] else f"1970-01-01T{text}")
+    if afternoon is None:
+        return found
+    if not 1 <= found.hour <= 12:
+        raise ValueError("no hour of a clock of twelve hours")
+    return found.replace(hour=found.hour % 12 + (12 if afternoon else 0))
+
+
+def _spread(found: re.Match[str]) -> str:
+    year, month, day, hour, minute, second, part = found.groups()
+    return f"{year}-{month}-{day} {hour}:{minute}:{second}" + (f".{part}" if part else "")
+
+
+def _without_noon(text: str) -> tuple[str, bool | None]:
+    """A time without am or pm behind it, and whether that was pm; None without either."""
+    found = _NOON.search(text)
+    if found is None:
+        return text, None
+    return text[: found.start()] + text[found.end() :], found[1].lower() == "p"

@@ -9,27 +9,29 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from finger_common.axes import axis_of
-from finger_common.errors import InputError
+from finger_common.errors import InputError, listed
 from finger_common.stamps import seconds
 
 from ..trial_checks import LARGEST_FORCE, LONGEST_PRESS, SHORTEST_PRESS
 from ..trial_split import TrialSettings, presses
-from ..unloaded import LATE_START, Tare, unloaded_tare
+from ..unloaded import (
+    LARGEST_TARE,
+    LATE_START,
+    Tare,
+    pressing_force,
+    smooth_force,
+    unloaded_plate,
+    unloaded_tare,
+    without_spikes,
+)
 from .series import FORCE, check_length, factor_of, rows_in_order, times_of
 from .settings import ImportSettings
 from .table import Table, Times
 
 MAXIMUM_PRESSES = 1000
 """Presses of one recording; thousands are the noise of a force that was not tared."""
-
-LARGEST_TARE = 0.1
-"""N of force without contact from which it is refused: a fit of such a force is not final."""
-
-TARE_SMOOTHING = 0.04
-"""s over which the force is averaged to see whether it rests."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,14 @@ def read_force(
         index, sign = axis_of(settings.normal_axis)
         force[:, 2] = -sign * columns[index][keep]
         force[:, 0], force[:, 1] = (columns[(index + k) % 3][keep] for k in (1, 2))
+    cleaned, spikes = without_spikes(force[:, 2])
+    if len(spikes):
+        rows = np.flatnonzero(keep) + table.first_row
+        shown = [f"row {rows[i]} ({-force[i, 2]:.2f} N beside {-cleaned[i]:.2f} N)" for i in spikes]
+        notes.append(
+            f"{table.where}: {len(spikes)} isolated spikes of the force make no press and no "
+            f"target: {listed(shown, 3)}"
+        )
     if settings.tare:
         first = seconds(times.ns - times.ns[0]) <= settings.tare
         force -= force[first].mean(axis=0)
@@ -91,11 +101,16 @@ def read_force(
     return times, force
 
 
-def presses_in(found: Force, where: str) -> list[tuple[int, int]]:
-    """Presses as (first sample, first sample after); raises InputError, naming `where`, without
-    one and for a force that cannot be a finger's.
+def presses_in(
+    found: Force, where: str, touched_ns: np.ndarray, empty_ns: np.ndarray
+) -> list[tuple[int, int]]:
+    """Presses as (first sample, first sample after); touched_ns (m,), empty_ns (k,): of the frames
+    that show a contact, and none.
+
+    Raises InputError, naming `where`, without a press and for a force that cannot be a finger's.
     """
-    normal, stamps = found.normal, found.stamp_ns
+    stamps = found.stamp_ns
+    normal = pressing_force(stamps, found.normal, touched_ns, empty_ns)
     split = TrialSettings()
     high, low = float(normal.max()), float(normal.min())
     if high > LARGEST_FORCE:
@@ -133,22 +148,35 @@ def presses_in(found: Force, where: str) -> list[tuple[int, int]]:
 
 
 def check_tare(
-    found: Force, first_onset: int, area_stamps: list[int], areas: Sequence[float], where: str
+    found: Force,
+    first_onset: int,
+    area_stamps: list[int],
+    areas: Sequence[float],
+    where: str,
+    tared: bool,
 ) -> list[str]:
     """Refuse a force that was not tared, as the plate shows while nothing touches it.
 
-    first_onset: of the first press, ns. area_stamps (k,) in ns, areas (k,) in m². Gives what a
-    press lacks that began before the recording. Raises InputError, naming `where`.
+    first_onset: of the first press, ns. area_stamps (k,) in ns, areas (k,) in m². tared: the tare
+    of the beginning was taken off. Gives what a press lacks that began before the recording. Raises
+    InputError, naming `where`.
     """
     area = np.array(areas)
     frames = seconds(np.array(area_stamps, np.int64) - found.stamp_ns[0])
-    tare = unloaded(found, frames[area > 0], frames[area <= 0])
-    if tare is not None and abs(tare.force) > LARGEST_TARE:
-        raise InputError(
-            f"{where}: the force is {tare.force:.2f} N while nothing touches the plate "
-            f"({tare.seconds:.2g} s at the beginning or end); give a tared force, or the seconds "
-            "without contact at its beginning with --tare"
-        )
+    time = seconds(found.stamp_ns - found.stamp_ns[0])
+    touched, empty = frames[area > 0], frames[area <= 0]
+    plate = unloaded_plate(time, found.normal, touched, empty)
+    if plate is not None and abs(plate.force) > LARGEST_TARE:
+        if plate.drifts:
+            remedy = "import parts of the recording with --tare each, or a force without drift"
+        elif tared:
+            remedy = "shorten --tare to the seconds without contact"
+        else:
+            remedy = (
+                "give a tared force, or the seconds without contact at its beginning with --tare"
+            )
+        raise InputError(f"{where}: {plate.words}; {remedy}")
+    tare = unloaded(found, touched, empty)
     begins = found.normal[0] - (tare.force if tare is not None else 0.0)
     if first_onset == found.stamp_ns[0] and begins > LATE_START:
         return [
@@ -162,6 +190,5 @@ def check_tare(
 def unloaded(found: Force, touched: np.ndarray, empty: np.ndarray) -> Tare | None:
     """As `unloaded_tare`; frames with contact (m,) and without (k,), s from the first sample."""
     time = seconds(found.stamp_ns - found.stamp_ns[0])
-    period = float(np.median(np.diff(time))) if len(time) > 1 else TARE_SMOOTHING
-    smooth = uniform_filter1d(found.normal, max(round(TARE_SMOOTHING / period), 1), mode="nearest")
+    smooth = smooth_force(time, found.normal)
     return unloaded_tare(time, found.normal, smooth, touched, empty)

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,8 +26,8 @@ MOST_REPEATED = 0.9
 class Series:
     """The settings that say where a stream lies, by their names, and the units that it may have.
 
-    rate: even rate of the rows, where the table has no times. offset: added to the times. units: SI
-    value of each. example: of a unit, for a remedy.
+    time_unit: of its times, where it differs. rate: even rate of the rows, where the table has no
+    times. offset: added to the times. units: SI value of each. example: of a unit, for a remedy.
     """
 
     file: str
@@ -35,12 +36,20 @@ class Series:
     unit: str
     units: dict[str, float]
     example: str
+    time_unit: str
     rate: str = ""
     offset: str = ""
 
 
 FORCE = Series(
-    "force", "force_time", "force_column", "force_unit", FORCE_UNITS, "N", rate="force_rate"
+    "force",
+    "force_time",
+    "force_column",
+    "force_unit",
+    FORCE_UNITS,
+    "N",
+    "force_time_unit",
+    rate="force_rate",
 )
 AREA = Series(
     "area",
@@ -49,6 +58,7 @@ AREA = Series(
     "area_unit",
     {**AREA_UNITS, PIXELS: math.nan},
     "mm2",
+    "area_time_unit",
     rate="frame_rate",
     offset="time_offset",
 )
@@ -59,8 +69,13 @@ INDENTATION = Series(
     "indentation_unit",
     LENGTH_UNITS,
     "mm",
+    "indentation_time_unit",
     offset="indentation_time_offset",
 )
+
+
+_COUNT = re.compile(r"frame|index|sample|count|number|bild|^(no|nr|n|i|#)\b", re.IGNORECASE)
+"""Headings of columns that count rows."""
 
 
 def option(name: str) -> str:
@@ -75,9 +90,27 @@ def times_of(
     hertz = getattr(settings, spec.rate) if spec.rate else 0.0
     if not hertz:
         heading = table.heading(getattr(settings, spec.time), option(spec.time))
-        return heading, table.times(heading, settings.time_unit)
+        unit = time_unit_of(spec, settings)
+        times = table.times(heading, unit)
+        if spec.rate and not unit and _COUNT.search(heading) and _counts(times):
+            raise InputError(
+                f"{table.where}: column '{heading}' counts rows; give {option(spec.rate)} in place "
+                "of it, or its unit where these are times"
+            )
+        return heading, times
     rows = np.arange(len(table.columns[column]))
     return column, Times.of(np.round(rows * (NANOSECONDS / hertz)).astype(np.int64), False)
+
+
+def _counts(times: Times) -> bool:
+    """Whether times are whole numbers one after the other."""
+    ns = times.ns[times.known]
+    return len(ns) > 2 and not times.absolute and bool((np.diff(ns) == NANOSECONDS).all())
+
+
+def time_unit_of(spec: Series, settings: ImportSettings) -> str:
+    """Unit of the times of a stream, empty where its heading says it."""
+    return str(getattr(settings, spec.time_unit) or settings.time_unit)
 
 
 def factor_of(spec: Series, settings: ImportSettings, table: Table, column: str) -> float:
@@ -89,10 +122,10 @@ def factor_of(spec: Series, settings: ImportSettings, table: Table, column: str)
             f"{spec.example} (one of {', '.join(spec.units)})"
         )
     if spec is AREA and (unit == PIXELS) != bool(settings.area_per_pixel):
-        raise InputError(
-            f"{table.where}: areas in {unit}; --area-per-pixel (m²) belongs to areas in pixels, "
-            "and to them alone"
-        )
+        remedy = "is for areas in pixels; leave it out, or give --area-unit px"
+        if unit == PIXELS:
+            remedy = "is not given; give the area of a pixel, such as 9.86e-10"
+        raise InputError(f"{table.where}: areas in {unit}; --area-per-pixel (m²) {remedy}")
     return settings.area_per_pixel if unit == PIXELS else spec.units[unit]
 
 

@@ -94,6 +94,14 @@ class ImportSettings(Settings):
         choices=("", *AREA_UNITS, PIXELS),
         group=COLUMNS,
     )
+    area_sd: float = setting(
+        0.03,
+        "Standard deviation of the areas of a table, as a share of each; 0.5 mm² at least.",
+        "",
+        0.0,
+        1.0,
+        group=COLUMNS,
+    )
     indentation_time: str = setting("time_s", "Column of the indentation's time.", group=COLUMNS)
     indentation_column: str = setting(
         "indentation_mm",
@@ -123,6 +131,24 @@ class ImportSettings(Settings):
     time_unit: str = setting(
         "",
         "Unit of all times; empty: as the heading says, else seconds.",
+        choices=("", *TIME_UNITS),
+        group=COLUMNS,
+    )
+    force_time_unit: str = setting(
+        "",
+        "Unit of the force's times; empty: as --time-unit says.",
+        choices=("", *TIME_UNITS),
+        group=COLUMNS,
+    )
+    area_time_unit: str = setting(
+        "",
+        "Unit of the areas' or images' times; empty: as --time-unit says.",
+        choices=("", *TIME_UNITS),
+        group=COLUMNS,
+    )
+    indentation_time_unit: str = setting(
+        "",
+        "Unit of the indentation's times; empty: as --time-unit says.",
         choices=("", *TIME_UNITS),
         group=COLUMNS,
     )

@@ -20,6 +20,7 @@ from finger_common.units import AREA_UNITS, FORCE_UNITS, LENGTH_UNITS, TIME_UNIT
 from .cells import (
     TIME_TEXT,
     NoNumber,
+    TimeStyle,
     decimal_mark,
     has_date,
     is_clock,
@@ -35,6 +36,9 @@ EPOCH_SECONDS = 1e8
 DAY_COUNTS = ((25_000.0, 60_000.0, 25_569.0), (700_000.0, 800_000.0, 719_529.0))
 """Days since 1899-12-30 (Excel) and since year 0 (MATLAB): first, last, and that of 1970-01-01."""
 
+DAY_NS = 86_400 * NANOSECONDS
+"""ns of a day."""
+
 MOST_ROWS_LOOKED_AT = 200
 """Rows by which it is judged whether a table is one of numbers."""
 
@@ -45,12 +49,14 @@ _UNITS = (FORCE_UNITS, LENGTH_UNITS, AREA_UNITS, TIME_UNITS)
 class Times:
     """Times (n,) in ns, 0 where they are not known (n,).
 
-    absolute: they count from 1970 UTC, else from the recording's start.
+    absolute: they count from 1970 UTC, else from the recording's start. daily: they are times of
+    day, which count from midnight.
     """
 
     ns: np.ndarray
     absolute: bool
     known: np.ndarray
+    daily: bool = False
 
     @classmethod
     def of(cls, ns: np.ndarray, absolute: bool) -> Times:
@@ -59,7 +65,7 @@ class Times:
 
     def at(self, rows: np.ndarray) -> Times:
         """The times of some rows (a mask or indices)."""
-        return Times(self.ns[rows], self.absolute, self.known[rows])
+        return Times(self.ns[rows], self.absolute, self.known[rows], self.daily)
 
 
 @dataclass(frozen=True)
@@ -141,8 +147,9 @@ class Table:
     def _floats(self, heading: str, cells: Sequence[Any] | np.ndarray) -> np.ndarray:
         if isinstance(cells, np.ndarray) and cells.dtype.kind in "biuf":
             return np.asarray(cells, dtype=float).reshape(-1)
-        decimal = decimal_mark(cell for cell in cells if isinstance(cell, str))
-        if decimal == ".":
+        texts = [cell for cell in cells if isinstance(cell, str)]
+        decimal = decimal_mark(texts)
+        if decimal == "." and not any("_" in text for text in texts):
             try:
                 return np.asarray(cells, dtype=float).reshape(-1)
             except (TypeError, ValueError):
@@ -173,8 +180,16 @@ class Table:
         first = next((cell for cell in cells if not is_missing(cell)), None)
         if is_clock(first):
             known = np.array([not is_missing(cell) for cell in cells])
-            found = [self._stamp(heading, row) if known[row] else 0 for row in range(len(cells))]
-            return Times(np.array(found, np.int64), has_date(first), known)
+            style = TimeStyle.of(cells)
+            found = [
+                self._stamp(heading, row, style) if known[row] else 0 for row in range(len(cells))
+            ]
+            ns, dated = np.array(found, np.int64), has_date(first)
+            if not dated:
+                # A time of day that runs back by nearly a day is that of the next one.
+                steps = np.diff(ns[known], prepend=ns[known][:1])
+                ns[known] += DAY_NS * np.cumsum(steps < -DAY_NS // 2)
+            return Times(ns, dated, known, not dated and not style.minutes)
         unit = unit or self._time_unit(heading)
         values = self.numbers(heading, gaps=True)
         known = np.isfinite(values)
@@ -187,7 +202,7 @@ class Table:
         seconds = values * TIME_UNITS[unit]
         start = seconds[known][0] if known.any() else 0.0
         if len(seconds) and np.abs(seconds).max() > 9e9:
-            row = int(np.argmax(np.abs(seconds)))
+            row = int(np.argmax(np.abs(seconds) > 9e9))
             self._refuse(heading, row, "is no time in seconds; name its unit with --time-unit")
         ns = np.round(seconds * NANOSECONDS).astype(np.int64)
         return self._some(heading, Times(ns, bool(abs(start) > EPOCH_SECONDS), known))
@@ -219,10 +234,12 @@ class Table:
             f"{self.where}, row {row + self.first_row}, column '{heading}': {text} {reason}"
         )
 
-    def _stamp(self, heading: str, row: int) -> int:
+    def _stamp(self, heading: str, row: int, style: TimeStyle) -> int:
         stamp = 0
         try:
-            stamp = stamp_of(self.columns[heading][row])
+            stamp = stamp_of(self.columns[heading][row], style)
+        except NoNumber as fault:
+            self._refuse(heading, row, str(fault))
         except (AttributeError, TypeError, ValueError):
             self._refuse(heading, row, f"is no time as in {TIME_TEXT}; correct it")
         check_stamp(stamp, f"{self.where}, row {row + self.first_row}, column '{heading}'")
@@ -302,7 +319,7 @@ def of_rows(where: str, rows: Sequence[tuple[int, Sequence[Any]]]) -> Table:
         if _are_units(below):
             units = dict(zip(header, map(_bracketless, below)))
             start += 1
-    body = rows[start:]
+    body = _without_footer(rows[start:], wide)
     columns = {
         name: [row[i] if i < len(row) else None for _, row in body]
         for i, name in enumerate(header)
@@ -323,6 +340,21 @@ def _headings_of_numbers(rows: Sequence[tuple[int, Sequence[Any]]], start: int, 
     texts = [cell for cell in rows[above][1] if not is_missing(cell)]
     fits = _filled(rows[above][1]) >= wide and not any(map(is_value, texts))
     return above if texts and fits else start
+
+
+def _without_footer(
+    rows: Sequence[tuple[int, Sequence[Any]]], wide: int
+) -> Sequence[tuple[int, Sequence[Any]]]:
+    """The rows without lines of text behind the last numbers, as "End of file"."""
+    end = len(rows)
+    while end and wide > 1:
+        cells = [cell for cell in rows[end - 1][1] if not is_missing(cell)]
+        if len(cells) != 1 or is_value(cells[0]):
+            break
+        end -= 1
+    before = rows[max(end - MOST_ROWS_LOOKED_AT, 0) : end]
+    numbers = sum(_is_numbers(row) for _, row in before)
+    return rows[:end] if before and numbers >= 0.8 * len(before) else rows
 
 
 def _is_numbers(row: Sequence[Any]) -> bool:

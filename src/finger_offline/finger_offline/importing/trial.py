@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import functools
 import heapq
 import math
 from collections.abc import Callable, Iterator, Mapping
@@ -29,8 +30,9 @@ from finger_vision.calibration import PlateCalibration
 
 from ..image_areas import area_fields
 from ..indentation_checks import indentation_fault
+from ..lag import MAXIMUM_LAG, indentation_lag, lag_text
 from ..trial_checks import PLAUSIBLE_AREA
-from ..unloaded import reached_force
+from ..unloaded import reached_force, smooth_force, without_spikes
 from .force import Force, check_tare, presses_in, read_force, unloaded
 from .pictures import Frame, frames_of
 from .series import (
@@ -44,10 +46,17 @@ from .series import (
     times_of,
 )
 from .settings import PATHS, ImportSettings
+from .table import DAY_NS
 from .tables import Table, read_table
 
 FEWEST_AREAS = 3
 """Areas during a press without which a fit cannot use it."""
+
+FEW_EMPTY = 0.02
+"""Share of the areas in the middle of presses that may be zero."""
+
+LEAST_AREA_SD = 5e-7
+"""m²; no contact is measured better: an outline of 30 mm within 0.02 mm all around."""
 
 BEFORE_PRESS = 0.25
 """s before its onset at which a press is announced."""
@@ -129,7 +138,7 @@ class _Recording:
         self._tables = tables
         times, force = read_force(settings, self._table(settings.force), self.result.notes)
         self._start = _start(settings.start)
-        self._absolute = times.absolute
+        self._absolute, self._daily = times.absolute, times.daily
         stamps = times.ns if times.absolute else times.ns + self._start
         for stamp in (int(stamps[0]), int(stamps[-1])):
             check_stamp(stamp, settings.force)
@@ -153,7 +162,12 @@ class _Recording:
         values = table.numbers(column, gaps=True) * factor
         check_length(table, heading, column, len(times.ns), len(values))
         keep = rows_in_order(table, heading, times, np.isfinite(values), self.result.notes)
-        return times.ns[keep] + self._origin(name, times.absolute, spec.offset), values[keep]
+        stamps = times.ns[keep] + self._origin(name, times.absolute, spec.offset)
+        if times.daily and self._daily and len(stamps):
+            # One file may begin before midnight, the other behind it.
+            days = round(int(self._force.stamp_ns[0] - stamps[0]) / DAY_NS)
+            stamps = stamps + days * DAY_NS
+        return stamps, values[keep]
 
     def _origin(self, name: str, absolute: bool, offset: str) -> int:
         """What is added to the times (ns) of a file beside the force; offset: its setting."""
@@ -165,13 +179,24 @@ class _Recording:
         moved = nanoseconds(getattr(self.settings, offset))
         return moved if absolute else self._start + moved
 
+    @functools.cached_property
+    def _table_areas(self) -> tuple[np.ndarray, np.ndarray]:
+        """Stamps (k,) in ns and areas (k,) in m² of the table, none where images are measured."""
+        if not self.settings.area:
+            return np.empty(0, np.int64), np.empty(0)
+        return self._series(AREA)
+
     # Streams ---------------------------------------------------------------------------------
 
     def events(self) -> list[_Item]:
         """Trial messages and moisture readings of the presses; raises InputError without one."""
         settings, found, result = self.settings, self._force, self.result
-        normal, stamps = found.normal, found.stamp_ns
-        chosen = presses_in(found, settings.force)
+        stamps = found.stamp_ns
+        area_stamps, areas = self._table_areas
+        touching, empty = (area_stamps[mask] for mask in (areas > 0, areas <= 0))
+        chosen = presses_in(found, settings.force, touching, empty)
+        time = seconds(stamps - stamps[0])
+        normal = smooth_force(time, without_spikes(found.normal)[0])
         rest = unloaded(found, np.empty(0), np.empty(0))
         items: list[_Item] = []
         for number, (first, end) in enumerate(chosen):
@@ -218,17 +243,20 @@ class _Recording:
     def indentations(self) -> list[_Item]:
         """Measured indentations, after `events`; raises InputError for values that are not those
         of the presses."""
-        name, found, result = self.settings.indentation, self._force, self.result
+        settings, found, result = self.settings, self._force, self.result
+        name = settings.indentation
         if not name:
             return []
         stamps, values = self._series(INDENTATION)
-        values = values * (-1.0 if self.settings.indentation_sign == "negative" else 1.0)
+        values = values * (-1.0 if settings.indentation_sign == "negative" else 1.0)
         if not len(values):
             raise InputError(f"{name}: holds no indentation; check --indentation-column")
         faults = {}
+        presses = []
         for number, (first, last, _) in enumerate(result.presses):
             press = (found.stamp_ns >= first) & (found.stamp_ns <= last)
-            fault = indentation_fault(found.stamp_ns[press], found.normal[press], stamps, values)
+            presses.append((found.stamp_ns[press], found.normal[press], stamps, values))
+            fault = indentation_fault(*presses[-1])
             if fault is not None:
                 faults[number] = fault
         for number, fault in faults.items():
@@ -239,6 +267,12 @@ class _Recording:
             if fault.certain and (fault.option != "time_offset" or everywhere):
                 raise InputError(f"{name}: {text}")
             result.notes.append(text)
+        lag = indentation_lag(presses)
+        if lag is not None and abs(lag) > MAXIMUM_LAG:
+            raise InputError(
+                f"{name}: {lag_text('readings', lag)}; give {option(INDENTATION.offset)} "
+                f"{getattr(settings, INDENTATION.offset) - lag:.2f}"
+            )
         header = {"frame_id": "finger"}
         return [
             (stamp, "indentation", {"header": dict(header), "point": {"z": value}})
@@ -249,7 +283,7 @@ class _Recording:
         """Areas, and images where they are kept, in the order of time."""
         settings, result = self.settings, self.result
         if settings.area:
-            stamps, areas = self._series(AREA)
+            stamps, areas = self._table_areas
             result.area_stamps, result.areas = stamps.tolist(), areas.tolist()
             return self._given_areas()
         frames, count, absolute = frames_of(settings, result.problems)
@@ -266,7 +300,7 @@ class _Recording:
                     "header": {"frame_id": "plate"},
                     "gross_area": max(area, 0.0),
                     "real_area": math.nan if touching else 0.0,
-                    "area_stddev": math.nan,
+                    "area_stddev": max(self.settings.area_sd * area, LEAST_AREA_SD),
                     "flags": 0 if touching else int(AreaFlag.NO_CONTACT),
                 },
             )
@@ -310,6 +344,7 @@ class _Recording:
             result.area_stamps,
             result.areas,
             self.settings.force,
+            bool(self.settings.tare),
         )
 
     def _check_areas(self) -> None:
@@ -335,6 +370,16 @@ class _Recording:
                 f"{name}: no area during a press; counted from the beginning of the first press, "
                 f"the areas lie between {first:.6g} and {last:.6g} s; give --time-offset, or the "
                 "--time-unit of both"
+            )
+        middle = np.zeros(len(stamps), bool)
+        for begin, end, _ in result.presses:
+            margin = (end - begin) // 4
+            middle |= (stamps > begin + margin) & (stamps < end - margin)
+        empty = int(np.count_nonzero(np.array(result.areas)[middle] <= 0.0))
+        if settings.area and empty > FEW_EMPTY * middle.sum():
+            result.notes.append(
+                f"{name}: {empty} of {int(middle.sum())} areas in the middle of presses are zero "
+                "or negative; leave the cells of rows without a frame empty"
             )
         for number, count in enumerate(inside):
             if count < FEWEST_AREAS:
