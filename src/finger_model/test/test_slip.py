@@ -13,7 +13,7 @@ from finger_common.cli import run as run_command
 from finger_common.errors import InputError
 from finger_common.flags import SlipFlag
 from finger_model.cli import _main
-from finger_model.estimator import ContactEstimator
+from finger_model.estimator import ContactEstimator, EstimatorSettings
 from finger_model.geometry import Geometry
 from finger_model.material import Material
 from finger_model.reduced import ReducedModel
@@ -462,6 +462,34 @@ def test_the_bone_moves_over_the_plate_where_the_finger_pulls_to() -> None:
     assert state.tangential_displacement[0] > 1e-5
 
 
+def test_another_normal_axis_than_the_contacts_is_refused() -> None:
+    """P would enter as Q."""
+    settings = EstimatorSettings(normal_axis="+x")
+    contact, slip = ContactEstimator(ReducedModel.load(), settings=settings), SlipEstimator()
+    turned = SlipEstimator(normal_axis="+x")
+
+    def run(slip: SlipEstimator) -> None:
+        for k in range(10):
+            force = (0.1 * (k + 1), 0.01, 0.0)
+            for estimate in contact.add_wrench(10**15 + 2_000_000 * (k + 1), force):
+                slip.add(estimate, force)
+
+    with pytest.raises(InputError, match=r"the lateral force is .* give SlipEstimator the normal_"):
+        run(slip)
+    contact = ContactEstimator(ReducedModel.load(), settings=settings)
+    run(turned)
+
+
+def test_the_sample_that_waited_at_a_jump_of_time_is_not_refused() -> None:
+    """Its estimate comes with the force of the next one."""
+    contact, slip = ContactEstimator(ReducedModel.load()), SlipEstimator()
+    for k, stamp in enumerate((1, 2, 3, 4, 5)):
+        force, jump = (0.1 * k, 0.0, -1.0), 3600 * 10**9 * (stamp > 2)
+        for estimate in contact.add_wrench(10**15 + 2_000_000 * stamp + jump, force):
+            slip.add(estimate, force)
+    assert contact.last_stamp == 10**15 + 10_000_000 + 3600 * 10**9
+
+
 def test_many_samples_of_other_lengths_are_refused() -> None:
     with pytest.raises(InputError, match=r"normal_force has shape \(3,\), \(5,\) is needed"):
         SlipEstimator().add_many(
@@ -474,7 +502,7 @@ def test_a_sensor_that_was_not_tared_teaches_no_friction():
 
     def pulled(estimator, start):
         rows = run(estimator, ramp((0.0, 1.0), (2.0, 1.0)), ramp((0.0, 0.0), (2.0, 0.6)), start)
-        return rows["friction"], np.flatnonzero(rows["slip_probability"] > 0.15)[0]
+        return rows["friction"], np.flatnonzero(rows["slip_probability"] > 0.1)[0]
 
     estimator, fresh = SlipEstimator(), SlipEstimator()
     n = 1000
@@ -499,6 +527,7 @@ def test_what_a_tare_leaves_of_the_lateral_force_does_not_hide_slips(residue):
     announced = 0
     for number in range(4):
         normal = ramp((0.0, 0.0), (0.2, 0.0), (0.7, 1.0), (2.5, 1.0), (2.8, 0.0), (3.0, 0.0))
+        normal *= 1.0 + 0.015 * np.sin(2 * np.pi * 8.5 * np.arange(len(normal)) / RATE)
         pull = ramp((0.0, 0.0), (0.9, 0.0), (2.3, 0.55), (2.5, 0.55), (2.6, 0.0), (3.0, 0.0))
         slides = (pull >= 0.4 * normal) & (normal > 0.5)
         pull = np.minimum(pull, 0.4 * normal) + residue + 0.003 * rng.standard_normal(len(pull))
@@ -506,3 +535,114 @@ def test_what_a_tare_leaves_of_the_lateral_force_does_not_hide_slips(residue):
         announced += rows["slip_probability"][slides].max() > 0.15
     assert announced == 4
     assert rows["friction"][-1] < 0.6
+
+
+def shaken(time: np.ndarray, share: float = 0.015) -> np.ndarray:
+    """Tremor of a finger: factors of its force."""
+    return 1.0 + share * np.sin(2 * np.pi * 8.5 * time) + 0.03 * np.sin(2 * np.pi * 1.1 * time)
+
+
+def noisy(normal: np.ndarray, lateral: np.ndarray, sd: float = 0.005, seed: int = 0):
+    """Both forces with noise (N)."""
+    noise = np.random.default_rng(seed).normal(0.0, sd, (2, len(normal)))
+    touching = normal > 0.01
+    return normal + noise[0] * touching, lateral + noise[1] * touching
+
+
+def presses(count: int, length: float = 3.0) -> tuple[np.ndarray, np.ndarray]:
+    """Time, and a normal force of up to 1 N, in presses of this length (s)."""
+    time = np.arange(0.0, count * length, 1.0 / RATE)
+    corners = [0.0, 0.3, 0.6, length - 0.6, length - 0.3, length]
+    return time, np.interp(time % length, corners, [0.0, 0.0, 1.0, 1.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("degrees", [5, 10])
+@pytest.mark.parametrize("swing", [0.0, 0.2])
+def test_a_press_that_is_oblique_from_the_first_touch_on_is_no_slip(degrees, swing):
+    time, normal = presses(8)
+    normal = normal * (1.0 + swing * np.sin(2 * np.pi * 2.0 * time))
+    rows = run(SlipEstimator(), *noisy(normal, math.tan(math.radians(degrees)) * normal))
+    assert rows["slips"][-1] == 0 and not (rows["flags"] & SlipFlag.SLIPPING).any()
+    assert rows["friction"][-1] > 0.4
+
+
+@pytest.mark.parametrize(("noise", "said"), [(0.01, 0.01), (0.02, 0.01), (0.02, 0.02)])
+def test_a_load_that_is_held_for_a_minute_does_not_come_to_slip_by_noise(noise, said):
+    time = np.arange(0.0, 60.0, 1.0 / RATE)
+    normal, pull = np.minimum(time / 0.5, 1.0), 0.3 * np.clip(2.0 * (time - 0.5), 0.0, 1.0)
+    forces = np.column_stack([normal, 0.6 * pull, 0.8 * pull])
+    forces += np.random.default_rng(0).normal(0.0, noise, forces.shape)
+    rows = SlipEstimator(SlipSettings(tangential_noise=said)).add_many(
+        (time * 1e9).astype(np.int64),
+        forces[:, 0],
+        forces[:, 1:],
+        normal > 0.03,
+        np.full(len(time), 1e-3),
+    )
+    assert rows["slips"][-1] == 0 and not (rows["flags"] & SlipFlag.SLIPPING).any()
+    assert rows["friction"][-1] > 0.4
+
+
+def test_light_things_teach_no_low_friction():
+    """What is held is chosen by who holds it: it tells nothing but a lower bound."""
+    time, normal = presses(30)
+    shares = np.random.default_rng(2).uniform(0.05, 0.2, 30)
+    lateral = np.interp(time % 3.0, [0.7, 0.9, 2.0, 2.3], [0.0, 1.0, 1.0, 0.0])
+    lateral *= shares[(time // 3.0).astype(int)]
+    rows = run(SlipEstimator(), *noisy(normal * shaken(time), lateral))
+    assert rows["slips"][-1] == 0 and rows["friction"][-1] > 0.4
+
+
+@pytest.mark.parametrize(("size", "samples"), [(10.0, 1), (3.0, 5), (5.0, 10), (100.0, 1)])
+def test_a_knock_teaches_no_friction(size, samples):
+    _, normal = presses(1)
+    found = []
+    for knock in (0.0, size):
+        forces = noisy(normal, 0.0 * normal)
+        forces[1][600 : 600 + samples] += knock
+        found.append(run(SlipEstimator(), *forces)[-1])
+    assert found[1]["slips"] == 0
+    assert found[1]["friction"] == pytest.approx(found[0]["friction"], rel=0.05)
+
+
+def test_a_more_slippery_thing_than_before_is_noticed():
+    estimator, found = SlipEstimator(), []
+    for number, friction in enumerate([0.9] * 3 + [0.3] * 2):
+        time, normal = presses(1, 4.0)
+        normal = normal * shaken(time)
+        pull = 1.2 * friction * ramp((0, 0), (0.8, 0), (1.8, 1), (3.1, 1), (3.3, 0), (4, 0))
+        forces = noisy(normal, np.minimum(pull, friction * normal), seed=number)
+        rows = run(estimator, *forces, number * 5 * 10**9)
+        slips = (pull > friction * normal) & (time > 1.0) & (time < 3.0)
+        alarm = (rows["slip_probability"] > 0.15) & (time > 0.8)
+        found.append(time[np.argmax(alarm)] - time[np.argmax(slips)] if alarm.any() else math.inf)
+    assert max(found[1:3]) < -0.02
+    assert found[3] < 0.5  # the first slip on it
+    assert found[4] < -0.02
+    assert rows["friction"][-1] == pytest.approx(0.3, rel=0.1)
+
+
+@pytest.mark.parametrize("lag", [0.03, 0.08])
+@pytest.mark.parametrize("rate", [0.5, 1.0])
+def test_a_grip_that_follows_its_load_does_not_slip(rate, lag):
+    """P follows Q there, with the lag of a controller."""
+    time = np.arange(0.0, 10.0, 1.0 / RATE)
+    load = 0.8 * np.clip(2.0 * (time - 0.5), 0.0, 1.0)
+    load *= 1.0 + 0.3 * np.sin(2 * np.pi * rate * np.maximum(time - 2.0, 0.0))
+    grip = 0.5 + 2.2 * np.interp(time - lag, time, load)
+    settings = SlipSettings(tangential_noise=0.005, grip_follows_load=True)
+    rows = run(SlipEstimator(settings), *noisy(grip, load))
+    assert rows["slips"][-1] == 0
+    assert np.mean((rows["flags"] & SlipFlag.SLIPPING) > 0) < 0.02
+
+
+def test_slip_that_comes_and_goes_with_the_grip_is_seen():
+    """The grip swings about what holds the load: it slips where the grip is low."""
+    time = np.arange(0.0, 6.0, 1.0 / RATE)
+    load = 0.8 * np.clip(2.0 * (time - 0.5), 0.0, 1.0)
+    grip = ramp((0, 1.5), (2, 1.5), (4, 1.02), (6, 1.02))
+    grip *= 1.0 + 0.06 * np.sin(2 * np.pi * 6.0 * time)
+    settings = SlipSettings(tangential_noise=0.005, grip_follows_load=True)
+    rows = run(SlipEstimator(settings), *noisy(grip, np.minimum(load, 0.8 * grip)))
+    assert rows["slips"][-1] >= 1
+    assert rows["friction"][-1] == pytest.approx(0.8, rel=0.05)

@@ -59,6 +59,8 @@ class SlipEstimator:
             np.zeros(1),
         )
         self._row = np.zeros(1, OUTPUT)
+        self._strangers = 0
+        """Samples in a row whose force is not that of their estimate."""
         self.sticks: Delayed[tuple[float, float]] = Delayed()
         """Stick ratios that wait, each with its standard deviation."""
         self._finger: tuple[Geometry, MaxwellLaw] | None = None
@@ -76,6 +78,7 @@ class SlipEstimator:
         config["drift"] = settings.friction_drift
         config["horizon"] = settings.slip_horizon
         config["noise"] = settings.tangential_noise
+        config["coupled"] = settings.grip_follows_load
         if not self._state["known"]["told"][0]:
             kernels.set_prior(config[0], self._state[0], float(self._state["moisture"][0]))
 
@@ -102,15 +105,29 @@ class SlipEstimator:
         kernels.set_prior(self._config[0], self._state[0], math.nan)
 
     def add(self, estimate: ContactEstimate, force: Sequence[float]) -> SlipEstimate:
-        """One sample: the contact's estimate and the force (3,) in N that it came from."""
+        """One sample: the contact's estimate and the force (3,) in N that it came from.
+
+        Raises InputError for the third in a row whose estimate has another lateral force, as with
+        another normal axis; single ones come where time jumps, see `ContactEstimator.add_wrench`.
+        """
+        first, second = self.lateral_axes
+        a, b = force[first], force[second]
+        across = math.sqrt(a * a + b * b)
+        strange = abs(across - estimate.lateral_force) > 1e-6 * (1.0 + across)
+        self._strangers = self._strangers + 1 if strange else 0
+        if self._strangers > 2:
+            raise InputError(
+                f"the lateral force is {across:.3g} N, the estimate has "
+                f"{estimate.lateral_force:.3g} N; give SlipEstimator the normal_axis of "
+                "EstimatorSettings, and each estimate the force of its own sample"
+            )
         if estimate.flags & StateFlag.TIME_RESET:
             self._begin_anew(estimate.stamp_ns)
         self._see_due(estimate.stamp_ns)
-        first, second = self.lateral_axes
         stamps, normal, lateral, touching, doubted, indentation, moisture = self._samples
         stamps[0] = estimate.stamp_ns
         normal[0] = estimate.normal_force
-        lateral[0, 0], lateral[0, 1] = force[first], force[second]
+        lateral[0, 0], lateral[0, 1] = a, b
         touching[0] = estimate.in_contact
         doubted[0] = estimate.flags & StateFlag.FORCE_OFFSET
         indentation[0] = estimate.indentation

@@ -51,8 +51,11 @@ LAG, EVERY, MEMORY = 0.04, 0.01, 0.1
 LAGS = 4
 OLD = LAG - 0.5 * EVERY
 """s, age from which a forecast is compared."""
-STILL = -1.0
-"""Log of the odds of slip and holding against pulling above which r stands still."""
+CLOSE, ROUGH_MEMORY = 0.005, 1.0
+"""s between samples up to which what is rough of Q is noise, and how long it is remembered."""
+STILL, GONE = -1.0, -3.0
+"""Log of the odds of slip and holding against pulling above which r stands still, and below which
+it does so no more."""
 NATURAL_MOISTURE = 69.0
 """Moisture (a.u.) at which the prior's median friction holds."""
 LARGEST_SHIFT = 1.0
@@ -66,8 +69,30 @@ LETTING_GO = 3.0
 is put down, but at another ratio than before."""
 NEAR = 2
 """Steps of LOG_FRICTION within which two plateaus have one ratio."""
-FIRST_LOOKS = 5
-"""Comparisons of a plateau before which its odds are those of the newest one."""
+WINDOW, LEAST = 32, 8
+"""Newest samples of a plateau, EVERY apart, in which Q is explained by P or by itself, and the
+least number of them."""
+SCATTER, RATIO_DRIFT = 0.003, 0.02
+"""Of Q from sample to sample, over Q, and of ln r over a window in slip: friction is not
+constant."""
+COURSES = np.array([0.0, 0.2, 0.1, 0.05])
+"""Of Q over Q, by degree: how much of a polynomial in time a pull or load may have in a window."""
+CLIPPED, LEAST_CLIPPED, CLIP_COST = 0.985, 3, 4.0
+"""Share of the largest r from which samples may be those that slip, their least number, and the log
+of the odds against slip that comes and goes."""
+COURSE_COST = 0.7
+"""Log of the odds of a constant against a line, and so on."""
+EARLIER = 0.5
+"""Share of what the windows before tell that is kept."""
+GROWN = 1.3
+"""By which r must have grown in a contact before it can be slip: a force that is oblique from the
+first touch on, or a sensor that is not level, has Q in proportion to P too."""
+HOLD_DENSITY = 0.6
+"""Of ln r of a held plateau, below μ: what is held is chosen by who holds it, not by friction."""
+ANOTHER = 0.01
+"""Probability that the next contact is with another surface, of which only the prior is known."""
+KNOCK, KNOCKED = 40.0, 0.08
+"""1/s, rate of Q over P of a knock, not a pull, and s after it in which ratios tell nothing."""
 PLATEAU_AFTER = 0.02
 """s that r must stand still."""
 TURNED = 0.85
@@ -91,6 +116,7 @@ CONFIGURATION = np.dtype(
         ("drift", "f8"),
         ("horizon", "f8"),  # s
         ("noise", "f8"),  # N
+        ("coupled", "?"),  # a controller lets P follow Q
         ("length", "f8"),  # m, the pad's radial semi-axis
         ("shear", "f8", (NODES,)),  # N/m, see `shear`
         ("fractions", "f8", (BRANCHES,)),  # of the tissue's branches, 0 where there is none
@@ -122,7 +148,17 @@ STATE = np.dtype(
         ("forecast", "f8", (LAGS, 4)),  # stamp (s), r, Q, its rate
         ("forecasts", "i8"),
         ("odds", "f8"),  # log, of standing still against pulling
-        ("slip_odds", "f8"),  # log, of slip against holding
+        ("slip_odds", "f8"),  # log, of slip against holding, in the newest window
+        ("window", "f8", (WINDOW, 2)),  # P, Q of a plateau
+        ("seen", "i8"),
+        ("earlier_odds", "f8"),  # of slip, of windows before
+        ("noise", "f8"),  # N, of a sample of Q
+        ("filtered_noise", "f8"),  # N, of `fast`
+        ("rough_time", "f8"),  # s, over which it was averaged
+        ("roughness", "f8"),  # N², of Q as measured: the noise that its samples show
+        ("last", "f8", (2, 2)),  # N, Q of the two samples before
+        ("knocked", "i8"),  # ns, when Q last jumped
+        ("least", "f8"),  # ratio in this contact
         ("turned", "?"),  # r has fallen since the pull began: s(r) does not hold
         ("pull_largest", "f8"),
         ("plateau", "?"),
@@ -130,6 +166,10 @@ STATE = np.dtype(
         ("plateau_count", "f8"),
         ("plateau_sum", "f8"),  # of ln r
         ("plateau_odds", "f8"),  # largest log of the odds of slip in it
+        ("past_odds", "f8", (LAGS,)),  # the same, LAGS × EVERY ago and since
+        ("letting_go", "?"),
+        ("kept_odds", "f8"),  # the same, before the finger began to let go
+        ("kept_ratio", "f8"),  # ln r of the plateau then
         ("plateau_looks", "i8"),
         ("friction", "f8", (2,)),  # mean and standard deviation, as last given
         ("counted", "?"),  # the slip of this pull
@@ -165,16 +205,21 @@ def _curve(ratio):
 
 
 @njit(cache=True)
-def set_prior(config, state, moisture):
-    """Forget all evidence: the prior of a moisture (a.u., NaN where it is not known) alone."""
+def _prior(config, moisture):
+    """Log weights (GRID,) of a moisture (a.u., NaN where it is not known)."""
     shift = 0.0
     if math.isfinite(moisture):
         shift = config.moisture_slope * (moisture - NATURAL_MOISTURE)
         shift = min(max(shift, -LARGEST_SHIFT), LARGEST_SHIFT)
+    z = (LOG_FRICTION - config.prior_mean - shift) / config.prior_sd
+    return -0.5 * z * z
+
+
+@njit(cache=True)
+def set_prior(config, state, moisture):
+    """Forget all evidence: the prior of a moisture (a.u., NaN where it is not known) alone."""
     state.moisture = moisture
-    for g in range(GRID):
-        z = (LOG_FRICTION[g] - config.prior_mean - shift) / config.prior_sd
-        state.known.log_weight[g] = -0.5 * z * z
+    state.known.log_weight[:] = _prior(config, moisture)
     state.largest = 0.0
     state.known.slips = 0
     state.friction[:] = math.nan
@@ -193,14 +238,29 @@ def _track(track, tau, dt, values):
 
 
 @njit(cache=True)
-def _ratio_rate(track):
-    """r = |Q|/P of a track, and its rate (1/s)."""
-    p = max(track.value[0], 1e-6)
-    q = math.hypot(track.value[1], track.value[2])
-    rise = 0.0
-    if q > 1e-9:
-        rise = (track.value[1] * track.rate[1] + track.value[2] * track.rate[2]) / q
-    return q / p, (rise * p - q * track.rate[0]) / (p * p)
+def _see_noise(config, state, dt, q0, q1):
+    """Noise of Q, that of the settings or more where its samples show more, and that of `fast`."""
+    rough = (q0 - 2.0 * state.last[0, 0] + state.last[1, 0]) ** 2
+    rough = 0.5 * (rough + (q1 - 2.0 * state.last[0, 1] + state.last[1, 1]) ** 2) / 6.0
+    state.last[1] = state.last[0]
+    state.last[0, 0], state.last[0, 1] = q0, q1
+    state.noise = config.noise
+    if dt <= CLOSE:
+        # A knock is not noise.
+        rough = min(rough, 16.0 * max(state.roughness, config.noise * config.noise))
+        state.rough_time = min(state.rough_time + dt, ROUGH_MEMORY)
+        state.roughness += (rough - state.roughness) * dt / state.rough_time
+        state.noise = max(config.noise, math.sqrt(state.roughness))
+    beta = math.exp(-dt / FAST)
+    state.filtered_noise = state.noise * math.sqrt(
+        (1.0 - beta) * (1.0 + 4.0 * beta + 5.0 * beta * beta) / (1.0 + beta) ** 3
+    )
+
+
+@njit(cache=True)
+def _ratio(track):
+    """r = |Q|/P of a track."""
+    return math.hypot(track.value[1], track.value[2]) / max(track.value[0], 1e-6)
 
 
 @njit(cache=True)
@@ -213,7 +273,9 @@ def _cell(log_friction):
 @njit(cache=True)
 def _slip_share(state):
     """Probability, before friction is asked, that the plateau is slip."""
-    return 1.0 / (1.0 + math.exp(-SLIP_ODDS - state.plateau_odds))
+    if state.plateau_sum / state.plateau_count < math.log(max(GROWN * state.least, 1e-6)):
+        return 0.0
+    return 1.0 / (1.0 + math.exp(-min(max(SLIP_ODDS + state.plateau_odds, -30.0), 30.0)))
 
 
 @njit(cache=True)
@@ -226,11 +288,11 @@ def _is_news(state, log_ratio):
 
 
 @njit(cache=True)
-def _plateau_likelihood(state, share, log_ratio, log_friction):
+def _plateau_likelihood(share, log_ratio, log_friction):
     """Likelihood of the plateau under a friction, and the part of it that is slip."""
     z = (log_ratio - log_friction) / EDGE
     slip = share * math.exp(-0.5 * z * z) / (EDGE * 2.5066282746)
-    hold = (1.0 - share) * math.exp(log_ratio - log_friction) * _normal(-z)
+    hold = (1.0 - share) * HOLD_DENSITY * _normal(-z)
     return slip + hold + 1e-9, slip
 
 
@@ -245,7 +307,7 @@ def _commit(state, share):
     total, slip_total = 0.0, 0.0
     top = state.known.log_weight.max()
     for g in range(GRID):
-        likelihood, slip = _plateau_likelihood(state, share, log_ratio, LOG_FRICTION[g])
+        likelihood, slip = _plateau_likelihood(share, log_ratio, LOG_FRICTION[g])
         weight = math.exp(state.known.log_weight[g] - top)
         total += weight * likelihood
         slip_total += weight * slip
@@ -279,13 +341,16 @@ def _end_contact(config, state, stamp):
     width = config.drift / step
     reach = int(3.0 * width) + 1
     weight = np.exp(state.known.log_weight - top)
+    weight /= weight.sum()
+    prior = np.exp(_prior(config, state.moisture))
+    prior /= prior.sum()
     for g in range(GRID):
         total, norm = 0.0, 0.0
         for k in range(max(g - reach, 0), min(g + reach + 1, GRID)):
             share = math.exp(-0.5 * ((k - g) / max(width, 1e-3)) ** 2)
             total += share * weight[k]
             norm += share
-        state.known.log_weight[g] = math.log(total / norm + 1e-9)
+        state.known.log_weight[g] = math.log((1.0 - ANOTHER) * total / norm + ANOTHER * prior[g])
     state.largest = 0.0
     state.force[:, :] = 0.0
     state.moved[:] = 0.0
@@ -369,7 +434,16 @@ def _pull(state, load, q0, q1):
 
 
 @njit(cache=True)
-def _compare(config, state, stamp):
+def _back(state, stamp):
+    """How many comparisons back the newest forecast is that is old enough."""
+    back = 1
+    while back < LAGS and stamp * 1e-9 - state.forecast[(state.forecasts - back) % LAGS][0] < OLD:
+        back += 1
+    return back
+
+
+@njit(cache=True)
+def _compare(state, stamp):
     """Compare what was forecast LAG ago with what came."""
     p = state.fast.value[0]
     q = math.hypot(state.fast.value[1], state.fast.value[2])
@@ -378,16 +452,13 @@ def _compare(config, state, stamp):
     if slow > 1e-9:
         rise = state.slow.value[1] * state.slow.rate[1] + state.slow.value[2] * state.slow.rate[2]
         rise /= slow
-    # The newest forecast that is old enough: fewer back where samples are rare.
-    back = 1
-    while back < LAGS and stamp * 1e-9 - state.forecast[(state.forecasts - back) % LAGS][0] < OLD:
-        back += 1
+    back = _back(state, stamp)
     if state.forecasts >= back:
         past = state.forecast[(state.forecasts - back) % LAGS]
         lag = stamp * 1e-9 - past[0]
         if 0.5 * LAG < lag < 2.0 * LAG:
             # Noise of the filtered forces, and what a slip's friction and a pull's rate vary.
-            noise = (0.6 * config.noise) ** 2
+            noise = state.filtered_noise * state.filtered_noise
             ratio = past[1]
             slip = q - ratio * p
             hold = q - past[2]
@@ -401,15 +472,87 @@ def _compare(config, state, stamp):
             keep = math.exp(-EVERY / MEMORY)
             gain = max(log_slip, log_hold) - log_pull
             state.odds = keep * state.odds + min(max(gain, -3.0), 3.0)
-            gain = log_slip - log_hold
-            if state.plateau and state.fast.rate[0] < -LETTING_GO * p:
-                away = math.log(max(q, 1e-9) / p) - state.plateau_sum / state.plateau_count
-                if abs(away) > EDGE:
-                    gain = min(gain, 0.0)
-            state.slip_odds = keep * state.slip_odds + min(max(gain, -2.0), 2.0)
     now = state.forecast[state.forecasts % LAGS]
     now[0], now[1], now[2], now[3] = stamp * 1e-9, q / max(p, 1e-6), q, rise
     state.forecasts += 1
+
+
+@njit(cache=True)
+def _own_way(values, used, noise, coupled):
+    """Log likelihood of the used ones of values (n,) of this variance under the best polynomial in
+    time of degree 0 to 3, its level free, its other coefficients of the sizes in COURSES; and how
+    far below it the others lie on average."""
+    n, count = len(values), used.sum()
+    basis = np.empty((4, n))
+    rest = values.copy()
+    size = np.sum(values * used) / count
+    cost, best, below = 0.0, -math.inf, 0.0
+    for k in range(4):
+        for i in range(n):
+            basis[k, i] = 1.0 if k == 0 else basis[k - 1, i] * (2.0 * i / (n - 1.0) - 1.0)
+        for j in range(k):
+            basis[k] -= np.sum(used * basis[k] * basis[j]) * basis[j]
+        length = np.sum(used * basis[k] * basis[k])
+        basis[k] /= math.sqrt(length)
+        found = np.sum(used * rest * basis[k])
+        rest -= found * basis[k]
+        if k > 0 and not coupled:
+            spread = (COURSES[k] * size) ** 2 * length
+            cost += 0.5 * math.log(1.0 + spread / noise) + 0.5 * found * found / (noise + spread)
+        left = np.sum(used * rest * rest)
+        likelihood = -0.5 * left / noise - cost - (0.0 if coupled else COURSE_COST * k)
+        if likelihood > best:
+            best = likelihood
+            below = -np.sum((1.0 - used) * rest) / max(n - count, 1.0)
+    return best, below
+
+
+@njit(cache=True)
+def _by_friction(normal, pull, noise, noise_of_ratio):
+    """Log likelihood of Q = P (r + r' τ), r' drawn to zero by RATIO_DRIFT; ln r at the end."""
+    n = len(normal)
+    tau = np.linspace(-1.0, 1.0, n)
+    a, b = np.sum(normal * normal), np.sum(normal * normal * tau)
+    c = np.sum(normal * normal * tau * tau)
+    d, e = np.sum(normal * pull), np.sum(normal * pull * tau)
+    ratio = d / a
+    of_force = noise + (noise_of_ratio * ratio) ** 2
+    drawn = of_force / (0.5 * RATIO_DRIFT * ratio) ** 2
+    det = a * (c + drawn) - b * b
+    ratio, slope = ((c + drawn) * d - b * e) / det, (a * e - b * d) / det
+    left = np.sum((pull - normal * (ratio + slope * tau)) ** 2) + drawn * slope * slope
+    found = -0.5 * left / of_force - 0.5 * n * math.log(of_force / noise)
+    return found - 0.5 * math.log(1.0 + c / drawn), math.log(max(ratio + slope, 1e-6))
+
+
+@njit(cache=True)
+def _window_odds(config, state, n):
+    """Log of the odds that P explains Q in the newest n samples of the plateau, all of them (slip)
+    or those of the largest r (slip now and then), against Q going its own smooth way, whatever P
+    does; and ln r of the slip."""
+    normal, pull = np.empty(n), np.empty(n)
+    for i in range(n):
+        normal[i], pull[i] = state.window[(state.seen - n + i) % WINDOW]
+    noise = state.filtered_noise * state.filtered_noise + SCATTER * SCATTER * np.mean(pull * pull)
+    own, _ = _own_way(pull, np.ones(n), noise, config.coupled)
+    slip, log_ratio = _by_friction(normal, pull, noise, state.filtered_noise)
+    ratios = pull / np.maximum(normal, 1e-6)
+    held = np.where(ratios < CLIPPED * ratios.max(), 1.0, 0.0)
+    slips = n - int(held.sum())
+    inside = held[0] + held[n - 1] == 2.0
+    if inside and LEAST_CLIPPED <= slips <= n - LEAST:
+        clipped, below = _own_way(pull, held, noise, config.coupled)
+        # Chance makes r large where Q is above its own way; slip keeps Q below it.
+        if below > 3.0 * math.sqrt(noise / slips):
+            slides = held == 0.0
+            by_force, at = _by_friction(normal[slides], pull[slides], noise, state.filtered_noise)
+            if clipped + by_force - CLIP_COST > slip:
+                slip, log_ratio = clipped + by_force - CLIP_COST, at
+    if min(-slip, -own) > 0.5 * n:
+        # More noise than is said: the better one shows how much.
+        scale = 2.0 * min(-slip, -own) / n
+        return (slip - own) / scale, log_ratio
+    return slip - own, log_ratio
 
 
 @njit(cache=True)
@@ -418,11 +561,34 @@ def _judge_plateau(config, state, stamp, ratio):
     if (stamp - state.judged_at) * 1e-9 < EVERY:
         return
     state.judged_at = stamp
-    _compare(config, state, stamp)
+    _compare(state, stamp)
     q = math.hypot(state.fast.value[1], state.fast.value[2])
-    still = state.odds > STILL and ratio > 0.05 and q > 6.0 * config.noise
+    log_ratio = math.log(max(ratio, 1e-6))
+    if state.fast.value[0] > 20.0 * state.noise:
+        noise = state.filtered_noise / state.fast.value[0]
+        state.least = min(state.least, ratio + 2.0 * noise)
+    still = (
+        state.odds > (GONE if state.plateau else STILL) and ratio > 0.05 and q > 6.0 * state.noise
+    )
     still = still and state.forecasts > 2 * LAGS
+    still = still and (stamp - state.knocked) * 1e-9 > KNOCKED
+    letting_go = state.fast.rate[0] < -LETTING_GO * state.fast.value[0]
+    if letting_go and not state.letting_go:
+        state.kept_odds = state.past_odds[(state.forecasts - _back(state, stamp)) % LAGS]
+        state.kept_ratio = state.plateau_sum / max(state.plateau_count, 1.0)
+    state.letting_go = letting_go
+    begun = state.plateau_sum / max(state.plateau_count, 1.0)
+    if letting_go:
+        begun = state.kept_ratio
+        still = still and state.plateau
+    away = abs(log_ratio - begun) - state.filtered_noise / max(q, 1e-6)
+    if state.plateau and (letting_go or _slip_share(state) > 0.5):
+        # What slips leaves its ratio when it is caught, what is held when it is put down.
+        still = still and away < 2.0 * EDGE
     if state.plateau and not still:
+        if letting_go and away > EDGE:
+            # Its beginning looked like slip: both forces began to fall.
+            state.plateau_odds = min(state.plateau_odds, state.kept_odds)
         if (stamp - state.plateau_begin) * 1e-9 >= PLATEAU_AFTER:
             _commit(state, _slip_share(state))
         state.plateau = False
@@ -431,21 +597,40 @@ def _judge_plateau(config, state, stamp, ratio):
         state.plateau_begin = stamp
         state.plateau_count = 0.0
         state.plateau_sum = 0.0
-        state.plateau_odds = state.slip_odds = 0.0
-        state.plateau_looks = 0
-    if state.plateau:
-        # The ratio of the time in which it looked most like slip.
-        if state.slip_odds > state.plateau_odds + 0.5:
-            keep = 0.5
-            state.plateau_sum *= keep
-            state.plateau_count *= keep
-        if state.slip_odds > state.plateau_odds - 0.5 or state.plateau_count == 0.0:
-            state.plateau_sum += math.log(max(ratio, 1e-6))
-            state.plateau_count += 1.0
+        state.plateau_odds = state.slip_odds = state.earlier_odds = 0.0
+        state.past_odds[:] = 0.0
+        state.plateau_looks = state.seen = 0
+    if not state.plateau:
+        return
+    newest = state.window[state.seen % WINDOW]
+    newest[0] = state.fast.value[0]
+    newest[1] = q
+    state.seen += 1
+    if state.seen >= LEAST and (not letting_go or away < EDGE):
+        # What has just begun to slip was held in the longer window: each second one is short.
+        n = WINDOW // 2 if state.seen % 2 else WINDOW
+        odds, slipped = _window_odds(config, state, min(state.seen, n))
+        if odds > 0.0:
+            log_ratio = slipped
+        state.slip_odds = state.earlier_odds + odds
         state.plateau_looks += 1
-        if state.plateau_looks <= FIRST_LOOKS:
-            state.plateau_odds = state.slip_odds
-        state.plateau_odds = max(state.plateau_odds, state.slip_odds)
+        if state.seen % WINDOW == 0:
+            # What was held before may slip now.
+            state.earlier_odds = max(EARLIER * state.slip_odds, 0.0)
+    # Where it is looked for slip often enough, chance shows it: each window costs.
+    odds = state.slip_odds - math.log(1.0 + state.plateau_looks / LEAST)
+    # The ratio of the time in which it looked most like slip.
+    if odds > state.plateau_odds + 0.5:
+        keep = 0.5 if state.plateau_odds > 0.0 else 0.0
+        state.plateau_sum *= keep
+        state.plateau_count *= keep
+    if odds > state.plateau_odds - 0.5 or state.plateau_count == 0.0:
+        state.plateau_sum += log_ratio
+        state.plateau_count += 1.0
+    if state.plateau_looks <= 1:
+        state.plateau_odds = odds
+    state.plateau_odds = max(state.plateau_odds, odds)
+    state.past_odds[state.forecasts % LAGS] = state.plateau_odds
 
 
 @njit(cache=True)
@@ -493,67 +678,49 @@ def _displace(config, state, dt, stiffness, q):
 
 
 @njit(cache=True)
-def follow(config, state, stamp, normal, q0, q1, touching, doubted, indentation, moisture, out):
-    """One sample: stamp (ns), P and Q (N), whether in contact and whether that is doubted,
-    indentation (m), moisture (a.u.)."""
-    out.stamp_ns = stamp
-    out.normal_force = normal
-    out.tangential_force[0], out.tangential_force[1] = q0, q1
-    if not math.isfinite(normal + q0 + q1):
-        _say_nothing(out)
-        out.friction, out.friction_stddev = state.friction[0], state.friction[1]
-        out.slips = state.known.slips
-        out.flags = INVALID | (ASSUMED if state.known.slips == 0 else 0)
-        return
-    if not state.known.told and moisture != state.moisture and math.isfinite(moisture):
-        set_prior(config, state, moisture)
-    dt = (stamp - state.stamp) * 1e-9
-    if touching and not state.touching:
-        state.touching = True
-        _copy(state.known, state.before)
-        for i in range(3):
-            value = normal if i == 0 else (q0 if i == 1 else q1)
-            state.fast.value[i] = state.slow.value[i] = value
-            state.fast.rate[i] = state.slow.rate[i] = 0.0
-        dt = 0.0
-        state.pull_largest = 0.0
-        state.turned = state.counted = False
-        state.frames, state.frames_ratio = 0, 0.0
-        state.forecasts = 0
-        state.odds, state.slip_odds = -3.0, 0.0
-    elif state.touching and not touching:
-        _end_contact(config, state, stamp)
-    elif touching and dt > 0.0:
-        values = (normal, q0, q1)
-        _track(state.fast, FAST, dt, values)
-        _track(state.slow, SLOW, dt, values)
-    if touching:
-        state.doubted = doubted
-    state.stamp = stamp
-    out.slips = state.known.slips
-    out.flags = ASSUMED if state.known.slips == 0 else 0
-    judged = touching and normal >= SMALLEST_FORCE and state.fast.value[0] >= SMALLEST_FORCE
-    ratio = 0.0
-    if judged:
-        ratio, _ = _ratio_rate(state.fast)
-        slow, _ = _ratio_rate(state.slow)
+def _begin_contact(config, state, stamp, normal, q0, q1):
+    state.touching = True
+    _copy(state.known, state.before)
+    for i in range(3):
+        value = normal if i == 0 else (q0 if i == 1 else q1)
+        state.fast.value[i] = state.slow.value[i] = value
+        state.fast.rate[i] = state.slow.rate[i] = 0.0
+    state.last[:, 0], state.last[:, 1] = q0, q1
+    state.noise, state.filtered_noise = config.noise, 0.6 * config.noise
+    state.pull_largest, state.least = 0.0, math.inf
+    state.turned = state.counted = False
+    state.frames, state.frames_ratio = 0, 0.0
+    state.forecasts = 0
+    state.odds, state.slip_odds = -3.0, 0.0
+    state.knocked = stamp - np.int64(1e9)
+
+
+@njit(cache=True)
+def _judge_ratio(config, state, stamp):
+    """What the present ratio r, which is returned, tells of friction and of the pull."""
+    ratio, slow = _ratio(state.fast), _ratio(state.slow)
+    load = state.fast.value[0]
+    if math.hypot(state.fast.rate[1], state.fast.rate[2]) > KNOCK * load:
+        state.knocked = stamp
+    if (stamp - state.knocked) * 1e-9 > KNOCKED:
         # Noise of the force is no pull.
-        held = min(ratio, slow) - 2.0 * config.noise / state.fast.value[0]
-        if state.fast.value[0] >= TEACHING_FORCE:
+        held = min(ratio, slow) - 2.0 * state.noise / load
+        if load >= TEACHING_FORCE:
             state.largest = max(state.largest, held)
         state.pull_largest = max(state.pull_largest, held)
-        if ratio < TURNED * state.pull_largest - 0.02:
-            state.turned = True
-        if ratio < 0.5 * state.pull_largest and not state.plateau:
-            state.counted = False
-            state.frames, state.frames_ratio = 0, 0.0
-        _judge_plateau(config, state, stamp, slow)
-    at = state.next % REMEMBERED
-    state.past_stamp[at] = stamp
-    state.past_ratio[at] = ratio if judged and not state.turned else math.nan
-    state.next += 1
+    if ratio < TURNED * state.pull_largest - 0.02:
+        state.turned = True
+    if ratio < 0.5 * state.pull_largest and not state.plateau:
+        state.counted = False
+        state.frames, state.frames_ratio = 0, 0.0
+    _judge_plateau(config, state, stamp, slow)
+    return ratio
 
-    # Friction.
+
+@njit(cache=True)
+def _weigh(config, state, stamp, judged, ratio, out):
+    """Friction, and the probability of slip, by all weights; whether it slips, the mean stick ratio
+    of a first pull, and its standard deviation."""
     plateau = state.plateau and (stamp - state.plateau_begin) * 1e-9 >= PLATEAU_AFTER
     share, log_ratio, news = 0.0, 0.0, False
     if plateau:
@@ -572,10 +739,8 @@ def follow(config, state, stamp, normal, q0, q1, touching, doubted, indentation,
         p = max(state.fast.value[0] + config.horizon * state.fast.rate[0], 1e-3)
         a0 = state.fast.value[1] + config.horizon * state.fast.rate[1]
         a1 = state.fast.value[2] + config.horizon * state.fast.rate[2]
-        ahead = max(math.hypot(a0, a1) / p, ratio)
-        if plateau:
-            ahead = ratio
-        spread = math.hypot(EDGE, 0.6 * config.noise / max(ahead * p, 1e-3))
+        ahead = ratio if plateau else max(math.hypot(a0, a1) / p, ratio)
+        spread = math.hypot(EDGE, state.filtered_noise / max(ahead * p, 1e-3))
     total, mean, square, slip_total, probability = 0.0, 0.0, 0.0, 0.0, 0.0
     stick_mean, stick_square = 0.0, 0.0
     log_ahead = math.log(max(ahead, 1e-6))
@@ -584,7 +749,7 @@ def follow(config, state, stamp, normal, q0, q1, touching, doubted, indentation,
         weight = math.exp(log_weight[g] - top)
         slip = 0.0
         if plateau:
-            likelihood, slip_part = _plateau_likelihood(state, share, log_ratio, x)
+            likelihood, slip_part = _plateau_likelihood(share, log_ratio, x)
             slip = slip_part / likelihood
             if news:
                 weight *= likelihood
@@ -605,22 +770,63 @@ def follow(config, state, stamp, normal, q0, q1, touching, doubted, indentation,
     if state.largest > 0.95 * math.exp(LOG_FRICTION[-1]):
         out.friction_stddev = mean
     state.friction[0], state.friction[1] = out.friction, out.friction_stddev
+    out.slip_probability = min(probability / total, 1.0)
+    stick_mean /= total
+    spread = math.sqrt(max(stick_square / total - stick_mean * stick_mean, 0.0))
+    return slip_total > 0.5 * total, stick_mean, spread
+
+
+@njit(cache=True)
+def follow(config, state, stamp, normal, q0, q1, touching, doubted, indentation, moisture, out):
+    """One sample: stamp (ns), P and Q (N), whether in contact and whether that is doubted,
+    indentation (m), moisture (a.u.)."""
+    out.stamp_ns = stamp
+    out.normal_force = normal
+    out.tangential_force[0], out.tangential_force[1] = q0, q1
+    if not math.isfinite(normal + q0 + q1):
+        _say_nothing(out)
+        out.friction, out.friction_stddev = state.friction[0], state.friction[1]
+        out.slips = state.known.slips
+        out.flags = INVALID | (ASSUMED if state.known.slips == 0 else 0)
+        return
+    if not state.known.told and moisture != state.moisture and math.isfinite(moisture):
+        set_prior(config, state, moisture)
+    dt = (stamp - state.stamp) * 1e-9
+    if touching and not state.touching:
+        _begin_contact(config, state, stamp, normal, q0, q1)
+        dt = 0.0
+    elif state.touching and not touching:
+        _end_contact(config, state, stamp)
+    elif touching and dt > 0.0:
+        values = (normal, q0, q1)
+        _see_noise(config, state, dt, q0, q1)
+        _track(state.fast, FAST, dt, values)
+        _track(state.slow, SLOW, dt, values)
+    if touching:
+        state.doubted = doubted
+    state.stamp = stamp
+    out.slips = state.known.slips
+    out.flags = ASSUMED if state.known.slips == 0 else 0
+    judged = touching and normal >= SMALLEST_FORCE and state.fast.value[0] >= SMALLEST_FORCE
+    ratio = _judge_ratio(config, state, stamp) if judged else 0.0
+    at = state.next % REMEMBERED
+    state.past_stamp[at] = stamp
+    state.past_ratio[at] = ratio if judged and not state.turned else math.nan
+    state.next += 1
+    slipping, first_stick, spread = _weigh(config, state, stamp, judged, ratio, out)
+    mean = out.friction
     if not judged:
         _say_nothing(out)
         out.flags |= NO_CONTACT
         if touching:
             _pull(state, mean * max(normal, 1e-6), 0.0, 0.0)
         return
-    stick_mean /= total
-    spread = math.sqrt(max(stick_square / total - stick_mean * stick_mean, 0.0))
-    slipping = slip_total > 0.5 * total
     if slipping:
         out.flags |= SLIPPING
-    out.slip_probability = min(probability / total, 1.0)
     stick = _pull(state, mean * state.fast.value[0], state.fast.value[1], state.fast.value[2])
     if not state.turned and not slipping:
         # A first pull: the mean over frictions, which the elements follow at the mean one only.
-        stick = stick_mean
+        stick = first_stick
     out.stick_ratio = 0.0 if slipping else stick
     out.stick_ratio_stddev = math.hypot(spread, 0.03)
     out.slip_margin = 0.0 if slipping else max(0.0, 1.0 - ratio / mean)

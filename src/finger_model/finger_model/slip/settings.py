@@ -56,3 +56,8 @@ class SlipSettings(Settings):
         minimum=0.0001,
         maximum=1.0,
     )
+    grip_follows_load: bool = _runtime(
+        False,
+        "Whether a controller lets the grip follow the load: then the tangential force follows the "
+        "normal one without slip too, and only changes faster than some 3 Hz tell of a slip.",
+    )

@@ -35,9 +35,14 @@ of 0.03 to 0.16 in the three-dimensional model."""
 
 
 @functools.lru_cache(maxsize=16)
+def _elements(geometry: Geometry) -> tuple[LinearContact, LinearShear]:
+    return LinearContact(geometry), LinearShear(geometry)
+
+
+@functools.lru_cache(maxsize=256)
 def _table(geometry: Geometry, nail_ratio: float) -> np.ndarray:
     """ln(K/(E L)) (skin ratios, depths); nail_ratio: modulus of the nail over the skin's."""
-    contact, shear = LinearContact(geometry), LinearShear(geometry)
+    contact, shear = _elements(geometry)
     skin = Material().E2
     nail = float(np.clip(nail_ratio * skin, *NAIL_MODULUS_RANGE))
     found = []
