@@ -128,6 +128,7 @@ def use(found: dict[str, np.ndarray]) -> None:
     known = correction.coefficients()
     known.clear()
     known.update(found)
+    correction.of_finger.cache_clear()
 
 
 def errors(rows: list[Row], skin_known: bool = True) -> np.ndarray:

@@ -42,6 +42,8 @@ class Rig(threading.Thread):
         self.force = 0.0
         self.modelling = True
         self.touch_during_tare = 0
+        self.far_tares = 0
+        """Tares that are refused for being far from the one before."""
         self.tares: list[float] = []
         self.trials: list[Trial] = []
         self._context = rclpy.Context()
@@ -86,7 +88,8 @@ class Rig(threading.Thread):
 
     def _tare(self, request: Any, response: Any) -> Any:
         self.tares.append(self.force)
-        response.success, response.message = True, "tared"
+        response.success, response.message = not self.far_tares, "tared or not"
+        self.far_tares = max(self.far_tares - 1, 0)
         return response
 
     def refuse(self, session: str, reason: str) -> None:
@@ -187,6 +190,16 @@ def test_the_zero_is_taken_with_nothing_on_the_plate(
     # Touched while it was taken, once more.
     assert rig.tares == [0.0, 0.0]
     assert "touched during the tare" in child.output.read_text()
+
+
+def test_a_zero_that_has_drifted_far_is_taken_with_nothing_on_the_plate(
+    rig: Rig, protocol: Callable[..., Any], calibrate: Callable[..., Any]
+) -> None:
+    protocol()
+    rig.far_tares = 1
+    child = calibrate()
+    until(said(child, "press 1 of 9"))
+    assert rig.tares == [0.0, 0.0]
 
 
 def test_ctrl_c_during_the_presses_ends_the_session(

@@ -284,6 +284,13 @@ def folder_of(arguments: argparse.Namespace) -> Path:
     return folder.expanduser().absolute()
 
 
+def _warn_of_sections(chosen: Sequence[nodes.NodeEntry], arguments: argparse.Namespace) -> None:
+    """Name the sections of the parameter file that are of no node."""
+    idle = nodes.without_effect(chosen, namespace_of(arguments), arguments.parameters)
+    if idle:
+        print(f"finger-rig: {idle}", file=sys.stderr)
+
+
 class ReadyLine:
     """Finds in the nodes' output that all are ready, and where the page is.
 
@@ -317,6 +324,7 @@ def _up(arguments: argparse.Namespace) -> int:
     boards, devices = nodes.simulated_boards(fingers(arguments) if arguments.simulated else ())
     chosen = entries(arguments, devices)
     lock = lock_folder(folder, "a rig")
+    _warn_of_sections(chosen, arguments)
     specs = boards + nodes.process_specs(
         chosen,
         folder,
@@ -412,6 +420,7 @@ def _calibrate(arguments: argparse.Namespace) -> int:
     folder = folder_of(arguments)
     lock = lock_folder(folder, "a rig") if arguments.simulated else None
     log = folder / "calibrate.log"
+    _warn_of_sections(chosen, arguments)
     with tempfile.TemporaryDirectory() as own:
         names = namespace_of(arguments), arguments.parameters
         specs = nodes.process_specs(chosen, Path(own), *names)

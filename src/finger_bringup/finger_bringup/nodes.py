@@ -22,7 +22,7 @@ from typing import Any
 import yaml
 
 from finger_common.axes import DEFAULT_NORMAL_AXIS
-from finger_common.errors import InputError, known_names
+from finger_common.errors import InputError, known_names, nearest
 from finger_common.files import atomic_write, load_yaml
 from finger_common.namespaces import DEFAULT_NAMESPACE, check_namespace, own_name
 from finger_sim.addresses import RigAddresses
@@ -362,6 +362,28 @@ def matches(pattern: str, node: str) -> bool:
     text = re.escape("/" + pattern.strip("/"))
     text = text.replace(r"/\*\*", r"(/[^/]+)*").replace(r"\*", r"[^/]+")
     return re.fullmatch(text, node) is not None
+
+
+def without_effect(
+    entries: Iterable[NodeEntry], namespace: str, parameter_file: Path | None
+) -> str:
+    """A sentence that names the sections of the user's file which are of no node that runs, as
+    where a finger's name is misspelt; empty where there are none.
+
+    Sections of all namespaces may be of nodes that do not run now, as in config/rig.yaml.
+    """
+    names = [entry.full_name(namespace) for entry in entries]
+    of_all = [f"/{name}" for name in NODES]
+    idle = []
+    for section in {} if parameter_file is None else read_parameter_file(parameter_file):
+        known = names if "*" not in section else [*names, *of_all]
+        if not any(matches(section, name) for name in known):
+            near = nearest(f"/{section.strip('/')}", names)
+            idle.append(f"'{section}'" + (f" (did you mean '{near}'?)" if near else ""))
+    if not idle:
+        return ""
+    sections = f"sections {', '.join(idle)} are" if len(idle) > 1 else f"section {idle[0]} is"
+    return f"{parameter_file}: {sections} of no node that runs here, and without effect"
 
 
 def settled(

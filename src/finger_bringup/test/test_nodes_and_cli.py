@@ -107,6 +107,36 @@ def test_keys_of_a_parameter_file_mean_nodes_as_in_ros() -> None:
         assert not nodes.matches(pattern, "/hand/thumb/force"), pattern
 
 
+@pytest.mark.parametrize(
+    ("sections", "says"),
+    [
+        (["/**", "/**/force", "/hand/*/model", "/hand/thumb/model", "/**/lsl"], ""),
+        (
+            ["/hand/tumb/model"],
+            "section '/hand/tumb/model' (did you mean '/hand/thumb/model'?) is of no node that "
+            "runs here, and without effect",
+        ),
+        (
+            ["/**/modle", "/hand/pinky/force", "/hand/thumb/force"],
+            "sections '/**/modle', '/hand/pinky/force'",
+        ),
+        (["force"], "section 'force'"),
+    ],
+)
+def test_sections_of_no_node_are_named(sections: list[str], says: str, tmp_path: Path) -> None:
+    own = tmp_path / "hand.yaml"
+    own.write_text("".join(f"{name}:\n  ros__parameters: {{}}\n" for name in sections))
+    fingers = nodes.hand(["thumb", "index"])
+    told = nodes.without_effect(fingers, "hand", own)
+    assert says in told and bool(told) == bool(says)
+    assert told == "" or told.startswith(f"{own}: section")
+
+
+def test_the_rigs_own_file_has_no_section_without_effect() -> None:
+    file = Path(nodes.__file__).parents[1] / "config" / "rig.yaml"
+    assert nodes.without_effect(nodes.hand(["thumb"]), "hand", file) == ""
+
+
 def test_fingers_have_folders_and_frames_of_their_own(tmp_path: Path) -> None:
     assert folder_of(parser().parse_args(["up"])) == Path("out/rig").absolute()
     assert namespace_of(parser().parse_args(["up", "--namespace", ""])) == ""  # the global one

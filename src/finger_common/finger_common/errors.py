@@ -58,3 +58,13 @@ def known_names(name: str, known: Iterable[str]) -> str:
     near = nearest(name, names)
     listed = f"nown are {', '.join(names) or 'none'}"
     return f"k{listed}" if near is None else f"did you mean '{near}'? K{listed}"
+
+
+def listed(names: Iterable[object], most: int = 5, separator: str = ", ") -> str:
+    """The names in a sentence, of many the first ones and how many more there are."""
+    words = [str(name) for name in names]
+    more = len(words) - most
+    shown = separator.join(words[:most])
+    if more <= 0:
+        return shown
+    return f"{shown}{separator.replace(',', '')}and {more} more"

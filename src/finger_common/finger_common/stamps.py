@@ -8,6 +8,7 @@ messages.
 from __future__ import annotations
 
 import math
+import operator
 from typing import Any, overload
 
 import numpy as np
@@ -39,6 +40,16 @@ def check_stamp(stamp_ns: int, where: str) -> None:
             f"{where}: a time is in the year {year}, messages hold 1970 to 2037; correct the "
             "times or their unit"
         )
+
+
+def whole_stamp(stamp_ns: Any) -> int:
+    """A stamp as an int; raises InputError for a number with a point, as `stamp_array` does."""
+    try:
+        return operator.index(stamp_ns)
+    except TypeError:
+        raise InputError(
+            f"stamp_ns is {stamp_ns!r}; whole nanoseconds are needed: round(seconds * 1e9)"
+        ) from None
 
 
 def stamp_array(stamps_ns: Any) -> np.ndarray:

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from finger_common.cli import Parser, add_settings, settings_from
-from finger_common.errors import InputError, known_names
+from finger_common.errors import InputError, known_names, listed
 from finger_common.folder_lock import lock_folder
 from finger_common.progress import Stages, duration_text
 from finger_common.settings import Settings, setting
@@ -66,6 +66,12 @@ def test_a_misspelt_option_is_named_before_what_is_missing(
     with pytest.raises(SystemExit):
         parser.parse_args([])
     assert "required: bag" in capsys.readouterr().err
+
+
+def test_a_list_that_is_cut_says_how_many_more_there_are() -> None:
+    assert listed([]) == "" and listed([1, 2]) == "1, 2" and listed("abc", 3, "; ") == "a; b; c"
+    assert listed(range(8)) == "0, 1, 2, 3, 4 and 3 more"
+    assert listed("abcd", 3, "; ") == "a; b; c; and 1 more"
 
 
 def test_known_names_in_a_sentence() -> None:

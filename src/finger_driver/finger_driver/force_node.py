@@ -28,7 +28,7 @@ from finger_common.stamps import NANOSECONDS
 from .device_node import DeviceNode, DeviceNodeSettings
 from .force import GOOD, SOURCES, ForceSource, WrenchSample
 from .shared_polling import Rest
-from .tare import TareCollector
+from .tare import FarTares, TareCollector
 
 TARE_NEEDED = "tare needed: take the finger off the plate, then call ~/tare"
 
@@ -70,6 +70,17 @@ class ForceNodeSettings(DeviceNodeSettings):
         maximum=1000.0,
         runtime=True,
     )
+    tare_shift_limit: float = setting(
+        0.2,
+        "Change of the zero by a tare beyond which it is refused once, as while an object is held; "
+        "the first tare may be anything, and so may one after ~/reset_tare.",
+        unit="N",
+        minimum=0.0,
+        maximum=1000.0,
+        runtime=True,
+        advice="A tare that is asked for again within 30 s is taken. Raise it for a sensor whose "
+        "own weight turns with the robot.",
+    )
 
 
 class ForceNode(DeviceNode):
@@ -85,6 +96,7 @@ class ForceNode(DeviceNode):
         self._frame = self.frame
         self._bias: np.ndarray | None = None
         self._offset = np.zeros(6)
+        self._far_tares = FarTares()
         self._note_tare()
         self._newest: list[float] = []
         self._scale_id = self.device.scale_id
@@ -154,10 +166,13 @@ class ForceNode(DeviceNode):
     def _on_tare(self, request: Any, response: Any) -> Any:
         try:
             bias, offset = self._tare()
+            removed = np.zeros(6) if self._bias is None else self._offset
+            if self._bias is not None:
+                shift = (offset - removed)[:3]
+                self._far_tares.check(shift, self.values["tare_shift_limit"])
         except DeviceError as error:
             response.success, response.message = False, f"not tared: {error}"
             return response
-        removed = np.zeros(6) if self._bias is None else self._offset
         was = float(normal_force((offset - removed)[:3], self.values["normal_axis"]))
         self._bias, self._offset = bias, offset
         self._note_tare()

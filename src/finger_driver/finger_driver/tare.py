@@ -1,9 +1,13 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tare: the mean of a still, unloaded signal, refused when the signal moves."""
+"""Tare: the mean of a still, unloaded signal, refused when the signal moves, and when it is far
+from the zero in force: then something is held, or the sensor has drifted."""
 
 from __future__ import annotations
+
+import time
+from collections.abc import Callable
 
 import numpy as np
 
@@ -68,3 +72,36 @@ class TareCollector:
             )
         bias = channels.mean(axis=0)
         return bias, source.wrench_of(bias)
+
+
+AGAIN = 30.0
+"""s after a refusal within which a second tare is taken as meant."""
+
+
+class FarTares:
+    """Refuses a tare far from the one in force, as while an object is held, unless it is asked for
+    twice. clock: s."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._refused: tuple[float, np.ndarray] | None = None
+
+    def check(self, shift: np.ndarray, limit: float) -> None:
+        """Look at the force (3,) in N from the zero in force to a new one; limit: N.
+
+        Raises DeviceError with what to do for one beyond the limit, unless such a one, alike within
+        the limit, was refused less than AGAIN before.
+        """
+        now, before, self._refused = self._clock(), self._refused, None
+        size = float(np.linalg.norm(shift))
+        if size <= limit:
+            return
+        if before is not None and now - before[0] <= AGAIN:
+            if np.linalg.norm(shift - before[1]) <= limit:
+                return
+        self._refused = now, np.array(shift)
+        raise DeviceError(
+            f"the force moved by {size:.2f} N since the last tare, as by a finger or an object; "
+            "take it off and tare again; where nothing touches the sensor, which has drifted, tare "
+            f"again within {AGAIN:.0f} s"
+        )

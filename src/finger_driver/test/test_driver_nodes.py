@@ -117,6 +117,40 @@ def test_force_node_streams_tares_when_asked_and_follows_its_lifecycle(
     assert child.poll() is None, child.output.read_text()
 
 
+def test_force_node_refuses_a_tare_while_something_is_held(
+    observer: Observer, process: Any, free_port: Any
+) -> None:
+    """In place of the board with an empty plate comes the same board with 1 N on it."""
+    from geometry_msgs.msg import WrenchStamped
+    from std_srvs.srv import Trigger
+
+    port = free_port()
+    tared = observer.listen(WrenchStamped, "wrench")
+    process(
+        "-m", "finger_driver.force_node", "--ros-args",
+        "-p", "can_interface:=udp_multicast", "-p", f"can_options:='port={port}'",
+        "-p", "response_timeout:=0.2",
+    )  # fmt: skip
+
+    def tare() -> tuple[bool, str] | None:
+        answer = observer.call(Trigger, "/force/tare", Trigger.Request())
+        # A busy machine may deliver too few samples for one.
+        told = None if "samples came" in answer.message else (answer.success, answer.message)
+        return told
+
+    for force, words in (
+        (-0.4, ["Zero set"]),
+        (-1.4, ["not tared: the force moved by 1.0", "was"]),
+    ):
+        with device("netcanoem", "--options", f"port={port}", f"--wrench=0,0,{force},0,0,0"):
+            count = len(tared)
+            observer.until(lambda count=count: len(tared) > count + 300, what="wrench")
+            for said in words:
+                success, message = observer.until(tare, what="tare")
+                assert said in message and success is ("not tared" not in said), message
+    assert "was 1.0" in message
+
+
 def test_camera_node_publishes_every_frame_with_its_calibration(
     observer: Observer, process: Any, tmp_path: Path
 ) -> None:

@@ -14,7 +14,7 @@ from finger_common.errors import DeviceError
 from finger_common.host_clock import HostClock
 from finger_driver.clock import ClockMapper, IncreasingStamps
 from finger_driver.force.source import GOOD, SATURATED, ForceSource, WrenchSample
-from finger_driver.tare import TareCollector
+from finger_driver.tare import AGAIN, FarTares, TareCollector
 
 
 @pytest.mark.parametrize("drift", [0.0, 50e-6, -120e-6])
@@ -160,3 +160,25 @@ def test_tare_of_a_fraction_of_its_time_is_refused() -> None:
 def test_tare_is_refused_while_the_sensor_reports_faults() -> None:
     with pytest.raises(DeviceError, match="faults"):
         collect(lambda t: 0.0, quality=SATURATED)
+
+
+def test_a_tare_far_from_the_one_in_force_is_taken_when_it_is_asked_for_again() -> None:
+    now = 0.0
+    tares = FarTares(lambda: now)
+    held = np.array([0.3, 0.0, -1.0])
+    tares.check(np.array([0.05, 0.0, 0.1]), 0.2)  # an ordinary drift
+    with pytest.raises(DeviceError, match=r"moved by 1\.04 N since the last tare.* within 30 s"):
+        tares.check(held, 0.2)
+    now += 1.0
+    with pytest.raises(DeviceError, match=r"moved by 1\.53 N"):
+        tares.check(held - [0.0, 0.0, 0.5], 0.2)  # it is not what was refused
+    now += AGAIN + 1.0
+    with pytest.raises(DeviceError, match="moved"):
+        tares.check(held, 0.2)  # long after
+    now += AGAIN - 1.0
+    tares.check(held + 0.02, 0.2)  # on purpose
+    with pytest.raises(DeviceError, match="moved"):
+        tares.check(held, 0.2)  # one confirmation serves one tare
+    tares.check(np.zeros(3), 0.2)
+    with pytest.raises(DeviceError, match="moved"):
+        tares.check(held, 0.2)  # one that was taken between

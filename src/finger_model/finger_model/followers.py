@@ -19,12 +19,28 @@ from collections.abc import Sequence
 import numpy as np
 
 from finger_common.axes import lateral_axes
+from finger_common.moisture import MOISTURE_RANGE
 
 from .estimator import ContactEstimate, ContactEstimator, EstimateBlock
+from .laws import MaxwellLaw
+from .parameter_sets import ParameterSets
 from .pose.estimator import MeasuredOutline, PoseEstimator, ShapeEstimate
 from .pose.settings import PoseSettings
+from .reduced.model import ReducedModel
 from .slip import SlipEstimate, SlipEstimator, SlipSettings
 from .slip.estimate import OUTPUT
+from .slip.shear import shear_curve
+
+
+def prepare(model: ReducedModel, sets: ParameterSets) -> None:
+    """Compute what slip needs of all skins that moisture may make of a finger, some twentieths of a
+    second each, so that no sample waits for it; the results are kept."""
+    low, high = MOISTURE_RANGE
+    for moisture in np.linspace(low, high, 1 + round(high - low)):
+        parameters = sets.interpolate(float(moisture)).parameters
+        material = model.material.with_vector(parameters)
+        assert isinstance(material, MaxwellLaw)
+        shear_curve(model.geometry, material)
 
 
 class Followers:

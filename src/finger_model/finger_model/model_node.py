@@ -71,7 +71,7 @@ from .estimator.estimator import FUTURE
 from .estimator.events import ANOTHER_SUBJECT
 from .estimator.parameter_selection import check_sets
 from .finger import load_for, load_reduced
-from .followers import Followers
+from .followers import Followers, prepare
 from .geometry import Geometry
 from .latency import LatencyHistogram
 from .lateness import Lateness
@@ -88,12 +88,14 @@ from .messages import (
     wrench_of,
 )
 from .parameter_sets import ParameterSets
+from .pose.estimator import MeasuredOutline
 from .pose.settings import PoseSettings
 from .reduced.model import ReducedModel, load_population
 from .slip import SlipSettings
 from .subject_calibration import PressCollector, fit_subject, keep_subject, why_refused
 from .subjects import subject_file
 from .warm_up import warm_up
+from .wrench_watch import WrenchWatch
 
 
 @dataclass(frozen=True)
@@ -193,6 +195,7 @@ class _Run:
     jumped: bool = False
     last: ContactEstimate | None = None
     flags: int = 0
+    watch: WrenchWatch = field(default_factory=WrenchWatch)
     area_received: bool = False
     latency: LatencyHistogram = field(default_factory=LatencyHistogram)
     age: LatencyHistogram = field(default_factory=LatencyHistogram)
@@ -248,6 +251,7 @@ class ModelNode(ManagedNode):
         self._subject = ""
         self._collector = PressCollector()
         self._calibration: threading.Thread | None = None
+        self._preparation: threading.Thread | None = None
         self._plan: Any = None
 
     # Lifecycle -------------------------------------------------------------------------------
@@ -261,6 +265,7 @@ class ModelNode(ManagedNode):
             # The kernels of a finger of its own lengths, which a subject may bring.
             warm_up(ContactEstimator(load_population(Geometry())))
         warm_up(self._new_estimator(self._sets))
+        prepare(self._model_of(self._sets), self._sets)
         self._run = self._new_run(self._sets)
         self._sequence = 0
         self.health.stale_after = values["force_stale_after"]
@@ -281,6 +286,8 @@ class ModelNode(ManagedNode):
         # Each at once: it has to end also when what comes after it fails.
         area = self.create_waited_subscription(ContactArea, "contact_area", self._on_area, qos)
         self._entities.append((WaitedSubscription.destroy, area))
+        for topic in (values["wrench_topic"], "contact_area", "moisture"):
+            self.expect_one_publisher(topic)
         moisture = self.create_waited_subscription(Moisture, "moisture", self._on_moisture, qos)
         self._entities.append((WaitedSubscription.destroy, moisture))
         # Readings from before this node was there, where the probe keeps them for late joiners.
@@ -475,7 +482,9 @@ class ModelNode(ManagedNode):
                 if last is not None and stamp <= last:
                     self._publish_event(estimator.clock_jump_event(stamp))
             estimates = estimator.add_wrench(stamp, force)
+            run.watch.add(stamp, frame, not estimates)
             for estimate in estimates:
+                run.watch.see(estimate.stamp_ns, estimate.normal_force, estimate.lateral_force)
                 if self._collector.collecting:
                     self._collector.add_force(estimate.stamp_ns, estimate.normal_force)
                 texts = frame, estimate.parameter_set
@@ -523,12 +532,23 @@ class ModelNode(ManagedNode):
             if not silent:
                 self._late["late_areas"].add(not used, self._behind(run, area[0]))
             if used:
-                run.followers.see_area(area[0], stick_of(message), outline_of(message))
+                outline = outline_of(message)
+                self._check_outline(outline)
+                run.followers.see_area(area[0], stick_of(message), outline)
             elif silent:
                 # One event for all of a pause, when it ends.
                 run.unused_areas.append(area[0])
             else:
                 self._publish_event(run.estimator.note_late(areas=[area[0]]))
+
+    def _check_outline(self, outline: MeasuredOutline) -> None:
+        """Report an outline that contact_shape leaves out because it cannot be a finger's."""
+        if not self.values["contact_shape"] or not outline.known:
+            return
+        wrong = outline.implausible
+        sentence = f"contact_area has an outline that is no finger's ({wrong}); left out: give "
+        sentence += "centroid, ellipse and their deviations in metres of the plate and radians"
+        self._warn_while(bool(wrong), "bad_outline", sentence)
 
     @staticmethod
     def _force_is_silent(run: _Run) -> bool:
@@ -566,6 +586,9 @@ class ModelNode(ManagedNode):
             elif not estimator.add_moisture(*reading, live=not self._force_is_silent(run)):
                 self._late["late_moistures"].add(True, self._behind(run, reading[0]))
                 self._publish_event(estimator.note_late(moistures=[reading[0]]))
+            elif self._preparation is None or not self._preparation.is_alive():
+                # Within `fusion_delay`, before the sample at which it enters.
+                self._preparation = self._aside(estimator.prepare_moisture, reading[1])
 
     # Subjects --------------------------------------------------------------------------------
 
@@ -645,12 +668,21 @@ class ModelNode(ManagedNode):
         if run.first_stamp is None or model.hash != run.estimator.model.hash:
             # A finger of other lengths begins anew.
             self._begin_anew(run, model, sets, reason)
-            return
-        if sets.hash != run.estimator.parameter_sets.hash:
-            self._publish_event(run.estimator.change_parameters(sets, reason))
-        if forget:
-            self._publish_event(run.estimator.reset(reason))
-        run.followers.keep_up()
+        else:
+            if sets.hash != run.estimator.parameter_sets.hash:
+                self._publish_event(run.estimator.change_parameters(sets, reason))
+            if forget:
+                self._publish_event(run.estimator.reset(reason))
+            run.followers.keep_up()
+        # Samples go on meanwhile; a reading that comes before the end has to wait for its own part.
+        self._aside(prepare, model, sets)
+
+    @staticmethod
+    def _aside(compute: Callable[..., None], *values: Any) -> threading.Thread:
+        """Compute in a thread of its own what is only to be ready when it is needed."""
+        thread = threading.Thread(target=compute, args=values, name="prepare", daemon=True)
+        thread.start()
+        return thread
 
     def _begin_anew(
         self, run: _Run, model: ReducedModel, sets: ParameterSets, reason: str = "start"
@@ -750,6 +782,9 @@ class ModelNode(ManagedNode):
                 moisture = math.nan if run.last is None else run.last.moisture
                 self._warn_while(bool(flags & flag), key, sentence.format(moisture=moisture))
             self._warn_while(self._area_is_overdue(run), "area_missing", _NO_AREA)
+            # Beside a silence of the states, which wrong stamps explain.
+            for key, sentence in run.watch.look(self.values["normal_axis"]).items():
+                self._warn_while(bool(sentence), key, sentence, self.health)
             for key, late in self._late.items():
                 sentence = late.look()
                 self._warn_while(bool(sentence), key, sentence)
@@ -776,12 +811,15 @@ class ModelNode(ManagedNode):
             self._follow_wrench()
         super().publish_diagnostics()
 
-    def _warn_while(self, condition: bool, key: str, sentence: str) -> None:
-        """Report a fault of the inputs as long as the condition holds."""
+    def _warn_while(
+        self, condition: bool, key: str, sentence: str, health: Health | None = None
+    ) -> None:
+        """Report a fault, of the inputs by default, as long as the condition holds."""
+        health = health or self.inputs
         if condition:
-            self.log_fault(self.inputs, key, sentence, WARN)
+            self.log_fault(health, key, sentence, WARN)
         else:
-            self.inputs.recovered(key)
+            health.recovered(key)
 
     def _area_is_overdue(self, run: _Run) -> bool:
         """Whether the contact has lasted longer than `area_stale_after` without a fused area.

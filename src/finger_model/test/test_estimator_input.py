@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -86,6 +87,20 @@ def test_stamps_in_seconds_are_refused(model: ReducedModel) -> None:
     with pytest.raises(InputError, match=r"float64; whole nanoseconds are needed: np\.round"):
         ContactEstimator(model).add_wrenches(stamps * 1e-9, forces)
     assert len(ContactEstimator(model).add_wrenches([], np.empty((0, 3)))) == 0
+
+
+@pytest.mark.parametrize("stamp", [1_700_000_000.002, 5.0, "5", None])
+def test_a_single_stamp_in_seconds_is_refused(model: ReducedModel, stamp: Any) -> None:
+    estimator = ContactEstimator(model)
+    for add in (
+        lambda: estimator.add_wrench(stamp, (0.0, 0.0, -1.0)),
+        lambda: estimator.add_area(stamp, 40e-6, 1e-6),
+        lambda: estimator.add_moisture(stamp, 50.0),
+    ):
+        with pytest.raises(InputError, match=r"whole nanoseconds are needed: round\(seconds"):
+            add()
+    assert estimator.last_stamp is None
+    assert len(estimator.add_wrench(np.int64(10**15), (0.0, 0.0, -1.0))) == 1
 
 
 def test_a_replay_of_everything_received_gives_the_same_bits(model: ReducedModel) -> None:

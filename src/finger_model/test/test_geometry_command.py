@@ -78,6 +78,8 @@ def test_age_and_length_change_what_they_should():
         (["--width", "140mm"], "8 … 30 mm"),
         (["--width", "14mm", "--depth", "1mm"], "5 … 25 mm"),
         (["--width", "14mm", "--nail-width", "16mm"], "larger than the width"),
+        (["--width", "17mm", "--length", "12mm"], "length 12 mm is 0.71 of the width of 17 mm"),
+        (["--width", "12mm", "--length", "30mm"], "1.1 to 2.2 of it"),
         (["--finger", "toe"], "thumb, index"),
         (["--finger", "index", "--age", "500"], "1 … 120"),
         (["--width", "14mm", "--age", "nan"], "1 … 120"),

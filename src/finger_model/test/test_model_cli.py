@@ -11,10 +11,14 @@ from pathlib import Path
 import meshio
 import numpy as np
 import pytest
+import yaml
 
 from finger_common.cli import run
 from finger_model.cli import _main
+from finger_model.geometry import Geometry
 from finger_model.history import CSV_HEADER
+from finger_model.laws import StandardLinearSolid
+from finger_model.parameter_sets import ParameterSet, ParameterSets
 
 
 @pytest.fixture
@@ -89,6 +93,47 @@ def test_bad_force_files_end_with_one_sentence(tmp_path, capsys, text, words):
     assert run(_main, ["simulate", "--force", str(path), "--solver", "full"]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1 and words in error and "bad.csv" in error
+
+
+def test_a_fit_is_simulated_without_retyping(tmp_path, force_file, capsys):
+    """A set of parameters.yaml, by condition or moisture, with its law and its lengths."""
+    geometry = Geometry(pad_semi_axis_radial=9e-3)
+    material = StandardLinearSolid(E0=90e3, E1=30e3)
+    other = StandardLinearSolid(E0=140e3)
+    sets = [
+        ParameterSet("dry", 40.0, 1.0, tuple(other.vector())),
+        ParameterSet("natural", 70.0, 1.0, tuple(material.vector())),
+    ]
+    whole, hashed, one = (tmp_path / name for name in ("whole.yaml", "hashed.yaml", "one.yaml"))
+    ParameterSets(sets, geometry=geometry).save(whole)
+    ParameterSets(sets, geometry.hash()).save(hashed)
+    ParameterSets(sets[1:], geometry.hash()).save(one)
+    (tmp_path / "g.yaml").write_text("pad_semi_axis_radial: 0.009\n")
+    (tmp_path / "m.yaml").write_text(yaml.safe_dump(material.to_dict()))
+    simulate = ["simulate", "--force", str(force_file)]
+    lengths = ["--geometry", str(tmp_path / "g.yaml")]
+
+    def output(*arguments):
+        assert run(_main, [*simulate, *map(str, arguments)]) == 0
+        return capsys.readouterr()
+
+    wanted = output(*lengths, "--material", tmp_path / "m.yaml").out
+    assert output("--parameters", whole, "--condition", "natural").out == wanted
+    assert output("--parameters", hashed, "--moisture", 70, *lengths).out == wanted
+    assert output("--parameters", one, *lengths).out == wanted
+    beyond = output("--parameters", whole, "--moisture", 90)
+    assert beyond.out == wanted and "lies outside the sets" in beyond.err
+    for arguments, words in (
+        (["--condition", "dry"], "choose a set of --parameters"),
+        (["--parameters", whole], "holds 2 sets; choose one by its condition (dry, natural)"),
+        (["--parameters", whole, "--condition", "natral"], "did you mean 'natural'?"),
+        (["--parameters", whole, "--condition", "dry", "--moisture", "1"], "one of the two"),
+        (["--parameters", whole, "--material", "m.yaml"], "one of the two"),
+        (["--material", whole], "give it with --parameters instead"),
+        (["--parameters", hashed, "--condition", "dry"], "fitted with another finger"),
+    ):
+        assert run(_main, [*simulate, *map(str, arguments)]) == 2
+        assert words in capsys.readouterr().err
 
 
 def test_contradictory_options_are_refused(tmp_path, force_file, capsys):

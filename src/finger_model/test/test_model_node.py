@@ -375,6 +375,63 @@ def test_no_message_ends_the_node_and_each_is_forgotten(
     assert child.poll() is None
 
 
+def test_what_is_wrong_with_an_input_is_named_in_diagnostics(
+    bench: Bench, process: Callable[..., Any]
+) -> None:
+    child = start(process, "contact_shape:=true")
+    bench.connected()
+
+    def says(health: str, words: str) -> None:
+        bench.until(lambda: words in bench.diagnostics.get(health, {}).get("message", ""))
+
+    for _ in range(100):
+        bench.press(0, 1.0)
+    says("contact state", "wrench messages a second arrive, all stamped 0")
+
+    # An outline of another unit, and one whose square no number holds.
+    for n in range(200):
+        bench.press(T0 + 2 * n * MS, 1.0)
+    bench.answered(200)
+    for n, x in enumerate((1e-3, 640.0, 1e-3, 1e200)):
+        stamp = T0 + (450 + 100 * n) * MS
+        area = ContactArea(gross_area=40e-6, area_stddev=1e-6)
+        area.header.stamp = to_time(stamp)
+        area.centroid.x, area.ellipse_major, area.ellipse_minor = x, 8e-3, 7e-3
+        area.centroid_stddev = area.ellipse_major_stddev = area.ellipse_minor_stddev = 1e-4
+        bench.area.publish(area)
+        if x > 1.0:
+            says("inputs", f"an outline that is no finger's (center {x:.3g} m); left out")
+        else:
+            bench.settle()
+            bench.diagnostics.clear()
+            bench.until(lambda: "inputs" in bench.diagnostics)
+            assert "outline" not in bench.diagnostics["inputs"]["message"]
+    for n in range(200, 400):
+        bench.press(T0 + 5 * n * MS, 1.0)
+    bench.answered(400)
+
+    # Another normal axis.
+    assert bench.set("normal_axis", "+x").successful
+    for n in range(400, 1000):
+        bench.press(T0 + 5 * n * MS, 1.0)
+    says("contact state", "a force of 1.00 N lies across normal_axis (+x), 0.00 N along it")
+
+    other = rclpy.create_node("other_driver")
+    publisher = other.create_publisher(WrenchStamped, "/finger/wrench", RELIABLE)
+    says("contact state", "/finger/wrench is published by /bench and /other_driver")
+    other.destroy_publisher(publisher)
+    bench.diagnostics.clear()
+    bench.until(
+        lambda: (
+            "is published by" not in bench.diagnostics["contact state"]["message"]
+            if "contact state" in bench.diagnostics
+            else False
+        )
+    )
+    other.destroy_node()
+    assert child.poll() is None
+
+
 def test_services_and_parameters_answer_and_refuse_with_a_reason(
     bench: Bench, process: Callable[..., Any], tmp_path: Path
 ) -> None:

@@ -210,6 +210,30 @@ def test_an_outline_that_comes_twice_counts_once():
     assert once == twice
 
 
+@pytest.mark.parametrize("turned", [-2.0, 0.5 * math.pi])
+@pytest.mark.parametrize("normal_axis", ["-z", "+z", "+x", "-y"])
+def test_a_sensor_turned_about_the_normal_tells_the_same_when_its_direction_is_given(
+    normal_axis, turned
+):
+    """The centre of pressure is that of an aligned sensor below the plate, whose z points up."""
+    pressed, pull = np.array([1.2e-3, -0.7e-3, 0.02]), np.array([0.1, -0.05, -1.0])
+    moment = np.cross(pressed, pull)
+    along = np.array([math.cos(turned), math.sin(turned), 0.0])
+    up = np.array([0.0, 0.0, 1.0 if normal_axis[0] == "-" else -1.0])
+    of_normal = "xyz".index(normal_axis[1])
+    axes = np.zeros((3, 3))  # of the sensor (rows) in the plate
+    axes[of_normal], axes[(of_normal + 1) % 3] = up, along
+    axes[(of_normal + 2) % 3] = np.cross(up, along)
+    for direction, same in ((turned, True), (0.0, False)):
+        settings = PoseSettings(sensor_depth=0.02, sensor_direction=direction)
+        estimator = PoseEstimator(PoseCorrection(Geometry(), Pose(), SKIN), settings, normal_axis)
+        for k in range(10):
+            sample = estimate(10**9 + 10**7 * k, ROUND, 1.0)
+            estimator.add(sample, axes @ pull, axes @ moment)
+        found = estimator.shape(sample).center_of_pressure
+        assert (found == pytest.approx(tuple(pressed[:2]), abs=1e-9)) is same
+
+
 # In the estimator -----------------------------------------------------------------------------
 
 T0, MS = 1_700_000_000_000_000_000, 1_000_000
@@ -334,3 +358,49 @@ def test_an_outline_that_comes_again_counts_once():
             estimator.add(estimate(10**9 + 10**8 * k, ROUND, 1.0), (0, 0, -1.0), (0, 0, 0))
         found.append(np.append(estimator.mean, estimator.covariance))
     assert np.array_equal(*found)
+
+
+LIKELY = MeasuredOutline((1e-3, -2e-3), 8e-3, 7e-3, 0.5, 5e-5, 8e-5, 7e-5)
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"center": (640.0, 512.0)}, "center 640 m"),
+        ({"center": (0.0, 1e200)}, "center 1e+200 m"),
+        ({"center": (-math.inf, 0.0)}, "center -inf m"),
+        ({"major": 8.0, "minor": 7.0}, "major axis 8 m"),
+        ({"minor": 1e-300}, "minor axis 1e-300 m"),
+        ({"minor": 9e-3}, "minor axis 0.009 m, longer than the major one"),
+        ({"angle": 90.0}, "angle 90 rad"),
+        ({"center_sd": 0.0}, "center_sd 0 m"),
+        ({"major_sd": -1e-4}, "major_sd -0.0001 m"),
+        ({"minor_sd": 1e200}, "minor_sd 1e+200 m"),
+    ],
+)
+def test_an_outline_that_is_no_fingers_is_named_and_left_out(changes, says):
+    absurd = LIKELY._replace(**changes)
+    assert absurd.known and absurd.implausible == says and not absurd.usable
+    found = []
+    for outlines in ((LIKELY,), (LIKELY, absurd)):
+        estimator = PoseEstimator(PoseCorrection(Geometry(), Pose(), SKIN))
+        for k, outline in enumerate(outlines):
+            estimator.expect_outline(10**9 + 10**8 * k, outline, 0.0)
+        for k in range(5):
+            estimator.add(estimate(10**9 + 10**8 * k, ROUND, 1.0), (0, 0, -1.0), (0, 0, 0))
+        found.append(np.append(estimator.mean, estimator.covariance))
+    assert np.array_equal(*found)
+
+
+def test_an_outline_that_is_not_known_is_no_fault():
+    assert LIKELY.known and LIKELY.usable and not LIKELY.implausible
+    assert not LIKELY._replace(center_sd=math.nan).known
+    assert not LIKELY._replace(major=0.0, minor=0.0).known  # of an area sensor without
+
+
+def test_endless_torques_are_left_out():
+    estimator = PoseEstimator(PoseCorrection(Geometry(), Pose(), SKIN))
+    for k in range(100):
+        moment = (-1.7e308, 1.7e308, 0.0) if k % 2 else (1.7e308, -1.7e308, 0.0)
+        estimator.add(estimate(10**9 + 10**7 * k, ROUND, 0.2), (0, 0, -0.2), moment)
+    assert np.all(np.isfinite(estimator.mean)) and np.all(np.isfinite(estimator.covariance))

@@ -91,6 +91,7 @@ def node_actions(
     suite = value(context, "namespace")
     file = path(context, "parameters") if value(context, "parameters") else None
     entries = nodes.settled(entries, suite, file)
+    idle = nodes.without_effect(entries, suite, file)
     files = [] if file is None else [str(file)]
     together = [entry for entry in entries if compose and entry.composable]
 
@@ -130,7 +131,8 @@ def node_actions(
 
     alone = [(e, node) for e in entries if e not in together]
     shared = [(nodes.COMPOSED, composed)] if together else []
-    return [
+    warnings: list[Action] = [LogInfo(msg=idle)] if idle else []
+    return warnings + [
         action
         for entry, make in (*alone, *shared)
         for action in _kept_running(entry, make, RestartDelay(), respawn)

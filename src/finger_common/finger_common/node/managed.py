@@ -363,6 +363,10 @@ class ManagedNode(LifecycleNode):
         """Report publishers of a polled topic whose QoS is incompatible."""
         self._stream_watch.check_mismatch(polled)
 
+    def expect_one_publisher(self, topic: str) -> None:
+        """Report it from now on when several publish a topic that this node reads."""
+        self._stream_watch.read.append(self.resolve_topic_name(topic))
+
     # Diagnostics -----------------------------------------------------------------------------
 
     def not_hanging(self) -> None:

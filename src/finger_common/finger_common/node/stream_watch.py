@@ -24,11 +24,13 @@ class StreamWatch:
     """Reports in a node's first health what harms its streams; `look` is called each second.
 
     published: publishers of streams. polled: subscriptions whose QoS events nobody else reads.
+    read: topics (resolved names) that the node reads, each of which one publisher should give.
     """
 
     def __init__(self, node: ManagedNode) -> None:
         self.published: list[Any] = []
         self.polled: list[PolledSubscription] = []
+        self.read: list[str] = []
         self._node = node
         self._mismatches: dict[str, QoSProfile] = {}
         self._shared_since: dict[str, float] = {}
@@ -39,6 +41,7 @@ class StreamWatch:
             self.check_mismatch(polled)
         self._end_mismatches()
         self._report_second_publishers()
+        self._report_mixed_inputs()
 
     def check_mismatch(self, polled: PolledSubscription) -> None:
         """Report publishers of a polled topic whose QoS is incompatible."""
@@ -83,20 +86,41 @@ class StreamWatch:
         else:
             self._node.healths[0].recovered("second_publisher")
 
-    def _other_publishers(self, topic: str) -> set[str]:
-        """Topic and node of publishers of a stream of this node that are not this node's.
+    def _report_mixed_inputs(self) -> None:
+        """Report topics that the node reads and several publish."""
+        mixed = []
+        for topic in self.read:
+            several = self._node.count_publishers(topic) > 1  # costs less
+            names = self._publishers_of(topic) if several else []
+            if len(set(names)) > 1 or self._lasts_twice(topic, names):
+                mixed.append(f"{topic} is published by {' and '.join(sorted(names))}")
+        if mixed:
+            text = "; ".join(mixed) + ": this node mixes them; end one, or give it another topic"
+            self._node.log_fault(self._node.healths[0], "mixed_input", text, WARN)
+        else:
+            self._node.healths[0].recovered("mixed_input")
 
-        One of this node's own name may be what is left of a node that was killed and is now
-        running again, so it counts only after a while.
-        """
-        names = [
+    def _other_publishers(self, topic: str) -> set[str]:
+        """Topic and node of publishers of a stream of this node that are not this node's."""
+        names = self._publishers_of(topic)
+        own = self._node.get_fully_qualified_name()
+        found = {f"{name} ({topic})" for name in names if name != own}
+        if self._lasts_twice(topic, [name for name in names if name == own]):
+            found.add(f"another {own} ({topic})")
+        return found
+
+    def _publishers_of(self, topic: str) -> list[str]:
+        """Nodes that publish a topic, once for each publisher."""
+        return [
             f"{info.node_namespace.rstrip('/')}/{info.node_name}"
             for info in self._node.get_publishers_info_by_topic(topic)
         ]
-        own = self._node.get_fully_qualified_name()
-        found = {f"{name} ({topic})" for name in names if name != own}
-        if names.count(own) < 2:
+
+    def _lasts_twice(self, topic: str, names: list[str]) -> bool:
+        """Whether there have been several publishers, of one name, for a while: at first it may be
+        what is left of a node that was killed and is now running again."""
+        if len(names) < 2:
             self._shared_since.pop(topic, None)
-        elif time.monotonic() - self._shared_since.setdefault(topic, time.monotonic()) > REMEMBERED:
-            found.add(f"another {own} ({topic})")
-        return found
+            return False
+        now = time.monotonic()
+        return now - self._shared_since.setdefault(topic, now) > REMEMBERED

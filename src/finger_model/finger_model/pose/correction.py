@@ -127,6 +127,17 @@ def is_learned(geometry: Geometry) -> bool:
     return inside and geometry.bone_center_height == 0.0 and geometry.nail_thickness > 0.0
 
 
+@functools.lru_cache(maxsize=64)
+def of_finger(geometry: Geometry, skin_ratio: float) -> tuple[dict[str, np.ndarray], bool]:
+    """Coefficients (POWERS, terms) of a finger by the names of `coefficients`, and whether it is
+    among those that were learned."""
+    low, high = SKIN_RATIOS
+    known_skin = low * (1 - 1e-9) <= skin_ratio <= high * (1 + 1e-9)
+    finger = proportions(geometry, skin_ratio)
+    learned = {name: values @ finger for name, values in coefficients().items()}
+    return learned, known_skin and is_learned(geometry)
+
+
 def _size(vector: np.ndarray) -> float:
     return math.hypot(vector[0], vector[1])
 
@@ -140,11 +151,7 @@ class PoseCorrection:
         self.geometry, self.pose, self.skin_ratio = geometry, pose, skin_ratio
         self.touch = first_touch(geometry, pose)
         self.half_width = geometry.pad_semi_axis_radial
-        low, high = SKIN_RATIOS
-        known_skin = low * (1 - 1e-9) <= skin_ratio <= high * (1 + 1e-9)
-        self._known_finger = known_skin and is_learned(geometry)
-        finger = proportions(geometry, skin_ratio)
-        learned = {name: values @ finger for name, values in coefficients().items()}
+        learned, self._known_finger = of_finger(geometry, skin_ratio)
         self.area_polynomial = learned["area"] @ area_terms(self.touch)
         self._shape = learned["shape"] @ shape_terms(self.touch)
         terms = center_terms(self.touch)

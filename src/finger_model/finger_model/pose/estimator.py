@@ -62,6 +62,13 @@ REMEMBERED = 8192
 
 CERTAIN_TILT = math.radians(3.0)
 
+FARTHEST = 0.25
+"""m from the plate's origin, along x and y: no outline lies beyond, since a pad's place
+(`PoseSettings.pad_x`, `pad_y`) is at most 0.1 m from it."""
+
+SMALLEST_AXIS, LARGEST_AXIS = 1e-4, 0.06
+"""m, of the outlines of fingers; the widest pad of the population box measures 24 mm."""
+
 
 class MeasuredOutline(NamedTuple):
     """Outline of a contact in the plate's axes: centre (2,) (m), major and minor full axis (m),
@@ -76,10 +83,33 @@ class MeasuredOutline(NamedTuple):
     minor_sd: float
 
     @property
+    def known(self) -> bool:
+        """Whether there is an outline: no number is NaN, and the axes are not both 0."""
+        return not any(map(math.isnan, (*self.center, *self[1:]))) and any((self.major, self.minor))
+
+    @property
+    def implausible(self) -> str:
+        """What shows that a known outline is not a finger's in SI units, as in "center 640 m";
+        empty where nothing does."""
+        for value in self.center:
+            if not abs(value) <= FARTHEST:
+                return f"center {value:.3g} m"
+        for name, axis in (("major", self.major), ("minor", self.minor)):
+            if not SMALLEST_AXIS <= axis <= LARGEST_AXIS:
+                return f"{name} axis {axis:.3g} m"
+        if self.minor > self.major:
+            return f"minor axis {self.minor:.3g} m, longer than the major one"
+        if not abs(self.angle) <= 2.0 * math.pi:
+            return f"angle {self.angle:.3g} rad"
+        for name in ("center_sd", "major_sd", "minor_sd"):
+            if not 0.0 < getattr(self, name) <= FARTHEST:
+                return f"{name} {getattr(self, name):.3g} m"
+        return ""
+
+    @property
     def usable(self) -> bool:
-        """Whether all numbers are known."""
-        numbers = (*self.center, *self[1:])
-        return all(map(math.isfinite, numbers)) and 0.0 < self.minor <= self.major
+        """Whether all numbers are known and may be a finger's."""
+        return self.known and not self.implausible
 
 
 class ShapeEstimate(NamedTuple):
@@ -193,7 +223,7 @@ class PoseEstimator:
     def expect_outline(self, stamp_ns: int, outline: MeasuredOutline, delay: float) -> None:
         """An outline seen at `stamp_ns`; it is used at the first sample stamped that plus `delay`
         (s) or later, so that the result does not depend on when it comes. The delay is that of all
-        that wait. A second one of a stamp is left out."""
+        that wait. A second one of a stamp is left out, and one that is not `usable`."""
         self.outlines.delay = delay
         if outline.usable:
             self.outlines.add(stamp_ns, outline)
@@ -264,8 +294,10 @@ class PoseEstimator:
         # M = r × F with r = (x, y, depth towards the finger), the axes in a circle.
         height = -self._sign * self.settings.sensor_depth
         x = (height * across[0] - torque[b]) / normal
-        y = (height * across[1] + torque[a]) / normal
-        self._sum += x + self.settings.sensor_x, self._mirror * y + self.settings.sensor_y
+        y = self._mirror * (height * across[1] + torque[a]) / normal
+        turn = self.settings.sensor_direction
+        c, s = math.cos(turn), math.sin(turn)
+        self._sum += c * x - s * y + self.settings.sensor_x, s * x + c * y + self.settings.sensor_y
         self._count += 1
         if stamp - self._sum_since < PRESSURE_PERIOD:
             return
@@ -275,7 +307,8 @@ class PoseEstimator:
         place = self._to_finger(self._pressure)
         pad = self._assumed.geometry.pad_semi_axis_radial * max(math.exp(self.mean[ASPECT]), 1.0)
         farthest = pad + PLACE_LIMIT * self.settings.pad_place_sd
-        self._pressed_outside = math.hypot(place[0], place[1]) > farthest
+        # Also where it is NaN, the sum of endless torques of both signs.
+        self._pressed_outside = not math.hypot(place[0], place[1]) <= farthest
         if self._pressed_outside:
             return
         shared = self._shared(stamp - self._pressed_at)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -40,7 +41,7 @@ class Pose:
                 f"{math.degrees(LARGEST_TILT):g}°; tilt the plate less"
             )
 
-    @property
+    @cached_property
     def axes(self) -> np.ndarray:
         """Axes x', y', z' of the plate (rows, 3 × 3) in axes of the finger; z' is its normal."""
         cp, sp = math.cos(self.pitch), math.sin(self.pitch)

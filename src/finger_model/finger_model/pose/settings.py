@@ -73,6 +73,15 @@ class PoseSettings(Settings):
         minimum=-0.2,
         maximum=0.2,
     )
+    sensor_direction: float = _runtime(
+        0.0,
+        "Direction of the sensor's x in the plate, from +x towards +y, where sensor and camera are "
+        "turned against each other about the plate's normal; that of y where x is the normal axis, "
+        "and that of z where y is.",
+        unit="rad",
+        minimum=-math.pi,
+        maximum=math.pi,
+    )
     torque_noise: float = _runtime(
         2e-4,
         "Standard deviation of the mean torque of a thirtieth of a second.",

@@ -1,0 +1,103 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What is wrong with a stream of wrenches that its estimates do not show: stamps, frames, axis."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from finger_common.stamps import seconds
+
+DROPPED = 0.1
+"""Share of samples left out from which it is said; single ones are late by accident."""
+
+ACROSS, ALONG = 0.5, 0.1
+"""N of lateral force that lasts, and the share of it that a normal force has at least: a friction
+coefficient of 10 is none of a finger."""
+
+ACROSS_FOR = 2.0
+"""s for which such a force has lasted when it is told."""
+
+
+class WrenchWatch:
+    """Of the samples since the last look. clock: s."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._looked = clock()
+        self._came = self._dropped = 0
+        self._stamps: tuple[int, int] | None = None
+        self._frames: dict[str, None] = {}
+        """In the order seen."""
+        self._newest_frame: str | None = None
+        self._across_since: int | None = None
+        self._across = (0, 0.0, 0.0)
+
+    def add(self, stamp_ns: int, frame: str, dropped: bool) -> None:
+        """Count a sample; dropped: whether it gave no estimate."""
+        self._came += 1
+        self._dropped += dropped
+        known = self._stamps
+        if known is None:
+            self._stamps = stamp_ns, stamp_ns
+        elif not known[0] <= stamp_ns <= known[1]:
+            self._stamps = min(known[0], stamp_ns), max(known[1], stamp_ns)
+        if frame != self._newest_frame:
+            self._newest_frame = frame
+            self._frames[frame] = None
+
+    def see(self, stamp_ns: int, normal: float, lateral: float) -> None:
+        """Look at the force of an estimate, N along and across the normal axis."""
+        if lateral > ACROSS and abs(normal) < ALONG * lateral:
+            if self._across_since is None:
+                self._across_since = stamp_ns
+            self._across = stamp_ns, normal, lateral
+        else:
+            self._across_since = None
+
+    def look(self, normal_axis: str) -> dict[str, str]:
+        """What is wrong and what to do, empty where nothing is, by the keys "wrench_stamps",
+        "wrench_frames" and "normal_axis"; counts anew."""
+        now = self._clock()
+        found = {
+            "wrench_stamps": self._of_stamps(max(now - self._looked, 1e-3)),
+            "wrench_frames": self._of_frames(),
+            "normal_axis": self._of_axis(normal_axis),
+        }
+        self._looked, self._came, self._dropped, self._stamps = now, 0, 0, None
+        self._frames = {} if self._newest_frame is None else {self._newest_frame: None}
+        return found
+
+    def _of_stamps(self, passed: float) -> str:
+        if self._stamps is None or self._dropped <= DROPPED * self._came or self._came < 3:
+            return ""
+        first, last = self._stamps
+        came = f"{self._came / passed:.0f} wrench messages a second arrive"
+        remedy = "give each the time of its measurement"
+        if first == last:
+            how = "0" if last == 0 else "alike"
+            return f"{came}, all stamped {how}, and are left out: {remedy}"
+        return (
+            f"{came}, and {self._dropped / self._came:.0%} are stamped no later than the one "
+            f"before, or far ahead, and are left out: {remedy}, from one publisher"
+        )
+
+    def _of_frames(self) -> str:
+        frames = [repr(frame) for frame in self._frames]
+        if len(frames) < 2:
+            return ""
+        return (
+            f"wrench messages come in the frames {' and '.join(frames)}: let one sensor publish "
+            "the topic"
+        )
+
+    def _of_axis(self, normal_axis: str) -> str:
+        stamp, normal, lateral = self._across
+        if self._across_since is None or seconds(stamp - self._across_since) < ACROSS_FOR:
+            return ""
+        return (
+            f"a force of {lateral:.2f} N lies across normal_axis ({normal_axis}), {normal:.2f} N "
+            "along it: set normal_axis to the sensor's axis that the finger presses along, or tare"
+        )
