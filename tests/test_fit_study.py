@@ -80,6 +80,9 @@ def test_bags_in_parameters_and_report_out(bags: Path, tmp_path: Path) -> None:
     for name in ("parameters.yaml", "report.html", "figures/area_over_force.png"):
         assert (tmp_path / name).is_file()
     assert "natural" in done.stdout and "report.html" in done.stdout
+    if entry["active_bounds"]:
+        assert "natural: on a bound of the search box: " in done.stdout
+    assert len([line for line in done.stdout.splitlines() if "not estimated by" in line]) == 1
 
 
 def test_ctrl_c_leaves_the_best_so_far_and_resume_continues(bags: Path, tmp_path: Path) -> None:
@@ -141,6 +144,28 @@ def test_bad_input_ends_with_one_sentence(
     assert len(error.strip().splitlines()) == 1
     for word in words:
         assert word in error
+
+
+def test_a_folder_with_a_fit_of_another_subject_is_refused(
+    bags: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Before the fit, and nothing in it is changed."""
+    earlier = json.dumps({"subjects": {"P02": {"subject": "P02", "conditions": {}}}})
+    (tmp_path / "fit.json").write_text(earlier)
+    assert in_process(bags, "-o", tmp_path, "--quiet") == 2
+    assert "holds an earlier fit of P02, who are not among these trials" in capsys.readouterr().err
+    assert [p.name for p in tmp_path.iterdir()] == ["fit.json"]
+    assert (tmp_path / "fit.json").read_text() == earlier
+
+
+def test_a_finger_outside_the_population_box_is_told_what_a_fit_can_do(
+    bags: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "g.yaml").write_text("pad_semi_axis_radial: 0.013\n")
+    arguments = ("--geometry", tmp_path / "g.yaml", "-o", tmp_path / "fit")
+    assert in_process(bags, *arguments) == 2
+    error = capsys.readouterr().err
+    assert "'finger-model reduce' and give its file with --model" in error
 
 
 def test_study_writes_bags_that_agree_with_their_metadata(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ Everything is in SI: s, N, m², Pa.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
@@ -25,7 +26,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from finger_common.contact_threshold import LIFTOFF_FORCE, ONSET_FORCE
-from finger_common.errors import InputError
+from finger_common.errors import InputError, listed
 from finger_common.flags import AreaFlag
 from finger_common.stamps import NANOSECONDS
 from finger_model.finger import load_areas
@@ -43,7 +44,7 @@ from finger_offline.unloaded import reached_force, unloaded_tare
 
 from .options import FitOptions
 from .problem.trials import smoothed
-from .results import ConditionFit, FitResult, QuantityResult, write
+from .results import ConditionFit, FitResult, QuantityResult, check_folder, write
 from .study import draw, fit_records, provenance
 
 if TYPE_CHECKING:
@@ -62,15 +63,15 @@ REMEDIES = {
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One press.
+    """One press, or several one after the other, of which each is fitted as a trial of its own.
 
     time (n,): s, or dates as NumPy and pandas have them; force (n,): normal force in N, tared,
     positive when the finger presses, from no contact on; area: gross contact area in m², (n,) with
     NaN where there is no frame, or (k,) at area_time (k,) in s. moisture: readings (a.u.).
-    target_force (N): ends the loading, 95 % of the peak above the tare by default. Lists, arrays
-    and pandas columns are taken. Raises InputError for arrays that do not belong together, and for
-    times, forces, areas and indentations that cannot be a finger's. None for subject or condition
-    is none.
+    target_force (N): ends the loading, 95 % of a press's peak above the tare by default. Lists,
+    arrays and pandas columns are taken. Raises InputError for arrays that do not belong together,
+    and for times, forces, areas and indentations that cannot be a finger's. None for subject or
+    condition is none.
 
     indentation: measured approach of plate and bone in m, positive into the finger, from any zero:
     (n,) with NaN where there is none, or (j,) at indentation_time (j,) in s; None for none.
@@ -89,8 +90,12 @@ class Trial:
     indentation: Any = None
     indentation_time: Any = None
 
-    def record(self, number: int) -> TrialRecord:
-        """Give the press as a trial of a bag has it; number: its place in a list of trials."""
+    def records(self, number: int, index: int) -> list[TrialRecord]:
+        """Give the presses as trials of a bag have them.
+
+        number: place in a list of trials, for messages; index: of the first press, where the trial
+        has none. A single press keeps all samples; several are cut apart as those of a bag are.
+        """
         name = self.label or f"trial {number}"
         force = _Signal.of(self, name, "force")
         area = _Signal.of(self, name, "area", force.time)
@@ -100,23 +105,64 @@ class Trial:
         starts = [s.time[0] for s in (force, area, indentation) if len(s.time)]
         origin = min(float(min(starts)), 0.0)
         stamps = _stamps(force.time, origin)
-        first, end = _press(name, stamps, force.values)
-        peak = float(force.values[first:end].max())
+        touches = presses(stamps, force.values, ONSET_FORCE, LIFTOFF_FORCE)
+        peaks = [float(force.values[first:end].max()) for first, end in touches]
+        least, peak = TrialSettings().minimum_peak, max(peaks, default=0.0)
+        if peak < least:
+            raise InputError(
+                f"{name}: no press of {least:g} N or more, the largest force is "
+                f"{force.values.max():.3g} N; give the normal force in N, positive when the finger "
+                "presses"
+            )
+        first, end = touches[int(np.argmax(peaks))]
         span = (float(force.time[first]), float(force.time[min(end, len(stamps) - 1)]))
-        seen, indented = area.measured, indentation.measured
-        _check_units(name, span, peak, seen)
-        readings = _column(
-            [] if self.moisture is None else self.moisture, f"{name}: moisture", True
-        )
-        subject = _code(self.subject, f"{name}: subject")
-        condition = _code(self.condition, f"{name}: condition")
-        index = _scalar(self.index, f"{name}: index")
+        _check_units(name, span, peak, area.measured)
         target = _scalar(self.target_force, f"{name}: target_force")
         if not 0.0 <= target <= peak:
             raise InputError(
                 f"{name}: target_force is {target:g} N, the press goes up to {peak:.3g} N; give "
                 "the force at which the loading ends, or 0"
             )
+        given = _scalar(self.index, f"{name}: index")
+        pressed = [n for n, highest in enumerate(peaks) if highest >= least]
+        records = []
+        for place, n in enumerate(pressed):
+            alone = len(pressed) == 1
+            part = slice(0, len(stamps)) if alone else _about(touches, n, force.time)
+            own = _Signal(force.time[part], force.values[part])
+            ends = (-math.inf, math.inf) if alone else (own.time[0], own.time[-1])
+            records.append(
+                self._record(
+                    name,
+                    (given if given >= 0 else index) + place,
+                    origin,
+                    own,
+                    area.measured.within(*ends),
+                    indentation.measured.within(*ends),
+                    (touches[n][0] - part.start, touches[n][1] - part.start),
+                )
+            )
+        return records
+
+    def _record(
+        self,
+        name: str,
+        index: int,
+        origin: float,
+        force: _Signal,
+        seen: _Signal,
+        indented: _Signal,
+        press: tuple[int, int],
+    ) -> TrialRecord:
+        """Give one press, from its first sample to the first after it; origin: s, of the stamps."""
+        readings = _column(
+            [] if self.moisture is None else self.moisture, f"{name}: moisture", True
+        )
+        subject = _code(self.subject, f"{name}: subject")
+        condition = _code(self.condition, f"{name}: condition")
+        stamps = _stamps(force.time, origin)
+        first, end = press
+        peak = float(force.values[first:end].max())
         touches = seen.values > 0
         smooth = smoothed(force.time, force.values, FitOptions.force_cutoff)
         rest = unloaded_tare(
@@ -127,9 +173,9 @@ class Trial:
             session="python",
             subject=subject,
             condition=condition,
-            index=index if index >= 0 else number,
+            index=index,
             attempt=0,
-            target_force=target or reached_force(peak, rest),
+            target_force=self.target_force or reached_force(peak, rest),
             stamp_ns=stamps,
             force=force.values,
             lateral_force=np.zeros(len(stamps)),
@@ -191,19 +237,22 @@ class _Signal:
         known = np.isfinite(self.values)
         return _Signal(self.time[known], self.values[known])
 
+    def within(self, start: float, end: float) -> _Signal:
+        """The part from start to end (s)."""
+        kept = (self.time >= start) & (self.time <= end)
+        return _Signal(self.time[kept], self.values[kept])
 
-def _press(name: str, stamps: np.ndarray, force: np.ndarray) -> tuple[int, int]:
-    """Find the highest press: its first sample, and the first after it; raises InputError without
-    one."""
-    found = presses(stamps, force, ONSET_FORCE, LIFTOFF_FORCE)
-    peaks = [float(force[begin:end].max()) for begin, end in found]
-    least = TrialSettings().minimum_peak
-    if max(peaks, default=0.0) < least:
-        raise InputError(
-            f"{name}: no press of {least:g} N or more, the largest force is "
-            f"{force.max():.3g} N; give the normal force in N, positive when the finger presses"
-        )
-    return found[int(np.argmax(peaks))]
+
+def _about(touches: Sequence[tuple[int, int]], n: int, time: np.ndarray) -> slice:
+    """Samples at times (n,) in s of the n-th of the touches, with the margins that the trials of a
+    bag have, which hold nothing of the touches before and after."""
+    first, end = touches[n]
+    margin = TrialSettings().margin
+    low = int(np.searchsorted(time, time[first] - margin))
+    high = int(np.searchsorted(time, time[min(end, len(time)) - 1] + margin, side="right"))
+    before = touches[n - 1][1] if n else 0
+    after = touches[n + 1][0] if n + 1 < len(touches) else len(time)
+    return slice(max(low, before), min(high, after))
 
 
 def _check_units(name: str, span: tuple[float, float], peak: float, seen: _Signal) -> None:
@@ -425,7 +474,12 @@ class Fit:
         return figure(self.result, name)
 
     def save(self, folder: str | Path) -> Path:
-        """Write fit.json, parameters.yaml and tables/ into a folder; returns it."""
+        """Write fit.json, parameters.yaml and tables/ into a folder; returns it.
+
+        Raises InputError for a folder that holds a fit of other subjects.
+        """
+        fitted = {t.subject for fit in self.result.fits.values() for t in fit.problem.trials}
+        check_folder(Path(folder), fitted | {e.subject for e in self.result.exclusions})
         write(self.result, Path(folder))
         return Path(folder)
 
@@ -469,18 +523,28 @@ def fit(
                 f"fit: trial {number} is of type {type(trial).__name__}; give a list of "
                 "Trial(time, force, area, …)"
             )
-    records = [trial.record(number) for number, trial in enumerate(trials)]
+    records: list[TrialRecord] = []
+    several = []
+    for number, trial in enumerate(trials):
+        found = trial.records(number, len(records))
+        records += found
+        if len(found) > 1:
+            several.append(f"{trial.label or f'trial {number}'} ({len(found)})")
     if not records:
         raise InputError("fit: no trial was given; give a list of Trial")
     conditions = (conditions,) if isinstance(conditions, str) else conditions
     result = fit_records(records, model, chosen, conditions)
+    if several:
+        result.problems.insert(
+            0, f"several presses in {listed(several)}: each press is a trial of its own"
+        )
     changed = "".join(f", {name}={value!r}" for name, value in options.items())
-    found = {}
+    subjects = {}
     for name, part in result.subjects.items():
         part.sources = provenance(result.model, chosen, (), f"finger_fit.fit(…{changed})")
-        found[name] = Fit(part)
+        subjects[name] = Fit(part)
     result.sources = provenance(result.model, chosen, (), f"finger_fit.fit(…{changed})")
-    return Fit(result, found)
+    return Fit(result, subjects)
 
 
 def _bounds(given: Any) -> Any:

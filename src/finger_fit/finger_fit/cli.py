@@ -174,7 +174,7 @@ def command(argv: Sequence[str] | None = None) -> int:
             whole, part = (" to ".join(map(headline.text, e)) for e in ends)
             print(
                 f"{plain(name)}: {headline.symbol} {whole} {headline.display_unit} (95 %); from "
-                f"the data alone, with lengths and gain as assumed, {part}"
+                f"the data alone, with lengths and gain as assumed, {part} {headline.display_unit}"
             )
         if fit.indentation is not None:
             used = fit.indentation
@@ -182,11 +182,19 @@ def command(argv: Sequence[str] | None = None) -> int:
                 f"{plain(name)}: indentation of {len(used.zeros)} presses used, "
                 f"{1e6 * used.rms:.0f} µm from the model (RMS)"
             )
-        if fit.nuisance is not None and fit.nuisance.unknown:
-            names = ", ".join(map(name_of, fit.nuisance.unknown))
-            print(f"{plain(name)}: not estimated by these data: {names}; see the report")
+        bounds = fit.covariance.active if fit.covariance is not None else {}
+        if bounds:
+            symbols = ", ".join(fit.space[parameter].symbol for parameter in bounds)
+            print(f"{plain(name)}: on a bound of the search box: {symbols}")
         for reason in fit.reasons:
             print(f"{plain(name)}: {fit.status}: {plain(reason)}")
+    unknown: dict[str, list[str]] = {}
+    for name, fit in result.fits.items():
+        if fit.nuisance is not None and fit.nuisance.unknown:
+            words = ", ".join(map(name_of, fit.nuisance.unknown))
+            unknown.setdefault(words, []).append(plain(name))
+    for words, names in unknown.items():
+        print(f"{', '.join(names)}: not estimated by these data: {words}; see the report")
     page = Path(args.output) / "report.html"
     print(f"report: {plain(page)}")
     if browser:

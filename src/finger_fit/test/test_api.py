@@ -90,6 +90,35 @@ def test_it_predicts_areas_of_presses_that_it_has_not_seen(
         result.predict(time, force, "moist")
 
 
+def test_several_presses_in_one_trial_are_fitted_one_by_one(double: SimpleNamespace) -> None:
+    """As the presses of one bag are, with a note that says so."""
+    model = double.HereditaryModel()
+    alone = trials_of(double, 4, condition="dry")
+    starts = np.cumsum([0.0] + [t.time[-1] + 1.0 for t in alone[:-1]])
+    session = Trial(
+        np.concatenate([t.time + s for t, s in zip(alone, starts)]),
+        np.concatenate([t.force for t in alone]),
+        np.concatenate([t.area for t in alone]),
+        np.concatenate([t.area_time + s for t, s in zip(alone, starts)]),
+        condition="dry",
+        target_force=1.35,
+        label="session",
+    )
+    apart, whole = (fit(data, model=model, **QUICK) for data in (alone, session))
+    assert not [note for note in apart.notes if "presses" in note]
+    assert whole.notes[0] == "several presses in session (4): each press is a trial of its own"
+    problem = whole.result.fits["dry"].problem
+    assert [t.label for t in problem.trials] == [f"session trial {i}" for i in range(4)]
+    assert whole.parameters["composite_E"] == pytest.approx(
+        apart.parameters["composite_E"], rel=0.01
+    )
+    # A press that stays below the target is left out, with its reason.
+    weak = replace(session, force=np.where(session.time < starts[1], 0.5, 1.0) * session.force)
+    found = fit(weak, model=model, **QUICK)
+    assert len(found.result.fits["dry"].problem) == 3
+    assert any("session trial 0: force stays at" in note for note in found.notes)
+
+
 def test_pandas_columns_and_one_common_time(double: SimpleNamespace) -> None:
     pandas = pytest.importorskip("pandas", reason="pandas is not installed")
     presses = []
@@ -314,18 +343,20 @@ def test_columns_of_many_kinds_are_taken() -> None:
     time = np.arange(0.0, 2.0, 0.01)
     force, area = np.sin(time), 5e-5 * np.sin(time)
     dates = pandas.to_datetime(1.7e9 + time, unit="s", utc=True)
-    wanted = Trial(time, force, area).record(0)
+    wanted = Trial(time, force, area).records(0, 0)[0]
     for kind in (
         Foreign, list, tuple, pandas.Series, np.ma.asarray, lambda a: np.asarray(a)[:, None],
     ):  # fmt: skip
-        found = Trial(kind(time), kind(force), kind(area), condition=None, subject=None).record(0)
+        found = Trial(kind(time), kind(force), kind(area), condition=None, subject=None).records(
+            0, 0
+        )[0]
         assert np.array_equal(found.force, wanted.force) and found.subject == ""
         assert np.array_equal(found.stamp_ns, wanted.stamp_ns) and found.condition == ""
     for clock in (dates, list(dates.to_pydatetime()), dates.tz_convert("Asia/Tokyo")):
-        found = Trial(clock, force, area).record(0)
+        found = Trial(clock, force, area).records(0, 0)[0]
         assert np.allclose(np.diff(found.stamp_ns), 1e7, atol=3e3)
     hidden = np.ma.masked_where(time < 1.0, area)
-    assert len(Trial(time, force, hidden).record(0).area) == 100
+    assert len(Trial(time, force, hidden).records(0, 0)[0].area) == 100
 
 
 @pytest.mark.parametrize(
@@ -361,12 +392,14 @@ def test_without_profiles_the_covariance_gives_the_intervals(
 def test_dates_are_times() -> None:
     time = np.linspace(0.0, 2.0, 201)
     dates = np.datetime64("2026-05-01T10:00:00") + np.round(time * 1e9).astype("timedelta64[ns]")
-    plain, dated = (Trial(t, np.sin(time), 5e-5 * np.sin(time)).record(0) for t in (time, dates))
+    plain, dated = (
+        Trial(t, np.sin(time), 5e-5 * np.sin(time)).records(0, 0)[0] for t in (time, dates)
+    )
     steps = np.diff(dated.stamp_ns) - np.diff(plain.stamp_ns)
     assert np.abs(steps).max() < 1000, "ns"
     np.testing.assert_array_equal(dated.stamp_ns, dated.area_stamp_ns)
     spans = np.round(time * 1e9).astype("timedelta64[ns]")
-    spanned = Trial(spans, np.sin(time), 5e-5 * np.sin(time)).record(0)
+    spanned = Trial(spans, np.sin(time), 5e-5 * np.sin(time)).records(0, 0)[0]
     np.testing.assert_array_equal(spanned.stamp_ns, plain.stamp_ns)
 
 
@@ -376,8 +409,10 @@ def test_areas_keep_their_place_whatever_the_origin_of_time(
 ) -> None:
     """Times may count from the onset: areas begin later than the force, and force below zero."""
     (trial,) = trials_of(double, 1)
-    plain = trial.record(0)
-    moved = replace(trial, time=trial.time + shift, area_time=trial.area_time + shift).record(0)
+    plain = trial.records(0, 0)[0]
+    moved = replace(trial, time=trial.time + shift, area_time=trial.area_time + shift).records(
+        0, 0
+    )[0]
     lag = moved.area_stamp_ns - moved.stamp_ns[0] - (plain.area_stamp_ns - plain.stamp_ns[0])
     assert np.abs(lag).max() < 1000, "ns"
 

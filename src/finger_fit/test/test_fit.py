@@ -28,6 +28,7 @@ from finger_fit.options import FitOptions
 from finger_fit.problem import MM4, fit_power_law, three_digits
 from finger_fit.report import find_browser, write_pdf, write_report
 from finger_fit.results import FitResult
+from finger_fit.results.tables import goodness_rows
 from finger_fit.search import Stopped, all_free, refine
 from finger_fit.study import fit_condition, fit_records
 from finger_model.parameter_sets import ParameterSets
@@ -92,6 +93,19 @@ def test_a_corrected_fit_without_polish_is_a_minimum_and_has_its_bias(double) ->
     assert fit.pso.best[1] > 1.001 * fit.cost, "the swarm alone ended elsewhere"
     corrected = results.condition_dict(fit)["bias_corrected"]
     assert set(corrected) == set(problem.space.quantity_names)
+
+
+def test_the_cost_by_full_order_is_one_number_in_all_files(double, tmp_path: Path) -> None:
+    """J of the areas, as that of the model beside it, not what the fit minimises."""
+    options = FitOptions(profiles=False, bootstrap=0, grid=3, rounds=5, top=2, bias_pairs=0)
+    fit = fit_condition(double.make_problem(noise=3e-6, trials=4, options=options), "dry",
+                        better=double.Exact())  # fmt: skip
+    assert fit.full_order is not None
+    result = FitResult(options, {"dry": fit}, [])
+    (row,) = goodness_rows(result)
+    assert row["J_full_order_mm4"] == results.condition_dict(fit)["J_full_order"]
+    assert row["J_full_order_mm4"] == pytest.approx(row["J_mm4"], rel=1e-3)
+    assert fit.full_order.full_costs[0] != pytest.approx(fit.full_order_cost, rel=1e-3)
 
 
 def test_top_candidates_are_distinct_and_sorted(study) -> None:
@@ -353,9 +367,12 @@ def test_report_is_one_self_contained_page_with_its_figures_beside_it(written: P
         "bias-corrected",
         "Δ<i>J</i>",
         "<i>R</i>² model",
+        "on a bound",
     ):
         assert words in page
     assert not re.search(r"\bnan\b", re.sub(r"base64,[^\"]*", "", page))
+    # "1,500" is one and a half to many readers.
+    assert not re.search(r">\d,\d{3}<", page) and re.search(r">\d{4}(\.\d+)?<", page)
 
 
 @pytest.fixture

@@ -75,7 +75,7 @@ def presses(
 
 
 def problem_of(double: SimpleNamespace, options: FitOptions, trials: list[Trial]) -> FitProblem:
-    prepared, excluded = prepare_all([t.record(i) for i, t in enumerate(trials)], options)
+    prepared, excluded = prepare_all([t.records(i, i)[0] for i, t in enumerate(trials)], options)
     assert not excluded
     return FitProblem(prepared, double.HereditaryModel(), options)
 
@@ -234,7 +234,8 @@ def test_a_gain_is_trusted_unless_stated(double: SimpleNamespace) -> None:
 def test_lengths_enter_by_the_answer_of_the_indentation(double: SimpleNamespace) -> None:
     """By the model of the population as by full-order runs, at areas and indentations."""
     model = ReducedModel.load()
-    prepared, _ = prepare_all([t.record(i) for i, t in enumerate(presses(double, 3))], FitOptions())
+    records = [t.records(i, i)[0] for i, t in enumerate(presses(double, 3))]
+    prepared, _ = prepare_all(records, FitOptions())
     problem = FitProblem(prepared, model, FitOptions())
     population = PopulationGeometry.like(model)
     assert population is not None
@@ -333,6 +334,28 @@ def test_a_sensor_that_does_not_follow_the_force_is_noted(double: SimpleNamespac
     checks = {c.name: c for c in result.result.fits["dry"].quality.checks}
     assert checks["indentation"].status != "ok"
     assert "from the model" in checks["indentation"].detail
+
+
+@pytest.mark.parametrize(("gain", "late"), [(1.5, 0.0), (0.5, 0.0), (1.0, 0.3)])
+def test_an_indentation_that_the_model_does_not_follow_fails(
+    double: SimpleNamespace, gain: float, late: float
+) -> None:
+    trials = [
+        replace(
+            t,
+            indentation=gain * np.asarray(t.indentation),
+            indentation_time=np.asarray(t.indentation_time) + late,
+        )
+        for t in presses(double, 4)
+    ]
+    narrow = {
+        "bounds": ["E0=115kPa:125kPa", "E1=24kPa:26kPa", "E2=1400kPa:1600kPa", "tau1=0.19:0.21"]
+    }
+    model = double.HereditaryModel()
+    found = fit(trials, model=model, **QUICK, **ALONE, **narrow).result.fits["dry"]
+    (check,) = [c for c in found.quality.checks if c.name == "indentation"]
+    assert check.status == "fail" and "% of the travel" in check.detail, check
+    assert found.status == "not final"
 
 
 def test_a_condition_without_indentation_beside_one_with_it_has_a_report(

@@ -20,7 +20,7 @@ from finger_common.flags import AreaFlag
 from finger_fit.options import FitOptions
 from finger_fit.problem import FitProblem
 from finger_fit.quality import screen
-from finger_fit.results import parameter_files, write
+from finger_fit.results import check_folder, parameter_files, write
 from finger_fit.study import fit_records
 from finger_model.geometry import Geometry
 from finger_model.laws import StandardLinearSolid
@@ -193,6 +193,31 @@ def test_two_subjects_are_fitted_apart_unless_pooled(
     pooled = fitted(double, records, replace(options, pool=True))
     assert not pooled.subjects and len(pooled.fits["natural"].problem) == 8
     assert "2 subjects are pooled: S01, S02" in pooled.problems
+    # What an earlier fit wrote for the model node goes, what a calibration put there stays.
+    calibrated = subject_file(tmp_path / "subjects", "S02")
+    calibrated.write_text(calibrated.read_text() + "# calibrated\n")
+    write(pooled, tmp_path)
+    assert [p.name for p in (tmp_path / "subjects").iterdir()] == ["S02.yaml"]
+
+
+def test_a_folder_with_a_fit_of_other_subjects_is_refused(
+    double: SimpleNamespace, presses: list[Any], tmp_path: Path
+) -> None:
+    """Their parameters would stay there, where the model node chooses."""
+    other = [replace(p, subject="S02", area=1.2 * p.area) for p in presses]
+    write(fitted(double, [*presses, *other]), tmp_path)
+    kept = sorted(p for p in tmp_path.rglob("*") if p.is_file())
+    for found in ({"S01", "S02"}, {"S01", "S02", "S03"}):
+        check_folder(tmp_path, found)
+    for found, named in (({"S01"}, "S02"), ({"S03", ""}, "S01, S02")):
+        with pytest.raises(InputError, match=f"holds an earlier fit of {named}, who are not"):
+            check_folder(tmp_path, found)
+    assert kept == sorted(p for p in tmp_path.rglob("*") if p.is_file())
+    write(fitted(double, presses), tmp_path / "one")
+    check_folder(tmp_path / "one", {"S01"})
+    with pytest.raises(InputError, match="holds an earlier fit of S01"):
+        check_folder(tmp_path / "one", {"S02"})
+    check_folder(tmp_path / "new", {"S02"})
 
 
 @pytest.mark.parametrize(
@@ -258,6 +283,70 @@ def test_areas_that_follow_another_law_are_noted(
     status, detail = status_of(fitted(double, records, narrow), "model against areas")
     assert status == "note" and re.search(words, detail), detail
     assert "another law" in detail
+
+
+def test_a_fit_on_bounds_that_stays_behind_the_power_law_is_not_final(
+    double: SimpleNamespace, presses: list[Any]
+) -> None:
+    """Areas too large, with parameters on bounds: another finger than the model's."""
+    large = [replace(p, area=1.4 * p.area) for p in presses]
+    box = ["E0=115kPa:150kPa", "E1=24kPa:30kPa", "E2=1400kPa:1600kPa"]
+    narrow = replace(QUICK, bounds=box, nuisances=False)
+    fit = fitted(double, large, narrow).fits["natural"]
+    (check,) = [c for c in fit.quality.checks if c.name == "model against areas"]
+    assert fit.cost > 1.5 * fit.power_law.cost and check.status == "fail", check
+    assert re.search("J is .* of the power law, with E₀, E₁.* on bounds", check.detail)
+    assert fit.status == "not final"
+    assert fit.reasons[-1] == "it was not checked against the full-order model"
+    right = fitted(double, presses, narrow).fits["natural"]
+    assert right.status == "not checked" and not right.reasons
+
+
+def test_a_fit_with_the_default_finger_is_told_to_give_lengths(
+    double: SimpleNamespace, presses: list[Any]
+) -> None:
+    model = double.HereditaryModel()
+    model.geometry = Geometry()
+    large = [replace(p, area=1.4 * p.area) for p in presses]
+    box = ["E0=115kPa:150kPa", "E1=24kPa:30kPa", "E2=1400kPa:1600kPa"]
+    options = replace(QUICK, bounds=box, nuisances=False)
+    result = fit_records(large, model, options)
+    assert (
+        "give the finger's lengths with --geometry" in status_of(result, "model against areas")[1]
+    )
+
+
+def test_frames_without_an_area_are_counted_and_many_fail(
+    double: SimpleNamespace, presses: list[Any]
+) -> None:
+    """Zeros between the areas of a slower camera."""
+    sparse = []
+    for press in presses:
+        stamps = np.arange(press.area_stamp_ns[0], press.area_stamp_ns[-1], 10**7)
+        area = np.zeros(len(stamps))
+        rows = np.searchsorted(stamps, press.area_stamp_ns[:-1])
+        area[rows] = press.area[:-1]
+        few = {"area_sd": np.full(len(area), np.nan), "area_flags": np.where(area > 0, 0, 1)}
+        sparse.append(replace(press, area_stamp_ns=stamps, area=area, **few))
+    result = fitted(double, sparse)
+    trials = result.fits["natural"].problem.trials
+    dropped, used = sum(t.dropped for t in trials), sum(len(t.area) for t in trials)
+    status, detail = status_of(result, "frames")
+    assert dropped > used and status == "fail"
+    assert f"of {used + dropped} frames {dropped} without a measurable contact" in detail
+
+
+def test_lists_that_are_cut_say_how_many_more_there_are(
+    double: SimpleNamespace, presses: list[Any]
+) -> None:
+    for index, press in enumerate(presses):
+        press.doubts = (f"bag {index}: stamps run back",)
+    try:
+        _, detail = status_of(fitted(double, presses), "stamps")
+    finally:
+        for press in presses:
+            del press.doubts
+    assert detail.endswith("bag 2: stamps run back; and 1 more")
 
 
 def test_stamps_that_ran_back_fail(double: SimpleNamespace, presses: list[Any]) -> None:

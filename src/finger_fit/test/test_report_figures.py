@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib import pyplot as plt
 from matplotlib.text import Text
 
 from finger_common.errors import InputError
 from finger_fit.report import figure
-from finger_fit.report.figures import PALETTE, all_figures
+from finger_fit.report.figures import PALETTE, _plain_log_ticks, all_figures
 
 COLUMN = 7.2
 """inches; no figure is wider than two columns of a journal, so none is printed smaller."""
@@ -79,6 +80,19 @@ def test_panels_have_letters_and_conditions_share_their_axes(figures: dict[str, 
         assert len({p.get_xlim() for p in panels}) == len({p.get_ylim() for p in panels}) == 1
     model, law, _ = figures["residuals"].axes
     assert (model.get_xlim(), model.get_ylim()) == (law.get_xlim(), law.get_ylim())
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "wanted"),
+    [(700.0, 2200.0, "700 1000 2000"), (0.01, 0.8, "0.01 0.1 0.7"), (12.0, 16.0, "15"),
+     (6.0, 11.0, "7 10")],
+)  # fmt: skip
+def test_numbers_on_a_logarithmic_axis_stay_apart(low: float, high: float, wanted: str) -> None:
+    panel = plt.figure().add_subplot()
+    panel.set_xscale("log")
+    _plain_log_ticks(panel, low, high)
+    assert " ".join(label.get_text() for label in panel.get_xticklabels()) == wanted
+    plt.close("all")
 
 
 def test_every_figure_comes_as_png_svg_and_pdf(written: Path) -> None:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -150,6 +151,22 @@ def test_a_trial_ends_at_its_own_target_force_unless_another_is_set(double) -> N
     assert 0.9 <= own.frame_force[-1] < 1.1
     lower = prepare(record, FitOptions(target_force=0.5))
     assert len(lower.area) < len(own.area)
+
+
+def test_a_target_that_is_not_reached_is_explained(double) -> None:
+    """A trial's own target may come from a spike; one that was set does not."""
+    record = double.make_record()
+    force = record.force.copy()
+    force[len(force) // 2] = 6.0
+    spiky = SimpleNamespace(**vars(record) | {"force": force, "target_force": 5.7})
+    with pytest.raises(
+        TrialRejected, match=r"of the trial itself, though samples go up to 6\.00 N"
+    ):
+        prepare(spiky, FitOptions())
+    with pytest.raises(TrialRejected) as error:
+        prepare(record, FitOptions(target_force=4.0))
+    assert "itself" not in str(error.value)
+    assert str(error.value).endswith("4 N; set target_force to what the presses reach")
 
 
 def test_frames_without_contact_in_the_window_are_dropped_and_counted(double) -> None:

@@ -54,6 +54,8 @@ Srinivasan 2003. The others over the index: assumptions in the order of hand ant
 
 LENGTH_OVER_WIDTH = 1.5
 """Of a typical distal finger segment, crease to tip over width; an assumption."""
+LENGTH_RANGE = (1.1, 2.2)
+"""Length over width of fingertips; beyond it another length was measured. An assumption."""
 UNKNOWN_LENGTH = 0.05
 """Relative deviation of the radial semi-axis of a finger whose length was not measured."""
 KNOWN_LENGTH = 0.03
@@ -220,6 +222,13 @@ def _radial(width: float, width_deviation: float, length: float | None) -> Lengt
     """Semi-axis of a pad that is as round, from above, as the finger's width and length are."""
     radial, ratio, rule = 0.5 * width, UNKNOWN_LENGTH, "half the width"
     if length is not None:
+        low, high = LENGTH_RANGE
+        if not low <= length / width <= high:
+            raise InputError(
+                f"length {length * 1e3:g} mm is {length / width:.2f} of the width of "
+                f"{width * 1e3:g} mm; in fingertips it is {low:g} to {high:g} of it, from the last "
+                "crease to the tip: check both"
+            )
         radial *= math.sqrt(length / (LENGTH_OVER_WIDTH * width))
         ratio = KNOWN_LENGTH
         rule = f"half the width, times the root of length over {LENGTH_OVER_WIDTH:g} widths"

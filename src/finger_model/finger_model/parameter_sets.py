@@ -96,7 +96,8 @@ class InterpolatedParameters:
 class ParameterSets:
     """The sets of one parameters.yaml, in the order of their moisture.
 
-    `law` is the law that the parameters belong to, `space` its parameters. Raises InputError for no
+    `law` is the law that the parameters belong to, `space` its parameters; `where` names their
+    file in messages. Raises InputError for no
     sets, two sets at one moisture, or values that the space refuses.
     """
 
@@ -112,6 +113,7 @@ class ParameterSets:
     ) -> None:
         if not sets:
             raise InputError(f"{where}: 'sets' is empty; give at least one parameter set")
+        self.where = where
         self.law = law
         self.space = law.PARAMETERS
         self.sets = tuple(sorted(sets, key=lambda s: s.moisture))
@@ -220,6 +222,28 @@ class ParameterSets:
         same = geometry.hash() == self.geometry_hash
         model_hash = self.reduced_model_hash if same else ""
         return ParameterSets(self.sets, "", model_hash, "", self.law, prior, geometry)
+
+    def of_condition(self, condition: str) -> ParameterSet:
+        """Find the set of a condition; without a name the only one.
+
+        Raises InputError for an unknown condition, and for none where there are several.
+        """
+        names = [s.condition for s in self.sets]
+        if not condition:
+            if len(self.sets) == 1:
+                return self.sets[0]
+            raise InputError(
+                f"{self.where}: holds {len(self.sets)} sets; choose one by its condition "
+                f"({', '.join(names)}) or by the moisture"
+            )
+        found = [s for s in self.sets if s.condition == condition]
+        if len(found) != 1:
+            number = "several sets" if found else "no set"
+            raise InputError(
+                f"{self.where}: {number} of the condition '{condition}'; "
+                f"{known_names(condition, names)}"
+            )
+        return found[0]
 
     def interpolate(self, moisture: float) -> InterpolatedParameters:
         """Parameters at a reading (a.u.); raises InputError when it is not a finite number."""

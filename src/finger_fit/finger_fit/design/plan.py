@@ -135,7 +135,7 @@ class Plan(Settings):
                 time, force, area, frames, "plan", target_force=0.98 * self.peak,
                 indentation=indentation, indentation_time=frames,
             )  # fmt: skip
-            records.append(trial.record(index))
+            records += trial.records(index, index)
         chosen = replace(options, window=self.window, indentation_sd=self.indentation_sd)
         trials, excluded = prepare_all(records, chosen)
         if len(trials) < self.presses:

@@ -19,7 +19,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from finger_common.cli import Parser, plain
-from finger_common.errors import InputError, known_names
+from finger_common.errors import InputError, known_names, listed
 from finger_common.files import atomic_write, load_json, number
 from finger_common.moisture import is_moisture
 from finger_model.laws import ParameterSpace, StandardLinearSolid, law_of
@@ -193,12 +193,12 @@ def population(
         entry["words"] = [*found.problems, *_words(entry)]
         if unfinished:
             entry["words"].append(
-                f"{len(unfinished)} of the fits are not final: {', '.join(unfinished[:3])}"
+                f"{len(unfinished)} of the fits are not final: {listed(unfinished, 3)}"
             )
         if bounded:
             entry["words"].append(
                 f"{len(bounded)} of the fits lie on a bound of the search box, which pulls them "
-                f"inwards: {', '.join(bounded[:3])}"
+                f"inwards: {listed(bounded, 3)}"
             )
         out["quantities"][name] = entry
     out["priors"] = {k: v for k, v in vars(HierarchyPriors()).items() if k != "level"}

@@ -255,7 +255,8 @@ def prepare(record: Any, options: FitOptions) -> FitTrial:
         touched, empty = frame_time[streams.measured], frame_time[streams.empty]
         rest = unloaded_tare(time, force, smooth, touched, empty)
     tare = rest.force if rest else 0.0
-    first, reached, last = _contact(time, smooth, tare, target, options)
+    highest = float(force.max()) - tare
+    first, reached, last = _contact(time, smooth, tare, target, highest, options)
     counted, dropped = _frames(streams, time[first], time[reached], time[last], options)
     readings = np.array([*record.moisture_before, *record.moisture_after], dtype=float)
     readings = readings[np.isfinite(readings)]
@@ -289,19 +290,31 @@ def prepare(record: Any, options: FitOptions) -> FitTrial:
 
 
 def _contact(
-    time: np.ndarray, smooth: np.ndarray, tare: float, target: float, options: FitOptions
+    time: np.ndarray,
+    smooth: np.ndarray,
+    tare: float,
+    target: float,
+    highest: float,
+    options: FitOptions,
 ) -> tuple[int, int, int]:
     """Find the samples at which the contact begins, reaches its target (N), and ends.
 
-    time (n,) in s, smooth (n,): force in N with its tare. Raises TrialRejected without such a
-    contact, or with gaps in it.
+    time (n,) in s, smooth (n,): force in N with its tare; highest: N, of a sample as recorded.
+    Raises TrialRejected without such a contact, or with gaps in it.
     """
     smooth = smooth - tare
     reached = np.flatnonzero(smooth >= target)
     if not len(reached):
         less = f" without its tare of {tare:+.2f} N" if abs(tare) > 0.005 else ""
         stays = f"force stays at {smooth.max():.2f} N{less}, below the target of {target:g} N"
-        raise TrialRejected(minus(stays))
+        if not options.target_force:
+            stays += " of the trial itself"
+            if highest >= target:
+                stays += (
+                    f", though samples go up to {highest:.2f} N, perhaps spikes (a trial without a "
+                    "target has 95 % of its largest sample)"
+                )
+        raise TrialRejected(minus(f"{stays}; set target_force to what the presses reach"))
     onset = options.onset_force
     first, end = next(c for c in contacts(smooth, onset, onset) if c[0] <= reached[0] < c[1])
     if first == 0 and smooth[0] > LATE_START:
@@ -344,7 +357,7 @@ def _frames(
     measured = counted[streams.measured[counted]]
     if len(measured) < 3:
         raise TrialRejected(
-            f"vision measured {len(measured)} frames of the contact, at least 3 are needed"
+            f"areas were measured in {len(measured)} frames of the contact, at least 3 are needed"
         )
     return measured, len(counted) - len(measured)
 

@@ -31,5 +31,7 @@ def judge(fit: ConditionFit) -> None:
         )
     if fit.quality is not None:
         fit.reasons += [f"data: {failure}" for failure in fit.quality.failures]
-    if fit.status == "final" and fit.reasons:
+    if fit.status == "not checked" and fit.reasons:
+        fit.reasons.append("it was not checked against the full-order model")
+    if fit.status in ("final", "not checked") and fit.reasons:
         fit.status = "not final"

@@ -8,6 +8,7 @@ Nothing is computed here: areas, curves and the deformed finger are part of the 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -487,7 +488,11 @@ def _plain_log_ticks(panel: Axes, low: float, high: float) -> None:
     """Three round numbers on a logarithmic axis."""
     nice = [m * 10.0**e for e in range(-4, 6) for m in (1, 1.5, 2, 3, 5, 7)]
     inside = [v for v in nice if low <= v <= high]
-    wanted = [inside[i] for i in sorted({0, len(inside) // 2, len(inside) - 1})] if inside else []
+    wanted = inside[:1]
+    if len(inside) > 1:
+        middle = math.sqrt(inside[0] * inside[-1])
+        between = min(inside[1:-1], key=lambda v: abs(math.log(v / middle)), default=None)
+        wanted += [*([] if between is None else [between]), inside[-1]]
     panel.xaxis.set_major_locator(FixedLocator(wanted))
     panel.xaxis.set_minor_locator(NullLocator())
     labels = panel.set_xticklabels([f"{v:g}" for v in wanted])

@@ -66,7 +66,10 @@ def _sentence(block: NuisanceResult) -> str:
         )
     else:
         tare = "no press shows the unloaded plate; the tare is a nuisance"
-    text = f"{tare}; areas of presses scatter by {100 * block.scatter:.0f} %"
+    text = (
+        f"{tare}; the gain of each press may differ from that of the others by "
+        f"{100 * block.scatter:.0f} % (SD)"
+    )
     if block.not_estimated:
         names = ", ".join(map(name_of, block.not_estimated))
         text += f"; these data do not estimate {names}: the intervals hold the priors"

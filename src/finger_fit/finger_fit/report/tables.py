@@ -58,9 +58,8 @@ def headings(space: ParameterSpace, names: Sequence[str]) -> list[str]:
 
 
 def show(space: ParameterSpace, name: str, value: float) -> str:
-    """A value (SI) in the quantity's display unit, thousands separated."""
-    quantity = space.describe(name)
-    return minus(f"{value * quantity.display_factor:,.{quantity.decimals}f}")
+    """A value (SI) in the quantity's display unit."""
+    return minus(space.describe(name).text(value))
 
 
 def area_cost(cost: float) -> str:
@@ -206,12 +205,12 @@ def contrast_table(result: FitResult) -> str:
             continue
         low, high = (show(space, c.quantity, v) for v in c.difference_95)
         spans = (
-            f"<small>{c.ratio_95[0]:.3f} – {c.ratio_95[1]:.3f}</small>",
+            f"<small>{' – '.join(map(three_digits, c.ratio_95))}</small>",
             f"<small>{low} to {high}</small>",
         )
         words, chance = (
             "differ" if c.separated else "<i>not separated</i>",
-            f"{c.probability_greater:.3f}",
+            _chance(c.probability_greater),
         )
         if c.on_bound:
             # What the box holds back has no spread: neither interval nor probability means much.
@@ -221,7 +220,7 @@ def contrast_table(result: FitResult) -> str:
                 *([escape(c.subject)] if several else []),
                 f"{escape(c.first)} – {escape(c.second)}",
                 *headings(space, [c.quantity]),
-                "–" if math.isnan(c.ratio) else f"{c.ratio:.3f}{spans[0]}",
+                "–" if math.isnan(c.ratio) else f"{three_digits(c.ratio)}{spans[0]}",
                 f"{show(space, c.quantity, c.difference)}{spans[1]}",
                 chance,
                 words,
@@ -306,7 +305,7 @@ def verdict(result: FitResult) -> str:
                 + (
                     f"where {100 * check.CHANGE_LIMIT:g} % is the limit."
                     if check.change <= check.CHANGE_LIMIT
-                    else "which these data do not tell apart."
+                    else "a difference that these data cannot show."
                 )
             )
         elif fit.status == "final":
@@ -457,7 +456,7 @@ def force_modes(result: FitResult) -> str:
 
 
 def identifiability(result: FitResult) -> str:
-    """Active bounds, correlations, spread of the headline quantity, noise."""
+    """Parameters on bounds, correlations, spread of the headline quantity, noise."""
     space = result.space
     headline = space.describe(space.headline)
     rows, notes = [], []
@@ -486,7 +485,7 @@ def identifiability(result: FitResult) -> str:
         return ""
     header = [
         "condition",
-        "active bounds",
+        "on a bound",
         "strongest correlations",
         f"SD of ln {headline.html} (%)",
         "noise of a frame (mm²)",
@@ -570,6 +569,13 @@ def search(result: FitResult) -> str:
     return text + table(header, rows, (6,))
 
 
+def _chance(probability: float) -> str:
+    """A probability of many draws, which never show one that is 0 or 1."""
+    if probability < 0.001:
+        return "&lt; 0.001"
+    return "&gt; 0.999" if probability > 0.999 else f"{probability:.3f}"
+
+
 def candidates(result: FitResult) -> str:
     """The correction to full order, and the top candidates by both models."""
     space = result.space
@@ -605,7 +611,14 @@ def candidates(result: FitResult) -> str:
         ) + listing(changed)
     header = ["candidate", *headings(space, space.quantity_names)]
     header += ["<i>J</i> reduced", "Δ<i>J</i>", "<i>J</i> full order", "Δ<i>J</i>"]
-    return text + "<p>Top distinct candidates, by both models:</p>" + table(header, rows)
+    text += "<p>Top distinct candidates, by both models:</p>" + table(header, rows)
+    if any(fit.nuisance is not None for fit in result.fits.values()):
+        text += (
+            "<p class=lead><i>J</i> of the candidates is what the fit minimised: with the best "
+            "nuisance parameters for each, among them a gain of each press. It is less than "
+            "<i>J</i> of the parameters above, which has no such gains.</p>"
+        )
+    return text
 
 
 def additional_fits(result: FitResult) -> str:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from finger_common.errors import InputError
+from finger_common.errors import InputError, listed
 from finger_common.files import atomic_write, load_json
 from finger_common.moisture import MOISTURE_RANGE
 from finger_common.subject_code import is_subject
@@ -83,7 +83,7 @@ def condition_dict(fit: ConditionFit) -> dict[str, Any]:
     }
     if fit.full_order is not None:
         found = fit.full_order
-        out["J_full_order"] = float(fit.problem.trial_costs(found.areas[0]).sum()) * MM4
+        out["J_full_order"] = fit.full_order_cost * MM4
         for entry, cost in zip(out["top"], found.full_costs):
             entry["J_full_order"] = float(cost) * MM4
         out["full_order"] = {
@@ -242,10 +242,35 @@ def _sets(result: FitResult, fits: dict[str, ConditionFit]) -> ParameterSets:
     )
 
 
+def check_folder(folder: Path, subjects: Iterable[str]) -> None:
+    """Raise InputError for a folder that holds an earlier fit of others than these subjects: what
+    it wrote of them would stay, and be taken for a result of this fit."""
+    others = sorted(_earlier_subjects(folder).keys() - set(subjects))
+    if others:
+        raise InputError(
+            f"{folder}: holds an earlier fit of {listed(others)}, who are not among these trials; "
+            "give another folder, or move the earlier fit away"
+        )
+
+
+def _earlier_subjects(folder: Path) -> dict[str, bytes]:
+    """Codes of the subjects of the fit in a folder, each with the content of its parameters.yaml;
+    none without a fit."""
+    try:
+        found = load_json(folder / "fit.json", "fit.json")
+        parts = found.get("subjects") or {"": found}
+        codes = {name: str(part["subject"]) for name, part in parts.items()}
+    except (InputError, KeyError, TypeError, AttributeError):
+        return {}
+    files = {c: folder / name / "parameters.yaml" for name, c in codes.items() if is_subject(c)}
+    return {code: file.read_bytes() if file.is_file() else b"" for code, file in files.items()}
+
+
 def write(result: FitResult, folder: Path) -> None:
     """Write fit.json, the parameter files and the tables into the folder; of several subjects,
     those of each into a folder of its own too, and subjects/CODE.yaml of each for the model node.
     """
+    earlier = _earlier_subjects(folder)
     for name, part in result.subjects.items():
         _write(part, folder / name)
     _write(result, folder)
@@ -256,6 +281,11 @@ def write(result: FitResult, folder: Path) -> None:
             found[code].save(file)
         else:
             file.unlink(missing_ok=True)  # of an earlier fit in this folder
+    for code in earlier.keys() - found.keys():
+        file = subject_file(folder / "subjects", code)
+        # Not one that a calibration, or somebody, put there since.
+        if file.is_file() and file.read_bytes() == earlier[code]:
+            file.unlink()
 
 
 def _write(result: FitResult, folder: Path) -> None:

@@ -142,6 +142,13 @@ class ConditionFit:
             return float("nan"), float("nan")
         return float(values.mean()), float(values.std(ddof=1)) if len(values) > 1 else 0.0
 
+    @property
+    def full_order_cost(self) -> float:
+        """J (m⁴) of the full-order areas at the result; NaN where they were not computed."""
+        if self.full_order is None:
+            return math.nan
+        return float(self.problem.trial_costs(self.full_order.areas[0]).sum())
+
     def found(self, name: str) -> QuantityResult:
         """Collect what the fit says of a parameter or derived quantity."""
         known, profile = self.covariance, self.profiles.get(name)

@@ -92,7 +92,7 @@ def goodness_rows(result: FitResult) -> Rows:
             "trials": len(fit.problem),
             "frames": len(fit.problem.measured),
             "J_mm4": fit.cost * MM4,
-            "J_full_order_mm4": fit.full_order.full_costs[0] * MM4 if fit.full_order else np.nan,
+            "J_full_order_mm4": fit.full_order_cost * MM4,
             "J_power_law_mm4": fit.power_law.cost * MM4,
         }
         found = fit.goodness

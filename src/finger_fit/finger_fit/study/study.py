@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from finger_common.errors import FingerError, InputError, ModelError
+from finger_common.errors import FingerError, InputError, ModelError, listed
 from finger_model.fem.area_model import FullOrderAreas
 from finger_model.finger import serving
 from finger_model.reduced import ReducedModel
@@ -279,9 +279,7 @@ def _left_out(exclusions: Sequence[Exclusion]) -> str:
 
 
 def _reasons(exclusions: Sequence[Exclusion]) -> str:
-    """The first reasons, and how many there are besides."""
-    more = f"; and {len(exclusions) - 3} more" if len(exclusions) > 3 else ""
-    return "; ".join(f"{e.label}: {e.reason}" for e in exclusions[:3]) + more
+    return listed((f"{e.label}: {e.reason}" for e in exclusions), 3, "; ")
 
 
 def _further(result: FitResult, records: Sequence[Any], engine: Engine) -> None:
@@ -330,7 +328,7 @@ def fit_bags(
     the shipped reduced model; conditions: names to fit, empty for all; settings: how the bags are
     read, by `reading`; command: how the fit was asked for, for its provenance. Of several subjects,
     each has its own folder in `output`. Nothing is written without `output`. Raises InputError for
-    bags that cannot be fitted.
+    bags that cannot be fitted, and for an output folder that holds a fit of other subjects.
     """
     options = options or FitOptions()
     model = model or ReducedModel.load()
@@ -341,6 +339,9 @@ def fit_bags(
         loaded = load(paths, settings or reading(options), progress.count("load"))
     if not loaded.records:
         raise nothing_to_fit(loaded.exclusions)
+    if folder is not None:
+        tried = {record.subject for record in loaded.records}
+        results.check_folder(folder, tried | {e.subject for e in loaded.exclusions})
     result = fit_records(loaded.records, model, options, conditions, folder, report)
     result.exclusions = [*loaded.exclusions, *result.exclusions]
     for name, part in result.subjects.items():

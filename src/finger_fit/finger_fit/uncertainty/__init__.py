@@ -5,6 +5,6 @@
 
 from .bias import BiasCorrected, bias_corrected, bias_pair, shifted_interval
 from .bootstrap import bootstrap_sample
-from .covariance import Covariance, covariance, cramer_rao
+from .covariance import Covariance, active_bounds, covariance, cramer_rao
 from .goodness import Goodness, Interval, goodness
 from .profiles import NORMAL_95, Profile, in_interval, profile

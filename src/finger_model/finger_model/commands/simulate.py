@@ -21,6 +21,7 @@ from ..fem.elasticity import ELASTICITIES, NEO_HOOKE
 from ..geometry import Geometry
 from ..history import ContactHistory, read_load_csv, with_falls_divided
 from ..laws import ConstitutiveLaw, MaxwellLaw, StandardLinearSolid, load_material
+from ..parameter_sets import ParameterSets
 from ..slip.pull import PullHistory, pull_history
 
 FULL_ORDER = "full-order model"
@@ -49,6 +50,8 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
             "finger-model simulate --force force.csv -o contact.csv\n"
             "finger-model simulate --force force.csv --material material.yaml --solver full \\\n"
             "    --plot stress.png --vtu stress.vtu -o contact.csv\n"
+            "finger-model simulate --force force.csv --parameters out/fit/parameters.yaml \\\n"
+            "    --condition natural -o contact.csv\n"
             "finger-model simulate --force pull.csv --solver full --pad-aspect 1.3 --tilt-deg 15"
         ),
     )
@@ -57,6 +60,21 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     model.add_argument("--geometry", metavar="YAML", help="lengths in m (default: built in)")
     model.add_argument(
         "--material", metavar="YAML", help="law and parameters in SI (default: the natural set)"
+    )
+    model.add_argument(
+        "--parameters",
+        metavar="YAML",
+        help="parameters.yaml of a fit or a calibration, in place of --material: its law, its "
+        "lengths where it holds them, and one of its sets",
+    )
+    model.add_argument(
+        "--condition", default="", metavar="C", help="with --parameters: the set of this condition"
+    )
+    model.add_argument(
+        "--moisture",
+        type=float,
+        metavar="X",
+        help="with --parameters: its parameters at this reading of the probe (a.u.)",
     )
     model.add_argument("--solver", choices=("reduced", "full"), help="model to use")
     model.add_argument(
@@ -107,11 +125,11 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out the subcommand."""
-    inputs = [getattr(arguments, n) for n in ("force", "geometry", "material", "reduced_model")]
+    names = ("force", "geometry", "material", "parameters", "reduced_model")
+    inputs = [getattr(arguments, name) for name in names]
     for output in (arguments.output, arguments.plot, arguments.vtu):
         check_output(output, inputs)
-    geometry = Geometry.load(arguments.geometry) if arguments.geometry else Geometry()
-    material = load_material(arguments.material) if arguments.material else StandardLinearSolid()
+    geometry, material = _finger(arguments)
     time, force, pull = read_load_csv(arguments.force)
     if not np.any(force > 0.0):
         print(
@@ -168,6 +186,41 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         sys.stdout.write(found.csv_text())
     return 0
+
+
+def _finger(arguments: argparse.Namespace) -> tuple[Geometry, ConstitutiveLaw]:
+    """Geometry and material that are asked for."""
+    given = Geometry.load(arguments.geometry) if arguments.geometry else None
+    if not arguments.parameters:
+        if arguments.condition or arguments.moisture is not None:
+            raise InputError("--condition and --moisture choose a set of --parameters: give it")
+        material = load_material(arguments.material) if arguments.material else None
+        return given or Geometry(), material or StandardLinearSolid()
+    if arguments.material:
+        raise InputError("--material and --parameters: give one of the two")
+    if arguments.condition and arguments.moisture is not None:
+        raise InputError("--condition and --moisture: give one of the two")
+    sets = ParameterSets.load(arguments.parameters)
+    if arguments.moisture is None:
+        vector = np.array(sets.of_condition(arguments.condition).parameters)
+    else:
+        at = sets.interpolate(arguments.moisture)
+        vector = at.parameters
+        if at.out_of_range:
+            ends = " … ".join(f"{s.moisture:.4g}" for s in (sets.sets[0], sets.sets[-1]))
+            print(
+                f"--moisture {arguments.moisture:g} lies outside the sets of "
+                f"{arguments.parameters} ({ends}): the nearest set is used",
+                file=sys.stderr,
+            )
+    geometry = given or sets.geometry or Geometry()
+    if sets.geometry_hash not in ("", geometry.hash()):
+        raise InputError(
+            f"{arguments.parameters}: fitted with another finger than "
+            f"{arguments.geometry or 'the default one'}; give the geometry of the fit with "
+            "--geometry"
+        )
+    return geometry, sets.law().with_vector(vector)
 
 
 def _solid(

@@ -44,6 +44,10 @@ def load_material(path: str | Path) -> ConstitutiveLaw:
     A file with the key `branches` is one of generalised Maxwell tissue.
     """
     data = load_yaml(path, "material file")
+    if "sets" in data:
+        raise InputError(
+            f"{path}: holds parameter sets, no material; give it with --parameters instead"
+        )
     if "branches" in data:
         law = data.pop("law", None)
         material = from_branches(data, str(path))

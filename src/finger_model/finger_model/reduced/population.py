@@ -88,7 +88,10 @@ MIDDLE_FORCE = 2.0
 FRICTION = (0.0, 1.0)
 NAIL_MODULUS = (1e7, 2e9)
 
-OUTSIDE = "build a reduced model of this finger with 'finger-model reduce', or use --solver full"
+OUTSIDE = (
+    "build a reduced model of this finger with 'finger-model reduce' and give its file with "
+    "--model (simulate: --reduced-model, or --solver full)"
+)
 
 
 def lengths_of(geometry: Geometry) -> dict[str, float]:
