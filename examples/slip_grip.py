@@ -66,6 +66,8 @@ class SlipGrip:
         stamp: of its header (s); normal, tangential: magnitudes P and |Q| (N); friction with its
         standard deviation; flags: bits of SlipFlag.
         """
+        if stamp < self._stamp:
+            self._alarmed = -math.inf  # the clock went back
         elapsed = min(max(stamp - self._stamp, 0.0), self.largest_step)
         self._stamp = stamp
         if flags & SlipFlag.FORCE_INVALID:

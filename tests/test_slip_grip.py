@@ -24,7 +24,7 @@ def test_an_object_that_gets_heavier_is_held_whatever_its_friction(example: Any)
             assert example.hold(None, friction, seed).dropped
         found[friction] = example.hold(example.SlipGrip(force=2.0), friction, seed)
     assert not any(outcome.dropped for outcome in found.values()), found
-    assert np.median([outcome.slid for outcome in found.values()]) < 0.004
+    assert np.median([outcome.slid for outcome in found.values()]) < 0.006
     assert np.median([outcome.force_ratio for outcome in found.values()]) < 1.8
     assert all(outcome.force_ratio > 1.0 for outcome in found.values())
 

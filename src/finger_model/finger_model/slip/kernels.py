@@ -76,7 +76,8 @@ SCATTER, RATIO_DRIFT = 0.003, 0.02
 """Of Q from sample to sample, over Q, and of ln r over a window in slip: friction is not
 constant."""
 COURSES = np.array([0.0, 0.2, 0.1, 0.05])
-"""Of Q over Q, by degree: how much of a polynomial in time a pull or load may have in a window."""
+"""Of Q over Q, by degree: how much of a polynomial in time a pull or load may have in a window; the
+higher degrees less in a shorter one."""
 CLIPPED, LEAST_CLIPPED, CLIP_COST = 0.985, 3, 4.0
 """Share of the largest r from which samples may be those that slip, their least number, and the log
 of the odds against slip that comes and goes."""
@@ -497,7 +498,7 @@ def _own_way(values, used, noise, coupled):
         found = np.sum(used * rest * basis[k])
         rest -= found * basis[k]
         if k > 0 and not coupled:
-            spread = (COURSES[k] * size) ** 2 * length
+            spread = (COURSES[k] * (n / WINDOW) ** (k - 1) * size) ** 2 * length
             cost += 0.5 * math.log(1.0 + spread / noise) + 0.5 * found * found / (noise + spread)
         left = np.sum(used * rest * rest)
         likelihood = -0.5 * left / noise - cost - (0.0 if coupled else COURSE_COST * k)
