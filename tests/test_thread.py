@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -200,7 +201,8 @@ def test_the_demo_recovers_what_the_finger_is_made_of(demo: tuple[Path, str]) ->
     assert fit["polish"]["J"] < 0.5 * found["J_power_law"]
     page = (folder / "report.html").read_text()
     assert page.count("data:image/png;base64,") == 5 and "moist" in page
-    assert "http" not in page.replace("http-equiv", "")
+    text = re.sub(r"base64,[\w+/=]+", "", page)  # in which any letters may follow one another
+    assert "http" not in text.replace("http-equiv", "")
     assert "report:" in output and "report.html" in output
     assert (folder / "fit" / "report.html").exists()
 
