@@ -7,8 +7,9 @@
 nothing below the largest ratio r = |Q|/P that was carried (a soft edge); and two kinds of evidence:
 
 - *A plateau of r.* The ratio stands still: the skin slips, so r = μ, or a pull is held, at any r
-  below μ. Forecasts over LAG are compared: in slip Q follows P, Q = r P; while the skin sticks Q
-  goes on at its own rate, whatever P does. The likelihood is a mixture of slip and holding.
+  below μ. Forecasts over LAG tell that r stands still. Windows of it tell slip, Q = r P all the
+  time or where r is largest, from holding, where Q goes its own smooth way, whatever P does. The
+  likelihood of a friction is a mixture of both.
 - *A stick ratio seen by a camera*, s ± σ at a known r of a first pull: μ = r/ρ with s = s(ρ).
 
 **Elements** (see `backbone`) give the stick ratio of any history of P and Q at the mean friction.
@@ -557,6 +558,40 @@ def _window_odds(config, state, n):
 
 
 @njit(cache=True)
+def _look_for_slip(config, state, q, log_ratio, judged):
+    """Keep the newest sample of a plateau and, where it may be judged, the odds of slip."""
+    newest = state.window[state.seen % WINDOW]
+    newest[0] = state.fast.value[0]
+    newest[1] = q
+    state.seen += 1
+    if state.seen >= LEAST and judged:
+        # What has just begun to slip was held in the longer window: each second one is short.
+        n = WINDOW // 2 if state.seen % 2 else WINDOW
+        odds, slipped = _window_odds(config, state, min(state.seen, n))
+        if odds > 0.0:
+            log_ratio = slipped
+        state.slip_odds = state.earlier_odds + odds
+        state.plateau_looks += 1
+        if state.seen % WINDOW == 0:
+            # What was held before may slip now.
+            state.earlier_odds = max(EARLIER * state.slip_odds, 0.0)
+    # Where it is looked for slip often enough, chance shows it: each window costs.
+    odds = state.slip_odds - math.log(1.0 + state.plateau_looks / LEAST)
+    # The ratio of the time in which it looked most like slip.
+    if odds > state.plateau_odds + 0.5:
+        keep = 0.5 if state.plateau_odds > 0.0 else 0.0
+        state.plateau_sum *= keep
+        state.plateau_count *= keep
+    if odds > state.plateau_odds - 0.5 or state.plateau_count == 0.0:
+        state.plateau_sum += log_ratio
+        state.plateau_count += 1.0
+    if state.plateau_looks <= 1:
+        state.plateau_odds = odds
+    state.plateau_odds = max(state.plateau_odds, odds)
+    state.past_odds[state.forecasts % LAGS] = state.plateau_odds
+
+
+@njit(cache=True)
 def _judge_plateau(config, state, stamp, ratio):
     """Whether r stands still, and since when."""
     if (stamp - state.judged_at) * 1e-9 < EVERY:
@@ -601,37 +636,8 @@ def _judge_plateau(config, state, stamp, ratio):
         state.plateau_odds = state.slip_odds = state.earlier_odds = 0.0
         state.past_odds[:] = 0.0
         state.plateau_looks = state.seen = 0
-    if not state.plateau:
-        return
-    newest = state.window[state.seen % WINDOW]
-    newest[0] = state.fast.value[0]
-    newest[1] = q
-    state.seen += 1
-    if state.seen >= LEAST and (not letting_go or away < EDGE):
-        # What has just begun to slip was held in the longer window: each second one is short.
-        n = WINDOW // 2 if state.seen % 2 else WINDOW
-        odds, slipped = _window_odds(config, state, min(state.seen, n))
-        if odds > 0.0:
-            log_ratio = slipped
-        state.slip_odds = state.earlier_odds + odds
-        state.plateau_looks += 1
-        if state.seen % WINDOW == 0:
-            # What was held before may slip now.
-            state.earlier_odds = max(EARLIER * state.slip_odds, 0.0)
-    # Where it is looked for slip often enough, chance shows it: each window costs.
-    odds = state.slip_odds - math.log(1.0 + state.plateau_looks / LEAST)
-    # The ratio of the time in which it looked most like slip.
-    if odds > state.plateau_odds + 0.5:
-        keep = 0.5 if state.plateau_odds > 0.0 else 0.0
-        state.plateau_sum *= keep
-        state.plateau_count *= keep
-    if odds > state.plateau_odds - 0.5 or state.plateau_count == 0.0:
-        state.plateau_sum += log_ratio
-        state.plateau_count += 1.0
-    if state.plateau_looks <= 1:
-        state.plateau_odds = odds
-    state.plateau_odds = max(state.plateau_odds, odds)
-    state.past_odds[state.forecasts % LAGS] = state.plateau_odds
+    if state.plateau:
+        _look_for_slip(config, state, q, log_ratio, not letting_go or away < EDGE)
 
 
 @njit(cache=True)
