@@ -64,10 +64,12 @@ def sample_times(number: int = 20000) -> np.ndarray:
 
 
 def slip_sample_times(number: int = 20000) -> np.ndarray:
-    """Times (number,) in s of a sample through `ContactEstimator` and `SlipEstimator`."""
+    """Times (number,) in s of a sample through `ContactEstimator` and `SlipEstimator`, half of them
+    in a load that is held, where it is looked for slip."""
     estimator, slip = ContactEstimator(ReducedModel.load()), SlipEstimator()
     phase = np.arange(number) * 0.01
-    normal, lateral = 0.7 + 0.6 * np.sin(phase), 0.2 + 0.15 * np.sin(0.7 * phase)
+    normal = 0.7 + 0.6 * np.sin(phase)
+    lateral = np.minimum(0.2 + 0.15 * np.sin(0.7 * phase), 0.2)
     times = np.empty(number)
     gc.collect()
     gc.disable()
