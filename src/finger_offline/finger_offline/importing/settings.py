@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from finger_common.axes import DEFAULT_NORMAL_AXIS, NORMAL_AXES
 from finger_common.errors import InputError
@@ -31,6 +32,11 @@ PATHS = ("force", "area", "indentation", "video", "images", "image_times", "cali
 
 SLOWEST_RATE = 1e-3
 """Hz; an image in a quarter of an hour."""
+
+
+def _time_unit(meaning: str) -> Any:
+    """A setting that names a unit of times."""
+    return setting("", meaning, choices=("", *TIME_UNITS), group=COLUMNS)
 
 
 @dataclass(frozen=True)
@@ -128,29 +134,13 @@ class ImportSettings(Settings):
         1e9,
         group=COLUMNS,
     )
-    time_unit: str = setting(
-        "",
-        "Unit of all times; empty: as the heading says, else seconds.",
-        choices=("", *TIME_UNITS),
-        group=COLUMNS,
+    time_unit: str = _time_unit("Unit of all times; empty: as the heading says, else seconds.")
+    force_time_unit: str = _time_unit("Unit of the force's times; empty: as --time-unit says.")
+    area_time_unit: str = _time_unit(
+        "Unit of the areas' or images' times; empty: as --time-unit says."
     )
-    force_time_unit: str = setting(
-        "",
-        "Unit of the force's times; empty: as --time-unit says.",
-        choices=("", *TIME_UNITS),
-        group=COLUMNS,
-    )
-    area_time_unit: str = setting(
-        "",
-        "Unit of the areas' or images' times; empty: as --time-unit says.",
-        choices=("", *TIME_UNITS),
-        group=COLUMNS,
-    )
-    indentation_time_unit: str = setting(
-        "",
-        "Unit of the indentation's times; empty: as --time-unit says.",
-        choices=("", *TIME_UNITS),
-        group=COLUMNS,
+    indentation_time_unit: str = _time_unit(
+        "Unit of the indentation's times; empty: as --time-unit says."
     )
     time_offset: float = setting(
         0.0,
