@@ -26,7 +26,7 @@ import zstandard
 
 from finger_common.errors import InputError, listed
 from finger_common.files import exists, load_yaml
-from finger_common.stamps import seconds
+from finger_common.stamps import seconds, whole_stamp
 
 from .bag_files import METADATA, are_one_bag, data_files, storage_of
 from .definitions import FORMS, Decoder, decoder, fields_of
@@ -419,19 +419,25 @@ class BagReader:
 
     def messages(
         self,
-        topics: Collection[str] | None = None,
+        topics: str | Collection[str] | None = None,
         start: int | None = None,
         stop: int | None = None,
     ) -> Iterator[BagMessage]:
         """Messages in the order of log time.
 
-        topics: absolute names; None for all. start (inclusive), stop (exclusive): log time in ns,
-        None for no bound.
+        topics: absolute names, or one; None for all. start (inclusive), stop (exclusive): log time
+        in ns, None for no bound. Raises InputError for times with a point, and where the bag is
+        closed before all were read.
         """
-        wanted = None if topics is None else set(topics)
+        wanted = None if topics is None else {topics} if isinstance(topics, str) else set(topics)
+        start, stop = (None if t is None else whole_stamp(t) for t in (start, stop))
         if self._sqlites:
             return self._sqlite_messages(wanted, start, stop)
         return self._mcap_messages(wanted, start, stop)
+
+    def _check_open(self) -> None:
+        if not self._mcaps and not self._sqlites:
+            raise InputError(f"{self.path}: the bag is closed; read its messages before")
 
     def __iter__(self) -> Iterator[BagMessage]:
         return self.messages()
@@ -439,6 +445,7 @@ class BagReader:
     def _mcap_messages(
         self, wanted: set[str] | None, start: int | None, stop: int | None
     ) -> Iterator[BagMessage]:
+        self._check_open()
         low = 0 if start is None else start
         high = LAST_TIME if stop is None else min(stop, LAST_TIME)
         regions = [
@@ -452,6 +459,7 @@ class BagReader:
         # What was uncompressed and may still be overtaken by the next region.
         pending = _Pending()
         for place, (_, number, index) in enumerate(regions):
+            self._check_open()
             mcap = self._mcaps[number]
             block = mcap.block(mcap.regions[index])
             if len(block.times) and int(block.times.max()) >= LAST_TIME:
@@ -521,9 +529,11 @@ class BagReader:
                 for connection, time_ns, raw in reader.messages(connections, start, stop):
                     yield time_ns, known[connection.id], bytes(raw)
             except (ReaderError, apsw.Error, *_SQLITE_BROKEN) as error:
+                self._check_open()
                 text = str(error).splitlines()[0] if str(error) else type(error).__name__
                 self._problem(f"database cannot be read to its end ({text})")
 
+        self._check_open()
         merged = heapq.merge(*(of(reader) for reader in self._sqlites), key=lambda item: item[0])
         for time_ns, info, raw in merged:
             data: bytes | None = raw

@@ -18,7 +18,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Generic, TypeVar
 
 from .cli import one_line
-from .errors import InputError, known_names
+from .errors import FingerError, InputError, known_names, listed
 from .settings import Settings, parameters_of, setting
 
 P = TypeVar("P")
@@ -57,7 +57,8 @@ class Plugins:
         return tuple(sorted(self._found()))
 
     def load(self, name: str) -> Any:
-        """The object of that name; raises InputError where it is unknown or cannot be used."""
+        """The object of that name; raises InputError where it is unknown, cannot be used or comes
+        from several packages."""
         if name not in self._loaded:
             found = self._found()
             if name not in found:
@@ -65,6 +66,12 @@ class Plugins:
                 raise InputError(
                     f"{self.what} '{name}' is not installed; {known} (entry points of "
                     f"'{self.group}')"
+                )
+            same = _entry_points(tuple(sys.path)).select(group=self.group, name=name)
+            if len({entry.value for entry in same}) > 1:
+                homes = listed(sorted(f"{e.dist and e.dist.name} ({e.value})" for e in same))
+                raise InputError(
+                    f"{self.what} '{name}' is in several packages: {homes}; keep one of them"
                 )
             try:
                 loaded = found[name].load()
@@ -144,13 +151,23 @@ class PluginKind(Plugins, Generic[P]):
         """The chosen member, made with its settings and then `arguments`.
 
         values: the choice and the settings by name, defaults where absent; those of others are
-        ignored. Raises InputError for a member or a setting that cannot be used.
+        ignored. Raises InputError for a member or a setting that cannot be used, and for a member
+        whose constructor fails.
         """
         name = str(values.get(self.choice, self.default))
         if name in self.problems:
             raise InputError(self.problems[name])
         cls = self.load(name)
-        made: P = cls(cls.SETTINGS.select(values), *arguments)
+        settings = cls.SETTINGS.select(values)
+        try:
+            made: P = cls(settings, *arguments)
+        except FingerError:
+            raise
+        except Exception as error:
+            raise InputError(
+                f"{self.what} '{name}' cannot be made ({type(error).__name__}: "
+                f"{one_line(error)}); correct it or its settings"
+            ) from error
         return made
 
 

@@ -5,8 +5,10 @@
 
 from __future__ import annotations
 
+import csv
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
+from pathlib import Path
 
 import pytest
 
@@ -91,6 +93,23 @@ def test_an_unknown_plugin_is_named_with_those_installed() -> None:
         Plugins("console_scripts", "console script").load("x")
 
 
+def test_a_name_of_two_packages_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which one was meant, the order of the path cannot know."""
+    for package, name in (("first", "json"), ("second", "json"), ("second", "csv")):
+        metadata = tmp_path / f"{package}-1.0.dist-info"
+        metadata.mkdir(exist_ok=True)
+        (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1\n")
+        with (metadata / "entry_points.txt").open("a") as file:
+            file.write(f"[readers]\n{name} = {name}:{'load' if package == 'first' else 'reader'}\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    readers = Plugins("readers", "reader")
+    assert readers.names() == ("csv", "json")
+    assert readers.load("csv") is csv.reader
+    sentence = r"'json' is in several packages: first \(json:load\), second \(json:reader\); keep"
+    with pytest.raises(InputError, match=sentence):
+        readers.load("json")
+
+
 class Gauge:
     """A gauge. Further sentences."""
 
@@ -130,6 +149,17 @@ def test_a_kind_has_the_settings_of_all_installed_and_opens_the_chosen(
     assert type(kind.open({"gauge": "plain"}, "")) is Gauge
     with pytest.raises(InputError, match="7000"):
         kind.open({"rate": 1e9}, "")
+
+
+def test_a_member_that_cannot_be_made_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Licensed(Gauge):
+        def __init__(self, settings: Settings, place: str) -> None:
+            raise OSError("no licence file")
+
+    kind = gauges(monkeypatch, poll=PollGauge, licensed=Licensed)
+    sentence = r"gauge 'licensed' cannot be made \(OSError: no licence file\); correct it"
+    with pytest.raises(InputError, match=sentence):
+        kind.open({"gauge": "licensed"}, "bench")
 
 
 def test_a_member_that_contradicts_is_left_out_and_never_displaces_the_default(

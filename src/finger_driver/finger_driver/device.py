@@ -122,7 +122,8 @@ class DeviceThread(Generic[Sample]):
         self._thread: threading.Thread | None = None
 
     def connect(self, seconds: float) -> None:
-        """Connect, trying again until `seconds` have passed; raises the last DeviceError."""
+        """Connect, trying again until `seconds` have passed; raises the last DeviceError, and at
+        once InputError, or DeviceError for a defect of the driver."""
         end = time.monotonic() + seconds
         while True:
             try:
@@ -133,6 +134,14 @@ class DeviceThread(Generic[Sample]):
                 pause = self._pauses.next()
                 if time.monotonic() + pause > end:
                     raise
+            except FingerError:
+                raise
+            except Exception as error:
+                driver, kind = type(self._device).__name__, type(error).__name__
+                raise DeviceError(
+                    f"{driver}.connect failed ({kind}: {one_line(error)}); correct this driver or "
+                    "its settings"
+                ) from error
             time.sleep(pause)
         self._pauses.reset()
 

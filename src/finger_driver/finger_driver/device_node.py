@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+from finger_common.cli import one_line
 from finger_common.diagnostics import ERROR, WARN
 from finger_common.errors import DeviceError
 from finger_common.host_clock import HostClock
@@ -89,7 +90,7 @@ class DeviceNode(ManagedNode):
         try:
             self._thread.connect(settings.connect_timeout)
         except DeviceError as error:
-            self.device.health.fault("connection", str(error), ERROR)
+            self.device.health.fault("connection", one_line(error), ERROR)
             raise
         self.create_interfaces()
         self._configured = True

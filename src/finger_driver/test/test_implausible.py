@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from device_process import device
 
-from finger_common.errors import DeviceError
+from finger_common.errors import DeviceError, InputError
 from finger_driver.can_bus import frame, open_bus
 from finger_driver.force import (
     CRITICAL,
@@ -86,6 +86,17 @@ def test_a_value_beyond_the_sensors_range_is_not_good(value: float, axis: int) -
     wrench[axis] = value
     assert source.checked(WrenchSample.of_wrench(0, wrench)).quality == CRITICAL
     assert "beyond force_range 100 N" in source.health.faults["implausible"]
+
+
+def test_a_sample_of_another_form_is_told_in_the_words_of_the_driver() -> None:
+    sample = WrenchSample.of_wrench(np.int64(7), [0, 0, -1, 0, 0, 0])
+    assert sample.stamp_ns == 7 and sample.force.tolist() == [0.0, 0.0, -1.0]
+    assert sample.torque.dtype == float
+    for wrench in (np.zeros(3), np.zeros(7), np.zeros((6, 1)), 1.0):
+        with pytest.raises(DeviceError, match=r"has shape \(.*\); the driver must give \(6,\)"):
+            WrenchSample.of_wrench(7, wrench)
+    with pytest.raises(InputError, match=r"round\(seconds \* 1e9\)"):
+        WrenchSample.of_wrench(1.7e9, np.zeros(6))
 
 
 # Numbering of RDT --------------------------------------------------------------------------------

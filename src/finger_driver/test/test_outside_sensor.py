@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from device_process import Observer, device
 
+from finger_common.diagnostics import ERROR
 from finger_common.errors import InputError
 from finger_common.plugins import PluginKind
 from finger_common.settings import Settings, parameters_of
@@ -209,6 +210,48 @@ def test_a_node_names_the_sensor_that_cannot_be_used(
     lines = [line for line in capfd.readouterr().err.splitlines() if "'absent'" in line]
     assert len(lines) == 2 and all("No module named" in line for line in lines), lines
     assert "configure failed" in lines[1]
+
+
+DEFECT = '''
+from finger_driver.force import ForceSource
+
+class Defect(ForceSource):
+    """Sensor whose driver has a defect."""
+    def connect(self): raise ValueError("no such port")
+    def close(self): pass
+'''
+
+
+def test_a_defect_of_a_driver_is_told_in_one_sentence_and_in_diagnostics(
+    ros_domain: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: Any,
+    install_package: Callable,
+) -> None:
+    rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+    from rclpy.parameter import Parameter
+
+    from finger_driver.force_node import ForceNode
+
+    install_package(
+        tmp_path, {"defect": DEFECT}, {"finger_driver.force": {"defect": "defect:Defect"}}
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=ros_domain)
+    try:
+        overrides = [Parameter("device", value="defect")]
+        node = ForceNode(context=context, parameter_overrides=overrides)
+        assert not node.bring_up()
+        shown = node.healths[0].report()
+        node.destroy_node()
+    finally:
+        rclpy.shutdown(context=context)
+    said = capfd.readouterr().err
+    sentence = "Defect.connect failed (ValueError: no such port); correct this driver"
+    assert f"configure failed: {sentence}" in said and "Traceback" not in said
+    assert shown.level == ERROR and sentence in shown.message
 
 
 def test_without_any_installed_source_the_sentence_names_the_remedy() -> None:

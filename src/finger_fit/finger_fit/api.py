@@ -19,12 +19,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from finger_common.columns import column
 from finger_common.contact_threshold import LIFTOFF_FORCE, ONSET_FORCE
 from finger_common.errors import InputError, listed
 from finger_common.flags import AreaFlag
@@ -43,6 +43,7 @@ from finger_offline.trial_split import CONDITION, TrialSettings, presses
 from finger_offline.unloaded import reached_force, unloaded_tare
 
 from .options import FitOptions
+from .problem import force_limit_of
 from .problem.trials import smoothed
 from .results import ConditionFit, FitResult, QuantityResult, check_folder, write
 from .study import draw, fit_records, provenance
@@ -52,6 +53,12 @@ if TYPE_CHECKING:
 
 EPOCH = 946_684_800 * NANOSECONDS
 """Stamp (ns) of time 0 of a trial: 2000-01-01."""
+
+NOISY_ZERO = 0.05
+"""Part of the largest area up to which one below zero may be noise on an area of 0."""
+
+_MISSING = ("nan", "NaT", "<NA>")
+"""What NumPy and pandas have in columns where there is no value, as text."""
 
 REMEDIES = {
     "unit": "give the indentation in m",
@@ -70,8 +77,8 @@ class Trial:
     NaN where there is no frame, or (k,) at area_time (k,) in s. moisture: readings (a.u.).
     target_force (N): ends the loading, 95 % of a press's peak above the tare by default. Lists,
     arrays and pandas columns are taken. Raises InputError for arrays that do not belong together,
-    and for times, forces, areas and indentations that cannot be a finger's. None for subject or
-    condition is none.
+    and for times, forces, areas and indentations that cannot be a finger's. None, NaN or NaT for
+    subject or condition is none.
 
     indentation: measured approach of plate and bone in m, positive into the finger, from any zero:
     (n,) with NaN where there is none, or (j,) at indentation_time (j,) in s; None for none.
@@ -274,6 +281,12 @@ def _check_units(name: str, span: tuple[float, float], peak: float, seen: _Signa
             f"{name}: the largest area is {area.max():.3g} m², that of a fingertip lies between "
             f"{low:g} and {high:g} m²; give the area in m²"
         )
+    row = int(area.argmin())
+    if area[row] < -NOISY_ZERO * area.max():
+        raise InputError(
+            f"{name}: area {area[row]:.3g} m² at t = {frames[row]:.4g} s is negative; correct it, "
+            "or give NaN where it is not known"
+        )
     if not ((frames >= span[0]) & (frames <= span[1])).any():
         raise InputError(
             f"{name}: no area during the press, which lasts from {span[0]:.6g} to {span[1]:.6g} s; "
@@ -282,27 +295,8 @@ def _check_units(name: str, span: tuple[float, float], peak: float, seen: _Signa
 
 
 def _column(values: Any, name: str, gaps: bool = False) -> np.ndarray:
-    """Numbers (n,) of a list, an array, a masked array (NaN where it is masked) or a column of
-    pandas; dates as s since 1970, spans of time as s. gaps: NaN may be among them."""
-    kind = getattr(getattr(values, "dtype", None), "kind", "")
-    if not kind and isinstance(values, (list, tuple)) and values:
-        kind = {datetime: "M", timedelta: "m"}.get(type(values[0]), "")
-    try:
-        if kind in ("M", "m"):
-            unit = "datetime64[ns]" if kind == "M" else "timedelta64[ns]"
-            # pandas brings dates of a time zone to UTC itself.
-            dates = (
-                values.to_numpy(unit) if hasattr(values, "to_numpy") else np.asarray(values, unit)
-            )
-            found = np.where(np.isnat(dates), np.nan, dates.astype(np.int64) / NANOSECONDS)
-        elif isinstance(values, np.ma.MaskedArray):
-            found = np.ma.filled(values.astype(float), np.nan).reshape(-1)
-        elif kind == "c":
-            raise TypeError
-        else:
-            found = np.asarray(values, dtype=float).reshape(-1)
-    except (TypeError, ValueError):
-        raise InputError(f"{name} holds something else than numbers; convert it") from None
+    """Numbers (n,) as `column` takes them. gaps: NaN may be among them."""
+    found = column(values, name)
     bad = np.isinf(found) if gaps else ~np.isfinite(found)
     if bad.any():
         raise InputError(f"{name}: value {int(np.flatnonzero(bad)[0])} is not finite; leave it out")
@@ -310,8 +304,10 @@ def _column(values: Any, name: str, gaps: bool = False) -> np.ndarray:
 
 
 def _code(value: Any, name: str) -> str:
-    """Code of a subject or name of a condition, which name files too; empty for None."""
-    text = "" if value is None else str(value)
+    """Code of a subject or name of a condition, which name files too; empty for a missing one."""
+    text = str(value)
+    if value is None or (not isinstance(value, str) and text in _MISSING):
+        return ""
     if not CONDITION.fullmatch(text):
         raise InputError(f"{name} {text[:40]!r} is no name of letters, digits, blanks and .,+()%-")
     return text
@@ -421,7 +417,8 @@ class Fit:
         order as the fit was, by the force.
 
         Without arguments: the fitted areas at all frames that count, in the order of `frames()`.
-        condition: may be left out where there is one. Raises InputError.
+        condition: may be left out where there is one. Raises InputError, also for a force beyond
+        the model's limit.
         """
         if time is None and force is None:
             chosen = [condition] if condition else self.conditions
@@ -430,6 +427,13 @@ class Fit:
         seconds, newtons = _column(time, "time"), _column(force, "force")
         if len(seconds) != len(newtons) or len(seconds) < 2 or np.any(np.diff(seconds) <= 0):
             raise InputError("predict: time and force need equal length, and time must increase")
+        limit = force_limit_of(found.problem.model, found.parameters)
+        if newtons.max() > limit:
+            row = int(np.argmax(newtons > limit))
+            raise InputError(
+                f"predict: force {newtons[row]:.3g} N at t = {seconds[row]:.4g} s is beyond the "
+                f"model's limit of {limit:.3g} N for these parameters; lower the force"
+            )
         drive = (seconds - seconds[0], np.maximum(newtons, 0.0), np.arange(len(seconds)))
         areas = found.problem.model.batch(found.parameters[None], [drive])[0][0]
         return areas * found.problem.correction_at(found.parameters, drive[1])
@@ -505,8 +509,10 @@ def fit(
 
     geometry: of the finger, as an object, a mapping or a geometry.yaml; the shipped one by default.
     law: another installed material law; one without a reduced model is slow. model: any object
-    with `space` and `batch` in place of both. options: fields of `FitOptions`, such as
-    bootstrap=0, full_order=False, seed=1, bounds=["E2=500kPa:3MPa"] or {"E2": (500e3, 3e6)}.
+    with `space` and `batch` in place of both. It has its law in `material`, where its parameters
+    are not those of the default law; without one, what needs the full-order model is left out, and
+    so is parameters.yaml. options: fields of `FitOptions`, such as bootstrap=0, full_order=False,
+    seed=1, bounds=["E2=500kPa:3MPa"] or {"E2": (500e3, 3e6)}.
     Raises InputError for data that cannot be fitted.
     """
     if isinstance(geometry, Mapping):

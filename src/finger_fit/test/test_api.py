@@ -8,6 +8,7 @@ from __future__ import annotations
 import copy
 import csv
 import json
+import math
 import re
 import subprocess
 import sys
@@ -20,10 +21,11 @@ import numpy as np
 import pytest
 
 from finger_common.errors import InputError
+from finger_common.flags import AreaFlag
 from finger_fit import Fit, Trial, fit
 from finger_fit.problem import AreaCorrection
 from finger_model.geometry import Geometry
-from finger_model.laws import law_of
+from finger_model.laws import ParameterSpace, ParameterSpec, law_of
 from finger_model.reduced.model import load_population
 
 QUICK: dict[str, Any] = {
@@ -88,6 +90,59 @@ def test_it_predicts_areas_of_presses_that_it_has_not_seen(
         result.predict(time[::-1], force)
     with pytest.raises(InputError, match="choose one of dry"):
         result.predict(time, force, "moist")
+
+
+def test_it_predicts_no_areas_beyond_the_force_of_the_model(
+    double: SimpleNamespace, result: Fit
+) -> None:
+    """`batch` would hold the force at the limit."""
+
+    class Limited(double.HereditaryModel):
+        def force_limit(self, parameters: np.ndarray) -> float:
+            return 3.0
+
+    condition = copy.copy(result.result.fits["dry"])
+    condition.problem = copy.copy(condition.problem)
+    condition.problem.model = Limited()
+    limited = Fit(replace(result.result, fits={"dry": condition}))
+    time = np.linspace(0.0, 1.0, 11)
+    np.testing.assert_array_equal(limited.predict(time, 3 * time), result.predict(time, 3 * time))
+    with pytest.raises(
+        InputError, match=r"force 3.3 N at t = 0\.6 s is beyond the model's limit of 3 N"
+    ):
+        limited.predict(time, 5.5 * time)
+
+
+def spec(name: str, default: float, low: float, high: float) -> ParameterSpec:
+    return ParameterSpec(name, "", "Of a power law.", name, "", 1.0, 3, default, (low, high))
+
+
+class PowerModel:
+    """A = k F^m mm²: a model with parameters of its own and without a law."""
+
+    space = ParameterSpace([spec("k", 40.0, 10.0, 200.0), spec("m", 0.5, 0.3, 0.9)])
+
+    def batch(self, parameters: np.ndarray, trials: Any) -> list[np.ndarray]:
+        k, m = np.atleast_2d(parameters).T[:, :, None]
+        return [1e-6 * k * np.maximum(force[rows], 0.0) ** m for _, force, rows in trials]
+
+
+def test_a_model_without_a_law_is_fitted_and_reported(
+    double: SimpleNamespace, tmp_path: Path
+) -> None:
+    """What needs the full-order model of a law is left out, and a note says so."""
+    trials = [
+        replace(t, area=5e-5 * np.maximum(np.interp(t.area_time, t.time, t.force), 0.0) ** 0.6)
+        for t in trials_of(double, 3, condition="dry")
+    ]
+    quick = {**QUICK, "bootstrap": 0, "profiles": False, "full_order": True}
+    found = fit(trials, model=PowerModel(), **quick)
+    assert found.parameters["k"] == pytest.approx(50.0, rel=0.01)
+    assert found.parameters["m"] == pytest.approx(0.6, rel=0.01)
+    assert found.status == {"dry": "not checked"}
+    assert any("the model has no 'material'" in note for note in found.notes)
+    found.report(tmp_path)
+    assert (tmp_path / "fit.json").is_file() and not (tmp_path / "parameters.yaml").exists()
 
 
 def test_several_presses_in_one_trial_are_fitted_one_by_one(double: SimpleNamespace) -> None:
@@ -305,6 +360,10 @@ def test_saved_tables_hold_what_was_found(result: Fit, tmp_path: Path) -> None:
         ({"force": np.ones(200) * 1j}, "force holds something else than numbers"),
         ({"force": np.ma.masked_less(np.sin(np.linspace(0, 2, 200)), 0.1)}, "force: value 0"),
         ({"area": np.full(200, -5e-5)}, "area is nowhere above zero"),
+        (
+            {"area": np.where(np.arange(200) == 90, -4e-5, 5e-5)},
+            r"trial 0: area -4e-05 m² at t = 0\.9045 s is negative; correct it, or give NaN",
+        ),
         ({"moisture": "wet"}, "moisture holds something else than numbers"),
         ({"target_force": 30.0}, r"target_force is 30 N, the press goes up to 1 N"),
         ({"target_force": "1 N"}, "target_force is '1 N'; give a number"),
@@ -326,6 +385,24 @@ def test_bad_arrays_are_named(change: dict[str, Any], sentence: str) -> None:
         fit([Trial(**good, condition="dry")] * 3)
     with pytest.raises(InputError, match="did you mean 'bootstrap'"):
         fit([Trial(**good)], bootstraps=3)
+
+
+def test_noise_on_an_area_of_zero_is_no_contact() -> None:
+    time = np.linspace(0.0, 2.0, 200)
+    area = 5e-5 * np.sin(time)
+    area[0] = -1e-6
+    record = Trial(time, np.sin(time), area).records(0, 0)[0]
+    assert record.area[0] == -1e-6 and record.area_flags[0] == AreaFlag.NO_CONTACT
+
+
+@pytest.mark.parametrize("missing", [None, math.nan, np.float32("nan"), np.datetime64("NaT")])
+def test_a_missing_condition_is_none(missing: Any) -> None:
+    """As columns of pandas have it; it became a condition named nan."""
+    time = np.linspace(0.0, 2.0, 200)
+    (record,) = Trial(
+        time, np.sin(time), 5e-5 * np.sin(time), condition=missing, subject=missing
+    ).records(0, 0)
+    assert record.condition == "" and record.subject == ""
 
 
 class Foreign:

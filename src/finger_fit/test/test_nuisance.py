@@ -327,7 +327,8 @@ def test_the_population_model_answers_as_the_full_order_does(double) -> None:
         assert np.sqrt(np.mean(error**2)) < 0.006, name
     # A thick pad on a small bone lies outside the box, and no model of the test has lengths.
     outside = replace(model.geometry, pad_semi_axis_radial=14e-3, nail_radius=7e-3)
-    assert PopulationGeometry.like(SimpleNamespace(geometry=outside)) is None
+    stub = SimpleNamespace(geometry=outside, space=model.space)
+    assert PopulationGeometry.like(stub) is None
     assert PopulationGeometry.like(double.HereditaryModel()) is None
 
 

@@ -24,6 +24,7 @@ from finger_vision.area_sensor import (
     AREA_SENSORS,
     AreaSensor,
     ContactMeasurement,
+    measured,
 )
 from finger_vision.messages import contact_area_fields, image_of
 from finger_vision.ridge_motion import RidgeMotion, with_motion
@@ -93,7 +94,7 @@ class ImageAreas:
             self._pixels.take(image.size)
         if image.dtype == np.uint16:
             self._brightest = max(self._brightest, int(image.max()))
-        return with_motion(self._sensor.process(image), image, self._motion)
+        return with_motion(measured(self._sensor, image, learn=True), image, self._motion)
 
     def add(self, item: BagMessage, stamp: int) -> None:
         """Measure one image and keep its area; raises InputError when it is no usable image."""

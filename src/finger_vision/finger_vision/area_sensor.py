@@ -12,17 +12,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from numbers import Integral, Real
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 
-from finger_common.errors import InputError
+from finger_common.cli import one_line
+from finger_common.errors import FingerError, InputError
 from finger_common.flags import AreaFlag
 from finger_common.plugins import PluginKind
 from finger_common.settings import Settings
 
 if TYPE_CHECKING:
     from .calibration import PlateCalibration
+
+LARGEST_AREA = 0.01
+"""m² that an area sensor may give; more is an area in another unit."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +82,10 @@ class NoLight(InputError):
     """
 
 
+class SensorDefect(InputError):
+    """An area sensor that failed, or gave what cannot be a measurement."""
+
+
 class AreaSensor(Protocol):
     """Measures the contact in the signals of one device, one after the other.
 
@@ -106,10 +115,47 @@ class AreaSensor(Protocol):
 
     def process(self, signal: np.ndarray) -> ContactMeasurement:
         """Measure a signal and learn the background from it if it shows no contact."""
-        measurement = self.measure(signal)
+        measurement = _checked(self, self.measure(signal))
         if measurement.flags & AreaFlag.NO_CONTACT:
             self.learn(signal)
         return measurement
+
+
+def measured(sensor: AreaSensor, signal: np.ndarray, learn: bool = False) -> ContactMeasurement:
+    """The contact in a signal, checked; learn: a signal without one joins the background.
+
+    Raises InputError for a signal that cannot be used, SensorDefect for a defect of the sensor.
+    """
+    try:
+        found = sensor.process(signal) if learn else sensor.measure(signal)
+    except FingerError:
+        raise
+    except Exception as error:
+        raise SensorDefect(
+            f"area sensor {type(sensor).__name__} failed ({type(error).__name__}: "
+            f"{one_line(error)}); correct it"
+        ) from error
+    return _checked(sensor, found)
+
+
+def _checked(sensor: AreaSensor, found: Any) -> ContactMeasurement:
+    """What a sensor gave; raises SensorDefect where it cannot be a measurement."""
+    name = f"area sensor {type(sensor).__name__}"
+    if not isinstance(found, ContactMeasurement):
+        raise SensorDefect(f"{name} gives {type(found).__name__}; a ContactMeasurement is needed")
+    for area in ("gross_area", "real_area", "area_sd"):
+        value = getattr(found, area)
+        if not isinstance(value, Real) or float(value) < 0 or float(value) > LARGEST_AREA:
+            raise SensorDefect(
+                f"{name} gives {area} {value}; 0 … {LARGEST_AREA:g} m² or NaN is needed: correct "
+                "the sensor, or the calibration of the plate"
+            )
+    if not isinstance(found.flags, Integral):
+        raise SensorDefect(f"{name} gives flags {found.flags}; bits of AreaFlag are needed")
+    hull = np.asarray(found.hull)
+    if hull.size and hull.shape[1:] != (2,):
+        raise SensorDefect(f"{name} gives a hull of shape {hull.shape}; (n, 2) in m is needed")
+    return found
 
 
 AREA_SENSORS = PluginKind(

@@ -10,6 +10,7 @@ import csv
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from functools import partial
 from pathlib import Path
 from typing import IO, Any, TypeVar
 
@@ -20,7 +21,7 @@ from finger_common.errors import InputError
 from finger_common.files import atomic_write, check_output
 from finger_common.flags import AreaFlag, flag_names
 
-from .area_sensor import AREA_SENSORS
+from .area_sensor import AREA_SENSORS, measured
 from .board import DICTIONARY, Board, View, find_board
 from .calibrate import calibrate_plate
 from .calibration import PAPER_AREA_PER_PIXEL, PlateCalibration
@@ -196,7 +197,7 @@ def _area(arguments: Any) -> int:
         for path in arguments.images:
             # Images on a command line need not follow each other in time: none becomes the
             # background of another.
-            measurement = _apply(sensor.measure, _image(path, plate), path)
+            measurement = _apply(partial(measured, sensor), _image(path, plate), path)
             writer.writerow(
                 [
                     plain(path),

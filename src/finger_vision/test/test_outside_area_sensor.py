@@ -6,16 +6,29 @@
 from __future__ import annotations
 
 import csv
+import math
 import os
 import re
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+
+from finger_offline.image_areas import ImageAreas
+from finger_vision.area_sensor import (
+    AreaSensor,
+    ContactMeasurement,
+    NoLight,
+    SensorDefect,
+    measured,
+)
+from finger_vision.cli import main
 
 ELECTRODE = 0.5e-3
 """m, side of an electrode; the array has 40 × 48 of them."""
@@ -126,6 +139,85 @@ def test_bags_are_measured_with_it(
     # Default settings: the array's counts are 80 % of what they take for full coverage.
     assert empty == 0.0
     assert pressed == pytest.approx(0.8 * np.pi * 4e-3**2, rel=0.03)
+
+
+class Given(AreaSensor):
+    """Gives what it was made with."""
+
+    def __init__(self, found: Any) -> None:
+        self.found, self.learned = found, 0
+
+    def measure(self, signal: np.ndarray) -> Any:
+        if isinstance(self.found, Exception):
+            raise self.found
+        return self.found
+
+
+@pytest.mark.parametrize(
+    ("found", "sentence"),
+    [
+        (None, "gives NoneType; a ContactMeasurement is needed"),
+        ((5e-5, 1e-6), "gives tuple; a ContactMeasurement is needed"),
+        (ZeroDivisionError("no electrode"), r"failed \(ZeroDivisionError: no electrode\)"),
+        (ContactMeasurement(gross_area=-5e-5), "gives gross_area -5e-05; 0 … 0.01 m² or NaN"),
+        (ContactMeasurement(gross_area=50.0), "gives gross_area 50.0; 0 … 0.01 m² or NaN"),
+        (ContactMeasurement(gross_area="large"), "gives gross_area large; 0 … 0.01 m² or NaN"),
+        (ContactMeasurement(real_area=-1.0), "gives real_area -1.0; 0 … 0.01 m² or NaN"),
+        (ContactMeasurement(area_sd=-1e-6), "gives area_sd -1e-06; 0 … 0.01 m² or NaN"),
+        (ContactMeasurement(flags="no contact"), "gives flags no contact; bits of AreaFlag"),
+        (ContactMeasurement(hull=np.zeros((4, 3))), r"gives a hull of shape \(4, 3\)"),
+    ],
+)
+def test_what_is_no_measurement_is_refused_by_the_name_of_the_sensor(
+    found: Any, sentence: str
+) -> None:
+    """By what the node, the command and bags use."""
+    image = np.zeros((4, 6), np.uint8)
+    message = SimpleNamespace(
+        data=image.tobytes(), height=4, width=6, step=6, encoding="mono8", is_bigendian=False
+    )
+    for measure in (
+        lambda: measured(Given(found), image),
+        lambda: measured(Given(found), image, learn=True),
+        lambda: ImageAreas(Given(found)).measure(message),
+    ):
+        with pytest.raises(SensorDefect, match=f"area sensor Given {sentence}"):
+            measure()
+
+
+def test_a_measurement_may_be_unknown_and_a_signal_unusable() -> None:
+    unknown = ContactMeasurement(math.nan, math.nan, math.nan, hull=[(0.0, 0.0), (1e-3, 0.0)])
+    assert measured(Given(unknown), np.zeros((4, 6))) is unknown
+    with pytest.raises(NoLight, match="dark"):
+        measured(Given(NoLight("dark")), np.zeros((4, 6)))
+
+
+NEGATIVE = """
+from finger_vision.area_sensor import AreaSensor, ContactMeasurement
+
+class Negative(AreaSensor):
+    def __init__(self, settings, calibration): self.learned = 0
+    def measure(self, signal): return ContactMeasurement(gross_area=-5e-5)
+
+class NotMade(Negative):
+    def __init__(self, settings, calibration): raise OSError("no licence")
+"""
+
+
+def test_the_command_names_the_image_and_a_sensor_that_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any, install_package: Callable
+) -> None:
+    names = {"negative": "negative:Negative", "not_made": "negative:NotMade"}
+    install_package(tmp_path, {"negative": NEGATIVE}, {"finger_vision.area_sensor": names})
+    monkeypatch.syspath_prepend(tmp_path)
+    cv2.imwrite(str(tmp_path / "scan.png"), np.zeros((4, 6), np.uint8))
+    for name, sentence in (
+        ("negative", "scan.png: area sensor Negative gives gross_area -5e-05; 0 … 0.01 m²"),
+        ("not_made", "area sensor 'not_made' cannot be made (OSError: no licence); correct it"),
+    ):
+        assert main(["area", "--area-sensor", name, str(tmp_path / "scan.png")]) == 2
+        said = capsys.readouterr().err
+        assert sentence in said and said.count("\n") == 1
 
 
 def test_an_area_sensor_that_is_not_installed_is_refused(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from finger_common.diagnostics import ERROR, Health
 from finger_common.errors import DeviceError
 from finger_common.settings import Settings, setting
+from finger_common.stamps import whole_stamp
 
 from ..device import Device
 
@@ -73,8 +74,17 @@ class WrenchSample:
     def of_wrench(
         cls, stamp_ns: int, wrench: np.ndarray, status: int = 0, quality: int = GOOD
     ) -> WrenchSample:
-        """Sample of a sensor that measures the wrench (6,) itself, in N and N m."""
-        return cls(stamp_ns, wrench[:3], wrench[3:], wrench, status, quality)
+        """Sample of a sensor that measures the wrench (6,) itself, in N and N m.
+
+        Raises DeviceError for another number of values, InputError for a stamp with a point.
+        """
+        wrench = np.asarray(wrench, dtype=float)
+        if wrench.shape != (6,):
+            raise DeviceError(
+                f"a wrench has shape {wrench.shape}; the driver must give (6,), force in N and "
+                "torque in N m"
+            )
+        return cls(whole_stamp(stamp_ns), wrench[:3], wrench[3:], wrench, status, quality)
 
 
 class ForceSource(Device[WrenchSample]):

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,7 +16,7 @@ from finger_model.paper import PRESS_DURATION, TARGET_FORCE, TRIALS_PER_CONDITIO
 
 from ..api import Trial
 from ..options import FitOptions
-from ..problem import FitProblem, batch_areas, batch_contacts, prepare_all
+from ..problem import FitProblem, batch_areas, batch_contacts, force_limit_of, prepare_all
 
 REST, REST_AFTER = 0.6, 0.3
 """s of unloaded plate before and after a planned press."""
@@ -104,7 +103,7 @@ class Plan(Settings):
         indentations; none without. Raises InputError for a plan with a measured indentation and a
         model without, and for a force beyond the model's limit.
         """
-        limit = getattr(model, "force_limit", lambda parameters: math.inf)(parameters)
+        limit = force_limit_of(model, parameters)
         if self.peak > limit:
             raise InputError(
                 f"plan: peak is {self.peak:g} N, beyond the {limit:.3g} N for which the model of "

@@ -49,10 +49,11 @@ class FullOrder:
     refinement: float = REFINEMENT
 
     @classmethod
-    def like(cls, model: Any, engine: Engine | None = None) -> FullOrder:
-        """Take the law, geometry, friction and other constants that a model was built for."""
-        geometry = getattr(model, "geometry", None) or Geometry()
-        return cls(geometry, material_of(model), engine or LocalEngine())
+    def like(cls, model: Any, engine: Engine | None = None) -> FullOrder | None:
+        """Take the law, geometry, friction and other constants that a model was built for; None
+        for a model without a law."""
+        geometry, material = getattr(model, "geometry", None) or Geometry(), material_of(model)
+        return None if material is None else cls(geometry, material, engine or LocalEngine())
 
     def areas(
         self, problem: FitProblem, candidates: np.ndarray, done: Done | None = None

@@ -3,7 +3,14 @@
 
 """The fit's problem: trials, the model, and the cost of a parameter set."""
 
-from .cost import SMALLEST_FORCE, AreaCorrection, AreaModel, FitProblem, material_of
+from .cost import (
+    SMALLEST_FORCE,
+    AreaCorrection,
+    AreaModel,
+    FitProblem,
+    force_limit_of,
+    material_of,
+)
 from .goal import PRESS_GAIN, Goal, Nuisance, Nuisances, losses, robust_factor
 from .outputs import batch_areas, batch_contacts, in_rows, trial_outputs
 from .power_law import PowerLaw, fit_power_law, power_law_of

@@ -11,6 +11,7 @@ minimised, but not to J.
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -53,9 +54,19 @@ class AreaModel(Protocol):
         ...
 
 
-def material_of(model: Any) -> ConstitutiveLaw:
-    """Law and fixed properties of a model; the default law where the model states none."""
-    return getattr(model, "material", None) or StandardLinearSolid()
+def material_of(model: Any) -> ConstitutiveLaw | None:
+    """Law and fixed properties of a model: its `material`, or the default law where the model
+    states none and has its parameters; else None."""
+    stated: ConstitutiveLaw | None = getattr(model, "material", None)
+    if stated is None and model.space.names == StandardLinearSolid.PARAMETERS.names:
+        return StandardLinearSolid()
+    return stated
+
+
+def force_limit_of(model: Any, parameters: np.ndarray) -> float:
+    """Force (N) at which a model of parameters (D,) holds what is beyond; infinite without one."""
+    limit = getattr(model, "force_limit", None)
+    return math.inf if limit is None else float(limit(parameters))
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,7 @@ checks."""
 
 from __future__ import annotations
 
-import math
-
+from ..problem import force_limit_of
 from ..results import ConditionFit
 
 
@@ -23,7 +22,7 @@ def judge(fit: ConditionFit) -> None:
                 f"leave {first * factor:g} to {last * factor:g} {unit}, for which the model is made"
             )
     force = max(float(trial.force.max()) for trial in problem.trials)
-    limit = getattr(problem.model, "force_limit", lambda parameters: math.inf)(fit.parameters)
+    limit = force_limit_of(problem.model, fit.parameters)
     if force > limit:
         fit.reasons.append(
             f"the force goes up to {force:.3g} N, the model is made for {limit:.3g} N at most and "

@@ -19,6 +19,7 @@ from finger_common.errors import InputError, listed
 from finger_common.files import atomic_write, load_json
 from finger_common.moisture import MOISTURE_RANGE
 from finger_common.subject_code import is_subject
+from finger_model.laws import ConstitutiveLaw
 from finger_model.parameter_sets import ParameterSet, ParameterSets
 from finger_model.subjects import subject_file
 
@@ -192,15 +193,17 @@ def parameter_files(result: FitResult) -> dict[str, ParameterSets]:
     parameters.yaml of the conditions with moisture readings, or of a single one; conditions of
     equal mean moisture are separated by 0.001 a.u. A condition without readings beside others
     gets a file of its own, parameters_CONDITION.yaml, since the model node cannot choose it. Its
-    set is placed in the middle of the scale, where its moisture does not matter.
+    set is placed in the middle of the scale, where its moisture does not matter. None of a model
+    without a law.
     """
-    fits = result.fits
+    fits, material = result.fits, material_of(result.model)
+    if material is None:
+        return {}
     known = {n: f for n, f in fits.items() if math.isfinite(f.moisture[0]) or len(fits) == 1}
     names = _own_files(fits)
-    return {
-        **({"parameters.yaml": _sets(result, known)} if known else {}),
-        **{names[n]: _sets(result, {n: f}) for n, f in fits.items() if n not in known},
-    }
+    files = {"parameters.yaml": known} if known else {}
+    files |= {names[n]: {n: f} for n, f in fits.items() if n not in known}
+    return {file: _sets(result, held, type(material)) for file, held in files.items()}
 
 
 def _own_files(conditions: Iterable[str]) -> dict[str, str]:
@@ -216,7 +219,9 @@ def _own_files(conditions: Iterable[str]) -> dict[str, str]:
     return names
 
 
-def _sets(result: FitResult, fits: dict[str, ConditionFit]) -> ParameterSets:
+def _sets(
+    result: FitResult, fits: dict[str, ConditionFit], law: type[ConstitutiveLaw]
+) -> ParameterSets:
     sets: list[ParameterSet] = []
     middle = 0.5 * sum(MOISTURE_RANGE)
     for name, fit in fits.items():
@@ -238,7 +243,7 @@ def _sets(result: FitResult, fits: dict[str, ConditionFit]) -> ParameterSets:
         str(result.sources.get("geometry_hash", "")),
         str(result.sources.get("reduced_model_hash", "")),
         "fit",
-        type(material_of(next(iter(fits.values())).problem.model)),
+        law,
     )
 
 

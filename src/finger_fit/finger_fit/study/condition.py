@@ -96,7 +96,8 @@ class _Stages:
     ) -> None:
         self.problem, self.options, self.progress = problem, problem.options, progress
         self.engine, self.folder = engine, folder
-        self.better = better or FullOrder.like(problem.model, engine)
+        full_order = self.options.full_order
+        self.better = (better or FullOrder.like(problem.model, engine)) if full_order else None
         # A full-order model needs neither correction nor check.
         self.reduced = not isinstance(problem.model, FullOrderAreas)
         self.coordinates = all_free(problem)
@@ -170,7 +171,7 @@ class _Stages:
         if model is not None:
             starts = np.vstack([fit.parameters, self.start[:2]])
             settled = self.settle(fit, model, starts, ROUNDS if self.reduced else 1)
-        if options.full_order and options.correct and self.reduced:
+        if self.better is not None and options.correct and self.reduced:
             with progress.timed("full order"), self.whole():
                 found, fit.correction = correct(
                     problem, fit.parameters, self.better, done=progress.count("full order")
@@ -206,11 +207,11 @@ class _Stages:
             allowed = settled.nuisances.names
             left_out = tuple(name for name in options.lengths() if name not in allowed)
             fit.nuisance = nuisance_result(problem, settled, fit.covariance, left_out, without)
-        if options.full_order and self.reduced:
+        if self.better is not None and self.reduced:
             with progress.timed("full order"):
                 fit.full_order = check(problem, fit.top, self.better, progress.count("full order"))
             fit.reasons = fit.full_order.reasons
-        if options.full_order:
+        if self.better is not None:
             fit.status = "not final" if fit.reasons else "final"
         if options.profiles:
             names = [n for n in problem.space.quantity_names if problem.space.can_hold(n)]
@@ -244,7 +245,7 @@ class _Stages:
         lengths = options.lengths()
         population = PopulationGeometry.like(problem.model) if lengths and self.reduced else None
         responses = {}
-        if population is None and options.full_order and lengths and isinstance(better, FullOrder):
+        if population is None and lengths and isinstance(better, FullOrder):
             with self.progress.timed("geometry"):
                 count = self.progress.count("geometry")
                 responses = geometry_responses(

@@ -34,7 +34,7 @@ def provenance(
         "platform": f"{platform.system()} {platform.machine()}",
         "libraries": {name: _version(name) for name in LIBRARIES},
         "seed": options.seed,
-        "law": material_of(model).name,
+        "law": getattr(material_of(model), "name", "none"),
         "geometry_hash": model.geometry.hash() if hasattr(model, "geometry") else "",
         "reduced_model_hash": getattr(model, "hash", ""),
         "reduced_model_error": getattr(model, "measured_error", {}),

@@ -24,7 +24,7 @@ from .. import results
 from ..engine import Engine, LocalEngine, engine_for
 from ..full_order import FullOrder
 from ..options import FitOptions
-from ..problem import Exclusion, FitProblem, FitTrial, prepare_all
+from ..problem import Exclusion, FitProblem, FitTrial, material_of, prepare_all
 from ..problem.trials import label_of
 from ..quality import judge, quality_of, screen
 from ..report import write_report
@@ -74,6 +74,12 @@ def fit_records(
         notes.append(
             f"the force goes up to {highest:.2f} N, beyond the reduced model of the default "
             "finger: fitted with that of the population box"
+        )
+    if material_of(model) is None:
+        notes.append(
+            "the model has no 'material', the law of its parameters: without it there is no "
+            "full-order model, for correction, check, the finger's lengths and the deformed "
+            "finger, and no parameters.yaml"
         )
     subjects: dict[str, list[FitTrial]] = {}
     for trial in trials:
@@ -226,7 +232,7 @@ class _Work:
             raise InputError(f"no condition can be fitted ({'; '.join(notes)})")
         result = FitResult(self.options, fits, [], notes, stopped=stopped)
         unread = [name for name, fit in fits.items() if not np.isfinite(fit.moisture[0])]
-        if unread and len(fits) > 1:
+        if unread and len(fits) > 1 and material_of(result.model) is not None:
             result.problems.append(
                 f"no moisture readings, by which the model node chooses, of {', '.join(unread)}: "
                 "each gets a parameter file of its own"
@@ -301,12 +307,11 @@ def _further(result: FitResult, records: Sequence[Any], engine: Engine) -> None:
             {name: fit.parameters for name, fit in fits.items()},
             options.shared,
         )
-    if options.extra == "epidermis_thickness":
+    full_order = FullOrder.like(result.model, engine)
+    if options.extra == "epidermis_thickness" and full_order is not None:
         with progress.timed("thickness"):
             result.thickness = {
-                name: thickness_fit(
-                    fit.problem, fit.parameters, FullOrder.like(fit.problem.model, engine)
-                )
+                name: thickness_fit(fit.problem, fit.parameters, full_order)
                 for name, fit in fits.items()
             }
     result.seconds.update(progress.seconds)
@@ -376,9 +381,12 @@ def _write(result: FitResult, folder: Path, progress: Progress) -> None:
 
 def draw(result: FitResult) -> None:
     """Compute the deformed finger that the report of each subject shows."""
+    full_order = FullOrder.like(result.model)
+    if full_order is None:
+        return
     for part in result.subjects.values() or [result]:
         fit, trial = part.example()
         try:
-            part.deformed = deformed_finger(fit, trial, FullOrder.like(fit.problem.model))
+            part.deformed = deformed_finger(fit, trial, full_order)
         except ModelError as error:
             part.problems.append(f"the deformed finger is not drawn: {error}")

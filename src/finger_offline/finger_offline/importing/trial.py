@@ -25,7 +25,7 @@ from finger_common.files import sha256_of_file
 from finger_common.flags import AreaFlag
 from finger_common.stamps import NANOSECONDS, check_stamp, nanoseconds, seconds, time_fields
 from finger_common.trial_phases import TrialPhase
-from finger_vision.area_sensor import AREA_SENSORS, ContactMeasurement
+from finger_vision.area_sensor import AREA_SENSORS, measured
 from finger_vision.calibration import PlateCalibration
 
 from ..image_areas import area_fields
@@ -317,7 +317,7 @@ class _Recording:
                     f"{settings.image_times or settings.video}: time of frame {number} is not "
                     "after the one before; correct the times"
                 )
-            found: ContactMeasurement = sensor.process(image)
+            found = measured(sensor, image, learn=True)
             stamps.append(stamp)
             areas.append(found.gross_area)
             yield stamp, "contact_area", area_fields(stamp, found, "plate")
