@@ -228,23 +228,6 @@ def link_executables(env: Environment, name: str) -> None:
         (folder / script).symlink_to(env.folder / "bin" / script)
 
 
-def forget_compiled_kernels() -> None:
-    """Delete numba's cache of the suite.
-
-    It notices a change of the file a kernel stands in, but not of a kernel in another file that was
-    compiled into it.
-    """
-    for pattern in ("*.nbi", "*.nbc"):
-        for file in (ROOT / "src").rglob(pattern):
-            file.unlink(missing_ok=True)
-
-
-def compile_kernels(env: Environment) -> None:
-    """Compile the live estimate's kernels anew, which takes a minute: no node waits for it."""
-    forget_compiled_kernels()
-    env.run(env.python, "-m", "finger_model.warm_up")
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
@@ -295,7 +278,9 @@ def main() -> int:
             lambda: install_packages(env),
         )
         kernels = [ROOT / "src" / p / p for p in ("finger_common", "finger_model")]
-        env.step("kernels", digest(*kernels), "compiling", lambda: compile_kernels(env))
+        # It takes a minute, which no node then waits for.
+        compile_kernels = env.python, "-m", "finger_model.warm_up"
+        env.step("kernels", digest(*kernels), "compiling", lambda: env.run(*compile_kernels))
     except SetupError as error:
         print(f"setup: {error}", file=sys.stderr)
         return 2

@@ -5,19 +5,49 @@
 
 Kernels work on arrays of records with named fields. Compiled code has the fields as attributes of
 a record. numpy's own records do not, so kernels get thin views of the arrays here.
+
+numba keeps compiled kernels beside their sources, and compiles one anew when its own file changes,
+but not when a file does whose kernels or constants it holds. `forget_stale_kernels` mends that.
 """
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import os
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from finger_common import contact_threshold, flags
+
+
+def forget_stale_kernels(package: Path, *others: str) -> None:
+    """Remove a package's compiled kernels when a source that may be in them has changed since.
+
+    Any in the package's folders may be, and the files `others`. They are compared with a list that
+    is kept of them, not with the age of the kernels: a rig may start without knowing the time.
+    """
+    kept = package / "__pycache__" / "sources_of_kernels.txt"
+    # A folder may be read-only, and another process do the same.
+    with contextlib.suppress(OSError):
+        files = sorted([*map(str, package.glob("*/[a-z_]*.py")), *others])
+        stats = map(os.stat, files)
+        sources = "\n".join(f"{f} {s.st_mtime_ns} {s.st_size}" for f, s in zip(files, stats))
+        if not kept.exists() or kept.read_text() != sources:
+            for kernel in package.glob("*/__pycache__/*.nb[ic]"):
+                kernel.unlink(missing_ok=True)
+            kept.parent.mkdir(exist_ok=True)
+            kept.write_text(sources)
+
+
 try:
     from numba import njit, prange
+
+    forget_stale_kernels(Path(__file__).parent, contact_threshold.__file__, flags.__file__)
 except ImportError:
     print(
         "finger_model: numba is not installed; computing in plain Python, thousands of times "
@@ -31,7 +61,7 @@ except ImportError:
 
         __slots__ = ("_memory",)
 
-        def __init__(self, memory: np.ndarray) -> None:
+        def __init__(self, memory: np.ndarray | np.void) -> None:
             object.__setattr__(self, "_memory", memory)
 
         def __getattr__(self, name: str) -> Any:
@@ -61,6 +91,8 @@ except ImportError:
             self.memory[index] = record._memory
 
     def _with_attributes(value: Any) -> Any:
+        if isinstance(value, np.void):
+            return _Record(value)
         structured = isinstance(value, np.ndarray) and value.dtype.names
         return _Records(value) if structured else value
 

@@ -36,7 +36,7 @@ def stiffnesses(readings):
         for n in (0, 200):
             for estimate in contact.add_wrench(T0 + (k * 1000 + n) * MS, (0.0, 0.0, 0.0)):
                 followers.follow(estimate, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-        found.append(followers._slip._config["shear"][0].copy())
+        found.append(followers._slip._config["finger"]["shear"][0].copy())
     return np.array(found), _table.cache_info().misses - before
 
 

@@ -4,6 +4,9 @@
 """Slip estimator: law of the elements, friction learned, slips foretold."""
 
 import math
+import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -17,8 +20,9 @@ from finger_model.estimator import ContactEstimator, EstimatorSettings
 from finger_model.geometry import Geometry
 from finger_model.material import Material
 from finger_model.reduced import ReducedModel
-from finger_model.slip import SlipEstimator, SlipSettings, backbone, kernels
+from finger_model.slip import SlipEstimator, SlipSettings, backbone, elements
 from finger_model.slip.estimate import slip_estimates
+from finger_model.slip.pull import pull_history
 from finger_model.verification.cases import CALCULIX_FINGER, elastic
 
 RATE = 500.0
@@ -39,22 +43,51 @@ def ramp(*corners):
 
 
 def test_elements_follow_the_backbone_and_turn_by_masings_rule():
-    states = np.zeros(1, kernels.STATE)
+    states = np.zeros(1, elements.ELEMENTS)
     state = states[0]
     load = 2.0
     found = {}
     for ratio in np.linspace(0.0, 0.9, 91):
-        stick = kernels._pull(state, load, ratio * load, 0.0)
+        stick = elements.pull(state, load, ratio * load, 0.0)
         found[round(float(ratio), 2)] = stick, states["moved"][0, 0]
     for ratio, (stick, _) in found.items():
         assert stick == pytest.approx(float(backbone.stick_ratio(ratio)), abs=0.05), ratio
     # Back from r = 0.9 the path is the first one, twice as large (Masing 1926).
     turn = found[0.9][1]
     for change in (0.2, 0.6, 1.0, 1.4):
-        stick = kernels._pull(state, load, (0.9 - change) * load, 0.0)
+        stick = elements.pull(state, load, (0.9 - change) * load, 0.0)
         first = found[round(change / 2, 2)]
         assert turn - states["moved"][0, 0] == pytest.approx(2.0 * first[1], rel=0.03)
         assert stick == pytest.approx(first[0], abs=0.05)
+
+
+@pytest.mark.parametrize("obliquity", [0.1, 0.22])
+def test_what_comes_with_the_load_sticks_and_what_is_pulled_after_it_does_not(obliquity):
+    """Mindlin and Deresiewicz (1953): at a constant obliquity below friction nothing slips. The
+    three-dimensional model has stick ratios of 1.00 to 0.96 at 0.15/0.25."""
+    friction, rows = 0.25, np.linspace(0.01, 1.0, 100)
+
+    def stick_after(state, normal, pull):
+        elements.press(state, friction, normal, 0.0, pull, 0.0)
+        return elements.pull(state, friction * normal, pull, 0.0)
+
+    oblique, pressed_first = np.zeros(2, elements.ELEMENTS)
+    assert min(stick_after(oblique, P, obliquity * P) for P in rows) == 1.0
+    # Beyond it a pull at constant P follows the backbone of what is left of the friction.
+    stick = stick_after(oblique, 1.0, obliquity + 0.6 * (friction - obliquity))
+    assert stick == pytest.approx(float(backbone.stick_ratio(0.6)), abs=0.05)
+    stick_after(pressed_first, 1.0, 0.0)
+    stick = stick_after(pressed_first, 1.0, obliquity)
+    assert stick == pytest.approx(float(backbone.stick_ratio(obliquity / friction)), abs=0.05)
+
+
+def test_a_grip_that_tightens_with_its_load_does_not_slip():
+    estimator = SlipEstimator(SlipSettings(friction_prior=0.5, **KNOWN))
+    noise = 0.002 * np.random.default_rng(1).standard_normal((2, 1000))
+    normal = ramp((0.0, 0.03), (2.0, 2.0)) + noise[0]
+    rows = run(estimator, normal, 0.35 * normal + noise[1])
+    assert rows["stick_ratio"][200:].min() > 0.9
+    assert rows["slip_margin"][-1] == pytest.approx(0.3, abs=0.03)
 
 
 def test_a_stuck_contact_has_all_margin_and_a_slipping_one_none():
@@ -367,12 +400,13 @@ def test_simulate_gives_stick_and_slip_of_a_long_history_at_once(tmp_path, capsy
 def test_elements_carry_the_pull_whatever_the_normal_force_did_before():
     rng = np.random.default_rng(0)
     for _ in range(40):
-        state = np.zeros(1, kernels.STATE).view(np.recarray)[0]
+        state = np.zeros(1, elements.ELEMENTS).view(np.recarray)[0]
         normal = np.exp(np.cumsum(rng.normal(size=50) * rng.choice([0.01, 0.1, 0.3])))
         for load in normal:
             angle, size = rng.uniform(0.0, 6.3), 0.99 * load * rng.random()
             pull = size * math.cos(angle), size * math.sin(angle)
-            kernels._pull(state, load, *pull)
+            elements.press(state, 1.0, load, 0.0, *pull)
+            elements.pull(state, load, *pull)
             assert np.hypot(*(state.force.mean(axis=0) - pull)) < 2e-6 * load
 
 
@@ -385,6 +419,18 @@ def test_a_finger_that_is_relieved_under_a_pull_goes_back(tmp_path):
     _main(["simulate", "--force", str(pull), "--solver", "reduced", "-o", str(out)])
     moved = np.genfromtxt(out, delimiter=",", names=True)["tangential_displacement_mm"]
     assert moved[2] > moved[3] > moved[4] > 0.0
+
+
+def test_a_pull_is_the_same_whatever_freed_memory_holds(tmp_path):
+    rows = "time_s,force_n,tangential_force_n\n0,1,0\n0.1,1,0.1\n0.2,1,0.2\n0.3,1,-0.1\n"
+    (tmp_path / "pull.csv").write_text(rows)
+    command = [sys.executable, "-c", "from finger_model.cli import main; main()", "simulate"]
+    command += ["--force", str(tmp_path / "pull.csv"), "--solver", "reduced", "-o"]
+    for name, freed in (("as_it_was.csv", "0"), ("overwritten.csv", "85")):
+        environment = {**os.environ, "MALLOC_PERTURB_": freed}
+        subprocess.run([*command, str(tmp_path / name)], env=environment, check=True)
+    found = [(tmp_path / name).read_text() for name in ("as_it_was.csv", "overwritten.csv")]
+    assert found[0] == found[1]
 
 
 @pytest.mark.parametrize("prior", [{}, {"friction_prior": 0.1, "friction_prior_sd": 0.01}])
@@ -646,3 +692,37 @@ def test_slip_that_comes_and_goes_with_the_grip_is_seen():
     rows = run(SlipEstimator(settings), *noisy(grip, np.minimum(load, 0.8 * grip)))
     assert rows["slips"][-1] >= 1
     assert rows["friction"][-1] == pytest.approx(0.8, rel=0.05)
+
+
+def test_forces_of_other_samples_are_refused():
+    contact = ContactEstimator(ReducedModel.load())
+    stamps = np.arange(100) * 2_000_000
+    forces = np.column_stack([np.linspace(0.0, 0.3, 100), np.zeros(100), np.full(100, -1.0)])
+    repeated = np.repeat(np.arange(100), np.where(np.arange(100) < 20, 2, 1))
+    block = contact.add_wrenches(stamps[repeated], forces[repeated])
+    with pytest.raises(InputError, match=r"shape \(120, 3\), \(100, 3\) is needed"):
+        SlipEstimator().add_block(block, forces[repeated])
+    with pytest.raises(InputError, match="its own sample"):
+        SlipEstimator().add_block(block, forces[repeated][:100])
+    with pytest.raises(InputError, match="normal_axis"):
+        SlipEstimator(normal_axis="+x").add_block(block, forces)
+    assert len(SlipEstimator().add_block(block, forces.tolist())) == 100
+
+
+@pytest.mark.parametrize("pull", [np.zeros(5), np.zeros(20), np.full(10, np.nan)])
+def test_a_pull_of_another_length_is_refused(pull):
+    material = Material()
+    contact = ReducedModel.load().simulate(material, np.arange(10.0), np.ones(10))
+    with pytest.raises(InputError, match="10 finite numbers are needed"):
+        pull_history(contact, pull, Geometry(), material)
+
+
+def test_a_prior_beyond_all_frictions_leaves_numbers():
+    estimator = SlipEstimator(SlipSettings(friction_prior=2.0, friction_prior_sd=0.01))
+    normal = ramp((0.0, 0.0), (0.2, 1.0), (0.4, 1.0), (0.6, 0.0), (0.8, 0.0), (1.0, 1.0))
+    moisture = np.full(len(normal), 110.0)
+    stamps = (np.arange(len(normal)) * 2_000_000).astype(np.int64)
+    rows = estimator.add_many(
+        stamps, normal, np.zeros((len(normal), 2)), normal > 0.03, normal * 1e-3, moisture
+    )
+    assert np.isfinite(rows["friction"]).all()

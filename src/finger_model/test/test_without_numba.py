@@ -8,10 +8,14 @@ from __future__ import annotations
 import subprocess
 import sys
 
-SCRIPT = """
+import pytest
+
+WAY = """
 import sys
 if sys.argv[1] == "plain":
     sys.modules["numba"] = None
+"""
+SCRIPT = f"""{WAY}
 from finger_model.estimator import ContactEstimator
 from finger_model.reduced import ReducedModel
 
@@ -21,19 +25,31 @@ for i, force in enumerate((0.0, 0.2, 0.6)):
     (estimate,) = estimator.add_wrench(start + 2_000_000 * i, (0.0, 0.0, force))
     print(estimate.in_contact, estimate.area, estimate.indentation, estimate.peak_pressure)
 """
+SLIP = f"""{WAY}
+import numpy as np
+from finger_model.slip import SlipEstimator
+
+n, slip = 5, SlipEstimator()
+samples = np.arange(n) * 2_000_000, np.ones(n), np.full((n, 2), 0.1), np.ones(n), np.full(n, 1e-3)
+for row in slip.add_many(*samples):
+    print(row["flags"], row["friction"], row["slip_probability"], row["tangential_stiffness"])
+"""
 
 
-def estimates(way: str) -> tuple[list[list[str]], str]:
+def estimates(way: str, script: str) -> tuple[list[list[str]], str]:
     done = subprocess.run(
-        [sys.executable, "-c", SCRIPT, way], capture_output=True, text=True, check=True
+        [sys.executable, "-c", script, way], capture_output=True, text=True, check=True
     )
     return [line.split() for line in done.stdout.splitlines()], done.stderr
 
 
-def test_the_estimator_runs_without_numba_and_says_once_that_it_is_slow() -> None:
-    plain, said = estimates("plain")
-    compiled, silent = estimates("compiled")
-    assert len(plain) == 3 and said.count("numba is not installed") == 1 and not silent
+@pytest.mark.parametrize(("script", "count"), [(SCRIPT, 3), (SLIP, 5)])
+def test_the_estimators_run_without_numba_and_say_once_that_it_is_slow(
+    script: str, count: int
+) -> None:
+    plain, said = estimates("plain", script)
+    compiled, silent = estimates("compiled", script)
+    assert len(plain) == count and said.count("numba is not installed") == 1 and not silent
     assert [row[0] for row in plain] == [row[0] for row in compiled]
     for slow, fast in zip(plain, compiled, strict=True):
         for a, b in zip(map(float, slow[1:]), map(float, fast[1:]), strict=True):

@@ -33,6 +33,7 @@ from ..laws import MaxwellLaw
 from ..material import Material
 from . import kernels
 from .estimate import OUTPUT, SlipEstimate, slip_estimates
+from .friction import set_prior
 from .settings import SlipSettings
 from .shear import set_finger
 
@@ -72,24 +73,28 @@ class SlipEstimator:
         """Take over settings; their prior enters at the next reset, or now if none was learned."""
         self.settings = settings
         config = self._config
-        config["prior_mean"] = math.log(settings.friction_prior)
-        config["prior_sd"] = settings.friction_prior_sd
-        config["moisture_slope"] = settings.friction_moisture_slope
+        config["prior"]["mean"] = math.log(settings.friction_prior)
+        config["prior"]["sd"] = settings.friction_prior_sd
+        config["prior"]["moisture_slope"] = settings.friction_moisture_slope
         config["drift"] = settings.friction_drift
         config["horizon"] = settings.slip_horizon
         config["noise"] = settings.tangential_noise
         config["coupled"] = settings.grip_follows_load
-        if not self._state["known"]["told"][0]:
-            kernels.set_prior(config[0], self._state[0], float(self._state["moisture"][0]))
+        friction = self._state["friction"][0]
+        if not friction["known"]["told"]:
+            set_prior(config["prior"][0], friction, float(friction["moisture"]))
 
     def assume(self, geometry: Geometry, material: MaxwellLaw) -> None:
         """The finger that displacement and stiffness are of; until this is called the default one.
 
-        A new geometry takes some hundredths of a second.
+        A new geometry takes some hundredths of a second. Raises InputError for a material without
+        Maxwell branches.
         """
+        if not isinstance(material, MaxwellLaw):
+            raise InputError(f"material: slip is for laws of Maxwell branches, not '{material.name}'")
         if self._finger is None or self._finger != (geometry, material):
             self._finger = geometry, material
-            set_finger(self._config[0], geometry, material)
+            set_finger(self._config["finger"][0], geometry, material)
 
     def turn(self, normal_axis: str) -> None:
         """Begin anew with this axis of the sensor along the plate's normal.
@@ -102,7 +107,7 @@ class SlipEstimator:
     def reset(self) -> None:
         """A finger and a plate that were not seen before."""
         self._state[:] = np.zeros(1, kernels.STATE)
-        kernels.set_prior(self._config[0], self._state[0], math.nan)
+        set_prior(self._config["prior"][0], self._state["friction"][0], math.nan)
 
     def add(self, estimate: ContactEstimate, force: Sequence[float]) -> SlipEstimate:
         """One sample: the contact's estimate and the force (3,) in N that it came from.
@@ -116,11 +121,7 @@ class SlipEstimator:
         strange = abs(across - estimate.lateral_force) > 1e-6 * (1.0 + across)
         self._strangers = self._strangers + 1 if strange else 0
         if self._strangers > 2:
-            raise InputError(
-                f"the lateral force is {across:.3g} N, the estimate has "
-                f"{estimate.lateral_force:.3g} N; give SlipEstimator the normal_axis of "
-                "EstimatorSettings, and each estimate the force of its own sample"
-            )
+            raise _stranger(across, estimate.lateral_force)
         if estimate.flags & StateFlag.TIME_RESET:
             self._begin_anew(estimate.stamp_ns)
         self._see_due(estimate.stamp_ns)
@@ -136,7 +137,23 @@ class SlipEstimator:
         return slip_estimates(self._row)[0]
 
     def add_block(self, block: EstimateBlock, forces: np.ndarray) -> np.ndarray:
-        """As `add` for a block of n estimates and their forces (n, 3); rows (n,) of OUTPUT."""
+        """As `add` for a block of n estimates and their forces (n, 3); rows (n,) of OUTPUT.
+
+        Raises InputError also for another shape of forces; samples that were dropped have no
+        estimate.
+        """
+        forces = np.asarray(forces, float)
+        if forces.shape != (len(block), 3):
+            raise InputError(
+                f"forces have shape {forces.shape}, ({len(block)}, 3) is needed: those of the "
+                "samples that have an estimate"
+            )
+        lateral = forces[:, self.lateral_axes]
+        across, own = np.hypot(*lateral.T), block.column("lateral_force")
+        strange = np.abs(across - own) > 1e-6 * (1.0 + across)
+        in_a_row = np.flatnonzero(strange[2:] & strange[1:-1] & strange[:-2])
+        if len(in_a_row):
+            raise _stranger(across[in_a_row[0]], own[in_a_row[0]])
         stamps = block.column("stamp_ns")
         resets = np.flatnonzero(block.column("flags") & int(StateFlag.TIME_RESET)).tolist()
         found = [np.zeros(0, OUTPUT)]
@@ -153,7 +170,7 @@ class SlipEstimator:
                     self.add_many(
                         rows["stamp_ns"],
                         rows["normal_force"],
-                        forces[begin:until][:, self.lateral_axes],
+                        lateral[begin:until],
                         rows["in_contact"],
                         rows["indentation"],
                         rows["moisture"],
@@ -234,8 +251,17 @@ class SlipEstimator:
     def add_stick_ratio(self, stamp_ns: int, stick_ratio: float, sd: float) -> bool:
         """A stick ratio seen by a camera at `stamp_ns`, with its standard deviation.
 
-        False when it tells nothing: no contact then, no tangential load, or after a reversal.
+        False when it tells nothing: no contact then, no tangential load, after a reversal, or not a
+        ratio from 0 to 1.
         """
-        if not (math.isfinite(stick_ratio) and sd > 0.0):
+        if not (0.0 <= stick_ratio <= 1.0 and sd > 0.0):
             return False
         return bool(kernels.see_stick(self._state[0], stamp_ns, float(stick_ratio), float(sd)))
+
+
+def _stranger(across: float, own: float) -> InputError:
+    """What is said of estimates whose lateral force is not that of the force that is given."""
+    return InputError(
+        f"the lateral force is {across:.3g} N, the estimate has {own:.3g} N; give SlipEstimator "
+        "the normal_axis of EstimatorSettings, and each estimate the force of its own sample"
+    )

@@ -9,12 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from finger_common.errors import InputError
 from finger_common.files import atomic_write
 
 from ..geometry import Geometry
 from ..history import CSV_HEADER, ContactHistory, csv_of
 from ..laws import MaxwellLaw
-from . import kernels
+from .elements import ELEMENTS, FINGER
+from .kernels import pull_along
 from .shear import set_finger
 
 PULL_CSV_HEADER = CSV_HEADER + ",stick_ratio,slip_margin,tangential_displacement_mm"
@@ -45,12 +47,22 @@ class PullHistory:
 def pull_history(
     contact: ContactHistory, tangential: np.ndarray, geometry: Geometry, material: MaxwellLaw
 ) -> PullHistory:
-    """Stick and slip under tangential forces (n,) in N along x; the material's friction > 0."""
-    config = np.zeros(1, kernels.CONFIGURATION)[0]
-    set_finger(config, geometry, material)
+    """Stick and slip under tangential forces (n,) in N along x; the material's friction > 0.
+
+    Raises InputError for another shape and for forces that are not finite.
+    """
+    tangential = np.ascontiguousarray(tangential, float)
+    if tangential.shape != (len(contact),) or not np.isfinite(tangential).all():
+        raise InputError(
+            f"tangential forces: {len(contact)} finite numbers are needed, one for each row of the "
+            f"contact; the array has the shape {tangential.shape}"
+        )
+    finger, state = np.zeros(1, FINGER)[0], np.zeros(1, ELEMENTS)[0]
+    set_finger(finger, geometry, material)
     table = np.full((len(tangential), 3), np.nan)
-    kernels.pull_along(
-        config,
+    pull_along(
+        finger,
+        state,
         contact.time,
         contact.force,
         contact.area,

@@ -70,8 +70,8 @@ def shear_curve(geometry: Geometry, material: MaxwellLaw, share: float = 1.0) ->
     return np.exp(line) * modulus * geometry.pad_semi_axis_radial
 
 
-def set_finger(config: np.ndarray, geometry: Geometry, material: MaxwellLaw) -> None:
-    """Let a record of `kernels.CONFIGURATION` be of a finger.
+def set_finger(finger: np.ndarray, geometry: Geometry, material: MaxwellLaw) -> None:
+    """Let a record of `elements.FINGER` be of this finger.
 
     The skin does not relax, so that more is left of the stiffness than of the tissue's modulus.
     """
@@ -79,8 +79,8 @@ def set_finger(config: np.ndarray, geometry: Geometry, material: MaxwellLaw) -> 
     sudden, slow = (shear_curve(geometry, material, share) for share in (1.0, rest))
     relaxing = 1.0 - slow[MIDDLE] / sudden[MIDDLE]
     total = sum(branch.fraction for branch in material.branches)
-    config["length"], config["shear"] = geometry.pad_semi_axis_radial, sudden
-    config["fractions"], config["times"] = 0.0, 1.0
+    finger["length"], finger["shear"] = geometry.pad_semi_axis_radial, sudden
+    finger["fractions"], finger["times"] = 0.0, 1.0
     for k, branch in enumerate(material.branches):
-        config["fractions"][k] = branch.fraction / total * relaxing
-        config["times"][k] = branch.relaxation_time
+        finger["fractions"][k] = branch.fraction / total * relaxing
+        finger["times"][k] = branch.relaxation_time
