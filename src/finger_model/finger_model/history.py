@@ -9,9 +9,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from finger_common.columns import column
 from finger_common.errors import InputError
 from finger_common.files import atomic_write, read_csv
 
@@ -97,30 +99,15 @@ def radius_to_area(radius: float) -> float:
     return math.pi * radius * radius
 
 
-LARGEST_FALL, SHORT = 0.1, 0.02
-"""Share of its load by which a load falls in one step at most, where the step is longer (s)."""
-
-
-def with_falls_divided(time: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Times with more of them where a load falls far in one step, and the rows of the given ones:
-    on the way back a finger that creeps is farther from its path the longer a step is."""
-    fall = (force[:-1] - force[1:]) / np.maximum(force[:-1], 1e-12)
-    parts = np.where(np.diff(time) > SHORT, np.ceil(fall / LARGEST_FALL - 1e-9), 1.0)
-    parts = np.clip(parts, 1.0, 1.0 / LARGEST_FALL).astype(int)
-    rows = np.concatenate([[0], np.cumsum(parts)])
-    return np.interp(np.arange(rows[-1] + 1), rows, time), rows
-
-
 def check_force_history(
-    time: np.ndarray, force: np.ndarray, where: str = "force history"
+    time: Any, force: Any, where: str = "force history"
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Time (n,) in s and force (n,) in N as float arrays.
+    """Time (n,) in s and force (n,) in N as float arrays, of what `column` takes.
 
     Raises InputError for empty, unequal or non-finite arrays and for time that does not increase.
     """
-    time = np.atleast_1d(np.asarray(time, dtype=float))
-    force = np.atleast_1d(np.asarray(force, dtype=float))
-    if time.ndim != 1 or time.shape != force.shape or not len(time):
+    time, force = column(time, f"{where}: time"), column(force, f"{where}: force")
+    if time.shape != force.shape or not len(time):
         raise InputError(
             f"{where}: time {time.shape} and force {force.shape} must be two arrays of equal length"
         )
@@ -136,6 +123,31 @@ def check_force_history(
             f"{row + 1} ({time[row]:g} s); sort the rows and remove repeated times"
         )
     return time, force
+
+
+def check_trial(trial: Sequence[Any], where: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Time (n,) in s, force (n,) in N and rows (f,) of a trial (time, force) or (time, force,
+    rows): the samples that are wanted, all of them where left out.
+
+    Raises InputError as `check_force_history`, and for rows that are no increasing whole numbers
+    from 0 to n - 1.
+    """
+    time, force = check_force_history(trial[0], trial[1], where)
+    if len(trial) < 3:
+        return time, force, np.arange(len(time))
+    rows = np.asarray(trial[2])
+    if rows.ndim != 1 or (len(rows) and rows.dtype.kind not in "iu"):
+        raise InputError(
+            f"{where}: the wanted rows are {rows.dtype} {rows.shape}, whole numbers (f,) are "
+            "needed; np.flatnonzero gives those of a mask"
+        )
+    rows = rows.astype(np.int64)
+    if len(rows) and (rows[0] < 0 or rows[-1] >= len(time) or np.any(np.diff(rows) <= 0)):
+        raise InputError(
+            f"{where}: the wanted rows must increase from 0 to {len(time) - 1} at most; sort them "
+            "and give each once"
+        )
+    return time, force, rows
 
 
 def read_load_csv(path: str | Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:

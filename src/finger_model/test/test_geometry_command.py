@@ -95,6 +95,14 @@ def test_bad_readings_end_with_one_sentence(tmp_path, capsys, options, words):
     assert not path.exists()
 
 
+def test_a_finger_that_no_shipped_model_serves_is_noted(tmp_path, capsys):
+    path = tmp_path / "g.yaml"
+    assert run(_main, ["geometry", "--width", "17mm", "--length", "36mm", "-o", str(path)]) == 0
+    assert "outside the population box" in capsys.readouterr().err
+    assert run(_main, ["geometry", "--width", "17mm", "-o", str(path)]) == 0
+    assert capsys.readouterr().err == ""
+
+
 def test_help_lists_the_keys(capsys):
     with pytest.raises(SystemExit):
         run(_main, ["geometry", "--help"])

@@ -5,9 +5,12 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import json
+import pickle
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -96,6 +99,70 @@ def test_batch_keeps_sets_and_trials_apart(model: ReducedModel) -> None:
             assert np.array_equal(depth, alone.indentation)
 
 
+@pytest.mark.parametrize(
+    ("rows", "sentence"),
+    [
+        ([9, 9, 5], "trial 1: the wanted rows must increase from 0 to 9 at most"),
+        ([-1], "the wanted rows must increase from 0"),
+        ([3, 10], "the wanted rows must increase from 0"),
+        (np.arange(10) > 5, r"are bool \(10,\), whole numbers .*np\.flatnonzero gives those of a"),
+        ([8.9], r"are float64 \(1,\), whole numbers"),
+        ([[1, 2], [3, 4]], r"are int64 \(2, 2\), whole numbers"),
+    ],
+)
+def test_rows_that_are_none_are_refused(model: ReducedModel, rows: Any, sentence: str) -> None:
+    """They left numbers in the answer that nobody had computed."""
+    press = ramp(rows=10)
+    with pytest.raises(InputError, match=sentence):
+        model.contacts(NATURAL, [press, (*press, rows)])
+    assert model.batch(NATURAL, [(*press, [])])[0].shape == (1, 0)
+
+
+def test_dates_and_masks_of_a_history_are_taken_as_such(model: ReducedModel) -> None:
+    time, force = ramp(rows=10)
+    plain = model.simulate(NATURAL, time, force)
+    for kind in ("M8[ns]", "m8[ns]"):
+        dated = model.simulate(NATURAL, np.round(time * 1e9).astype(kind), force)
+        np.testing.assert_allclose(dated.area, plain.area, rtol=1e-9)
+    with pytest.raises(InputError, match="force in row 5 is not finite; remove the row"):
+        model.simulate(NATURAL, time, np.ma.masked_array(force, time == time[4]))
+    with pytest.raises(InputError, match="history: force holds something else than numbers"):
+        model.simulate(NATURAL, time, force + 1j)
+
+
+@pytest.mark.parametrize(
+    ("dt", "force"),
+    [(-0.5, 0.5), (np.nan, 0.5), (np.inf, 0.5), (0.1, np.nan), (0.1, np.inf)],
+)
+def test_a_step_back_or_to_no_number_is_refused(
+    model: ReducedModel, dt: float, force: float
+) -> None:
+    state = model.start(NATURAL)
+    model.step(state, 0.1, 0.5)
+    with pytest.raises(InputError, match="a time of zero or more and a finite force are needed"):
+        model.step(state, dt, force)
+    again = model.start(NATURAL)
+    model.step(again, 0.1, 0.5)
+    assert model.step(state, 0.1, 1.0) == model.step(again, 0.1, 1.0)
+
+
+def test_a_step_tells_the_force_that_was_held(model: ReducedModel) -> None:
+    limit = model.force_limit(NATURAL)
+    point = model.step(model.start(NATURAL), 1, np.float32(50.0))
+    assert point.force == limit
+    assert point == model.step(model.start(NATURAL), 1.0, limit)
+    assert point.mean_pressure == limit / point.area
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda m: pickle.loads(pickle.dumps(m))])
+def test_a_copy_of_the_shipped_model_is_the_same_model(model: ReducedModel, copied: Any) -> None:
+    again = copied(model)
+    assert again.gives_way
+    other = Material(friction=0.5)
+    found = again.for_material(other).simulate(other, *ramp())
+    assert np.array_equal(found.area, model.for_material(other).simulate(other, *ramp()).area)
+
+
 def test_force_and_moduli_scale_together(model: ReducedModel) -> None:
     time, force = ramp(0.6)
     factor = np.array([2.0, 2.0, 1.0, 2.0])
@@ -129,6 +196,30 @@ def test_any_time_step_gives_the_same_press(model: ReducedModel, step: float) ->
         fine = model.simulate(vector, *ramp(rows=2000)).area[-1]
         coarse = model.simulate(vector, *ramp(rows=round(1.0 / step))).area[-1]
         assert coarse == pytest.approx(fine, rel=0.01)
+
+
+SUDDEN = [
+    # E0, E1, τ1, E2; time (s), force (N)
+    ([150e3, 15e3, 0.5, 700e3], [0.0, 1.0], [1.0, 1.0]),
+    ([150e3, 15e3, 0.5, 700e3], [0.0, 0.01, 0.5, 0.51, 1.0], [0.0, 0.4, 0.4, 0.8, 0.8]),
+    ([80e3, 25.4e3, 0.5, 1795e3], [0.0, 0.001, 0.5, 1.0, 2.0], [0.0, 1.0, 1.0, 1.0, 1.0]),
+    ([160e3, 15e3, 0.01, 700e3], [0.0, 0.5, 1.0, 1.005, 1.5], [0.0, 0.6, 1.2, 0.3, 0.3]),
+    ([80e3, 25.4e3, 0.5, 1795e3], [0.0, 0.5, 1.5], [0.0, 1.2, 0.2]),
+]
+
+
+@pytest.mark.parametrize(("vector", "rows", "load"), SUDDEN)
+def test_few_rows_of_a_sudden_load_give_what_many_give(
+    model: ReducedModel, vector: list[float], rows: list[float], load: list[float]
+) -> None:
+    time, force = np.array(rows), np.array(load)
+    within = np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 300)])
+    fine = np.unique(np.concatenate([a + (b - a) * within for a, b in zip(time, time[1:])]))
+    many = model.simulate(np.array(vector), fine, np.interp(fine, time, force))
+    few = model.simulate(np.array(vector), time, force)
+    wanted = np.searchsorted(fine, time)
+    assert np.allclose(few.area, many.area[wanted], rtol=0.006)
+    assert np.allclose(few.indentation, many.indentation[wanted], rtol=0.01, atol=1e-9)
 
 
 def test_area_falls_with_the_moduli_and_grows_with_force(model: ReducedModel) -> None:

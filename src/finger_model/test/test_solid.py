@@ -5,6 +5,8 @@
 
 import csv
 import math
+import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -266,6 +268,33 @@ def test_half_and_whole_finger_agree():
         SolidModel(size=size).start(law).step_to_position(1.0, 1e-4, (0.0, 1e-4))
 
 
+def test_threads_share_a_model():
+    shared = SolidModel(size=MeshSize(center=0.2, across=3, growth=1.4, bulk=2, skin=1))
+    laws = [StandardLinearSolid(E0=modulus) for modulus in (80e3, 120e3)]
+
+    def press(law):
+        stepper = shared.start(law)
+        return [stepper.step(0.1 * k, 0.3 * k).area for k in range(1, 4)]
+
+    alone = [press(law) for law in laws]
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-5)
+    try:
+        with ThreadPoolExecutor(2) as threads:
+            found = list(threads.map(press, laws))
+    finally:
+        sys.setswitchinterval(interval)
+    # Steps of others leave other tangents behind.
+    assert np.array(found) == pytest.approx(np.array(alone), rel=0.02)
+
+
+def test_a_geometry_and_a_pose_of_another_type_are_refused():
+    with pytest.raises(InputError, match="geometry is of type dict; give a Geometry"):
+        SolidModel({"nail_radius": 6e-3})
+    with pytest.raises(InputError, match="pose is of type tuple; give a Pose"):
+        SolidModel(pose=(1.3, 0.2))
+
+
 def test_pull_turns_with_its_direction():
     law = elastic(**DRY, friction=0.5)
     size = MeshSize(center=0.2, across=3, growth=1.4, bulk=2, skin=1)
@@ -302,6 +331,21 @@ def test_viscoelastic_tissue_creeps_and_returns(model):
     gone = stepper.step(3.01, 0.0)
     assert gone.area == 0.0 and math.isnan(gone.stick_ratio) and gone.indentation > 0.05e-3
     assert stepper.step(60.0, 0.0).indentation < 0.02e-3
+
+
+def test_few_rows_of_creeping_tissue_give_what_many_give(model):
+    rows, load = np.array([0.0, 0.5, 1.0]), np.array([0.0, 0.8, 0.8])
+    pull = np.array([0.0, 0.0, 0.1])
+    fine = np.linspace(0.0, 1.0, 41)
+    many = model.simulate(
+        StandardLinearSolid(), fine, np.interp(fine, rows, load), np.interp(fine, rows, pull)
+    )
+    few = model.simulate(StandardLinearSolid(), rows, load, pull)
+    assert np.allclose(few.area[1:], many.area[[20, 40]], rtol=0.008)
+    assert np.allclose(few.indentation[1:], many.indentation[[20, 40]], rtol=0.008)
+    # Travel and stick ratio of a row are of the whole row, however it was divided.
+    assert few.shift_x[2] == pytest.approx(many.shift_x[40], rel=0.02)
+    assert 0.3 < few.stick_ratio[2] < 1.0
 
 
 def test_outline_finds_a_known_ellipse(model, monkeypatch):

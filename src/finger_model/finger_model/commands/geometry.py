@@ -9,10 +9,12 @@ import argparse
 import sys
 
 from finger_common.cli import plain
+from finger_common.errors import InputError
 from finger_common.files import atomic_write
 
 from ..anthropometry import FINGERS, estimate_geometry, parse_length
 from ..geometry import LENGTHS
+from ..reduced.population import check_geometry
 
 READINGS = {
     "width": "width of the fingertip across the pad, at the middle of the nail",
@@ -56,6 +58,10 @@ def run(arguments: argparse.Namespace) -> int:
         text = getattr(arguments, key)
         readings[key] = None if text is None else parse_length(text, f"--{name}")
     estimate = estimate_geometry(**readings, finger=arguments.finger, age=arguments.age)
+    try:
+        check_geometry(estimate.geometry)
+    except InputError as error:
+        print(f"note: {error}", file=sys.stderr)
     if arguments.output is None:
         sys.stdout.write(estimate.yaml_text())
         return 0

@@ -19,7 +19,7 @@ from finger_common.progress import Stages
 
 from ..fem.elasticity import ELASTICITIES, NEO_HOOKE
 from ..geometry import Geometry
-from ..history import ContactHistory, read_load_csv, with_falls_divided
+from ..history import ContactHistory, read_load_csv
 from ..laws import ConstitutiveLaw, MaxwellLaw, StandardLinearSolid, load_material
 from ..parameter_sets import ParameterSets
 from ..slip.pull import PullHistory, pull_history
@@ -163,21 +163,18 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError("--plot and --vtu need the stress field: use --solver full")
     if arguments.at is not None and not wants_fields:
         raise InputError("--at chooses what --plot and --vtu show: give one of them")
-    # What the user asks for may be few rows of a path that is curved on the way back.
-    fine, rows = with_falls_divided(time, force)
-    load = np.interp(fine, time, force)
     history = None
     default_mesh = arguments.refinement == 1.0 and arguments.elasticity == NEO_HOOKE
     if arguments.solver != "full" and not wants_fields and default_mesh:
-        history = _reduced(arguments, geometry, material, fine, load)
+        history = _reduced(arguments, geometry, material, time, force)
     if history is None:
         if arguments.solver == "reduced":
             raise InputError(
                 "--refinement and --elasticity are of the full-order model: use --solver full"
             )
-        history = _full(arguments, geometry, material, fine, load)
+        history = _full(arguments, geometry, material, time, force)
     found: ContactHistory | PullHistory
-    found = history = history.at(rows)
+    found = history
     if pull is not None:
         assert isinstance(material, MaxwellLaw)  # as all that have a reduced model
         found = pull_history(history, pull, geometry, material)

@@ -11,14 +11,16 @@ import numpy as np
 
 from finger_common.errors import InputError
 
-from ..history import ContactHistory, check_force_history, with_falls_divided
+from ..history import ContactHistory, check_force_history
 from ..reduced.model import history_of
 from .filter_state import FilterState
 
 LONGEST_HORIZON = 3600.0
 """s"""
 
-_HORIZON_STEPS = 20
+MOST_POINTS = 5000
+"""Of a history to predict: samples wait meanwhile, 0.1 s, or 1 s where the force falls often."""
+
 _BISECTIONS = 40
 
 
@@ -26,9 +28,16 @@ def predict(state: FilterState, time: np.ndarray, force: np.ndarray) -> ContactH
     """Contact under a future force: time (n,) in s from now, increasing, > 0; force (n,) in N.
 
     The area is the fused one: the model's with the error known so far. Raises InputError for a bad
-    history or a force beyond the model's limit.
+    history, one of more than MOST_POINTS or beyond LONGEST_HORIZON, or a force beyond the model's
+    limit.
     """
     time, force = check_force_history(time, force, "force to predict")
+    if len(time) > MOST_POINTS:
+        raise InputError(f"force to predict: {len(time)} points; give {MOST_POINTS} at most")
+    if time[-1] > LONGEST_HORIZON:
+        raise InputError(
+            f"force to predict: time ends at {time[-1]:g} s; give {LONGEST_HORIZON:g} s at most"
+        )
     if time[0] <= 0:
         raise InputError(
             f"force to predict: time begins at {time[0]:g} s; give times from now, above 0"
@@ -39,10 +48,7 @@ def predict(state: FilterState, time: np.ndarray, force: np.ndarray) -> ContactH
             f"force {force.max():.2f} N is beyond the model's limit of {limit:.2f} N for these "
             "parameters; ask for less"
         )
-    whole = np.insert(time, 0, 0.0), np.insert(force, 0, max(state.force, 0.0))
-    fine, rows = with_falls_divided(*whole)
-    table = state.predicted(fine[1:], np.interp(fine[1:], *whole))
-    return history_of(time, force, table[rows[1:] - 1])
+    return history_of(time, force, state.predicted(time, force))
 
 
 def force_for_area(state: FilterState, area: float, horizon: float) -> float:
@@ -55,8 +61,7 @@ def force_for_area(state: FilterState, area: float, horizon: float) -> float:
         raise InputError(f"area is {area} m², a positive area is needed")
     if not (math.isfinite(horizon) and 0 <= horizon <= LONGEST_HORIZON):
         raise InputError(f"horizon is {horizon} s, 0 to {LONGEST_HORIZON:g} s is needed")
-    steps = _HORIZON_STEPS if horizon > 0 else 0
-    time = np.linspace(0.0, horizon, 1 + steps)
+    time = np.unique([0.0, horizon])
 
     def area_at(force: float) -> float:
         return float(state.predicted(time, np.full(len(time), force))[-1, 0])

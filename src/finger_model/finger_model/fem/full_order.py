@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from finger_common.errors import InputError, ModelError
+from finger_common.errors import InputError, ModelError, check_type
 
 from ..geometry import Geometry
 from ..history import (
@@ -27,9 +27,10 @@ from ..history import (
     radius_to_area,
 )
 from ..laws import ConstitutiveLaw, Tissue
+from ..laws.creep_steps import CreepSteps
 from .contact_radius import Edge, contact_edge, peak_pressure
 from .elasticity import NEO_HOOKE
-from .equilibrium import OPEN, SLIP, STICK, Contact, Equilibrium, NotConverged
+from .equilibrium import OPEN, SLIP, STEP_LOCK, STICK, Contact, Equilibrium, NotConverged
 from .fields import Fields, fields_of
 from .mesh import Mesh, finger_mesh
 from .mesh_material import Crushed, MeshMaterial
@@ -49,8 +50,8 @@ class State:
     `contact`.
 
     time (s), force (N); positions (N, 2); contact; tissue: strain and internal variables of the
-    bulk tissue. radius of the contact (m); edge: history of the contact's edge; reserve: rise of
-    the force (N) until two more nodes touch. stored: elastic energy; work of the plate, dissipation
+    bulk tissue; crept: see `creep_steps`. radius of the contact (m); edge: history of the contact's
+    edge; reserve: rise of the force (N) until two more nodes touch. stored: elastic energy; work of the plate, dissipation
     in the tissue and friction_work since the start (J); stored and dissipation are NaN where the
     bulk tissue is linear (see `elasticity`).
     """
@@ -60,6 +61,7 @@ class State:
     positions: np.ndarray
     contact: Contact
     tissue: Tissue
+    crept: np.ndarray
     radius: float = 0.0
     reserve: float = math.inf
     edge: Edge | None = None
@@ -78,8 +80,8 @@ class FullOrderModel:
     default).
 
     A mesh may be given instead of being made from the geometry. elasticity: one of ELASTICITIES;
-    others than the default are for comparison. Raises InputError for an impossible geometry or an
-    unknown elasticity.
+    others than the default are for comparison. Several threads may use one model, whose steps are
+    computed one at a time. Raises InputError for an impossible geometry or an unknown elasticity.
     """
 
     def __init__(
@@ -90,6 +92,7 @@ class FullOrderModel:
         elasticity: str = NEO_HOOKE,
     ) -> None:
         self.geometry = geometry if geometry is not None else Geometry()
+        check_type(self.geometry, Geometry, "geometry")
         self.refinement = refinement
         self.mesh = mesh if mesh is not None else finger_mesh(self.geometry, refinement)
         self.equilibrium = Equilibrium(self.mesh, elasticity)
@@ -141,12 +144,14 @@ class Stepper:
         self.mesh_material = MeshMaterial(
             material, model.mesh, model.equilibrium.elements, model.equilibrium.groups
         )
+        self._creep = CreepSteps(material, model.geometry.pad_semi_axis_radial)
         self.state = State(
             time,
             0.0,
             model.mesh.nodes.copy(),
             model.equilibrium.unloaded_contact(),
             self.mesh_material.at_rest(),
+            self._creep.at_rest(),
         )
         self._before: State | None = None
 
@@ -157,11 +162,13 @@ class Stepper:
         Raises ModelError naming time, force and cause when no equilibrium is found; the state is
         then unchanged.
         """
-        return self._advance(time, _Target(True, force))
+        with STEP_LOCK:
+            return self._advance(time, _Target(True, force))
 
     def step_to_position(self, time: float, indentation: float) -> ContactPoint:
         """Advance to `time` (s) with the plate moving to `indentation` (m) from first touch."""
-        return self._advance(time, _Target(False, indentation))
+        with STEP_LOCK:
+            return self._advance(time, _Target(False, indentation))
 
     def _advance(self, time: float, target: _Target) -> ContactPoint:
         """Advance to `time` (s) in as many parts as path and convergence need."""
@@ -184,8 +191,15 @@ class Stepper:
                 # contact is small: only a few nodes may touch in one part of the step.
                 rise = self._allowed_rise() if target.is_force else self._allowed_travel()
                 goal = min(goal, done + max(rise / (end - begin), SMALLEST_PART))
-                if goal > 1.0 - 1e-9:
-                    goal = 1.0
+            if target.is_force:
+                ahead = 1.0 - done
+                load = max(self.state.force, 0.0)
+                allowed = self._creep.allowed(
+                    self.state.crept, ahead * (time - start.time), load, end
+                )
+                goal = min(goal, done + allowed * ahead)
+            if goal > 1.0 - 1e-9:
+                goal = 1.0
             part = target._replace(value=begin + goal * (end - begin))
             instant = start.time + goal * (time - start.time)
             try:
@@ -260,6 +274,7 @@ class Stepper:
             positions=x,
             contact=contact,
             tissue=tissue,
+            crept=self._creep.followed(state.crept, duration, state.force, total),
             radius=radius,
             reserve=reserve,
             edge=edge,

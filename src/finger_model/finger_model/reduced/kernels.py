@@ -31,7 +31,7 @@ All Maxwell branches (g_b, τ_b) share the total strain d, and the state follows
     dq_j = (sgn(dδ) − q_j) |d ln δ| / β_j,  q = 1 in the air   (stick after a reversal of the load)
 
 with the exponential integrator for a drive that is linear within a step, implicit in a. A step of
-the caller is divided where the force changes much. No `fastmath`: the order of the additions is
+the caller is divided where the drive is not (`creep_steps`) and where the force changes much. No `fastmath`: the order of the additions is
 that of the source, so that a value does not depend on whether it came from a stream or a batch.
 
 The kernels work on four records, whose dtypes `record_types` gives for the sizes of a model: `net`
@@ -49,6 +49,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..compiled import njit, prange
+from ..laws.creep_steps import allowed_step, creep
 from ..laws.maxwell import step_weights
 
 NODES = np.array([0.08, 0.14, 0.22, 0.32, 0.45, 0.60, 0.80, 1.05, 1.35, 1.70, 2.10, 2.60, 3.20])
@@ -157,6 +158,7 @@ def record_types(latents: int, frictions: int, drive_width: int, contact_width: 
                 ("amplitudes", "f8", (k,)),  # a, their sum
                 ("friction", "f8", (m,)),  # q
                 ("drive", "f8", (1 + k,)),  # δ/L and c at this state
+                ("crept", "f8", (MOST_BRANCHES,)),  # by linear viscoelasticity, see `creep_steps`
             ]
         ),
         work=np.dtype(
@@ -531,8 +533,24 @@ def _advance(net, par, state, work, dt, force):
 
     The force is clipped to 0 … force_limit.
     """
+    goal = min(max(force, 0.0), par.force_limit)
+    n = par.branches
+    crept, fraction, tau = state.crept[:n], par.fraction[:n], par.tau[:n]
+    while True:
+        start = state.force
+        h = allowed_step(crept, fraction, tau, par.force_scale, dt, start, goal)
+        end = goal if h >= dt else start + (goal - start) * h / dt
+        creep(crept, fraction, tau, h, start, end)
+        _move(net, par, state, work, h, end)
+        if h >= dt:
+            break
+        dt -= h
+
+
+@njit(cache=True)
+def _move(net, par, state, work, dt, end):
+    """As `_advance`, in steps of equal length."""
     q = state.friction
-    end = min(max(force, 0.0), par.force_limit)
     start = state.force
     jump = abs((end / par.force_scale) ** (1.0 / 3.0) - (start / par.force_scale) ** (1.0 / 3.0))
     steps = min(1 + int(jump / _SUBSTEP), _MOST_SUBSTEPS)
@@ -601,6 +619,7 @@ def _rest(net, par, state, work):
     state.force = 0.0
     state.amplitudes[:] = 0.0
     state.branches[:, :] = 0.0
+    state.crept[:] = 0.0
     for j in range(len(state.friction)):
         state.friction[j] = 1.0
     _refresh(net, par, state, work)

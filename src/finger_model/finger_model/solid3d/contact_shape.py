@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..fem.equilibrium import OPEN, STICK
+from ..fem.equilibrium import OPEN
 from .contact import Contact
 from .mesh import SolidMesh
 
@@ -144,12 +144,13 @@ def _terms(angle: np.ndarray, order: int, even: bool) -> np.ndarray:
     return np.concatenate(columns, axis=1)
 
 
-def stick_ratio(mesh: SolidMesh, skin: np.ndarray, contact: Contact, travel: float) -> float:
-    """Share of the contact's area that slid in a step by less than SLIP_SHARE of the plate's
-    `travel` (m) in it; skin (S, 3) positions. Slip is interpolated between the nodes, so that the
+def stick_ratio(
+    mesh: SolidMesh, skin: np.ndarray, contact: Contact, way: np.ndarray, travel: float
+) -> float:
+    """Share of the contact's area whose `way` (S, 2) along the plate in a step is less than
+    SLIP_SHARE of the plate's `travel` (m) in it; skin (S, 3) positions. Slip is interpolated between the nodes, so that the
     edge of the stick zone need not pass through them."""
-    slid = np.hypot(*(skin[:, :2] - contact.plate[:2] - contact.anchor).T)
-    slid[contact.status == STICK] = 0.0
+    slid = np.hypot(*way.T)
     touches = (contact.status != OPEN).astype(float)
     even = (np.arange(SAMPLES) + 0.5) / SAMPLES
     u, v = (grid.ravel() for grid in np.meshgrid(even, even))

@@ -139,7 +139,8 @@ class Equilibrium:
                 self._choose(x, contact)
                 continue
             if not math.isfinite(norm):
-                raise NotConverged("the iterations diverge")
+                stressed = np.isfinite(self.force).all()
+                raise NotConverged("the iterations diverge" if stressed else material.no_stress)
             if not fresh and norm > SLOW * previous:
                 self._stiffness = None
                 previous = math.inf

@@ -16,14 +16,15 @@ from pathlib import Path
 
 import numpy as np
 
-from finger_common.errors import InputError, ModelError
+from finger_common.errors import InputError, ModelError, check_type
 from finger_common.files import atomic_write
 
-from ..fem.equilibrium import OPEN, SLIP, STICK, NotConverged
+from ..fem.equilibrium import OPEN, SLIP, STEP_LOCK, STICK, NotConverged
 from ..fem.mesh_material import Crushed, StepMaterial
 from ..geometry import Geometry
 from ..history import CSV_HEADER, check_force_history, csv_of, mean_pressure
 from ..laws import ConstitutiveLaw, Tissue
+from ..laws.creep_steps import CreepSteps
 from ..pose.pose import Pose
 from .contact import Contact, Plate, Sliding
 from .contact_shape import node_areas, outline, pressure, stick_ratio
@@ -124,12 +125,18 @@ class SolidHistory:
 
 @dataclass
 class SolidState:
-    """State of a finger (SI). Arrays are never changed in place, but for those of `contact`."""
+    """State of a finger (SI). Arrays are never changed in place, but for those of `contact`.
+
+    slid (S, 2): way (m) of the skin's nodes along the plate since the newest step of the caller
+    began; crept: see `creep_steps`.
+    """
 
     time: float
     positions: np.ndarray
     contact: Contact
     tissue: Tissue
+    slid: np.ndarray
+    crept: np.ndarray
 
     def copy(self) -> SolidState:
         """Independent copy."""
@@ -141,7 +148,7 @@ class SolidModel:
 
     refinement divides the node spacing; half: use the symmetry of the pose, if it has one, for
     loads along x; size and mesh replace the default ones; stick_stiffness: see `Equilibrium`.
-    Raises InputError.
+    Several threads may use one model, whose steps are computed one at a time. Raises InputError.
     """
 
     def __init__(
@@ -157,7 +164,9 @@ class SolidModel:
         if not 0.25 <= refinement <= 4:
             raise InputError(f"refinement is {refinement:g}, outside 0.25 … 4; 1 is the default")
         self.geometry = geometry if geometry is not None else Geometry()
-        self.pose = pose or Pose()
+        self.pose = pose if pose is not None else Pose()
+        check_type(self.geometry, Geometry, "geometry")
+        check_type(self.pose, Pose, "pose")
         fineness = (size or MeshSize()).refined(refinement)
         self.mesh = (
             mesh if mesh is not None else solid_mesh(self.geometry, self.pose, fineness, half)
@@ -205,15 +214,20 @@ class SolidStepper:
         self.model = model
         self.material = material
         self.solid = SolidMaterial(material, model.mesh, model.equilibrium.elements)
+        self._creep = CreepSteps(material, model.geometry.pad_semi_axis_radial)
         self.state = SolidState(
             time,
             model.mesh.nodes.copy(),
             model.equilibrium.unloaded_contact(),
             self.solid.at_rest(),
+            np.zeros((len(model.mesh.surface), 2)),
+            self._creep.at_rest(),
         )
         self.sliding = False
+        self._plate_before = self.state.contact.plate
         self._before: SolidState | None = None
-        model.equilibrium.forget()
+        with STEP_LOCK:
+            model.equilibrium.forget()
 
     def step(
         self,
@@ -229,14 +243,16 @@ class SolidStepper:
         F ≤ 0 is no contact. Raises ModelError when no equilibrium is found; the state is then
         unchanged.
         """
-        return self._advance(time, max(force, 0.0), None, tangential_force, shift)
+        with STEP_LOCK:
+            return self._advance(time, max(force, 0.0), None, tangential_force, shift)
 
     def step_to_position(
         self, time: float, indentation: float, shift: tuple[float, float] | None = None
     ) -> SolidPoint:
         """Advance to `time` (s) with the plate moving to `indentation` (m) from first touch and to
         a shift (m) along itself; by default it does not shift."""
-        return self._advance(time, None, indentation, None, shift)
+        with STEP_LOCK:
+            return self._advance(time, None, indentation, None, shift)
 
     @property
     def indentation(self) -> float:
@@ -259,7 +275,7 @@ class SolidStepper:
         pull: tuple[float, float] | None,
         shift: tuple[float, float] | None,
     ) -> SolidPoint:
-        """Advance to `time` in as many parts as convergence needs."""
+        """Advance to `time` in as many parts as creep and convergence need."""
         start, before = self.state, self._before
         given = [v for v in (force, indentation, *(pull or ()), *(shift or ())) if v is not None]
         if not all(math.isfinite(v) for v in (time, *given)):
@@ -287,9 +303,22 @@ class SolidStepper:
         else:
             end[2] = self.model.tip_height + (indentation or 0.0)
         self.sliding = False
+        self._plate_before = old.plate
+        self.state = replace(start, slid=np.zeros_like(start.slid))
         done, size = 0.0, 1.0
         while done < 1.0:
             goal = min(1.0, done + size)
+            if force is not None:
+                ahead = 1.0 - done
+                allowed = self._creep.allowed(
+                    self.state.crept,
+                    ahead * (time - start.time),
+                    float(self.plate_force[2]),
+                    force,
+                )
+                goal = min(goal, done + allowed * ahead)
+            if goal > 1.0 - 1e-9:
+                goal = 1.0
             target = begin + goal * (end - begin)
             instant = start.time + goal * (time - start.time)
             try:
@@ -336,7 +365,15 @@ class SolidStepper:
         else:
             x, contact = self._solve(plate, material)
         self._before = state
-        self.state = SolidState(time, x, contact, self.solid.update(duration, state.tissue, x))
+        before = float(self.plate_force[2])
+        skin = x[self.model.mesh.surface, :2]
+        slid = state.slid + skin - contact.plate[:2] - contact.anchor
+        slid[contact.status == STICK] = state.slid[contact.status == STICK]
+        slid[contact.status == OPEN] = 0.0
+        tissue = self.solid.update(duration, state.tissue, x)
+        self.state = SolidState(time, x, contact, tissue, slid, state.crept)
+        after = float(self.plate_force[2])
+        self.state.crept = self._creep.followed(state.crept, duration, before, after)
 
     def _solve(self, plate: Plate, material: StepMaterial) -> tuple[np.ndarray, Contact]:
         """Positions and contact; a plate that slides lies where no node sticks any more."""
@@ -481,9 +518,10 @@ class SolidStepper:
         slides = self.sliding or bound <= 0.0
         stick = math.nan
         if touches:
-            before = self._before.contact.plate if self._before else state.contact.plate
-            travel = float(np.linalg.norm(state.contact.plate - before))
-            stick = 0.0 if slides else stick_ratio(mesh, skin, state.contact, travel)
+            travel = float(np.linalg.norm(state.contact.plate - self._plate_before))
+            stick = 0.0
+            if not slides:
+                stick = stick_ratio(mesh, skin, state.contact, state.slid, travel)
         margin = 0.0 if slides else max(1.0 - math.hypot(qx, qy) / bound, 0.0)
         return SolidPoint(
             time=state.time,

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..fem.mesh import BULK
-from ..fem.mesh_material import SMALLEST_VOLUME, Crushed, StepMaterial, elastic_moduli
+from ..fem.mesh_material import SMALLEST_VOLUME, Crushed, StepMaterial, elastic_moduli, updated
 from ..laws import ConstitutiveLaw, Tissue, unit
 from . import elements
 from .elements import Bricks
@@ -53,4 +53,4 @@ class SolidMaterial:
         elements.strain_measures(x, self._tissue, c_bar, inverse, volume)
         if volume.min() < SMALLEST_VOLUME:
             raise Crushed(f"tissue is squeezed below {SMALLEST_VOLUME:g} of its volume")
-        return Tissue(c_bar, inverse, self.law.update(duration, before, c_bar, inverse))
+        return updated(self.law, duration, before, c_bar, inverse)
