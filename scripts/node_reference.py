@@ -53,6 +53,7 @@ SERVICE_MEANINGS = {
     "~/tare": "take the present reading, if it is still, as zero",
     "~/reset_tare": "back to the untared reading",
     "~/reset": "forget the past: a finger at rest (model), a new background (vision)",
+    "~/new_surface": "another object or plate: forget what was learned of friction",
     "~/record": "start or stop a recording",
     "~/fit": "fit parameters to bags; feedback per round, cancel keeps the best so far",
     "~/force_for_area": "the force that, held from now on, gives an area",

@@ -56,7 +56,7 @@ class Followers:
         self.estimator = estimator
         self._slip: SlipEstimator | None = None
         self._pose: PoseEstimator | None = None
-        self._known = self._finger()
+        self._known, self._surface = self._finger(), estimator.surfaces
         self.configure(slip, pose)
 
     def configure(self, slip: SlipSettings | None, pose: PoseSettings | None) -> None:
@@ -87,11 +87,11 @@ class Followers:
         A new geometry takes some hundredths of a second: do it at the change where samples must not
         wait.
         """
-        estimator, known = self.estimator, self._known
-        self._known = self._finger()
+        estimator, known, surface = self.estimator, self._known, self._surface
+        self._known, self._surface = self._finger(), estimator.surfaces
         axis, delay = estimator.settings.normal_axis, estimator.settings.fusion_delay
         if self._slip is not None:
-            if self._known != known:
+            if (self._known, self._surface) != (known, surface):
                 self._slip.turn(axis)
             self._slip.assume(estimator.model.geometry, estimator.material)
             self._slip.sticks.delay = delay

@@ -6,10 +6,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from finger_bag.cli import command
 from finger_bag.reader import open_bag
@@ -101,8 +103,11 @@ def test_stick_ratios_of_the_camera_enter_as_in_a_live_node(tmp_path: Path) -> N
     assert without[395].friction == found[395].friction
 
 
-def test_a_recorded_reset_is_a_plate_that_was_not_seen_before(tmp_path: Path) -> None:
-    """As in a live node, whose service ~/reset forgets the friction."""
+@pytest.mark.parametrize("change", [ContactEstimator.reset, ContactEstimator.change_surface])
+def test_a_recorded_reset_or_surface_is_a_plate_that_was_not_seen_before(
+    tmp_path: Path, change: Callable[[ContactEstimator, str], EstimatorEvent]
+) -> None:
+    """As in a live node, whose services ~/reset and ~/new_surface forget the friction."""
     pull = pulled(tmp_path / "bag", seen=True)
     contact, slip = ContactEstimator(ReducedModel.load()), SlipEstimator()
     wanted: list[tuple] = []
@@ -120,7 +125,7 @@ def test_a_recorded_reset_is_a_plate_that_was_not_seen_before(tmp_path: Path) ->
                 slip.expect_stick_ratio(area[0], *stick_of(item.message), 0.1)
                 continue
             if len(wanted) == 700:
-                tell(contact.reset("asked"), 1, item.log_time_ns)
+                tell(change(contact, "asked"), 1, item.log_time_ns)
                 slip.reset()
             stamp, force = wrench_of(item.message)
             for estimate in contact.add_wrench(stamp, force):

@@ -22,8 +22,8 @@ Rules of input, all by the stamps the samples carry (int, ns), never by when the
   `fusion_delay` or later. One that is handed over after such a sample is not used, is counted and
   flags the next estimate. A reading in a contact of which an area was measured moves the model at
   the next onset only.
-- **Events** (reset, parameters, settings) take effect before the first wrench sample stamped like
-  them or later.
+- **Events** (reset, parameters, settings, surface) take effect before the first wrench sample
+  stamped like them or later.
 
 So the output is a function of stamped inputs alone: the same inputs give the same numbers, bit for
 bit, live and from a bag, one by one (`add_wrench`) or many at once (`add_wrenches`).
@@ -42,7 +42,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from finger_common.errors import InputError
+from finger_common.errors import InputError, check_type
 from finger_common.flags import StateFlag
 from finger_common.stamps import NANOSECONDS, nanoseconds, stamp_array, whole_stamp
 
@@ -77,7 +77,7 @@ class ContactEstimator:
     model: the reduced model; parameter_sets: None for the shipped ones; settings: None for the
     defaults. `counters` counts duplicates, out_of_order, resets, late_areas, late_moistures,
     flagged_areas; `fingers` counts starts and resets, after which the finger is one that was not
-    seen before. Raises InputError for parameter sets of another geometry or law than the model's.
+    seen before, and `surfaces` changes of the surface alone. Raises InputError for parameter sets of another geometry or law than the model's.
     """
 
     def __init__(
@@ -86,12 +86,14 @@ class ContactEstimator:
         parameter_sets: ParameterSets | None = None,
         settings: EstimatorSettings | None = None,
     ) -> None:
+        check_type(model, ReducedModel, "model")
         self.model = model
-        self.settings = settings or EstimatorSettings()
-        self.parameter_sets = parameter_sets or ParameterSets.default()
+        self.settings = EstimatorSettings() if settings is None else settings
+        check_type(self.settings, EstimatorSettings, "settings")
+        self.parameter_sets = ParameterSets.default() if parameter_sets is None else parameter_sets
         check_sets(self.parameter_sets, model)
         self.counters: Counter[str] = Counter()
-        self.fingers = 0
+        self.fingers = self.surfaces = 0
         self._inputs = InputQueue(self.counters)
         self._state = FilterState(model)
         self._events: list[EstimatorEvent] = []
@@ -112,9 +114,17 @@ class ContactEstimator:
         """Estimates for a sample of force (3,) in N, in the sensor's axes.
 
         One as a rule; none for a sample that was dropped or waits, two when the one before had
-        waited. Raises InputError for a stamp in seconds, with a point.
+        waited. Raises InputError for a stamp in seconds, with a point, and for another force than
+        three numbers.
         """
-        admitted = self._admit(whole_stamp(stamp_ns), force)
+        try:
+            x, y, z = force
+            sample = float(x), float(y), float(z)
+        except (TypeError, ValueError):
+            raise InputError(
+                f"force is {force!r:.60}; three numbers in N are needed, (x, y, z)"
+            ) from None
+        admitted = self._admit(whole_stamp(stamp_ns), sample)
         return [self._estimate(*sample) for sample in admitted]
 
     def _estimate(self, stamp_ns: int, force: Sequence[float]) -> ContactEstimate:
@@ -145,7 +155,7 @@ class ContactEstimator:
         """
         stamps = stamp_array(stamps_ns)
         forces = np.ascontiguousarray(forces, dtype=float)
-        if forces.shape != (len(stamps), 3):
+        if forces.shape != (len(stamps), 3) and (len(stamps) or forces.size):
             raise InputError(f"forces have shape {forces.shape}, ({len(stamps)}, 3) is needed")
         at = 0
         while at < len(stamps):
@@ -261,6 +271,7 @@ class ContactEstimator:
 
     def change_settings(self, settings: EstimatorSettings, reason: str = "") -> EstimatorEvent:
         """New settings from the next sample on; the state is kept. Returns the event to record."""
+        check_type(settings, EstimatorSettings, "settings")
         return self._record_event(EventType.SETTINGS, reason, settings=settings.to_json())
 
     def change_parameters(self, sets: ParameterSets, reason: str = "") -> EstimatorEvent:
@@ -270,6 +281,11 @@ class ContactEstimator:
         """
         check_sets(sets, self.model)
         return self._record_event(EventType.PARAMETERS, reason, parameter_sets=sets.to_yaml())
+
+    def change_surface(self, reason: str = "") -> EstimatorEvent:
+        """Another surface from the next sample on: slip knows nothing of its friction; what is
+        known of the finger stays. Returns the event to record."""
+        return self._record_event(EventType.SURFACE, reason)
 
     def clock_jump_event(self, stamp_ns: int) -> EstimatorEvent:
         """Reset the state: a clock jumped back, and the next sample has this stamp.
@@ -431,6 +447,8 @@ class ContactEstimator:
             self._state.reset(keep_stream=event.type == EventType.RESET)
         elif new_sets:
             self._state.initialise_filters()
+        if event.type == EventType.SURFACE:
+            self.surfaces += 1
 
     def _take_over_sets(self, text: str) -> bool:
         """Parameter sets of an event; true when they differ from those in force."""

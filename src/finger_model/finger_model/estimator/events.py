@@ -27,6 +27,7 @@ class EventType(IntEnum):
     RESET = 1
     PARAMETERS = 2
     SETTINGS = 3
+    SURFACE = 4
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from finger_common.errors import InputError
+from finger_common.errors import InputError, check_type
 from finger_common.flags import StateFlag
 from finger_common.moisture import MOISTURE_RANGE
 
@@ -90,6 +90,7 @@ def select_parameters(
 
 def check_sets(sets: ParameterSets, model: ReducedModel, where: str = "the parameter sets") -> None:
     """Raise InputError for sets of another law or geometry than the model's."""
+    check_type(sets, ParameterSets, "parameter_sets")
     if sets.law is not model.law:
         raise InputError(
             f"{where} are parameters of the law '{sets.law.name}', the reduced model is for "
