@@ -23,6 +23,14 @@ OTHER_LIGHT, DARK = 5.0, 10.0
 """Factor and greys by which the plate is brighter or darker than the learned one when the light was
 off in one of the two."""
 
+MOVED_LIGHT, MOVED_SHARE = 0.03, 0.03
+"""Light has moved where plate tiles differ from the learned ones by this, relative; and the least
+share of the plate's tiles that do."""
+
+LEVEL, BRIGHT_LEVEL = 150.0, 60.0
+"""Greys of a plate of unchanged light in a frame that was divided by the learned plate, and in one
+from which it was subtracted."""
+
 POLARITIES = ("auto", "dark", "bright")
 """Touching ridges are darker or brighter than the plate; "auto" finds out in each frame."""
 
@@ -101,24 +109,27 @@ def background_of(
 
     polarity: one of POLARITIES. ridge_period: in working pixels.
     """
+    mean, deviation = tile_statistics(frame)
+    envelope = round(1.6 * ridge_period)
     if learned.image is not None and learned.image.shape == frame.shape:
         # Gain and exposure may drift; what was learned before the light was on tells nothing.
         reference = learned.tiles.astype(np.float32)
-        tiles = tile_means(frame).astype(np.float32)
         before = float(np.median(reference))
-        # Tiles are whole greys.
-        gain = gain_of(tiles / np.maximum(reference, 1), ONE_RATIO + 1.0 / max(before, 1.0))
+        # The learned tiles are whole greys.
+        gain = gain_of(mean / np.maximum(reference, 1), ONE_RATIO + 1.0 / max(before, 1.0))
         now = gain * max(before, 1.0)
         if now <= OTHER_LIGHT * before + DARK:
             lit = before <= OTHER_LIGHT * now + DARK
             image = cv2.convertScaleAbs(learned.image, alpha=gain)
+            expected = gain * reference
             bright = polarity == "bright"
             if polarity == "auto":
-                bright = _ridges_are_bright(frame, tiles - gain * reference)
+                bright = _ridges_are_bright(mean - expected, deviation)
+            if _light_moved(mean, deviation, expected):
+                image = _relit(image, frame, bright, envelope)
             return Background(image, bright, True, learned.noise, lit)
-    mean, deviation = tile_statistics(frame)
     bright = guess_polarity(mean, deviation) if polarity == "auto" else polarity == "bright"
-    image = guess_background(frame, mean, deviation, bright, round(1.6 * ridge_period))
+    image = guess_background(frame, mean, deviation, bright, envelope)
     return Background(image, bright, False, float(np.percentile(deviation, 10)))
 
 
@@ -139,14 +150,38 @@ def gain_of(ratios: np.ndarray, spread: float = ONE_RATIO) -> float:
     return group if apart and widths[first] < spread * group else median
 
 
-def _ridges_are_bright(frame: np.ndarray, change: np.ndarray) -> bool:
+def _ridges_are_bright(change: np.ndarray, deviation: np.ndarray) -> bool:
     """Whether the ridges in a frame are brighter than the plate.
 
     change (rows, columns): greys by which its tiles differ from the background. Tiles without
     structure count only where there are no others: reflections and shadows are smooth.
     """
-    rough = ~smooth_tiles(tile_statistics(frame)[1])
+    rough = ~smooth_tiles(deviation)
     return float(np.sum(change[rough] if rough.any() else change)) > 0
+
+
+def _light_moved(mean: np.ndarray, deviation: np.ndarray, expected: np.ndarray) -> bool:
+    """Whether the light on the plate has another shape than `expected` (rows, columns), greys."""
+    # Tiles of a plate of a few greys differ by rounding.
+    moved = np.abs(mean - expected) > MOVED_LIGHT * expected + 1.5
+    plate = plate_tiles(deviation)
+    return bool(np.sum(moved & plate) > MOVED_SHARE * np.sum(plate))
+
+
+def _relit(image: np.ndarray, frame: np.ndarray, bright_ridges: bool, envelope: int) -> np.ndarray:
+    """The learned plate (h, w) uint8 in the light of a frame.
+
+    Light changes a plate smoothly, so that its change is guessed as the background of a plate of
+    one grey.
+    """
+    if bright_ridges:
+        flat = cv2.addWeighted(frame, 1.0, image, -1.0, BRIGHT_LEVEL)
+    else:
+        flat = cv2.divide(frame, cv2.max(image, np.array([1.0])), scale=LEVEL)
+    light = guess_background(flat, *tile_statistics(flat), bright_ridges, envelope)
+    if bright_ridges:
+        return cv2.addWeighted(image, 1.0, light, 1.0, -BRIGHT_LEVEL)
+    return cv2.multiply(image, light, scale=1.0 / LEVEL)
 
 
 def tile_means(frame: np.ndarray) -> np.ndarray:

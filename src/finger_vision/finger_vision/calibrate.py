@@ -29,8 +29,8 @@ MAXIMUM_ERROR = 1.0
 """px, RMS of reprojection; a sharp board gives 0.05 to 0.3."""
 MINIMUM_TILT = math.radians(15)
 """Largest angle between two views' board planes; parallel boards do not determine the lens."""
-MINIMUM_COVER = 0.3
-"""Share of the image that all corners together must span."""
+MINIMUM_COVER, MINIMUM_PLATE_COVER = 0.3, 0.1
+"""Shares of the image that all corners together, and those on the plate alone, must span."""
 FOCAL_DEVIATION = 0.05
 """Largest relative standard deviation of the focal length."""
 
@@ -81,8 +81,7 @@ def _lens(
             f"the board was found in {len(views)} views, {MINIMUM_VIEWS} at different angles are "
             "needed; take more, or calibrate the plate alone with --no-lens"
         )
-    corners = np.concatenate([v.pixels for v in views])
-    cover = np.prod(np.ptp(corners, axis=0)) / (size[0] * size[1])
+    cover = _cover(views, size)
     if cover < MINIMUM_COVER:
         raise InputError(
             f"the boards cover {100 * cover:.0f} % of the image, {100 * MINIMUM_COVER:.0f} % are "
@@ -131,10 +130,23 @@ def _lens(
     return calibration, errors
 
 
+def _cover(views: Sequence[View], size: tuple[int, int]) -> float:
+    """Share of the image that the corners of all views together span."""
+    spans = np.ptp(np.concatenate([v.pixels for v in views]), axis=0)
+    return float(np.prod(spans)) / (size[0] * size[1])
+
+
 def _plate(
     base: PlateCalibration, views: Sequence[View], size: tuple[int, int]
 ) -> PlateCalibration:
     """The homography from undistorted pixels to the plate, averaged over the views."""
+    cover = _cover(views, size)
+    if cover < MINIMUM_PLATE_COVER:
+        raise InputError(
+            f"the boards on the plate cover {100 * cover:.0f} % of the image, "
+            f"{100 * MINIMUM_PLATE_COVER:.0f} % are needed; use a larger board, or give more views "
+            "with --on-plate in which it lies elsewhere"
+        )
     centre = np.array([(size[0] - 1) / 2, (size[1] - 1) / 2])
     if base.camera_matrix is not None:
         centre = base.camera_matrix[:2, 2]

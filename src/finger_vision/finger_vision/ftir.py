@@ -29,8 +29,15 @@ from .outline import Shape, closed_outline, convex_corners, shifted, widened
 from .ridges import Ridges, contrast_of, find_ridges
 from .working_grid import WorkingGrid
 
-GUESSED_MINIMUM = 0.5e-6
-"""m² of ridges below which a region is dust where no background was learned."""
+GUESSED_MINIMUM = 1.0e-6
+"""m², gross area below which a region is dust where no background was learned."""
+
+COARSEST = 2.3
+"""Working pixels a ridge period below which ridges run into one another."""
+
+PALE, PALE_AREA = 2 / 3, 5e-6
+"""Share of `minimum_contrast` at which a frame without contact is looked at again where no
+background was learned, and size (m²) of a region that is then taken for a print too pale."""
 
 
 @dataclass(frozen=True)
@@ -159,7 +166,8 @@ class FtirSegmenter(AreaSensor):
             if measurement.flags & AreaFlag.NO_BACKGROUND:
                 # There was none, or one that was learned before the light was on.
                 self._background.clear()
-            self._background.add(frame)
+            if not measurement.flags & AreaFlag.LOW_CONTRAST:
+                self._background.add(frame)
         return measurement
 
     def _reduced(self, signal: np.ndarray) -> tuple[np.ndarray, WorkingGrid]:
@@ -186,18 +194,17 @@ class FtirSegmenter(AreaSensor):
             flags |= AreaFlag.NO_BACKGROUND
         if not self.calibration.calibrated:
             flags |= AreaFlag.UNCALIBRATED
-        nothing = ContactMeasurement(flags=int(flags | AreaFlag.NO_CONTACT))
-        if ridges is None:
-            return nothing
-        saturated = _saturated_share(frame, ridges, background.bright_ridges)
-        outlined = self._outline(ridges, grid, saturated)
-        if outlined is None:
-            return nothing
+        outlined = None
+        if ridges is not None:
+            saturated = _saturated_share(frame, ridges, background.bright_ridges)
+            outlined = self._outline(ridges, grid, saturated)
+        smallest = max(settings.minimum_area, 0.0 if background.learned else GUESSED_MINIMUM)
+        if ridges is None or outlined is None or outlined[0].area < smallest:
+            flags |= AreaFlag.NO_CONTACT
+            if not background.learned and self._is_pale(contrast, noise, grid):
+                flags |= AreaFlag.LOW_CONTRAST
+            return ContactMeasurement(flags=int(flags))
         shape, real_area, hull, hidden = outlined
-        if shape.area < settings.minimum_area:
-            return nothing
-        if not background.learned and real_area < GUESSED_MINIMUM:
-            return nothing
         if ridges.other_regions:
             flags |= AreaFlag.MULTIPLE_REGIONS
         if self._is_clipped(hull, grid):
@@ -205,7 +212,7 @@ class FtirSegmenter(AreaSensor):
         if real_area < 0.2 * shape.area or shape.area < 5e-6:
             flags |= AreaFlag.SPARSE
         mean_contrast = cv2.mean(contrast[ridges.box], ridges.touching)[0]
-        if mean_contrast < 1.7 * settings.minimum_contrast * 255:
+        if mean_contrast < 1.7 * settings.minimum_contrast * 255 or grid.period < COARSEST:
             flags |= AreaFlag.LOW_CONTRAST
         if _is_saturated(frame, ridges):
             flags |= AreaFlag.SATURATED
@@ -255,6 +262,12 @@ class FtirSegmenter(AreaSensor):
         margin = max(settings.furrow_margin * furrow + hidden, 0.0)
         outline = widened(outline, margin) if convex else shifted(outline, margin)
         return Shape(outline), real_area, outline, hidden
+
+    def _is_pale(self, contrast: np.ndarray, noise: float, grid: WorkingGrid) -> bool:
+        """Whether a frame without contact shows a print that is too pale to count."""
+        contrast_needed = PALE * self.settings.minimum_contrast
+        ridges = find_ridges(contrast, noise, False, contrast_needed, grid)
+        return ridges is not None and (cv2.countNonZero(ridges.region) * grid.pitch**2 > PALE_AREA)
 
     def _is_clipped(self, hull: np.ndarray, grid: WorkingGrid) -> bool:
         """Whether the outline comes within a ridge period of the image's border.
@@ -316,8 +329,9 @@ def _saturated_share(frame: np.ndarray, ridges: Ridges, bright_ridges: bool) -> 
     if pixels == 0:
         return 0.0
     part = frame[ridges.box]
-    low, high, _, _ = cv2.minMaxLoc(part, around)
-    end = low if bright_ridges else high
+    # Hot pixels and reflections may be brighter than the plate.
+    below = np.cumsum(cv2.calcHist([part], [0], around, [256], [0, 256]))
+    end = float(np.searchsorted(below, (0.005 if bright_ridges else 0.995) * pixels))
     at_end = cv2.bitwise_and(cv2.compare(part, np.array([end]), cv2.CMP_EQ), around)
     return cv2.countNonZero(at_end) / pixels
 

@@ -5,8 +5,9 @@
 
 A partial slip front runs inwards from the rim (C. Cattaneo 1938; R. D. Mindlin 1949): the stick
 zone is the outline shrunk about a point, and slip grows outwards from the zone's edge, in one
-direction or about the centre. Zones and growths of many kinds are compared with all places at once.
-Each weighs as much as its slip is known. So the edge is found better than at any single place,
+direction or about the centre. Zones and growths of many kinds are compared with all places at once,
+each together with a small shift of the whole picture: camera and plate vibrate against each other.
+A place weighs as much as its slip is known. So the edge is found better than at any single place,
 also where the slip beside it is still less than the noise.
 """
 
@@ -55,6 +56,9 @@ MOST = 8.0
 BLUR = 0.2e-3
 """m; the travel of a place is the mean over 1.2 times this to either side."""
 
+SHAKEN = 1e-6
+"""m, standard deviation of a shift of the whole picture."""
+
 EVIDENCE, DOUBT = 7.0, 2.0
 """Twice the logarithm of the likelihoods' ratio at which slip is as probable as none, and the
 change of it that makes slip e times as probable."""
@@ -86,40 +90,64 @@ def stick_ratio(
     places, slips, noise, gradients = (a[some] for a in (places, slips, noise, gradients))
     far = np.hypot(*slips.T)
     slip, basis = _whitened(places, slips, likeness * noise**2, gradients)
-    products = (basis[:, :, :, None] * basis[:, :, None, :]).sum(axis=0).reshape(-1, 9)
-    wanted = (basis * slip[:, :, None]).sum(axis=0)
-
     mean = slips[far >= np.quantile(far, 0.7)].mean(axis=0)
     way = mean / max(float(np.hypot(*mean)), 1e-12)
     along = np.column_stack([places @ way, places @ np.array([-way[1], way[0]])])
-    costs, areas, priors = [], [], []
-    for reached, area, prior in _zones(along):
-        outside = reached[:, None] - SCALES
-        blurred = sum(np.maximum(outside + k * BLUR / radius, 0.0) for k in (-1.2, 0.0, 1.2)) / 3.0
-        for power in POWERS:
-            growth = blurred**power
-            normal = ((growth**2).T @ products).reshape(-1, 3, 3) + np.eye(3) / LARGEST_SLIP**2
-            amplitude = np.linalg.solve(normal, (growth.T @ wanted)[..., None])[..., 0]
-            rim = np.hypot(*amplitude[:, :2].T) + np.abs(amplitude[:, 2])
-            rim *= np.maximum(1.0 - SCALES, 0.0) ** power
-            little = np.log(LEAST_SLIP * (1.0 - SCALES) ** 2 / np.maximum(rim, 1e-9))
-            costs.append(
-                _cost(slip[:, :, None] - basis @ amplitude.T * growth)
-                + (2.0 * np.maximum(little, 0.0)) ** 2
-            )
-            areas.append(area)
-            priors.append(prior)
-    cost, area = np.array(costs), np.array(areas)
-    least = float(cost.min())
+    trust = np.ones(len(slips))
+    # Once roughly, to find the places that were followed wrongly, and once without them.
+    for powers in (POWERS[1:2], POWERS):
+        costs, areas, priors, errors = [], [], [], []
+        for reached, area, prior in _zones(along):
+            outside = reached[:, None] - SCALES
+            blurred = sum(np.maximum(outside + k * BLUR / radius, 0.0) for k in (-1.2, 0.0, 1.2))
+            for power in powers:
+                amplitude, cost, error = _fitted(slip, basis, trust, (blurred / 3.0) ** power)
+                rim = np.hypot(*amplitude[:, :2].T) + np.abs(amplitude[:, 2])
+                rim *= np.maximum(1.0 - SCALES, 0.0) ** power
+                little = np.log(LEAST_SLIP * (1.0 - SCALES) ** 2 / np.maximum(rim, 1e-9))
+                costs.append(cost + (2.0 * np.maximum(little, 0.0)) ** 2)
+                areas.append(area)
+                priors.append(prior)
+                errors.append(error[:, :, np.argmin(cost)].copy())
+        cost, area = np.array(costs), np.array(areas)
+        least = float(cost.min())
+        best = errors[np.argmin(cost.min(axis=1))]
+        trust = 1.0 / (1.0 + (best**2).sum(axis=0) / TAIL)
     weight = np.exp(-0.5 * (cost - least)) * np.array(priors)
     weight /= weight.sum()
-    gain = float(_cost(slip[:, :, None])[0]) - least
+    _, nothing, _ = _fitted(slip, basis, trust, np.zeros((len(slips), 1)))
+    gain = float(nothing[0]) - least
     slips_somewhere = 1.0 / (1.0 + math.exp(min((EVIDENCE - gain) / DOUBT, 50.0)))
     ratio, square = (
         slips_somewhere * float((weight * area**k).sum()) + (1.0 - slips_somewhere) * unseen
         for k, unseen in ((1, UNSEEN), (2, UNSEEN**2 + UNSEEN_SD**2))
     )
     return ratio, math.hypot(math.sqrt(max(square - ratio**2, 0.0)), LEAST_SD)
+
+
+def _fitted(
+    slip: np.ndarray, basis: np.ndarray, trust: np.ndarray, growth: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Amplitudes (k, 3) of slips that grow by `growth` (n, k), the cost (k,) and the errors
+    (2, n, k), with the most probable shift of the whole picture.
+
+    slip (2, n), basis (2, n, 3): from `_whitened`. trust (n,): weight of each place.
+    """
+    heavy = basis * trust[:, None]
+    products = (heavy[..., None] * basis[:, :, None]).sum(axis=0)
+    wanted = (heavy * slip[:, :, None]).sum(axis=0)
+    normal = np.empty((growth.shape[1], 5, 5))
+    normal[:, :3, :3] = ((growth**2).T @ products.reshape(-1, 9)).reshape(-1, 3, 3)
+    normal[:, :3, 3:] = (growth.T @ products[:, :, :2].reshape(-1, 6)).reshape(-1, 3, 2)
+    normal[:, 3:, :3] = normal[:, :3, 3:].transpose(0, 2, 1)
+    normal[:, 3:, 3:] = products[:, :2, :2].sum(axis=0)
+    normal += np.diag(np.array([LARGEST_SLIP] * 3 + [SHAKEN] * 2) ** -2.0)
+    right = np.empty((growth.shape[1], 5))
+    right[:, :3], right[:, 3:] = growth.T @ wanted, wanted[:, :2].sum(axis=0)
+    found = np.linalg.solve(normal, right[..., None])[..., 0]
+    amplitude, shift = found[:, :3], found[:, 3:]
+    error = slip[:, :, None] - basis @ amplitude.T * growth - basis[:, :, :2] @ shift.T
+    return amplitude, _cost(error) + (shift**2).sum(axis=1) / SHAKEN**2, error
 
 
 def _zones(along: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:

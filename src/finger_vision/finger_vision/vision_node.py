@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import queue
 import threading
+import time
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -29,11 +30,17 @@ from finger_common.node import FrameSettings, ManagedNode, main_of
 from finger_common.settings import setting
 from finger_msgs.msg import ContactArea
 
-from .area_sensor import AREA_SENSORS, NoLight
+from .area_sensor import AREA_SENSORS, NoLight, SensorDefect, measured
 from .calibration import CalibrationSettings
 from .messages import contact_area_fields, image_of
 from .overlay import draw_overlay
 from .ridge_motion import DEFAULT_RIDGE_PERIOD, RidgeMotion, RidgeMotionSettings, with_motion
+
+SILENCE = 2.0
+"""s without an image, while somebody publishes them, after which it is said."""
+
+PALE_PRINT = AreaFlag.NO_CONTACT | AreaFlag.LOW_CONTRAST
+"""Flags of an image without contact that shows a print all the same."""
 
 
 @dataclass(frozen=True)
@@ -80,8 +87,7 @@ class VisionNode(ManagedNode):
             await_file(self.values["calibration_file"], self.values["calibration_timeout"])
         self.calibration = self.settings(CalibrationSettings).load()
         self.sensor = AREA_SENSORS.open(self.values, self.calibration)
-        learn = self.values["learn_background"]
-        self._process = self.sensor.process if learn else self.sensor.measure
+        self._learn = self.values["learn_background"]
         following = self.settings(RidgeMotionSettings)
         period = self.values.get("ridge_period", DEFAULT_RIDGE_PERIOD)
         self._motion = (
@@ -107,17 +113,26 @@ class VisionNode(ManagedNode):
             target=self._work, args=(self._newest,), name="vision", daemon=True
         )
         self._worker.start()
+        self._heard = time.monotonic()
         # A few images of depth, so that the node, not the middleware, drops and counts them.
-        self.create_stream_subscription(Image, "image_raw", self._on_image, self.stream_qos(3))
+        self.create_stream_subscription(
+            Image,
+            "image_raw",
+            self._on_image,
+            self.stream_qos(3),
+            message_lost=lambda event: self.health.count("lost", event.total_count_change),
+        )
 
     def deactivate(self) -> None:
         self.destroy_active_interfaces()
+        self.health.recovered("no_image")
         self._replace(None)
         self._worker.join(5)
 
     # Work ------------------------------------------------------------------------------------
 
     def _on_image(self, message: Image) -> None:
+        self._heard = time.monotonic()
         if self._replace(message):
             self.health.count("dropped")
 
@@ -136,6 +151,9 @@ class VisionNode(ManagedNode):
             except NoLight as error:
                 self.health.count("refused")
                 self.log_fault(self.health, "light", str(error))
+            except SensorDefect as error:
+                self.health.count("failed")
+                self.log_fault(self.health, "failure", str(error))
             except FingerError as error:
                 self.health.count("refused")
                 self.log_fault(self.health, "frame", str(error), WARN)
@@ -148,7 +166,9 @@ class VisionNode(ManagedNode):
     def _measure(self, message: Image) -> None:
         image = image_of(message)
         with self._lock:
-            measurement = with_motion(self._process(image), image, self._motion)
+            measurement = with_motion(
+                measured(self.sensor, image, self._learn), image, self._motion
+            )
             learned = self.sensor.learned
         area = contact_area_message(contact_area_fields(measurement))
         area.header.stamp = message.header.stamp
@@ -160,6 +180,14 @@ class VisionNode(ManagedNode):
             self.health.recovered(fault)
         if measurement.flags & AreaFlag.NO_CONTACT:
             self.health.count("without_contact")
+        if measurement.flags & PALE_PRINT == PALE_PRINT:
+            text = (
+                "a print is too pale to be measured, or an earlier one lies on the plate; check "
+                "light and focus, or clean the plate"
+            )
+            self.log_fault(self.health, "contrast", text, WARN)
+        else:
+            self.health.recovered("contrast")
         if self._overlays.get_subscription_count() > 0:
             picture = draw_overlay(image, measurement, self.calibration)
             overlay = Image(
@@ -171,6 +199,21 @@ class VisionNode(ManagedNode):
             )
             overlay.data = picture.tobytes()
             self._overlays.publish(overlay)
+
+    def publish_diagnostics(self) -> None:
+        """Warn while images are published and none comes."""
+        if self.active:
+            now = time.monotonic()
+            if not self.count_publishers("image_raw"):
+                self._heard = now
+            silent = now - self._heard
+            if silent > SILENCE:
+                remedy = "large images need the profile of docs/devices.md"
+                text = f"no image for {silent:.0f} s; {remedy}"
+                self.log_fault(self.health, "no_image", text, WARN)
+            else:
+                self.health.recovered("no_image")
+        super().publish_diagnostics()
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self._lock:

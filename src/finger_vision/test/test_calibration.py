@@ -186,6 +186,16 @@ def test_homography_alone_serves_a_lens_without_distortion() -> None:
     assert np.abs(distances(seen) - distances(points)).max() < 20e-6
 
 
+@pytest.mark.parametrize("lens", [True, False])
+def test_a_board_that_shows_little_of_the_plate_is_refused(lens: bool) -> None:
+    """3 by 3 of its corners are 1 % of the image, however much the tilted views cover."""
+    views, (plate,) = views_of(CHECKERS)
+    near = np.argsort(np.abs(plate.points - plate.points.mean(axis=0)).max(axis=1))
+    little = type(plate)("plate", plate.points[near[:9]], plate.pixels[near[:9]], SIZE)
+    with pytest.raises(InputError, match=r"on the plate cover 1 % .* --on-plate"):
+        calibrate_plate([*views[:-1], little] if lens else [], [little], lens=lens)
+
+
 def test_poor_sets_are_refused_with_the_reason() -> None:
     plate = find_board(view_picture(CHECKERS, -1), CHECKERS, "plate")
     with pytest.raises(InputError, match="found in 1 views, 6"):

@@ -121,6 +121,15 @@ def test_noise_alone_is_no_slip_and_a_slide_leaves_nothing() -> None:
         assert ratio < 0.02 and sd < 0.05
 
 
+@pytest.mark.parametrize("shift", [0.6e-6, 1.0e-6, 2.0e-6])
+def test_a_shift_of_the_whole_picture_is_no_slip(shift: float) -> None:
+    """As camera and plate shake against each other."""
+    places, _ = places_and_ridges(np.random.default_rng(0))
+    for k in range(5):
+        ratio, _ = seen(np.ones(len(places)), shift, way=1.3 * k, seed=k)
+        assert ratio > 0.9
+
+
 def test_places_that_were_followed_wrongly_count_little() -> None:
     rng = np.random.default_rng(4)
     places, gradients = places_and_ridges(rng)

@@ -6,7 +6,12 @@
 from __future__ import annotations
 
 import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -58,6 +63,25 @@ def test_areas_carry_the_images_stamp_and_bad_frames_do_not_stop_the_node(peer) 
     assert peer.node.count_subscribers("contact_image") == 0
 
 
+def test_a_print_too_pale_to_be_measured_is_said(peer) -> None:
+    reports: list[DiagnosticArray] = []
+    peer.node.create_subscription(DiagnosticArray, "/diagnostics", reports.append, 10)
+    renderer = FtirRenderer("natural", seed=8, scene=Scene(latent=0.0))
+    plate, pressed = (a.astype(float) for a in (renderer.empty(), renderer.render(4.5e-3)))
+    pale = np.rint(plate + 0.25 * (pressed - plate)).astype(np.uint8)
+
+    def said() -> bool:
+        texts = [s.message for report in reports[-1:] for s in report.status]
+        return any("too pale" in text for text in texts)
+
+    seen = peer.ask(peer.image(pale, 1))
+    doubt = ContactArea.FLAG_NO_CONTACT | ContactArea.FLAG_LOW_CONTRAST
+    assert seen.flags & doubt == doubt
+    assert peer.wait(said)
+    peer.ask(peer.image(renderer.empty(), 2))
+    assert peer.wait(lambda: not said())
+
+
 def test_a_burst_is_answered_with_its_newest_frame_and_the_rest_is_counted(peer) -> None:
     reports: list[DiagnosticArray] = []
     peer.node.create_subscription(DiagnosticArray, "/diagnostics", reports.append, 10)
@@ -107,22 +131,36 @@ def test_overlay_is_drawn_while_it_has_subscribers(peer) -> None:
     peer.node.destroy_subscription(subscription)
 
 
+@contextmanager
+def node_here(ros_domain: int, **values: Any) -> Iterator[Any]:
+    """The node in this process, unconfigured."""
+    from rclpy.parameter import Parameter
+
+    from finger_vision.vision_node import VisionNode
+
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=ros_domain)
+    overrides = [Parameter(name, value=value) for name, value in values.items()]
+    node = VisionNode(context=context, parameter_overrides=overrides)
+    try:
+        yield node
+    finally:
+        node.release()
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
 def test_it_waits_for_a_calibration_that_is_being_written(ros_domain: int, tmp_path: Path) -> None:
     from rclpy.lifecycle import TransitionCallbackReturn
     from rclpy.parameter import Parameter
 
     from finger_vision.calibration import PlateCalibration
-    from finger_vision.vision_node import VisionNode
 
     path = tmp_path / "plate.yaml"
-    context = rclpy.Context()
-    rclpy.init(context=context, domain_id=ros_domain)
-    values = {"calibration_file": str(path), "frame_prefix": "thumb/"}
-    overrides = [Parameter(name, value=value) for name, value in values.items()]
-    node = VisionNode(context=context, parameter_overrides=overrides)
     calibration = PlateCalibration.from_area_per_pixel(1e-9)
     written = threading.Timer(0.5, calibration.save, (path,))
-    try:
+    values = {"calibration_file": str(path), "frame_prefix": "thumb/"}
+    with node_here(ros_domain, **values) as node:
         written.start()
         assert node.trigger_configure() is TransitionCallbackReturn.SUCCESS
         assert node.frame == "thumb/plate"
@@ -130,7 +168,46 @@ def test_it_waits_for_a_calibration_that_is_being_written(ros_domain: int, tmp_p
         path.unlink()
         node.set_parameters_atomically([Parameter("calibration_timeout", value=0.2)])
         assert node.trigger_configure() is TransitionCallbackReturn.FAILURE
-    finally:
-        written.join()
-        node.destroy_node()
-        rclpy.shutdown(context=context)
+    written.join()
+
+
+def test_images_that_are_published_and_do_not_come_are_told(
+    ros_domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from rclpy.event_handler import QoSSubscriptionEventType
+
+    now = time.monotonic()
+    with node_here(ros_domain) as node:
+        assert node.bring_up()
+        camera = rclpy.create_node("camera", context=node.context)
+        images = camera.create_publisher(Image, "image_raw", 3)
+        end = now + 60
+        while not node.count_publishers("image_raw"):
+            assert time.monotonic() < end
+        with monkeypatch.context() as patched:
+            patched.setattr(time, "monotonic", lambda: now)
+            node._on_image(Image())
+
+            def said(after: float) -> str:
+                nonlocal now
+                now += after
+                node.publish_diagnostics()
+                return str(node.health.faults.get("no_image", ""))
+
+            assert not said(1.9)
+            assert said(1.1).startswith("no image for 3 s; large images need the profile of docs/")
+            assert node.health.report().level == 1
+            node._on_image(Image())
+            assert not said(1.0)
+            assert said(5.0)
+            # Those that the middleware has lost it tells by an event.
+            (stream,) = (s for s in node.subscriptions if s.topic_name == "/image_raw")
+            kind = QoSSubscriptionEventType.RCL_SUBSCRIPTION_MESSAGE_LOST
+            (lost,) = (h.callback for h in stream.event_handlers if h.event_type == kind)
+            lost(SimpleNamespace(total_count_change=4))
+            assert node.health.report().values["lost"] == "4"
+            # A camera that is not there is nobody's loss.
+            monkeypatch.setattr(node, "count_publishers", lambda topic: 0)
+            assert not said(100.0)
+        camera.destroy_publisher(images)
+        camera.destroy_node()
