@@ -22,8 +22,6 @@ from typing import Any
 
 import numpy as np
 
-from finger_common import contact_threshold, flags
-
 
 def forget_stale_kernels(package: Path, *others: str) -> None:
     """Remove a package's compiled kernels when a source that may be in them has changed since.

@@ -299,13 +299,14 @@ class ModelNode(ManagedNode):
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         )
         self._entities.append((self.destroy_subscription, kept))
-        trial = self.create_subscription(Trial, "trial", self._on_trial, LATCHED_QOS)
+        trial = self.create_stream_subscription(Trial, "trial", self._on_trial, LATCHED_QOS)
         self._protocol = PolledSubscription(self, SessionStatus, "protocol/status", STATE_QOS)
         self._calibration_publisher = self.create_publisher(
             DiagnosticStatus, "calibration", STATE_QOS
         )
         services = (
             self.create_service(Trigger, "~/reset", self._on_reset),
+            self.create_service(Trigger, "~/new_surface", self._on_new_surface),
             self.create_service(ForceForArea, "~/force_for_area", self._on_force_for_area),
             self.create_service(PredictContact, "~/predict", self._on_predict),
         )
@@ -754,6 +755,13 @@ class ModelNode(ManagedNode):
             response.message = "reset to a finger at rest that was not seen before"
 
         return self._answer(response, reset)
+
+    def _on_new_surface(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        def forget(estimator: ContactEstimator) -> None:
+            self._publish_event(estimator.change_surface("service ~/new_surface"))
+            response.message = "what was learned of friction is forgotten; the finger stays"
+
+        return self._answer(response, forget)
 
     def _on_force_for_area(self, request: Any, response: Any) -> Any:
         def answer(estimator: ContactEstimator) -> None:

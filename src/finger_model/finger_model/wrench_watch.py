@@ -20,6 +20,9 @@ coefficient of 10 is none of a finger."""
 ACROSS_FOR = 2.0
 """s for which such a force has lasted when it is told."""
 
+SHOWN, SHORT = 3, 40
+"""Frames that are named of several, and characters of each."""
+
 
 class WrenchWatch:
     """Of the samples since the last look. clock: s."""
@@ -85,12 +88,15 @@ class WrenchWatch:
         )
 
     def _of_frames(self) -> str:
-        frames = [repr(frame) for frame in self._frames]
+        frames = list(self._frames)
         if len(frames) < 2:
             return ""
+        shown = [repr(f if len(f) <= SHORT else f"{f[:SHORT]}…") for f in frames[:SHOWN]]
+        if len(frames) > SHOWN:
+            shown.append(f"{len(frames) - SHOWN} more")
         return (
-            f"wrench messages come in the frames {' and '.join(frames)}: let one sensor publish "
-            "the topic"
+            f"wrench messages come in the frames {' and '.join(shown)}: let one sensor publish the "
+            "topic"
         )
 
     def _of_axis(self, normal_axis: str) -> str:

@@ -89,6 +89,30 @@ def test_stamps_in_seconds_are_refused(model: ReducedModel) -> None:
     assert len(ContactEstimator(model).add_wrenches([], np.empty((0, 3)))) == 0
 
 
+@pytest.mark.parametrize(
+    "force", [(0.0, -1.0), -1.0, np.array([[0.0, 0.0, -1.0]]), (None, None, -1.0), [0.0] * 6, None]
+)
+def test_a_force_that_is_no_vector_is_refused(estimator: ContactEstimator, force: Any) -> None:
+    with pytest.raises(
+        InputError, match=r"force is .*; three numbers in N are needed, \(x, y, z\)"
+    ):
+        estimator.add_wrench(T0, force)
+    assert estimator.last_stamp is None
+    assert len(estimator.add_wrenches([], [])) == 0
+
+
+def test_what_an_estimator_is_made_of_is_named(model: ReducedModel) -> None:
+    wrong: Any = {"onset_force": 0.1}
+    with pytest.raises(InputError, match="model is of type NoneType; give a ReducedModel"):
+        ContactEstimator(None)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="parameter_sets is of type str; give a ParameterSets"):
+        ContactEstimator(model, "parameters.yaml")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="settings is of type dict; give a EstimatorSettings"):
+        ContactEstimator(model, settings=wrong)
+    with pytest.raises(InputError, match="settings is of type dict; give a EstimatorSettings"):
+        ContactEstimator(model).change_settings(wrong)
+
+
 @pytest.mark.parametrize("stamp", [1_700_000_000.002, 5.0, "5", None])
 def test_a_single_stamp_in_seconds_is_refused(model: ReducedModel, stamp: Any) -> None:
     estimator = ContactEstimator(model)
@@ -593,6 +617,13 @@ def test_prediction_is_what_follows(estimator: ContactEstimator) -> None:
     assert predicted.indentation[-1] == pytest.approx(then.indentation, rel=1e-6)
 
 
+def test_a_prediction_takes_spans_of_time(estimator: ContactEstimator) -> None:
+    one(estimator, 0, 0.5)
+    time, force = np.array([0.1, 0.2]), np.array([0.7, 1.0])
+    spans = np.round(1e9 * time).astype("m8[ns]")
+    assert np.array_equal(estimator.predict(spans, force).area, estimator.predict(time, force).area)
+
+
 def test_prediction_in_the_air_is_of_the_next_contact(estimator: ContactEstimator) -> None:
     """The own error of the last contact, 15 % larger than those before, is not that of the next."""
     ms = 0
@@ -635,6 +666,13 @@ def test_impossible_questions_are_refused(estimator: ContactEstimator) -> None:
         estimator.predict(np.array([1.0]), np.array([50.0]))
     with pytest.raises(InputError, match="above 0"):
         estimator.predict(np.array([0.0]), np.array([1.0]))
+    # Neither what holds up the samples for long nor a time of which nothing is known.
+    long = np.linspace(1e-3, 1.0, 5001)
+    with pytest.raises(InputError, match="5001 points; give 5000 at most"):
+        estimator.predict(long, np.ones(5001))
+    assert len(estimator.predict(long[1:], np.ones(5000)).area) == 5000
+    with pytest.raises(InputError, match=r"time ends at 1e\+09 s; give 3600 s at most"):
+        estimator.predict(np.array([1e9]), np.array([1.0]))
 
 
 def test_a_model_that_failed_is_flagged_and_starts_again_in_the_air(

@@ -65,7 +65,7 @@ def test_few_rows_of_a_sudden_load_give_what_many_give(model, rows, load):
     """Of tissue that keeps a tenth of its modulus: a hold in one step was 9 % wrong."""
     soft = Material(E0=150e3, E1=15e3, tau1=0.5, E2=700e3)
     within = np.concatenate([[0.0], np.geomspace(1e-3, 1.0, 40)])
-    fine = np.unique(np.concatenate([a + (b - a) * within for a, b in zip(rows, rows[1:])]))
+    fine = np.unique(np.concatenate([a + (b - a) * within for a, b in itertools.pairwise(rows)]))
     many = model.simulate(soft, fine, np.interp(fine, rows, load)).area[np.searchsorted(fine, rows)]
     few = model.simulate(soft, np.array(rows), np.array(load)).area
     assert np.allclose(few, many, rtol=0.008)

@@ -56,6 +56,7 @@ from finger_msgs.msg import (  # noqa: E402
     ContactState,
     ModelEvent,
     Moisture,
+    Trial,
 )
 from finger_msgs.srv import ForceForArea, PredictContact  # noqa: E402
 
@@ -432,6 +433,21 @@ def test_what_is_wrong_with_an_input_is_named_in_diagnostics(
     assert child.poll() is None
 
 
+def test_a_trial_that_is_not_latched_is_named_in_diagnostics(
+    bench: Bench, process: Callable[..., Any]
+) -> None:
+    start(process)
+    volatile = bench.node.create_publisher(Trial, "/finger/trial", RELIABLE)
+
+    def said() -> str:
+        return str(bench.diagnostics.get("contact state", {"message": ""})["message"])
+
+    bench.until(lambda: "publisher of 'trial' has another durability" in said())
+    assert "publish it transient local" in said()
+    bench.node.destroy_publisher(volatile)
+    bench.until(lambda: "'trial'" not in said())
+
+
 def test_services_and_parameters_answer_and_refuse_with_a_reason(
     bench: Bench, process: Callable[..., Any], tmp_path: Path
 ) -> None:
@@ -706,6 +722,36 @@ def test_slip_goes_out_where_somebody_listens_as_the_core_has_it(
     assert slips[-1].tangential_force.y == pytest.approx(0.2988)
     assert 0.1 < slips[-1].slip_margin < 0.8
     assert bench.set("friction_prior", 0.9).successful
+
+
+def test_another_surface_forgets_friction_and_keeps_the_finger(
+    bench: Bench, process: Callable[..., Any]
+) -> None:
+    start(process)
+    slips: list[ContactSlip] = []
+    bench.node.create_subscription(ContactSlip, "/finger/contact_slip", slips.append, RELIABLE)
+    bench.connected()
+    bench.until(lambda: bench.node.count_publishers("/finger/contact_slip") > 0)
+    bench.settle()
+
+    def pull(first: int, ratio: float) -> None:
+        for n in range(first, first + 100):
+            message = WrenchStamped()
+            message.header.stamp = to_time(T0 + n * 2 * MS)
+            message.wrench.force.z = -1.0
+            message.wrench.force.y = ratio * (n - first) / 100
+            bench.wrench.publish(message)
+        bench.until(lambda: len(slips) == first + 100)
+
+    bench.press(T0, 0.0)
+    pull(1, 0.9)
+    assert slips[-1].friction > 0.85 > 1.5 * slips[0].friction
+    reply = bench.call(Trigger, "/finger/model/new_surface", Trigger.Request())
+    assert reply.success
+    pull(101, 0.1)
+    assert slips[101].friction == slips[0].friction
+    assert bench.states[-1].onset == bench.states[100].onset
+    bench.until(lambda: bench.events[-1].type == ModelEvent.TYPE_SURFACE)
 
 
 def test_shape_goes_out_where_it_is_wanted_as_the_core_has_it(

@@ -12,12 +12,66 @@ import numpy as np
 import pytest
 
 from finger_common.cli import run
-from finger_common.errors import InputError
+from finger_common.errors import InputError, ModelError
 from finger_model.cli import _main
 from finger_model.fem.area_model import FullOrderAreas
 from finger_model.fem.full_order import FullOrderModel
-from finger_model.laws import LAWS, law_of, load_material
+from finger_model.laws import LAWS, StandardLinearSolid, StepEnergy, law_of, load_material
+from finger_model.solid3d.full_order import SolidModel
+from finger_model.solid3d.mesh import MeshSize
 from finger_model.verification.cases import elastic, ramp
+
+WRONG = """
+from dataclasses import dataclass
+
+from finger_model.laws import ConstitutiveLaw, StandardLinearSolid, parameter
+
+LOOK = {"unit": "", "symbol": "k", "display_unit": "", "display_factor": 1.0}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bare(ConstitutiveLaw):
+    name = "bare"
+    k: float = parameter(1.0, "k.", bounds=(0.5, 2.0), **LOOK)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fixed(ConstitutiveLaw):
+    name = "fixed"
+    epidermis_modulus = instantaneous_shear_modulus = 6e3
+    step_energy = energies = None
+
+
+class Undecorated(StandardLinearSolid):
+    name = "undecorated"
+    CORRECTION = ()
+    k: float = parameter(1.0, "k.", bounds=(0.5, 2.0), **LOOK)
+
+
+class Renamed(StandardLinearSolid):
+    name = "another"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reversed(StandardLinearSolid):
+    name = "reversed"
+    CORRECTION = ()
+    k: float = parameter(1.0, "k.", bounds=(2.0, 0.5), **LOOK)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Negative(StandardLinearSolid):
+    name = "negative"
+    CORRECTION = ()
+    k: float = parameter(-1.0, "k.", bounds=(0.5, 2.0), **LOOK)
+
+
+class Good(StandardLinearSolid):
+    name = "good"
+"""
+"""Laws that cannot be used, and one that can, in one module."""
+
+COARSE = MeshSize(center=0.2, across=4, growth=1.3, bulk=3, bulk_growth=1.5, skin=1)
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "add_a_law.md"
 
@@ -114,3 +168,86 @@ def test_areas_for_a_fit_come_from_the_full_order_model(installed, model):
     assert np.all(found[1] < found[0])
     (crushed,) = areas.batch(vectors[:1], [(time, 50.0 * force, rows)])
     assert np.all(np.isnan(crushed))
+
+
+@pytest.mark.parametrize(
+    "rows", [[-1], [50, 10], [10, 10], [51], np.arange(51) > 40, [[1, 2]], [9.5]]
+)
+def test_rows_that_are_none_are_refused_by_the_full_order_model(rows):
+    areas = FullOrderAreas(StandardLinearSolid(), refinement=0.5)
+    vector, press = areas.space.default, ramp(1.0, 1.0, 50)
+    for found in (
+        lambda: areas.areas(vector, *press, rows),
+        lambda: areas.batch(vector, [(*press, rows)]),
+    ):
+        with pytest.raises(InputError, match="the wanted rows"):
+            found()
+    assert areas.areas(vector, *press, []).shape == (0,)
+
+
+def test_a_class_that_is_no_complete_law_is_named(tmp_path, install_package, monkeypatch):
+    sentences = {
+        "bare": "has no energies, epidermis_modulus, .*step_energy; add them",
+        "fixed": r"has no parameters; make a field of it with parameter\(…\)",
+        "undecorated": r"is no dataclass; put @dataclass\(frozen=True, kw_only=True\) before it",
+        "renamed": "has the name 'another'; give it that of its entry point",
+        "reversed": "the bounds of 'k' are 2 … 0.5; give the lower one",
+        "negative": "default: 'k' is -1, a positive value is needed",
+    }
+    entries = {name: f"wrong_laws:{name.title()}" for name in (*sentences, "good")}
+    install_package(tmp_path, {"wrong_laws": WRONG}, {"finger_model.law": entries})
+    monkeypatch.syspath_prepend(str(tmp_path))
+    for name, sentence in sentences.items():
+        where = rf"material law '{name}' \(wrong_laws:{name.title()}\)"
+        with pytest.raises(InputError, match=f"{where}:? {sentence}"):
+            law_of(name)
+    assert law_of("good").name == "good"
+
+
+def law_with(**members):
+    """A material of a class of its own, with other members than the default law."""
+    return type("Other", (StandardLinearSolid,), {"name": "other", **members})()
+
+
+@pytest.mark.parametrize(
+    "make", [lambda: FullOrderModel(refinement=0.5), lambda: SolidModel(size=COARSE)]
+)
+def test_energies_that_are_none_are_named(make):
+    model, (time, force) = make(), ramp(0.3, 1.0, 3)
+
+    def with_energy(energy):
+        return law_with(step_energy=lambda self, duration, before: energy(before))
+
+    for law, sentence in (
+        (with_energy(lambda b: StepEnergy(np.nan * b.unit)), "a metric that is not finite"),
+        (
+            with_energy(lambda b: StepEnergy(np.ones((3, 4, 4)))),
+            r"a metric of shape \(3, 4, 4\), \(\d+, \d, \d\) is needed",
+        ),
+        (
+            with_energy(lambda b: StepEnergy(0.0 * b.unit, lambda i: (np.ones(3), 0.0))),
+            "something else than h and dh/dĪ₁ of shape",
+        ),
+        (
+            with_energy(lambda b: StepEnergy(0.0 * b.unit, lambda i: 6e3 + i)),
+            "something else than h and dh/dĪ₁ of shape",
+        ),
+        (
+            law_with(update=lambda self, duration, before, strain, inverse: strain),
+            r"update gave shape \((\d+), (\d), (\d)\), \(1, \1, \2, \3\) is needed",
+        ),
+    ):
+        with pytest.raises(InputError, match=f"law 'other': .*{sentence}"):
+            model.simulate(law, time, force)
+
+    # Numbers stand for arrays of them.
+    plain = with_energy(lambda b: StepEnergy(6e3 * b.unit))
+    spring = with_energy(lambda b: StepEnergy(0.0, lambda i: (6e3, 0.0)))
+    both = [model.simulate(law, time, force).area for law in (plain, spring)]
+    assert both[1] == pytest.approx(both[0], rel=1e-6)
+
+    def torn(invariant):
+        return np.where(invariant < 3.001, 6e3, np.nan), np.zeros_like(invariant)
+
+    with pytest.raises(ModelError, match="law 'other' gives no finite stress at this strain"):
+        model.simulate(with_energy(lambda b: StepEnergy(0.0 * b.unit, torn)), time, force)

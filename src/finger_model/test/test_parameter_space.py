@@ -12,6 +12,7 @@ import pytest
 
 from finger_common.errors import InputError
 from finger_model import paper
+from finger_model.laws import StandardLinearSolid
 from finger_model.laws.space import DerivedQuantity, ParameterSpace, ParameterSpec
 from finger_model.laws.standard_linear_solid import PARAMETERS
 from finger_model.parameter_sets import ParameterSets
@@ -45,6 +46,9 @@ def test_vector_and_mapping_are_inverse_and_bad_values_are_named() -> None:
         PARAMETERS.vector({**paper.NATURAL.parameters, "tau1": -1.0})
     with pytest.raises(InputError, match="4 numbers are needed: E0, E1, tau1, E2"):
         PARAMETERS.checked([1.0, 2.0])
+    for length in (3, 5):
+        with pytest.raises(InputError, match="4 numbers are needed: E0, E1, tau1, E2"):
+            StandardLinearSolid().with_vector(np.ones(length))
     with pytest.raises(InputError, match="'E7' does not exist; known are E0"):
         PARAMETERS.index("E7")
 
@@ -86,6 +90,22 @@ def test_a_parameter_that_may_be_zero_has_a_coordinate_there() -> None:
     assert space["G"].html == "<i>G</i><sub>∞</sub>"
     with pytest.raises(InputError, match=r"'b' is -0\.2, zero or more is needed"):
         space.checked([1.0, -0.2])
+
+
+@pytest.mark.parametrize(
+    ("bounds", "sentence"),
+    [
+        ({}, "'k' are 0 … inf; give the lower one, then the higher one, both finite"),
+        ({"bounds": (2.0, 0.5)}, "'k' are 2 … 0.5; give the lower one"),
+        ({"bounds": (np.nan, 0.5)}, "'k' are nan … 0.5; give the lower one"),
+        ({"bounds": (0.0, 2.0)}, "'k' are 0 … 2, but fits take logarithms; begin above zero"),
+        ({"bounds": (0.5, 2.0), "range": (1.0, 3.0)}, "'k' are 0.5 … 2, beyond its range 1 … 3"),
+    ],
+)
+def test_bounds_that_are_no_search_box_are_named(bounds: dict, sentence: str) -> None:
+    space = ParameterSpace([ParameterSpec("k", symbol="k", **LOOK, **bounds)])
+    with pytest.raises(InputError, match=f"parameters: the bounds of {sentence}"):
+        _ = space.box
 
 
 def test_between_two_moistures_coordinates_are_linear_and_the_ends_hold() -> None:

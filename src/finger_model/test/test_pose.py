@@ -13,6 +13,7 @@ from importlib import resources
 import numpy as np
 import pytest
 
+from finger_common.errors import InputError
 from finger_common.flags import ShapeFlag, StateFlag
 from finger_model.estimator import ContactEstimate, ContactEstimator, EstimatorSettings
 from finger_model.estimator.estimate import ESTIMATE_FIELDS
@@ -38,6 +39,17 @@ TURN = np.array(
         [math.sin(DIRECTION), math.cos(DIRECTION)],
     ]
 )
+
+
+@pytest.mark.parametrize("name", ["pitch", "roll"])
+@pytest.mark.parametrize("degrees", [6.0, -13.0, 19.0, 25.0])
+def test_a_tilt_in_degrees_is_refused(name, degrees):
+    """Such a tilt in radians differs from a small one by whole turns."""
+    assert Pose(**{name: math.radians(degrees)}).tilt == pytest.approx(math.radians(abs(degrees)))
+    with pytest.raises(
+        InputError, match=f"plate {name} is {degrees:g} rad, which is .*, beyond 45°"
+    ):
+        Pose(**{name: degrees})
 
 
 def test_a_round_pad_on_a_level_plate_is_not_corrected():

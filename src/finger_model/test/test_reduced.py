@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import itertools
 import json
 import pickle
 from pathlib import Path
@@ -214,7 +215,7 @@ def test_few_rows_of_a_sudden_load_give_what_many_give(
 ) -> None:
     time, force = np.array(rows), np.array(load)
     within = np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 300)])
-    fine = np.unique(np.concatenate([a + (b - a) * within for a, b in zip(time, time[1:])]))
+    fine = np.unique(np.concatenate([a + (b - a) * within for a, b in itertools.pairwise(time)]))
     many = model.simulate(np.array(vector), fine, np.interp(fine, time, force))
     few = model.simulate(np.array(vector), time, force)
     wanted = np.searchsorted(fine, time)

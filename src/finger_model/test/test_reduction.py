@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -46,7 +47,14 @@ def runs() -> list:
     full = FullOrderModel(refinement=0.5)
     fields = [run_case(full, training_case(1, i), None, 0.25)[1] for i in (1, 3)]
     modes = principal_modes(np.concatenate(fields), weight_of(full), 3)
-    return [run_case(full, training_case(2, i), modes, 0.25)[0] for i in range(4)]
+    found = []
+    for i in range(4):
+        case = training_case(2, i)
+        # So many rows that the full order has to divide few of them.
+        time = np.interp(np.arange(4 * len(case.time) - 3) / 4, range(len(case.time)), case.time)
+        force = np.interp(time, case.time, case.force)
+        found.append(run_case(full, replace(case, time=time, force=force), modes, 0.25)[0])
+    return found
 
 
 def test_histories_are_in_order_and_within_the_range() -> None:

@@ -54,6 +54,15 @@ def test_another_frame_is_told_once_and_two_of_them_always() -> None:
         assert "wrench_frames" in watched.look()
 
 
+def test_of_many_frames_the_first_are_named_shortened() -> None:
+    watched = Watched()
+    for n in range(500):
+        watched.watch.add(T0 + n * MS, f"frame_{n}" + "x" * 200, False)
+    said = watched.look()["wrench_frames"]
+    assert "'frame_0xxx" in said and "'frame_2xxx" in said and "frame_3" not in said
+    assert "…' and 497 more: let one sensor publish the topic" in said and len(said) < 250
+
+
 def test_a_force_across_the_normal_axis_is_told_when_it_lasts() -> None:
     watched = Watched()
     for n in range(1500):

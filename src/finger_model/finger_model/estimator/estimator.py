@@ -77,7 +77,8 @@ class ContactEstimator:
     model: the reduced model; parameter_sets: None for the shipped ones; settings: None for the
     defaults. `counters` counts duplicates, out_of_order, resets, late_areas, late_moistures,
     flagged_areas; `fingers` counts starts and resets, after which the finger is one that was not
-    seen before, and `surfaces` changes of the surface alone. Raises InputError for parameter sets of another geometry or law than the model's.
+    seen before, and `surfaces` changes of the surface alone. Raises InputError for parameter sets
+    of another geometry or law than the model's.
     """
 
     def __init__(

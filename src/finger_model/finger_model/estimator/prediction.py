@@ -19,7 +19,7 @@ LONGEST_HORIZON = 3600.0
 """s"""
 
 MOST_POINTS = 5000
-"""Of a history to predict: samples wait meanwhile, 0.1 s, or 1 s where the force falls often."""
+"""Of a history to predict: samples wait meanwhile, 0.1 s, or 0.4 s where the force falls often."""
 
 _BISECTIONS = 40
 

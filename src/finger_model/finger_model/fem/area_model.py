@@ -12,6 +12,7 @@ import numpy as np
 from finger_common.errors import ModelError
 
 from ..geometry import Geometry
+from ..history import check_trial
 from ..laws import ConstitutiveLaw, ParameterSpace
 from .full_order import FullOrderModel
 
@@ -26,7 +27,7 @@ def thinned_rows(
     nothing after the last one is kept.
     """
     keep = [0]
-    last = int(wanted[-1])
+    last = int(wanted.max(initial=0))
     needed = set(map(int, wanted))
     for row in range(1, last + 1):
         following = min(row + 1, last)
@@ -79,9 +80,10 @@ class FullOrderAreas:
     ) -> np.ndarray:
         """Areas in m² and indentations in m (2, f) at increasing rows (f,) of a history (n,).
 
-        NaN throughout where the finger cannot carry the load. Raises InputError where the law
-        refuses the parameters.
+        NaN throughout where the finger cannot carry the load. Raises InputError for other rows and
+        where the law refuses the parameters.
         """
+        time, force, rows = check_trial((time, force, rows), "trial")
         material = self.material.with_vector(np.asarray(parameters, dtype=float))
         steps = thinned_rows(time, force, rows, self.time_step, self.force_step)
         try:
@@ -106,9 +108,8 @@ class FullOrderAreas:
         """
         parameters = np.atleast_2d(np.asarray(parameters, dtype=float))
         found = []
-        for trial in trials:
-            time, force = (np.asarray(values, dtype=float) for values in trial[:2])
-            rows = np.asarray(trial[2], dtype=int) if len(trial) > 2 else np.arange(len(time))
-            each = [self.contact(row, time, force, rows) for row in parameters]
+        for i, trial in enumerate(trials):
+            checked = check_trial(trial, f"trial {i}")
+            each = [self.contact(row, *checked) for row in parameters]
             found.append(np.swapaxes(each, 0, 1))
         return found

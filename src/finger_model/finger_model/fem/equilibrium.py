@@ -14,6 +14,7 @@ rows of slipping nodes enter as a border.
 from __future__ import annotations
 
 import math
+import threading
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -32,6 +33,9 @@ OPEN, STICK, SLIP = 0, 1, 2
 TOLERANCE = 1e-8
 """Residual, relative to the plate's force, at which an iteration has converged."""
 ITERATIONS = 40
+
+STEP_LOCK = threading.Lock()
+"""Held while a step is computed: a solver has work arrays, and threads may share a model."""
 
 
 class NotConverged(Exception):
@@ -267,11 +271,11 @@ class Equilibrium:
             if tangent is None or not tangent.stable:
                 # Too long a step: half of it is undone.
                 if step is None or halvings >= 6:
-                    raise NotConverged(
-                        "elements turn inside out"
-                        if tangent is None
-                        else "the tangent stiffness is not positive definite (the tissue buckles)"
-                    )
+                    cause = "the tangent stiffness is not positive definite (the tissue buckles)"
+                    if tangent is None:
+                        inside_out = smallest_volume <= 0 or math.isfinite(norm)
+                        cause = "elements turn inside out" if inside_out else material.no_stress
+                    raise NotConverged(cause)
                 halvings += 1
                 step = 0.5 * step
                 x = x - step

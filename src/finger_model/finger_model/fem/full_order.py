@@ -51,9 +51,9 @@ class State:
 
     time (s), force (N); positions (N, 2); contact; tissue: strain and internal variables of the
     bulk tissue; crept: see `creep_steps`. radius of the contact (m); edge: history of the contact's
-    edge; reserve: rise of the force (N) until two more nodes touch. stored: elastic energy; work of the plate, dissipation
-    in the tissue and friction_work since the start (J); stored and dissipation are NaN where the
-    bulk tissue is linear (see `elasticity`).
+    edge; reserve: rise of the force (N) until two more nodes touch. stored: elastic energy; work of
+    the plate, dissipation in the tissue and friction_work since the start (J); stored and
+    dissipation are NaN where the bulk tissue is linear (see `elasticity`).
     """
 
     time: float

@@ -11,6 +11,8 @@ from typing import Protocol
 
 import numpy as np
 
+from finger_common.errors import InputError
+
 from ..laws import UNIT, ConstitutiveLaw, StepEnergy, Tissue, trace, unit
 from . import elements
 from .elasticity import FiniteStrain, LinearStrain
@@ -41,6 +43,7 @@ def elastic_moduli(law: ConstitutiveLaw, part: np.ndarray) -> tuple[np.ndarray, 
 class OnMesh(Protocol):
     """What a step needs of a law on a mesh, axisymmetric or not."""
 
+    law: ConstitutiveLaw
     tissue_index: np.ndarray
     elastic_metric: np.ndarray
     bulk: np.ndarray
@@ -52,28 +55,72 @@ class OnMesh(Protocol):
 class StepMaterial:
     """Material of all elements during one time step.
 
-    metric (E, 4, 4): the tensor H in Pa without the law's stiffening; bulk (E,): K in Pa.
+    metric (E, 4, 4): the tensor H in Pa without the law's stiffening; bulk (E,): K in Pa. Raises
+    InputError for an energy of another shape or that is not finite.
     """
 
     def __init__(self, mesh_material: OnMesh, energy: StepEnergy) -> None:
+        self.law = mesh_material.law
+        index = mesh_material.tissue_index
         self.metric = mesh_material.elastic_metric.copy()
-        self.metric[mesh_material.tissue_index] = energy.metric
+        try:
+            self.metric[index] = energy.metric
+        except ValueError:
+            raise InputError(
+                f"law '{self.law.name}': step_energy gave a metric of shape "
+                f"{np.shape(energy.metric)}, {self.metric[index].shape} is needed"
+            ) from None
+        if not np.isfinite(self.metric).all():
+            raise InputError(
+                f"law '{self.law.name}': step_energy gave a metric that is not finite; correct it"
+            )
         self.bulk = mesh_material.bulk
         self._stiffening = energy.stiffening
         self._material = mesh_material
 
     def stiffness(self, x: np.ndarray) -> Stiffness:
-        """What the elements need at node positions x (N, 2)."""
+        """What the elements need at node positions x (N, 2); raises InputError for a stiffening of
+        another shape."""
         if self._stiffening is None:
             return Stiffness(self.metric, elements.NO_SLOPE, self.bulk)
         index = self._material.tissue_index
         invariant = self._material.tissue_invariant(x)
-        h, slope_of_tissue = self._stiffening(invariant)
+        found = self._stiffening(invariant)
+        try:
+            h, slope_of_tissue = (np.broadcast_to(part, invariant.shape) for part in found)
+        except (TypeError, ValueError):
+            raise InputError(
+                f"law '{self.law.name}': the stiffening of step_energy gave something else than h "
+                f"and dh/dĪ₁ of shape {invariant.shape}"
+            ) from None
         metric = self.metric.copy()
         metric[index] += h[:, :, None] * unit(metric.shape[-1])
         slope = np.zeros(metric.shape[:2])
         slope[index] = slope_of_tissue
         return Stiffness(metric, slope, self.bulk)
+
+    @property
+    def no_stress(self) -> str:
+        """Why there is no equilibrium at positions where the stress is not finite."""
+        return f"law '{self.law.name}' gives no finite stress at this strain"
+
+
+def updated(
+    law: ConstitutiveLaw,
+    duration: float,
+    before: Tissue,
+    c_bar: np.ndarray,
+    c_bar_inverse: np.ndarray,
+) -> Tissue:
+    """Tissue after a step of `duration` (s) to a strain; raises InputError for a law whose update
+    gives tensors of another shape."""
+    internal = law.update(duration, before, c_bar, c_bar_inverse)
+    if np.shape(internal) != before.internal.shape:
+        raise InputError(
+            f"law '{law.name}': update gave shape {np.shape(internal)}, {before.internal.shape} is "
+            "needed, each of the INTERNAL_TENSORS at each point"
+        )
+    return Tissue(c_bar, c_bar_inverse, internal)
 
 
 class MeshMaterial:
@@ -145,7 +192,7 @@ class MeshMaterial:
             dilatation[group.index] = found.dilatation
         index, weight = self.tissue_index, self.weight
         strain = c_bar[index], inverse[index]
-        after = Tissue(*strain, self.law.update(duration, before, *strain))
+        after = updated(self.law, duration, before, *strain)
         if self.linear_tissue:
             return after, math.nan, math.nan
         stored, dissipated = self.law.energies(self.tissue_elements.weight, before, after)

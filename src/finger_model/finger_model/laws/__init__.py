@@ -33,8 +33,10 @@ LAWS = Plugins("finger_model.law", "material law", ConstitutiveLaw)
 
 
 def law_of(name: str) -> type[ConstitutiveLaw]:
-    """The law class of a name; the empty name is the default law. Raises InputError."""
+    """The law class of a name; the empty name is the default law. Raises InputError, also for a
+    class that is no complete law."""
     found: type[ConstitutiveLaw] = LAWS.load(name or StandardLinearSolid.name)
+    found.check_class(name or StandardLinearSolid.name)
     return found
 
 

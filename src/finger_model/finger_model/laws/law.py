@@ -135,6 +135,28 @@ class ConstitutiveLaw(ABC):
                 found[name] = ParameterSpec(name, **value.metadata[_KEY])
         cls.PARAMETERS = ParameterSpace(list(found.values()), cls.DERIVED, cls.CORRECTION)
 
+    @classmethod
+    def check_class(cls, name: str) -> None:
+        """Raises InputError for a class that is no complete law or has another name, and for a
+        parameter with a default that is not allowed or bounds that are no search box."""
+        where = f"material law '{name}' ({cls.__module__}:{cls.__qualname__})"
+        fault = None
+        missing = sorted(cls.__abstractmethods__)
+        if missing:
+            fault = f"has no {', '.join(missing)}; add them"
+        elif any(isinstance(v, dataclasses.Field) for c in cls.__mro__ for v in vars(c).values()):
+            fault = "is no dataclass; put @dataclass(frozen=True, kw_only=True) before it"
+        elif not len(cls.PARAMETERS):
+            fault = "has no parameters; make a field of it with parameter(…)"
+        elif getattr(cls, "name", None) != name:
+            fault = f"has the name {getattr(cls, 'name', None)!r}; give it that of its entry point"
+        if fault:
+            raise InputError(f"{where} {fault}")
+        for spec in cls.PARAMETERS:
+            spec.check(spec.default, f"{where}: default", allowed=True)
+            if spec.bounds != ParameterSpec.bounds:
+                spec.check_bounds(where)
+
     def __post_init__(self) -> None:
         for name in self.to_dict():
             value = getattr(self, name)

@@ -96,6 +96,20 @@ class ParameterSpec(Quantity):
                 f"give {what} in {self.unit or 'plain numbers'}"
             )
 
+    def check_bounds(self, where: str = "parameters") -> None:
+        """Raises InputError for bounds that are no search box: left out, not increasing, beyond the
+        range or without logarithm."""
+        (low, high), (least, most) = self.bounds, self.range
+        found = f"{where}: the bounds of '{self.name}' are {low:g} … {high:g}"
+        if not low < high < math.inf:
+            raise InputError(f"{found}; give the lower one, then the higher one, both finite")
+        if not least <= low < high <= most:
+            raise InputError(f"{found}, beyond its range {least:g} … {most:g}; correct either")
+        if not low + self.log_offset > 0:
+            raise InputError(
+                f"{found}, but fits take logarithms; begin above zero or give a log_offset"
+            )
+
 
 @dataclass(frozen=True)
 class DerivedQuantity(Quantity):
@@ -182,7 +196,10 @@ class ParameterSpace:
 
     @property
     def box(self) -> np.ndarray:
-        """Search box (n, 2): lowest and highest value."""
+        """Search box (n, 2): lowest and highest value; raises InputError for bounds that are no
+        search box."""
+        for parameter in self.parameters:
+            parameter.check_bounds()
         return np.array([p.bounds for p in self.parameters])
 
     @property
@@ -198,21 +215,25 @@ class ParameterSpace:
         return self.checked([mapping[name] for name in self.names], where)
 
     def mapping(self, vector: Sequence[float] | np.ndarray) -> dict[str, float]:
-        """Plain mapping, name → value, of a vector (n,)."""
-        return dict(zip(self.names, map(float, vector), strict=True))
+        """Plain mapping, name → value, of a vector (n,); raises InputError for a wrong length."""
+        return dict(zip(self.names, self._shaped(vector, "parameters").tolist()))
 
     def checked(
         self, vector: Sequence[float] | np.ndarray, where: str = "parameters"
     ) -> np.ndarray:
         """A vector as a float array (n,); raises InputError for a wrong length or value."""
+        found = self._shaped(vector, where)
+        for parameter, value in zip(self.parameters, found):
+            parameter.check(float(value), where)
+        return found
+
+    def _shaped(self, vector: Sequence[float] | np.ndarray, where: str) -> np.ndarray:
         found = np.asarray(vector, dtype=float)
         if found.shape != (len(self),):
             raise InputError(
                 f"{where} have shape {found.shape}; {len(self)} numbers are needed: "
                 f"{', '.join(self.names)}"
             )
-        for parameter, value in zip(self.parameters, found):
-            parameter.check(float(value), where)
         return found
 
     # Coordinates -----------------------------------------------------------------------------

@@ -24,7 +24,7 @@ class Pose:
     aspect: lateral semi-axis of pad, skin, bone and nail along x over the one along y, which is
     that of the geometry. pitch, roll: tilt of the plate in rad; the plate's normal is turned about
     y by pitch (its side at +x rises), then about x by roll (its side at +y rises). Raises
-    InputError for an aspect outside 0.5 … 2 or a tilt beyond 45°.
+    InputError for an aspect outside 0.5 … 2, and for pitch, roll or tilt beyond 45°.
     """
 
     aspect: float = 1.0
@@ -35,10 +35,17 @@ class Pose:
         low, high = ASPECTS
         if not low <= self.aspect <= high:
             raise InputError(f"pad aspect is {self.aspect:g}, outside {low:g} … {high:g}")
+        most = math.degrees(LARGEST_TILT)
+        # Whole turns leave the tilt as it is; they come from degrees.
+        for name, angle in (("pitch", self.pitch), ("roll", self.roll)):
+            if abs(angle) > LARGEST_TILT:
+                raise InputError(
+                    f"plate {name} is {angle:.4g} rad, which is {math.degrees(angle):.4g}°, beyond "
+                    f"{most:g}°; tilt the plate less"
+                )
         if not self.tilt <= LARGEST_TILT:
             raise InputError(
-                f"plate tilt is {math.degrees(self.tilt):g}°, beyond "
-                f"{math.degrees(LARGEST_TILT):g}°; tilt the plate less"
+                f"plate tilt is {math.degrees(self.tilt):g}°, beyond {most:g}°; tilt the plate less"
             )
 
     @cached_property

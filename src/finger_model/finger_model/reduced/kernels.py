@@ -31,8 +31,9 @@ All Maxwell branches (g_b, τ_b) share the total strain d, and the state follows
     dq_j = (sgn(dδ) − q_j) |d ln δ| / β_j,  q = 1 in the air   (stick after a reversal of the load)
 
 with the exponential integrator for a drive that is linear within a step, implicit in a. A step of
-the caller is divided where the drive is not (`creep_steps`) and where the force changes much. No `fastmath`: the order of the additions is
-that of the source, so that a value does not depend on whether it came from a stream or a batch.
+the caller is divided where the drive is not (`creep_steps`) and where the force changes much. No
+`fastmath`: the order of the additions is that of the source, so that a value does not depend on
+whether it came from a stream or a batch.
 
 The kernels work on four records, whose dtypes `record_types` gives for the sizes of a model: `net`
 (both networks), `par` (one parameter set), `state` (one finger) and `work` (scratch;

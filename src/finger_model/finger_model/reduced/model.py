@@ -20,7 +20,7 @@ from finger_common.errors import InputError
 from finger_common.files import atomic_write, parse_json, parse_npz, read_bytes, sha256_of
 
 from ..geometry import Geometry
-from ..history import ContactHistory, ContactPoint, check_force_history
+from ..history import ContactHistory, ContactPoint, check_force_history, check_trial, mean_pressure
 from ..laws import ConstitutiveLaw, MaxwellLaw, ParameterSpace, StandardLinearSolid, law_of
 from . import kernels as rk
 from . import population
@@ -194,7 +194,7 @@ class ReducedModel:
     def gives_way(self) -> bool:
         """Whether this is the shipped model of the default finger: the population's model takes its
         place for materials and forces that it does not serve."""
-        return self.meta is _shipped().meta
+        return self.hash == _shipped().hash
 
     @functools.cached_property
     def material(self) -> ConstitutiveLaw:
@@ -340,19 +340,29 @@ class ReducedModel:
         return ReducedState(vector, constants, self.state_at_rest(constants))
 
     def step(self, state: ReducedState, dt: float, force: float) -> ContactPoint:
-        """Advance by dt (s) to `force` (N, held at the force limit); time counts from rest."""
+        """Advance by dt (s) to `force` (N), which is held between 0 and the force limit; the
+        point's force is the held one, its time counts from rest.
+
+        Raises InputError for numbers that are not finite and time that goes back.
+        """
+        dt, force = float(dt), float(force)
+        if not (0.0 <= dt < math.inf and math.isfinite(force)):
+            raise InputError(
+                f"step of {dt:g} s to {force:g} N: a time of zero or more and a finite force are "
+                "needed"
+            )
         rk.step(self.networks, state.constants, state.state, self.work, dt, force)
         state.time += dt
         found = state.state[0]
-        area = float(found["area"])
+        area, held = float(found["area"]), float(found["force"])
         return ContactPoint(
             state.time,
-            force,
+            held,
             area,
             math.sqrt(area / math.pi),
             float(found["indentation"]),
             float(found["peak_pressure"]),
-            float(found["force"]) / area if area > 0 else 0.0,
+            mean_pressure(held, area),
         )
 
     def _try_out(self) -> None:
@@ -452,23 +462,20 @@ class ReducedModel:
         """Contacts of many parameter sets over many trials, on all cores that numba may use.
 
         parameters (P, n): vectors of `space`; trials: (time (n,), force (n,)) or (time, force, rows
-        (f,)), rows being the samples that are wanted (all of them without). Returns one (2, P, f)
-        array per trial: areas (m²) and indentations (m). Forces beyond the limit are held at it,
-        parameters out of range are not refused: see `out_of_range`.
+        (f,)), increasing rows being the samples that are wanted (all of them without). Returns one
+        (2, P, f) array per trial: areas (m²) and indentations (m). Forces beyond the limit are held
+        at it, parameters out of range are not refused: see `out_of_range`.
         """
         parameters = np.atleast_2d(np.asarray(parameters, dtype=float))
         constants = self.constants(*parameters)
-        checked = [check_force_history(t[0], t[1], f"trial {i}") for i, t in enumerate(trials)]
-        start = np.concatenate([[0], np.cumsum([len(time) for time, _ in checked])]).astype(
+        checked = [check_trial(trial, f"trial {i}") for i, trial in enumerate(trials)]
+        start = np.concatenate([[0], np.cumsum([len(time) for time, _, _ in checked])]).astype(
             np.int64
         )
         wanted = np.full(start[-1], -1, np.int64)
         frames = []
         count = 0
-        for i, trial in enumerate(trials):
-            rows = np.arange(len(checked[i][0])) if len(trial) < 3 else np.asarray(trial[2], int)
-            if len(rows) and (rows.min() < 0 or rows.max() >= len(checked[i][0])):
-                raise InputError(f"trial {i}: a wanted row lies outside the history")
+        for i, (_, _, rows) in enumerate(checked):
             wanted[start[i] + rows] = count + np.arange(len(rows))
             frames.append(slice(count, count + len(rows)))
             count += len(rows)
@@ -479,8 +486,8 @@ class ReducedModel:
                 constants,
                 np.zeros(1, self.maps.types.state),
                 self.work,
-                np.concatenate([time for time, _ in checked]),
-                np.concatenate([force for _, force in checked]),
+                np.concatenate([time for time, _, _ in checked]),
+                np.concatenate([force for _, force, _ in checked]),
                 start,
                 wanted,
                 out,

@@ -91,7 +91,9 @@ class SlipEstimator:
         Maxwell branches.
         """
         if not isinstance(material, MaxwellLaw):
-            raise InputError(f"material: slip is for laws of Maxwell branches, not '{material.name}'")
+            raise InputError(
+                f"material: slip is for laws of Maxwell branches, not '{material.name}'"
+            )
         if self._finger is None or self._finger != (geometry, material):
             self._finger = geometry, material
             set_finger(self._config["finger"][0], geometry, material)

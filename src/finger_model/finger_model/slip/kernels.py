@@ -26,8 +26,8 @@ REMEMBERED = 8192
 TURNED = 0.85
 """Share of the largest ratio of a pull below which it counts as reversed."""
 DIP, DIP_NOISE = 0.1, 6.0
-"""Of P, and of its noise: how far P must fall before it is said to grow again. Else every swing of a
-load that is held would count."""
+"""Of P, and of its noise: how far P must fall before it is said to grow again. Else every swing of
+a load that is held would count."""
 FRAMES, NEXT_RATIO = 20, 0.05
 """Frames of a pull that count until r has grown by NEXT_RATIO: more of them err as these do."""
 SMALLEST_FORCE = 0.05

@@ -148,8 +148,8 @@ def stick_ratio(
     mesh: SolidMesh, skin: np.ndarray, contact: Contact, way: np.ndarray, travel: float
 ) -> float:
     """Share of the contact's area whose `way` (S, 2) along the plate in a step is less than
-    SLIP_SHARE of the plate's `travel` (m) in it; skin (S, 3) positions. Slip is interpolated between the nodes, so that the
-    edge of the stick zone need not pass through them."""
+    SLIP_SHARE of the plate's `travel` (m) in it; skin (S, 3) positions. Slip is interpolated
+    between the nodes, so that the edge of the stick zone need not pass through them."""
     slid = np.hypot(*way.T)
     touches = (contact.status != OPEN).astype(float)
     even = (np.arange(SAMPLES) + 0.5) / SAMPLES
