@@ -22,6 +22,8 @@ from typing import Any
 
 import numpy as np
 
+from finger_common import contact_threshold, flags
+
 
 def forget_stale_kernels(package: Path, *others: str) -> None:
     """Remove a package's compiled kernels when a source that may be in them has changed since.
