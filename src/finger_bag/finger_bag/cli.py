@@ -315,9 +315,9 @@ def parser() -> argparse.ArgumentParser:
     )
     show.add_argument(
         "--reliability",
-        choices=("", "reliable", "best_effort"),
-        default="",
-        help="QoS reliability of streams (default: as recorded)",
+        choices=("reliable", "best_effort"),
+        default="reliable",
+        help="QoS reliability of streams (default: reliable, which every reader hears)",
     )
 
     record = command(

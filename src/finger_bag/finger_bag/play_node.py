@@ -46,7 +46,8 @@ STREAM_DEPTH, IMAGE_DEPTH = 2000, 50
 
 
 def qos_of(text: str, reliability: str, depth: int = STREAM_DEPTH) -> QoSProfile:
-    """Quality of service a topic was recorded with; `reliability` replaces it on streams."""
+    """Quality of service to play a topic with: latched if it was recorded so, and reliable, which
+    every reader hears, unless `reliability` asks for best effort on streams."""
     profile = QoSProfile(
         depth=depth, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE
     )
@@ -57,9 +58,7 @@ def qos_of(text: str, reliability: str, depth: int = STREAM_DEPTH) -> QoSProfile
     # rosbag2 writes numbers up to metadata version 8 and names from 9 on.
     if str(stored.get("durability")).lower() in ("1", "transient_local"):
         profile.durability = DurabilityPolicy.TRANSIENT_LOCAL
-    elif reliability == "best_effort" or (
-        not reliability and str(stored.get("reliability")).lower() in ("2", "best_effort")
-    ):
+    elif reliability == "best_effort":
         profile.reliability = ReliabilityPolicy.BEST_EFFORT
     return profile
 
@@ -70,7 +69,7 @@ def play(
     topics: Sequence[str] | None = None,
     clock: bool = False,
     wait: float = 1.0,
-    reliability: str = "",
+    reliability: str = "reliable",
 ) -> Collection[float]:
     """Publish a bag until its end, Ctrl-C or SIGTERM; gives how late (s) each message was.
 

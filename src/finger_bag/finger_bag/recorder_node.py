@@ -157,6 +157,7 @@ class RecorderNode(ManagedNode):
 
     def configure(self) -> None:
         self._recorder = Recorder(self.settings(RecorderSettings), on_error=self._on_error)
+        self.closing.callback(self._end_bag)
         self._topics: dict[str, _Topic] = {}
         self._definitions: dict[str, str] = {}
         """Definitions of types that `definitions` does not know, as installed."""
@@ -198,8 +199,7 @@ class RecorderNode(ManagedNode):
         self.create_steady_timer(1.0, self._each_second)
 
     def deactivate(self) -> None:
-        if self._recorder.started:
-            self._finish()
+        self._end_bag()
         self._unsubscribe()
 
     # Subscriptions ---------------------------------------------------------------------------
@@ -272,14 +272,7 @@ class RecorderNode(ManagedNode):
             lost = subscription.newly_lost()
             if lost and self._recorder.recording:
                 self._recorder.note_lost(topic.name, lost)
-            if subscription.new_mismatches():
-                self.log_fault(
-                    self._health,
-                    "qos_mismatch",
-                    f"a publisher of '{topic.name}' has a QoS that does not fit and is not "
-                    "recorded; set qos_reliability alike on both sides",
-                    WARN,
-                )
+            self.check_mismatch(subscription)
 
     def _note_bag(self) -> None:
         path = self._recorder.path if self._recorder.recording else None
@@ -354,6 +347,8 @@ class RecorderNode(ManagedNode):
     def _on_record(self, request: Any, response: Any) -> Any:
         try:
             if request.command == Record.Request.COMMAND_START:
+                if not self.active:
+                    raise InputError("the node is not active; activate it first")
                 path = self._start(request.path, request.trial)
                 response.path, response.message = str(path), f"recording into {path}"
             elif request.command == Record.Request.COMMAND_STOP:
@@ -397,7 +392,8 @@ class RecorderNode(ManagedNode):
             for topic in self._topics.values():
                 topic.gaps = StampGaps() if topic.steady else None
             self._lost_told = 0
-            self._health.recovered()
+            for key in ("recording", "interrupted", "lost"):
+                self._health.recovered(key)
         started = self._recorder.start(
             target, SessionMetadata.from_mapping(session), topics, attachments, self._definitions
         )
@@ -438,6 +434,11 @@ class RecorderNode(ManagedNode):
             f"{result.lost_count} lost" + (f", stamps missing: {missing}" if missing else "")
         )
         return result
+
+    def _end_bag(self) -> None:
+        """Finish the bag that was started, if there is one."""
+        if self._recorder.started:
+            self._finish()
 
     def _on_error(self, text: str) -> None:
         self._next_attempt = 0.0

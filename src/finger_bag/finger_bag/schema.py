@@ -213,7 +213,7 @@ def offered_qos(latched: int) -> list[dict[str, Any]]:
         {
             "history": 1,  # keep last
             "depth": latched or 200,
-            "reliability": 1 if latched else 2,  # reliable, best effort
+            "reliability": 1,  # reliable: a reader that wants best effort hears it too
             "durability": 1 if latched else 2,  # transient local, volatile
             "deadline": forever(),
             "lifespan": forever(),

@@ -384,6 +384,74 @@ def test_a_refused_start_leaves_the_accounts_of_the_recording_that_runs(node: An
     assert "wrench 3" in node._health.report().message
 
 
+def test_an_inactive_node_refuses_to_record_and_its_cleanup_finishes_a_bag(
+    ros_domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from finger_msgs.srv import Record
+
+    with running_node(ros_domain, tmp_path, monkeypatch, bag_name="bag") as node:
+        node.trigger_deactivate()
+        request = Record.Request(command=Record.Request.COMMAND_START, path="other")
+        answer = node._on_record(request, Record.Response())
+        assert not answer.success and "not active; activate it first" in answer.message
+        assert not (tmp_path / "other").exists()
+        # A bag that was begun by an activation that then failed.
+        shutil.rmtree(tmp_path / "bag")
+
+        def refuse(*arguments: Any) -> Any:
+            raise InputError("no timer is left")
+
+        monkeypatch.setattr(node, "create_steady_timer", refuse)
+        assert node.trigger_activate().name == "FAILURE" and node._recorder.started
+        node.trigger_cleanup()
+        with open_bag(tmp_path / "bag") as reader:
+            assert reader.info.complete
+
+
+def test_a_publisher_that_does_not_fit_is_named_with_its_remedy_until_it_is_gone(
+    ros_domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import rclpy
+    from geometry_msgs.msg import WrenchStamped
+    from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+    from finger_msgs.msg import Trial
+
+    reliable = QoSProfile(depth=5)
+    best_effort = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+    def look() -> None:
+        node._each_second()
+        node.publish_diagnostics()
+
+    def said() -> str:
+        return str(node.healths[0].faults.get("qos_mismatch", ""))
+
+    with running_node(ros_domain, tmp_path, monkeypatch, record_at_start=False) as node:
+        other = rclpy.create_node("other", context=node.context)
+        trial = other.create_publisher(Trial, "/trial", reliable)
+        wait_for(said, "the warning", look)
+        assert "'/trial' has another durability" in said()
+        assert said().endswith("publish it transient local")
+        node._start("bag", None)
+        look()
+        assert "'/trial'" in said(), "a new bag does not mend it"
+        node._finish()
+        # The recorder reads reliably where all publish so, and with best effort again after that.
+        other.create_publisher(WrenchStamped, "/wrench", reliable)
+        wait_for(lambda: node._topics["/wrench"].reliable, "the reliable reader", look)
+        node._start("while", None)
+        other.create_publisher(WrenchStamped, "/wrench", best_effort)
+        wait_for(lambda: "'/wrench'" in said(), "the second warning", look)
+        assert "'/wrench' has another reliability" in said() and "'/trial'" in said()
+        assert "set qos_reliability alike on both sides" in said()
+        node._finish()
+        wait_for(lambda: "'/wrench'" not in said(), "its end", look)
+        other.destroy_publisher(trial)
+        wait_for(lambda: not said(), "the end", look)
+        other.destroy_node()
+
+
 def test_attachments_keep_their_names_and_two_of_one_name_are_refused(tmp_path: Path) -> None:
     pytest.importorskip("rclpy")
     from finger_bag.recorder_node import RecordingSettings, _attached

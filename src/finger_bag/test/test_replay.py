@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from session_bags import START, wrench
 
+from finger_bag.cli import parser
 from finger_bag.reader import open_bag
 from finger_bag.replay import ReplaySettings, lateness_text, replay
 from finger_bag.writer import BagWriter
@@ -147,7 +148,10 @@ def test_any_text_may_stand_in_the_place_of_a_quality_of_service(text: str) -> N
     stored = (
         "- history: keep_last\n  depth: 1\n  reliability: best_effort\n  durability: volatile\n"
     )
-    assert qos_of(stored, "").reliability == ReliabilityPolicy.BEST_EFFORT
+    # Recordings of before, too, reach a subscriber with the usual QoS, unless otherwise asked.
+    usual = parser().parse_args(["play", "bag"]).reliability
+    assert qos_of(stored, usual).reliability == ReliabilityPolicy.RELIABLE
+    assert qos_of(stored, "best_effort").reliability == ReliabilityPolicy.BEST_EFFORT
 
 
 def test_model_node_in_the_time_of_the_bag_estimates_as_offline(

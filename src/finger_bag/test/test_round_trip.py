@@ -101,8 +101,10 @@ def test_metadata_yaml_holds_what_rosbag2_needs(session: Callable[..., Path]) ->
         t["message_count"] for t in data["topics_with_message_count"]
     )
     by_name = {t["topic_metadata"]["name"]: t for t in data["topics_with_message_count"]}
-    qos = yaml.safe_load(by_name["/finger/trial"]["topic_metadata"]["offered_qos_profiles"])
-    assert (qos[0]["durability"], qos[0]["reliability"]) == (1, 1)  # latched on replay
+    for name, durability in (("/finger/trial", 1), ("/finger/wrench", 2)):
+        qos = yaml.safe_load(by_name[name]["topic_metadata"]["offered_qos_profiles"])
+        # Latched or not on replay, and reliable, so that every reader hears it.
+        assert (qos[0]["durability"], qos[0]["reliability"]) == (durability, 1)
     assert data["custom_data"]["finger_session.subject"] == "S01"
 
 
@@ -207,6 +209,36 @@ def test_messages_written_out_of_order_come_in_order_of_log_time(tmp_path: Path)
     with open_bag(tmp_path / "bag") as reader:
         cut = [m.log_time_ns for m in reader.messages(start=START + 10**9, stop=START + 2 * 10**9)]
     assert cut == [t for t in found if START + 10**9 <= t < START + 2 * 10**9]
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_one_topic_may_be_named_and_what_would_give_nothing_is_refused(
+    tmp_path: Path, storage: str
+) -> None:
+    if storage == "mcap":
+        with BagWriter(tmp_path / "bag", chunk_size=1000) as bag:
+            for i in range(200):
+                bag.write("wrench", wrench(START + i, 0.01 * i))
+    else:
+        store = get_typestore(Stores.ROS2_JAZZY)
+        with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3) as sqlite:
+            name = "std_msgs/msg/String"
+            topic = sqlite.add_connection("/finger/wrench", name, typestore=store)
+            data = store.serialize_cdr(store.types[name]("a"), name)
+            for i in range(200):
+                sqlite.write(topic, START + i, data)
+    with open_bag(tmp_path / "bag") as reader:
+        assert len(list(reader.messages("/finger/wrench"))) == 200
+        assert len(list(reader.messages("/finger/wrench", np.int64(START + 50)))) == 150
+        for times in ({"start": START * 1e-9}, {"stop": float(START)}):
+            with pytest.raises(InputError, match=r"whole nanoseconds are needed"):
+                reader.messages(**times)
+        begun = reader.messages("/finger/wrench")
+        assert next(begun).log_time_ns == START
+        later = reader.messages("/finger/wrench")
+    for messages in (reader.messages(), later, begun):
+        with pytest.raises(InputError, match="bag: the bag is closed; read its messages before"):
+            list(messages)
 
 
 def test_splits_by_size_and_time_read_as_one_bag(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ Groups come up one after the other. A group may begin when all nodes of the grou
 active, or when `patience` has passed since the group before it began: a device that is not plugged
 in must not hold up the rest. A node that refuses is tried again after `retry`. A node that was
 restarted is unconfigured, and is brought up again. One that somebody else deactivates, cleans up or
-shuts down is left to them until it is active again.
+shuts down is left to them until it is active again; only a new process follows a shutdown.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-UNCONFIGURED, INACTIVE, ACTIVE = 1, 2, 3
+UNCONFIGURED, INACTIVE, ACTIVE, FINALIZED = 1, 2, 3, 4
 """Primary states, numbered as in lifecycle_msgs/State."""
 
 CONFIGURE, ACTIVATE = 1, 3
@@ -39,8 +39,11 @@ class BringUp:
         self.retry = retry
         self._began: list[float | None] = [None] * len(self.groups)
         self._not_before: dict[str, float] = {}
+        self.refused: set[str] = set()
+        """Nodes that refused a transition and have not been active since."""
         self._seen: dict[str, float] = {}
-        """Time of the last answer of each node that has been active since it was started."""
+        """Time of the last answer of each node that has been active, or shut down, since it was
+        started."""
         self._moved: dict[str, float] = {}
         """Time of the last transition that each node reported, until its state is known."""
         self.taken_down: dict[str, int] = {}
@@ -80,15 +83,18 @@ class BringUp:
         a state below ACTIVE is somebody's wish; so it is after a transition that the node reported.
         A restarted node reports none, and answers later questions only.
         """
+        if state in (ACTIVE, FINALIZED):
+            self.refused.discard(node)
         if state == ACTIVE:
             self._seen[node] = now
             self.taken_down.pop(node, None)
             if asked >= self._moved.get(node, math.inf):
                 del self._moved[node]
-        elif node in self._seen:
+        elif state == FINALIZED or node in self._seen:
             reported = self._moved.pop(node, None) is not None
-            soon = asked - self._seen[node] < QUICKEST_RESTART
-            if state == INACTIVE or reported or soon:
+            soon = asked - self._seen.get(node, now) < QUICKEST_RESTART
+            ended = self.taken_down.get(node) == FINALIZED
+            if state == FINALIZED or (not ended and (state == INACTIVE or reported or soon)):
                 self._seen[node] = now
                 self.taken_down[node] = state
             else:
@@ -98,6 +104,7 @@ class BringUp:
     def failed(self, node: str, now: float) -> None:
         """A transition was refused; it is tried again later."""
         self._not_before[node] = now + self.retry
+        self.refused.add(node)
 
     def missing(self, states: Mapping[str, int], of: Sequence[str] | None = None) -> list[str]:
         """Nodes that should be active and are not, among all or those given."""

@@ -15,7 +15,7 @@ import time
 from dataclasses import dataclass
 from typing import Any
 
-from lifecycle_msgs.msg import State, Transition, TransitionEvent
+from lifecycle_msgs.msg import Transition, TransitionEvent
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
@@ -25,17 +25,21 @@ from finger_common.diagnostics import ERROR, STARTING, WARN, Health
 from finger_common.node import HEARTBEAT, ManagedNode, main_of
 from finger_common.settings import Settings, setting
 
-from .bring_up import ACTIVE, ALL_ACTIVE, CONFIGURE, INACTIVE, UNCONFIGURED, BringUp
+from .bring_up import (
+    ACTIVE,
+    ALL_ACTIVE,
+    CONFIGURE,
+    FINALIZED,
+    INACTIVE,
+    UNCONFIGURED,
+    BringUp,
+)
 
 STATE_TIMEOUT = 5.0
 """s without an answer after which a node's state is unknown: it was killed, or is not there."""
 NEWS = 10.0
 """s between lines that name the nodes that are waited for."""
-_STATES = {
-    State.PRIMARY_STATE_UNCONFIGURED: "unconfigured",
-    State.PRIMARY_STATE_INACTIVE: "inactive",
-    State.PRIMARY_STATE_FINALIZED: "shut down",
-}
+_STATES = {UNCONFIGURED: "unconfigured", INACTIVE: "inactive"}
 STEP = 0.25
 """s between looks at the nodes."""
 TURN = 1.0
@@ -232,15 +236,21 @@ class BringUpNode(ManagedNode):
 
     def _report(self) -> None:
         taken_down = self._bring_up.taken_down
-        if taken_down:
-            names = ", ".join(
-                f"{node} ({_STATES.get(state, 'changing')})" for node, state in taken_down.items()
-            )
-            text = f"not active by request: {names}; left so until activated again"
-            self.log_fault(self._health, "taken_down", text, WARN)
-        else:
-            self._health.recovered("taken_down")
+        waiting = [
+            f"{node} ({_STATES.get(state, 'changing')})"
+            for node, state in taken_down.items()
+            if state != FINALIZED
+        ]
+        ended = [node for node, state in taken_down.items() if state == FINALIZED]
         missing = self._bring_up.missing(self._states)
+        refused = [node for node in missing if node in self._bring_up.refused]
+        self._warn_of(
+            "taken_down", "not active by request", waiting, "left so until activated again"
+        )
+        self._warn_of(
+            "shut_down", "shut down", ended, "restart its process (with --compose: the whole one)"
+        )
+        self._warn_of("refused", "refused", refused, "the diagnostics of each say why")
         self._tell_starting(missing)
         if not missing:
             self._health.recovered("not_active")
@@ -258,6 +268,13 @@ class BringUpNode(ManagedNode):
             if lost:
                 self._complete = False
                 self.log_fault(self._health, "not_active", f"not active: {', '.join(lost)}", WARN)
+
+    def _warn_of(self, key: str, what: str, nodes: list[str], remedy: str) -> None:
+        """Name the nodes of which it is true, as long as there are any."""
+        if nodes:
+            self.log_fault(self._health, key, f"{what}: {', '.join(nodes)}; {remedy}", WARN)
+        else:
+            self._health.recovered(key)
 
     def _tell_starting(self, missing: list[str]) -> None:
         """Name the nodes that are not up for the first time yet: they are no fault."""

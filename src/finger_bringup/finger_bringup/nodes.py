@@ -198,13 +198,16 @@ def select(
     """The wanted nodes in the order of their coming up, and last the node that brings them up.
 
     wanted: names of NODES, or entries beside it. parameters: those of nodes that are not wanted
-    have no effect. Raises InputError for a name that is not in NODES.
+    have no effect. Raises InputError for a name that is not in NODES, and when nothing is left to
+    run.
     """
     parameters = parameters or {}
     found = [entry_of(node) if isinstance(node, str) else node for node in wanted]
     for path in parameters.keys() - {entry.path for entry in found}:
         entry_of(path.rpartition("/")[2])
     entries = sorted((e for e in found if e.name != BRING_UP.name), key=lambda entry: entry.rank)
+    if not entries:
+        raise InputError("no node is left to run; leave out fewer, or name others to run")
     groups: dict[int, list[str]] = {}
     for entry in entries:
         if entry.lifecycle:

@@ -8,14 +8,23 @@ from __future__ import annotations
 import os
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from finger_bringup.bring_up import ACTIVATE, ACTIVE, CONFIGURE, INACTIVE, UNCONFIGURED, BringUp
+from finger_bringup.bring_up import (
+    ACTIVATE,
+    ACTIVE,
+    CONFIGURE,
+    FINALIZED,
+    INACTIVE,
+    UNCONFIGURED,
+    BringUp,
+)
 
 
 def test_groups_come_up_one_after_the_other() -> None:
@@ -81,11 +90,25 @@ def test_a_node_that_somebody_takes_down_is_left_to_them_until_it_is_active_agai
     assert steps(UNCONFIGURED, 11.0, 11.1) == [("force", CONFIGURE)] and not plan.taken_down
 
 
-class Node:
-    """What `bring_up` asks of a lifecycle node; the first `lost` requests of a change get lost."""
+@pytest.mark.parametrize("before", [ACTIVE, UNCONFIGURED])
+def test_after_a_shutdown_only_another_process_is_brought_up(before: int) -> None:
+    plan = BringUp([["force"]])
+    plan.answered("force", before, 0.0, 0.1)
+    for now in (5.0, 10.0):
+        plan.answered("force", FINALIZED, now, now)
+        assert plan.taken_down == {"force": FINALIZED} and not plan.missing({"force": FINALIZED})
+    plan.answered("force", UNCONFIGURED, 10.1, 10.2)
+    assert plan.steps({"force": UNCONFIGURED}, 10.2) == [("force", CONFIGURE)]
+    assert not plan.taken_down
 
-    def __init__(self, lost: int = 0, ready: bool = True) -> None:
+
+class Node:
+    """What `bring_up` asks of a lifecycle node; the first `lost` requests of a change get lost.
+    refuses: whether it refuses every transition."""
+
+    def __init__(self, lost: int = 0, ready: bool = True, refuses: bool = False) -> None:
         self.state, self.lost, self.ready = UNCONFIGURED, lost, ready
+        self.refuses = refuses
         self.asked = 0
 
     def service_is_ready(self) -> bool:
@@ -99,26 +122,72 @@ class Node:
             answer.set_result(SimpleNamespace(current_state=SimpleNamespace(id=self.state)))
             return answer
         self.asked += 1
-        if self.asked > self.lost:
+        if self.refuses:
+            answer.set_result(SimpleNamespace(success=False))
+        elif self.asked > self.lost:
             self.state = {CONFIGURE: INACTIVE, ACTIVATE: ACTIVE}[request.transition.id]
             answer.set_result(SimpleNamespace(success=True))
         return answer
 
 
+@contextmanager
+def manager_of(ros_domain: int, *order: str) -> Iterator[Any]:
+    """The node `bring_up` of these groups, configured and not served."""
+    rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+    from finger_bringup.bring_up_node import BringUpNode
+
+    rclpy.init(domain_id=ros_domain)
+    try:
+        manager = BringUpNode()
+        manager.set_parameters([rclpy.Parameter("order", value=list(order))])
+        manager.values = manager.read_parameters()
+        manager.configure()
+        manager.healths[0].state = "active"
+        yield manager
+        manager.destroy_node()
+    finally:
+        rclpy.shutdown()
+
+
+def test_nodes_that_refuse_and_those_that_were_shut_down_are_named(
+    ros_domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = 0.0
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    with manager_of(ros_domain, "force", "vision model") as manager:
+        nodes = {"force": Node(), "vision": Node(refuses=True), "model": Node()}
+        manager._state_clients, manager._change_clients = dict(nodes), dict(nodes)
+        health = manager.healths[0]
+
+        def said(after: float) -> tuple[int, str]:
+            nonlocal now
+            now += after
+            manager._step()
+            report = health.report()
+            return report.level, report.message
+
+        level, text = said(0.0)
+        assert level == 1 and "refused: vision;" in text
+        assert not manager._complete
+        nodes["vision"].refuses = False
+        assert said(10.0)[0] == 0
+        nodes["model"].state = FINALIZED
+        for _ in range(3):
+            level, text = said(1.1)
+        assert level == 1 and "shut down: model; restart its process" in text
+        assert "activated again" not in text
+        nodes["model"].state = UNCONFIGURED
+        assert said(1.1)[0] == 0 and nodes["model"].state == ACTIVE
+
+
 def test_a_transition_whose_request_was_lost_is_asked_for_again(
     ros_domain: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
     from finger_bringup import bring_up_node
 
     now = 0.0
-    monkeypatch.setattr(bring_up_node.time, "monotonic", lambda: now)
-    rclpy.init(domain_id=ros_domain)
-    try:
-        manager = bring_up_node.BringUpNode()
-        manager.set_parameters([rclpy.Parameter("order", value=["force", "model"])])
-        manager.values = manager.read_parameters()
-        manager.configure()
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    with manager_of(ros_domain, "force", "model") as manager:
         # The first one's service was not discovered yet: a request to it would be lost.
         nodes = {"force": Node(ready=False), "model": Node(lost=1)}
         manager._state_clients = {"force": Node(), "model": nodes["model"]}
@@ -135,9 +204,6 @@ def test_a_transition_whose_request_was_lost_is_asked_for_again(
         manager._step()
         manager._step()
         assert nodes["model"].state == ACTIVE
-        manager.destroy_node()
-    finally:
-        rclpy.shutdown()
 
 
 def test_nodes_come_up_over_dds_and_again_after_a_kill(

@@ -188,6 +188,11 @@ def test_a_file_that_is_no_parameter_file_is_named(tmp_path: Path, text: str, sa
         ),
         (["up", "--without", "cam"], "node 'cam' does not exist; did you mean 'camera'? Known are"),
         (["up", "--without", "simulated_rig"], "'simulated_rig' would not run anyway"),
+        (["up", "--nodes", "force", "--without", "force"], "no node is left to run; leave out"),
+        (
+            ["up", "--fingers", "thumb", "--without", "force", "model"],
+            "no node is left to run; leave out",
+        ),
         (["up", "--parameters", "missing.yaml"], "missing.yaml: no such parameter file"),
         (["up", "--namespace", "2nd"], "namespace '2nd' is not one of ROS; use letters"),
         (["up", "--namespace", "hand//thumb"], "namespace 'hand//thumb' is not one of ROS"),

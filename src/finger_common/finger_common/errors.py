@@ -45,6 +45,12 @@ class ModelError(FingerError):
     """
 
 
+def check_type(value: object, kind: type, name: str) -> None:
+    """Raise InputError, with the name, for a value of another type."""
+    if not isinstance(value, kind):
+        raise InputError(f"{name} is of type {type(value).__name__}; give a {kind.__name__}")
+
+
 def nearest(name: str, known: Iterable[str]) -> str | None:
     """The known name that was probably meant: one that begins so, or is spelt alike."""
     names = list(known)

@@ -23,6 +23,7 @@ from service_calls import call  # noqa: E402
 from std_msgs.msg import Float64  # noqa: E402
 
 from finger_common.diagnostics import Health  # noqa: E402
+from finger_common.errors import InputError  # noqa: E402
 from finger_common.node import ManagedNode, stream_watch  # noqa: E402
 from finger_common.settings import Settings, setting  # noqa: E402
 
@@ -166,6 +167,9 @@ def test_a_refused_value_leaves_type_and_value(bench: Bench) -> None:
     ):
         refused = bench.set(name, value)
         assert not refused.successful and says in refused.reason, refused.reason
+    refused = bench.set("gian", 3.0)
+    assert not refused.successful
+    assert refused.reason.startswith("parameter 'gian' does not exist here; did you mean 'gain'?")
     assert bench.describe("gain")[0].type == ParameterType.PARAMETER_DOUBLE
     assert gauge.get_parameter("gain").value == 1.0
     # A whole number is a number: it is taken, and the parameter stays one of type double.
@@ -183,8 +187,49 @@ def test_a_bad_value_at_start_leaves_the_node_up_until_it_is_corrected(bench: Be
     assert not gauge.bring_up()
     with pytest.raises(Exception, match=r"'count' is 99, outside 1 … 9 samples"):
         gauge.read_parameters()
+    # Diagnostics say why the node does not run, until it does.
+    assert bench.level(gauge) == 2
+    assert "'count' is 99, outside 1 … 9 samples" in bench.reports[0].message
     assert bench.set("count", 9).successful
     assert gauge.bring_up() and gauge.values["count"] == 9
+    assert bench.level(gauge) == 0
+
+
+@pytest.mark.parametrize(
+    ("step", "defect"),
+    [
+        ("configure", InputError("plug it in")),
+        ("configure", ZeroDivisionError("plug it in")),
+        ("activate", ZeroDivisionError("plug it in")),
+    ],
+)
+def test_why_a_transition_failed_stays_in_the_health_until_it_succeeds(
+    bench: Bench, step: str, defect: Exception
+) -> None:
+    class Unplugged(ManagedNode):
+        NAME = "gauge"
+
+        def __init__(self, **options: Any) -> None:
+            super().__init__(**options)
+            self.failing = step
+            self.healths = [Health("gauge")]  # one that lives as long as the node
+
+        def _pass(self, step: str) -> None:
+            if self.failing == step:
+                raise defect
+
+        def configure(self) -> None:
+            self._pass("configure")
+
+        def activate(self) -> None:
+            self._pass("activate")
+
+    node = bench.add(Unplugged(context=bench.context, namespace="left"))
+    assert not node.bring_up()
+    report = node.healths[0].report()
+    assert report.level == 2 and "plug it in" in report.message
+    node.failing = ""
+    assert node.bring_up() and node.healths[0].report().level == 0
 
 
 RELIABLE = QoSProfile(depth=10)
@@ -278,6 +323,8 @@ def test_a_publisher_that_does_not_fit_is_a_warning_until_it_is_gone(bench: Benc
     assert gauge.bring_up()
     writer = bench.observer.create_publisher(Float64, "/left/input", BEST_EFFORT)
     bench.until(lambda: "qos_mismatch" in gauge.healths[0].faults)
+    said = gauge.healths[0].faults["qos_mismatch"]
+    assert "'input' has another reliability" in said and "qos_reliability alike" in said
     bench.observer.destroy_publisher(writer)
     bench.until(lambda: "qos_mismatch" not in gauge.healths[0].faults)
 
@@ -302,3 +349,32 @@ def test_a_second_publisher_of_a_stream_is_an_error_and_a_restarted_node_is_not(
     monkeypatch.setattr(stream_watch, "REMEMBERED", 0.5)
     bench.until(lambda: "second_publisher" in gauge.healths[0].faults)
     assert "another /left/gauge" in gauge.healths[0].faults["second_publisher"]
+
+
+def test_a_second_node_of_a_name_that_publishes_no_stream_is_an_error(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two recorders: a request goes to both, and the answer is that of either."""
+
+    class Silent(ManagedNode):
+        NAME = "silent"
+
+        def configure(self) -> None:
+            self.healths = [Health("silent")]
+
+    def made(context: Any, namespace: str) -> Silent:
+        node = bench.add(Silent(context=context, namespace=namespace))
+        assert node.bring_up()
+        return node
+
+    monkeypatch.setattr(stream_watch, "REMEMBERED", 0.5)
+    first = made(bench.context, "left")
+    made(bench.new_context(), "right")
+    bench.gauge()  # of the same namespace, with the same topic of heartbeats
+    twin = made(bench.new_context(), "left")
+    health = first.healths[0]
+    bench.until(lambda: "another /left/silent runs" in health.faults.get("namesake", ""))
+    assert health.report().level == 2
+    bench.executor.remove_node(twin)
+    twin.destroy_node()
+    bench.until(lambda: "namesake" not in health.faults)

@@ -503,8 +503,18 @@ class Protocol:
             self._fail(f"the recorder did not start: {message}")
             self._hold("The recorder did not start; check its state, then resume.")
 
-    def recorder_stopped(self, success: bool, message: str, now_ns: int, lost: int = 0) -> None:
-        """The recorder's answer to a stop. lost: messages that are not in the bag."""
+    def recorder_stopped(
+        self,
+        success: bool,
+        message: str,
+        now_ns: int,
+        lost: int = 0,
+        message_count: int | None = None,
+        bag: str = "",
+    ) -> None:
+        """The recorder's answer to a stop. lost: messages that are not in the bag. message_count,
+        bag: those that are in it, and its path, where they are told.
+        """
         self._now = max(self._now, now_ns)
         if self.recording not in ("stopping", "on"):
             # The answer to the stop of an earlier attempt; the next bag is being opened already.
@@ -514,6 +524,10 @@ class Protocol:
             return
         if not success and self.limits.need_recorder:
             self._fail(f"the recorder did not close the bag: {message}")
+        elif bag and Path(bag) != Path(self._attempt.bag):
+            self._fail("the recording was stopped by somebody else")
+        elif message_count == 0:
+            self._fail("the bag holds no message")
         elif lost > self.limits.lost_limit:
             self._fail(f"the recorder lost {lost} messages")
         else:

@@ -48,7 +48,7 @@ from finger_msgs.srv import Record
 
 from .limits import Limits
 from .normal_force import NormalForce
-from .protocol import Effect, Protocol, StartRecording, Step
+from .protocol import Effect, Protocol, StartRecording, Step, StopRecording
 from .recorder_requests import RecorderRequests
 from .session_store import STATE_FILE, free_space, further_files, sessions_by_subject
 from .status import closed_status, session_status
@@ -201,6 +201,9 @@ class ProtocolNode(ManagedNode):
                 self._protocol.pause(self.sample_time())
                 # The publisher may be destroyed next.
                 self._trial_publisher.wait_for_all_acked(Duration(seconds=0.5))
+        if self._protocol is not None and self._protocol.recording in ("starting", "on"):
+            self._effect(StopRecording())
+        self._recorder.send_all()
 
     def parameters_changed(self, changes: dict[str, Any]) -> None:
         values = {**self.values, **changes}
@@ -462,7 +465,8 @@ class ProtocolNode(ManagedNode):
         if request.command == Record.Request.COMMAND_START:
             self._protocol.recorder_started(*answer, bag=response.path, asked=request.path)
         else:
-            self._protocol.recorder_stopped(*answer, lost=int(response.lost_count))
+            counts = {"lost": response.lost_count, "message_count": response.message_count}
+            self._protocol.recorder_stopped(*answer, **counts, bag=response.path)
 
     def _stage(self) -> tuple[Any, ...]:
         """Of which a new status is published at once."""

@@ -50,6 +50,16 @@ class RecorderRequests:
                 self._finish(request, None, "the recorder is not running")
             return
         self._waiting.popleft()
+        self._send(request, now)
+
+    def send_all(self) -> None:
+        """Send what waits although something is not answered yet: for an end, after which nobody
+        steps.
+        """
+        while self._waiting and self._client.service_is_ready():
+            self._send(self._waiting.popleft()[0], time.monotonic())
+
+    def _send(self, request: Any, now: float) -> None:
         future = self._client.call_async(request)
         self._sent = (request, now, future)
         future.add_done_callback(lambda done: self._on_answer(request, done))

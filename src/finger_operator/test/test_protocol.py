@@ -435,6 +435,28 @@ def test_recorder_that_does_not_close_fails_the_trial(rig: Rig) -> None:
     expect_failure(rig, "did not close the bag: no answer")
 
 
+@pytest.mark.parametrize(
+    ("bag", "message_count", "why"),
+    [
+        ("000_dry_0", 900, ""),
+        ("foreign", 900, "the recording was stopped by somebody else"),
+        ("000_dry_0", 0, "the bag holds no message"),
+    ],
+)
+def test_a_trial_counts_only_with_its_own_recording(
+    rig: Rig, bag: str, message_count: int, why: str
+) -> None:
+    rig.to_press()
+    rig.press()
+    rig.recorder_answers = False
+    rig.readings(1.0, 2.0, 3.0)
+    counts = {"message_count": message_count, "bag": str(rig.folder / bag)}
+    rig.protocol.recorder_stopped(True, "", rig.now, **counts)
+    assert (rig.attempt.verdict, rig.attempt.reason) == ("failed" if why else "done", why)
+    if why:
+        expect_failure(rig, why)
+
+
 def test_late_answer_to_an_old_stop_leaves_the_next_recording_alone(rig: Rig) -> None:
     rig.to_press()
     rig.recorder_answers = False

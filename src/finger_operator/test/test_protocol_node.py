@@ -8,7 +8,8 @@ from __future__ import annotations
 import json
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +43,7 @@ class Suite:
         self.trials: list[Any] = []
         self.status: dict[str, Any] = {}
         self.requests: list[Any] = []
+        self.bag = ""
         self.force = 0.0
         self.wrench = self.node.create_publisher(WrenchStamped, "wrench", stream)
         self.areas = self.node.create_publisher(ContactArea, "contact_area", stream)
@@ -60,8 +62,10 @@ class Suite:
 
     def _record(self, request: Any, response: Any) -> Any:
         self.requests.append(request)
+        self.bag = request.path or self.bag
         response.success = True
-        response.path = request.path
+        response.path = self.bag
+        response.message_count = 1000
         return response
 
     def _publish_force(self) -> None:
@@ -294,6 +298,7 @@ def test_late_joiners_receive_the_newest_only_and_ctrl_c_is_reported(
     suite.until(lambda: suite.trials[-1].phase == Trial.PHASE_PAUSED)
     assert child.wait(60) == 0, child.output.read_text()
     suite.until(lambda: late[-1].phase == Trial.PHASE_PAUSED)
+    suite.until(lambda: suite.requests[-1].command == 0)
     assert late[0].phase == Trial.PHASE_PRESS
     state = json.loads((tmp_path / "run" / "session.json").read_text())
     assert state["paused"] and "paused during the trial" in str(state["trials"][0]["attempts"])
@@ -321,11 +326,84 @@ def test_names_are_refused_and_a_missing_recorder_is_reported(
         suite.close()
 
 
+@contextmanager
+def node_here(ros_domain: int, output: Path, **values: Any) -> Iterator[Any]:
+    """The node in this process, active; its session is forgotten at the end."""
+    from rclpy.parameter import Parameter
+
+    from finger_operator.protocol_node import ProtocolNode
+
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=ros_domain)
+    values = {"output": str(output), "subject": "S01", "readings": 0, **values}
+    given = [Parameter(name, value=value) for name, value in values.items()]
+    node = ProtocolNode(context=context, parameter_overrides=given)
+    try:
+        assert node.bring_up()
+        yield node
+    finally:
+        node._protocol = None
+        node.release()
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
+@pytest.mark.parametrize(
+    ("bag", "messages", "verdict"), [("", 9, "done"), ("x", 9, "failed"), ("", 0, "failed")]
+)
+def test_the_recorder_s_answer_to_the_stop_decides_with_path_and_count(
+    ros_domain: int, tmp_path: Path, bag: str, messages: int, verdict: str
+) -> None:
+    from finger_msgs.srv import Record
+    from finger_operator.protocol import Step
+
+    with node_here(ros_domain, tmp_path) as node:
+        node._start()
+        node._start()
+        protocol = node._protocol
+        attempt = protocol.trials[0].attempts[0]
+        protocol.step, protocol.recording = Step.CLOSING, "stopping"
+        answer = Record.Response(success=True, path=attempt.bag + bag, message_count=messages)
+        node._recorded(Record.Request(command=Record.Request.COMMAND_STOP), answer, "")
+        assert attempt.verdict == verdict
+
+
+@pytest.mark.parametrize("step", ["PRESS", "MOISTURE_AFTER"])
+def test_the_recording_ends_with_the_activity_of_the_node(
+    ros_domain: int, tmp_path: Path, step: str
+) -> None:
+    """Also when the recorder has not answered the start yet."""
+    from rclpy.task import Future
+
+    from finger_msgs.srv import Record
+    from finger_operator.protocol import Step
+
+    class Recorder:
+        """Client of one that answers nothing."""
+
+        def __init__(self) -> None:
+            self.asked: list[int] = []
+
+        def service_is_ready(self) -> bool:
+            return True
+
+        def call_async(self, request: Any) -> Any:
+            self.asked.append(request.command)
+            return Future()
+
+    with node_here(ros_domain, tmp_path) as node:
+        node._recorder._client = recorder = Recorder()
+        node._start()
+        node._start()
+        node._tick()
+        node._protocol.step = Step[step]
+        assert node.trigger_deactivate().name == "SUCCESS"
+    assert recorder.asked == [Record.Request.COMMAND_START, Record.Request.COMMAND_STOP]
+
+
 def test_the_status_of_a_long_session_holds_up_no_press(
     ros_domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from rclpy.parameter import Parameter
-
     from finger_operator import protocol_node
     from finger_operator.protocol import Step
 
@@ -340,13 +418,7 @@ def test_the_status_of_a_long_session_holds_up_no_press(
 
     monkeypatch.setattr(protocol_node, "session_status", slow)
     monkeypatch.setattr(protocol_node.time, "monotonic", lambda: clock[0])
-    values = {"output": str(tmp_path), "subject": "S01", "readings": 0, "need_recorder": False}
-    context = rclpy.Context()
-    rclpy.init(context=context, domain_id=ros_domain)
-    given = [Parameter(name, value=value) for name, value in values.items()]
-    node = protocol_node.ProtocolNode(context=context, parameter_overrides=given)
-    try:
-        assert node.bring_up()
+    with node_here(ros_domain, tmp_path, need_recorder=False) as node:
         node._start()
         monkeypatch.setattr(node._protocol, "tick", lambda now_ns: None)
         for step, ticks in ((Step.PREPARE, 20), (Step.PRESS, 100), (Step.DONE, 1)):
@@ -354,10 +426,5 @@ def test_the_status_of_a_long_session_holds_up_no_press(
             for _ in range(ticks):
                 clock[0] += 0.05
                 node._tick()
-    finally:
-        node._protocol = None
-        node.release()
-        node.destroy_node()
-        rclpy.shutdown(context=context)
     assert made.count("prepare") == 2, "half a second apart"
     assert made.count("press") == 1 and made[-1] == "done"

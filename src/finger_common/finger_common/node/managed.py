@@ -202,8 +202,11 @@ class ManagedNode(LifecycleNode):
         """Name given parameters that neither the node nor ROS has: a misspelt one has no effect."""
         for name in self._parameter_overrides:
             if not (name.startswith(QOS_OVERRIDES) or self.has_parameter(name)):
-                known = known_names(name, (parameter.name for parameter in self._all))
-                self.get_logger().warning(f"parameter '{name}' does not exist here; {known}")
+                self.get_logger().warning(self._no_such_parameter(name))
+
+    def _no_such_parameter(self, name: str) -> str:
+        known = known_names(name, (parameter.name for parameter in self._all))
+        return f"parameter '{name}' does not exist here; {known}"
 
     def read_parameters(self) -> dict[str, Any]:
         """Checked values of all parameters; raises InputError."""
@@ -231,6 +234,8 @@ class ManagedNode(LifecycleNode):
         return super().set_parameters_atomically(checked)
 
     def _checked(self, parameter: RosParameter) -> RosParameter:
+        if not self.has_parameter(parameter.name):
+            raise InputError(self._no_such_parameter(parameter.name))
         if parameter.name not in self._all:
             return parameter
         described = self._all[parameter.name]
@@ -284,12 +289,22 @@ class ManagedNode(LifecycleNode):
         return publisher
 
     def create_stream_subscription(
-        self, message_type: Any, topic: str, callback: Any, qos: QoSProfile, **options: Any
+        self,
+        message_type: Any,
+        topic: str,
+        callback: Any,
+        qos: QoSProfile,
+        message_lost: Callable[[Any], None] | None = None,
+        **options: Any,
     ) -> Any:
-        """Subscription that reports publishers whose QoS is incompatible."""
+        """Subscription that reports publishers whose QoS is incompatible.
+
+        message_lost: called with the middleware's event when it has lost some.
+        """
         qos = copy.copy(qos)
         events = SubscriptionEventCallbacks(
-            incompatible_qos=lambda event: self._stream_watch.report_mismatch(topic, qos)
+            incompatible_qos=lambda event: self._stream_watch.report_mismatch(topic, qos),
+            message_lost=message_lost,
         )
         return self._with_overrides(
             self.create_subscription,
@@ -461,19 +476,29 @@ class ManagedNode(LifecycleNode):
         return bool(self.get_parameter("autostart").value)
 
     def _attempt(self, what: str, *actions: Any) -> bool:
-        for action in actions:
-            try:
+        try:
+            for action in actions:
                 action()
-            except FingerError as error:
-                self.refused = error
-                if not self.ONE_TASK:  # one that ends, and says why
-                    self.get_logger().error(f"{what} failed: {one_line(error)}")
-                return False
-            except Exception:
-                # rclpy turns it into a failed transition silently; a defect must be visible.
-                self.get_logger().error(f"{what} failed:\n{traceback.format_exc()}")
-                raise
+        except FingerError as error:
+            self.refused = error
+            self._note_failure(what, one_line(error))
+            if not self.ONE_TASK:  # one that ends, and says why
+                self.get_logger().error(f"{what} failed: {one_line(error)}")
+            return False
+        except Exception as error:
+            self._note_failure(what, f"{type(error).__name__}: {one_line(error)}")
+            # rclpy turns it into a failed transition silently; a defect must be visible.
+            self.get_logger().error(f"{what} failed:\n{traceback.format_exc()}")
+            raise
+        for health in self.healths[:1]:
+            health.recovered(what)
         return True
+
+    def _note_failure(self, what: str, reason: str) -> None:
+        """Show why a transition failed until it succeeds, also where there is no health yet."""
+        self.healths = self.healths or [Health(self.NAME)]
+        if reason not in self.healths[0].faults.values():  # a driver names its connection itself
+            self.healths[0].fault(what, reason)
 
     def _set_state(self, state: str) -> None:
         for health in self.healths:

@@ -1,20 +1,22 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What other nodes do to the streams of a node: QoS that does not fit, second publishers."""
+"""What other nodes do to a node: QoS that does not fit, second publishers, a second of its name."""
 
 from __future__ import annotations
 
 import time
 from typing import TYPE_CHECKING, Any
 
-from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
+from rclpy.qos import DurabilityPolicy, QoSCompatibility, QoSProfile, qos_check_compatible
 
 from ..diagnostics import ERROR, WARN
 from .polling import PolledSubscription
 
 if TYPE_CHECKING:
     from .managed import ManagedNode
+
+KEPT = DurabilityPolicy.TRANSIENT_LOCAL
 
 REMEMBERED = 30.0
 """s for which the middleware may still show the publishers of a node that was killed."""
@@ -39,7 +41,8 @@ class StreamWatch:
         """Report what is wrong now, and end the faults that are over."""
         for polled in self.polled:
             self.check_mismatch(polled)
-        self._end_mismatches()
+        self._report_mismatches()
+        self._report_namesake()
         self._report_second_publishers()
         self._report_mixed_inputs()
 
@@ -47,27 +50,46 @@ class StreamWatch:
         """Report publishers of a polled topic whose QoS is incompatible."""
         if polled.new_mismatches():
             self.report_mismatch(polled.topic, polled.qos)
+        elif polled.topic in self._mismatches:
+            self._mismatches[polled.topic] = polled.qos  # it may have been made anew
 
     def report_mismatch(self, topic: str, qos: QoSProfile) -> None:
-        """Report that a publisher does not fit a subscription of this QoS."""
+        """Report that a publisher does not fit a subscription of this QoS, until it is gone."""
         self._mismatches[topic] = qos
-        message = (
-            f"a publisher of '{topic}' has an incompatible QoS and exchanges no data with this "
-            "node; set qos_reliability to auto on both sides"
-        )
-        if self._node.healths:
-            self._node.log_fault(self._node.healths[0], "qos_mismatch", message, WARN)
-        else:
-            self._node.get_logger().warning(message)
 
-    def _end_mismatches(self) -> None:
-        """End the fault when the publishers that did not fit are gone."""
+    def _report_mismatches(self) -> None:
+        """Name the publishers that do not fit, each with the policy that differs."""
+        texts = []
         for topic, qos in list(self._mismatches.items()):
-            offers = [offer.qos_profile for offer in self._node.get_publishers_info_by_topic(topic)]
-            if all(qos_check_compatible(o, qos)[0] != QoSCompatibility.ERROR for o in offers):
+            offers = [info.qos_profile for info in self._node.get_publishers_info_by_topic(topic)]
+            unfit = [o for o in offers if qos_check_compatible(o, qos)[0] == QoSCompatibility.ERROR]
+            if not unfit:
                 del self._mismatches[topic]
-                if not self._mismatches:
-                    self._node.healths[0].recovered("qos_mismatch")
+                continue
+            policy, remedy = "reliability", "set qos_reliability alike on both sides"
+            if qos.durability == KEPT and any(o.durability != KEPT for o in unfit):
+                policy, remedy = "durability", "publish it transient local"
+            texts.append(
+                f"a publisher of '{topic}' has another {policy} and exchanges no data with this "
+                f"node: {remedy}"
+            )
+        if texts:
+            self._node.log_fault(self._node.healths[0], "qos_mismatch", "; ".join(texts), WARN)
+        else:
+            self._node.healths[0].recovered("qos_mismatch")
+
+    def _report_namesake(self) -> None:
+        """Report another node of this name, which answers the same requests, by its heartbeat."""
+        own = self._node.get_fully_qualified_name()
+        heartbeat = self._node.resolve_topic_name("heartbeat")
+        if self._lasts_twice(heartbeat, [n for n in self._publishers_of(heartbeat) if n == own]):
+            text = (
+                f"another {own} runs, and either answers requests: end one, or give it another "
+                "namespace"
+            )
+            self._node.log_fault(self._node.healths[0], "namesake", text, ERROR)
+        else:
+            self._node.healths[0].recovered("namesake")
 
     def _report_second_publishers(self) -> None:
         """Report other publishers of the node's streams: whoever reads them mixes both."""
