@@ -90,6 +90,18 @@ def test_a_grip_that_tightens_with_its_load_does_not_slip():
     assert rows["slip_margin"][-1] == pytest.approx(0.3, abs=0.03)
 
 
+def test_an_oblique_press_that_is_relieved_and_repeated_sticks():
+    """Also where the first sample of a contact is under load, as after a reset."""
+    estimator = SlipEstimator(SlipSettings(friction_prior=0.8, **KNOWN))
+    normal = ramp((0.0, 0.1), (1.0, 5.0), (2.0, 0.06), (3.0, 5.0))
+    rows = run(estimator, normal, 0.3 * normal)
+    assert rows["stick_ratio"][5] > 0.95
+    assert rows["stick_ratio"][normal > 2.0].min() > 0.9
+    held = SlipEstimator(SlipSettings(friction_prior=0.8, **KNOWN))
+    rows = run(held, np.full(300, 5.0), np.full(300, 3.0))
+    assert rows["stick_ratio"][-1] == pytest.approx(float(backbone.stick_ratio(0.75)), abs=0.05)
+
+
 def test_a_stuck_contact_has_all_margin_and_a_slipping_one_none():
     estimator = SlipEstimator(SlipSettings(friction_prior=0.5, **KNOWN))
     normal = 1.0 + 0.02 * np.sin(2 * np.pi * 1.5 * np.arange(1000) / RATE)

@@ -76,24 +76,35 @@ def release(elements):
 
 
 @njit(cache=True)
+def begin(elements, normal, q0, q1):
+    """A contact that is first seen at these forces: how they came is not known."""
+    release(elements)
+    elements.reached = normal
+    elements.pull[0], elements.pull[1] = q0, q1
+
+
+@njit(cache=True)
 def press(elements, friction, normal, margin, q0, q1):
     """Give the elements what comes of Q with a growth of P to `normal` (N); `pull` gives the rest.
 
-    margin (N): by which P must have fallen before it is said to grow again.
+    margin (N): by which P must have fallen before it is said to grow again. Returns whether it has
+    fallen so far under a c: then |Q − c|/(μP − |c|) tells nothing, the elements alone do.
     """
     d0, d1 = q0 - elements.pull[0], q1 - elements.pull[1]
     elements.pull[0], elements.pull[1] = q0, q1
     room = friction * (normal - elements.reached)
-    elements.reached = min(max(elements.reached, normal), normal + margin)
     size = math.hypot(d0, d1)
-    if room <= 0.0 or size == 0.0:
-        return
-    part = min(1.0, room / size)
-    for i in range(COUNT):
-        elements.force[i, 0] += part * d0 * LIMITS[i]
-        elements.force[i, 1] += part * d1 * LIMITS[i]
-    elements.with_load[0] += part * d0
-    elements.with_load[1] += part * d1
+    if room > 0.0 and size > 0.0:
+        part = min(1.0, room / size)
+        for i in range(COUNT):
+            elements.force[i, 0] += part * d0 * LIMITS[i]
+            elements.force[i, 1] += part * d1 * LIMITS[i]
+        elements.with_load[0] += part * d0
+        elements.with_load[1] += part * d1
+    carried = math.hypot(elements.with_load[0], elements.with_load[1]) > 0.0
+    fallen = carried and elements.reached > normal + margin
+    elements.reached = min(max(elements.reached, normal), normal + margin)
+    return fallen
 
 
 @njit(cache=True)

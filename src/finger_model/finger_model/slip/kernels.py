@@ -87,6 +87,7 @@ def _begin_contact(config, state, stamp, normal, q0, q1):
     friction.begin_contact(state.friction)
     forces.begin(state.forces, config.noise, stamp, normal, q0, q1)
     forecasts.begin(state.forecasts)
+    elements.begin(state.elements, normal, q0, q1)
     state.plateau.least = math.inf
     pull = state.pull
     pull.largest = pull.frames_ratio = 0.0
@@ -202,6 +203,11 @@ def follow(config, state, stamp, normal, q0, q1, touching, doubted, indentation,
     ratio, beyond, with_load = 0.0, math.nan, 0.0
     if judged:
         ratio = _judge_ratio(config, state, stamp)
+        smooth = state.forces.slow.value
+        margin = max(DIP * now[0], DIP_NOISE * state.forces.filtered_noise)
+        mean = state.friction.mean  # of the sample before
+        if elements.press(state.elements, mean, smooth[0], margin, smooth[1], smooth[2]):
+            state.pull.turned = True
         beyond, with_load = elements.shares(state.elements, now[0], now[1], now[2])
     _remember(state.memory, stamp, math.nan if state.pull.turned else beyond, with_load)
     stands = plateau.lasts(state.plateau, stamp)
@@ -216,13 +222,10 @@ def follow(config, state, stamp, normal, q0, q1, touching, doubted, indentation,
         _say_nothing(out)
         out.flags |= NO_CONTACT
         if touching:
-            elements.pull(state.elements, mean * max(normal, 1e-6), 0.0, 0.0)
+            elements.begin(state.elements, normal, q0, q1)
         return
     if slipping:
         out.flags |= SLIPPING
-    smooth = state.forces.slow.value
-    margin = max(DIP * now[0], DIP_NOISE * state.forces.filtered_noise)
-    elements.press(state.elements, mean, smooth[0], margin, smooth[1], smooth[2])
     stick = elements.pull(state.elements, mean * now[0], now[1], now[2])
     if not state.pull.turned and not slipping:
         # A first pull: the mean over frictions, which the elements follow at the mean one only.
