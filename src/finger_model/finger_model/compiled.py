@@ -23,25 +23,34 @@ from typing import Any
 import numpy as np
 
 from finger_common import contact_threshold, flags
+from finger_common.files import atomic_write
+
+WITHOUT_KERNELS = ("commands", "verification")
+"""Folders that no kernel is in."""
 
 
 def forget_stale_kernels(package: Path, *others: str) -> None:
     """Remove a package's compiled kernels when a source that may be in them has changed since.
 
-    Any in the package's folders may be, and the files `others`. They are compared with a list that
-    is kept of them, not with the age of the kernels: a rig may start without knowing the time.
+    Any in the package's folders may be, but for commands and verification, and the files `others`.
+    They are compared with a list that is kept of them, not with the age of the kernels: a rig may
+    start without knowing the time. Kernels that numba keeps elsewhere, since the package's folder
+    is read-only, are left, and a process that runs since before the change may still add old ones.
     """
     kept = package / "__pycache__" / "sources_of_kernels.txt"
     # A folder may be read-only, and another process do the same.
     with contextlib.suppress(OSError):
-        files = sorted([*map(str, package.glob("*/[a-z_]*.py")), *others])
-        stats = map(os.stat, files)
-        sources = "\n".join(f"{f} {s.st_mtime_ns} {s.st_size}" for f, s in zip(files, stats))
-        if not kept.exists() or kept.read_text() != sources:
+        files = [f for f in package.glob("*/*.py") if f.parent.name not in WITHOUT_KERNELS]
+        names = sorted([*map(str, files), *others])
+        stats = map(os.stat, names)
+        text = "\n".join(f"{f} {s.st_mtime_ns} {s.st_size}" for f, s in zip(names, stats))
+        sources = os.fsencode(text)
+        if not kept.exists() or kept.read_bytes() != sources:
             for kernel in package.glob("*/__pycache__/*.nb[ic]"):
                 kernel.unlink(missing_ok=True)
             kept.parent.mkdir(exist_ok=True)
-            kept.write_text(sources)
+            with atomic_write(kept, "wb") as file:
+                file.write(sources)
 
 
 try:

@@ -632,7 +632,8 @@ class Protocol:
     def _close(self) -> None:
         self._attempt.reason = ""
         self._enter(Step.CLOSING)
-        if self.limits.need_recorder:
+        # It is off where the node was deactivated after the press: the bag was closed then.
+        if self.limits.need_recorder and self.recording != "off":
             self.recording, self._record_requested = "stopping", self._now
             self._effects(StopRecording())
         else:

@@ -69,5 +69,6 @@ class RecorderRequests:
             self._finish(request, future.result(), "")
 
     def _finish(self, request: Any, response: Any, reason: str) -> None:
-        self._sent = None
+        if self._sent is not None and self._sent[0] is request:
+            self._sent = None
         self._answered(request, response, reason)

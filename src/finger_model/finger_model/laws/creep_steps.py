@@ -110,9 +110,11 @@ class CreepSteps:
     def __init__(self, law: ConstitutiveLaw, length: float) -> None:
         shear = law.instantaneous_shear_modulus
         self._scale = 2.0 * (1.0 + law.poisson_ratio_bulk) * shear * length**2
-        branches = [(0.5, 0.5 * law.creep_time)] if math.isfinite(law.creep_time) else []
+        branches: list[tuple[float, float]] = []
         if isinstance(law, MaxwellLaw):
             branches = list(law.branches)
+        elif 0.0 < law.creep_time < math.inf:
+            branches = [(0.5, 0.5 * law.creep_time)]
         self._fraction = np.array([fraction for fraction, _ in branches])
         self._tau = np.array([tau for _, tau in branches])
 

@@ -36,7 +36,7 @@ class Pose:
         if not low <= self.aspect <= high:
             raise InputError(f"pad aspect is {self.aspect:g}, outside {low:g} … {high:g}")
         most = math.degrees(LARGEST_TILT)
-        # Whole turns leave the tilt as it is; they come from degrees.
+        # An angle in degrees may look like a small tilt after whole turns.
         for name, angle in (("pitch", self.pitch), ("roll", self.roll)):
             if abs(angle) > LARGEST_TILT:
                 raise InputError(
