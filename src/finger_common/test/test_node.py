@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -20,13 +21,12 @@ rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from service_calls import call  # noqa: E402
 
 NODE = """
-import sys
 from dataclasses import dataclass
 from rclpy.duration import Duration
 from std_msgs.msg import Float64
 from finger_common.diagnostics import Health
 from finger_common.errors import InputError
-from finger_common.node import ManagedNode, run_node
+from finger_common.node import ManagedNode, main_of
 from finger_common.settings import Settings, setting
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Gauge(ManagedNode):
         self.publisher.publish(Float64(data=-1.0))
         self.publisher.wait_for_all_acked(Duration(seconds=60))
 
-sys.exit(run_node(Gauge))
+main_of(Gauge)()
 """
 
 
@@ -96,6 +96,7 @@ def test_shell_publishes_checks_parameters_reports_and_ends_cleanly(
     node.create_subscription(DiagnosticArray, "/diagnostics", states.append, 10)
     script = tmp_path / "gauge.py"
     script.write_text(NODE)
+    others = set(Path("/dev/shm").glob("fastrtps_*"))
     child = process(script, "--ros-args", "-p", "qos_reliability:=reliable")
     wait_for(lambda: values, spin)
     assert values[-1] == 1.0
@@ -119,10 +120,15 @@ def test_shell_publishes_checks_parameters_reports_and_ends_cleanly(
     assert {v.key: v.value for v in status.values}["state"] == "active"
     wait_for(lambda: len(beats) > 2, spin)
     assert set(beats) == {"gauge"}
-    # Ctrl-C: the node writes its last log line.
+    # Ctrl-C: the node writes its last log line, and leaves no shared memory.
+    mapped = set(
+        re.findall(r"/dev/shm/fastrtps_[0-9a-f]{16}\b", Path(f"/proc/{child.pid}/maps").read_text())
+    )
+    own = {Path(name) for name in mapped} - others
     child.send_signal(signal.SIGINT)
     wait_for(lambda: values[-1] == -1.0, spin)
     assert child.wait(60) == 0, child.output.read_text()
+    assert own and not [file for file in own if file.exists()]
 
 
 def test_failed_configuration_leaves_the_node_up_to_try_again(

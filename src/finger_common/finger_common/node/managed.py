@@ -416,6 +416,8 @@ class ManagedNode(LifecycleNode):
         """End the node."""
         self._heartbeats.remove(self._beat)
         super().destroy_node()
+        # It holds the middleware's participant, whose shared memory would outlive the process.
+        self._state_machine = None
 
     def _beat(self) -> None:
         """In the thread of heartbeats, which go on while simulated time stands still or jumps."""
