@@ -121,9 +121,8 @@ def test_shell_publishes_checks_parameters_reports_and_ends_cleanly(
     wait_for(lambda: len(beats) > 2, spin)
     assert set(beats) == {"gauge"}
     # Ctrl-C: the node writes its last log line, and leaves no shared memory.
-    mapped = set(
-        re.findall(r"/dev/shm/fastrtps_[0-9a-f]{16}\b", Path(f"/proc/{child.pid}/maps").read_text())
-    )
+    maps = Path(f"/proc/{child.pid}/maps").read_text()
+    mapped = set(re.findall(r"/dev/shm/fastrtps_[0-9a-f]{16}\b", maps))
     own = {Path(name) for name in mapped} - others
     child.send_signal(signal.SIGINT)
     wait_for(lambda: values[-1] == -1.0, spin)
