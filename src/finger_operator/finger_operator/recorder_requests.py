@@ -10,6 +10,9 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
+LEAVING = 0.2
+"""s that a request has to leave before a process ends."""
+
 
 class RecorderRequests:
     """Queue before the recorder's service.
@@ -54,10 +57,13 @@ class RecorderRequests:
 
     def send_all(self) -> None:
         """Send what waits although something is not answered yet: for an end, after which nobody
-        steps.
+        steps, and the process may be gone.
         """
         while self._waiting and self._client.service_is_ready():
             self._send(self._waiting.popleft()[0], time.monotonic())
+        if self._sent is not None:
+            # The middleware sends from a thread of its own, and does not tell when it has.
+            time.sleep(LEAVING)
 
     def _send(self, request: Any, now: float) -> None:
         future = self._client.call_async(request)
