@@ -417,7 +417,7 @@ class ManagedNode(LifecycleNode):
         self._heartbeats.remove(self._beat)
         super().destroy_node()
         # It holds the middleware's participant, whose shared memory would outlive the process.
-        self._state_machine = None
+        vars(self).pop("_state_machine", None)
 
     def _beat(self) -> None:
         """In the thread of heartbeats, which go on while simulated time stands still or jumps."""
