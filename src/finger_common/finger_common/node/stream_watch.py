@@ -73,23 +73,19 @@ class StreamWatch:
                 f"a publisher of '{topic}' has another {policy} and exchanges no data with this "
                 f"node: {remedy}"
             )
-        if texts:
-            self._node.log_fault(self._node.healths[0], "qos_mismatch", "; ".join(texts), WARN)
-        else:
-            self._node.healths[0].recovered("qos_mismatch")
+        self._tell("qos_mismatch", "; ".join(texts), WARN)
 
     def _report_namesake(self) -> None:
         """Report another node of this name, which answers the same requests, by its heartbeat."""
         own = self._node.get_fully_qualified_name()
         heartbeat = self._node.resolve_topic_name("heartbeat")
+        text = ""
         if self._lasts_twice(heartbeat, [n for n in self._publishers_of(heartbeat) if n == own]):
             text = (
                 f"another {own} runs, and either answers requests: end one, or give it another "
                 "namespace"
             )
-            self._node.log_fault(self._node.healths[0], "namesake", text, ERROR)
-        else:
-            self._node.healths[0].recovered("namesake")
+        self._tell("namesake", text, ERROR)
 
     def _report_second_publishers(self) -> None:
         """Report other publishers of the node's streams: whoever reads them mixes both."""
@@ -99,14 +95,13 @@ class StreamWatch:
                 others |= self._other_publishers(publisher.topic_name)
             else:
                 self._shared_since.pop(publisher.topic_name, None)
+        text = ""
         if others:
             text = (
                 f"also published by {', '.join(sorted(others))}: readers mix both; end one, or "
                 "give it another namespace"
             )
-            self._node.log_fault(self._node.healths[0], "second_publisher", text, ERROR)
-        else:
-            self._node.healths[0].recovered("second_publisher")
+        self._tell("second_publisher", text, ERROR)
 
     def _report_mixed_inputs(self) -> None:
         """Report topics that the node reads and several publish."""
@@ -116,11 +111,18 @@ class StreamWatch:
             names = self._publishers_of(topic) if several else []
             if len(set(names)) > 1 or self._lasts_twice(topic, names):
                 mixed.append(f"{topic} is published by {' and '.join(sorted(names))}")
+        text = "; ".join(mixed)
         if mixed:
-            text = "; ".join(mixed) + ": this node mixes them; end one, or give it another topic"
-            self._node.log_fault(self._node.healths[0], "mixed_input", text, WARN)
+            text += ": this node mixes them; end one, or give it another topic"
+        self._tell("mixed_input", text, WARN)
+
+    def _tell(self, key: str, text: str, level: int) -> None:
+        """Report a fault of the node, none where the text is empty."""
+        health = self._node.healths[0]
+        if text:
+            self._node.log_fault(health, key, text, level)
         else:
-            self._node.healths[0].recovered("mixed_input")
+            health.recovered(key)
 
     def _other_publishers(self, topic: str) -> set[str]:
         """Topic and node of publishers of a stream of this node that are not this node's."""
