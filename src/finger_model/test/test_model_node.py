@@ -688,17 +688,23 @@ def test_flags_are_those_of_the_messages() -> None:
         assert getattr(ContactArea, f"FLAG_{area_flag.name}") == area_flag
 
 
+def slips_heard(bench: Bench) -> list[ContactSlip]:
+    """The list into which `contact_slip` comes from now on."""
+    slips: list[ContactSlip] = []
+    bench.node.create_subscription(ContactSlip, "/finger/contact_slip", slips.append, RELIABLE)
+    bench.connected()
+    bench.until(lambda: bench.node.count_publishers("/finger/contact_slip") > 0)
+    bench.settle()
+    return slips
+
+
 def test_slip_goes_out_where_somebody_listens_as_the_core_has_it(
     bench: Bench, process: Callable[..., Any]
 ) -> None:
     from finger_model.messages import slip_numbers
 
     start(process)
-    slips: list[ContactSlip] = []
-    bench.node.create_subscription(ContactSlip, "/finger/contact_slip", slips.append, RELIABLE)
-    bench.connected()
-    bench.until(lambda: bench.node.count_publishers("/finger/contact_slip") > 0)
-    bench.settle()
+    slips = slips_heard(bench)
     estimator, core = ContactEstimator(ReducedModel.load()), SlipEstimator()
     layout = FixedMessage(ContactSlip(header=bench.press(T0, 0.0).header))
     wanted = []
@@ -728,11 +734,7 @@ def test_another_surface_forgets_friction_and_keeps_the_finger(
     bench: Bench, process: Callable[..., Any]
 ) -> None:
     start(process)
-    slips: list[ContactSlip] = []
-    bench.node.create_subscription(ContactSlip, "/finger/contact_slip", slips.append, RELIABLE)
-    bench.connected()
-    bench.until(lambda: bench.node.count_publishers("/finger/contact_slip") > 0)
-    bench.settle()
+    slips = slips_heard(bench)
 
     def pull(first: int, ratio: float) -> None:
         for n in range(first, first + 100):
