@@ -28,6 +28,8 @@ LIMITS = backbone.limits(COUNT)
 CURVE = np.interp(np.linspace(0.0, 1.0, 101), *backbone.STICK_CURVE.T)
 """Stick ratio of a first pull at r = 0, 0.01 … 1."""
 
+LITTLE = 0.1
+"""Share of μP below which c changes little: noise of the forces brings some, too."""
 COMPLIANCE = backbone.SLIP_COMPLIANCE
 BRANCHES = 4
 """Most branches of the tissue."""
@@ -101,8 +103,8 @@ def press(elements, friction, normal, margin, q0, q1):
             elements.force[i, 1] += part * d1 * LIMITS[i]
         elements.with_load[0] += part * d0
         elements.with_load[1] += part * d1
-    carried = math.hypot(elements.with_load[0], elements.with_load[1]) > 0.0
-    fallen = carried and elements.reached > normal + margin
+    carried = math.hypot(elements.with_load[0], elements.with_load[1])
+    fallen = carried > LITTLE * friction * normal and elements.reached > normal + margin
     elements.reached = min(max(elements.reached, normal), normal + margin)
     return fallen
 
