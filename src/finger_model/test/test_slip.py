@@ -102,6 +102,20 @@ def test_an_oblique_press_that_is_relieved_and_repeated_sticks():
     assert rows["stick_ratio"][-1] == pytest.approx(float(backbone.stick_ratio(0.75)), abs=0.05)
 
 
+def test_a_pull_under_a_normal_force_that_trembles_follows_the_backbone():
+    """Noise brings a little of Q with P: no fall of P then ends the first pull."""
+    estimator = SlipEstimator(SlipSettings(friction_prior=0.5, **KNOWN))
+    noise = 0.005 * np.random.default_rng(2).standard_normal((2, 1000))
+    time = np.arange(1000) / RATE
+    tremor = 1.0 + 0.03 * np.sin(7.0 * time) + 0.03 * np.sin(53.0 * time)
+    normal = ramp((0.0, 0.1), (0.3, 1.0), (2.0, 1.0)) * tremor
+    lateral = ramp((0.0, 0.0), (0.6, 0.0), (2.0, 0.45))
+    rows = run(estimator, normal + noise[0], lateral + noise[1])
+    pulled = (time > 0.7) & (time < 1.95)
+    error = rows["stick_ratio"] - backbone.stick_ratio(lateral / (0.5 * normal))
+    assert np.sqrt(np.mean(error[pulled] ** 2)) < 0.06
+
+
 def test_a_stuck_contact_has_all_margin_and_a_slipping_one_none():
     estimator = SlipEstimator(SlipSettings(friction_prior=0.5, **KNOWN))
     normal = 1.0 + 0.02 * np.sin(2 * np.pi * 1.5 * np.arange(1000) / RATE)
