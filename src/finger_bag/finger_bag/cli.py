@@ -27,10 +27,11 @@ from finger_common.cli import (
     run,
     settings_from,
 )
-from finger_common.errors import InputError
+from finger_common.errors import InputError, listed
+from finger_common.files import exists
 from finger_common.plugins import Plugins
 
-from .bag_files import find_bags
+from .bag_files import find_bags, storage_of
 from .read_settings import ReadSettings, add_read_options, read_settings_from
 from .recorder import RecorderSettings
 from .replay import ReplaySettings, lateness_text
@@ -123,12 +124,19 @@ def _validate(args: argparse.Namespace) -> int:
     settings = read_settings_from(args, ReadSettings)
     results = []
     unreadable = 0
-    for bag in find_bags(args.bags):
+    paths = list(map(Path, args.bags))
+    # As SESSION/* names them: the tables of a session beside its bags.
+    others = [p for p in paths if exists(p) and p.is_file() and not storage_of(p)]
+    bags = [p for p in paths if p not in others] or paths
+    if len(bags) < len(paths):
+        names = listed(plain(p.name) for p in others)
+        print(f"finger-bag: left out, as they are no bags: {names}", file=sys.stderr)
+    for bag in find_bags(bags):
         try:
             results.append(validate(bag, settings))
         except InputError as error:
             # One unreadable bag does not hide what is known of the others.
-            if len(args.bags) == 1 and not results:
+            if len(bags) == 1 and not results:
                 raise
             unreadable += 1
             print(f"finger-bag: {one_line(error)}", file=sys.stderr)

@@ -24,7 +24,7 @@ from finger_common.files import atomic_write, check_text, load_yaml
 from finger_common.folder_lock import take_lock
 from finger_common.stamps import NANOSECONDS, seconds
 
-from .bag_files import METADATA
+from .bag_files import METADATA, data_files
 from .definitions import decoder, definition_text, encode, fields_of, type_hash
 from .mcap_writer import McapWriter
 from .reader import BagMessage
@@ -90,12 +90,14 @@ def _known(message_type: str) -> bool:
 def add_message(
     bag: Path, topic: str, message_type: str, fields: Mapping[str, Any], log_time_ns: int
 ) -> None:
-    """Add a message to a closed bag, in a further file of it. topic: absolute.
-
-    Raises InputError for a bag that has not been closed.
+    """Add a message to a bag that nobody writes any longer, in a further file of it. topic:
+    absolute.
     """
     description = bag / METADATA
-    whole = load_yaml(description, "bag metadata")["rosbag2_bagfile_information"]
+    whole: dict[str, Any] = {"relative_file_paths": data_files(bag)}
+    closed = description.is_file()
+    if closed:
+        whole = load_yaml(description, "bag metadata")["rosbag2_bagfile_information"]
     with tempfile.TemporaryDirectory(prefix=f".{bag.name}.", dir=bag.parent) as folder:
         with BagWriter(Path(folder) / "part") as writer:
             writer.write(topic, fields, log_time_ns, message_type)
@@ -103,6 +105,8 @@ def add_message(
         part = written["rosbag2_bagfile_information"]
         name = f"{bag.name}_{len(whole['relative_file_paths'])}.mcap"
         os.replace(writer.path / part["relative_file_paths"][0], bag / name)
+    if not closed:  # as after a crash of the recorder: the files in the folder are the bag
+        return
     end = max(_end(whole), _end(part))
     whole["duration"]["nanoseconds"] = end - whole["starting_time"]["nanoseconds_since_epoch"]
     whole["message_count"] += 1

@@ -140,6 +140,25 @@ def test_good_bag_is_fit_for_use(
     assert data["fit_for_use"] and all(c["status"] in ("ok", "note") for c in data["checks"])
 
 
+def test_of_all_files_of_a_session_the_bags_are_judged(
+    session: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bags = [session(name, trials=1, tremor=0.01) for name in ("000_dry_0", "001_dry_0")]
+    tables = [tmp_path / name for name in ("events.csv", "session.json", "trials.csv")]
+    for table in tables:
+        table.write_text("{}")
+    everything = sorted(map(str, tmp_path.iterdir()))
+    assert run(command, ["validate", *everything, "--json"]) == 0
+    told = capsys.readouterr()
+    assert [Path(data["bag"]) for data in json.loads(told.out)] == bags
+    (line,) = told.err.splitlines()
+    assert "no bags: events.csv, session.json, trials.csv" in line
+    unfit = damaged(tmp_path / "002_dry_0", "short of target")
+    assert run(command, ["validate", *everything, str(unfit)]) == 1
+    for alone in (tables[:1], tables):
+        assert run(command, ["validate", *map(str, alone)]) == 2
+
+
 def damaged(path: Path, kind: str) -> Path:
     """A session with one thing wrong."""
     rng = np.random.default_rng(0)

@@ -19,6 +19,8 @@ from finger_fit.study import group_trials
 from finger_fit.study.bags import load, reading
 from finger_fit.study.grouping import best_division, cluster_names, moisture_clusters
 from finger_model.laws import StandardLinearSolid
+from finger_operator.protocol import Protocol
+from finger_operator.study_plan import StudyPlan
 
 
 def test_frames_count_from_onset_to_the_first_at_or_after_the_target(double) -> None:
@@ -33,25 +35,47 @@ def test_frames_count_from_onset_to_the_first_at_or_after_the_target(double) -> 
     assert len(force) == len(expected) + 1
 
 
+def write_attempt(bag: BagWriter, attempt: int, phases: tuple[tuple[int, int], ...]) -> None:
+    """A press of the trial 0 of a session; phases: (phase, s of the bag)."""
+    about = {"session": "s", "condition": "dry", "attempt": attempt}
+    begin = (1000 + 100 * attempt) * 10**9
+    for phase, at in phases:
+        bag.write("trial", {"header": {"stamp": begin + at * 10**9}, "phase": phase, **about})
+    for k in range(1500):
+        force = 1.5 * min(max(k / 500 - 0.5, 0.0), max(2.5 - k / 500, 0.0), 1.0)
+        header = {"header": {"stamp": begin + k * 2_000_000}}
+        bag.write("wrench", {**header, "wrench": {"force": {"z": -force}}})
+        if k % 50 == 0:
+            bag.write("contact_area", {**header, "gross_area": 4e-5 * force})
+
+
 def test_a_trial_that_was_repeated_is_fitted_by_its_last_attempt(tmp_path) -> None:
     """Each attempt lies in a bag of its own, both done."""
     for attempt in (0, 1):
         with BagWriter(tmp_path / f"a{attempt}", {"condition": "dry"}) as bag:
-            about = {"session": "s", "condition": "dry", "index": 3, "attempt": attempt}
-            for phase, at in ((3, 0), (6, 4)):
-                stamp = (1000 + 100 * attempt + at) * 10**9
-                bag.write("trial", {"header": {"stamp": stamp}, "phase": phase, **about})
-            for k in range(1500):
-                stamp = (1000 + 100 * attempt) * 10**9 + k * 2_000_000
-                force = 1.5 * min(max(k / 500 - 0.5, 0.0), max(2.5 - k / 500, 0.0), 1.0)
-                header = {"header": {"stamp": stamp}}
-                bag.write("wrench", {**header, "wrench": {"force": {"z": -force}}})
-                if k % 50 == 0:
-                    bag.write("contact_area", {**header, "gross_area": 4e-5 * force})
+            write_attempt(bag, attempt, phases=((3, 0), (6, 4)))
     found = load([tmp_path], reading(FitOptions(), area_per_pixel=1e-9))
     assert any("not used; measure the images again with --vision" in p for p in found.problems)
     assert [record.attempt for record in found.records] == [1]
     assert [e.reason for e in found.exclusions] == ["attempt 0, done again"]
+
+
+def test_a_trial_that_a_crash_interrupted_is_not_fitted(tmp_path) -> None:
+    """Its press is whole in its bag, and no later attempt is given."""
+    plan = StudyPlan("S01", "s", conditions=("dry",), trials=1)
+    protocol = Protocol(plan, tmp_path, lambda effect: None)
+    protocol.start(1000 * 10**9)
+    protocol.start(1000 * 10**9)
+    with BagWriter(protocol.trials[0].attempts[0].bag, {"condition": "dry"}) as bag:
+        write_attempt(bag, 0, phases=((3, 0), (5, 4)))
+    settings = reading(FitOptions())
+    assert len(load([tmp_path], settings).records) == 1
+    again = Protocol.resume_from(tmp_path, lambda effect: None, 1100 * 10**9)
+    again.recorder_stopped(True, "", 1101 * 10**9)
+    found = load([tmp_path], settings)
+    assert found.records == []
+    (left_out,) = found.exclusions
+    assert left_out.reason == "marked as failed: interrupted: the protocol ended during it"
 
 
 def test_window_contact_continues_to_lift_off(double) -> None:

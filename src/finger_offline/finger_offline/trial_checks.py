@@ -27,9 +27,16 @@ from .lag import (
     press_lags,
     travel_ratio,
 )
-from .trial_records import TrialRecord, TrialSet
-from .trial_split import TrialSettings, forces_of, pressing_samples, split, without_contact
-from .unloaded import LARGEST_TARE, unloaded_plate
+from .trial_records import Exclusion, TrialRecord, TrialSet
+from .trial_split import (
+    PULLED,
+    TrialSettings,
+    forces_of,
+    pressing_samples,
+    split,
+    without_contact,
+)
+from .unloaded import LARGEST_TARE, Unloaded, unloaded_plate
 
 PLAUSIBLE_AREA = (5e-6, 2e-3)
 """m²; the largest area of a press of a fingertip lies between (the paper's: 60 to 150 mm²)."""
@@ -69,14 +76,20 @@ def check_trials(bag: CheckedBag, result: Validation) -> None:
     settings = TrialSettings.of(bag.settings)
     reader = bag.reader
     found = split(streams, reader.info.metadata, settings, str(reader.path))
-    _check_tare(streams, settings, result)
+    _check_tare(found, streams, settings, result)
+    left_out = [e for e in found.exclusions if found.trials or e.reason != PULLED]
+    unused = f"; left out: {_exclusions(left_out)}" if left_out else ""
+    if not found.trials and found.pulls:
+        pulls = "1 pull" if len(found.pulls) == 1 else f"{len(found.pulls)} pulls"
+        text = f"{pulls}: fit for the friction (process --slip), not for the area"
+        result.add("trials", NOTE, text + unused)
+        return
     if not found.trials:
         reasons = listed(dict.fromkeys(e.reason for e in found.exclusions), 3, "; ")
         result.add("trials", FAIL, f"none can be used ({reasons})")
         return
     conditions = ", ".join(f"{len(found.of(c))} {c or 'unnamed'}" for c in found.conditions)
-    left_out = f"; left out: {_exclusions(found)}" if found.exclusions else ""
-    result.add("trials", NOTE if left_out else OK, f"{conditions}{left_out}")
+    result.add("trials", NOTE if unused else OK, f"{conditions}{unused}")
     short = [t for t in found.trials if t.peak_force < t.target_force]
     detail = f"{len(found) - len(short)} of {len(found)} reach it"
     if short:
@@ -93,27 +106,46 @@ def check_trials(bag: CheckedBag, result: Validation) -> None:
     _check_sync(found, streams, settings, result)
 
 
-def _check_tare(streams: SessionStreams, settings: TrialSettings, result: Validation) -> None:
-    """Force of the unloaded plate; nothing where the recording shows none."""
-    samples = forces_of(streams, settings)
-    if not len(samples):
+def _check_tare(
+    found: TrialSet, streams: SessionStreams, settings: TrialSettings, result: Validation
+) -> None:
+    """Force of the unloaded plate beside the trials, which is what a fit takes off; where they show
+    none, of the whole recording; nothing where that shows none either."""
+    plates = [
+        (f"trial {t.index}: ", _plate(t.stamp_ns, t.force, t.area_stamp_ns, t.area, t.area_flags))
+        for t in (*found.trials, *found.pulls)
+    ]
+    if not any(plate for _, plate in plates):
+        force, frames = forces_of(streams, settings), streams.areas
+        stamps = force["stamp_ns"], force["normal"], frames["stamp_ns"]
+        plates = [("", _plate(*stamps, frames["area"], frames["flags"]))]
+    known = [(where, plate) for where, plate in plates if plate is not None]
+    if not known:
         return
-    stamp = samples["stamp_ns"]
-    areas = streams.areas
-    frames, time = (seconds(stamps - stamp[0]) for stamps in (areas["stamp_ns"], stamp))
-    empty = without_contact(areas)
-    touched = np.isfinite(areas["area"]) & ~empty
-    plate = unloaded_plate(time, samples["normal"], frames[touched], frames[empty])
-    if plate is None:
-        return
+    where, plate = max(known, key=lambda named: abs(named[1].force))
     size = abs(plate.force)
     status = FAIL if size > LARGEST_TARE else NOTE if size > NOTED_TARE else OK
     remedy = "" if status == OK else "; record a tared force, or take this off before the import"
-    result.add("tare", status, plate.words + remedy)
+    result.add("tare", status, where + plate.words + remedy)
 
 
-def _exclusions(found: TrialSet) -> str:
-    return listed((f"trial {e.index} ({e.reason})" for e in found.exclusions), 5, "; ")
+def _plate(
+    stamp_ns: np.ndarray,
+    force: np.ndarray,
+    frame_ns: np.ndarray,
+    area: np.ndarray,
+    flags: np.ndarray,
+) -> Unloaded | None:
+    """As `unloaded_plate`; stamp_ns, force (n,) in N; frame_ns, area, flags (k,): of the frames."""
+    if not len(stamp_ns):
+        return None
+    time, frames = (seconds(stamps - stamp_ns[0]) for stamps in (stamp_ns, frame_ns))
+    empty = without_contact(area, flags)
+    return unloaded_plate(time, force, frames[np.isfinite(area) & ~empty], frames[empty])
+
+
+def _exclusions(left_out: list[Exclusion]) -> str:
+    return listed((f"trial {e.index} ({e.reason})" for e in left_out), 5, "; ")
 
 
 def _check_values(found: TrialSet, result: Validation) -> None:

@@ -76,10 +76,12 @@ class Exclusion:
 class TrialSet:
     """Trials of one or more bags, what was left out, and what was wrong with the bags.
 
-    lost: bags of which something could not be read.
+    pulls: trials for the friction, which are among the exclusions too. lost: bags of which
+    something could not be read.
     """
 
     trials: list[TrialRecord] = field(default_factory=list)
+    pulls: list[TrialRecord] = field(default_factory=list)
     exclusions: list[Exclusion] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     lost: list[str] = field(default_factory=list)

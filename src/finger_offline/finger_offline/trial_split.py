@@ -101,9 +101,9 @@ def presses(
     return found
 
 
-def without_contact(areas: np.ndarray) -> np.ndarray:
-    """Mask (k,) of the frames of a table of areas, of `finger_bag.streams.AREA`, that show none."""
-    return (areas["area"] <= 0.0) | ((areas["flags"] & AreaFlag.NO_CONTACT) != 0)
+def without_contact(area: np.ndarray, flags: np.ndarray) -> np.ndarray:
+    """Mask (k,) of the frames that show no contact, by their areas (k,) and flags (k,)."""
+    return (area <= 0.0) | ((flags & AreaFlag.NO_CONTACT) != 0)
 
 
 @dataclass
@@ -132,7 +132,7 @@ def forces_of(streams: SessionStreams, settings: ReadSettings) -> np.ndarray:
 def pressing_samples(streams: SessionStreams, settings: ReadSettings) -> np.ndarray:
     """As `forces_of`, with the normal force by which presses are told apart."""
     samples, areas = forces_of(streams, settings), in_stamp_order(streams.areas)
-    empty = without_contact(areas)
+    empty = without_contact(areas["area"], areas["flags"])
     touched = np.isfinite(areas["area"]) & ~empty
     frames = areas["stamp_ns"]
     samples["normal"] = pressing_force(
@@ -188,6 +188,8 @@ def split(
             reason = "no contact area during the press"
         if not CONDITION.fullmatch(record.condition):
             reason = f"condition {record.condition[:40]!r} is no name of letters, digits, blanks, -"
+        if reason == PULLED:
+            result.pulls.append(record)
         if reason:
             result.exclusions.append(
                 Exclusion(bag, record.condition, record.index, reason, record.subject)

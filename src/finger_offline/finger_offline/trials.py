@@ -40,6 +40,7 @@ def load_trials(
         with open_bag(bag) as reader:
             found = trials_of(reader, settings)
         result.trials += found.trials
+        result.pulls += found.pulls
         result.exclusions += found.exclusions
         result.problems += found.problems
         result.lost += found.lost

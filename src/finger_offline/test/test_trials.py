@@ -26,6 +26,7 @@ from finger_bag.validate import validate
 from finger_bag.writer import BagWriter
 from finger_common.axes import lateral_force, normal_force
 from finger_common.errors import InputError
+from finger_common.trial_phases import TrialPhase
 from finger_common.units import FORCE_UNITS
 from finger_offline.image_areas import grey_image
 from finger_offline.lag import force_image_lag
@@ -319,6 +320,46 @@ def test_an_untared_force_of_another_lab_is_not_fit_for_use(tmp_path: Path) -> N
         checks = {c.name: c for c in validate(path).checks}
         assert checks["tare"].status == ("fail" if tare else "ok")
         assert f"{tare:.2f} N while nothing touches the plate" in checks["tare"].detail
+
+
+def guided_trial(path: Path, untared: float, pulled: bool = False) -> Path:
+    """A bag whose force was tared (N before) 2 s before the cue to press."""
+    about = {"session": "s", "subject": "S01", "condition": "dry", "target_force": 1.35}
+    phases = [(TrialPhase.PRESS, 4.0), (TrialPhase.LIFT, 6.0), (TrialPhase.DONE, 7.4)]
+    if pulled:
+        phases.insert(1, (TrialPhase.PULL, 5.5))
+    with BagWriter(path, {"condition": "dry", "subject": "S01"}) as bag:
+        for phase, at in phases:
+            header = {"header": {"stamp": START + round(at * 1e9)}}
+            bag.write("trial", {**header, "phase": int(phase), **about})
+        for t in np.arange(0, 7.5, 0.002):
+            stamp, force = START + round(t * 1e9), float(press_force(np.array(t - 4.0)))
+            force += 0.002 * np.sin(60.0 * t)
+            bag.write("wrench", wrench(stamp, force + (untared if t < 2.0 else 0.0)))
+            if round(t * 500) % 50 == 0:
+                area = 60e-6 * max(force, 0.0) ** 0.4 if force > 0.01 else 0.0
+                fields = {"header": {"stamp": stamp}, "gross_area": area}
+                bag.write("contact_area", fields)
+    return path
+
+
+@pytest.mark.parametrize("pulled", [False, True])
+@pytest.mark.parametrize("untared", [0.5, 0.12, -0.4])
+def test_a_tare_within_a_bag_is_judged_beside_the_press(
+    tmp_path: Path, untared: float, pulled: bool
+) -> None:
+    """As a fit takes it off; the plate was never loaded by the mean of before and after."""
+    result = validate(guided_trial(tmp_path / "bag", untared, pulled))
+    (tare,) = (c for c in result.checks if c.name == "tare")
+    assert tare.status == "ok" and "0.00 N while nothing touches the plate" in tare.detail
+
+
+def test_a_bag_of_pulls_is_fit_for_the_friction(tmp_path: Path) -> None:
+    result = validate(guided_trial(tmp_path / "bag", 0.0, pulled=True))
+    (trials,) = (c for c in result.checks if c.name == "trials")
+    assert result.fit and trials.status == "note"
+    assert "1 pull: fit for the friction (process --slip), not for the area" in trials.detail
+    assert "left out" not in trials.detail
 
 
 def test_what_is_missing_is_named_with_the_remedy(tmp_path: Path) -> None:

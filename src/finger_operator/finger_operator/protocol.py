@@ -143,6 +143,8 @@ class Protocol:
         self._announced: tuple[object, ...] = ()
         self._clear_since: int | None = None
         self._press: Press | None = None
+        self._unmarked: tuple[Path, TrialEvent] | None = None
+        """Bag of an interrupted attempt and what it says of it, once the recorder has closed it."""
         self._waits: dict[Step, Callable[[float], None]] = {
             Step.PREPARE: self._await_preparation,
             Step.CLEAR: self._await_clear_plate,
@@ -204,7 +206,8 @@ class Protocol:
     ) -> Protocol:
         """The session of a state file, at the same trial, paused.
 
-        An attempt that was under way is noted as failed ("interrupted") and its trial begins again.
+        An attempt that was under way is noted as failed ("interrupted"), in its bag as soon as the
+        recorder has closed it, and its trial begins again.
         Raises InputError naming the file when it cannot be used.
         """
         saved = load_state(Path(folder))
@@ -224,14 +227,16 @@ class Protocol:
         protocol.trials = saved.trials
         protocol.current = saved.current
         protocol.ended = saved.ended
-        protocol._now = now_ns
+        protocol._now = protocol._step_stamp = now_ns
+        protocol.step = step
         protocol.log = EventLog.load(protocol.folder)
         protocol._log("session", "the protocol was started again", of_trial=False)
         # A bag that is still being written belongs to the interrupted attempt.
         effects(StopRecording())
         if step in UNDER_WAY:
-            attempt = protocol.trials[protocol.current].attempts[-1]
-            attempt.verdict, attempt.reason = "failed", "interrupted: the protocol ended during it"
+            protocol._conclude_failed("interrupted: the protocol ended during it")
+            bag = Path(protocol._attempt.bag)
+            protocol._unmarked = bag, protocol._announcement(TrialPhase.FAILED)
             protocol.message = (
                 f"Restarted. Trial {protocol.current + 1} will begin again: press Space."
             )
@@ -516,6 +521,9 @@ class Protocol:
         bag: those that are in it, and its path, where they are told.
         """
         self._now = max(self._now, now_ns)
+        if self._unmarked is not None:
+            self._mark_in_bag(*self._unmarked)
+            self._unmarked = None
         if self.recording not in ("stopping", "on"):
             # The answer to the stop of an earlier attempt; the next bag is being opened already.
             return
@@ -651,20 +659,29 @@ class Protocol:
         found = f": {attempt.found}" if attempt.found else ""
         self._log("kept", f"trial {self.current + 1} kept{found}")
 
-    def _fail(self, reason: str) -> None:
+    def _conclude_failed(self, reason: str) -> None:
         attempt = self._attempt
         attempt.verdict, attempt.reason, attempt.ended_ns = "failed", reason, self._now
         self._log("failed", reason)
+
+    def _fail(self, reason: str) -> None:
+        self._conclude_failed(reason)
         closing = self.step is Step.CLOSING
         self._enter(Step.FAILED)
         if self.limits.need_recorder and not closing:
             self.recording = "stopping"
             self._effects(StopRecording())
-        elif closing and Path(attempt.bag).is_dir():
-            try:
-                mark_in_bag(Path(attempt.bag), self._announcement(TrialPhase.FAILED))
-            except (OSError, InputError) as error:
-                self._log("fault", f"not marked as failed in its bag: {one_line(error)}")
+        elif closing:
+            self._mark_in_bag(Path(self._attempt.bag), self._announcement(TrialPhase.FAILED))
+
+    def _mark_in_bag(self, bag: Path, event: TrialEvent) -> None:
+        """Say in a closed bag what became of its attempt; nothing where there is no such bag."""
+        if not bag.is_dir():
+            return
+        try:
+            mark_in_bag(bag, event)
+        except (OSError, InputError) as error:
+            self._log("fault", f"{bag.name} is not marked as failed: {one_line(error)}")
 
     def _hold(self, message: str) -> None:
         self.paused = True

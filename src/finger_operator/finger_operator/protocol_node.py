@@ -28,7 +28,15 @@ from std_srvs.srv import Trigger
 from finger_bag.streams import TrialEvent
 from finger_common.axes import DEFAULT_NORMAL_AXIS, NORMAL_AXES
 from finger_common.cli import one_line
-from finger_common.diagnostics import ERROR, OK, WARN, Health, full_node_name, status_node
+from finger_common.diagnostics import (
+    ERROR,
+    OK,
+    WARN,
+    Health,
+    full_node_name,
+    node_within,
+    status_node,
+)
 from finger_common.errors import FingerError, InputError
 from finger_common.files import atomic_write, read_text
 from finger_common.folder_lock import lock_folder
@@ -48,6 +56,7 @@ from finger_msgs.srv import Record
 
 from .limits import Limits
 from .normal_force import NormalForce
+from .page.readiness import TARE_NEEDED, refusal, tared_by
 from .protocol import Effect, Protocol, StartRecording, Step, StopRecording
 from .recorder_requests import RecorderRequests
 from .session_store import STATE_FILE, free_space, further_files, sessions_by_subject
@@ -183,6 +192,7 @@ class ProtocolNode(ManagedNode):
     def activate(self) -> None:
         qos = self.stream_qos()
         deep = self.stream_qos(max(self.values["qos_depth"], POLLED_DEPTH))
+        self._tared: bool | None = None
         self._wrench = self.create_polled_subscription(WrenchStamped, "wrench", deep)
         self.create_stream_subscription(ContactArea, "contact_area", self._on_area, qos)
         self.create_stream_subscription(Moisture, "moisture", self._on_moisture, qos)
@@ -269,6 +279,8 @@ class ProtocolNode(ManagedNode):
             if self._recorder.busy:
                 raise InputError("the recorder is still busy; try again in a moment")
             self._protocol = self._new_session()
+        if self._protocol.step is Step.PREPARE and not self._protocol.paused:
+            self._refuse_untared()
         self._protocol.start(self.sample_time())
         prepare = self._protocol.step is Step.PREPARE
         return "prepare finger and plate" if prepare else "the trial begins"
@@ -284,9 +296,15 @@ class ProtocolNode(ManagedNode):
             )
         if self._recorder.busy:
             raise InputError("the recorder is still busy; try again in a moment")
+        self._refuse_untared()
         self._protocol = self._new_session(calibration=True)
         self._protocol.start(self.sample_time())
         return "the calibration begins"
+
+    def _refuse_untared(self) -> None:
+        """Before a trial begins, as the page does."""
+        if self._tared is False:
+            raise InputError(refusal([TARE_NEEDED]))
 
     def _open(self) -> Protocol:
         if self._protocol is None:
@@ -384,11 +402,12 @@ class ProtocolNode(ManagedNode):
             self._protocol.moisture(header_stamp(message), message.value)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        if self._protocol is None:
-            return
         for status in message.status:
+            values = {v.key: v.value for v in status.values}
+            tared = tared_by(node_within(status.name, self.get_namespace()), values)
+            self._tared = self._tared if tared is None else tared
             name = self._watched.get(status_node(status.name))
-            if name is not None:
+            if name is not None and self._protocol is not None:
                 self._protocol.health(name, status.level[0], status.message, self.sample_time())
 
     def _on_calibration(self, message: DiagnosticStatus) -> None:

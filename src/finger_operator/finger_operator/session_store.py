@@ -172,8 +172,8 @@ def folder_size(folder: Path) -> int:
 
 
 def mark_in_bag(bag: Path, event: TrialEvent) -> None:
-    """Write what became of a trial into its closed bag, where it was thought to be done: whoever
-    reads the bag learns it there. Raises InputError where that cannot be."""
+    """Write what became of a trial into its bag, which its recorder has left: whoever reads the bag
+    learns it there. Raises InputError where that cannot be."""
     with open_bag(bag) as reader:
         topic = reader.topic("trial") or full_name("trial")
         after = (reader.info.end_ns or 0) + 1

@@ -425,6 +425,35 @@ def test_a_trial_that_failed_when_its_bag_was_closed_is_marked_in_the_bag(rig: R
     }  # fmt: skip
 
 
+@pytest.mark.parametrize("recorder_crashed", [False, True])
+def test_an_attempt_that_a_crash_ended_is_failed_wherever_it_is_told(
+    rig: Rig, recorder_crashed: bool
+) -> None:
+    """After its press; the bag is closed, or as a computer that lost its power leaves it."""
+    rig.to_press()
+    rig.press()
+    assert rig.protocol.step is Step.MOISTURE_AFTER
+    bag = Path(rig.attempt.bag)
+    with BagWriter(bag) as writer:
+        phase = int(TrialPhase.MOISTURE_AFTER)
+        writer.write("trial", {"header": {"stamp": rig.now}, "phase": phase})
+    if recorder_crashed:
+        (bag / "metadata.yaml").unlink()
+    again = Protocol.resume_from(rig.folder, rig.take, rig.now + SECOND, rig.limits)
+    again.recorder_stopped(not recorder_crashed, "", rig.now + 2 * SECOND)
+    why = "interrupted: the protocol ended during it"
+    with open_bag(bag) as reader:
+        last = list(reader.messages())[-1].message
+    assert (last.phase, last.note) == (TrialPhase.FAILED, why)
+    assert (last.index, last.attempt, last.session) == (0, 0, "S01_test")
+    with (rig.folder / "trials.csv").open() as file:
+        (row,) = csv.DictReader(file)
+    assert (row["verdict"], row["reason"]) == ("failed", why)
+    (failed,) = (e for e in EventLog.load(rig.folder).events if e.kind == "failed")
+    assert (failed.text, failed.index, failed.attempt) == (why, 0, 0)
+    assert again.paused and again.step is Step.PREPARE and rig.last.attempt == 1
+
+
 def test_recorder_that_does_not_close_fails_the_trial(rig: Rig) -> None:
     rig.to_press()
     rig.press()

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -366,6 +367,44 @@ def test_the_recorder_s_answer_to_the_stop_decides_with_path_and_count(
         answer = Record.Response(success=True, path=attempt.bag + bag, message_count=messages)
         node._recorded(Record.Request(command=Record.Request.COMMAND_STOP), answer, "")
         assert attempt.verdict == verdict
+
+
+def test_no_trial_begins_without_a_tare(ros_domain: int, tmp_path: Path) -> None:
+    """In the words of the page, and where the force driver tells that it has no zero."""
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+    from finger_common.errors import InputError
+    from finger_operator.page.readiness import Readiness, refusal
+    from finger_operator.protocol import Step
+
+    page = Readiness()
+    page.beat("force", 0.0)
+    page.beat("protocol", 0.0)
+    page.sample("force", 0.0)
+    page.report("force", "force", 1, "", {"tared": "no"}, 0.0)
+    words = refusal(page.problems(0.1))
+    assert "press Tare" in words
+
+    def tell(node: Any, name: str, tared: str) -> None:
+        values = [KeyValue(key="tared", value=tared)]
+        status = DiagnosticStatus(level=b"\x01", name=f"{name}: sensor", values=values)
+        node._on_diagnostics(DiagnosticArray(status=[status]))
+
+    with node_here(ros_domain, tmp_path) as node:
+        tell(node, "force", "no")
+        with pytest.raises(InputError, match=re.escape(words)):
+            node._calibrate()
+        assert node._protocol is None
+        node._start()
+        assert node._protocol.step is Step.PREPARE, "a session may begin"
+        with pytest.raises(InputError, match=re.escape(words)):
+            node._start()
+        tell(node, "other/force", "yes")
+        with pytest.raises(InputError, match=re.escape(words)):
+            node._start()
+        tell(node, "force", "yes")
+        node._start()
+        assert node._protocol.step is not Step.PREPARE
 
 
 @pytest.mark.parametrize("step", ["PRESS", "MOISTURE_AFTER"])

@@ -93,6 +93,15 @@ class Problem:
     starting: bool = False
 
 
+TARE_NEEDED = Problem("tare", "Tare needed.", "Take the finger off the plate, then press Tare (T).")
+
+
+def tared_by(node: str | None, values: Mapping[str, str]) -> bool | None:
+    """Whether the force has a zero, by the values of a node's status in /diagnostics; None where
+    they do not tell, as those of another node or of a driver that is not the suite's."""
+    return values["tared"] == "yes" if node == "force" and "tared" in values else None
+
+
 @dataclass(frozen=True)
 class _Report:
     """Last /diagnostics of a node."""
@@ -129,8 +138,8 @@ class Readiness:
         self._reports.setdefault(node, {})[part] = _Report(level, message)
         if node == "bring_up":
             self._starting = set(values.get(STARTING, "").split())
-        if node == "force" and "tared" in values:
-            self._tared = (now, values["tared"] == "yes")
+        if (tared := tared_by(node, values)) is not None:
+            self._tared = (now, tared)
 
     def age(self, stream: str, now: float) -> float | None:
         """s since the last sample of a stream; None before the first."""
@@ -208,9 +217,7 @@ class Readiness:
 
     def _tare_problem(self) -> Problem | None:
         if self.tared is False:
-            return Problem(
-                "tare", "Tare needed.", "Take the finger off the plate, then press Tare (T)."
-            )
+            return TARE_NEEDED
         if self.tared is None and "force" in self._beats:
             return Problem("tare", "Looking for the force sensor's zero.", "Wait a moment.")
         return None
