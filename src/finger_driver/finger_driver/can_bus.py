@@ -42,6 +42,9 @@ DEFAULT_CHANNEL = {
 
 DEFAULT_PORT = 43113
 
+BUS_ERRORS = (can.CanError, OSError)
+"""What a bus raises when it fails; some of python-can's pass on errors of a socket or port."""
+
 
 @dataclass(frozen=True)
 class CanSettings(Settings):
@@ -238,7 +241,7 @@ def open_bus(
         return can.Bus(interface=interface, channel=channel or None, **arguments)
     except (TypeError, ValueError) as error:
         raise InputError(f"can bus {where}: {error}; correct can_channel or can_options") from None
-    except (can.CanError, OSError, ImportError, NotImplementedError) as error:
+    except (*BUS_ERRORS, ImportError, NotImplementedError) as error:
         raise DeviceError(
             f"can bus {where} does not open ({error}); check the cable, the driver and "
             f"`ip link show {channel or 'can0'}`"

@@ -61,6 +61,11 @@ states."""
 AGREEING, SCATTER = 3, 0.1
 """Before that it is believed where at least so many blocks lie on one rising line: their scatter
 about it is at most this share of the rise, which is more than LATE."""
+ANOTHER_RATE = 2e-3
+"""s/s; a device of a larger drift has another rate than it states, and receipt is the better
+stamp."""
+JUMP = 10e-3
+"""s by which a delay must lie below all that is known to show that the device's clock jumped."""
 
 
 def _line_below(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -95,10 +100,15 @@ class ClockMapper:
     squares) gives offset and drift. A block in which every pair was late, as under load, lies above
     the others and is left out. Before the second block is complete, and while the line drifts by
     more than a clock does and few blocks do not agree on it, the least delay so far is used without
-    drift.
+    drift. With a drift of `another_rate` the result is the time of receipt.
+
+    A delay far below all others shows that the device's clock jumped forward, or that receipt was
+    late since the beginning: the result is the time of receipt, and the mapping begins anew when
+    the next delay is as short.
 
     nominal_rate: device ticks per second. `drift` is in s/s (device clock slow: positive), `jitter`
-    the standard deviation of receipt about the mapped time, in s.
+    the standard deviation of receipt about the mapped time, in s, `jumps` how often the mapping
+    began anew by itself.
     """
 
     def __init__(self, nominal_rate: float, block: float = 1.0, blocks: int = 30) -> None:
@@ -108,17 +118,22 @@ class ClockMapper:
         self._block = block
         self._minima: deque[tuple[float, float]] = deque(maxlen=blocks)
         self._recent: deque[float] = deque(maxlen=500)
+        self.jumps = 0
         self.restart()
 
     def restart(self) -> None:
         """Forget everything, as after the device's clock was reset."""
+        self._last_ticks: int | None = None
+        self._last_stamp: int | None = None
+        self._begin()
+
+    def _begin(self) -> None:
         self._origin: tuple[int, int] | None = None
         self._minima.clear()
         self._recent.clear()
         self._current: tuple[float, float] | None = None
         self._block_end = self._block
-        self._last_ticks: int | None = None
-        self._last_stamp: int | None = None
+        self._jumped = False
         self.drift = 0.0
         self._offset = 0.0
         self._centre = 0.0
@@ -132,10 +147,16 @@ class ClockMapper:
         if self._last_ticks is not None and ticks <= self._last_ticks:
             self.restart()
         self._last_ticks = ticks
-        if self._origin is None:
-            self._origin = (ticks, host_ns)
-        device = (ticks - self._origin[0]) / self.nominal_rate
-        delay = seconds(host_ns - self._origin[1]) - device
+        device, delay = self._of_origin(ticks, host_ns)
+        if self._far_below(device, delay):
+            # One alone may be a wrong time of receipt.
+            if not self._jumped:
+                self._jumped = True
+                return self._increasing(host_ns)
+            self.jumps += 1
+            self._begin()
+            device, delay = self._of_origin(ticks, host_ns)
+        self._jumped = False
         if self._current is None or delay < self._current[1]:
             self._current = (device, delay)
         if device >= self._block_end:
@@ -143,14 +164,40 @@ class ClockMapper:
             self._current = None
             self._block_end = device + self._block
             self._fit()
-        mapped = self._offset + self.drift * (device - self._centre)
-        if len(self._minima) < 2:
+        if len(self._minima) > 1:
+            mapped = self._line(device)
+        else:
             known = [m[1] for m in self._minima] + ([self._current[1]] if self._current else [])
-            mapped = min(known, default=delay)
+            mapped = min(known)
         mapped = min(mapped, delay)
         self._recent.append(delay - mapped)
-        stamp = self._origin[1] + nanoseconds(device + mapped)
-        # A new line through the minima may lie a little earlier than the last one.
+        if self.another_rate:
+            return self._increasing(host_ns)
+        return self._increasing(host_ns - nanoseconds(delay - mapped))
+
+    def _of_origin(self, ticks: int, host_ns: int) -> tuple[float, float]:
+        """Device time and delay of a pair, s from the first one."""
+        if self._origin is None:
+            self._origin = (ticks, host_ns)
+        device = (ticks - self._origin[0]) / self.nominal_rate
+        return device, seconds(host_ns - self._origin[1]) - device
+
+    def _far_below(self, device: float, delay: float) -> bool:
+        """Whether a delay is JUMP below the present block, the last one and the line."""
+        limit, current, minima = delay + JUMP, self._current, self._minima
+        if current is not None and current[1] <= limit:
+            return False
+        if minima and minima[-1][1] <= limit:
+            return False
+        if len(minima) > 1 and self._line(device) <= limit:
+            return False
+        return current is not None or bool(minima)
+
+    def _line(self, device: float) -> float:
+        return self._offset + self.drift * (device - self._centre)
+
+    def _increasing(self, stamp: int) -> int:
+        """The stamp, or the next after the last one: a new line may lie a little earlier."""
         stamp = max(stamp, self._last_stamp + 1) if self._last_stamp is not None else stamp
         self._last_stamp = stamp
         return stamp
@@ -170,11 +217,17 @@ class ClockMapper:
         self.drift, self._offset = float(line[0]), float(np.polyval(line, self._centre))
 
     def notes(self) -> dict[str, str]:
-        """Drift and jitter for diagnostics."""
+        """Drift, jitter and jumps for diagnostics."""
         return {
             "clock_drift_ppm": f"{self.drift * 1e6:.1f}",
             "clock_jitter_ms": f"{self.jitter * 1e3:.3f}",
+            "clock_jumps": str(self.jumps),
         }
+
+    @property
+    def another_rate(self) -> bool:
+        """Whether the device has another rate than the nominal one."""
+        return abs(self.drift) > ANOTHER_RATE
 
     @property
     def jitter(self) -> float:

@@ -31,9 +31,9 @@ class Device(Generic[Sample]):
     """A source of samples.
 
     `connect` raises DeviceError or InputError and may be called again after `close`, which may be
-    called at any time. `read` waits at most `timeout` seconds and returns None when no sample came;
-    it raises DeviceError when the connection is lost. Faults go into `health` and, when new, to
-    `log`. Stamps come from `clock`.
+    called at any time, also once the device is gone. `read` waits at most `timeout` seconds and
+    returns None when no sample came; it raises DeviceError when the connection is lost. Faults go
+    into `health` and, when new, to `log`. Stamps come from `clock`.
     """
 
     SETTINGS: type[Settings] = Settings
@@ -130,7 +130,7 @@ class DeviceThread(Generic[Sample]):
                 self._device.connect()
                 break
             except DeviceError:
-                self._device.close()
+                self._close()
                 pause = self._pauses.next()
                 if time.monotonic() + pause > end:
                     raise
@@ -177,7 +177,7 @@ class DeviceThread(Generic[Sample]):
                 if not connected:
                     device.connect()
                     connected = True
-                    device.cleared("internal")
+                    device.cleared("internal", "close")
                     device.health.count("reconnects")
                     if device.health.recovered("connection"):
                         device.log(0, f"{device.health.name}: connected again")
@@ -192,14 +192,24 @@ class DeviceThread(Generic[Sample]):
             except FingerError as error:
                 connected = False
                 device.note("connection", one_line(error), ERROR)
-                device.close()
+                self._close()
                 self._stop.wait(self._pauses.next())
             except Exception as error:
                 # A defect of the program: a dead thread would fail silently.
                 if self._stop.is_set():
                     return
+                connected = False
                 device.note("internal", f"{type(error).__name__}: {one_line(error)}", ERROR)
+                self._close()
                 self._stop.wait(self._pauses.next())
+
+    def _close(self) -> None:
+        """Release the device, which may fail where it was unplugged."""
+        try:
+            self._device.close()
+        except Exception as error:
+            kind = type(error).__name__
+            self._device.note("close", f"closing it failed ({kind}: {one_line(error)})")
 
     def _deliver(self, sample: Sample) -> Rest:
         self._pauses.reset()

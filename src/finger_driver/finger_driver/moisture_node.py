@@ -1,7 +1,11 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Node `moisture`: publishes `moisture` for each reading, also those that the operator enters."""
+"""Node `moisture`: publishes `moisture` for each reading, also those that the operator enters.
+
+Stamps of one source increase. A table that is saved after a reading was entered may hold earlier
+ones: whoever uses readings orders them by stamp.
+"""
 
 from __future__ import annotations
 
@@ -19,11 +23,12 @@ from finger_common.stamps import NANOSECONDS, seconds
 from finger_msgs.msg import Moisture
 from finger_msgs.srv import SetMoisture
 
+from .clock import IncreasingStamps
 from .device_node import DeviceNode, DeviceNodeSettings
 from .messages import fill_moisture
 from .moisture import SOURCES, MoistureSettings, MoistureSource, Reading
 from .moisture.manual import ManualSource
-from .moisture.source import FLAG_OUT_OF_RANGE, PHASE_AFTER
+from .moisture.source import FLAG_MANUAL, FLAG_OUT_OF_RANGE, PHASE_AFTER
 
 _AHEAD = 2.0
 """s by which a reading may be stamped ahead of this machine's clock; tables have whole seconds."""
@@ -43,6 +48,17 @@ class MoistureNodeSettings(DeviceNodeSettings):
     )
 
 
+def _later(stamp_ns: int, last: int | None) -> int:
+    """The stamp, or the first one after the last reading's where it lies less than 1 s behind.
+
+    Two lines that come in one piece have the same time of arrival; exports write times in whole
+    seconds, so rows of a table often have the same one.
+    """
+    if last is not None and last - NANOSECONDS < stamp_ns <= last:
+        return last + 1
+    return stamp_ns
+
+
 class MoistureNode(DeviceNode):
     """Node around a MoistureSource. Readings may be entered by hand with every source."""
 
@@ -54,9 +70,10 @@ class MoistureNode(DeviceNode):
 
     def create_interfaces(self) -> None:
         device = self.device
-        self._manual = (
-            device if isinstance(device, ManualSource) else ManualSource(MoistureSettings())
-        )
+        if isinstance(device, ManualSource):
+            self._manual, self._entered = device, self._stamps
+        else:
+            self._manual, self._entered = ManualSource(MoistureSettings()), IncreasingStamps()
         self._publish_lock = threading.Lock()
         self._index = 0
         # Readings are few and each counts: always reliable, and late joiners get the newest.
@@ -83,9 +100,10 @@ class MoistureNode(DeviceNode):
             device.note_if(early, "ahead", text)
             if early:
                 return text
-            stamp = self._later(reading.stamp_ns)
-            old = not self.accept_stamp(stamp)
-            text = f"{name} is older than the one before it {left_out}"
+            stamps = self._entered if reading.flags & FLAG_MANUAL else self._stamps
+            stamp = _later(reading.stamp_ns, stamps.last)
+            old = not stamps.accept(stamp)
+            text = f"{name} is older than the one of this source before it {left_out}"
             device.note_if(old, "backwards", text)
             if old:
                 return text
@@ -99,17 +117,6 @@ class MoistureNode(DeviceNode):
             self._publisher.publish(fill_moisture(Moisture(), reading, self._index, self.frame))
             self._index += 1
         return ""
-
-    def _later(self, stamp_ns: int) -> int:
-        """The stamp, or the first one after the last reading's where it lies less than 1 s behind.
-
-        Two lines that come in one piece have the same time of arrival; exports write times in whole
-        seconds, so rows of a table often have the same one.
-        """
-        last = self._stamps.last
-        if last is not None and last - NANOSECONDS < stamp_ns <= last:
-            return last + 1
-        return stamp_ns
 
     def _on_set_moisture(self, request: Any, response: Any) -> Any:
         if not self.reading:

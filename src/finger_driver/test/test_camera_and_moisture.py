@@ -8,6 +8,7 @@ from __future__ import annotations
 import ctypes
 import threading
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar
@@ -24,6 +25,8 @@ from finger_driver.camera.freeze import FreezeDetector
 from finger_driver.camera.info import CameraCalibration, resolve_url
 from finger_driver.camera.opencv import OpenCvSettings, OpenCvSource
 from finger_driver.camera.ueye import UeyeSettings, UeyeSource
+from finger_driver.moisture import Reading
+from finger_driver.moisture.serial import SerialSettings, SerialSource
 from finger_driver.protocols import lines
 from finger_driver.protocols.export_table import Row, TableFormat, new_rows, parse_table
 from finger_driver.simulators import FrameFolderWriter, SerialMoistureSimulator
@@ -67,6 +70,44 @@ def test_a_frame_of_the_future_does_not_hide_those_of_today(tmp_path: Path) -> N
         writer.write(time.time_ns(), picture(index))
         frame = source.read(1.0)
         assert frame is not None and frame.sequence == index
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("{ms}_1.pgm", "ns since the epoch"),
+        ("{us}_1.pgm", "ns since the epoch"),
+        ("{hour_ago}_1.pgm", "before the last frame or the start"),
+        ("{ns}_1.jpg", "name frames STAMP_NUMBER.pgm"),
+        ("frame_001.png", "name frames STAMP_NUMBER.pgm"),
+    ],
+)
+def test_new_files_that_are_no_new_frames_are_named(tmp_path: Path, name: str, why: str) -> None:
+    FrameFolderWriter(tmp_path).write(time.time_ns(), picture())
+    source = FolderSource(FolderSettings(path=str(tmp_path)))
+    source.connect()
+    (tmp_path / ".next.part").touch()
+    source._heard -= 2.0
+    assert source.read(0.01) is None and not source.health.faults
+    ns = time.time_ns()
+    times = {"ns": ns, "us": ns // 1000, "ms": ns // 10**6, "hour_ago": ns - 3600 * 10**9}
+    path = tmp_path / name.format(**times)
+    path.touch()
+    for _ in range(2):
+        assert source.read(0.01) is None
+    assert source.health.faults["left_out"].startswith(f"{path.name} is left out")
+    assert why in source.health.faults["left_out"] and source.health.counters["left_out"] == 1
+
+
+def test_frames_that_come_late_are_told(tmp_path: Path) -> None:
+    """A program behind, or the clock of another computer."""
+    source = FolderSource(FolderSettings(path=str(tmp_path)))
+    source.connect()
+    path = FrameFolderWriter(tmp_path).write(time.time_ns(), picture())
+    here = time.time_ns()
+    source.clock.now = lambda: here + 4 * 10**9  # type: ignore[method-assign]
+    assert path is not None and source.read(0.1) is not None
+    assert source.health.faults["late"].startswith("frames come 4.0 s after their stamp")
 
 
 def test_missing_frames_are_counted_and_a_missing_folder_is_reported(tmp_path: Path) -> None:
@@ -270,6 +311,7 @@ class FakeUeye:
         self.number = 0
         self.starter_firmware_missing = False
         self.started = time.time()
+        self.now: Callable[[], float] = time.time
 
     def SENSORINFO(self) -> Any:
         return SimpleNamespace(nMaxWidth=6, nMaxHeight=4, strSensorName=b"DCC3240M\0\0")
@@ -292,7 +334,7 @@ class FakeUeye:
                 time.sleep(0.005)
                 self.number += 1
             if name == "is_GetImageInfo":
-                arguments[2].u64TimestampDevice = round((time.time() - self.started) * 1e7)
+                arguments[2].u64TimestampDevice = round((self.now() - self.started) * 1e7)
                 arguments[2].u64FrameNumber = self.number
             return self.result.get(name, 0)
 
@@ -339,6 +381,22 @@ def test_ueye_frames_that_waited_before_reading_began_tell_nothing() -> None:
     assert source._mapper._minima.maxlen and not source._mapper._minima
 
 
+@pytest.mark.parametrize("rate", [1.0, 0.99])
+def test_ueye_whose_clock_has_another_rate_is_told(rate: float) -> None:
+    sdk = FakeUeye()
+    source = UeyeSource(UeyeSettings(rate=10.0), sdk=sdk)
+    source.connect()
+    sdk.started, seconds = 0.0, 0.0
+    source.clock.now = lambda: round((1e9 + seconds) * 1e9)  # type: ignore[method-assign]
+    sdk.now = lambda: 100.0 + seconds * rate
+    for _ in range(100):
+        seconds += 0.1
+        frame = source.read(0.1)
+        assert frame is not None
+    assert abs(frame.stamp_ns * 1e-9 - 1e9 - seconds) < 1e-3
+    assert list(source.health.faults) == ([] if rate == 1.0 else ["clock"])
+
+
 def test_ueye_that_needs_its_starter_firmware_gets_it() -> None:
     sdk, said = FakeUeye(), []
     sdk.starter_firmware_missing = True
@@ -368,6 +426,16 @@ def test_frozen_is_distinguished_from_dark() -> None:
     assert not detector.frozen(picture(1))
     detector = FreezeDetector(3)
     assert not any(detector.frozen(np.zeros((4, 4), np.uint8)) for _ in range(10))
+
+
+@pytest.mark.parametrize("ring", [2, 4, 8])
+def test_a_ring_of_buffers_that_comes_again_is_frozen(ring: int) -> None:
+    detector = FreezeDetector(10)
+    frozen = [detector.frozen(picture(k % ring)) for k in range(40)]
+    assert not any(frozen[: ring + 8]) and all(frozen[ring + 8 :])
+    # An image without noise of something that moves there and back is not.
+    there = list(range(20))
+    assert not any(detector.frozen(picture(100 + k)) for k in there + there[::-1])
 
 
 def test_calibration_comes_back_as_saved_and_a_wrong_one_is_refused(tmp_path: Path) -> None:
@@ -462,6 +530,58 @@ def test_the_rest_of_a_line_is_no_reading() -> None:
         reading = source.read(2.0)
         source.close()
     assert reading is not None and reading.value == 47.5
+
+
+@pytest.fixture
+def adapter() -> Iterator[tuple[SerialSource, Callable[..., Reading | None]]]:
+    """A serial source after a silence since connecting, and a function that sends it bytes, `later`
+    s after those before, and reads."""
+    with SerialMoistureSimulator() as simulator:
+        source = SerialSource(SerialSettings(path=simulator.port))
+        source.connect()
+        source._last_byte -= 1.0
+        assert source.read(0.01) is None
+
+        def send(data: bytes, later: float = 0.0) -> Reading | None:
+            source._last_byte -= later
+            source._line_began -= later
+            if later:
+                assert source.read(0.01) is None
+            simulator._write(data)
+            end = time.monotonic() + 10
+            while not source._waiting():
+                assert time.monotonic() < end
+            return source.read(0.05)
+
+        yield source, send
+        source.close()
+
+
+def test_the_rest_of_a_line_that_broke_off_is_no_reading(adapter: Any) -> None:
+    source, send = adapter
+    assert send(b"4") is None
+    assert send(b"2.0\r\n", later=0.7) is None, "2.0 is the end of 42.0"
+    assert "broke off" in source.health.faults["malformed"]
+    assert send(b"43.0\r\n").value == 43.0
+    # A line that shows its beginning is whole, also after half of another one.
+    assert send(b"M=4") is None
+    assert send(b"M=41.0;before\r\n", later=0.7).value == 41.0
+    # In three pieces, and with nothing but its end missing.
+    assert send(b"4") is None and send(b"4", later=0.7) is None
+    assert send(b".0\n", later=0.7) is None and send(b"42.0") is None
+    assert send(b"\n", later=0.7) is None and send(b"44.0\n").value == 44.0
+
+
+@pytest.mark.parametrize("data", [b"42.0;", b"42.0\0", b"\x80\xe0\xf8\x1c"])
+def test_bytes_without_an_end_of_line_are_told(adapter: Any, data: bytes) -> None:
+    """Another end of line than CR or LF, or a wrong baud rate."""
+    source, send = adapter
+    for _ in range(2):
+        assert send(data) is None and not source.health.faults
+    source._line_began -= 5.0
+    assert send(data) is None
+    assert "without an end of line" in source.health.faults["malformed"]
+    assert send(b"\n") is None and send(b"42.0\n").value == 42.0
 
 
 def test_exports_in_the_forms_that_spreadsheets_write() -> None:

@@ -82,6 +82,53 @@ def test_a_device_lost_before_reading_begins_is_connected_again(
     assert device.health.counters["reconnects"] == 1
 
 
+def test_a_device_that_fails_while_it_is_closed_is_connected_again(
+    read: Callable[..., DeviceThread],
+) -> None:
+    """As of an adapter that was unplugged."""
+
+    class Unplugged(Counting):
+        def read(self, timeout: float) -> int | None:
+            if self.number == 5:
+                raise DeviceError("unplugged")
+            return super().read(timeout)
+
+        def close(self) -> None:
+            if self.number == 5:
+                self.number += 1
+                raise OSError(5, "Input/output error")
+
+    device, samples = Unplugged(), []
+    thread = read(device, samples.append)
+    until(lambda: len(samples) > 8)
+    assert thread.running and device.health.counters["reconnects"] == 1
+    assert device.health.counters["close"] == 1
+    assert device.health.last_error == "closing it failed (OSError: [Errno 5] Input/output error)"
+
+
+def test_a_device_whose_driver_has_a_defect_is_connected_again(
+    read: Callable[..., DeviceThread],
+) -> None:
+    class Stuck(Counting):
+        """Raises until it is closed, as a socket whose other end is gone."""
+
+        broken = False
+
+        def read(self, timeout: float) -> int | None:
+            self.broken |= self.number == 5
+            if self.broken:
+                raise BrokenPipeError("Broken pipe")
+            return super().read(timeout)
+
+        def close(self) -> None:
+            self.number, self.broken = 10, False
+
+    device, samples = Stuck(), []
+    read(device, samples.append)
+    until(lambda: len(samples) > 8)
+    assert device.health.counters["internal"] == device.health.counters["reconnects"] == 1
+
+
 def test_an_error_in_the_node_is_forgotten_when_samples_are_taken_again(
     read: Callable[..., DeviceThread], monkeypatch: pytest.MonkeyPatch
 ) -> None:

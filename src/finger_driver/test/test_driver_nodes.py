@@ -260,7 +260,34 @@ def test_a_reading_that_is_not_published_is_not_confirmed(ros_domain: int) -> No
         assert enter().success
         node._stamps.accept(time.time_ns() + 60 * 10**9)
         refused = enter()
-        assert not refused.success and "older than the one before" in refused.message
+        assert not refused.success and "older than the one of this source before" in refused.message
+    finally:
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
+def test_readings_of_a_table_saved_after_one_was_entered_are_not_lost(
+    ros_domain: int, tmp_path: Path
+) -> None:
+    from rclpy.parameter import Parameter
+
+    from finger_driver.moisture import Reading
+    from finger_driver.moisture_node import MoistureNode
+    from finger_msgs.srv import SetMoisture
+
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=ros_domain)
+    parameters = {"device": "export", "path": str(tmp_path / "readings.csv")}
+    overrides = [Parameter(k, value=v) for k, v in parameters.items()]
+    node = MoistureNode(context=context, parameter_overrides=overrides)
+    try:
+        assert node.bring_up()
+        response = SetMoisture.Response()
+        assert node._on_set_moisture(SetMoisture.Request(value=44.0), response).success
+        for age, value in ((20, 41.0), (12, 43.0), (30, 40.0)):
+            node.on_sample(Reading(time.time_ns() - age * 10**9, value, 0))
+        assert node.device.health.report().values["samples"] == "3"
+        assert "40 a.u. is older than the one of this" in node.device.health.faults["backwards"]
     finally:
         node.destroy_node()
         rclpy.shutdown(context=context)

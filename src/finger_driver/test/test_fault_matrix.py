@@ -405,21 +405,23 @@ def test_netcanoem_critical_status_bit(
     )
 
 
-def test_netcanoem_status_of_the_bus_alone_does_not_stop_the_data(
-    record_property: Record,
-    board: tuple[DeviceProcess, NodeUnderTest],
+@pytest.mark.parametrize(
+    ("bit", "meaning"), [(14, "CAN bus error"), (15, "an error without a cause")]
+)
+def test_netcanoem_status_that_is_not_critical_does_not_stop_the_data(
+    record_property: Record, board: tuple[DeviceProcess, NodeUnderTest], bit: int, meaning: str
 ) -> None:
     simulator, test = board
     run_force_fault(
         record_property,
         test,
-        ("NETCANOEM", "status bit 14 (CAN bus error)"),
-        lambda: simulator.say("status 0x4000"),
+        ("NETCANOEM", f"status bit {bit} ({meaning})"),
+        lambda: simulator.say(f"status {1 << bit}"),
         lambda: simulator.say("status 0"),
         0.3,
         False,
         1,
-        "CAN bus error",
+        meaning,
     )
     assert len(test.topic.messages) > 0
 

@@ -88,6 +88,34 @@ def test_a_value_beyond_the_sensors_range_is_not_good(value: float, axis: int) -
     assert "beyond force_range 100 N" in source.health.faults["implausible"]
 
 
+def feed_equal(source: ForceSource, wrench: np.ndarray, rate: float, number: int) -> list[int]:
+    """Qualities of so many equal samples."""
+    return [
+        source.checked(WrenchSample.of_wrench(round(k / rate * 1e9), wrench)).quality
+        for k in range(number)
+    ]
+
+
+@pytest.mark.parametrize("rate", [500.0, 10.0])
+def test_a_sensor_whose_values_stand_still_is_told(rate: float) -> None:
+    source = ForceSource(ForceSettings(rate=rate))
+    frozen = np.array([0.1, 0.0, -1.5, 0.0, 0.0, 0.0])
+    assert set(feed_equal(source, frozen, rate, max(20, round(rate)))) == {GOOD}
+    assert not source.health.faults
+    assert set(feed_equal(source, frozen, rate, 2 * max(20, round(rate)))) == {GOOD}
+    assert "no channel has changed" in source.health.faults["still"]
+
+
+def test_a_sensor_without_noise_or_load_is_not_taken_for_frozen() -> None:
+    source = ForceSource(ForceSettings())
+    feed_equal(source, np.zeros(6), 500.0, 5000)
+    for k in range(5000):
+        # The least channel of six alone moves.
+        wrench = np.array([0.1, 0.0, -1.5, 0.0, 0.0, 1e-5 * (k // 400)])
+        source.checked(WrenchSample.of_wrench(k * 2_000_000, wrench))
+    assert not source.health.faults
+
+
 def test_a_sample_of_another_form_is_told_in_the_words_of_the_driver() -> None:
     sample = WrenchSample.of_wrench(np.int64(7), [0, 0, -1, 0, 0, 0])
     assert sample.stamp_ns == 7 and sample.force.tolist() == [0.0, 0.0, -1.0]

@@ -400,6 +400,68 @@ def test_old_firmware_that_knows_no_counts_still_works(channel: str) -> None:
         bus.shutdown()
 
 
+class Gone(EchoBus):
+    """A bus whose adapter was unplugged: python-can's slcan and socketcand raise these."""
+
+    unplugged = False
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        if self.unplugged:
+            raise BrokenPipeError(32, "Broken pipe")
+        super().send(msg, timeout)
+
+    def shutdown(self) -> None:
+        super().shutdown()
+        if self.unplugged:
+            raise can.CanOperationError("Could not close serial socket")
+
+
+def test_an_adapter_that_was_unplugged_is_a_bus_error(
+    channel: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from finger_driver import can_bus
+
+    gone = Gone(open_bus("virtual", channel), 0)
+    monkeypatch.setattr(can_bus, "open_bus", lambda *a, **k: gone)
+    bus, simulator = board(channel)
+    simulator.start()
+    source = driver(channel)
+    try:
+        source.connect()
+        assert source.read(1.0) is not None
+        gone.unplugged = True
+        with pytest.raises(DeviceError, match=r"bus error \(\[Errno 32\] Broken pipe\)"):
+            for _ in range(10):
+                source.read(1.0)
+    finally:
+        source.close()
+        simulator.stop()
+        bus.shutdown()
+
+
+@pytest.mark.parametrize(
+    ("status", "said"),
+    [
+        (0x8000, "an error without a cause (status 0x8000)"),
+        (0xC000, "CAN bus error (status 0x4000)"),
+    ],
+)
+def test_an_error_bit_that_stands_alone_is_told(channel: str, status: int, said: str) -> None:
+    bus, simulator = board(channel)
+    simulator.faults.set("status", status)
+    simulator.start()
+    source = driver(channel)
+    try:
+        source.connect()
+        sample = source.read(1.0)
+        assert sample is not None and sample.quality == GOOD
+        assert source.health.faults == {"status_warning": f"sensor reports: {said}"}
+    finally:
+        source.close()
+        simulator.stop()
+        bus.shutdown()
+
+
 def test_no_bus_is_reported_in_one_sentence() -> None:
     with pytest.raises(Exception, match="does not exist"):
         open_bus("nonsense")

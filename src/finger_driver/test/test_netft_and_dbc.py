@@ -7,22 +7,27 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import socket
 import struct
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from device_process import device
 
+import finger_driver.device
 from finger_common.errors import DeviceError, InputError
-from finger_driver.force import GOOD, SATURATED, ForceSource, WrenchSample, open_source
-from finger_driver.force.dbc import SHIPPED
+from finger_common.host_clock import HostClock
+from finger_driver.can_bus import frame
+from finger_driver.force import GOOD, SATURATED, ForceSource, WrenchSample, netft, open_source
+from finger_driver.force.dbc import SHIPPED, DbcSettings, DbcSource
+from finger_driver.force.netft import NetFtSettings, NetFtSource
 from finger_driver.protocols import netft_xml, rdt
 from finger_driver.protocols.dbc import SampleAssembler, SensorMapping
-from finger_driver.simulators.netft import NetFtOptions, NetFtSimulator
+from finger_driver.simulators.netft import DEFAULT_CONFIGURATION, NetFtOptions, NetFtSimulator
 
 TRUTH = np.array([0.5, -0.25, -3.0, 0.01, -0.02, 0.03])
 WRENCH = "--wrench=" + ",".join(map(str, TRUTH))
@@ -239,10 +244,174 @@ def test_a_faster_box_is_averaged_not_decimated() -> None:
     assert np.all((spread > 0.05 / np.sqrt(10) * 0.6) & (spread < 0.05 / np.sqrt(10) * 1.5))
 
 
+class Stream:
+    """A driver that is given records of a box by hand, at times of receipt in s.
+
+    sent, internal: the box's rates (Hz), as its page gives them.
+    """
+
+    START = 1_700_000_000_000_000_000
+
+    def __init__(self, rate: float, sent: float, internal: float = 7000.0) -> None:
+        self.source = NetFtSource(NetFtSettings(rate=rate))
+        self._now = self.START
+        self.source.clock = HostClock(lambda: self._now, lambda: self._now)
+        self._step = internal / sent
+        page = dataclasses.replace(DEFAULT_CONFIGURATION, rdt_rate=sent, internal_rate=internal)
+        self.source._page = lambda: page  # type: ignore[method-assign]
+        self.source._open = self.source._begin  # type: ignore[method-assign]
+        self.source.connect()
+        self.source.close()
+
+    def feed(self, number: int, at: float, measured: float | None = None) -> list[WrenchSample]:
+        """Samples once a record has come, whose force is its number in mN.
+
+        measured: number of the internal sample over the number of records that one takes.
+        """
+        self._now = self.START + round(at * 1e9)
+        internal = round((number if measured is None else measured) * self._step)
+        record = rdt.Record(number, internal, 0, (0, 0, number * 1000, 0, 0, 0))
+        usable = self.source._in_order(record, self._now)
+        samples = [self.source._sample_of(*one) for one in usable]
+        return [sample for sample in samples if sample is not None]
+
+    def time_of(self, sample: WrenchSample) -> float:
+        return (sample.stamp_ns - self.START) * 1e-9
+
+
+@pytest.mark.parametrize(
+    "lost", [lambda n: n % 7 == 6, lambda n: n % 10 in (3, 4), lambda n: False]
+)
+def test_a_block_of_which_records_were_lost_is_averaged(lost: Callable[[int], bool]) -> None:
+    stream, samples = Stream(rate=500.0, sent=3500.0), []
+    for number in range(1, 7001):
+        if not lost(number):
+            samples += stream.feed(number, number / 3500)
+    # One sample for each seven numbers; two records at the end may be held back.
+    assert len(samples) in (999, 1000, 1001)
+    for sample in samples:
+        # The force is that of its time.
+        assert sample.force[2] == pytest.approx(3.5 * stream.time_of(sample), abs=0.002)
+    share = sum(lost(n) for n in range(1, 7001)) / 7000
+    told = stream.source.health.faults.get("records_lost", "")
+    assert told.startswith(f"{share:.0%} of the last 100") if share else not told
+
+
+def test_one_record_lost_of_many_is_no_warning() -> None:
+    stream = Stream(rate=500.0, sent=500.0)
+    for number in range(1, 3001):
+        if number % 200:
+            stream.feed(number, number / 500)
+    assert stream.source.health.counters["lost"] == 14 and not stream.source.health.faults
+
+
+def test_a_pause_that_the_box_does_not_number_leaves_the_stamps_right() -> None:
+    random, stream = np.random.default_rng(1), Stream(rate=500.0, sent=500.0)
+    for number in range(1, 4001):
+        true = number / 500 + (0.2 if number > 3000 else 0.0)
+        late = 0.0002 + random.exponential(1e-4)
+        for sample in stream.feed(number, true + late, measured=true * 500):
+            assert abs(stream.time_of(sample) - true) < 0.002
+    faults = stream.source.health.faults
+    assert stream.source.health.counters["paused"] == 1
+    assert faults == {"paused": "the box sent nothing for 0.20 s"}
+
+
+def test_records_lost_are_no_pause() -> None:
+    stream = Stream(rate=500.0, sent=500.0)
+    for number in [*range(1, 1000), *range(1100, 2000)]:
+        stream.feed(number, number / 500)
+    assert "paused" not in stream.source.health.faults
+
+
+def test_datagrams_that_come_late_do_not_end_the_connection() -> None:
+    stream = Stream(rate=500.0, sent=3500.0)
+    numbers = [*range(1, 500), *range(503, 600), 500, 501, 502, *range(600, 1000)]
+    for index, number in enumerate(numbers):
+        stream.feed(number, index / 3500)
+    counters = stream.source.health.counters
+    assert counters["out_of_order"] == counters["lost"] == 3
+
+
+def test_a_page_that_cannot_be_read_is_told(
+    box: NetFtSimulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(netft, "_CHECK_PERIOD", 0.01)
+    monkeypatch.setattr(finger_driver.device, "HOLD", 0.1)
+    source = of_box(box)
+
+    def read_until(told: bool) -> None:
+        end = time.monotonic() + 60
+        while ("page" in source.health.faults) != told:
+            assert time.monotonic() < end
+            with contextlib.suppress(DeviceError):
+                source.read(0.1)
+
+    try:
+        source.connect()
+        box.faults.set("bad_page")
+        read_until(told=True)
+        assert "units changed there would not be noticed" in source.health.faults["page"]
+        box.faults.clear()
+        read_until(told=False)
+    finally:
+        source.close()
+
+
+@pytest.mark.parametrize("head", [b"", b"HTTP/1.0 200 OK\r\n\r\n"], ids=["header", "page"])
+def test_a_page_that_comes_byte_by_byte_is_given_up(
+    head: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(netft, "_PAGE_TIME", 0.3)
+    ending = threading.Event()
+
+    def drip(server: socket.socket) -> None:
+        connection, _ = server.accept()
+        with connection, contextlib.suppress(OSError):
+            connection.sendall(head)
+            while not ending.wait(0.02):
+                connection.sendall(b"H")
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        thread = threading.Thread(target=drip, args=(server,), daemon=True)
+        thread.start()
+        settings = NetFtSettings(netft_host="127.0.0.1", netft_http_port=server.getsockname()[1])
+        try:
+            with pytest.raises(
+                DeviceError, match=r"does not answer \(not complete within 0\.3 s\)"
+            ):
+                NetFtSource(settings).connect()
+        finally:
+            ending.set()
+            thread.join()
+
+
+def test_an_error_of_the_page_is_named(box: NetFtSimulator) -> None:
+    source = of_box(box)
+    assert isinstance(source, NetFtSource)
+    with pytest.raises(DeviceError, match=r"none\.xml does not answer \(HTTP error 404\)"):
+        source._get("/none.xml")
+
+
+def test_a_summary_bit_alone_is_named() -> None:
+    assert rdt.status_text(rdt.SUMMARY_BIT) == "summary bit without a cause"
+    assert rdt.status_text(rdt.SUMMARY_BIT | 1 << 29) == "digital board"
+
+
 def rft_frames(wrench: np.ndarray, response: int = 0x0B, overload: int = 0) -> tuple[bytes, bytes]:
     counts = np.rint(wrench * np.array([50.0] * 3 + [2000.0] * 3)).astype(int)
     data = struct.pack(">B6hBH", response, *counts.tolist(), overload, 0)
     return data[:8], data[8:]
+
+
+def changed_mapping(folder: Path, change: tuple[str, str]) -> Path:
+    """The shipped mapping in a folder, with one text in place of another."""
+    text = SHIPPED.read_text(encoding="utf-8")
+    assert change[0] in text
+    (folder / "robotous_rft.dbc").write_bytes(SHIPPED.with_suffix(".dbc").read_bytes())
+    path = folder / "m.yaml"
+    path.write_text(text.replace(*change, 1), encoding="utf-8")
+    return path
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -270,6 +439,54 @@ def test_frames_of_different_samples_are_never_joined() -> None:
     assert assembler.incomplete == 2
     with pytest.raises(DeviceError, match="Response"):
         assembler.add("RFT_Reply_1", rft_frames(np.ones(6), response=0x0A)[0], 0)
+
+
+class Dbc:
+    """A driver that is given frames by hand, at times of receipt in s."""
+
+    START = 1_700_000_000_000_000_000
+
+    def __init__(self, mapping: Path, rate: float = 500.0) -> None:
+        self.source = DbcSource(DbcSettings(rate=rate, dbc_mapping=str(mapping)))
+        self.source.clock = HostClock(lambda: self.START, lambda: self.START)
+
+    def feed(self, identifier: int, data: bytes, at: float) -> WrenchSample | None:
+        message = frame(identifier, data)
+        # A float of this size has steps of 0.24 µs.
+        message.timestamp = self.START * 1e-9 - 0.9 + at
+        return self.source._sample_of(message)
+
+
+@pytest.mark.parametrize("within", [0.001, 0.005])
+def test_frames_of_two_samples_are_not_joined_when_those_between_are_lost(
+    tmp_path: Path, within: float
+) -> None:
+    sensor = Dbc(changed_mapping(tmp_path, ("within: 0.001", f"within: {within}")))
+    first, second = rft_frames(np.ones(6))
+    for k in range(10):
+        assert sensor.feed(1, first, 0.004 * k) is None
+        assert sensor.feed(2, second, 0.004 * k + 0.0022) is None
+    assert sensor.source.health.counters["lost"] == 10
+    assert sensor.feed(1, first, 0.1) is None and sensor.feed(2, second, 0.1004) is not None
+
+
+def test_a_sensor_whose_counter_stands_still_repeats_a_sample(tmp_path: Path) -> None:
+    counter = "counter: {signal: Fz, modulus: 65536}\nsaturation:"
+    sensor = Dbc(changed_mapping(tmp_path, ("saturation:", counter)))
+
+    def feed(count: int, at: float) -> WrenchSample | None:
+        first, second = rft_frames(np.array([0, 0, count / 50, 0, 0, 0]))
+        sensor.feed(1, first, at)
+        return sensor.feed(2, second, at + 0.0005)
+
+    health = sensor.source.health
+    # Each comes twice.
+    given = [feed(k // 2, 0.002 * k) for k in range(100)]
+    assert [sample is not None for sample in given] == [True, False] * 50
+    assert health.counters["repeated"] == 50 and not health.faults
+    assert not any(feed(49, 0.2 + 0.002 * k) for k in range(100))
+    assert health.faults["stalled"] == "the sensor repeats a sample (Fz 49)"
+    assert feed(52, 0.5) is not None and health.counters["lost"] == 2
 
 
 def test_dbc_sensor_streams_from_another_process_through_faults(free_port: object) -> None:
@@ -321,18 +538,14 @@ def test_overload_is_not_good(free_port: object) -> None:
         (("  force_z: {Fz: 0.02}\n", ""), "force_z"),
         (("database: robotous_rft.dbc", "database: none.dbc"), "none.dbc"),
         (("0C 00", "0C 0Z"), "hexadecimal"),
-        (("within: 0.005", "within: soon"), "within"),
+        (("within: 0.001", "within: soon"), "within"),
         (("name: Robotous", "nam: Robotous"), "nam"),
     ],
 )
 def test_a_wrong_mapping_is_refused_by_file_and_key(
     tmp_path: Path, change: tuple[str, str], message: str
 ) -> None:
-    text = SHIPPED.read_text(encoding="utf-8")
-    assert change[0] in text
-    (tmp_path / "robotous_rft.dbc").write_bytes(SHIPPED.with_suffix(".dbc").read_bytes())
-    path = tmp_path / "m.yaml"
-    path.write_text(text.replace(*change, 1), encoding="utf-8")
+    path = changed_mapping(tmp_path, change)
     with pytest.raises(InputError, match=message) as caught:
         SensorMapping.load(path)
     assert str(tmp_path) in str(caught.value)

@@ -8,14 +8,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 from finger_driver.protocols.rdt import Record
-from finger_driver.protocols.rdt_order import Outcome, RecordOrder
+from finger_driver.protocols.rdt_order import REORDERED, Outcome, RecordOrder
 
 
 class Stream:
     """Records into the rule; numbers of those that can be used, and what was noticed."""
 
-    def __init__(self) -> None:
-        self._order = RecordOrder()
+    def __init__(self, late: int = REORDERED) -> None:
+        self._order = RecordOrder(late)
         self._outcomes: list[Outcome] = []
 
     def feed(self, *numbers: int | Record) -> list[int]:
@@ -72,6 +72,21 @@ def test_a_numbering_begun_anew_ends_the_connection() -> None:
     stream = Stream()
     assert stream.feed(5000, 5001, 1) == [5000, 5001] and stream.counted("restarted") == 0
     assert stream.feed(2) == [] and stream.counted("restarted") == 1
+
+
+def test_records_overtaken_by_many_are_late_and_no_new_numbering() -> None:
+    stream = Stream(late=875)
+    numbers = [*range(5000, 5003), *range(5006, 5100), 5003, 5004, 5005, *range(5100, 5110)]
+    assert stream.feed(*numbers) == [*range(5000, 5003), *range(5006, 5110)]
+    assert stream.counted("out_of_order") == 3 and stream.counted("lost") == 3
+    assert stream.counted("restarted") == stream.counted("left_out") == 0
+    assert stream.feed(1) == stream.feed(2) == [] and stream.counted("restarted") == 1
+
+
+def test_a_late_record_is_known_where_the_internal_number_passes_its_end() -> None:
+    stream, end = Stream(), 2**32 // 14
+    assert stream.feed(end, end + 3, end + 4, end + 1, end + 5) == [end, end + 3, end + 4, end + 5]
+    assert stream.counted("out_of_order") == 1 and stream.counted("left_out") == 0
 
 
 def test_two_contents_of_one_number_are_reported() -> None:

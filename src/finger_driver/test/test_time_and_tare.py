@@ -88,6 +88,41 @@ def test_blocks_that_are_late_one_after_the_other_are_no_other_rate() -> None:
     assert abs(mapper.drift) < 1e-4
 
 
+@pytest.mark.parametrize("jump", [0.03, 2.0, 100.0])
+def test_a_device_clock_that_jumps_forward_is_mapped_anew(jump: float) -> None:
+    """Frames at 10 Hz, received 3 ms late with a jitter of 0.5 ms; the clock jumps after 20 s."""
+    random = np.random.default_rng(1)
+    mapper, errors, start = ClockMapper(1e7), [], 1_700_000_000_000_000_000
+    for index in range(600):
+        true = 0.1 * index
+        received = start + round((true + 0.003 + random.exponential(5e-4)) * 1e9)
+        stamp = mapper.update(round((true + (jump if true >= 20 else 0.0)) * 1e7), received)
+        assert stamp <= received
+        errors.append((stamp - start) * 1e-9 - true - 0.003)
+    assert np.abs(errors).max() < 0.005
+    assert mapper.jumps == 1 and abs(mapper.drift) < 2e-5
+
+
+def test_one_wrong_time_of_receipt_does_not_move_the_mapping() -> None:
+    mapper, start = ClockMapper(500.0), 10**18
+    for index in range(5000):
+        true = start + index * 2_000_000
+        received = true - 10**9 if index == 3000 else true + 300_000
+        stamp = mapper.update(index, received)
+        # The one itself is stamped as early as stamps that increase allow.
+        assert abs(stamp - true) < (2_000_000 if index == 3000 else 300_001)
+    assert mapper.jumps == 0
+
+
+def test_stamps_of_a_device_of_another_rate_are_times_of_receipt() -> None:
+    mapper, random = ClockMapper(500.0, block=0.25, blocks=120), np.random.default_rng(3)
+    for index in range(3000):
+        received = 10**18 + round((index * 0.002 * 1.02 + random.exponential(2e-4)) * 1e9)
+        stamp = mapper.update(index, received)
+        assert not mapper.another_rate or stamp == received
+    assert mapper.another_rate
+
+
 def test_a_device_clock_that_starts_again_is_mapped_anew() -> None:
     mapper = ClockMapper(1000.0)
     for index in range(5000):

@@ -13,12 +13,14 @@ from __future__ import annotations
 import queue
 import threading
 import time
+from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
 import cv2
 from geometry_msgs.msg import Point, Point32, Vector3
+from lifecycle_msgs.srv import GetState
 from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
@@ -113,7 +115,12 @@ class VisionNode(ManagedNode):
             target=self._work, args=(self._newest,), name="vision", daemon=True
         )
         self._worker.start()
-        self._heard = time.monotonic()
+        self._heard, self._first = time.monotonic(), True
+        self._intervals: deque[float] = deque(maxlen=2)
+        """s between the newest images."""
+        self._camera: Any = None
+        self._answer: Any = None
+        """Client and answer of `_state_of_camera`."""
         # A few images of depth, so that the node, not the middleware, drops and counts them.
         self.create_stream_subscription(
             Image,
@@ -132,7 +139,10 @@ class VisionNode(ManagedNode):
     # Work ------------------------------------------------------------------------------------
 
     def _on_image(self, message: Image) -> None:
-        self._heard = time.monotonic()
+        now = time.monotonic()
+        if not self._first:
+            self._intervals.append(now - self._heard)
+        self._heard, self._first = now, False
         if self._replace(message):
             self.health.count("dropped")
 
@@ -201,19 +211,52 @@ class VisionNode(ManagedNode):
             self._overlays.publish(overlay)
 
     def publish_diagnostics(self) -> None:
-        """Warn while images are published and none comes."""
+        """Warn while images are published and none, or few, come."""
         if self.active:
-            now = time.monotonic()
-            if not self.count_publishers("image_raw"):
-                self._heard = now
-            silent = now - self._heard
-            if silent > SILENCE:
-                remedy = "large images need the profile of docs/devices.md"
-                text = f"no image for {silent:.0f} s; {remedy}"
+            text = self._silence()
+            if text:
                 self.log_fault(self.health, "no_image", text, WARN)
             else:
                 self.health.recovered("no_image")
         super().publish_diagnostics()
+
+    def _silence(self) -> str:
+        """What to say of images that do not come; empty where they do."""
+        now = time.monotonic()
+        if not self.count_publishers("image_raw"):
+            self._heard, self._first = now, True
+            self._intervals.clear()
+        silent = now - self._heard
+        # One alone may be a pause.
+        period = min(self._intervals) if len(self._intervals) > 1 else 0.0
+        if period > SILENCE and silent < 2 * period:
+            return f"an image comes only every {period:.0f} s; check the rate of the camera"
+        # Asked in time, so that the answer is there.
+        name, state = self._state_of_camera() if silent > SILENCE / 2 else ("", "")
+        if silent <= SILENCE:
+            return ""
+        reason = "large images need the profile of docs/devices.md"
+        if state not in ("", "active"):
+            reason = f"{name} is {state}; activate it"
+        return f"no image for {silent:.0f} s; {reason}"
+
+    def _state_of_camera(self) -> tuple[str, str]:
+        """Name of the node that publishes images, and its lifecycle state by its answer to the last
+        call; empty where it has given none."""
+        publishers = self.get_publishers_info_by_topic("image_raw")
+        if not publishers:
+            return "", ""
+        name = f"{publishers[0].node_namespace.rstrip('/')}/{publishers[0].node_name}"
+        state = ""
+        if self._camera is None or self._camera.srv_name != f"{name}/get_state":
+            self._camera, self._answer = self.create_client(GetState, f"{name}/get_state"), None
+        if self._answer is not None and self._answer.done():
+            state = self._answer.result().current_state.label
+        elif self._answer is not None:
+            self._camera.remove_pending_request(self._answer)
+        ready = self._camera.service_is_ready()
+        self._answer = self._camera.call_async(GetState.Request()) if ready else None
+        return name, state
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self._lock:

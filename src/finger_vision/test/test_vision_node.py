@@ -171,6 +171,39 @@ def test_it_waits_for_a_calibration_that_is_being_written(ros_domain: int, tmp_p
     written.join()
 
 
+def test_a_camera_that_is_not_active_is_told_from_images_that_do_not_come(
+    ros_domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.lifecycle import LifecycleNode
+
+    from finger_vision import vision_node
+
+    monkeypatch.setattr(vision_node, "SILENCE", 0.0)
+    with node_here(ros_domain) as node:
+        executor = SingleThreadedExecutor(context=node.context)
+        camera = LifecycleNode("camera", namespace="rig", context=node.context)
+        camera.create_publisher(Image, "/image_raw", 3)
+        for one in (node, camera):
+            executor.add_node(one)
+        assert node.bring_up()
+
+        def until(said: str) -> None:
+            end = time.monotonic() + 60
+            while said not in node.health.faults.get("no_image", ""):
+                assert time.monotonic() < end, node.health.faults
+                node.publish_diagnostics()
+                for _ in range(20):
+                    executor.spin_once(timeout_sec=0.01)
+
+        camera.trigger_configure()
+        until("; /rig/camera is inactive; activate it")
+        camera.trigger_activate()
+        until("; large images need the profile")
+        executor.shutdown()
+        camera.destroy_node()
+
+
 def test_images_that_are_published_and_do_not_come_are_told(
     ros_domain: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -200,6 +233,10 @@ def test_images_that_are_published_and_do_not_come_are_told(
             node._on_image(Image())
             assert not said(1.0)
             assert said(5.0)
+            node._on_image(Image())
+            slow = "an image comes only every 3 s; check the rate of the camera"
+            assert said(1.0) == said(4.0) == slow
+            assert said(4.0).startswith("no image for 9 s")
             # Those that the middleware has lost it tells by an event.
             (stream,) = (s for s in node.subscriptions if s.topic_name == "/image_raw")
             kind = QoSSubscriptionEventType.RCL_SUBSCRIPTION_MESSAGE_LOST

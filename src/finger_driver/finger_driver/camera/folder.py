@@ -20,7 +20,7 @@ import numpy as np
 
 from finger_common.errors import DeviceError, InputError
 from finger_common.image_files import decode_image
-from finger_common.stamps import nanoseconds
+from finger_common.stamps import nanoseconds, seconds
 
 from .source import CameraSettings, CameraSource, Frame
 
@@ -55,7 +55,8 @@ class FolderSettings(CameraSettings):
 class FolderSource(CameraSource):
     """Folder of stamped frames.
 
-    Frames taken before `connect` are not new and are left out.
+    Frames taken before `connect` are not new and are left out. When no frame comes, new files that
+    are none are named.
     """
 
     SETTINGS = FolderSettings
@@ -65,7 +66,7 @@ class FolderSource(CameraSource):
         super().__init__(settings)
         self._folder = Path(settings.path)
         self._connected = False
-        self._last: tuple[int, int] | None = None
+        self._last = (0, -1)
 
     def connect(self) -> None:
         if not self._folder.is_dir():
@@ -79,6 +80,8 @@ class FolderSource(CameraSource):
     def flush(self) -> None:
         self._last = (self.clock.now(), -1)
         self._next_number = None
+        self._heard = time.monotonic()
+        self._known = self._names()
 
     def close(self) -> None:
         self._connected = False
@@ -104,30 +107,65 @@ class FolderSource(CameraSource):
             time.sleep(_POLL)
 
     def _waiting(self) -> list[tuple[tuple[int, int], str]]:
-        if not self._connected or self._last is None:
+        if not self._connected:
             raise DeviceError(f"{self._folder}: not connected")
-        last, latest = self._last, self.clock.now() + nanoseconds(_AHEAD)
+        now, names = self.clock.now(), self._names()
         found, ahead = [], 0
-        try:
-            with os.scandir(self._folder) as entries:
-                for entry in entries:
-                    key = parse_name(entry.name)
-                    if key is not None and key > last:
-                        if key[0] > latest:
-                            ahead += 1
-                        else:
-                            found.append((key, entry.name))
-        except OSError as error:
-            raise DeviceError(
-                f"{self._folder}: cannot be read ({error.strerror}); start what writes it"
-            ) from None
+        for name in names:
+            key = parse_name(name)
+            if key is not None and key > self._last:
+                if key[0] > now + nanoseconds(_AHEAD):
+                    ahead += 1
+                else:
+                    found.append((key, name))
         self.note_if(
             ahead > 0,
             "ahead",
             f"{ahead} frames are stamped in the future and left out; check the clock that stamps "
             "them",
         )
-        return sorted(found)
+        found.sort()
+        if found:
+            late = seconds(now - found[-1][0][0])
+            self.note_if(
+                late > self.stale_after,
+                "late",
+                f"frames come {late:.1f} s after their stamp; check the clock that stamps them, or "
+                "what delays them",
+            )
+            self.cleared("left_out")
+            self._heard, self._known = time.monotonic(), names
+        elif time.monotonic() - self._heard > self.stale_after:
+            self._note_left_out(names)
+        return found
+
+    def _names(self) -> set[str]:
+        """Names of the files in the folder."""
+        try:
+            return set(os.listdir(self._folder))
+        except OSError as error:
+            raise DeviceError(
+                f"{self._folder}: cannot be read ({error.strerror}); start what writes it"
+            ) from None
+
+    def _note_left_out(self, names: set[str]) -> None:
+        """Name a file that is new and yet no new frame."""
+        fresh = {name for name in names - self._known if not name.startswith(".")}
+        old = {name for name in fresh if (key := parse_name(name)) and key <= self._last}
+        other = {name for name in fresh if parse_name(name) is None}
+        if old:
+            self.note(
+                "left_out",
+                f"{max(old)} is left out: it came now, but its stamp is before the last frame or "
+                "the start; the stamp is in ns since the epoch, by this computer's clock",
+            )
+        elif other:
+            self.note(
+                "left_out",
+                f"{max(other)} is left out: name frames STAMP_NUMBER.pgm (png, tif, bmp), the "
+                "stamp in ns since the epoch",
+            )
+        self._known = names
 
     def _load(self, key: tuple[int, int], name: str) -> Frame | None:
         stamp, sequence = key

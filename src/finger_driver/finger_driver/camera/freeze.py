@@ -1,17 +1,22 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Detects a camera that repeats its last image, unlike one that sees nothing move."""
+"""Detects a camera that repeats its last images, unlike one that sees nothing move."""
 
 from __future__ import annotations
 
 import zlib
+from collections import deque
 
 import numpy as np
 
+_BUFFERS = 8
+"""Buffers that the ring of a camera's driver has at most."""
+
 
 class FreezeDetector:
-    """Counts identical images in a row. A sensor's noise makes two equal images all but impossible.
+    """Counts images in a row that were there before: the last one, or one of the driver's ring of
+    buffers. A sensor's noise makes two equal images all but impossible.
 
     limit: images in a row that count as frozen, 0 never. Images of one grey level throughout (dark
     or at the end of the scale) do not count: these can be equal.
@@ -19,16 +24,18 @@ class FreezeDetector:
 
     def __init__(self, limit: int) -> None:
         self._limit = limit
-        self._last: int | None = None
+        # Images without noise that come again in reverse order are fewer than `limit`.
+        self._known: deque[int] = deque(maxlen=max(1, min(_BUFFERS, limit - 2)))
         self._number = 0
 
     def frozen(self, image: np.ndarray) -> bool:
-        """Whether this image (H, W) uint8 is at least the `limit`-th of equal ones."""
+        """Whether this image (H, W) uint8 is at least the `limit`-th of a row."""
         if not self._limit:
             return False
         key = zlib.crc32(np.ascontiguousarray(image).data)
-        if key != self._last:
-            self._last, self._number = key, 1
+        if key not in self._known:
+            self._known.append(key)
+            self._number = 1
             return False
         self._number += 1
         return self._number >= self._limit and int(image.min()) != int(image.max())

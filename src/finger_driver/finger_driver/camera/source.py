@@ -60,7 +60,9 @@ class CameraSource(Device[Frame]):
 
     def __init__(self, settings: CameraSettings) -> None:
         rate = settings.rate
-        health = Health("camera", expected_rate=rate, stale_after=max(1.0, 5 / rate))
+        self.stale_after = max(1.0, 5 / rate)
+        """s without a frame after which the camera counts as silent."""
+        health = Health("camera", expected_rate=rate, stale_after=self.stale_after)
         super().__init__(settings, health)
         self._next_number: int | None = None
         self._mono8 = Mono8()

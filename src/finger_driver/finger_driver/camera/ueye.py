@@ -212,6 +212,11 @@ class UeyeSource(CameraSource):
         self.count_lost(sequence)
         stamp = self._mapper.update(int(info.u64TimestampDevice), received)
         self.health.notes.update(self._mapper.notes())
+        self.note_if(
+            self._mapper.another_rate,
+            "clock",
+            "the camera's clock does not run at the rate it states; stamps are times of receipt",
+        )
         return Frame(stamp, np.ascontiguousarray(image[:, : self._width]), sequence)
 
     def close(self) -> None:

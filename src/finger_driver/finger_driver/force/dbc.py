@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +20,21 @@ from finger_common.stamps import NANOSECONDS
 
 from .. import can_bus
 from ..protocols.dbc import SampleAssembler, SensorMapping
-from .source import CRITICAL, GOOD, SATURATED, ForceSettings, ForceSource, WrenchSample
+from .source import (
+    CRITICAL,
+    GOOD,
+    REPEATED,
+    SATURATED,
+    ForceSettings,
+    ForceSource,
+    WrenchSample,
+)
 
 SHIPPED = Path(__file__).resolve().parent.parent / "data" / "robotous_rft.yaml"
+
+_WITHIN = 0.75
+"""Share of the time between samples in which all frames of one must come; else those of two could
+be joined when the ones between are lost."""
 
 
 @dataclass(frozen=True)
@@ -47,12 +59,15 @@ class DbcSource(ForceSource):
 
     def __init__(self, settings: DbcSettings) -> None:
         super().__init__(settings)
-        self._mapping = SensorMapping.load(settings.dbc_mapping or SHIPPED)
+        mapping = SensorMapping.load(settings.dbc_mapping or SHIPPED)
+        within = min(mapping.within, _WITHIN / settings.rate)
+        self._mapping = replace(mapping, within=within)
         self._names = self._mapping.identifiers()
         self._period = 1.0 / settings.rate
         self._assembler = SampleAssembler(self._mapping)
         self._bus: can.BusABC | None = None
-        self._count: int | None = None
+        self._count: tuple[int, int] | None = None
+        """Number of the newest sample, and its stamp when it came first."""
         self._refused: str | None = None
         """Why the newest frame was refused while the first sample is waited for, None later."""
 
@@ -73,7 +88,7 @@ class DbcSource(ForceSource):
                     f"{self._where()}: no sample within 1 s{refused}; check power, bit rate and "
                     "the mapping"
                 )
-        except can.CanError as error:
+        except can_bus.BUS_ERRORS as error:
             raise DeviceError(f"{self._where()}: the bus failed at start-up ({error})") from None
         self._begin()
         self.health.hardware_id = self._where()
@@ -81,7 +96,7 @@ class DbcSource(ForceSource):
     def flush(self) -> None:
         if self._bus is None:
             return
-        with contextlib.suppress(can.CanError):
+        with contextlib.suppress(*can_bus.BUS_ERRORS):
             can_bus.discard_waiting(self._bus)
         self._begin()
 
@@ -93,10 +108,12 @@ class DbcSource(ForceSource):
     def close(self) -> None:
         bus, self._bus = self._bus, None
         if bus is not None:
-            with contextlib.suppress(can.CanError):
+            # An adapter that was unplugged cannot be told.
+            with contextlib.suppress(*can_bus.BUS_ERRORS):
                 for message in self._mapping.stop:
                     bus.send(message)
-            bus.shutdown()
+            with contextlib.suppress(*can_bus.BUS_ERRORS):
+                bus.shutdown()
 
     def read(self, timeout: float = 1.0) -> WrenchSample | None:
         """Next sample; raises DeviceError after `longest_silence` or when the bus fails."""
@@ -104,17 +121,14 @@ class DbcSource(ForceSource):
             raise DeviceError(f"{self._where()}: not connected")
         try:
             sample = self._wait(time.monotonic() + timeout)
-        except can.CanError as error:
+        except can_bus.BUS_ERRORS as error:
             raise DeviceError(
                 f"{self._where()}: bus error ({error}); check wiring and bit rate"
             ) from None
-        now = time.monotonic()
-        if sample is not None:
-            self._last_sample = now
-        elif now - self._last_sample > self.longest_silence:
+        silent = time.monotonic() - self._last_sample
+        if sample is None and silent > self.longest_silence:
             raise DeviceError(
-                f"{self._where()}: no sample for {now - self._last_sample:.2f} s; check power and "
-                "cable"
+                f"{self._where()}: no sample for {silent:.2f} s; check power and cable"
             )
         return sample
 
@@ -159,8 +173,10 @@ class DbcSource(ForceSource):
             return None
         self.cleared("lost", "malformed", "bus_errors")
         self._refused = None
+        self._last_sample = time.monotonic()
         stamp, signals = done
-        self._count_gap(signals)
+        if self._repeated(signals, stamp):
+            return None
         quality = self._quality(signals)
         return WrenchSample.of_wrench(stamp, self._mapping.wrench(signals), quality, quality)
 
@@ -169,16 +185,25 @@ class DbcSource(ForceSource):
         last_second = self.clock.now() - NANOSECONDS
         return self.clock.of_stamp(can_bus.stamp_of(frame), earliest=last_second)
 
-    def _count_gap(self, signals: dict[str, Any]) -> None:
+    def _repeated(self, signals: dict[str, Any], stamp: int) -> bool:
+        """Whether the sensor's counter stands still; samples that it passed over are counted."""
         if self._mapping.counter is None:
-            return
+            return False
         signal, modulus = self._mapping.counter
         count = int(signals[signal])
         if self._count is not None:
-            missing = (count - self._count - 1) % modulus
+            newest, since = self._count
+            if count == newest:
+                self.health.count("repeated")
+                if stamp - since > REPEATED * NANOSECONDS:
+                    self.note("stalled", f"the sensor repeats a sample ({signal} {count})", ERROR)
+                return True
+            missing = (count - newest - 1) % modulus
             if missing:
                 self.health.count("lost", missing)
-        self._count = count
+        self._count = count, stamp
+        self.cleared("stalled")
+        return False
 
     def _quality(self, signals: dict[str, Any]) -> int:
         fault, saturation = self._mapping.fault, self._mapping.saturation

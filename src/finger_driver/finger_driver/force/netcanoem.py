@@ -124,7 +124,7 @@ class NetcanoemSource(ForceSource):
         )
         try:
             self._start_up(self._dialog)
-        except can.CanError as error:
+        except can_bus.BUS_ERRORS as error:
             raise DeviceError(
                 f"{self._where()}: the bus failed at start-up ({error}); check bit rate and wiring"
             ) from None
@@ -148,7 +148,7 @@ class NetcanoemSource(ForceSource):
 
     def flush(self) -> None:
         if self._dialog is not None:
-            with contextlib.suppress(can.CanError):
+            with contextlib.suppress(*can_bus.BUS_ERRORS):
                 can_bus.discard_waiting(self._dialog.bus)
         self._begin()
 
@@ -168,7 +168,9 @@ class NetcanoemSource(ForceSource):
     def close(self) -> None:
         dialog, self._dialog = self._dialog, None
         if dialog is not None:
-            dialog.bus.shutdown()
+            # An adapter that was unplugged cannot be told.
+            with contextlib.suppress(*can_bus.BUS_ERRORS):
+                dialog.bus.shutdown()
 
     def _where(self) -> str:
         return f"NETCANOEM at base 0x{self.settings.base_identifier:02X} on {self.settings.where()}"
@@ -196,10 +198,10 @@ class NetcanoemSource(ForceSource):
                         return None
                 self._request()
             return self._await_reply()
-        except can.CanError as error:
+        except can_bus.BUS_ERRORS as error:
             raise self._bus_error(error) from None
 
-    def _bus_error(self, error: can.CanError) -> DeviceError:
+    def _bus_error(self, error: Exception) -> DeviceError:
         return DeviceError(
             f"{self._where()}: bus error ({error}); check wiring, bit rate, txqueuelen and "
             "restart-ms"
@@ -224,7 +226,7 @@ class NetcanoemSource(ForceSource):
     def request(self) -> None:
         try:
             self._request()
-        except can.CanError as error:
+        except can_bus.BUS_ERRORS as error:
             raise self._bus_error(error) from None
 
     def reply(self) -> WrenchSample | None:
@@ -238,7 +240,7 @@ class NetcanoemSource(ForceSource):
                     return None
                 if len(self._got) == len(READING):
                     return self._sample()
-        except can.CanError as error:
+        except can_bus.BUS_ERRORS as error:
             raise self._bus_error(error) from None
         return None
 
@@ -357,7 +359,8 @@ class NetcanoemSource(ForceSource):
         )
 
     def _quality(self, status: int, gauges: np.ndarray) -> int:
-        status &= ~protocol.ANY_ERROR
+        if status != protocol.ANY_ERROR:
+            status &= ~protocol.ANY_ERROR
         ends = protocol.saturated(gauges)
         if not status and not ends:
             self.cleared("critical", "status_warning", "saturated")

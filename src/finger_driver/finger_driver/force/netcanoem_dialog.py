@@ -35,7 +35,7 @@ class Dialog:
 
     bus: open; whoever opened it shuts it down. base: the board's base identifier. timeout: s for a
     reply. device: its health counts what else the bus carries. where: names the board in errors.
-    Methods that send or receive raise can.CanError when the bus fails.
+    Methods that send or receive raise one of `BUS_ERRORS` when the bus fails.
     """
 
     def __init__(

@@ -8,11 +8,11 @@
   counts without a sign in the records.
 - Records carry no time. Their number and the box's rate make a device clock, mapped to host time of
   receipt (kernel stamps); when the rate proves to differ from the page's, receipt itself is the
-  stamp.
+  stamp. A pause in which the box measured and numbered no record begins the mapping anew.
 - What waits in the socket while this computer stands still for a moment is read afterwards; what
   waited longer than `_OLD` s is skipped, so that a slow reader never lags.
-- A box that sends faster than `rate` is averaged over whole blocks, stamped in the block's middle.
-  Its own decimation has no filter.
+- A box that sends faster than `rate` is averaged over blocks of as many record numbers, of which
+  some may be lost. Its own decimation has no filter.
 - UDP has no protection against a forger who sends from the box's address. What can be checked is:
   the sender's address and port (by the kernel), whole records, the numbering (`RecordOrder`), the
   scale and the sensor's range.
@@ -22,12 +22,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import http.client
 import select
 import socket
 import threading
 import time
-import urllib.error
-import urllib.request
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -38,31 +38,49 @@ from finger_common.diagnostics import ERROR
 from finger_common.errors import DeviceError
 from finger_common.settings import setting
 
-from ..clock import ClockMapper, receive_stamped, request_kernel_stamps
+from ..clock import LATE, ClockMapper, receive_stamped, request_kernel_stamps
 from ..protocols import netft_xml, rdt
-from ..protocols.rdt_order import Received, RecordOrder
-from .source import CRITICAL, GOOD, SATURATED, ForceSettings, ForceSource, WrenchSample
+from ..protocols.rdt_order import REORDERED, Received, RecordOrder
+from .source import (
+    CRITICAL,
+    GOOD,
+    REPEATED,
+    SATURATED,
+    ForceSettings,
+    ForceSource,
+    WrenchSample,
+)
 
 _TIMEOUT = 1.0
-"""Seconds for the web page and for the first record to come."""
+"""Seconds for the web page to begin or go on, and for the first record to come."""
+_PAGE_TIME = 3.0
+"""Seconds for the whole page."""
 _CHECK_PERIOD = 2.0
 """Seconds between readings of the page beside the stream."""
+_UNREAD = 3
+"""Readings of the page that fail one after the other before it is told."""
 _OLD = 0.5
 _BUFFER = 1 << 20
 """Bytes asked for to hold what comes meanwhile; the kernel may grant less (net.core.rmem_max)."""
-_DRIFT_LIMIT = 2e-3
-"""Deviation of the box's rate from its page beyond which its numbering is not used as a clock."""
+_OVERTAKEN = 0.25
+"""s by which a datagram may come after later ones."""
+_SHARE_OF, _LOST_SHARE = 1000, 0.01
+"""Records of which the share that was lost is taken, and the share that is told."""
 _CLOCK_BLOCK, _CLOCK_BLOCKS = 0.25, 120
 """s, and number, of the clock's blocks: many records, yet soon enough to find out another rate."""
-_REPEATED = 0.1
-"""s without a new internal sample after which the box stands still; one that sends faster than it
-measures repeats samples."""
-_DIRECT = urllib.request.build_opener(urllib.request.ProxyHandler({}))
-"""A box in the laboratory is not behind the proxy that the environment names."""
+
+
+def _shut(connection: socket.socket) -> None:
+    """End whatever is done with a connection in another thread."""
+    with contextlib.suppress(OSError):
+        connection.shutdown(socket.SHUT_RDWR)
 
 
 class _PageWatcher(threading.Thread):
-    """Reads the page periodically; `changed` once it gives another configuration."""
+    """Reads the page periodically; `changed` once it gives another configuration.
+
+    failed: readings without a result since the last one with, which was at `read` (monotonic s).
+    """
 
     def __init__(
         self, page: Callable[[], netft_xml.Configuration], known: netft_xml.Configuration
@@ -70,6 +88,7 @@ class _PageWatcher(threading.Thread):
         super().__init__(name="netft-page", daemon=True)
         self._page, self._known = page, known
         self.changed = False
+        self.failed, self.read = 0, time.monotonic()
         self.ending = threading.Event()
 
     def run(self) -> None:
@@ -77,7 +96,9 @@ class _PageWatcher(threading.Thread):
             try:
                 now = self._page()
             except DeviceError:
+                self.failed += 1
                 continue  # the stream itself shows whether the box is there
+            self.failed, self.read = 0, time.monotonic()
             if now != self._known:
                 self.changed = True
                 return
@@ -108,6 +129,10 @@ class NetFtSource(ForceSource):
         self._watcher: _PageWatcher | None = None
         self._socket: socket.socket | None = None
         self._scale = np.ones(6)
+        self._rates = settings.rate, rdt.INTERNAL_RATE
+        """Records sent and internal samples per second."""
+        self._due = self._lost = 0
+        """Records since the share that was lost was taken, and those of them that were lost."""
         self.configuration: netft_xml.Configuration | None = None
 
     def _where(self) -> str:
@@ -132,7 +157,8 @@ class NetFtSource(ForceSource):
         self._scale = scale
         internal_rate = configuration.internal_rate or rdt.INTERNAL_RATE
         sent_rate = rdt.real_rate(configuration.rdt_rate or rate, internal_rate)
-        self._block = max(1, round(min(sent_rate, internal_rate) / rate))
+        self._rates = sent_rate, internal_rate
+        self._block = max(1, round(sent_rate / rate))
         self._mapper = ClockMapper(sent_rate, _CLOCK_BLOCK, _CLOCK_BLOCKS)
         self.health.notes["box_rate_hz"] = f"{sent_rate:g}"
         self.health.hardware_id = f"{configuration.product or 'Net F/T'} ({self._where()})"
@@ -172,15 +198,21 @@ class NetFtSource(ForceSource):
     def _begin(self) -> None:
         self._records: deque[Received] = deque()
         """Records in order."""
+        self._begin_block()
+        self._order = RecordOrder(max(REORDERED, round(_OVERTAKEN * self._rates[0])))
+        self._newest: rdt.Record | None = None
+        self._measured = 0
+        """When the newest internal sample was received first."""
+        self._mapper.restart()
+        self._last_record = time.monotonic()
+
+    def _begin_block(self) -> None:
+        """The next records are averaged anew."""
         self._pending: list[tuple[int, np.ndarray]] = []
         self._pending_quality = GOOD
         self._pending_status = 0
-        self._order = RecordOrder()
-        self._internal: tuple[int, int] | None = None
-        """Number of the newest internal sample, and when it was received first."""
-        self._stamp = 0
-        self._mapper.restart()
-        self._last_record = time.monotonic()
+        self._number = 0
+        """Number of the block of the records that wait."""
 
     def flush(self) -> None:
         while self._socket is not None and self._receive(0.0):
@@ -205,18 +237,35 @@ class NetFtSource(ForceSource):
         self._socket.send(rdt.encode_request(command))
 
     def _get(self, path: str) -> bytes:
-        url = f"http://{self.settings.netft_host}:{self.settings.netft_http_port}{path}"
+        host, port = self.settings.netft_host, self.settings.netft_http_port
+        url = f"http://{host}:{port}{path}"
+        # Not through the proxy that the environment names: the box is in the laboratory.
+        connection = http.client.HTTPConnection(host, port, timeout=_TIMEOUT)
+        end = time.monotonic() + _PAGE_TIME
+        reason: object
         try:
-            with _DIRECT.open(url, timeout=_TIMEOUT) as answer:
-                return bytes(answer.read(netft_xml.MAX_BYTES + 1))
-        except (OSError, urllib.error.URLError, ValueError) as error:
-            reason = getattr(error, "reason", None) or error
-            raise DeviceError(
-                f"{url} does not answer ({reason}); check address and power"
-            ) from None
+            connection.connect()
+            ending = threading.Timer(_PAGE_TIME, _shut, [connection.sock])
+            ending.start()
+            try:
+                connection.request("GET", path)
+                answer = connection.getresponse()
+                data = answer.read(netft_xml.MAX_BYTES + 1)
+            finally:
+                ending.cancel()
+            reason = f"HTTP error {answer.status}" if answer.status >= 400 else ""
+        except (OSError, ValueError) as error:
+            reason = error
         except Exception as error:
             # http.client raises its own family for what is no HTTP.
-            raise DeviceError(f"{url} does not speak HTTP ({error}); is this a Net F/T?") from None
+            reason = f"no HTTP: {error}; is this a Net F/T?"
+        finally:
+            connection.close()
+        if time.monotonic() >= end:
+            reason = f"not complete within {_PAGE_TIME:g} s"
+        if reason:
+            raise DeviceError(f"{url} does not answer ({reason}); check address and power")
+        return data
 
     # Reading ---------------------------------------------------------------------------------
 
@@ -224,11 +273,8 @@ class NetFtSource(ForceSource):
         """Next sample; raises DeviceError after `longest_silence` or a restart of the numbering."""
         if self._socket is None:
             raise DeviceError(f"{self._where()}: not connected")
-        if self._watcher is not None and self._watcher.changed:
-            raise DeviceError(
-                f"{self._where()}: units or counts were changed on the box, or its rate, "
-                "calibration, bias or tool transform; connecting again"
-            )
+        if self._watcher is not None:
+            self._check_page(self._watcher)
         end = time.monotonic() + timeout
         while True:
             while self._records:
@@ -246,6 +292,22 @@ class NetFtSource(ForceSource):
                 )
             if not self._records and now >= end:
                 return None
+
+    def _check_page(self, watcher: _PageWatcher) -> None:
+        if watcher.changed:
+            raise DeviceError(
+                f"{self._where()}: units or counts were changed on the box, or its rate, "
+                "calibration, bias or tool transform; connecting again"
+            )
+        if watcher.failed < _UNREAD:
+            self.cleared("page")
+            return
+        unread = time.monotonic() - watcher.read
+        self.note(
+            "page",
+            f"the box's page could not be read for {unread:.0f} s; units changed there would not "
+            "be noticed; check its web server and network",
+        )
 
     def _receive(self, timeout: float) -> bool:
         """Receive one datagram if one comes within `timeout`."""
@@ -291,53 +353,80 @@ class NetFtSource(ForceSource):
                 f"{self._where()}: the numbering restarted; the box rebooted or another client "
                 "started it"
             )
-        if outcome.lost:
-            self.health.count("lost", outcome.lost)
-        if outcome.gap:
-            self._begin_block()
+        self._count_lost(outcome.lost, len(usable))
         return usable
 
+    def _count_lost(self, lost: int, came: int) -> None:
+        if lost:
+            self.health.count("lost", lost)
+        self._lost += lost
+        self._due += lost + came
+        if self._due >= _SHARE_OF:
+            share = self._lost / self._due
+            self.note_if(
+                share > _LOST_SHARE,
+                "records_lost",
+                f"{share:.0%} of the last {self._due} records were lost; check network and switch",
+            )
+            self._lost = self._due = 0
+
     def _sample_of(self, record: rdt.Record, received: int) -> WrenchSample | None:
-        if self._internal is not None and self._internal[0] == record.ft_sequence:
+        newest, self._newest = self._newest, record
+        if newest is not None and newest.ft_sequence == record.ft_sequence:
             self.health.count("repeated")
-            if received - self._internal[1] > _REPEATED * 1e9:
+            if received - self._measured > REPEATED * 1e9:
                 self.note("stalled", "the box repeats an internal sample; reboot it", ERROR)
             return None
-        self._internal = record.ft_sequence, received
+        self._measured = received
         self.cleared("stalled")
+        if newest is not None:
+            self._find_pause(newest, record)
         stamp = self._mapper.update(record.rdt_sequence, received)
-        other_rate = abs(self._mapper.drift) > _DRIFT_LIMIT
         self.note_if(
-            other_rate,
+            self._mapper.another_rate,
             "clock",
             "the box does not send at the rate its page gives; stamps are times of receipt",
         )
-        if other_rate:
-            stamp = received
-        # Back from times of receipt, the mapped ones may begin a little earlier.
-        self._stamp = stamp = max(stamp, self._stamp + 1)
         if self.clock.now() - received > _OLD * 1e9:
             self.health.count("skipped")
             self._begin_block()
             return None
+        # Of a block whose last record was lost.
+        number, last = divmod(record.rdt_sequence, self._block)
+        sample = self._average() if self._pending and number != self._number else None
+        self._number = number
         quality = self._quality(record.status)
         self._pending_quality = max(self._pending_quality, quality)
         self._pending_status |= record.status
         self._pending.append((stamp, np.array(record.counts, dtype=float) * self._scale))
-        if len(self._pending) < self._block:
-            return None
-        wrench = np.mean([w for _, w in self._pending], axis=0)
-        first, final = self._pending[0][0], self._pending[-1][0]
+        if sample is None and last == self._block - 1:
+            sample = self._average()
+        return sample
+
+    def _find_pause(self, earlier: rdt.Record, later: rdt.Record) -> None:
+        """Map the numbering anew after a time in which the box measured but numbered nothing."""
+        sent_rate, internal_rate = self._rates
+        sent = rdt.difference(earlier.rdt_sequence, later.rdt_sequence) / sent_rate
+        measured = rdt.difference(earlier.ft_sequence, later.ft_sequence) / internal_rate
+        paused = measured - sent
+        if paused <= LATE + sent + 1 / internal_rate:
+            self.cleared("paused")
+            return
+        self.note("paused", f"the box sent nothing for {paused:.2f} s")
+        self._mapper.restart()
+
+    def _average(self) -> WrenchSample:
+        """Sample of the records that wait, which are forgotten."""
+        stamps, wrenches = zip(*self._pending, strict=True)
         sample = WrenchSample.of_wrench(
-            (first + final) // 2, wrench, self._pending_status, self._pending_quality
+            sum(stamps) // len(stamps),
+            np.mean(wrenches, axis=0),
+            self._pending_status,
+            self._pending_quality,
         )
         self.health.notes.update(self._mapper.notes())
         self._begin_block()
         return sample
-
-    def _begin_block(self) -> None:
-        """The next records are averaged anew."""
-        self._pending, self._pending_quality, self._pending_status = [], GOOD, 0
 
     def _quality(self, status: int) -> int:
         if not status:

@@ -19,6 +19,12 @@ from ..device import Device
 GOOD, SATURATED, CRITICAL = 0, 1, 2
 """Quality of a sample: usable; a gauge or channel at its end; a fault or an impossible value."""
 
+REPEATED = 0.1
+"""s for which a sensor may repeat one sample; after them it stands still."""
+
+_STILL, _STILL_SAMPLES = 1.0, 20
+"""s, and samples at the rate set, of equal channels after which a sensor may be frozen."""
+
 _STEPS = 1000
 """Steps that a range must have at least, and times that it may be wider than the end of scale."""
 
@@ -99,6 +105,8 @@ class ForceSource(Device[WrenchSample]):
             "force", expected_rate=settings.rate, stale_after=max(0.5, 5.0 / settings.rate)
         )
         super().__init__(settings, health)
+        self._channels, self._changed = b"", 0
+        """The newest good channels, and the stamp (ns) of the first sample that had them."""
 
     @property
     def longest_silence(self) -> float:
@@ -126,7 +134,10 @@ class ForceSource(Device[WrenchSample]):
                 )
 
     def checked(self, sample: WrenchSample) -> WrenchSample:
-        """The sample; of quality CRITICAL where it lies beyond the sensor's range."""
+        """The sample; of quality CRITICAL where it lies beyond the sensor's range.
+
+        Samples that all are equal stay good, but are told.
+        """
         if sample.quality != GOOD:
             return sample
         settings = self.settings
@@ -135,6 +146,7 @@ class ForceSource(Device[WrenchSample]):
             abs(t) <= settings.torque_range for t in sample.torque.tolist()
         ):
             self.cleared("implausible")
+            self._find_still(sample)
             return sample
         force = ", ".join(f"{v:.3g}" for v in sample.force)
         torque = ", ".join(f"{v:.3g}" for v in sample.torque)
@@ -146,6 +158,22 @@ class ForceSource(Device[WrenchSample]):
             ERROR,
         )
         return replace(sample, quality=CRITICAL)
+
+    def _find_still(self, sample: WrenchSample) -> None:
+        """Tell of channels that stand still, since a sensor has noise; not of zeros, since one
+        without a load, simulated or of coarse steps, may have none."""
+        channels = sample.channels.tobytes()
+        if channels != self._channels:
+            self._channels, self._changed = channels, sample.stamp_ns
+            self.cleared("still")
+            return
+        still = (sample.stamp_ns - self._changed) * 1e-9
+        if still > max(_STILL, _STILL_SAMPLES / self.settings.rate) and sample.channels.any():
+            self.note(
+                "still",
+                f"no channel has changed for {still:.0f} s; if the sensor is not a coarse one at "
+                "rest, it is frozen: switch it off and on",
+            )
 
     def wrench_of(self, channels: np.ndarray) -> np.ndarray:
         """Wrench (6,) in N and N m of channels (6,), from which a bias may have been taken."""

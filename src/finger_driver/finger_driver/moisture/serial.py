@@ -20,7 +20,9 @@ from ..protocols import lines
 from .source import PHASE_UNKNOWN, PHASES, MoistureSettings, MoistureSource, Reading
 
 _LINE_TIME = 0.5
-"""Seconds after which an unfinished line is given up: its rest would be read as another number."""
+"""Seconds of silence after which an unfinished line is given up."""
+_LONGEST_LINE = 5.0
+"""Seconds for which bytes may come without an end of line."""
 _SILENCE = 0.05
 """Seconds of silence before a line; what comes sooner after connecting may be the rest of one."""
 _LOOK = 0.02
@@ -48,7 +50,9 @@ class SerialSettings(MoistureSettings):
 class SerialSource(MoistureSource):
     """Lines of a serial adapter.
 
-    Each must match a pattern with a group `value` and perhaps a group `phase` (before, after).
+    Each must match a pattern with a group `value` and perhaps a group `phase` (before, after). What
+    may be the rest of a line, after connecting or a break, is a reading only where something stands
+    before its value: "2.0" may be the end of "42.0", "M=2.0" is not.
     """
 
     NAME = "serial"
@@ -62,8 +66,9 @@ class SerialSource(MoistureSource):
         self._pattern = lines.compile_pattern(settings.serial_pattern)
         self._port: serial.Serial | None = None
         self._splitter = lines.LineSplitter()
-        self._ready: deque[tuple[int, str]] = deque()
-        self._last_byte = 0.0
+        self._ready: deque[tuple[int, str, bool]] = deque()
+        """Time of arrival (ns), text and wholeness of lines."""
+        self._last_byte = self._line_began = 0.0
 
     def connect(self) -> None:
         self.close()
@@ -94,6 +99,7 @@ class SerialSource(MoistureSource):
             raise self._lost(error) from None
         self._splitter.reset(within=True)
         self._ready.clear()
+        self._heard = False
         self._last_byte = time.monotonic()
 
     def _waiting(self) -> int:
@@ -136,9 +142,9 @@ class SerialSource(MoistureSource):
         silent = time.monotonic() - self._last_byte
         waiting = self._waiting()
         if not waiting and splitter.unfinished and silent > _LINE_TIME:
-            splitter.reset()
+            splitter.reset(within=True)
             self.note("malformed", "a line broke off in the middle; it is left out")
-        elif not waiting and not splitter.unfinished and silent > _SILENCE:
+        elif not waiting and not self._heard and silent > _SILENCE:
             splitter.reset()
         try:
             self._port.timeout = min(timeout, _LOOK)
@@ -147,17 +153,27 @@ class SerialSource(MoistureSource):
             raise self._lost(error) from None
         if not data:
             return
-        self._last_byte = time.monotonic()
+        now = self._last_byte = time.monotonic()
         stamp = self.clock.now()
-        dropped, partial = splitter.dropped, splitter.partial
-        self._ready.extend((stamp, line) for line in splitter.feed(data))
+        self._heard = True
+        if not splitter.unfinished or b"\r" in data or b"\n" in data:
+            self._line_began = now
+        elif now - self._line_began > _LONGEST_LINE:
+            self.note(
+                "malformed",
+                "bytes come without an end of line (CR or LF); check the baud rate and what ends "
+                "a line",
+            )
+        dropped = splitter.dropped
+        self._ready.extend((stamp, *line) for line in splitter.feed(data))
         for _ in range(splitter.dropped - dropped):
             self.note("malformed", "a line is too long or not ASCII text; check the baud rate")
-        if splitter.partial > partial:
-            self.health.count("partial")
 
-    def _parse(self, stamp: int, line: str) -> Reading | None:
+    def _parse(self, stamp: int, line: str, whole: bool) -> Reading | None:
         parsed = lines.parse_line(line, self._pattern)
+        if not whole and (parsed is None or parsed.bare):
+            self.health.count("partial")
+            return None
         if parsed is None:
             self.note(
                 "malformed", f"line {line[:40]!r} does not match serial_pattern; it is left out"

@@ -19,10 +19,12 @@ MAX_LINE = 256
 
 @dataclass(frozen=True)
 class ParsedLine:
-    """Value and phase word ("" where the line has none) of a reading."""
+    """A reading: value, phase word ("" where the line has none), and whether the value begins the
+    line, so that it may be the rest of a longer number."""
 
     value: float
-    phase: str = ""
+    phase: str
+    bare: bool
 
 
 def compile_pattern(pattern: str) -> re.Pattern[str]:
@@ -53,7 +55,7 @@ def parse_line(line: str, pattern: re.Pattern[str]) -> ParsedLine | None:
         return None
     if not math.isfinite(value):
         return None
-    return ParsedLine(value, (groups.get("phase") or "").lower())
+    return ParsedLine(value, (groups.get("phase") or "").lower(), not match.start("value"))
 
 
 class LineSplitter:
@@ -62,26 +64,27 @@ class LineSplitter:
     def __init__(self) -> None:
         self._rest, self._within = b"", False
         self.dropped = 0
-        """Lines left out because they were too long or not ASCII."""
-        self.partial = 0
-        """Lines left out because their beginning may have been missed."""
+        """Whole lines left out because they were too long or not ASCII."""
 
-    def feed(self, data: bytes) -> list[str]:
-        """Complete lines in what has come so far, without their ends (CR, LF or both)."""
+    def feed(self, data: bytes) -> list[tuple[str, bool]]:
+        """Lines that are complete now, without their ends (CR, LF or both), each with whether it is
+        whole: no beginning of it was missed."""
         *lines, rest = re.split(rb"[\r\n]", self._rest + data)
         # One byte too many is enough to know that the line is too long when it ends.
         self._rest = rest[: MAX_LINE + 1]
-        if self._within and lines:
-            self._within = False
-            self.partial += bool(lines.pop(0))
-        good = [line for line in lines if len(line) <= MAX_LINE and line.isascii()]
-        self.dropped += len(lines) - len(good)
-        return [line.decode("ascii") for line in good if line]
+        found = []
+        for line in lines:
+            whole, self._within = not self._within, False
+            if len(line) > MAX_LINE or not line.isascii():
+                self.dropped += whole
+            elif line:
+                found.append((line.decode("ascii"), whole))
+        return found
 
     def reset(self, within: bool = False) -> None:
         """Forget an unfinished line, as after a pause or a reconnection.
 
-        within: what comes next may begin in the middle of a line, which is left out.
+        within: what comes next may begin in the middle of a line, which is then not whole.
         """
         self._rest, self._within = b"", within
 

@@ -84,7 +84,7 @@ STATUS_BITS = {
     11: "sensor temperature too high",
     12: "sensor temperature too low",
     14: "CAN bus error",
-    15: "error",
+    15: "an error without a cause",
 }
 """Meaning of the status word's bits (manual, table 4.3)."""
 

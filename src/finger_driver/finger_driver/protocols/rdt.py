@@ -115,8 +115,15 @@ def decode_datagram(data: bytes) -> list[Record]:
     return records
 
 
+def difference(earlier: int, later: int) -> int:
+    """Difference of two numbers of records or of internal samples, which are of 32 bits."""
+    return (later - earlier + (1 << 31)) % (1 << 32) - (1 << 31)
+
+
 def status_text(status: int) -> str:
-    """Meaning of the set bits of a status word, without the summary bit."""
+    """Meaning of the set bits of a status word; of the summary bit where it is set alone."""
+    if status == SUMMARY_BIT:
+        return "summary bit without a cause"
     names = [STATUS_BITS.get(b, f"bit {b}") for b in range(31) if status >> b & 1]
     return ", ".join(names) or "no fault"
 

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .rdt import Record
+from .rdt import Record, difference
 
 REORDERED = 64
-"""A record number at most this far back is a late datagram, one further back a new numbering."""
+"""Records by which two that came one after the other may lie apart."""
 
 Received = tuple[Record, int]
 """A record and the host time (ns) of its receipt."""
@@ -24,8 +24,7 @@ class Outcome:
     out_of_order: it came late, twice, or before the one that it follows.
     conflict: its number came before, with other counts.
     left_out: an earlier record is given up; its number jumped, and the next did not follow it.
-    gap: the numbers jumped before the records that can be used now.
-    lost: how many records are missing there.
+    lost: how many records are missing before and between the records that can be used now.
     restarted: the numbering has begun anew; no record can be used any more.
     """
 
@@ -33,7 +32,6 @@ class Outcome:
     out_of_order: bool = False
     conflict: bool = False
     left_out: bool = False
-    gap: bool = False
     lost: int = 0
     restarted: bool = False
 
@@ -44,9 +42,13 @@ class RecordOrder:
     A record that follows the last one can be used at once. Any other one, after a gap or of a
     numbering begun anew, is held until the next has come, and used when that follows it. So a
     single forged or damaged record neither passes nor ends the stream.
+
+    late: a record at most so many numbers back is a late datagram, one further back a new
+    numbering.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, late: int = REORDERED) -> None:
+        self._late = late
         self._last: Record | None = None
         self._held: Received | None = None
 
@@ -63,7 +65,7 @@ class RecordOrder:
                 return [came, held], Outcome(follows=True, out_of_order=True)
             return [came], Outcome(follows=True, left_out=True)
         step = _step(last, record)
-        if step == 0 or (-REORDERED <= step < 0 and record.ft_sequence < last.ft_sequence):
+        if step == 0 or (-self._late <= step < 0 and _internal_step(record, last) > 0):
             self._held = held
             conflict = step == 0 and record.counts != last.counts
             return [], Outcome(out_of_order=True, conflict=conflict)
@@ -77,15 +79,19 @@ class RecordOrder:
             return [], Outcome(out_of_order=swapped, restarted=True)
         self._last = second[0]
         lost = gap - 1 + _step(first[0], second[0]) - 1
-        return [first, second], Outcome(out_of_order=swapped, gap=True, lost=lost)
+        return [first, second], Outcome(out_of_order=swapped, lost=lost)
 
 
 def _step(earlier: Record, later: Record) -> int:
-    """Difference of two record numbers, which are of 32 bits."""
-    return (later.rdt_sequence - earlier.rdt_sequence + (1 << 31)) % (1 << 32) - (1 << 31)
+    """Difference of two record numbers."""
+    return difference(earlier.rdt_sequence, later.rdt_sequence)
+
+
+def _internal_step(earlier: Record, later: Record) -> int:
+    """Difference of the numbers of their internal samples."""
+    return difference(earlier.ft_sequence, later.ft_sequence)
 
 
 def _follows(earlier: Record, later: Record) -> bool:
     """Whether both numbers of `later` are soon after those of `earlier`."""
-    internal = (later.ft_sequence - earlier.ft_sequence) & 0xFFFFFFFF
-    return 1 <= _step(earlier, later) <= REORDERED and internal < 1 << 31
+    return 1 <= _step(earlier, later) <= REORDERED and _internal_step(earlier, later) >= 0
