@@ -3,11 +3,12 @@
 
 """Learn the correction for elliptical pads and tilted plates, and judge it.
 
-    python scripts/pose_correction.py TRUTH --held-out HELD_OUT
+    python scripts/pose_correction.py TRUTH --held-out HELD_OUT --learn LINEAR...
 
-reads tables of `scripts/pose_truth.py`, writes `finger_model/data/pose_correction.json`, and prints
-the errors on both tables, those of the first one also when learned without the finger (in FOLDS
-parts), and those on CalculiX's tilted plate and elliptical pad.
+reads tables of `scripts/pose_truth.py` and `scripts/pose_linear.py`, writes
+`finger_model/data/pose_correction.json`, and prints the errors on the tables of the truth, those of
+the first one also when learned without the finger (in FOLDS parts), and those on CalculiX's tilted
+plate and elliptical pad. Without --learn the shipped correction is judged.
 """
 
 from __future__ import annotations
@@ -18,9 +19,14 @@ import json
 import math
 import time
 from collections import defaultdict
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from itertools import repeat
 from pathlib import Path
 
 import numpy as np
+from pose_networks import Contacts, Network
 
 from finger_common.files import atomic_write
 from finger_common.flags import ShapeFlag
@@ -29,6 +35,7 @@ from finger_model.estimator.estimate import ESTIMATE_FIELDS
 from finger_model.geometry import Geometry
 from finger_model.pose import correction
 from finger_model.pose.estimator import MeasuredOutline, PoseEstimator, ShapeEstimate
+from finger_model.pose.networks import MIDDLE_SKIN_RATIO, inputs
 from finger_model.pose.pose import Pose
 from finger_model.pose.settings import PoseSettings
 from finger_model.pose.touch import first_touch
@@ -36,16 +43,26 @@ from finger_model.verification.cases import CALCULIX_FINGER, STUDY, reference, s
 
 PLACE = 0.2e-3
 """m, by which the place of the finger is known where the tilt is judged."""
-RIDGES = np.array([1e-5, 3e-4, 3e-3])
-"""Of the least squares, beside the mean square of a term: for what is the same for all fingers,
-for what a finger's proportions change of it, and for what their products do."""
 SMALL, SMALL_WEIGHT = 0.2, 0.3
 """Depth below which a contact is a few nodes wide, and its weight."""
-STEEP = 0.5
-"""How far aside the first touch lies (see `Touch`) from which errors are given apart."""
-FOLDS = 10
-SCALES = {"area": 1.0, "shape": 1.0, "center": 1e3, "pressure": 1e3}
-"""Lengths are learned in mm."""
+FOLDS = 5
+NETWORKS = 4
+SIZE = 2.0 ** np.arange(correction.POWERS)
+"""Of the coefficients of the powers of the depth."""
+VALUES = 7
+"""Of a contact: ln of the area over that of the round pad, the two of its shape, and centre and
+centre of pressure over half the pad's width."""
+
+
+def terms_of(geometry: Geometry, pose: Pose) -> np.ndarray:
+    """Terms (12, VALUES) of the coefficients by the values they make."""
+    touch = first_touch(geometry, pose)
+    terms = np.zeros((12, VALUES))
+    terms[:6, 0] = correction.area_terms(touch)
+    terms[6:8, 1:3] = correction.shape_terms(touch)
+    place = touch.place / geometry.pad_semi_axis_radial
+    terms[8:10, 3:5] = terms[10:12, 5:7] = np.outer(correction.center_terms(touch), place)
+    return terms
 
 
 class Row:
@@ -53,11 +70,7 @@ class Row:
 
     def __init__(self, row: dict[str, str]) -> None:
         value = {name: float(text) for name, text in row.items()}
-        lengths = (value[k] for k in "width height skin bone_width bone_height".split())
-        self.geometry = Geometry(*lengths, 0.0, value["nail"])
-        self.skin_ratio = value["skin_ratio"]
-        tilt = (math.radians(value[k]) for k in ("pitch_deg", "roll_deg"))
-        self.pose = Pose(value["aspect"], *tilt)
+        self.geometry, self.skin_ratio, self.pose = _finger_in_pose(value)
         self.touch = first_touch(self.geometry, self.pose)
         self.default = self.geometry == Geometry()
         self.number, self.force = int(value["number"]), value["force_n"]
@@ -77,20 +90,19 @@ class Row:
             f"{value['roll_deg']:.0f}°"
         )
 
-    def equations(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """Rows (n, coefficients) and right-hand sides (n,) of a group of coefficients."""
-        if name == "area":
-            terms = correction.area_terms(self.touch)[:, None]
-            wanted = np.array([math.log(self.area / self.round_area)])
-        elif name == "shape":
-            terms, wanted = correction.shape_terms(self.touch), self.shape
-        else:
-            terms = np.outer(correction.center_terms(self.touch), self.touch.place)
-            wanted = getattr(self, name)
-        powers = self.s ** np.arange(correction.POWERS)
-        finger = correction.proportions(self.geometry, self.skin_ratio)
-        matrix = np.einsum("p,tn,f->nptf", powers, terms, finger).reshape(len(wanted), -1)
-        return matrix * SCALES[name] * self.weight, wanted * SCALES[name] * self.weight
+    @property
+    def values(self) -> list[float]:
+        """VALUES of the contact."""
+        places = np.concatenate([self.center, self.pressure]) / self.geometry.pad_semi_axis_radial
+        return [math.log(self.area / self.round_area), *self.shape, *places]
+
+
+def _finger_in_pose(value: dict[str, float]) -> tuple[Geometry, float, Pose]:
+    """Lengths, ratio of the moduli and pose of a row of either kind of table."""
+    lengths = (value[k] for k in "width height skin bone_width bone_height".split())
+    tilt = (math.radians(value[k]) for k in ("pitch_deg", "roll_deg"))
+    geometry = Geometry(*lengths, 0.0, value["nail"])
+    return geometry, value["skin_ratio"], Pose(value["aspect"], *tilt)
 
 
 def rows_of(path: Path) -> list[Row]:
@@ -99,36 +111,67 @@ def rows_of(path: Path) -> list[Row]:
         return [Row(row) for row in csv.DictReader(file)]
 
 
-def solve(matrix: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Least squares, slightly drawn to zero: coefficients (powers, terms, proportions)."""
-    shape = correction.POWERS, -1, len(correction.DEGREES)
-    # Powers of s and proportions are at most about 1: the terms alone have a scale.
-    size = np.sqrt(np.mean(matrix**2, axis=0)).reshape(shape)[:1, :, :1]
-    scale = np.broadcast_to(size, np.reshape(matrix[0], shape).shape).ravel()
-    scaled = matrix / scale
-    drawn = RIDGES[correction.DEGREES]
-    square = scaled.T @ scaled
-    square += len(wanted) * np.diag(np.tile(drawn, len(square) // len(drawn)))
-    return (np.linalg.solve(square, scaled.T @ wanted) / scale).reshape(shape)
+def truth_of(rows: list[Row]) -> Contacts:
+    """What is learned from rows of the truth."""
+    seen = [(r.geometry, r.skin_ratio, r.pose) for r in rows]
+    depth, values = np.array([r.s for r in rows]), np.array([r.values for r in rows])
+    return _contacts(seen, depth, values, np.array([r.weight**2 for r in rows]), True)
 
 
-def learn(rows: list[Row]) -> dict[str, np.ndarray]:
-    """Coefficients by name."""
-    found = {}
-    for name in SCALES:
-        parts = [row.equations(name) for row in rows]
-        matrix, wanted = (np.concatenate(part) for part in zip(*parts, strict=True))
-        used = np.abs(matrix).max(axis=1) > 1e-9
-        found[name] = solve(matrix[used], wanted[used])
-    return found
+def linear_of(paths: list[Path]) -> Contacts:
+    """What is learned from tables of `scripts/pose_linear.py`."""
+    names = "log_ratio elongation_x elongation_y center_x center_y pressure_x pressure_y".split()
+    seen, depth, values = [], [], []
+    for path in paths:
+        with path.open() as file:
+            for row in csv.DictReader(file):
+                value = {name: float(text) for name, text in row.items()}
+                seen.append(_finger_in_pose(value))
+                depth.append(value["depth"])
+                values.append([value[name] for name in names])
+    return _contacts(seen, np.array(depth), np.array(values), np.ones(len(seen)), False)
 
 
-def use(found: dict[str, np.ndarray]) -> None:
-    """Let the correction have these coefficients."""
-    known = correction.coefficients()
-    known.clear()
-    known.update(found)
-    correction.of_finger.cache_clear()
+def _contacts(
+    seen: Sequence[tuple[Geometry, float, Pose]],
+    depth: np.ndarray,
+    values: np.ndarray,
+    weight: np.ndarray,
+    large: bool,
+) -> Contacts:
+    known = {key: k for k, key in enumerate(dict.fromkeys(seen))}
+    number = np.array([known[key] for key in seen])
+    finger = np.array([inputs(g, ratio, pose, first_touch(g, pose)) for g, ratio, pose in known])
+    terms = np.array([terms_of(geometry, pose) for geometry, _, pose in known])
+    powers = depth[:, None] ** np.arange(correction.POWERS) * SIZE
+    return Contacts(finger[number], powers, terms[number], values, weight, large)
+
+
+def learn(linear: Contacts, truth: Contacts, seed: int) -> list[np.ndarray]:
+    """Layers of a network. Every second row of small strain is enough; which, the seed tells."""
+    size = np.sqrt(np.mean(np.sum(linear.terms**2, axis=2), axis=0))
+    half = linear.where(np.arange(seed % 2, len(linear.values), 2))
+    sets = [replace(some, terms=some.terms / size[:, None]) for some in (half, truth)]
+    network = Network(linear.inputs.shape[1], correction.POWERS * len(size), seed)
+    network.learn(sets)
+    *hidden, last = network.at_large_strain
+    return [*hidden, last * (SIZE[:, None] / size).ravel()]
+
+
+def learn_all(linear: Contacts, truths: list[Contacts]) -> list[list[np.ndarray]]:
+    """Stacked layers of NETWORKS networks for each truth."""
+    tasks = [(truth, seed) for truth in truths for seed in range(NETWORKS)]
+    with ProcessPoolExecutor() as pool:
+        found = list(pool.map(learn, repeat(linear), *zip(*tasks, strict=True)))
+    return [
+        [np.array(layer) for layer in zip(*found[k : k + NETWORKS], strict=True)]
+        for k in range(0, len(found), NETWORKS)
+    ]
+
+
+def use(found: list[np.ndarray]) -> None:
+    """Let the correction have these layers."""
+    correction.layers()[:] = found
 
 
 def errors(rows: list[Row], skin_known: bool = True) -> np.ndarray:
@@ -136,7 +179,7 @@ def errors(rows: list[Row], skin_known: bool = True) -> np.ndarray:
     centre of pressure (mm); skin_known: with the modulus of the finger's own epidermis."""
     table = []
     for r in rows:
-        skin = r.skin_ratio if skin_known else correction.MIDDLE_SKIN_RATIO
+        skin = r.skin_ratio if skin_known else MIDDLE_SKIN_RATIO
         found = correction.PoseCorrection(r.geometry, r.pose, skin).outline(r.round_area)
         ratio = found.semi_axes[0] / found.semi_axes[1]
         turn = (found.orientation - 0.5 * math.atan2(r.shape[1], r.shape[0])) % math.pi
@@ -163,8 +206,8 @@ def judge(rows: list[Row], table: np.ndarray, what: str, each: bool) -> None:
             groups[r.name].append(k)
         if r.s > SMALL:
             groups[f"depth above {SMALL}"].append(k)
-            steep = float(np.hypot(*r.touch.aside)) > STEEP
-            groups[f"of these, aside {'above' if steep else 'to'} {STEEP}"].append(k)
+            steep = float(np.hypot(*r.touch.aside)) > correction.STEEP
+            groups[f"of these, aside {'above' if steep else 'to'} {correction.STEEP}"].append(k)
         if r.default:
             groups["default finger"].append(k)
         else:
@@ -178,16 +221,16 @@ def judge(rows: list[Row], table: np.ndarray, what: str, each: bool) -> None:
         print(figures, f" {100 * within:.0f} % of areas within 2 %,", name)
 
 
-def crossed(rows: list[Row]) -> np.ndarray:
+def crossed(rows: list[Row], linear: Contacts) -> np.ndarray:
     """Errors of fingers that were not learned from."""
     table = np.zeros((len(rows), 6))
-    numbers = sorted({r.number for r in rows})
-    for fold in range(FOLDS):
-        left = set(numbers[fold::FOLDS])
-        use(learn([r for r in rows if r.number not in left]))
-        out = [k for k, r in enumerate(rows) if r.number in left]
-        if out:
-            table[out] = errors([rows[k] for k in out])
+    numbers = np.array([r.number for r in rows])
+    order = sorted(set(numbers.tolist()))
+    outside = [np.isin(numbers, order[fold::FOLDS]) for fold in range(FOLDS)]
+    truth = truth_of(rows)
+    for out, found in zip(outside, learn_all(linear, [truth.where(~o) for o in outside])):
+        use(found)
+        table[out] = errors([row for row, left in zip(rows, out) if left])
     return table
 
 
@@ -281,18 +324,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("truth", type=Path)
     parser.add_argument("--held-out", type=Path)
+    parser.add_argument("--learn", type=Path, nargs="+", metavar="LINEAR")
     arguments = parser.parse_args()
     rows = rows_of(arguments.truth)
-    fingers = len({r.number for r in rows})
-    judge(rows, crossed(rows), f"learned without the finger, of {fingers}", False)
-    found = {
-        name: [[[float(f"{v:.4g}") for v in row] for row in power] for power in values]
-        for name, values in learn(rows).items()
-    }
-    with atomic_write(correction.FILE) as file:
-        lines = ",\n".join(f'  "{name}": {json.dumps(value)}' for name, value in found.items())
-        file.write(f'{{\n "coefficients": {{\n{lines}\n }}\n}}\n')
-    use({name: np.array(values) for name, values in found.items()})
+    if arguments.learn:
+        linear = linear_of(arguments.learn)
+        fingers = len({r.number for r in rows})
+        judge(rows, crossed(rows, linear), f"learned without the finger, of {fingers}", False)
+        found = learn_all(linear, [truth_of(rows)])[0]
+        found = [np.vectorize(lambda weight: float(f"{weight:.4g}"))(layer) for layer in found]
+        with atomic_write(correction.FILE) as file:
+            layers = ",\n".join(json.dumps(layer.tolist()) for layer in found)
+            file.write(f'{{"layers": [\n{layers}\n]}}\n')
+        use(found)
     judge(rows, errors(rows), "learned from", False)
     calculix()
     if arguments.held_out:

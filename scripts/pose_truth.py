@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import itertools
 import math
 from collections.abc import Iterator
 from contextlib import suppress
@@ -42,8 +43,9 @@ from finger_model.laws import StandardLinearSolid
 from finger_model.pose.correction import SKIN_RATIOS
 from finger_model.pose.pose import Pose
 from finger_model.reduced.population import BOX
-from finger_model.solid3d.full_order import SolidModel, SolidStepper
-from finger_model.solid3d.mesh import MeshSize, solid_mesh
+from finger_model.solid3d.contact import Contact
+from finger_model.solid3d.full_order import SolidModel
+from finger_model.solid3d.mesh import MeshSize, SolidMesh, solid_mesh
 from finger_model.verification.cases import elastic
 
 LOADS = np.geomspace(0.045, 1.6, 12)
@@ -133,29 +135,34 @@ def fingers(which: str) -> Iterator[tuple[Finger, list[Pose]]]:
     else:
         yield default_finger(0, 60.0), [pose_of(1.4, 22.0), pose_of(1.15, 0.0, 26.0)]
         yield default_finger(1, 22.0), [pose_of(1.3, 20.0)]
+    first = 1 if which == "learn" else 2
+    for finger in box_fingers(SEEDS[which], first):
+        number = finger.number
+        # Poses of their own random numbers: blocks of one sequence would give every finger alike
+        # ones.
+        rng = np.random.default_rng([SEEDS[which], number])
+        if which == "learn":
+            kinds = KINDS if number % 3 == 0 else KINDS[:3]
+        else:
+            kinds = KINDS[number % 4], KINDS[(number + 1) % 4]
+        yield finger, [random_pose(rng, kind) for kind in kinds]
+
+
+def box_fingers(seed: int, first: int) -> Iterator[Finger]:
+    """Fingers of the population box without end, numbered from `first`."""
     names = "pad_semi_axis_radial aspect bone_radial bone_axial nail_radius epidermis_thickness"
     ranges = [(BOX[name].low, BOX[name].high) for name in names.split()]
     ranges[-1] = (math.log(ranges[-1][0]), math.log(ranges[-1][1]))
     ranges += [(math.log(SKIN_RATIOS[0]), math.log(SKIN_RATIOS[1])), FRICTION]
     low, high = np.transpose(ranges)
-    of_finger = qmc.Sobol(len(ranges), seed=SEEDS[which])
-    for number in range(1 if which == "learn" else 2, 10**6):
+    of_finger = qmc.Sobol(len(ranges), seed=seed)
+    for number in itertools.count(first):
         row = qmc.scale(of_finger.random(1), low, high)[0].tolist()
         width, height, bone_width, bone_height, nail, skin, skin_ratio, friction = row
         height *= width
         bone = bone_width * width, bone_height * height
         rest = nail * width, math.exp(skin_ratio), max(friction, 0.0)
-        finger = Finger(number, width, height, math.exp(skin), *bone, *rest)
-        # Poses of their own random numbers: blocks of one sequence would give every finger alike
-        # ones.
-        rng = np.random.default_rng([SEEDS[which], number])
-        first = number % 4
-        if which == "learn":
-            kinds = KINDS if number % 3 == 0 else KINDS[:3]
-        else:
-            kinds = KINDS[first], KINDS[(first + 1) % 4]
-        poses = [random_pose(rng, kind) for kind in kinds]
-        yield finger, poses
+        yield Finger(number, width, height, math.exp(skin), *bone, *rest)
 
 
 def material(finger: Finger) -> StandardLinearSolid:
@@ -168,41 +175,50 @@ def forces(finger: Finger) -> np.ndarray:
     return LOADS * MODULUS * finger.width**2
 
 
+def mesh_of(geometry: Geometry, pose: Pose) -> tuple[SolidMesh, Pose]:
+    """Mesh of a pose, and the pose it was made for.
+
+    A roll alone is a pitch of the finger with x and y exchanged, whose pad is long along y: half a
+    finger is then enough. The pose returned tells so.
+    """
+    if not exchanged(pose):
+        return solid_mesh(geometry, pose, SIZE), pose
+    run = Pose(1.0, pose.roll)
+    mesh = solid_mesh(geometry, run, SIZE)
+    return replace(mesh, nodes=mesh.nodes * [1.0, pose.aspect, 1.0]), run
+
+
+def exchanged(pose: Pose) -> bool:
+    """Whether x and y are exchanged in the mesh of a pose."""
+    return pose.pitch == 0.0 and pose.roll != 0.0
+
+
 def press(finger: Finger, pose: Pose) -> Press:
     """One finger pressed onto one plate."""
-    geometry = finger.geometry
-    swapped = pose.pitch == 0.0 and pose.roll != 0.0
-    if swapped:
-        # x and y exchanged: the roll is a pitch, and the pad is long along y.
-        run = Pose(1.0, pose.roll)
-        mesh = solid_mesh(geometry, run, SIZE)
-        mesh = replace(mesh, nodes=mesh.nodes * [1.0, pose.aspect, 1.0])
-        model = SolidModel(geometry, run, mesh=mesh)
-    else:
-        model = SolidModel(geometry, pose, size=SIZE)
-    stepper = model.start(material(finger))
+    mesh, run = mesh_of(finger.geometry, pose)
+    stepper = SolidModel(finger.geometry, run, mesh=mesh).start(material(finger))
     points, pressures = [], []
     for k, force in enumerate(forces(finger).tolist(), 1):
         try:
             points.append(stepper.step(float(k), force))
         except ModelError:
             break
-        pressures.append(center_of_pressure(stepper))
+        contact, skin = stepper.state.contact, stepper.state.positions[mesh.surface]
+        pressures.append(center_of_pressure(mesh, contact, skin))
     area, a, b, angle, x, y = (
         np.array([getattr(point, name) for point in points])
         for name in "area semi_axis_a semi_axis_b orientation center_x center_y".split()
     )
     axes, center = np.column_stack([a, b]), np.column_stack([x, y])
     pressed = np.array(pressures).reshape(-1, 2)
-    if swapped:
+    if exchanged(pose):
         angle, center, pressed = 0.5 * math.pi - angle, center[:, ::-1], pressed[:, ::-1]
     return Press(area, axes, angle, center, pressed)
 
 
-def center_of_pressure(stepper: SolidStepper) -> np.ndarray:
-    """Point (2,) in m of the plate about which the normal forces have no torque."""
-    contact, mesh = stepper.state.contact, stepper.model.mesh
-    skin = stepper.state.positions[mesh.surface]
+def center_of_pressure(mesh: SolidMesh, contact: Contact, skin: np.ndarray) -> np.ndarray:
+    """Point (2,) in m of the plate about which the normal forces on the skin (S, 3) have no
+    torque."""
     force = np.where(contact.status != OPEN, contact.force[:, 2], 0.0)
     center = force @ skin[:, :2] / force.sum()
     if mesh.half:

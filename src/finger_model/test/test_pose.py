@@ -20,7 +20,7 @@ from finger_model.estimator.estimate import ESTIMATE_FIELDS
 from finger_model.geometry import Geometry
 from finger_model.laws import GeneralizedMaxwell2, StandardLinearSolid
 from finger_model.parameter_sets import ParameterSet, ParameterSets
-from finger_model.pose.correction import PoseCorrection
+from finger_model.pose.correction import STEEP, PoseCorrection
 from finger_model.pose.estimator import MeasuredOutline, PoseEstimator
 from finger_model.pose.pose import Pose
 from finger_model.pose.settings import PoseSettings
@@ -119,6 +119,47 @@ def test_areas_of_a_finger_that_was_not_learned_are_those_of_calculix(name, pose
     correction = PoseCorrection(CALCULIX_FINGER, pose, STUDY["dry"].skin_ratio)
     found = [correction.outline(area).area for area in level]
     assert found == pytest.approx(1e-6 * table["area_mm2"][known], rel=error)
+
+
+def test_fingers_that_were_kept_aside_are_within_what_is_stated():
+    file = resources.files("finger_model") / "data" / "pose_held_out.csv"
+    errors, steep = [], []
+    for row in csv.DictReader(file.read_text().splitlines()):
+        value = {name: float(text) for name, text in row.items()}
+        lengths = (value[k] for k in "width height skin bone_width bone_height".split())
+        tilt = math.radians(value["pitch_deg"]), math.radians(value["roll_deg"])
+        correction = PoseCorrection(
+            Geometry(*lengths, 0.0, value["nail"]),
+            Pose(value["aspect"], *tilt),
+            value["skin_ratio"],
+        )
+        if correction.depth(value["round_area_m2"]) > 0.2:
+            found = correction.outline(value["round_area_m2"])
+            ratio = found.semi_axes[0] / found.semi_axes[1] * value["axis_b_m"] / value["axis_a_m"]
+            center = found.center - [value["center_x_m"], value["center_y_m"]]
+            area = math.log(found.area / value["area_m2"])
+            errors.append([area, math.log(ratio), float(np.hypot(*center)), correction.area_sd])
+            steep.append(math.hypot(*correction.touch.aside) > STEEP)
+    area, ratio, center, sd = np.transpose(errors)
+    flat = ~np.array(steep)
+    within = np.abs(area) < 0.02
+    assert within.mean() > 0.85 and within[flat].mean() > 0.9
+    assert math.sqrt(np.mean(ratio**2)) < 0.015
+    assert math.sqrt(np.mean(center**2)) < 0.1e-3
+    for kind in (flat, ~flat):
+        assert math.sqrt(np.mean((area[kind] / sd[kind]) ** 2)) == pytest.approx(1.0, abs=0.1)
+
+
+def test_the_correction_widens_the_estimate_by_its_own_error():
+    sds = []
+    for aspect, pitch in ((1.0, 0.0), (1.3, 0.0), (1.6, math.radians(29.0))):
+        settings = EstimatorSettings(pad_aspect=aspect, plate_pitch=pitch)
+        estimator = ContactEstimator(ReducedModel.load(), settings=settings)
+        for k in range(300):
+            out = estimator.add_wrench(10**9 + 2_000_000 * k, (0.0, 0.0, -0.004 * k))
+        sds.append(out[-1].area_stddev / out[-1].area)
+    assert sds[0] < sds[1] < sds[2]
+    assert math.sqrt(sds[2] ** 2 - sds[0] ** 2) > 0.06
 
 
 def estimate(stamp, area, force):

@@ -99,7 +99,8 @@ class FilterState:
         noise["moisture_direction"] = prior.moisture_direction
         noise["moisture_variance"] = prior.moisture_variance
         noise["moisture_wander"] = prior.moisture_wander
-        noise["model_variance"] = self.model.rms_error**2 + prior.misfit_sd**2
+        errors = self.model.rms_error, prior.misfit_sd, self.pose_correction.area_sd
+        noise["model_variance"] = sum(error**2 for error in errors)
         self.base = selected.constants
         if new:
             stream.new_reading(config, self.state)

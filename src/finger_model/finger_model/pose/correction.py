@@ -4,17 +4,16 @@
 """Area, outline and centre of pressure of an elliptical pad on a tilted plate.
 
 The round pad on a level plate, with the same force and history, is known (the reduced model). What
-aspect and tilt change is a correction of it: products of what the plate first touches (`touch`;
-Hertz's contact would need no more), of the finger's proportions, and of powers of the depth
-s = √(A₀/π)/a, contact radius over half the width of the round pad. Their coefficients are learned
-from the three-dimensional model (`scripts/pose_truth.py`), with fingers from all over the
-population box. Without aspect and tilt the correction is none.
+aspect and tilt change is a correction of it: sums of terms of what the plate first touches (Hertz's
+contact would need no more; `touch`) times powers of the depth s = √(A₀/π)/a, contact radius over
+half the width of the round pad. Their coefficients depend on finger and pose (`networks`). They are
+learned from the three-dimensional model (`scripts/pose_truth.py`, `scripts/pose_linear.py`), with
+fingers from all over the population box. Without aspect and tilt the correction is none.
 """
 
 from __future__ import annotations
 
 import functools
-import itertools
 import math
 from importlib import resources
 from pathlib import Path
@@ -25,28 +24,26 @@ import numpy as np
 from finger_common.files import load_json
 
 from ..geometry import Geometry
-from ..reduced.population import BOX, NAIL_INSIDE, Range, lengths_of
+from ..reduced.population import BOX, Range, lengths_of
+from .networks import SKIN_RATIOS, inputs, outputs
 from .pose import Pose
 from .touch import Touch, first_touch
 
 FILE = Path(str(resources.files("finger_model") / "data" / "pose_correction.json"))
-"""Learned coefficients; `scripts/pose_correction.py` writes it."""
+"""Learned networks; `scripts/pose_correction.py` writes it."""
 
 LARGEST_DEPTH = 0.65
 """s from which on the correction stays as it is: few of those learned from are larger."""
-
-SKIN_RATIOS = (12.0, 120.0)
-"""Moduli of the epidermis over that of the tissue, E₂/E, of the fingers learned from; a ratio
-outside is held at the end."""
-
-MIDDLE_SKIN_RATIO = 60.0
-"""By which the proportions are scaled."""
 
 POWERS = 3
 """Powers 0, 1 and 2 of s."""
 
 LARGEST_ASPECT, LARGEST_TILT = 1.6, math.radians(30.0)
 """Up to which the correction was learned."""
+STEEP = 0.5
+"""How far aside the first touch lies (see `Touch`) from which the correction is worse."""
+AREA_SD, STEEP_AREA_SD = 0.012, 0.07
+"""Of ln of the area, before STEEP and beyond: root mean square errors of the fingers kept aside."""
 SMALLEST_ASPECT = 0.95
 """Learned was 1 and more, but the estimate of a round pad is now and then below. There the default
 finger's areas are within 1.4 % of those in three dimensions, at 0.92 within 1.9 %."""
@@ -69,34 +66,10 @@ class Outline(NamedTuple):
 
 
 @functools.cache
-def coefficients() -> dict[str, np.ndarray]:
-    """Learned coefficients (POWERS, terms, proportions) by the names "area", "shape", "center" and
-    "pressure"."""
-    data = load_json(FILE, "pose correction")
-    return {name: np.array(values) for name, values in data["coefficients"].items()}
-
-
-def proportions(geometry: Geometry, skin_ratio: float) -> np.ndarray:
-    """1, the finger's proportions, about −1 to 1 in the population box, and their products (n,):
-    depth of the pad, the length over which the skin bends, t (E₂/E)^⅓, width and depth of the bone,
-    and width of the nail, which holds the pad's sides. `DEGREES` are theirs."""
-    a, c = geometry.pad_semi_axis_radial, geometry.pad_semi_axis_axial
-    nail = min(geometry.nail_radius, NAIL_INSIDE * geometry.bulk_semi_axes[0])
-    ratio = min(max(skin_ratio, SKIN_RATIOS[0]), SKIN_RATIOS[1])
-    bending = geometry.epidermis_thickness * (ratio / MIDDLE_SKIN_RATIO) ** (1 / 3)
-    single = [
-        2.0 * math.log(c / (0.7 * a)),
-        0.7 * math.log(bending / (0.06 * a)),
-        4.0 * (geometry.bone_semi_axis_radial / a - 0.4),
-        4.0 * (geometry.bone_semi_axis_axial / c - 0.4),
-        5.0 * (nail / a - 0.78),
-    ]
-    pairs = itertools.combinations_with_replacement(single, 2)
-    return np.array([1.0, *single, *(x * y for x, y in pairs)])
-
-
-DEGREES = np.array([0] + 5 * [1] + 15 * [2])
-"""Of the `proportions` as polynomials."""
+def layers() -> list[np.ndarray]:
+    """Layers of the learned networks, see `networks.outputs`. They give coefficients (POWERS, 12):
+    of the `area_terms`, the `shape_terms`, and the `center_terms` of centre and of pressure."""
+    return [np.array(layer) for layer in load_json(FILE, "pose correction")["layers"]]
 
 
 def area_terms(touch: Touch) -> np.ndarray:
@@ -117,6 +90,7 @@ def center_terms(touch: Touch) -> np.ndarray:
     return np.array([1.0, _size(touch.aside)])
 
 
+@functools.lru_cache(maxsize=64)
 def is_learned(geometry: Geometry) -> bool:
     """Whether a finger's proportions lie in the population box; its size does not matter."""
     skin, width = BOX["epidermis_thickness"], BOX["pad_semi_axis_radial"]
@@ -125,17 +99,6 @@ def is_learned(geometry: Geometry) -> bool:
     inside = thickness in Range(skin.low / width.high, skin.high / width.low, "")
     inside = inside and all(value in BOX[name] for name, value in lengths.items())
     return inside and geometry.bone_center_height == 0.0 and geometry.nail_thickness > 0.0
-
-
-@functools.lru_cache(maxsize=64)
-def of_finger(geometry: Geometry, skin_ratio: float) -> tuple[dict[str, np.ndarray], bool]:
-    """Coefficients (POWERS, terms) of a finger by the names of `coefficients`, and whether it is
-    among those that were learned."""
-    low, high = SKIN_RATIOS
-    known_skin = low * (1 - 1e-9) <= skin_ratio <= high * (1 + 1e-9)
-    finger = proportions(geometry, skin_ratio)
-    learned = {name: values @ finger for name, values in coefficients().items()}
-    return learned, known_skin and is_learned(geometry)
 
 
 def _size(vector: np.ndarray) -> float:
@@ -151,11 +114,12 @@ class PoseCorrection:
         self.geometry, self.pose, self.skin_ratio = geometry, pose, skin_ratio
         self.touch = first_touch(geometry, pose)
         self.half_width = geometry.pad_semi_axis_radial
-        learned, self._known_finger = of_finger(geometry, skin_ratio)
-        self.area_polynomial = learned["area"] @ area_terms(self.touch)
-        self._shape = learned["shape"] @ shape_terms(self.touch)
+        of_terms = outputs(layers(), inputs(geometry, skin_ratio, pose, self.touch))
+        of_terms = of_terms.reshape(POWERS, -1)
+        self.area_polynomial = of_terms[:, :6] @ area_terms(self.touch)
+        self._shape = of_terms[:, 6:8] @ shape_terms(self.touch)
         terms = center_terms(self.touch)
-        self._center, self._pressure = learned["center"] @ terms, learned["pressure"] @ terms
+        self._center, self._pressure = of_terms[:, 8:10] @ terms, of_terms[:, 10:] @ terms
         self._polynomial: list[float] = self.area_polynomial.tolist()
 
     @property
@@ -163,7 +127,16 @@ class PoseCorrection:
         """Whether the correction was learned for such a finger and pose."""
         low_tilt = self.pose.tilt <= LARGEST_TILT * (1 + 1e-9)
         fits = SMALLEST_ASPECT * (1 - 1e-9) <= self.pose.aspect <= LARGEST_ASPECT * (1 + 1e-9)
-        return self._known_finger and low_tilt and fits
+        low, high = SKIN_RATIOS
+        known_skin = low * (1 - 1e-9) <= self.skin_ratio <= high * (1 + 1e-9)
+        return low_tilt and fits and known_skin and is_learned(self.geometry)
+
+    @property
+    def area_sd(self) -> float:
+        """Standard deviation of the correction of ln of the area; 0 where there is none."""
+        if not self.area_polynomial.any():
+            return 0.0
+        return AREA_SD if _size(self.touch.aside) <= STEEP else STEEP_AREA_SD
 
     def depth(self, round_area: float) -> float:
         """s of a round pad on a level plate with this area (m²)."""
