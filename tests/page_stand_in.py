@@ -148,7 +148,8 @@ class ForwardedPort:
 class StandIn:
     """A page server fed with presses of 3 s, one every 6 s, until `stop`.
 
-    The values of `ages`, `problems` and `tared` may be changed; with `silent` nothing is sent.
+    `problems`, `tared`, `estimate` and the measured `area` (mm²; None: that of the presses) may be
+    changed; with `silent` nothing is sent.
     """
 
     def __init__(self, port: int = 0, **settings: Any) -> None:
@@ -157,6 +158,8 @@ class StandIn:
         self.problems: list[Problem] = []
         self.gone: set[str] = set()
         self.tared = True
+        self.estimate = {"known": True, "doubt": ""}
+        self.area: float | None = None
         self.silent = False
         self.textured = False
         self.health = [
@@ -225,6 +228,7 @@ class StandIn:
                 self._draw("force", [round(now, 3), round(force, 4)])
             if step % 2 == 0 and "model" not in self.gone:
                 self._last["model"] = now
+                self.server.publish("estimate", {"contact": force > 0.02, **self.estimate})
                 if force > 0.02:
                     point = [now, force, area, 1.2, 0.9 * force, 20 + 6 * force, 40 + 12 * force]
                     self._draw("model", point)
@@ -232,7 +236,8 @@ class StandIn:
                 self._last["area"] = now
                 if force > 0.02:
                     self._draw("measured", [now, force, area + math.sin(7 * now)])
-                contact = {"area": round(area, 2), "flags": 4 if force > 1.45 else 0}
+                shown = round(area, 2) if self.area is None else self.area
+                contact = {"area": shown, "doubt": "clipped" if force > 1.45 else ""}
                 self.server.publish("contact", contact)
                 self.server.publish_image(picture(area, self.textured), int(now * 1e9))
             if step % 10 == 0:

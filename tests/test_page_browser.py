@@ -397,6 +397,52 @@ def test_values_of_camera_and_model_blank_too(rig: StandIn, page: Any) -> None:
     assert not page.is_visible("#image")
 
 
+def test_an_area_that_is_not_known_is_no_area(rig: StandIn, page: Any) -> None:
+    prepare(rig, page)
+    until(lambda: page.inner_text("#estimate-value") == "0.0", page)
+    assert not page.is_visible("#estimate-flag")
+    rig.estimate = {"known": False, "doubt": "model failed"}
+    until(lambda: page.inner_text("#estimate-flag") == "model failed", page)
+    assert page.inner_text("#estimate-value") == "–"
+    rig.estimate = {"known": True, "doubt": "force out of range"}
+    until(lambda: page.inner_text("#estimate-flag") == "force out of range", page)
+    assert page.evaluate(OVERFLOW) == []
+    rig.area = float("nan")
+    until(lambda: page.inner_text("#area-value") == "–", page)
+    rig.area = None
+    until(lambda: page.inner_text("#area-value") != "–", page)
+
+
+def test_a_reading_counts_once_however_often_enter_is_pressed(rig: StandIn, page: Any) -> None:
+    prepare(rig, page)
+    rig.commands.clear()
+    page.fill("#moisture-input", "44.4")
+    page.eval_on_selector("#moisture-form", "f => { f.requestSubmit(); f.requestSubmit(); }")
+    until(lambda: "did moisture" in page.inner_text("#answer"), page)
+    page.keyboard.press("k")
+    until(lambda: "marker" in [name for name, _ in rig.commands], page)
+    assert [name for name, _ in rig.commands] == ["moisture", "marker"]
+
+
+def test_redo_asks_before_it_takes_a_kept_trial_back(rig: StandIn, page: Any) -> None:
+    prepare(rig, page, attempt=0)
+    rig.commands.clear()
+    page.keyboard.press("r")
+    page.wait_for_selector("#ask-dialog[open]")
+    assert "last kept trial" in page.inner_text("#ask-title")
+    page.keyboard.press("Escape")
+    page.wait_for_selector("#ask-dialog:not([open])", state="attached")
+    assert not rig.commands
+    # A trial that begins again already takes nothing back.
+    trials = session("prepare")["trials"]
+    trials[3].update(attempts=1)
+    prepare(rig, page, attempt=1, trials=trials)
+    until(lambda: "repeat" in page.inner_text("#trials tr[data-index='3']"), page)
+    page.wait_for_timeout(500)  # two presses sooner than that are one
+    page.keyboard.press("r")
+    until(lambda: [name for name, _ in rig.commands] == ["redo"], page)
+
+
 def test_untared_is_said_before_ready(rig: StandIn, page: Any) -> None:
     prepare(rig, page)
     rig.tared, rig.problems = False, [TARE_NEEDED]

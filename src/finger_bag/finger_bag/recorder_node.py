@@ -179,6 +179,7 @@ class RecorderNode(ManagedNode):
             self._topics[absolute] = _Topic(absolute, kind, rate or 50.0, rate >= 5, kept)
         self._health = Health("recorder")
         self.healths = [self._health]
+        self._health.notes["minimum_free"] = str(self.values["minimum_free"])
         self._lost_told = 0
         """Messages lost in the newest warning."""
         self._pauses = Pauses(1.0, 3.0)
@@ -398,6 +399,7 @@ class RecorderNode(ManagedNode):
             target, SessionMetadata.from_mapping(session), topics, attachments, self._definitions
         )
         self._put_latched()
+        self._note_bag()
         self.get_logger().info(f"recording into {started}")
         return started
 
@@ -424,11 +426,16 @@ class RecorderNode(ManagedNode):
         self._check_middleware()
         result = self._recorder.stop()
         missing = self._missing()
+        self._note_bag()
+        # What is wrong with a bag that is closed keeps no other one from being begun.
+        self._health.recovered("recording")
         if result.error:
             self.exit_code = 1
-            self.get_logger().error(
+            text = (
                 f"the recording is not complete: {result.error}; {result.lost_count} messages lost"
             )
+            self._health.fault("interrupted", text, WARN)
+            self.get_logger().error(text)
         self.get_logger().info(
             f"recorded {result.message_count} messages into {result.path}, "
             f"{result.lost_count} lost" + (f", stamps missing: {missing}" if missing else "")

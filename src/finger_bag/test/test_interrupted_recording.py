@@ -306,6 +306,28 @@ def test_the_node_says_so_until_it_records_again(
     executor.shutdown()
 
 
+def test_a_recording_that_was_ended_while_interrupted_forbids_no_other(
+    node: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The disk was full; whoever reads an error would not begin the next bag, which ends it."""
+    health, recorder = node.healths[0], node._recorder
+    with monkeypatch.context() as full:
+        full.setattr(
+            "finger_bag.recorder.shutil.disk_usage", lambda path: type("Usage", (), {"free": 0})
+        )
+        shutil.rmtree(recorder.path)
+        wait_for(lambda: recorder.interrupted, "the interruption", lambda: None)
+        node._watch_interruption()
+        assert health.report().level == 2
+        assert node._finish().error
+        report = health.report()
+        assert report.level == 1 and "the recording is not complete" in report.message
+        assert report.values["recording"] == "no"
+    started = node._start(str(tmp_path / "next"), None)
+    report = health.report()
+    assert (report.level, report.values["recording"]) == (0, str(started))
+
+
 def test_an_interruption_that_can_be_resumed_at_once_is_reported_first(
     node: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

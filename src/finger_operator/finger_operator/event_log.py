@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import errno
 import io
+import os
 from dataclasses import astuple, dataclass, fields
 from datetime import datetime, timezone
 from pathlib import Path
@@ -63,8 +64,6 @@ class EventLog:
             except (ValueError, OverflowError, OSError, csv.Error):
                 continue
         log._written = len(log.events)
-        if not text.endswith("\n"):
-            log._path.write_text(text + "\n", encoding="utf-8")
         return log
 
     def add(self, event: Event) -> None:
@@ -78,12 +77,14 @@ class EventLog:
         if not new:
             return
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        with self._path.open("ab", buffering=0) as file:
-            end = file.tell()
+        with self._path.open("a+b", buffering=0) as file:
+            end = file.seek(0, os.SEEK_END)
             text = io.StringIO()
             rows = csv.writer(text, lineterminator="\n")
             if end == 0:
                 rows.writerow(COLUMNS)
+            elif os.pread(file.fileno(), 1, end - 1) != b"\n":
+                text.write("\n")  # after a line that was cut
             for event in new:
                 rows.writerow((utc_time(event.stamp_ns), *astuple(event)))
             data = text.getvalue().encode()

@@ -14,8 +14,8 @@ from finger_common.stamps import seconds
 
 from .limits import Limits
 
-ERROR_MEMORY = 3.0
-"""s for which an error in /diagnostics counts; each node repeats it once a second."""
+REPORT_MEMORY = 3.0
+"""s for which a report in /diagnostics counts; each node repeats it once a second."""
 
 LOGGED_SILENCE = 1.0
 """s without a sample from which silence is an event of the log."""
@@ -40,6 +40,7 @@ class Inputs:
         self._force: _Sample | None = None
         self._area: _Sample | None = None
         self._errors: dict[str, tuple[int, str]] = {}
+        self._recorder: int | None = None
         self._silent: set[str] = set()
 
     @property
@@ -68,6 +69,14 @@ class Inputs:
         self._errors[name] = (now_ns, message)
         return f"{name}: {message}" if new else ""
 
+    def add_recorder(self, now_ns: int) -> None:
+        """The recorder has told what it writes."""
+        self._recorder = now_ns
+
+    def recorder_fell_silent(self, now_ns: int) -> bool:
+        """Whether a recorder that told what it writes does so no longer."""
+        return self._recorder is not None and seconds(now_ns - self._recorder) > REPORT_MEMORY
+
     def force_fell_silent(self, now_ns: int, limits: Limits) -> bool:
         """Whether no force comes any longer."""
         return self._force is not None and _is_old(self._force, now_ns, limits)
@@ -88,7 +97,7 @@ class Inputs:
     def waiting_for(self, now_ns: int, limits: Limits) -> str:
         """Why the press does not begin yet; empty when nothing is in the way."""
         for name, (stamp, message) in self._errors.items():
-            if seconds(now_ns - stamp) < ERROR_MEMORY:
+            if seconds(now_ns - stamp) < REPORT_MEMORY:
                 return f"{name}: {message}"
         force, area = self._force, self._area
         if force is None or _is_old(force, now_ns, limits):

@@ -49,10 +49,13 @@ from .normal_force import NormalForce
 from .page.access import is_loopback
 from .page.commands import COMMANDS, PARAMETERS, stale
 from .page.feed import (
+    AREA_DOUBTS,
     ESTIMATE,
+    ESTIMATE_DOUBTS,
     CurveMemory,
     ForceMemory,
     HealthBoard,
+    doubt,
     estimate_point,
     measured_point,
 )
@@ -170,6 +173,12 @@ class PageNode(ManagedNode):
 
     def _show_state(self, message: ContactState) -> None:
         self._readiness.sample("model", time.monotonic())
+        estimate = {
+            "contact": message.in_contact,
+            "known": math.isfinite(message.area),
+            "doubt": doubt(message.flags, ESTIMATE_DOUBTS),
+        }
+        self._server.publish("estimate", estimate)
         # Of a force without a zero the model makes a contact that is not there.
         if message.in_contact and self._readiness.tared is not False:
             values = [getattr(message, name) for name in ESTIMATE]
@@ -186,8 +195,9 @@ class PageNode(ManagedNode):
         stamp = header_stamp(message)
         point = measured_point(self._memory, stamp, message.gross_area, message.flags)
         self._draw("measured", point)
-        contact = {"area": round(message.gross_area * 1e6, 2), "flags": message.flags}
-        self._server.publish("contact", contact)
+        area = round(message.gross_area * 1e6, 2)
+        doubtful = doubt(message.flags, AREA_DOUBTS)
+        self._server.publish("contact", {"area": area, "doubt": doubtful})
 
     def _on_moisture(self, message: Moisture) -> None:
         self._server.publish("moisture", {"value": message.value, "flags": message.flags})
@@ -319,7 +329,11 @@ class PageNode(ManagedNode):
         response = await self._call(command.service, request)
         if name == "tare" and response.success:
             await self._in_node(self._forget_curves)
-        return response.success, response.message
+        message = response.message
+        in_session = name == "moisture" and self._status["step"] != "closed"
+        if in_session and response.success and request.phase == Moisture.PHASE_UNKNOWN:
+            return False, f"{message}; it does not count: no reading is asked for now"
+        return response.success, message
 
     def _begin(self, name: str, arguments: dict[str, Any]) -> Any:
         """Request of the command's service; raises InputError where it is not to be carried out.
@@ -340,7 +354,7 @@ class PageNode(ManagedNode):
             phase = {
                 "moisture_before": Moisture.PHASE_BEFORE,
                 "moisture_after": Moisture.PHASE_AFTER,
-            }.get(str(step), Moisture.PHASE_UNKNOWN)
+            }.get("" if self._status.get("paused") else str(step), Moisture.PHASE_UNKNOWN)
             return SetMoisture.Request(value=arguments["value"], phase=phase)
         return Trigger.Request()
 

@@ -98,6 +98,12 @@ Effect = TrialEvent | StartRecording | StopRecording
 GUIDANCE_TIME = 3.0
 """s for which the text of a calibration's press is shown before the plate has to be clear."""
 
+WAITING_TIME = 300.0
+"""s without a reading, or without a free plate, after which an attempt that is recorded ends."""
+
+LATE_REPORT = 0.5
+"""s in which reports come that were on their way when the recorder began a bag."""
+
 FIT_TIME = 120.0
 """s to wait for the result of a calibration: a second of work, on a busy machine a minute."""
 
@@ -138,6 +144,10 @@ class Protocol:
         self.recording = "off"
         self._record_requested = 0
         self._asked = ""
+        self._other_bag_since: int | None = None
+        """Since when the recorder reports another bag than that of the attempt, or none."""
+        self._zero = ""
+        self._last_progress = 0
         self._inputs = Inputs()
         self._known_result = ""
         self._announced: tuple[object, ...] = ()
@@ -147,6 +157,7 @@ class Protocol:
         """Bag of an interrupted attempt and what it says of it, once the recorder has closed it."""
         self._waits: dict[Step, Callable[[float], None]] = {
             Step.PREPARE: self._await_preparation,
+            **dict.fromkeys((Step.MOISTURE_BEFORE, Step.MOISTURE_AFTER), self._await_progress),
             Step.CLEAR: self._await_clear_plate,
             **dict.fromkeys(PRESSING, self._check_time),
             Step.CLOSING: self._await_recorder,
@@ -307,7 +318,7 @@ class Protocol:
         if self.step is Step.FAILED:
             self._enter(Step.PREPARE)
         else:
-            self._step_began = now_ns
+            self._step_began = self._last_progress = now_ns
             self._announce()
             self.save()
 
@@ -323,6 +334,8 @@ class Protocol:
             return
         if self.step is Step.CLOSING:
             raise InputError("the bag is being closed; try again in a moment")
+        if self.step is Step.PREPARE and self.trials[self.current].attempts:
+            raise InputError(f"trial {self.current + 1} begins again already")
         done = [t for t in self.trials if t.attempts and t.verdict == "done"]
         if not done:
             raise InputError("no trial was done yet, so none can be redone")
@@ -476,6 +489,7 @@ class Protocol:
         before = self.step is Step.MOISTURE_BEFORE
         readings = self._attempt.moisture_before if before else self._attempt.moisture_after
         readings.append(value)
+        self._last_progress = self._now
         self.message = ""
         if len(readings) >= self.plan.readings:
             self._enter(Step.CLEAR) if before else self._close()
@@ -490,6 +504,25 @@ class Protocol:
         if level >= ERROR and self.step in PRESSING and self._press is not None:
             if self._press.attempt.onset_ns is not None:
                 self._press.add_problem(f"{name}: {message}")
+
+    def tared(self, zero: str, now_ns: int) -> None:
+        """The zero that was subtracted from the force, as its driver tells it."""
+        self._now = max(self._now, now_ns)
+        if zero != self._zero:
+            self._zero = zero
+            self._log("command", f"force tared, zero at {zero}")
+
+    def recorder_writes(self, bag: str, now_ns: int) -> None:
+        """What the recorder itself says that it writes, again and again; "no" for no bag."""
+        self._now = max(self._now, now_ns)
+        self._inputs.add_recorder(self._now)
+        if self.recording != "on" or self.step not in UNDER_WAY or bag == self._attempt.bag:
+            self._other_bag_since = None
+        elif self._other_bag_since is None:
+            self._other_bag_since = self._now
+        elif seconds(self._now - self._other_bag_since) > LATE_REPORT:
+            self._fail("the recorder no longer writes the bag of this trial")
+            self._unmarked = Path(self._attempt.bag), self._announcement(TrialPhase.FAILED)
 
     def recorder_started(
         self, success: bool, message: str, now_ns: int, bag: str = "", asked: str = ""
@@ -557,11 +590,20 @@ class Protocol:
         if begins:
             self._begin_attempt()
 
+    def _await_progress(self, in_step: float) -> None:
+        """End an attempt that nobody goes on with: its bag grows all the while."""
+        if seconds(self._now - self._last_progress) > WAITING_TIME:
+            self._fail(f"nobody went on for {WAITING_TIME / 60:g} min")
+            if not self.ended:
+                self._hold("Nobody went on, and the recording was ended. Press Space to go on.")
+
     def _await_clear_plate(self, in_step: float) -> None:
         if self.waiting_for():
             self._clear_since = None
             if self.recording == "starting" and self._record_late():
                 self.recorder_started(False, "no answer", self._now)
+            else:
+                self._await_progress(in_step)
         elif self._clear_since is None:
             self._clear_since = self._now
         elif seconds(self._now - self._clear_since) >= self.limits.clear_time:
@@ -609,6 +651,8 @@ class Protocol:
             return reason
         if self.limits.need_recorder and self.recording != "on":
             return "the recorder is not running yet"
+        if self.limits.need_recorder and self._inputs.recorder_fell_silent(self._now):
+            return "the recorder is silent"
         return ""
 
     # Transitions -----------------------------------------------------------------------------
@@ -767,7 +811,7 @@ class Protocol:
             unknown = FITTING if done else f"Not calibrated: {why}."
             self.message, self._known_result = self._known_result or unknown, ""
         self.step = step
-        self._step_began = self._now
+        self._step_began = self._last_progress = self._now
         self._step_stamp = self._now if stamp_ns is None else stamp_ns
         self._announce()
         self._log("step", step.value.replace("_", " "))

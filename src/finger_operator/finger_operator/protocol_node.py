@@ -60,7 +60,7 @@ from .page.readiness import TARE_NEEDED, refusal, tared_by
 from .protocol import Effect, Protocol, StartRecording, Step, StopRecording
 from .recorder_requests import RecorderRequests
 from .session_store import STATE_FILE, free_space, further_files, sessions_by_subject
-from .status import closed_status, session_status
+from .status import GIGABYTE, USUAL_SIZE, closed_status, session_status
 from .status_message import status_fields
 from .study_plan import (
     NAME,
@@ -120,7 +120,7 @@ class ProtocolSettings(Settings):
         "Folder of the sessions; each gets a folder with its bags, session.json, trials.csv and "
         "events.csv.",
         advice="Use a disk that takes 20 MB/s; a session of 45 trials with images needs about "
-        "10 GB.",
+        f"{45 * USUAL_SIZE / GIGABYTE:.0f} GB.",
     )
     normal_axis: str = setting(
         DEFAULT_NORMAL_AXIS,
@@ -182,6 +182,7 @@ class ProtocolNode(ManagedNode):
         self._used_subjects = sessions_by_subject(self._output)
         self._free: int | None = None
         self._free_read = -math.inf
+        self._reserve = 0
         self._trial_publisher = self.create_publisher(Trial, "trial", STATE_QOS)
         self._status_publisher = self.create_publisher(SessionStatus, "~/status", STATE_QOS)
         client = self.create_client(Record, self.values["recorder_service"])
@@ -404,11 +405,22 @@ class ProtocolNode(ManagedNode):
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
             values = {v.key: v.value for v in status.values}
-            tared = tared_by(node_within(status.name, self.get_namespace()), values)
+            node = node_within(status.name, self.get_namespace())
+            tared = tared_by(node, values)
             self._tared = self._tared if tared is None else tared
-            name = self._watched.get(status_node(status.name))
-            if name is not None and self._protocol is not None:
-                self._protocol.health(name, status.level[0], status.message, self.sample_time())
+            name, protocol = self._watched.get(status_node(status.name)), self._protocol
+            if protocol is None or name is None:
+                continue
+            now, level, text = self.sample_time(), status.level[0], status.message
+            if node == "force" and self._tared is False:
+                # To a trial that is no warning.
+                level, text = ERROR, f"{TARE_NEEDED.text} {TARE_NEEDED.remedy}"
+            protocol.health(name, level, text, now)
+            if tared and "tare_offset" in values:
+                protocol.tared(values["tare_offset"], now)
+            if "recording" in values:
+                protocol.recorder_writes(values["recording"], now)
+                self._reserve = int(values.get("minimum_free", 0))
 
     def _on_calibration(self, message: DiagnosticStatus) -> None:
         protocol = self._protocol
@@ -498,7 +510,7 @@ class ProtocolNode(ManagedNode):
         if self._protocol is not None:
             plan = self._protocol.plan
             earlier = [s for s in self._used_subjects.get(plan.subject, []) if s != plan.session]
-            status = session_status(self._protocol, self._free, earlier)
+            status = session_status(self._protocol, self._free, earlier, self._reserve)
         else:
             status = closed_status(
                 self.settings(PlanSettings),

@@ -27,6 +27,9 @@ EVENTS_SHOWN = 60
 
 GIGABYTE = 1e9
 
+USUAL_SIZE = 220_000_000
+"""Bytes of a trial with images; stands in until one was kept."""
+
 
 def closed_status(
     plan: PlanSettings,
@@ -49,19 +52,22 @@ def closed_status(
 
 
 def session_status(
-    protocol: Protocol, free: int | None = None, earlier_sessions: list[str] | None = None
+    protocol: Protocol,
+    free: int | None = None,
+    earlier_sessions: list[str] | None = None,
+    reserve: int = 0,
 ) -> dict[str, Any]:
     """The session, the current trial and a row for each trial.
 
     free: bytes left on the disk of the sessions, None when unknown. earlier_sessions: of this
-    subject.
+    subject. reserve: bytes that the recorder leaves free.
     """
     plan = protocol.plan
     trial = protocol.trials[protocol.current]
     begun = trial.attempts and protocol.step is not Step.PREPARE
     attempt = trial.attempts[-1] if begun else None
     waiting = protocol.step is Step.CLEAR and not protocol.paused
-    disk = disk_status(protocol, free)
+    disk = disk_status(protocol, free, reserve)
     return {
         "subject": plan.subject,
         "session": plan.session,
@@ -177,21 +183,24 @@ def time_left(protocol: Protocol) -> float | None:
     return round(seconds(int(pace)) * sum(t.verdict == "pending" for t in protocol.trials), 1)
 
 
-def disk_status(protocol: Protocol, free: int | None) -> dict[str, Any]:
+def disk_status(protocol: Protocol, free: int | None, reserve: int = 0) -> dict[str, Any]:
     """Space on the disk of the sessions against what the open trials need, by those kept so far.
 
-    `enough` is None until a trial was kept.
+    free, reserve: as in `session_status`. Until a trial was kept, all but `free_gb` is None where
+    there is room for a usual one.
     """
     sizes = [a.size for t in protocol.trials for a in t.attempts if a.size]
-    if free is None or not sizes:
+    room = None if free is None else max(free - reserve, 0)
+    first_fits = not protocol.limits.need_recorder or room is None or room >= USUAL_SIZE
+    if room is None or (not sizes and first_fits):
         return {"free_gb": _gigabytes(free), "needed_gb": None, "trials_left": None, "enough": None}
-    each = sum(sizes) / len(sizes)
+    each = median(sizes or [USUAL_SIZE])
     open_trials = sum(t.verdict == "pending" for t in protocol.trials)
     return {
         "free_gb": _gigabytes(free),
         "needed_gb": _gigabytes(math.ceil(each * open_trials)),
-        "trials_left": int(free / each),
-        "enough": each * open_trials < free,
+        "trials_left": int(room / each),
+        "enough": each * open_trials <= room,
     }
 
 
@@ -228,7 +237,7 @@ def _row(protocol: Protocol, trial: TrialState) -> dict[str, Any]:
         "condition": trial.condition,
         "verdict": trial.verdict,
         "attempts": len(trial.attempts),
-        "reason": last.reason if last else "",
+        "reason": last.reason if last and last.verdict == "failed" else "",
         "time_to_target": last.time_to_target if last else None,
         "peak_force": last.peak_force if last else None,
         "notes": [_remark(e) for e in protocol.log.of("note", trial.index)],

@@ -9,7 +9,8 @@ import asyncio
 import itertools
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -138,3 +139,76 @@ def test_commands_reach_the_protocol_and_its_cues_come_back(
                 await receive("status", step="closed", preparations={**PREPARATIONS, "dry": text})
 
     asyncio.run(asyncio.wait_for(run(), 45))
+
+
+@contextmanager
+def page_here(ros_domain: int, port: int) -> Iterator[tuple[Any, dict[str, Any]]]:
+    """The node in this process, active, and the newest that it has published of each kind."""
+    import rclpy
+    from rclpy.parameter import Parameter
+
+    from finger_operator.page_node import PageNode
+
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=ros_domain)
+    node = PageNode(context=context, parameter_overrides=[Parameter("port", value=port)])
+    told: dict[str, Any] = {}
+    try:
+        assert node.bring_up()
+        node._server.publish = told.__setitem__
+        yield node, told
+    finally:
+        node.release()
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
+def test_an_area_that_is_not_known_is_told_with_the_reason(
+    ros_domain: int, free_port: Callable[[], int]
+) -> None:
+    import math
+
+    from finger_msgs.msg import ContactArea, ContactState
+
+    nan, failed = math.nan, ContactState.FLAG_MODEL_FAILED
+    with page_here(ros_domain, free_port()) as (node, told):
+        node._show_state(ContactState(in_contact=True, normal_force=1.0, area=nan, flags=failed))
+        assert told["estimate"] == {"contact": True, "known": False, "doubt": "model failed"}
+        node._show_state(ContactState(in_contact=True, normal_force=1.0, area=5e-5))
+        assert told["estimate"] == {"contact": True, "known": True, "doubt": ""}
+        node._show_state(ContactState(in_contact=False, area=0.0))
+        assert told["estimate"] == {"contact": False, "known": True, "doubt": ""}
+        flags = ContactArea.FLAG_LOW_CONTRAST
+        node._on_area(ContactArea(gross_area=nan, flags=flags))
+        assert math.isnan(told["contact"]["area"]) and told["contact"]["doubt"] == "low contrast"
+
+
+@pytest.mark.parametrize(
+    ("step", "paused", "counts"),
+    [
+        ("closed", False, True),
+        ("moisture_before", False, True),
+        ("moisture_after", False, True),
+        ("moisture_before", True, False),
+        ("prepare", False, False),
+        ("press", False, False),
+    ],
+)
+def test_a_reading_that_does_not_count_is_not_confirmed(
+    ros_domain: int, free_port: Callable[[], int], step: str, paused: bool, counts: bool
+) -> None:
+    """Without a session it is for the model alone."""
+    from finger_msgs.srv import SetMoisture
+
+    async def published(service: str, request: Any) -> Any:
+        return SetMoisture.Response(success=True, message="reading 44.4 a.u. published")
+
+    async def here(action: Callable[[], Any]) -> Any:
+        return action()
+
+    with page_here(ros_domain, free_port()) as (node, _):
+        node._call, node._in_node = published, here
+        node._status = {"step": step, "paused": paused}
+        good, sentence = asyncio.run(node._command("moisture", {"value": 44.4}))
+    assert good is counts and "44.4 a.u. published" in sentence
+    assert ("it does not count" in sentence) is not counts

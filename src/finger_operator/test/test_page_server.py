@@ -19,13 +19,17 @@ import pytest
 from served_page import Served, next_of, received, run, served_all
 
 from finger_common.errors import InputError
+from finger_common.flags import AreaFlag, StateFlag
 from finger_operator.page.access import is_loopback
 from finger_operator.page.browser import IMAGE_BYTES, READABLE, Browser, smaller_image
 from finger_operator.page.commands import COMMANDS, SEEN, check_command, stale
 from finger_operator.page.feed import (
+    AREA_DOUBTS,
+    ESTIMATE_DOUBTS,
     CurveMemory,
     ForceMemory,
     HealthBoard,
+    doubt,
     estimate_point,
     measured_point,
 )
@@ -432,7 +436,7 @@ def test_commands_for_what_is_no_longer_there_are_refused() -> None:
     given = {"index": 0, "seen_step": "done"}
     assert stale(given, now) and given == {"index": 0}
     assert {"start", "calibrate", "pause", "resume", "redo", "repeat", "skip", "end", "abort",
-            "marker", "note", "close", "preparation"} == {
+            "marker", "note", "close", "preparation", "moisture"} == {
         name for name, command in COMMANDS.items() if SEEN.keys() <= command.arguments.keys()
     }  # fmt: skip
 
@@ -492,6 +496,8 @@ def test_force_memory_interpolates_and_forgets() -> None:
     assert memory.at(100) is None and memory.at(7_000_000_000) is None
     assert measured_point(memory, 5_000_000_000, 42e-6, 0) == [5.0, 2.5, 42.0]
     assert measured_point(memory, 5_000_000_000, 42e-6, 1) is None
+    memory.add(9_500_000_000, float("nan"))
+    assert measured_point(memory, 9_500_000_000, 42e-6, 0) is None
     memory.add(0, 9.0)  # time began again
     assert memory.at(0) == 9.0
 
@@ -517,6 +523,28 @@ def test_estimates_are_drawn_in_the_pages_units_and_only_in_contact() -> None:
     assert estimate_point(2_000_000_000, 1.0, values) == [2.0, 1.0, 50.0, 1.0, 0.8, 20.0, None]
     assert estimate_point(0, 1.0, [nan] * 5) is None
     assert estimate_point(0, nan, values) is None and estimate_point(0, 0.0, values) is None
+
+
+def test_the_gravest_flag_is_named() -> None:
+    failed = StateFlag.MODEL_FAILED | StateFlag.FORCE_OUT_OF_RANGE | StateFlag.FORCE_INVALID
+    assert doubt(failed, ESTIMATE_DOUBTS) == "model failed"
+    assert doubt(StateFlag.FORCE_OUT_OF_RANGE, ESTIMATE_DOUBTS) == "force out of range"
+    without = StateFlag.AREA_MISSING | StateFlag.MOISTURE_MISSING
+    assert doubt(without, ESTIMATE_DOUBTS) == "", "a rig without camera and probe"
+    pale = AreaFlag.SPARSE | AreaFlag.LOW_CONTRAST | AreaFlag.UNCALIBRATED
+    assert doubt(pale, AREA_DOUBTS) == "low contrast"
+    assert doubt(AreaFlag.NO_CONTACT | AreaFlag.SLIDING, AREA_DOUBTS) == ""
+
+
+def test_a_number_that_is_not_finite_is_sent_as_null(served: Served) -> None:
+    async def body(session: aiohttp.ClientSession) -> None:
+        async with served.connect(session) as socket:
+            data = {"area": float("nan"), "deep": [{"value": float("-inf")}, 1.5]}
+            served.server.publish("contact", data)
+            contact = await next_of(socket, "contact")
+            assert contact == {"type": "contact", "area": None, "deep": [{"value": None}, 1.5]}
+
+    run(body)
 
 
 def test_curve_memory_keeps_the_last_seconds_and_the_last_press() -> None:

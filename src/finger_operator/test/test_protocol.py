@@ -454,6 +454,100 @@ def test_an_attempt_that_a_crash_ended_is_failed_wherever_it_is_told(
     assert again.paused and again.step is Step.PREPARE and rig.last.attempt == 1
 
 
+@pytest.mark.parametrize("when", ["moisture_before", "clear", "press"])
+def test_a_trial_whose_recorder_writes_it_no_longer_fails_at_once(rig: Rig, when: str) -> None:
+    """Such as one that died and came back, which knows nothing of the trial."""
+    rig.run(0.2)
+    rig.protocol.start(rig.now)
+    rig.run(0.2)
+    rig.print_left = when == "clear"
+    if when != "moisture_before":
+        rig.readings(1.0, 2.0, 3.0)
+        rig.run(1.0)
+    assert rig.protocol.step.value == when
+    bag = rig.attempt.bag
+    with BagWriter(Path(bag)) as writer:
+        writer.write("trial", {"header": {"stamp": rig.now}, "phase": int(TrialPhase.PREPARE)})
+    for _ in range(3):  # of before the bag was begun, read at last
+        rig.protocol.recorder_writes("no", rig.now)
+    for _ in range(3):
+        rig.run(1.0)
+        rig.protocol.recorder_writes(bag, rig.now)
+    assert rig.protocol.step.value == when
+    rig.protocol.recorder_writes("no", rig.now)
+    rig.run(1.0)
+    rig.protocol.recorder_writes("no", rig.now)
+    expect_failure(rig, "the recorder no longer writes the bag of this trial")
+    rig.run(0.2)
+    with open_bag(bag) as reader:
+        last = list(reader.messages())[-1].message
+    assert last.phase == TrialPhase.FAILED, "its bag says so"
+    rig.run(2.0)
+    assert rig.protocol.step is Step.PREPARE and rig.last.attempt == 1
+
+
+def test_no_press_begins_while_the_recorder_is_silent(rig: Rig) -> None:
+    rig.run(0.2)
+    rig.protocol.start(rig.now)
+    rig.run(0.2)
+    rig.protocol.recorder_writes(rig.attempt.bag, rig.now)
+    rig.run(3.2)
+    rig.readings(1.0, 2.0, 3.0)
+    rig.run(1.0)
+    assert rig.protocol.step is Step.CLEAR
+    assert rig.protocol.waiting_for() == "the recorder is silent"
+    rig.protocol.recorder_writes(rig.attempt.bag, rig.now)
+    rig.run(1.0)
+    assert rig.protocol.step is Step.PRESS
+
+
+@pytest.mark.parametrize("when", ["moisture_before", "clear", "moisture_after"])
+def test_a_trial_that_nobody_goes_on_with_ends_its_recording(rig: Rig, when: str) -> None:
+    rig.run(0.2)
+    if when == "moisture_after":
+        rig.to_press()
+        rig.press()
+    else:
+        rig.protocol.start(rig.now)
+        rig.print_left = True
+        rig.readings(*[1.0, 2.0, 3.0][: 3 if when == "clear" else 2])
+    assert rig.protocol.step.value == when
+    protocol = rig.protocol
+
+    def wait(seconds: float) -> None:
+        for _ in range(round(seconds)):
+            rig.now += SECOND
+            protocol.wrench(rig.now, 0.0)
+            protocol.tick(rig.now)
+            rig.answer_recorder()
+
+    wait(295.0)
+    assert protocol.step.value == when
+    if when == "moisture_after":  # a reading begins the wait again
+        protocol.moisture(rig.now, 40.0)
+        wait(295.0)
+        assert protocol.step.value == when
+    wait(10.0)
+    expect_failure(rig, "nobody went on for 5 min")
+    assert protocol.paused and protocol.recording == "off"
+    assert "Nobody went on" in session_status(protocol)["instruction"]
+    protocol.resume(rig.now)
+    assert protocol.step is Step.PREPARE
+
+
+def test_after_its_end_a_session_does_not_wait_for_a_trial_that_nobody_goes_on_with(
+    rig: Rig,
+) -> None:
+    rig.to_press()
+    rig.press()
+    rig.protocol.end(rig.now)
+    for _ in range(310):
+        rig.now += SECOND
+        rig.protocol.tick(rig.now)
+        rig.answer_recorder()
+    assert rig.protocol.step is Step.FINISHED
+
+
 def test_recorder_that_does_not_close_fails_the_trial(rig: Rig) -> None:
     rig.to_press()
     rig.press()
@@ -643,6 +737,27 @@ def test_redo_after_the_next_trial_was_announced_redoes_the_last_one_done(rig: R
     assert rig.last.index == 1
     rig.protocol.redo(rig.now)
     assert rig.last.index == 0 and rig.last.attempt == 1
+
+
+def test_a_trial_that_begins_again_takes_no_kept_trial_with_it(rig: Rig) -> None:
+    for _ in range(2):
+        rig.trial()
+        rig.run(2.0)
+    rig.protocol.redo(rig.now)
+    for _ in range(2):
+        with pytest.raises(InputError, match="trial 2 begins again already"):
+            rig.protocol.redo(rig.now)
+    assert [t.verdict for t in rig.protocol.trials] == ["done", *["pending"] * 3]
+    row = session_status(rig.protocol)["trials"][1]
+    assert (row["verdict"], row["attempts"], row["reason"]) == ("pending", 1, ""), "no failure"
+    rig.to_press()
+    rig.run(0.3, 0.5, ramp=True)
+    rig.run(0.7, 0.0)
+    rig.run(2.0)
+    assert rig.protocol.step is Step.PREPARE
+    with pytest.raises(InputError, match="begins again already"):
+        rig.protocol.redo(rig.now)
+    assert "lifted at 0.50 N" in session_status(rig.protocol)["trials"][1]["reason"]
 
 
 def test_repeat_of_an_earlier_trial_and_return(rig: Rig) -> None:
@@ -1002,6 +1117,45 @@ def test_event_log_goes_on_after_a_line_was_cut(tmp_path: Path) -> None:
     assert [e.text for e in EventLog.load(tmp_path).events] == ["n0", "n1", "marker 1"]
 
 
+def test_the_log_of_a_full_disk_is_read_and_goes_on_when_there_is_room(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its last line was cut; nothing is written to read it."""
+    log = EventLog(tmp_path)
+    for number in range(3):
+        log.add(Event(START + number, "note", f"n{number}"))
+    log.save()
+    path = tmp_path / "events.csv"
+    cut = path.read_bytes()[:-6]
+    path.write_bytes(cut)
+    with monkeypatch.context() as full:
+
+        def refuse(*_: Any, **__: Any) -> int:
+            raise OSError(28, "No space left on device")
+
+        full.setattr(Path, "write_text", refuse)
+        log = EventLog.load(tmp_path)
+    assert path.read_bytes() == cut
+    log.add(Event(START + 9, "note", "n9"))
+    log.save()
+    log.add(Event(START + 10, "note", "n10"))
+    log.save()
+    assert path.read_bytes().startswith(cut + b"\n")
+    assert [e.text for e in EventLog.load(tmp_path).events] == ["n0", "n1", "n9", "n10"]
+
+
+def test_an_empty_log_gets_its_header(tmp_path: Path) -> None:
+    """As a full disk leaves it at the first event."""
+    path = tmp_path / "events.csv"
+    path.touch()
+    log = EventLog.load(tmp_path)
+    log.add(Event(START, "note", "n0"))
+    log.save()
+    with path.open() as file:
+        assert [row["text"] for row in csv.DictReader(file)] == ["n0"]
+    assert [e.text for e in EventLog.load(tmp_path).events] == ["n0"]
+
+
 def test_session_goes_on_and_warns_while_its_folder_cannot_be_written(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -1035,6 +1189,26 @@ def test_time_left_and_disk_space_follow_from_the_trials_that_were_kept(rig: Rig
     told = session_status(rig.protocol, 300_000_000)
     assert told["disk"]["enough"] is False
     assert "room for only 1 more trial. Delete" in told["warnings"][0]
+    # What the recorder leaves free is no room.
+    told = session_status(rig.protocol, 10**9, reserve=700_000_000)
+    assert (told["disk"]["free_gb"], told["disk"]["trials_left"]) == (1.0, 1)
+    assert session_status(rig.protocol, 10**9, reserve=2 * 10**9)["disk"]["trials_left"] == 0
+
+
+def test_a_disk_without_room_for_a_first_trial_is_warned_of(rig: Rig) -> None:
+    told = session_status(rig.protocol, 300_000_000, reserve=268_435_456)
+    assert "no room for another trial" in told["warnings"][0]
+    assert session_status(rig.protocol, 10**9, reserve=268_435_456)["warnings"] == []
+    rig.protocol.limits = Limits(need_recorder=False)
+    assert session_status(rig.protocol, 300_000_000, reserve=268_435_456)["warnings"] == []
+
+
+def test_one_huge_bag_does_not_hide_the_room_for_usual_ones(rig: Rig) -> None:
+    for size in (50_000_000, 1_000_000_000, 50_000_000):
+        rig.trial()
+        rig.attempt.size = size
+        rig.run(2.0)
+    assert session_status(rig.protocol, 10**9)["disk"]["trials_left"] == 20
 
 
 def test_size_of_a_bag_is_measured_when_the_trial_is_kept(rig: Rig) -> None:

@@ -407,6 +407,65 @@ def test_no_trial_begins_without_a_tare(ros_domain: int, tmp_path: Path) -> None
         assert node._protocol.step is not Step.PREPARE
 
 
+def tell(node: Any, name: str, **values: str) -> None:
+    """A report of a node in /diagnostics, a warning."""
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+    pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
+    status = DiagnosticStatus(level=b"\x01", name=f"{name}: part", values=pairs)
+    node._on_diagnostics(DiagnosticArray(status=[status]))
+
+
+def test_a_trial_under_way_needs_a_tare_too(ros_domain: int, tmp_path: Path) -> None:
+    """The force driver started again within it, which loses its zero."""
+    with node_here(ros_domain, tmp_path) as node:
+        tell(node, "force", tared="yes", tare_offset="0.1, 0, 0, 0, 0, 0")
+        node._start()
+        node._start()
+        protocol = node._protocol
+        tell(node, "force", tared="no")
+        assert "press Tare" in protocol.waiting_for()
+        tell(node, "force", tared="yes", tare_offset="0.2, 0, 0, 0, 0, 0")
+        assert "Tare" not in protocol.waiting_for()
+        protocol.step = protocol.step.PRESS
+        protocol.trials[0].attempts[0].onset_ns = 1
+        tell(node, "force", tared="no")
+        assert "press Tare" in protocol._press.problems[0]
+
+
+def test_each_new_zero_is_in_the_log(ros_domain: int, tmp_path: Path) -> None:
+    with node_here(ros_domain, tmp_path) as node:
+        node._start()
+        for zero in ("0.1, 0.02", "0.1, 0.02", "0.3, 0.02"):
+            tell(node, "force", tared="yes", tare_offset=zero)
+        tell(node, "other/force", tared="yes", tare_offset="7")
+        texts = [event.text for event in node._protocol.log.events if "tared" in event.text]
+        assert texts == ["force tared, zero at 0.1, 0.02", "force tared, zero at 0.3, 0.02"]
+
+
+def test_what_the_recorder_says_of_itself_reaches_the_trial(
+    ros_domain: int, tmp_path: Path
+) -> None:
+    from finger_operator.protocol import Step
+
+    with node_here(ros_domain, tmp_path) as node:
+        node._start()
+        node._start()
+        protocol = node._protocol
+        bag = protocol.trials[0].attempts[0].bag
+        protocol.recorder_started(True, "", node.sample_time(), bag=bag)
+        for _ in range(3):
+            tell(node, "recorder", recording=bag, minimum_free=str(10**15))
+        assert protocol.step is Step.CLEAR
+        node._free = 10**12
+        node._publish_status()
+        assert node._status["disk"]["trials_left"] == 0
+        tell(node, "recorder", recording="no", minimum_free="0")
+        protocol.tick(node.sample_time() + 1_000_000_000)
+        tell(node, "recorder", recording="no", minimum_free="0")
+        assert protocol.step is Step.FAILED
+
+
 @pytest.mark.parametrize("step", ["PRESS", "MOISTURE_AFTER"])
 def test_the_recording_ends_with_the_activity_of_the_node(
     ros_domain: int, tmp_path: Path, step: str

@@ -157,3 +157,31 @@ def test_warnings_do_not_stop_a_trial_and_devices_that_were_never_there_are_not_
         small.board.beat("protocol", small.now)
         small.board.sample("force", small.now)
     assert small.texts == [], "a driver of another make has no heartbeat and no tare"
+
+
+def test_the_advice_is_that_of_the_device() -> None:
+    rig = ready()
+    for node, words in (
+        ("recorder", "Make room on the disk"),
+        ("protocol", "Read the rig's terminal"),
+        ("model", "Read the rig's terminal"),
+        ("camera", "Check power and cable of the camera"),
+    ):
+        rig.board.report(node, f"finger/{node}: part", ERROR, "has a fault", {}, rig.now)
+        (problem,) = rig.board.problems(rig.now)
+        assert problem.remedy.startswith(words), node
+        rig.board.report(node, f"finger/{node}: part", OK, "active", {}, rig.now)
+
+
+def test_a_part_that_its_node_no_longer_has_keeps_no_trial_from_beginning() -> None:
+    rig = ready()
+    rig.board.report("camera", "camera: A", ERROR, "unplugged", {}, rig.now)
+    for _ in range(4):
+        rig.run(1.0)
+        assert rig.texts == ["Camera: unplugged."], "a node that is silent takes nothing back"
+    rig.board.report("camera", "camera: B", OK, "active", {}, rig.now)
+    assert rig.texts == []
+    rig.board.report("camera", "camera: A", ERROR, "unplugged", {}, rig.now)
+    rig.run(1.0)
+    rig.board.report("camera", "camera: B", OK, "active", {}, rig.now)
+    assert rig.texts == ["Camera: unplugged."]

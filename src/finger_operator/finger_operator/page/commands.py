@@ -74,7 +74,7 @@ COMMANDS: dict[str, Command] = {
         dict,
     ),
     "tare": Command({}, "force/tare"),
-    "moisture": Command({"value": float}, "moisture/set_moisture"),
+    "moisture": Command({"value": float, **SEEN}, "moisture/set_moisture"),
     "curves": Command({}),
 }
 

@@ -15,7 +15,7 @@ from collections.abc import Collection, Sequence
 from typing import Any
 
 from finger_common.diagnostics import STALE, node_within
-from finger_common.flags import AreaFlag
+from finger_common.flags import AreaFlag, StateFlag, flag_names
 from finger_common.stamps import NANOSECONDS, seconds
 
 MEMORY = 4 * NANOSECONDS
@@ -60,7 +60,7 @@ def measured_point(
 ) -> list[float] | None:
     """[time s, force N, area mm²] of one measured area (m²); None without contact or force."""
     force = memory.at(stamp_ns)
-    if force is None or flags & AreaFlag.NO_CONTACT or not math.isfinite(area) or force <= 0:
+    if force is None or flags & AreaFlag.NO_CONTACT or not math.isfinite(area) or not force > 0:
         return None
     return [round(seconds(stamp_ns), 3), round(force, 4), round(area * 1e6, 3)]
 
@@ -84,6 +84,37 @@ def estimate_point(
     scaled = (value * scale for value, scale in zip(values, ESTIMATE_SCALES))
     shown = [round(value, 3) if math.isfinite(value) else None for value in scaled]
     return [round(seconds(stamp_ns), 3), round(force, 4), *shown]
+
+
+AREA_DOUBTS = (
+    AreaFlag.NO_BACKGROUND,
+    AreaFlag.LOW_CONTRAST,
+    AreaFlag.SATURATED,
+    AreaFlag.SPARSE,
+    AreaFlag.CLIPPED,
+    AreaFlag.MULTIPLE_REGIONS,
+    AreaFlag.UNCALIBRATED,
+)
+"""Flags for which the page doubts a measured area, the gravest first."""
+
+ESTIMATE_DOUBTS = (
+    StateFlag.MODEL_FAILED,
+    StateFlag.FORCE_INVALID,
+    StateFlag.FORCE_OUT_OF_RANGE,
+    StateFlag.FORCE_OFFSET,
+    StateFlag.MODEL_MISMATCH,
+    StateFlag.PARAMETERS_OUT_OF_RANGE,
+    StateFlag.POSE_OUT_OF_RANGE,
+    StateFlag.LATERAL_LOAD,
+    StateFlag.MOISTURE_OUT_OF_RANGE,
+    StateFlag.AREA_REJECTED,
+)
+"""Those of an estimate. What a rig without camera or moisture probe always has is none of them."""
+
+
+def doubt(flags: int, doubts: Sequence[AreaFlag] | Sequence[StateFlag]) -> str:
+    """Name of the gravest flag set, in words; empty for none."""
+    return next((flag_names(flag).replace("_", " ") for flag in doubts if flags & flag), "")
 
 
 Curves = dict[str, list[Sequence[float | None]]]

@@ -24,6 +24,10 @@ NODE_SILENT = 0.9
 SILENCE = "no sample for "
 """What a node's own report of silence begins with; the age of its stream says that already."""
 
+REPORT_ENDS = 3.0
+"""s behind its node's newest report from which that of a part counts no longer: the part is gone;
+each part reports once a second."""
+
 SHORT = 60
 """Characters of a device's own words that stand in the banner's large line."""
 
@@ -51,16 +55,18 @@ class Device:
         return self.remedy or cable
 
 
+TERMINAL = "Read the rig's terminal."
+DISK_REMEDY = f"Make room on the disk of the sessions. If that is not it: {TERMINAL}"
 NODE_REMEDY = "It is started again by itself. If it stays away, read the rig's terminal."
 START_REMEDY = "Please wait. The very first start of a rig takes a few minutes."
 
 DEVICES = (
-    Device("protocol", "protocol", ("protocol",)),
+    Device("protocol", "protocol", ("protocol",), remedy=TERMINAL),
     Device("force", "force sensor", ("force",), "force", "No force"),
     Device("camera", "camera", ("camera", "vision"), "area", "No contact area"),
-    Device("recorder", "recorder", ("recorder",)),
+    Device("recorder", "recorder", ("recorder",), remedy=DISK_REMEDY),
     Device("moisture", "moisture probe", ("moisture",)),
-    Device("model", "model", ("model",), "model", "No estimate", NODE_REMEDY),
+    Device("model", "model", ("model",), "model", "No estimate", TERMINAL),
 )
 
 NODE_NAMES = {
@@ -104,10 +110,11 @@ def tared_by(node: str | None, values: Mapping[str, str]) -> bool | None:
 
 @dataclass(frozen=True)
 class _Report:
-    """Last /diagnostics of a node."""
+    """Last /diagnostics of a part of a node. came: s."""
 
     level: int
     message: str
+    came: float
 
 
 class Readiness:
@@ -135,7 +142,7 @@ class Readiness:
         self, node: str, part: str, level: int, message: str, values: Mapping[str, str], now: float
     ) -> None:
         """A status of /diagnostics came. part: which health of the node."""
-        self._reports.setdefault(node, {})[part] = _Report(level, message)
+        self._reports.setdefault(node, {})[part] = _Report(level, message, now)
         if node == "bring_up":
             self._starting = set(values.get(STARTING, "").split())
         if (tared := tared_by(node, values)) is not None:
@@ -173,6 +180,12 @@ class Readiness:
         age = self.age(stream, now)
         return age is None or age > STREAM_SILENT
 
+    def _newest_reports(self, node: str) -> list[_Report]:
+        """Of the parts that a node still has."""
+        reports = self._reports.get(node, {}).values()
+        newest = max((report.came for report in reports), default=0.0)
+        return [report for report in reports if newest - report.came <= REPORT_ENDS]
+
     def _problem(self, device: Device, now: float) -> Problem | None:
         if device.key not in ALWAYS and not self._beats.keys() & set(device.nodes):
             return None
@@ -191,7 +204,7 @@ class Readiness:
             (
                 report.message
                 for node in device.nodes
-                for report in self._reports.get(node, {}).values()
+                for report in self._newest_reports(node)
                 if report.level == ERROR and not report.message.startswith(SILENCE)
             ),
             "",

@@ -77,6 +77,15 @@ NO_CUE = json.dumps({"type": "cue", "id": -1, "phase": "idle"})
 """What participants see while there is no cue."""
 
 
+def to_json(message: Mapping[str, Any]) -> str:
+    """A number that is not finite becomes null: JSON has none, and a browser drops the message."""
+    try:
+        return json.dumps(message, allow_nan=False)
+    except ValueError:
+        known = json.loads(json.dumps(message), parse_constant=lambda name: None)
+        return json.dumps(known)
+
+
 def operator_page(token: str) -> str:
     """The operator's page, its inputs limited as the parameters that they set."""
     text = (STATIC / "index.html").read_text(encoding="utf-8")
@@ -382,7 +391,7 @@ class PageServer:
 
     def publish(self, kind: str, data: Mapping[str, Any]) -> None:
         """State of some kind for all operators, also for browsers that connect later."""
-        self._call(self._publish, kind, json.dumps({"type": kind, **data}))
+        self._call(self._publish, kind, to_json({"type": kind, **data}))
 
     def _publish(self, kind: str, text: str) -> None:
         self._newest[kind] = text

@@ -13,7 +13,8 @@ const OLD = 0.7;
 const FRAMES = 400;
 
 const state = {
-  status: { step: "closed" }, cue: null, area: null, clipped: false, answers: new Map(), number: 0,
+  status: { step: "closed" }, cue: null, answers: new Map(), number: 0,
+  area: { area: null, doubt: "" }, estimate: { contact: false, known: false, doubt: "" },
   link: "lost", aliveAt: -Infinity, alive: { ages: {}, problems: [], tared: null }, away: true,
   images: null, imageAt: -Infinity, frames: [], pressFrames: [],
 };
@@ -114,9 +115,10 @@ async function skip() {
 }
 
 async function redo() {
-  const { step, index } = state.status;
+  const { step, index, attempt } = state.status;
   const shown = seen();
-  if (!RUNNING.includes(step) && step !== "failed" && step !== "prepare") {
+  // Of a trial that begins again already there is nothing to ask: the answer says so.
+  if (!RUNNING.includes(step) && step !== "failed" && !(step === "prepare" && attempt)) {
     const chosen = await ask("Redo the last kept trial?",
       `Its attempt no longer counts; the bag stays. Now: trial ${index + 1}.`,
       [["redo", "Redo the trial"]]);
@@ -400,6 +402,13 @@ function showNumber(id, unit, kind, text) {
   set(place.nextElementSibling, good ? unit : old);
 }
 
+// Why a value is doubtful, where one that is fresh stands there.
+function showDoubt(id, kind, doubt) {
+  const live = charts.mode === "live" && charts.hover === null;
+  $(id).hidden = !(live && doubt && fresh(kind));
+  set($(id), doubt);
+}
+
 function showNumbers() {
   const { force, measured, model } = charts.at();
   const live = charts.mode === "live" && charts.hover === null;
@@ -408,12 +417,15 @@ function showNumbers() {
   showNumber("force-value", untared ? "N, not tared" : "N", "force",
     force ? shown.toFixed(2).replace("-", "−") : "–");
   $("force-value").classList.toggle("untared", untared);
-  const area = live ? state.area : measured?.[2];
+  const area = live ? state.area.area : measured?.[2];
   showNumber("area-value", "mm²", "area", area == null ? "–" : area.toFixed(1));
-  $("clipped").hidden = !(live && fresh("area") && state.clipped);
-  // Without contact there is no estimate to draw: its area is zero.
-  const contact = model && !untared && (!live || (force && force[0] - model[0] < 0.3));
-  const zero = untared ? "–" : "0.0";
+  showDoubt("area-flag", "area", state.area.doubt);
+  showDoubt("estimate-flag", "model", state.estimate.doubt);
+  // Without contact there is no estimate to draw: its area is zero, where the model tells it.
+  const { contact: touching, known } = state.estimate;
+  const recent = known && touching && force && model && force[0] - model[0] < 0.3;
+  const contact = model && !untared && (!live || recent);
+  const zero = live && known && !touching && !untared ? "0.0" : "–";
   showNumber("estimate-value", "mm²", "model", contact ? Charts.estimate(model) : zero);
   const third = contact ? Charts.third(charts.third, model) : "";
   const unit = { loop: "", indentation: "mm", pressure: "kPa" }[charts.third];
@@ -489,8 +501,9 @@ function receive(data) {
     for (const kind of ["force", "measured", "model"]) if (m[kind]) charts.add(kind, m[kind]);
   } else if (m.type === "alive") showAlive(m);
   else if (m.type === "contact") {
-    state.area = m.area;
-    state.clipped = Boolean(m.flags & 4);
+    state.area = m;
+  } else if (m.type === "estimate") {
+    state.estimate = m;
   } else if (m.type === "status") showStatusSoon(m);
   else if (m.type === "health") showHealth(m.items);
   else if (m.type === "curves") charts.restore(m);
@@ -574,14 +587,19 @@ $("third").onchange = () => {
   charts.draw();
   showNumbers();
 };
+// A reading counts once, however often Enter is pressed for it.
+let entering = false;
 $("moisture-form").onsubmit = async (event) => {
   event.preventDefault();
   const input = $("moisture-input");
+  if (entering) return;
   if (input.value === "") {
     return notify(`Type a reading of ${input.placeholder} a.u. first.`, false);
   }
-  const answer = await command("moisture", { value: Number(input.value) });
+  entering = true;
+  const answer = await command("moisture", { value: Number(input.value), ...seen() });
   if (answer.success) { input.value = ""; input.blur(); }
+  setTimeout(() => { entering = false; }, TWICE);
 };
 
 const KEYS = {

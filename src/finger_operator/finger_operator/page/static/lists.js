@@ -54,7 +54,8 @@ export function showTrials(s, repeat) {
     const here = t.index === s.index && s.step !== "finished";
     const failed = t.verdict === "pending" && t.reason;
     const verdict = failed ? "failed" : t.verdict;
-    const word = { pending: here ? "now" : "", done: "kept" }[verdict] ?? verdict;
+    const next = t.attempts ? "repeat" : "";
+    const word = { pending: here ? "now" : next, done: "kept" }[verdict] ?? verdict;
     row.dataset.verdict = verdict;
     row.className = here ? "here" : "";
     [t.index + 1, shortName(t.condition),
