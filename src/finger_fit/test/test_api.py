@@ -24,6 +24,7 @@ from finger_common.errors import InputError
 from finger_common.flags import AreaFlag
 from finger_fit import Fit, Trial, fit
 from finger_fit.problem import AreaCorrection
+from finger_fit.results import FitResult, contrasts
 from finger_model.geometry import Geometry
 from finger_model.laws import ParameterSpace, ParameterSpec, law_of
 from finger_model.reduced.model import load_population
@@ -221,6 +222,53 @@ def test_subjects_are_fitted_apart_and_conditions_compared(
     data = json.loads((tmp_path / "fit.json").read_text())
     assert data["contrasts"][0]["subject"] == "S01" and "S02" in data["subjects"]
     assert data["provenance"]["command"].startswith("finger_fit.fit(")
+
+
+def test_intervals_of_contrasts_cover_what_conditions_differ_by(study: FitResult) -> None:
+    """Estimates drawn about two fingers whose common errors, of the gain of all areas, are large
+    and cancel; the search box cuts single draws off."""
+    rng = np.random.default_rng(0)
+    truth, known, moves, spread = {}, {}, {}, {}
+    for name, fitted in study.fits.items():
+        found = fitted.covariance
+        assert found is not None and found.assumed.any()
+        # A tenth of the noise, where a fit is linear, and six times the error of the common gain.
+        prior = found.prior.copy()
+        prior[len(fitted.space) :][found.assumed] /= 6.0**2 * 10.0**2
+        found = replace(
+            found,
+            prior=prior,
+            active={},
+            scores=found.scores / 10.0,
+            frame_information=found.frame_information / 10.0**2,
+            variance=found.variance / 10.0**2,
+        )
+        free = range(len(fitted.space))
+        moves[name], data = found.responses(free)[found.assumed], found.data_covariance()
+        truth[name] = fitted.space.to_log(fitted.parameters)
+        known[name] = replace(found, covariance=data + moves[name].T @ moves[name])
+        spread[name] = np.linalg.cholesky(data + 1e-12 * np.eye(len(data)))
+    covered: dict[str, list[bool]] = {}
+    separated = []
+    for _ in range(120):
+        fits, common = {}, rng.normal(size=1)
+        for name, fitted in study.fits.items():
+            fits[name] = copy.copy(fitted)
+            drawn = truth[name] + common @ moves[name] + spread[name] @ rng.normal(size=4)
+            fits[name].parameters = fitted.space.from_log(drawn)
+            fits[name].covariance = known[name]
+        for c in contrasts(fits):
+            one, other = (study.fits[n].quantity(c.quantity) for n in (c.first, c.second))
+            hit = c.ratio_95[0] <= one / other <= c.ratio_95[1]
+            covered.setdefault(c.quantity, []).append(hit)
+            assert c.separated == (not c.ratio_95[0] <= 1.0 <= c.ratio_95[1])
+            assert c.separated == (not c.difference_95[0] <= 0.0 <= c.difference_95[1])
+            assert c.separated == (not 0.025 <= c.probability_greater <= 0.975)
+            if c.quantity == "composite_E":
+                separated.append(c.separated)
+    shares = {name: float(np.mean(hits)) for name, hits in covered.items()}
+    assert min(shares.values()) >= 0.9, shares
+    assert np.mean(separated) > 0.9, "a common error of a third does not hide a ratio of 1.7"
 
 
 def test_estimates_on_a_bound_are_not_compared(double: SimpleNamespace, tmp_path: Path) -> None:

@@ -258,6 +258,63 @@ def test_interruption_leaves_the_best_so_far(double, stop_at: str, signal: type)
     assert json.dumps(results.fit_dict(result), allow_nan=False)
 
 
+@pytest.mark.parametrize("stop_at", [("dry", "pso"), ("natural", "grid")])
+def test_an_interrupted_fit_leaves_the_parameters_of_a_whole_one(
+    double, tmp_path: Path, stop_at: tuple[str, str]
+) -> None:
+    """The best of a search that did not end, without covariance, is no finger for the node."""
+    moistures = {"dry": [40.0, 42.0], "natural": [70.0, 72.0]}
+    records = [
+        replace(double.make_record(i, 0.7 + 0.3 * i + 0.001 * found[0], 1e-6, condition=name),
+                moisture_before=found, moisture_after=[])
+        for name, found in moistures.items() for i in range(3)
+    ]  # fmt: skip
+
+    def stop(*stage: Any) -> None:
+        if stage[:2] == stop_at:
+            raise Stopped
+
+    options = FitOptions(**QUICK, rounds=3)
+    results.write(fit_records(records, double.HereditaryModel(), options), tmp_path)
+    files = [tmp_path / "parameters.yaml", tmp_path / "subjects" / "S01.yaml"]
+    whole = [path.read_bytes() for path in files]
+    cut = fit_records(records, double.HereditaryModel(), options, report=stop)
+    assert cut.stopped and cut.fits[stop_at[0]].status == "interrupted"
+    missing = "dry, natural" if stop_at[0] == "dry" else "natural"
+    assert any(f"not fitted to the end: {missing}, so" in note for note in cut.problems), (
+        cut.problems
+    )
+    results.write(cut, tmp_path)
+    assert [path.read_bytes() for path in files] == whole
+    results.write(cut, tmp_path / "new")
+    assert (tmp_path / "new" / "fit.json").is_file()
+    assert not list((tmp_path / "new").rglob("*.yaml"))
+
+
+def test_of_subjects_those_before_an_interruption_get_their_parameters(
+    double, tmp_path: Path
+) -> None:
+    records = []
+    for subject in ("S01", "S02", "S03"):
+        for i in range(3):
+            record = double.make_record(i, 0.7 + 0.2 * i + 0.01 * int(subject[1:]), 1e-6)
+            records.append(replace(record, subject=subject, bag=f"{subject}_{i}"))
+
+    def stop(condition: str, stage: str, *_: object) -> None:
+        if (condition, stage) == ("S02 natural", "pso"):
+            raise Stopped
+
+    options = FitOptions(**QUICK, rounds=3)
+    results.write(fit_records(records, double.HereditaryModel(), options), tmp_path)
+    files = sorted(tmp_path.rglob("*.yaml"))
+    (tmp_path / "subjects" / "S01.yaml").write_text("of before")
+    cut = fit_records(records, double.HereditaryModel(), options, report=stop)
+    assert "interrupted: not fitted: subjects S03" in cut.problems
+    results.write(cut, tmp_path)
+    assert sorted(tmp_path.rglob("*.yaml")) == files
+    assert ParameterSets.load(tmp_path / "subjects" / "S01.yaml").sets
+
+
 def test_resumed_fit_equals_the_uninterrupted_one(double, tmp_path: Path) -> None:
     options = FitOptions(
         full_order=False, profiles=False, bootstrap=0, bias_pairs=0, grid=3, rounds=12
@@ -300,14 +357,14 @@ def test_files_hold_every_documented_entry(study, tmp_path: Path) -> None:
 
 
 def test_parameter_file_is_what_the_model_node_loads(study, tmp_path: Path) -> None:
-    results.write(study, tmp_path)
+    results.write(with_moisture(study, dry=[40.0]), tmp_path)
     sets = ParameterSets.load(tmp_path / "parameters.yaml")
     assert (sets.geometry_hash, sets.reduced_model_hash) == ("abc", "def")
-    # Both conditions of the double carry the same moisture; the file keeps both.
     assert {s.condition for s in sets.sets} == {"dry", "natural"}
     for entry in sets.sets:
         np.testing.assert_allclose(entry.parameters, study.fits[entry.condition].parameters)
-        assert entry.moisture == pytest.approx(70.0, abs=0.01)
+        mean = 40.0 if entry.condition == "dry" else 70.0
+        assert entry.moisture == pytest.approx(mean, abs=0.01)
         eigenvalues = np.linalg.eigvalsh(np.array(entry.covariance_log))
         assert eigenvalues.min() > -1e-12 and eigenvalues.max() > 0
 
@@ -324,8 +381,62 @@ def test_a_condition_without_moisture_beside_others_gets_a_file_of_its_own(
              results.parameter_files(mixed).items()}  # fmt: skip
     assert found == {"parameters.yaml": ["natural"], "parameters_dry.yaml": ["dry"]}
     results.write(mixed, tmp_path)
-    results.write(study, tmp_path)
+    results.write(with_moisture(study, dry=[40.0]), tmp_path)
     assert not (tmp_path / "parameters_dry.yaml").exists(), "the later fit has readings of it"
+
+
+def with_moisture(study: FitResult, **moistures: list[float]) -> FitResult:
+    """The study with these moistures (a.u.) of the presses of conditions, in turn."""
+    fits = dict(study.fits)
+    for name, readings in moistures.items():
+        fit = fits[name] = copy.copy(fits[name])
+        fit.problem = copy.copy(fit.problem)
+        fit.problem.trials = tuple(
+            replace(t, moisture=readings[i % len(readings)])
+            for i, t in enumerate(fit.problem.trials)
+        )
+    return replace(study, fits=fits)
+
+
+@pytest.mark.parametrize(
+    ("dry", "natural", "told"),
+    [
+        ([68.0, 72.0], [68.8, 72.8], False),
+        ([70.0], [70.0], False),
+        ([70.0], [75.0], False),
+        ([50.0, 66.0], [60.0, 76.0], False),
+        ([70.0], [77.0], True),
+        ([34.0, 41.0], [62.0, 77.0], True),
+    ],
+)
+def test_conditions_that_no_reading_tells_apart_get_files_of_their_own(
+    study, dry: list[float], natural: list[float], told: bool
+) -> None:
+    """Between thumb and index of one moisture, interpolation is of two fingers."""
+    files = results.parameter_files(with_moisture(study, dry=dry, natural=natural))
+    found = {name: [s.condition for s in sets.sets] for name, sets in files.items()}
+    alone = {"parameters_dry.yaml": ["dry"], "parameters_natural.yaml": ["natural"]}
+    assert found == ({"parameters.yaml": ["dry", "natural"]} if told else alone)
+    for sets in files.values():
+        for entry in sets.sets:
+            assert entry.moisture == np.mean(dry if entry.condition == "dry" else natural)
+    # The presses of the study itself have one moisture.
+    assert any("dry (70.0 ± 0.0 a.u.), natural (70.0" in note for note in study.problems)
+
+
+def test_the_parameter_file_has_what_the_data_leave_open_alone(study) -> None:
+    """Lengths and gain as assumed are those that the model runs with: they cancel in its area."""
+    for name, sets in results.parameter_files(with_moisture(study, dry=[40.0])).items():
+        assert name == "parameters.yaml"
+        for entry in sets.sets:
+            fit = study.fits[entry.condition]
+            known = fit.covariance
+            assert known is not None and known.assumed_deviation("composite_E") > 0.05
+            slope = fit.space.log_gradient("composite_E", fit.parameters)
+            exported = np.sqrt(slope @ np.array(entry.covariance_log) @ slope)
+            assert exported == pytest.approx(known.data_deviation("composite_E"))
+            whole = np.sqrt(slope @ fit.covariance_log() @ slope)
+            assert whole == pytest.approx(known.deviation("composite_E"))
 
 
 def test_a_second_fit_leaves_nothing_of_the_first_but_foreign_files(

@@ -22,6 +22,9 @@ from finger_fit.problem import FitProblem
 from finger_fit.quality import screen
 from finger_fit.results import check_folder, parameter_files, write
 from finger_fit.study import fit_records
+from finger_model.anthropometry import estimate_geometry
+from finger_model.estimator.parameter_selection import check_sets
+from finger_model.finger import load_for
 from finger_model.geometry import Geometry
 from finger_model.laws import StandardLinearSolid
 from finger_model.parameter_sets import ParameterSets
@@ -153,6 +156,26 @@ def test_presses_beyond_the_default_fingers_model_are_fitted_with_the_population
     (beyond,) = found(12.0).fits.values()
     assert re.match(r"the force goes up to 1[12].* N, the model is made for", beyond.reasons[0])
     assert found(1.5).model is own
+
+
+@pytest.mark.parametrize("every", [False, True])
+def test_single_wrong_frames_are_named_and_are_no_wrong_unit(
+    double: SimpleNamespace, every: bool
+) -> None:
+    records = []
+    for index in range(8):
+        record = double.make_record(index, 0.8 + 0.15 * index, 0.3e-6)
+        wrong = np.zeros(len(record.area), dtype=bool)
+        wrong[9] = every or index == 3
+        area = record.area * np.where(wrong, 2.2 if every else 4.0, 1.0)
+        records.append(replace(record, area=area))
+    result = fitted(double, records)
+    status, detail = status_of(result, "model against areas")
+    assert status == "note" and "check the units" not in detail, detail
+    frames = "8 frames: natural" if every else "1 frame: natural_03 trial 3 at 0.91 s ("
+    assert f"most of it is of {frames}" in detail and "--loss huber" in detail
+    huber = fitted(double, records, replace(QUICK, loss="huber"))
+    assert "--loss huber" not in status_of(huber, "model against areas")[1]
 
 
 def test_areas_and_forces_in_another_unit_are_excluded(presses: list[Any]) -> None:
@@ -369,6 +392,56 @@ def test_moisture_off_the_scale_is_noted_and_left_out(
     assert fit.moisture[0] == pytest.approx(70.0)
     write(result, tmp_path)
     assert ParameterSets.load(tmp_path / "parameters.yaml").sets[0].moisture < 130.0
+
+
+def test_presses_of_two_moistures_in_one_condition_are_noted(
+    double: SimpleNamespace, presses: list[Any]
+) -> None:
+    records = [
+        replace(p, moisture_before=[40.0 + 65.0 * (p.index % 2) + p.index], moisture_after=[])
+        for p in presses
+    ]
+    status, detail = status_of(fitted(double, records), "moisture")
+    assert status == "note"
+    for words in (
+        "41 a.u. (natural_00 trial 0, natural_02 trial 2)",
+        "107 a.u. (natural_01 trial 1, natural_03 trial 3)",
+    ):
+        assert words in detail, detail
+
+
+def test_a_fit_that_fails_a_check_is_marked_and_is_no_subjects(
+    double: SimpleNamespace, presses: list[Any], tmp_path: Path
+) -> None:
+    good = fitted(double, presses)
+    write(good, tmp_path)
+    sets = ParameterSets.load(subject_file(tmp_path / "subjects", "S01"))
+    assert [s.status for s in sets.sets] == ["not checked"] and not sets.doubt()
+    bad = fitted(double, [replace(p, area=2.5 * p.area) for p in presses])
+    assert any("stays out of subjects/" in note for note in bad.problems)
+    write(bad, tmp_path)
+    assert not subject_file(tmp_path / "subjects", "S01").exists()
+    sets = ParameterSets.load(tmp_path / "parameters.yaml")
+    assert [s.status for s in sets.sets] == ["not final"]
+    assert "parameters of natural are from a fit that is not final" in sets.doubt()
+
+
+def test_a_subject_of_another_finger_is_served_beside_others(
+    double: SimpleNamespace, presses: list[Any], tmp_path: Path
+) -> None:
+    """The model node has the default finger's model; the file says which one the fit had."""
+    own = estimate_geometry(width=0.0204, depth=0.0132).geometry
+    for geometry, held in ((own, own), (Geometry(), None)):
+        model = double.HereditaryModel()
+        model.geometry = geometry
+        result = fit_records(presses, model, replace(QUICK, nuisances=False))
+        result.sources = {"geometry_hash": geometry.hash()}
+        write(result, tmp_path)
+        sets = ParameterSets.load(subject_file(tmp_path / "subjects", "S01"))
+        assert sets.geometry == held
+        served = load_for(sets)
+        assert served.geometry_hash == geometry.hash()
+        check_sets(sets, served)
 
 
 def test_conditions_without_moisture_get_files_that_the_model_node_can_use(

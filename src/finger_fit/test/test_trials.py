@@ -15,9 +15,10 @@ from finger_bag.writer import BagWriter
 from finger_common.errors import InputError
 from finger_fit.options import FitOptions
 from finger_fit.problem import TrialRejected, prepare, prepare_all
+from finger_fit.problem.moisture import best_division, moisture_clusters
 from finger_fit.study import group_trials
 from finger_fit.study.bags import load, reading
-from finger_fit.study.grouping import best_division, cluster_names, moisture_clusters
+from finger_fit.study.grouping import cluster_names
 from finger_model.laws import StandardLinearSolid
 from finger_operator.protocol import Protocol
 from finger_operator.study_plan import StudyPlan

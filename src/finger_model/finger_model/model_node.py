@@ -790,6 +790,8 @@ class ModelNode(ManagedNode):
                 moisture = math.nan if run.last is None else run.last.moisture
                 self._warn_while(bool(flags & flag), key, sentence.format(moisture=moisture))
             self._warn_while(self._area_is_overdue(run), "area_missing", _NO_AREA)
+            doubt = run.estimator.parameter_sets.doubt()
+            self._warn_while(bool(doubt), "parameter_status", doubt)
             # Beside a silence of the states, which wrong stamps explain.
             for key, sentence in run.watch.look(self.values["normal_axis"]).items():
                 self._warn_while(bool(sentence), key, sentence, self.health)

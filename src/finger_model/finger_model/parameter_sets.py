@@ -13,6 +13,7 @@
       - condition: natural
         moisture: 69.31       # a.u., mean reading of the trials
         moisture_sd: 6.54     # a.u.
+        status: final         # of the fit; may be absent
         E0: 80000.0           # the parameters of the law, in SI
         …
         covariance_log:       # (n, n), of the logarithms of the n parameters; may be absent
@@ -22,7 +23,8 @@
 A key `prior` says how fingers differ from the sets, see `finger_prior`; the shipped file has one.
 
 Between two sets the logarithms of the parameters and the covariance are interpolated linearly over
-moisture. Beyond the driest and the wettest set the end set holds, and the result is marked.
+moisture. Beyond the driest and the wettest set the end set holds. The result is marked where the
+reading is further out than twice the set's own `moisture_sd`, and than a reading errs.
 """
 
 from __future__ import annotations
@@ -38,7 +40,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from finger_common.errors import InputError, known_names
+from finger_common.errors import InputError, known_names, listed
 from finger_common.files import atomic_write, number, parse_yaml, read_text, sha256_of
 from finger_common.moisture import MOISTURE_TEXT, is_moisture
 
@@ -52,7 +54,8 @@ class ParameterSet:
     """Parameters of one condition.
 
     moisture, moisture_sd: a.u.; parameters (n,): in the order of the law's space, SI;
-    covariance_log (n, n): covariance of their logarithms, zero where it is not known.
+    covariance_log (n, n): covariance of their logarithms, zero where it is not known; status: of
+    the fit they are from, empty where it is not known.
     """
 
     condition: str
@@ -60,6 +63,7 @@ class ParameterSet:
     moisture_sd: float
     parameters: tuple[float, ...]
     covariance_log: tuple[tuple[float, ...], ...] = ()
+    status: str = ""
 
     def __post_init__(self) -> None:
         n = len(self.parameters)
@@ -73,6 +77,7 @@ class ParameterSet:
             "condition": self.condition,
             "moisture": self.moisture,
             "moisture_sd": self.moisture_sd,
+            **({"status": self.status} if self.status else {}),
             **dict(zip(space.names, self.parameters)),
             "covariance_log": [list(row) for row in self.covariance_log],
         }
@@ -83,7 +88,7 @@ class InterpolatedParameters:
     """Parameters at one moisture reading.
 
     parameters (n,): in the order of the law's space, SI; covariance_log (n, n);
-    out_of_range: the reading lies outside the fitted sets and an end set is held;
+    out_of_range: the reading lies outside those of the fitted sets and an end set is held;
     name: id of the parameters, "HASH@MOISTURE" with the first digits of the sets' hash.
     """
 
@@ -250,10 +255,29 @@ class ParameterSets:
         if not math.isfinite(moisture):
             raise InputError(f"moisture is {moisture}, a number in {MOISTURE_TEXT} is needed")
         parameters, covariance, out_of_range = self.space.interpolate(
-            self._moisture, self._log, self._covariance, moisture
+            self._moisture, self._log, self._covariance, moisture, self._margins
         )
         name = f"{self.hash[:8]}@{moisture:.2f}"
         return InterpolatedParameters(parameters, covariance, out_of_range, name)
+
+    @functools.cached_property
+    def _margins(self) -> np.ndarray:
+        """a.u. (s,) beyond the mean of each set in which readings are still those of its trials."""
+        prior = self.prior or ParameterSets.default().prior
+        assert prior is not None
+        return np.maximum([2.0 * s.moisture_sd for s in self.sets], prior.reading_sd)
+
+    def doubt(self) -> str:
+        """A sentence where sets are from fits that are not final; empty where none is."""
+        doubtful = [
+            s.condition or f"{s.moisture:g} a.u." for s in self.sets if s.status in _DOUBTFUL
+        ]
+        if not doubtful:
+            return ""
+        return (
+            f"the parameters of {listed(doubtful)} are from a fit that is not final: its report "
+            "says why"
+        )
 
 
 def _checked(found: ParameterSet, law: type[ConstitutiveLaw], where: str) -> np.ndarray:
@@ -267,7 +291,10 @@ def _checked(found: ParameterSet, law: type[ConstitutiveLaw], where: str) -> np.
     return vector
 
 
-_SET_KEYS = ("condition", "moisture", "moisture_sd", "covariance_log")
+_DOUBTFUL = ("not final", "interrupted")
+"""Statuses of a fit that are no result; one that was merely not checked is not among them."""
+
+_SET_KEYS = ("condition", "moisture", "moisture_sd", "status", "covariance_log")
 _FILE_KEYS = ("law", "geometry_hash", "geometry", "reduced_model_hash", "prior", "sets")
 
 
@@ -294,6 +321,7 @@ def _parse_set(entry: Any, space: ParameterSpace, where: str) -> ParameterSet:
         deviation,
         tuple(parameters.tolist()),
         _parse_covariance(entry.get("covariance_log"), len(space), where),
+        str(entry.get("status") or ""),
     )
 
 

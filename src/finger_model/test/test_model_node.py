@@ -9,6 +9,7 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -498,6 +499,27 @@ def test_services_and_parameters_answer_and_refuse_with_a_reason(
     bench.until(latency_reported)
     bench.until(lambda: "no sample" in found.get("contact state", {}).get("message", ""))
     assert "moisture" in found["inputs"]["message"]
+
+
+def test_parameters_of_a_fit_that_is_not_final_are_reported_while_in_use(
+    bench: Bench, process: Callable[..., Any], tmp_path: Path
+) -> None:
+    shipped = ParameterSets.default()
+    doubtful = [replace(entry, status="not final") for entry in shipped.sets]
+    file = tmp_path / "parameters.yaml"
+    ParameterSets(doubtful, shipped.geometry_hash).save(file)
+    child = start(process, f"parameter_file:={file}")
+    bench.connected()
+
+    def warns() -> bool:
+        bench.diagnostics.clear()
+        bench.until(lambda: "inputs" in bench.diagnostics)
+        return "from a fit that is not final" in bench.diagnostics["inputs"]["message"]
+
+    bench.until(warns)
+    assert "from a fit that is not final" in child.output.read_text()
+    assert bench.set("parameter_file", "").successful
+    bench.until(lambda: not warns())
 
 
 def test_what_is_missing_or_out_of_range_is_reported_where_it_is_expected(

@@ -32,13 +32,43 @@ def test_half_way_the_geometric_mean_is_given() -> None:
     assert np.allclose(found.parameters, np.sqrt(DRY * NATURAL), rtol=1e-12)
 
 
-@pytest.mark.parametrize(("moisture", "held"), [(5.0, DRY), (37.55, DRY)])
+@pytest.mark.parametrize(("moisture", "held"), [(5.0, DRY), (30.87, DRY)])
 def test_outside_the_fitted_range_the_end_value_holds_with_a_flag(
     moisture: float, held: np.ndarray
 ) -> None:
     found = ParameterSets.default().interpolate(moisture)
     assert np.allclose(found.parameters, held, rtol=1e-12)
     assert found.out_of_range
+
+
+@pytest.mark.parametrize("sd", [0.0, 5.0])
+def test_a_reading_as_those_of_the_end_sets_trials_is_in_range(sd: float) -> None:
+    """Half of them lie beyond the mean; a single reading errs by 3 a.u. itself."""
+    reach = max(2.0 * sd, 3.0)
+    one = ParameterSet("dry", 40.0, sd, tuple(DRY))
+    two = ParameterSet("natural", 70.0, sd, tuple(NATURAL))
+    for sets, low, high in (([one], 40.0, 40.0), ([one, two], 40.0, 70.0)):
+        for moisture, held in ((low - reach, DRY), (high + reach, sets[-1].parameters)):
+            found = ParameterSets(sets).interpolate(moisture)
+            assert not found.out_of_range and np.allclose(found.parameters, held, rtol=1e-12)
+            further = moisture + np.sign(moisture - low - 0.1) * 0.1
+            assert ParameterSets(sets).interpolate(further).out_of_range
+
+
+def test_sets_of_a_fit_that_is_not_final_are_doubted(tmp_path: Path) -> None:
+    statuses = ("not final", "final", "not checked", "")
+    sets = ParameterSets(
+        [
+            ParameterSet(f"c{i}", 10.0 * i, 1.0, tuple(DRY), (), status)
+            for i, status in enumerate(statuses)
+        ]
+    )
+    sets.save(tmp_path / "parameters.yaml")
+    again = ParameterSets.load(tmp_path / "parameters.yaml")
+    assert again.sets == sets.sets and again.hash == sets.hash
+    assert again.doubt().startswith("the parameters of c0 are from a fit that is not final")
+    assert not ParameterSets(sets.sets[1:]).doubt() and not ParameterSets.default().doubt()
+    assert "status" not in ParameterSets.default().to_yaml()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,7 +18,8 @@ from finger_model.geometry import Geometry
 from finger_offline.lag import MAXIMUM_LAG, WORTH_A_NOTE, log_lag
 from finger_offline.trial_checks import fault_of
 
-from ..problem import MM4, FitTrial, minus, three_digits
+from ..problem import MM2, MM4, FitTrial, minus, three_digits
+from ..problem.moisture import moisture_clusters
 from ..problem.trials import label_of
 from ..results import ConditionFit
 from ..uncertainty import active_bounds
@@ -248,6 +249,11 @@ def _check_misfit(out: Quality, fit: ConditionFit, found: Misfit) -> None:
         bad = abs(gain) > GAIN_LIMIT or found.residual > RESIDUAL_LIMIT
         status = FAIL if bad else NOTE
         remedy = "check the units of force and area, the geometry and the bounds"
+        if len(found.outliers) and abs(gain) <= GAIN_NOTE:
+            words.append(_outlying(fit, found.outliers))
+            remedy = "look at the images of these frames"
+            if fit.problem.options.loss != "huber":
+                remedy += ", and fit with --loss huber, which they hardly move"
     bounds = active_bounds(fit.space, fit.parameters, fit.problem.box)
     if bounds and fit.cost > COST_NOTE * fit.power_law.cost:
         bad = status == FAIL or fit.cost > COST_LIMIT * fit.power_law.cost
@@ -276,6 +282,22 @@ def _check_misfit(out: Quality, fit: ConditionFit, found: Misfit) -> None:
     text = f"areas differ by {middle}, by {100 * found.residual:.1f} % within a press (RMS)"
     words = [minus("; ".join([text, *words])), *filter(None, [remedy])]
     out.add("model against areas", status, "; ".join(words))
+
+
+def _outlying(fit: ConditionFit, frames: np.ndarray) -> str:
+    """Name the frames, worst first, that lie far from the others."""
+    problem = fit.problem
+    names = []
+    for frame in frames:
+        index = problem.trial_of[frame]
+        trial = problem.trials[index]
+        row = trial.recording.counted[frame - problem.starts[index]]
+        area, model = MM2 * problem.measured[frame], MM2 * fit.areas[frame]
+        names.append(
+            f"{trial.label} at {trial.recording.frame_time[row]:.2f} s ({three_digits(area)} mm² "
+            f"where the model has {three_digits(model)} mm²)"
+        )
+    return f"most of it is of {len(names)} frame{'s' * (len(names) > 1)}: {listed(names, 3)}"
 
 
 def _behind(fit: ConditionFit, bounds: Iterable[str]) -> str:
@@ -320,4 +342,13 @@ def _check_moisture(out: Quality, fit: ConditionFit) -> None:
     without = sum(not np.isfinite(t.moisture) for t in fit.problem.trials)
     number = len(fit.problem)
     text = f"{number - without} of {number} presses have readings"
-    out.add("moisture", NOTE if without else OK, text)
+    read = [t for t in fit.problem.trials if np.isfinite(t.moisture)]
+    moisture = np.array([t.moisture for t in read])
+    labels = moisture_clusters(moisture, 2)
+    if labels.any():
+        parts = []
+        for k in (0, 1):
+            names = listed(t.label for t, label in zip(read, labels) if label == k)
+            parts.append(f"{moisture[labels == k].mean():.0f} a.u. ({names})")
+        text += f", of two kinds of skin: {' and '.join(parts)}; give each its own condition"
+    out.add("moisture", NOTE if without or labels.any() else OK, text)

@@ -17,8 +17,15 @@ from scipy import stats
 
 from ..results import ConditionFit
 
+OUTLYING, FEW = 6.0, 0.1
+"""Median-based deviations of the residuals beyond which a frame is an outlier, and the part of the
+frames up to which outliers are few."""
+
 BINS = 4
 """Parts of the loading by force, each with as many frames."""
+
+SMALLEST_AREA = 1e-9
+"""m² of the model, for ratios."""
 
 SIGNIFICANT = 1e-3
 """Probability of chance below which a trend counts."""
@@ -48,13 +55,15 @@ class Misfit:
     """What of one condition's areas the model does not explain.
 
     gain: measured area over the model's, geometric mean of the presses; residual: RMS difference
-    within a press over the RMS area; trend: None with too few frames; duration: change of the
+    within a press over the RMS area; outliers: the few frames that carry most of it, worst first,
+    empty where it is that of all frames; trend: None with too few frames; duration: change of the
     logarithm of a press's gain between the shortest and the longest loading, 0 where it may be
     chance.
     """
 
     gain: float
     residual: float
+    outliers: np.ndarray
     trend: Trend | None
     duration: float
 
@@ -67,8 +76,28 @@ def misfit(fit: ConditionFit, gains: np.ndarray) -> Misfit:
     left = measured - gains[trial] * fit.areas
     residual = float(np.sqrt((left**2).sum() / (measured**2).sum()))
     return Misfit(
-        float(np.exp(np.log(gains).mean())), residual, _trend(fit, left), _by_duration(fit, gains)
+        float(np.exp(np.log(gains).mean())),
+        residual,
+        _outliers(fit),
+        _trend(fit, left),
+        _by_duration(fit, gains),
     )
+
+
+def _outliers(fit: ConditionFit) -> np.ndarray:
+    """Indices of the few frames whose residuals carry more than half of the squares; by medians,
+    which they do not move."""
+    problem = fit.problem
+    measured, trial = problem.measured, problem.trial_of
+    ratio = measured / np.maximum(fit.areas, SMALLEST_AREA)
+    gains = np.array([np.median(ratio[trial == t]) for t in range(len(problem))])
+    left = measured - gains[trial] * fit.areas
+    size = np.abs(left)
+    found = np.flatnonzero(size > OUTLYING * np.median(size) / stats.norm.ppf(0.75))
+    squares = left**2
+    if len(found) > FEW * len(left) or 2.0 * squares[found].sum() < squares.sum():
+        return np.zeros(0, dtype=int)
+    return found[np.argsort(-size[found], kind="stable")]
 
 
 def _trend(fit: ConditionFit, left: np.ndarray) -> Trend | None:

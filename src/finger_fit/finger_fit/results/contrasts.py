@@ -9,7 +9,6 @@ import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -24,6 +23,9 @@ FEWEST_SAMPLES = 40
 DRAWS = 4000
 """Samples of a condition, drawn from its bootstrap or covariance."""
 
+_FLOATS = -300.0, 300.0
+"""Logarithms of which differences are numbers."""
+
 
 @dataclass(frozen=True)
 class Contrast:
@@ -33,8 +35,8 @@ class Contrast:
     with its 95 % interval;
     probability_greater: that first is greater; separated: the interval of the difference leaves out
     0; on_bound: the conditions whose estimate lies on a bound of the search box, or follows from
-    such parameters alone: their samples have no spread of it, so that they are never called
-    separated; source: "bootstrap" over trials, or "covariance" of the logarithms.
+    such parameters alone: the box holds it back, so that they are never called separated; source:
+    "bootstrap" over trials, or "covariance" of the logarithms.
     """
 
     subject: str
@@ -58,33 +60,35 @@ def contrasts(fits: Mapping[str, ConditionFit], subject: str = "") -> list[Contr
     cancel for the larger part; their other errors are taken as independent. Nothing for conditions
     without bootstrap and covariance.
     """
-    drawn = {name: _samples(fit) for name, fit in fits.items()}
     found = []
     for first, second in itertools.combinations(fits, 2):
-        if drawn[first] is None or drawn[second] is None:
+        one, other = fits[first], fits[second]
+        if one.covariance is None or other.covariance is None:
             continue
-        (a, source_a), (b, source_b) = drawn[first], drawn[second]
-        space = fits[first].space
+        space = one.space
         for name in space.quantity_names:
-            x, y = space.quantity(name, a), space.quantity(name, b)
+            (x, source), (y, other_source) = _logarithms(one, name), _logarithms(other, name)
+            a, b = one.quantity(name), other.quantity(name)
+            low, high = space.quantity_bounds(name, one.problem.box)
             # A quantity that may be zero has no ratio.
             whole = space.log_offset(name) == 0.0
-            ratio, difference = _ends(x / y) if whole else (math.nan, math.nan), _ends(x - y)
+            more = _ends(x - y)
             held = tuple(n for n in (first, second) if _on_bound(fits[n], name))
-            one, other = fits[first].quantity(name), fits[second].quantity(name)
             found.append(
                 Contrast(
                     subject,
                     first,
                     second,
                     name,
-                    one / other if whole else math.nan,
-                    ratio,
-                    one - other,
-                    difference,
+                    a / b if whole else math.nan,
+                    _within(np.exp(more), low / high, high / low)
+                    if whole
+                    else (math.nan, math.nan),
+                    a - b,
+                    _within(_ends(np.exp(x) - np.exp(y)), low - high, high - low),
                     float(np.mean((x > y) + 0.5 * (x == y))),
-                    not held and not difference[0] <= 0.0 <= difference[1],
-                    source_a if source_a == source_b else f"{source_a}, {source_b}",
+                    not held and not more[0] <= 0.0 <= more[1],
+                    source if source == other_source else f"{source}, {other_source}",
                     held,
                 )
             )
@@ -95,36 +99,35 @@ def _on_bound(fit: ConditionFit, name: str) -> bool:
     return fit.covariance is not None and fit.covariance.holds(name)
 
 
-def _ends(values: np.ndarray) -> tuple[float, float]:
-    low, high = np.quantile(values, [0.025, 0.975])
-    return float(low), float(high)
+def _ends(values: np.ndarray) -> np.ndarray:
+    return np.quantile(values, [0.025, 0.975])
 
 
-def _samples(fit: ConditionFit) -> Any:
-    """Parameters (`DRAWS`, N) of a condition and where they come from; None without either.
+def _within(ends: np.ndarray, low: float, high: float) -> tuple[float, float]:
+    """An interval inside what the search box allows."""
+    first, last = np.clip(ends, low, high)
+    return float(first), float(last)
 
-    Row k of two conditions has the same errors of what they share: the lengths of the finger and
-    the gain of all areas.
+
+def _logarithms(fit: ConditionFit, name: str) -> tuple[np.ndarray, str]:
+    """Draws (`DRAWS`,) of a quantity's logarithm and where they come from.
+
+    Of the covariance, as the report's intervals are: linear in the logarithm of the quantity
+    itself. One that is drawn from its parameters is skewed where the box holds one of them back,
+    and of errors that are cut off at the box those that two conditions share do not cancel. Row k
+    of two conditions has the same errors of what they share.
     """
-    own = np.random.default_rng([fit.problem.options.seed, *fit.condition.encode()])
+    known, seed = fit.covariance, fit.problem.options.seed
+    assert known is not None
+    own = np.random.default_rng([seed, *fit.condition.encode()])
     # No resampling of the presses shows what they share: with nuisances, the covariance does.
     samples = fit.samples
     if samples is not None and len(samples) >= FEWEST_SAMPLES and fit.nuisance is None:
-        return samples[own.integers(len(samples), size=DRAWS)], "bootstrap"
-    known = fit.covariance
-    if known is None:
-        return None
-    free = [i for i, n in enumerate(fit.space.names) if n not in known.active]
-    moves = known.responses(free)
-    shared = np.random.default_rng(fit.problem.options.seed).normal(size=(len(LENGTHS) + 1, DRAWS))
-    place = dict(zip((AREA_GAIN, *LENGTHS), shared))
-    drawn = fit.space.to_log(fit.parameters) + np.zeros((DRAWS, 1))
-    left = known.covariance.copy()
-    for name, move in zip(np.array(known.nuisances)[known.assumed], moves[known.assumed]):
-        drawn = drawn + place[str(name)][:, None] * move
-        left -= np.outer(move, move)
-    values, vectors = np.linalg.eigh(left)
-    spread = vectors * np.sqrt(np.maximum(values, 0.0))
-    drawn = drawn + own.normal(size=(DRAWS, len(values))) @ spread.T
-    low, high = fit.space.to_log(fit.problem.box.T)
-    return fit.space.from_log(np.clip(drawn, low, high)), "covariance"
+        rows = own.integers(len(samples), size=DRAWS)
+        return fit.space.log_quantity(name, samples[rows]), "bootstrap"
+    drawn = own.normal(scale=known.data_deviation(name), size=DRAWS)
+    shared = np.random.default_rng(seed).normal(size=(len(LENGTHS) + 1, DRAWS))
+    errors = dict(zip((AREA_GAIN, *LENGTHS), shared))
+    for nuisance, move in known.assumed_moves(name).items():
+        drawn += move * errors[nuisance]
+    return np.clip(fit.space.log_quantity(name, fit.parameters) + drawn, *_FLOATS), "covariance"

@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -19,19 +19,19 @@ from finger_common.errors import InputError, listed
 from finger_common.files import atomic_write, load_json
 from finger_common.moisture import MOISTURE_RANGE
 from finger_common.subject_code import is_subject
+from finger_model.geometry import Geometry
 from finger_model.laws import ConstitutiveLaw
 from finger_model.parameter_sets import ParameterSet, ParameterSets
+from finger_model.people import People
 from finger_model.subjects import subject_file
 
 from ..problem import MM4, material_of
 from .fits import ConditionFit, FitResult
 from .tables import write_tables
 
-SAME_MOISTURE = 1e-6
-"""a.u.; means of two conditions closer than this count as equal."""
-
-SEPARATION = 1e-3
-"""a.u. by which conditions of equal moisture are separated in parameters.yaml."""
+TOO_NEAR = 2.0
+"""Distance of the mean moistures of two conditions over the deviation of their readings, below
+which no reading can choose between them."""
 
 
 def condition_dict(fit: ConditionFit) -> dict[str, Any]:
@@ -190,20 +190,42 @@ def _found(result: FitResult) -> dict[str, Any]:
 def parameter_files(result: FitResult) -> dict[str, ParameterSets]:
     """Files for the model node, which interpolates over moisture: name → sets.
 
-    parameters.yaml of the conditions with moisture readings, or of a single one; conditions of
-    equal mean moisture are separated by 0.001 a.u. A condition without readings beside others
-    gets a file of its own, parameters_CONDITION.yaml, since the model node cannot choose it. Its
-    set is placed in the middle of the scale, where its moisture does not matter. None of a model
-    without a law.
+    parameters.yaml of the conditions with moisture readings, or of a single one. A condition
+    without readings beside others gets a file of its own, parameters_CONDITION.yaml, since the
+    model node cannot choose it; so does each one where the moistures of two are `too_near`. A set
+    without readings is placed in the middle of the scale, where its moisture does not matter. None
+    of a model without a law, and none of a fit that was interrupted before all conditions were
+    fitted.
     """
     fits, material = result.fits, material_of(result.model)
-    if material is None:
+    if material is None or result.unfinished:
         return {}
-    known = {n: f for n, f in fits.items() if math.isfinite(f.moisture[0]) or len(fits) == 1}
-    names = _own_files(fits)
-    files = {"parameters.yaml": known} if known else {}
-    files |= {names[n]: {n: f} for n, f in fits.items() if n not in known}
+    chosen, names = _by_moisture(fits), _own_files(fits)
+    files = {"parameters.yaml": chosen} if chosen else {}
+    files |= {names[n]: {n: f} for n, f in fits.items() if n not in chosen}
     return {file: _sets(result, held, type(material)) for file, held in files.items()}
+
+
+def _by_moisture(fits: Mapping[str, ConditionFit]) -> dict[str, ConditionFit]:
+    """The conditions between which the model node can choose by moisture."""
+    if len(fits) == 1:
+        return dict(fits)
+    return {} if too_near(fits) else {n: f for n, f in fits.items() if _is_read(f)}
+
+
+def _is_read(fit: ConditionFit) -> bool:
+    return math.isfinite(fit.moisture[0])
+
+
+def too_near(fits: Mapping[str, ConditionFit]) -> list[tuple[str, str]]:
+    """Pairs of conditions whose mean moistures lie closer than their readings scatter."""
+    known = [(name, *fit.moisture) for name, fit in fits.items() if _is_read(fit)]
+    least = People.default().reading_sd
+    return [
+        (first, second)
+        for (first, one, sd), (second, other, other_sd) in itertools.combinations(known, 2)
+        if abs(one - other) < TOO_NEAR * max(math.sqrt(0.5 * (sd**2 + other_sd**2)), least)
+    ]
 
 
 def _own_files(conditions: Iterable[str]) -> dict[str, str]:
@@ -222,28 +244,27 @@ def _own_files(conditions: Iterable[str]) -> dict[str, str]:
 def _sets(
     result: FitResult, fits: dict[str, ConditionFit], law: type[ConstitutiveLaw]
 ) -> ParameterSets:
-    sets: list[ParameterSet] = []
-    middle = 0.5 * sum(MOISTURE_RANGE)
-    for name, fit in fits.items():
-        mean, deviation = fit.moisture
-        mean = mean if math.isfinite(mean) else middle
-        while any(abs(mean - other.moisture) < SAME_MOISTURE for other in sets):
-            mean += SEPARATION if mean < MOISTURE_RANGE[1] - 1 else -SEPARATION
-        sets.append(
-            ParameterSet(
-                name,
-                mean,
-                deviation if math.isfinite(deviation) else 0.0,
-                tuple(map(float, fit.parameters)),
-                tuple(tuple(map(float, row)) for row in fit.covariance_log()),
-            )
+    """Sets of conditions, with the covariance that the data leave: the model runs with the lengths
+    and on the plate that the fit assumed, so that their errors cancel in its areas."""
+    middle = 0.5 * sum(MOISTURE_RANGE), 0.0
+    sets = [
+        ParameterSet(
+            name,
+            *(fit.moisture if _is_read(fit) else middle),
+            tuple(map(float, fit.parameters)),
+            tuple(tuple(map(float, row)) for row in fit.covariance_log(assumed=False)),
+            fit.status,
         )
+        for name, fit in fits.items()
+    ]
+    geometry = getattr(result.model, "geometry", None)
     return ParameterSets(
         sets,
         str(result.sources.get("geometry_hash", "")),
         str(result.sources.get("reduced_model_hash", "")),
         "fit",
         law,
+        geometry=None if geometry == Geometry() else geometry,
     )
 
 
@@ -274,19 +295,24 @@ def _earlier_subjects(folder: Path) -> dict[str, bytes]:
 def write(result: FitResult, folder: Path) -> None:
     """Write fit.json, the parameter files and the tables into the folder; of several subjects,
     those of each into a folder of its own too, and subjects/CODE.yaml of each for the model node.
+
+    A fit that was interrupted leaves the parameter files of an earlier one.
     """
     earlier = _earlier_subjects(folder)
     for name, part in result.subjects.items():
         _write(part, folder / name)
     _write(result, folder)
     found = subject_sets(result)
-    for code in filter(is_subject, map(_subject_of, result.subjects.values() or [result])):
+    for part in result.subjects.values() or [result]:
+        code = _subject_of(part)
+        if not is_subject(code) or part.unfinished:
+            continue
         file = subject_file(folder / "subjects", code)
         if code in found:
             found[code].save(file)
         else:
             file.unlink(missing_ok=True)  # of an earlier fit in this folder
-    for code in earlier.keys() - found.keys():
+    for code in set() if result.interrupted else earlier.keys() - found.keys():
         file = subject_file(folder / "subjects", code)
         # Not one that a calibration, or somebody, put there since.
         if file.is_file() and file.read_bytes() == earlier[code]:
@@ -303,7 +329,7 @@ def _write(result: FitResult, folder: Path) -> None:
     for name, sets in files.items():
         sets.save(folder / name)
     # Those of an earlier fit in this folder would be taken for those of this one.
-    for name in earlier - files.keys():
+    for name in set() if result.interrupted else earlier - files.keys():
         (folder / name).unlink(missing_ok=True)
 
 
@@ -319,14 +345,20 @@ def _parameter_files_of(folder: Path) -> set[str]:
 
 def subject_sets(result: FitResult) -> dict[str, ParameterSets]:
     """Sets of each subject by code, as `finger-rig calibrate` writes them: those of
-    parameters.yaml; not of trials that are pooled or have no code."""
+    parameters.yaml but of conditions that fail a data check; not of trials that are pooled or have
+    no code."""
     found = {}
     for part in result.subjects.values() or [result]:
-        sets = parameter_files(part).get("parameters.yaml")
-        code = _subject_of(part)
-        if sets is not None and is_subject(code):
-            found[code] = sets
+        code, material = _subject_of(part), material_of(part.model)
+        fits = {n: f for n, f in _by_moisture(part.fits).items() if not failing(f)}
+        if fits and is_subject(code) and material is not None and not part.unfinished:
+            found[code] = _sets(part, fits, type(material))
     return found
+
+
+def failing(fit: ConditionFit) -> bool:
+    """Whether a condition fails a data check, which keeps it out of subjects/."""
+    return fit.quality is not None and bool(fit.quality.failures)
 
 
 def _subject_of(result: FitResult) -> str:

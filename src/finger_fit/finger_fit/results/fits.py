@@ -190,13 +190,14 @@ class ConditionFit:
         ends = (self.quantity(name) + offset) * np.exp(np.array([-reach, reach])) - offset
         return float(max(ends[0], low)), float(min(ends[1], high))
 
-    def covariance_log(self) -> np.ndarray:
+    def covariance_log(self, assumed: bool = True) -> np.ndarray:
         """Covariance (N, N) of the coordinates: of the bootstrap if there is one, else of J.
 
         With nuisances that of their fit, for no resampling of the presses shows what they share.
+        assumed: with what the assumed lengths and the gain of all areas add.
         """
         if self.covariance is not None and self.nuisance is not None:
-            return self.covariance.covariance
+            return self.covariance.covariance if assumed else self.covariance.data_covariance()
         if self.samples is not None and len(self.samples) > 10:
             return np.cov(self.space.to_log(self.samples).T)
         if self.covariance is not None:
@@ -230,7 +231,8 @@ class FitResult:
     shared, thickness: the additional fits that were asked for; force_modes: per condition and mode
     of the force, J (mm⁴) and the headline quantity; deformed: for the report's example trial.
     subjects: of several subjects, the result of each; `fits` then holds all of them, named "SUBJECT
-    CONDITION". contrasts: between the conditions of a subject. stopped: between two fits.
+    CONDITION". contrasts: between the conditions of a subject. stopped: interrupted; missing:
+    conditions that were not begun then.
     """
 
     options: FitOptions
@@ -248,6 +250,7 @@ class FitResult:
     subjects: dict[str, FitResult] = field(default_factory=dict)
     contrasts: list[Contrast] = field(default_factory=list)
     stopped: bool = False
+    missing: list[str] = field(default_factory=list)
 
     @property
     def space(self) -> ParameterSpace:
@@ -262,7 +265,13 @@ class FitResult:
     @property
     def interrupted(self) -> bool:
         """Whether any condition was interrupted, or is missing because the fit was."""
-        return self.stopped or any(fit.status == "interrupted" for fit in self.fits.values())
+        return self.stopped or bool(self.unfinished)
+
+    @property
+    def unfinished(self) -> list[str]:
+        """Conditions that were interrupted, or are missing because the fit was."""
+        cut = [name for name, fit in self.fits.items() if fit.status == "interrupted"]
+        return [*cut, *self.missing]
 
     def example(self) -> tuple[ConditionFit, int]:
         """The condition in the middle, and the index of its trial of median cost."""

@@ -109,6 +109,8 @@ def fit_records(
             parts[name] = found
             _exclude(found, exclusions, name)
             notes += [f"subject {name}: {note}" for note in found.problems]
+        if tried < len(own):
+            notes.append(f"interrupted: not fitted: subjects {', '.join(list(own)[tried:])}")
     if not parts:
         raise InputError(f"no subject can be fitted ({'; '.join(notes)}){_left_out(exclusions)}")
     return FitResult(
@@ -202,8 +204,10 @@ class _Work:
         groups, notes = group_trials(trials, self.options, self.conditions)
         fits: dict[str, ConditionFit] = {}
         stopped = False
+        left = list(groups)
         for name, group in groups.items():
             if len(group) < SMALLEST_CONDITION:
+                left.remove(name)
                 notes.append(
                     f"condition '{name}' has {len(group)} trial{'s' * (len(group) != 1)}, "
                     f"{SMALLEST_CONDITION} are needed: not fitted"
@@ -221,22 +225,21 @@ class _Work:
                 stopped = True
                 break
             except FingerError as error:
+                left.remove(name)
                 wide = isinstance(error, ModelError) and self.options.bounds
                 remedy = f"; narrow the bounds {', '.join(self.options.bounds)}" if wide else ""
                 notes.append(f"condition '{name}' is not fitted: {error}{remedy}")
                 continue
             fits[name] = fit
+            left.remove(name)
             if fit.status == "interrupted":
+                stopped = True
                 break
         if not fits:
             raise InputError(f"no condition can be fitted ({'; '.join(notes)})")
-        result = FitResult(self.options, fits, [], notes, stopped=stopped)
-        unread = [name for name, fit in fits.items() if not np.isfinite(fit.moisture[0])]
-        if unread and len(fits) > 1 and material_of(result.model) is not None:
-            result.problems.append(
-                f"no moisture readings, by which the model node chooses, of {', '.join(unread)}: "
-                "each gets a parameter file of its own"
-            )
+        result = FitResult(self.options, fits, [], notes, stopped=stopped, missing=left)
+        if not result.unfinished and material_of(result.model) is not None:
+            result.problems += _on_parameter_files(fits)
         if not result.interrupted:
             try:
                 result.contrasts = contrasts(fits, codes_of(trials))
@@ -246,11 +249,43 @@ class _Work:
             except FingerError as error:
                 result.problems.append(f"the additional fits are not complete: {error}")
         if result.stopped:
-            result.problems.append("interrupted: what the report does not show was not computed")
+            note = "interrupted: what the report does not show was not computed"
+            if result.unfinished:
+                note += (
+                    f"; not fitted to the end: {', '.join(result.unfinished)}, so that "
+                    "parameters.yaml and subjects/ are left as they were"
+                )
+            result.problems.append(note)
         return result
 
     def _records_of(self, trials: Iterable[FitTrial]) -> list[Any]:
         return [self.records[trial.label] for trial in trials]
+
+
+def _on_parameter_files(fits: Mapping[str, ConditionFit]) -> list[str]:
+    """Notes on the conditions of one subject that the model node cannot choose by moisture, or is
+    not to use."""
+    notes = []
+    unread = [name for name, fit in fits.items() if not np.isfinite(fit.moisture[0])]
+    if unread and len(fits) > 1:
+        notes.append(
+            f"no moisture readings, by which the model node chooses, of {', '.join(unread)}: "
+            "each gets a parameter file of its own"
+        )
+    near = results.too_near(fits)
+    if near:
+        shown = {n: "{} ({:.1f} ± {:.1f} a.u.)".format(n, *fits[n].moisture) for n in sum(near, ())}
+        notes.append(
+            f"the moistures of {', '.join(shown.values())} lie closer than their readings scatter, "
+            "so that no reading tells them apart: each condition gets a parameter file of its own"
+        )
+    failing = [name for name, fit in fits.items() if results.failing(fit)]
+    if failing:
+        notes.append(
+            f"a data check fails: {', '.join(failing)} stays out of subjects/, and is marked 'not "
+            "final' in the parameter file"
+        )
+    return notes
 
 
 def _fit_alone(work: _Work, job: tuple[Sequence[FitTrial], Mapping[str, Any]]) -> _Outcome:

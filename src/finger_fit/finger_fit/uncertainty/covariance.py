@@ -83,6 +83,16 @@ class Covariance:
         index, part = self._estimated(self._freed(name), name)
         return float(np.sqrt(part @ self._sandwich(index) @ part))
 
+    def data_covariance(self) -> np.ndarray:
+        """`covariance` (N, N) from the data alone, as if the assumed nuisances were known."""
+        free = self._free()
+        found = np.zeros((len(self.space), len(self.space)))
+        if free:
+            index, _ = self._estimated(free)
+            part = self._sandwich(index)[: len(free), : len(free)]
+            found[np.ix_(free, free)] = part
+        return found
+
     def assumed_deviation(self, name: str) -> float:
         """Standard deviation that the assumed nuisances add to `data_deviation`, as squares."""
         return float(np.linalg.norm(list(self.assumed_moves(name).values())))
@@ -297,10 +307,8 @@ def covariance(
         assumed,
     )
     if free:
-        index, _ = found._estimated(free)
         moves = found.responses(free)[assumed]
-        found.covariance[np.ix_(free, free)] = found._sandwich(index)[: len(free), : len(free)]
-        found.covariance[:] += moves.T @ moves
+        found.covariance[:] = found.data_covariance() + moves.T @ moves
     return found
 
 

@@ -332,12 +332,14 @@ class ParameterSpace:
         coordinates: np.ndarray,
         covariances: np.ndarray,
         moisture: float,
+        margins: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray, bool]:
         """Parameters (n,), covariance (n, n) of their coordinates, and "reading out of range".
 
         moistures (s,): increasing, a.u.; coordinates (s, n): of the parameters fitted there;
-        covariances (s, n, n). Coordinates and covariances are linear between two moistures; beyond
-        the first and the last the end holds.
+        covariances (s, n, n); margins (s,): a.u. beyond the first and the last in which a reading
+        is not out of range, none by default. Coordinates and covariances are linear between two
+        moistures; beyond the first and the last the end holds.
         """
         held = min(max(moisture, moistures[0]), moistures[-1])
         upper = int(np.searchsorted(moistures, held))
@@ -347,4 +349,5 @@ class ParameterSpace:
             weight = (held - moistures[upper - 1]) / (moistures[upper] - moistures[upper - 1])
             found = (1 - weight) * coordinates[upper - 1] + weight * coordinates[upper]
             covariance = (1 - weight) * covariances[upper - 1] + weight * covariances[upper]
-        return self.from_log(found), covariance, bool(moisture != held)
+        margin = 0.0 if margins is None else margins[upper]
+        return self.from_log(found), covariance, bool(abs(moisture - held) > margin)
