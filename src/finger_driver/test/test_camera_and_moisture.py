@@ -434,8 +434,16 @@ def test_a_ring_of_buffers_that_comes_again_is_frozen(ring: int) -> None:
     frozen = [detector.frozen(picture(k % ring)) for k in range(40)]
     assert not any(frozen[: ring + 8]) and all(frozen[ring + 8 :])
     # An image without noise of something that moves there and back is not.
-    there = list(range(20))
+    there = [*range(20), 19, 19]
     assert not any(detector.frozen(picture(100 + k)) for k in there + there[::-1])
+
+
+def test_a_covered_lens_with_pixels_that_flicker_is_not_frozen():
+    detector, random = FreezeDetector(10), np.random.default_rng(0)
+    dark = np.zeros((4, 300, 8, 8), dtype=np.uint8).reshape(-1, 8, 8)[:300]
+    dark[:, 0, :2] = random.integers(0, 2, (300, 2))
+    frozen = [detector.frozen(image) for image in dark]
+    assert np.mean(frozen) < 0.02
 
 
 def test_calibration_comes_back_as_saved_and_a_wrong_one_is_refused(tmp_path: Path) -> None:

@@ -106,6 +106,14 @@ def test_a_sensor_whose_values_stand_still_is_told(rate: float) -> None:
     assert "no channel has changed" in source.health.faults["still"]
 
 
+def test_a_sensor_that_was_away_is_not_taken_for_frozen() -> None:
+    """Its coarse values at rest may be those from before."""
+    source = ForceSource(ForceSettings())
+    for stamp in (0, 2_000_000, 600_000_000_000, 601_500_000_000):
+        source.checked(WrenchSample.of_wrench(stamp, np.array([0.1, 0.0, -1.5, 0.0, 0.0, 0.0])))
+    assert not source.health.faults
+
+
 def test_a_sensor_without_noise_or_load_is_not_taken_for_frozen() -> None:
     source = ForceSource(ForceSettings())
     feed_equal(source, np.zeros(6), 500.0, 5000)

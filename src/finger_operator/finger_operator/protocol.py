@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
+from finger_bag.bag_files import METADATA
 from finger_bag.streams import TrialEvent
 from finger_common.cli import one_line
 from finger_common.diagnostics import ERROR
@@ -591,11 +592,19 @@ class Protocol:
             self._begin_attempt()
 
     def _await_progress(self, in_step: float) -> None:
-        """End an attempt that nobody goes on with: its bag grows all the while."""
-        if seconds(self._now - self._last_progress) > WAITING_TIME:
-            self._fail(f"nobody went on for {WAITING_TIME / 60:g} min")
-            if not self.ended:
-                self._hold("Nobody went on, and the recording was ended. Press Space to go on.")
+        """End an attempt that nobody goes on with, as its bag grows all the while; after the press
+        it is kept with the readings that it has."""
+        waited = seconds(self._now - self._last_progress)
+        if not self.limits.need_recorder or waited <= WAITING_TIME:
+            return
+        reason = f"nobody went on for {WAITING_TIME / 60:g} min"
+        if self.step is Step.MOISTURE_AFTER:
+            self._log("command", f"{reason}: closed with the readings so far")
+            self._close()
+            return
+        self._fail(reason)
+        if not self.ended:
+            self._hold("Nobody went on, and the recording was ended. Press Space to go on.")
 
     def _await_clear_plate(self, in_step: float) -> None:
         if self.waiting_for():
@@ -716,7 +725,12 @@ class Protocol:
             self.recording = "stopping"
             self._effects(StopRecording())
         elif closing:
-            self._mark_in_bag(Path(self._attempt.bag), self._announcement(TrialPhase.FAILED))
+            bag, event = Path(self._attempt.bag), self._announcement(TrialPhase.FAILED)
+            if (bag / METADATA).is_file():
+                self._mark_in_bag(bag, event)
+            else:
+                # The recorder may write it still.
+                self._unmarked = bag, event
 
     def _mark_in_bag(self, bag: Path, event: TrialEvent) -> None:
         """Say in a closed bag what became of its attempt; nothing where there is no such bag."""

@@ -15,8 +15,8 @@ _BUFFERS = 8
 
 
 class FreezeDetector:
-    """Counts images in a row that were there before: the last one, or one of the driver's ring of
-    buffers. A sensor's noise makes two equal images all but impossible.
+    """Counts images in a row that are each the one before, or the one as many before as the ring of
+    the camera's driver has buffers. A sensor's noise makes two equal images all but impossible.
 
     limit: images in a row that count as frozen, 0 never. Images of one grey level throughout (dark
     or at the end of the scale) do not count: these can be equal.
@@ -24,18 +24,20 @@ class FreezeDetector:
 
     def __init__(self, limit: int) -> None:
         self._limit = limit
-        # Images without noise that come again in reverse order are fewer than `limit`.
-        self._known: deque[int] = deque(maxlen=max(1, min(_BUFFERS, limit - 2)))
-        self._number = 0
+        self._known: deque[int] = deque(maxlen=_BUFFERS)
+        self._period = self._number = 0
 
     def frozen(self, image: np.ndarray) -> bool:
         """Whether this image (H, W) uint8 is at least the `limit`-th of a row."""
         if not self._limit:
             return False
         key = zlib.crc32(np.ascontiguousarray(image).data)
-        if key not in self._known:
-            self._known.append(key)
-            self._number = 1
-            return False
-        self._number += 1
+        same = [back for back, known in enumerate(reversed(self._known), 1) if known == key]
+        self._known.append(key)
+        if self._period in same:
+            self._number += 1
+        elif same:
+            self._period, self._number = same[0], 2
+        else:
+            self._period, self._number = 0, 1
         return self._number >= self._limit and int(image.min()) != int(image.max())

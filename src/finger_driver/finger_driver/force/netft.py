@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import contextlib
 import http.client
+import math
 import select
 import socket
 import threading
@@ -59,6 +60,8 @@ _CHECK_PERIOD = 2.0
 """Seconds between readings of the page beside the stream."""
 _UNREAD = 3
 """Readings of the page that fail one after the other before it is told."""
+_SUDDEN = 10
+"""Times the step before that a step is in which the box paused."""
 _OLD = 0.5
 _BUFFER = 1 << 20
 """Bytes asked for to hold what comes meanwhile; the kernel may grant less (net.core.rmem_max)."""
@@ -203,6 +206,8 @@ class NetFtSource(ForceSource):
         self._newest: rdt.Record | None = None
         self._measured = 0
         """When the newest internal sample was received first."""
+        self._usual_step = math.inf
+        """s between the newest two records, by the box's internal samples."""
         self._mapper.restart()
         self._last_record = time.monotonic()
 
@@ -409,7 +414,10 @@ class NetFtSource(ForceSource):
         sent = rdt.difference(earlier.rdt_sequence, later.rdt_sequence) / sent_rate
         measured = rdt.difference(earlier.ft_sequence, later.ft_sequence) / internal_rate
         paused = measured - sent
-        if paused <= LATE + sent + 1 / internal_rate:
+        # A box that sends more slowly than its page says does so all the time.
+        sudden = measured > _SUDDEN * self._usual_step
+        if not sudden or paused <= LATE + sent + 1 / internal_rate:
+            self._usual_step = measured
             self.cleared("paused")
             return
         self.note("paused", f"the box sent nothing for {paused:.2f} s")

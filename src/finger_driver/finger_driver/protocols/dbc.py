@@ -142,7 +142,7 @@ class _Reader:
             start=self._get("start", frames, ()),
             stop=self._get("stop", frames, ()),
             request=self._get("request", _message, None),
-            within=self._get("within", float, 0.001),
+            within=self._get("within", float, 0.005),
             match=self._get("match", lambda v: {self._signal(s): int(v[s]) for s in v}, {}),
             saturation=self._get("saturation", mask, None),
             fault=self._get("fault", mask, None),

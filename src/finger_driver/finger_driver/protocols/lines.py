@@ -19,8 +19,8 @@ MAX_LINE = 256
 
 @dataclass(frozen=True)
 class ParsedLine:
-    """A reading: value, phase word ("" where the line has none), and whether the value begins the
-    line, so that it may be the rest of a longer number."""
+    """A reading: value, phase word ("" where the line has none), and whether no letter stands
+    before the value, so that it may be the rest of a longer number."""
 
     value: float
     phase: str
@@ -55,7 +55,11 @@ def parse_line(line: str, pattern: re.Pattern[str]) -> ParsedLine | None:
         return None
     if not math.isfinite(value):
         return None
-    return ParsedLine(value, (groups.get("phase") or "").lower(), not match.start("value"))
+    return ParsedLine(
+        value,
+        (groups.get("phase") or "").lower(),
+        not any(map(str.isalpha, line[: match.start("value")])),
+    )
 
 
 class LineSplitter:
