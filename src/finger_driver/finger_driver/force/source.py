@@ -105,7 +105,7 @@ class ForceSource(Device[WrenchSample]):
             "force", expected_rate=settings.rate, stale_after=max(0.5, 5.0 / settings.rate)
         )
         super().__init__(settings, health)
-        self._channels, self._changed, self._newest, self._equal = b"", 0, 0, 0
+        self._channels, self._changed, self._last_stamp, self._equal_samples = b"", 0, 0, 0
         """The newest good channels, and the stamp (ns) of the first sample that had them."""
 
     @property
@@ -163,15 +163,15 @@ class ForceSource(Device[WrenchSample]):
         """Tell of channels that stand still, since a sensor has noise; not of zeros, since one
         without a load, simulated or of coarse steps, may have none."""
         channels = sample.channels.tobytes()
-        pause = (sample.stamp_ns - self._newest) * 1e-9
-        self._newest = sample.stamp_ns
+        pause = (sample.stamp_ns - self._last_stamp) * 1e-9
+        self._last_stamp = sample.stamp_ns
         if channels != self._channels or pause > max(_STILL, 5 / self.settings.rate):
-            self._channels, self._changed, self._equal = channels, sample.stamp_ns, 0
+            self._channels, self._changed, self._equal_samples = channels, sample.stamp_ns, 0
             self.cleared("still")
             return
-        self._equal += 1
+        self._equal_samples += 1
         still = (sample.stamp_ns - self._changed) * 1e-9
-        if still > _STILL and self._equal > _STILL_SAMPLES and sample.channels.any():
+        if still > _STILL and self._equal_samples > _STILL_SAMPLES and sample.channels.any():
             self.note(
                 "still",
                 f"no channel has changed for {still:.0f} s; if the sensor is not a coarse one at "
