@@ -38,7 +38,7 @@ from finger_msgs.srv import Record
 from .cdr_layout import stamp_of_cdr
 from .definitions import type_hash
 from .recorder import Recorder, RecorderSettings, Serialized
-from .schema import CALIBRATION_ATTACHMENT, TOPICS, SessionMetadata
+from .schema import CALIBRATION_ATTACHMENT, TOPICS, SessionMetadata, spec_of
 from .stamp_gaps import StampGaps
 
 
@@ -163,7 +163,9 @@ class RecorderNode(ManagedNode):
         """Definitions of types that `definitions` does not know, as installed."""
         for entry in self.settings(RecordingSettings).topics:
             name, _, kind = entry.partition("=")
-            spec = TOPICS.get(name)
+            spec = spec_of(name)
+            if kind and spec is not None and spec.type != kind:
+                spec = None
             if not kind and spec is None:
                 raise InputError(
                     f"parameter 'topics': '{name}' is not in the bag schema; "
@@ -297,6 +299,23 @@ class RecorderNode(ManagedNode):
         if sum(lost.values()) > self._lost_told:
             self._lost_told = sum(lost.values())
             self.log_fault(self._health, "lost", f"messages lost: {notes['lost']}", WARN)
+        if text := self._without_force(recorder.counts):
+            self.log_fault(self._health, "force", text, WARN)
+        else:
+            self._health.recovered("force")
+
+    def _without_force(self, counts: dict[str, int]) -> str:
+        """Sentence on a wrench that did not come although contact states made of it did, or ""."""
+        for name in self._topics:
+            namespace, _, last = name.rpartition("/")
+            states = f"{namespace}/contact_state"
+            if last == "wrench" and counts.get(states) and not counts.get(name):
+                return (
+                    f"'{states}' is recorded without its force: nothing came on '{name}'; name "
+                    "the model's 'wrench_topic' in 'topics' in its place, as "
+                    f"'name={TOPICS[last].type}'"
+                )
+        return ""
 
     def _follow_publishers(self) -> None:
         """Where every publisher offers it, reliable delivery costs nothing and loses nothing."""
@@ -361,6 +380,8 @@ class RecorderNode(ManagedNode):
                     result.error
                     or f"{result.message_count} messages recorded, {result.lost_count} lost"
                 )
+                if text := self._without_force(result.counts):
+                    response.message += f"; {text}"
                 if result.error:
                     response.success = False
                     return response
@@ -425,7 +446,7 @@ class RecorderNode(ManagedNode):
         self._poll()
         self._check_middleware()
         result = self._recorder.stop()
-        missing = self._missing()
+        missing, forceless = self._missing(), self._without_force(result.counts)
         self._note_bag()
         # What is wrong with a bag that is closed keeps no other one from being begun.
         self._health.recovered("recording")
@@ -440,6 +461,8 @@ class RecorderNode(ManagedNode):
             f"recorded {result.message_count} messages into {result.path}, "
             f"{result.lost_count} lost" + (f", stamps missing: {missing}" if missing else "")
         )
+        if forceless:
+            self.get_logger().warning(forceless)
         return result
 
     def _end_bag(self) -> None:

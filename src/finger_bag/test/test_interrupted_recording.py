@@ -503,3 +503,58 @@ def test_messages_of_any_installed_type_are_recorded(
         path = node._finish().path
     with open_bag(path) as reader:
         assert [(m.type, m.message.data) for m in reader] == [("lab_msgs/msg/Skin", "soft")]
+
+
+def test_latched_topics_of_several_namespaces_are_repeated_at_the_head(
+    ros_domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import rclpy
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+
+    from finger_msgs.msg import ModelEvent
+
+    names = [f"/hand/{finger}/model_events" for finger in ("thumb", "index")]
+    topics = [f"{names[0]}=finger_msgs/msg/ModelEvent", names[1]]
+    topics.append("/other/model_events=std_msgs/msg/String")
+    latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    values = {"topics": topics, "record_at_start": False}
+    with running_node(ros_domain, tmp_path, monkeypatch, **values) as node:
+        assert not node._topics["/other/model_events"].is_latched, "a type of another kind"
+        other = rclpy.create_node("other", context=node.context)
+        for name in names:
+            other.create_publisher(ModelEvent, name, latched).publish(ModelEvent(reason="start"))
+
+        def come() -> bool:
+            node._poll()
+            return all(node._topics[name].latched for name in names)
+
+        wait_for(come, "the events")
+        node._start("bag", None)
+        path = node._finish().path
+        other.destroy_node()
+    with open_bag(path) as reader:
+        assert {(m.topic, m.message.reason) for m in reader} == {(n, "start") for n in names}
+
+
+def test_states_recorded_without_their_force_are_told_until_it_comes(
+    ros_domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any
+) -> None:
+    states = encode("finger_msgs/msg/ContactState", {})
+    forces = encode("geometry_msgs/msg/WrenchStamped", {})
+
+    def said() -> str:
+        node._each_second()
+        return str(node.healths[0].faults.get("force", ""))
+
+    with running_node(ros_domain, tmp_path, monkeypatch) as node:
+        assert not said(), "nothing has come"
+        node._take(node._topics["/contact_state"], states, {})
+        wait_for(said, "the warning")
+        assert "nothing came on '/wrench'" in said() and "'wrench_topic'" in said()
+        node._finish()
+        assert "nothing came on '/wrench'" in capfd.readouterr().err
+        node._start("whole", None)
+        for topic, raw in (("/wrench", forces), ("/contact_state", states)):
+            node._take(node._topics[topic], raw, {})
+        wait_for(lambda: sum(node._recorder.counts.values()) == 2, "both")
+        assert not said()

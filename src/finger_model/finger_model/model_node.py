@@ -234,6 +234,8 @@ class ModelNode(ManagedNode):
         self._reading: tuple[int, float] | None = None
         self._readings: deque[tuple[int, float]] = deque(maxlen=64)
         self._sequence = 0
+        self._probed = False
+        """Whether `moisture` has, or had, a publisher."""
         self._late = {
             "late_areas": Lateness("contact areas"),
             "late_moistures": Lateness("moisture readings"),
@@ -383,6 +385,8 @@ class ModelNode(ManagedNode):
         self.health.stale_after = merged["force_stale_after"]
         changed = [name for name in changes if name in EstimatorSettings.parameters()]
         with self._lock:
+            if "normal_axis" in changed:
+                run.watch.forget()
             if changed:
                 reason = f"parameter {', '.join(changed)} set"
                 self._publish_event(run.estimator.change_settings(settings, reason))
@@ -564,6 +568,7 @@ class ModelNode(ManagedNode):
 
     def _on_moisture(self, message: Moisture) -> None:
         with self._lock:
+            self._probed = True
             reading = moisture_of(message)
             if reading in self._readings:
                 return  # it came on both subscriptions
@@ -785,6 +790,9 @@ class ModelNode(ManagedNode):
         if run is not None:
             # Also what came and went since the diagnostics before.
             flags, run.flags = run.flags, 0
+            self._probed = self._probed or self.count_publishers("moisture") > 0
+            if not self._probed:  # a rig without a probe
+                flags &= ~StateFlag.MOISTURE_MISSING
             for flag, sentence in _WARNINGS.items():
                 key = flag.name.lower()  # type: ignore[union-attr]
                 moisture = math.nan if run.last is None else run.last.moisture

@@ -18,7 +18,22 @@ ACROSS, ALONG = 0.5, 0.1
 coefficient of 10 is none of a finger."""
 
 ACROSS_FOR = 2.0
-"""s for which such a force has lasted when it is told."""
+"""s for which such forces have lasted, in all, when it is told."""
+
+PULLS, PULLS_FOR = 3, 1.0
+"""Forces below -ACROSS with rest between them, and the s they have lasted in all, when they are
+told: an untared sensor does not rest near zero, and a finger that sticks was pressed before."""
+REST = 0.1
+"""N below zero at which such a force has ended."""
+
+PRESSED = 0.2
+"""N along the axis that show a press, which lets these forces be forgotten: a plate that sticks
+pulls less as a finger leaves it."""
+FORGOTTEN = 60.0
+"""s after the last of them in which they are forgotten."""
+
+LONGEST_STEP = 0.1
+"""s; a sample stands for no longer."""
 
 SHOWN, SHORT = 3, 40
 """Frames that are named of several, and characters of each."""
@@ -35,8 +50,16 @@ class WrenchWatch:
         self._frames: dict[str, None] = {}
         """In the order seen."""
         self._newest_frame: str | None = None
-        self._across_since: int | None = None
-        self._across = (0, 0.0, 0.0)
+        self._seen = 0
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget forces across the normal axis or against it: it may be another one now."""
+        self._doubted = 0
+        """ns, stamp of the newest."""
+        self._across_for = self._pulled_for = 0.0
+        self._across = (0.0, 0.0)
+        self._pulls, self._pulling, self._pull = 0, False, 0.0
 
     def add(self, stamp_ns: int, frame: str, dropped: bool) -> None:
         """Count a sample; dropped: whether it gave no estimate."""
@@ -53,12 +76,22 @@ class WrenchWatch:
 
     def see(self, stamp_ns: int, normal: float, lateral: float) -> None:
         """Look at the force of an estimate, N along and across the normal axis."""
+        passed = min(max(seconds(stamp_ns - self._seen), 0.0), LONGEST_STEP)
+        self._seen = stamp_ns
         if lateral > ACROSS and abs(normal) < ALONG * lateral:
-            if self._across_since is None:
-                self._across_since = stamp_ns
-            self._across = stamp_ns, normal, lateral
-        else:
-            self._across_since = None
+            self._doubted = stamp_ns
+            self._across_for += passed
+            self._across = normal, lateral
+        elif normal < -ACROSS:
+            self._doubted = stamp_ns
+            self._pulls += not self._pulling
+            self._pulling = True
+            self._pulled_for += passed
+            self._pull = min(self._pull, normal)
+        elif normal > PRESSED or not 0.0 <= seconds(stamp_ns - self._doubted) <= FORGOTTEN:
+            self.forget()
+        elif normal > -REST:
+            self._pulling = False
 
     def look(self, normal_axis: str) -> dict[str, str]:
         """What is wrong and what to do, empty where nothing is, by the keys "wrench_stamps",
@@ -100,10 +133,18 @@ class WrenchWatch:
         )
 
     def _of_axis(self, normal_axis: str) -> str:
-        stamp, normal, lateral = self._across
-        if self._across_since is None or seconds(stamp - self._across_since) < ACROSS_FOR:
-            return ""
-        return (
-            f"a force of {lateral:.2f} N lies across normal_axis ({normal_axis}), {normal:.2f} N "
-            "along it: set normal_axis to the sensor's axis that the finger presses along, or tare"
-        )
+        if self._across_for >= ACROSS_FOR:
+            normal, lateral = self._across
+            return (
+                f"a force of {lateral:.2f} N lies across normal_axis ({normal_axis}), "
+                f"{normal:.2f} N along it: set normal_axis to the sensor's axis that the finger "
+                "presses along, or tare"
+            )
+        if self._pulls >= PULLS and self._pulled_for >= PULLS_FOR:
+            opposite = normal_axis.translate(str.maketrans("+-", "-+"))
+            return (
+                f"the normal force went below zero {self._pulls} times, to {self._pull:.2f} N, "
+                f"without a press: has normal_axis ({normal_axis}) the opposite sign? Set it to "
+                f"{opposite}, or tare"
+            )
+        return ""

@@ -522,6 +522,33 @@ def test_parameters_of_a_fit_that_is_not_final_are_reported_while_in_use(
     bench.until(lambda: not warns())
 
 
+def test_a_missing_moisture_reading_is_reported_once_there_is_a_probe(
+    bench: Bench, process: Callable[..., Any]
+) -> None:
+    bench.node.destroy_publisher(bench.moisture)
+    start(process)
+    bench.connected()
+    stamps = itertools.count(T0, 2 * MS)
+
+    def inputs() -> str:
+        """What diagnostics say of samples that came since the ones before."""
+        for _ in range(2):
+            bench.diagnostics.clear()
+            while "inputs" not in bench.diagnostics:
+                bench.press(next(stamps), 0.0)
+                count = len(bench.states)
+                bench.answered(count + 1)
+        return str(bench.diagnostics["inputs"]["message"])
+
+    assert "moisture" not in inputs()
+    assert bench.states[-1].flags & StateFlag.MOISTURE_MISSING
+    probe = bench.node.create_publisher(Moisture, "/finger/moisture", RELIABLE)
+    bench.until(lambda: "no moisture reading yet" in inputs())
+    bench.node.destroy_publisher(probe)
+    bench.settle()
+    assert "no moisture reading yet" in inputs()
+
+
 def test_what_is_missing_or_out_of_range_is_reported_where_it_is_expected(
     bench: Bench, process: Callable[..., Any]
 ) -> None:

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import math
+
 from finger_model.wrench_watch import WrenchWatch
 
 T0, MS = 1_700_000_000_000_000_000, 1_000_000
@@ -77,3 +79,74 @@ def test_a_force_across_the_normal_axis_is_told_when_it_lasts() -> None:
     for n in range(5000):
         watched.watch.see(T0 + n * MS, 0.01, 0.3)
     assert not watched.look()
+
+
+def presses(
+    watched: Watched, number: int, force: tuple[float, float], offset: float = 0.0, at: float = 0.0
+) -> None:
+    """Half-sines of 1 s every 2 s from a time (s); force: N along and across the axis at the peak,
+    offset: N along it at rest."""
+    for n in range(2000 * number):
+        shape = max(math.sin(math.pi * n / 1000), 0.0)
+        along, across = offset + force[0] * shape, force[1] * shape
+        watched.watch.see(T0 + round(at * 1000 + n) * MS, along, across)
+
+
+def test_short_presses_across_the_normal_axis_are_told_until_one_along_it() -> None:
+    watched = Watched()
+    presses(watched, 2, (0.02, 1.0))
+    assert not watched.look()
+    presses(watched, 2, (0.02, 1.0), at=4.0)
+    assert "lies across normal_axis" in watched.look()["normal_axis"]
+    presses(watched, 1, (0.5, 0.1), at=8.0)
+    assert not watched.look()
+
+
+def test_a_normal_axis_of_opposite_sign_is_told_after_a_few_presses() -> None:
+    watched = Watched()
+    presses(watched, 2, (-1.0, 0.2))
+    assert not watched.look()
+    presses(watched, 1, (-1.0, 0.2), at=4.0)
+    said = watched.look()["normal_axis"]
+    assert said.startswith("the normal force went below zero 3 times, to -1.00 N")
+    assert "has normal_axis (-z) the opposite sign? Set it to +z" in said
+    assert watched.look()
+    watched.watch.forget()  # it was set
+    assert not watched.look()
+    presses(watched, 3, (-1.0, 0.2), at=6.0)
+    assert watched.look()
+    presses(watched, 1, (0.5, 0.1), at=12.0)
+    assert not watched.look()
+
+
+def test_presses_of_opposite_sign_are_told_though_the_plate_sticks() -> None:
+    watched = Watched()
+    for n in range(3):
+        presses(watched, 1, (-1.0, 0.2), at=3.0 * n)
+        for k in range(50):
+            watched.watch.see(T0 + (3000 * n + 2000 + k) * MS, 0.1, 0.0)
+    assert "opposite sign" in watched.look()["normal_axis"]
+
+
+def test_an_untared_sensor_and_pulls_are_not_taken_for_the_opposite_sign() -> None:
+    untared = Watched()
+    presses(untared, 20, (0.0, 0.0), offset=-0.7)
+    assert not untared.look()
+    presses(untared, 20, (0.5, 0.1), offset=-0.7, at=40.0)
+    assert not untared.look()
+
+    sticking = Watched()  # each press ends with a pull
+    for n in range(20):
+        presses(sticking, 1, (0.5, 0.1), at=4.0 * n)
+        presses(sticking, 1, (-0.8, 0.1), at=4.0 * n + 2.0)
+        assert not sticking.look()
+
+    pulled = Watched()  # for long, or seldom
+    presses(pulled, 2, (-2.0, 0.1))
+    for n in range(5000):
+        pulled.watch.see(T0 + (4000 + n) * MS, 0.0, 0.0)
+    assert not pulled.look()
+    for n in range(70):
+        pulled.watch.see(T0 + (9 + n) * 1000 * MS, 0.0, 0.0)
+    presses(pulled, 2, (-2.0, 0.1), at=80.0)
+    assert not pulled.look()

@@ -26,6 +26,8 @@ class InputTopics:
     image_offset_ns: int
     """Added to the stamps of the images."""
     events: str | None
+    namespace: str
+    """Where the results go, such as "/finger"; "" for none."""
     replaced: frozenset[str]
     """Topics of the input that are not copied: the run writes its own or does not follow them."""
 
@@ -47,14 +49,19 @@ class InputTopics:
             raise missing(reader, "image_raw")
         recorded = find_topic(reader, "model_events", options)
         follow = find_used(reader, "model_events", options) and not options.is_own()
-        replaced = {sibling(wrench, "contact_state")}
+        # Beside the former states: their force may come from a topic of another namespace.
+        if options.namespace:
+            namespace = f"/{options.namespace.strip('/')}".rstrip("/")
+        else:
+            namespace = (recorded or wrench).rpartition("/")[0]
+        replaced = {f"{namespace}/contact_state"}
         # What the recording made of the former states; with other settings it is theirs no more.
         if options.slip or not follow:
-            replaced.add(sibling(wrench, "contact_slip"))
+            replaced.add(f"{namespace}/contact_slip")
         if options.shape or not follow:
-            replaced.add(sibling(wrench, "contact_shape"))
+            replaced.add(f"{namespace}/contact_shape")
         if from_images:
-            replaced |= {sibling(wrench, "contact_area"), area or ""}
+            replaced |= {f"{namespace}/contact_area", area or ""}
         if not follow:
             replaced.add(recorded or "")
         return cls(
@@ -65,6 +72,7 @@ class InputTopics:
             image_by_log=from_images and images[0][1].log_time,
             image_offset_ns=images[0][1].offset_ns if from_images else 0,
             events=recorded if follow else None,
+            namespace=namespace,
             replaced=frozenset(replaced),
         )
 
@@ -73,7 +81,6 @@ class InputTopics:
         topics = (self.wrench, self.area, self.moisture, self.image, self.events)
         return [topic for topic in topics if topic is not None]
 
-
-def sibling(topic: str, name: str) -> str:
-    """Topic of a name in the namespace of another topic."""
-    return topic.rpartition("/")[0] + "/" + name
+    def result(self, name: str) -> str:
+        """Absolute topic of a result, such as "contact_state"."""
+        return f"{self.namespace}/{name}"

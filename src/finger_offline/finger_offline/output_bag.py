@@ -20,7 +20,7 @@ from finger_model.messages import event_fields
 from finger_vision.area_sensor import ContactMeasurement
 
 from .image_areas import area_fields
-from .input_topics import InputTopics, sibling
+from .input_topics import InputTopics
 from .process_options import ProcessOptions
 
 IMAGE_TYPES = {TOPICS[name].type for name in ("image_raw", "image_raw/compressed")}
@@ -46,9 +46,7 @@ class OutputBag:
             "areas_from": "contact_area" if topics.image is None else "images",
         }
         self._reader, self._options = reader, options
-        self._wrench = topics.wrench
-        self._area_topic = sibling(topics.wrench, "contact_area")
-        self._event_topic = sibling(topics.wrench, "model_events")
+        self._topics = topics
         self._skipped = set(topics.replaced)
         self._announced: set[tuple[str, str]] = set()
         self.left_out: dict[tuple[str, str], str] = {}
@@ -64,7 +62,7 @@ class OutputBag:
         options = self._options
         made = {"contact_state": True, "contact_slip": options.slip, "contact_shape": options.shape}
         for name in (name for name, wanted in made.items() if wanted):
-            writer.add_topic(sibling(self._wrench, name))
+            writer.add_topic(self._topics.result(name))
         return self
 
     def __exit__(
@@ -93,16 +91,17 @@ class OutputBag:
 
     def write_area(self, measured: ContactMeasurement, stamp: int, log_ns: int) -> None:
         """Write an area measured in an image."""
-        self._writer.write(self._area_topic, area_fields(stamp, measured, "plate"), log_ns)
+        topic = self._topics.result("contact_area")
+        self._writer.write(topic, area_fields(stamp, measured, "plate"), log_ns)
 
     def write_event(self, event: EstimatorEvent, log_ns: int) -> None:
         """Write an event of the estimator."""
-        self._writer.write(self._event_topic, event_fields(event, 0), log_ns)
+        self._writer.write(self._topics.result("model_events"), event_fields(event, 0), log_ns)
 
     def write(self, name: str, messages: Iterable[tuple[int, bytes]]) -> None:
-        """Write estimates, serialized, to the topic of this name beside the wrench's; each with its
-        log time (ns)."""
-        topic = sibling(self._wrench, name)
+        """Write estimates, serialized, to the results' topic of this name; each with its log time
+        (ns)."""
+        topic = self._topics.result(name)
         for log_ns, message in messages:
             self._writer.write_raw(topic, message, log_ns)
 

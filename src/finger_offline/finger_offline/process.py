@@ -241,6 +241,12 @@ class _Run:
         self.malformed = Malformed()
         self.decoder = reader.decoder(topics.wrench, WRENCH_TYPE)
         self.started = False
+        # Stamps of the recorded node's first event and state.
+        self.first_event: int | None = None
+        self.first_state: int | None = None
+        # Settings that are given replace those of the recording, known or not.
+        self.axis = options.axis
+        self.recorded_states = "" if options.is_own() else topics.result("contact_state")
         self.states = self.areas = 0
         self.validity = Validity()
         model = estimator.model
@@ -306,9 +312,20 @@ class _Run:
             replayed,
             counters,
             problems,
-            self.validity.notes(),
+            self._unknown_settings() + self.validity.notes(),
             self.reader.lost or (self.images is not None and self.images.areas.left_out > 0),
         )
+
+    def _unknown_settings(self) -> list[str]:
+        """Sentence on recorded states older than every event of their node."""
+        if self.first_state is None:
+            return []
+        if self.first_event is not None and self.first_event <= self.first_state:
+            return []
+        return [
+            "no event tells the settings of the model node when the recording began: the defaults "
+            f"were used, with normal_axis {self.axis}; if the node had others, name them with --set"
+        ]
 
     # Into the queue --------------------------------------------------------------------------
 
@@ -339,11 +356,16 @@ class _Run:
             self._add_area(item.log_time_ns, stamp, area, sd, flags)
         elif item.topic == topics.events:
             event = event_of(item.message)
+            if self.first_event is None:
+                self.first_event = event.stamp_ns
             if self._of_subject_before(event):
                 return
             self.estimator.expect_late([event])
             self.estimator.apply_event(event)
             self.started = True
+        elif item.topic == self.recorded_states:
+            if self.first_state is None:
+                self.first_state = stamp_of_cdr(item.raw)
 
     def _of_subject_before(self, event: EstimatorEvent) -> bool:
         """Whether an event belongs to the model of a subject before the recorded one."""

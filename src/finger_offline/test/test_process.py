@@ -427,3 +427,51 @@ def test_slip_of_former_settings_does_not_stay_beside_new_states(tmp_path: Path)
     assert "/finger/contact_slip" in open_bag(tmp_path / "same").info.topics
     process(tmp_path / "slip", tmp_path / "other", ProcessOptions(estimator={"fusion_delay": 0.05}))
     assert "/finger/contact_slip" not in open_bag(tmp_path / "other").info.topics
+
+
+def robot_recording(path: Path, source: Path, events: float | None) -> None:
+    """A recording of a finger of a hand whose force is published in another namespace.
+
+    events: s after its start from which model_events were heard; None: not at all.
+    """
+    names = {
+        "/finger/wrench": "/robot/thumb/ft",
+        "/finger/contact_state": "/hand/thumb/contact_state",
+        "/finger/contact_area": "/hand/thumb/contact_area",
+        "/finger/model_events": "/hand/thumb/model_events",
+    }
+    with open_bag(source) as reader, BagWriter(path) as bag:
+        for item in reader.messages():
+            late = (item.log_time_ns - START) / 1e9
+            if item.topic != "/finger/model_events" or (events is not None and late >= events):
+                bag.add_topic(names[item.topic], item.type)
+                bag.write_raw(names[item.topic], item.raw, item.log_time_ns)
+
+
+@pytest.mark.parametrize("namespace", ["", "hand/thumb"])
+def test_results_go_beside_the_former_ones_wherever_the_force_is(
+    tmp_path: Path, namespace: str
+) -> None:
+    published = live_recording(tmp_path / "live")
+    robot_recording(tmp_path / "robot", tmp_path / "live", 0.0)
+    options = ProcessOptions(wrench_topic="/robot/thumb/ft", namespace=namespace)
+    result = process(tmp_path / "robot", tmp_path / "out", options)
+    with open_bag(tmp_path / "robot") as source, open_bag(tmp_path / "out") as made:
+        assert set(made.info.topics) == set(source.info.topics)
+        again = [m.raw for m in made.messages(["/hand/thumb/contact_state"])]
+    assert again == published and not any("no event tells" in note for note in result.notes)
+
+
+@pytest.mark.parametrize("events", [None, 2.0])
+def test_states_older_than_every_event_are_told(tmp_path: Path, events: float | None) -> None:
+    live_recording(tmp_path / "live")
+    robot_recording(tmp_path / "robot", tmp_path / "live", events)
+
+    def told(name: str, **given: Any) -> bool:
+        where = {"wrench_topic": "/robot/thumb/ft", "namespace": "hand/thumb"}
+        options = ProcessOptions(**where, **given)
+        notes = process(tmp_path / "robot", tmp_path / name, options).notes
+        return any("no event tells the settings" in note for note in notes)
+
+    assert told("defaults")
+    assert not told("given", estimator={"normal_axis": "-z"})
