@@ -228,8 +228,10 @@ def entries(
     if arguments.port is not None:
         if not 0 <= arguments.port <= 65535:
             raise InputError(f"--port {arguments.port}: give a TCP port, 1 to 65535")
-        parameters["page"] = {"port": arguments.port}
-        needed["--port"] = "page"
+        names = fingers(arguments)
+        page = f"{names[0]}/page" if len(names) == 1 else "page"
+        parameters[page] = {"port": arguments.port}
+        needed["--port"] = page
     further = []
     if arguments.foxglove is not None:
         parameters["foxglove"] = foxglove_address(arguments.foxglove)
@@ -259,6 +261,11 @@ def entries(
             only=arguments.nodes or (),
             further=further,
         )
+    if arguments.port is not None and sum(entry.name == "page" for entry in chosen) > 1:
+        raise InputError(
+            "--port: the pages of several fingers cannot share a port; leave it out, or set 'port' "
+            "of each page in the parameter file"
+        )
     for option, node in needed.items():
         if node not in {entry.path for entry in chosen}:
             raise InputError(
@@ -284,37 +291,41 @@ def folder_of(arguments: argparse.Namespace) -> Path:
     return folder.expanduser().absolute()
 
 
-def _warn_of_sections(chosen: Sequence[nodes.NodeEntry], arguments: argparse.Namespace) -> None:
-    """Name the sections of the parameter file that are of no node."""
-    idle = nodes.without_effect(chosen, namespace_of(arguments), arguments.parameters)
-    if idle:
-        print(f"finger-rig: {idle}", file=sys.stderr)
+def _warn(chosen: Sequence[nodes.NodeEntry], arguments: argparse.Namespace) -> None:
+    """Name the sections of the parameter file that are of no node, and sensors of two fingers."""
+    for doubt in (nodes.without_effect, nodes.shared_sensors):
+        sentence = doubt(chosen, namespace_of(arguments), arguments.parameters)
+        if sentence:
+            print(f"finger-rig: {sentence}", file=sys.stderr)
 
 
 class ReadyLine:
-    """Finds in the nodes' output that all are ready, and where the page is.
+    """Finds in the nodes' output that all are ready, and where their pages are.
 
-    page: whether the operator's page is among the nodes.
+    pages: number of operator's pages among the nodes; fingers have one each.
     """
 
-    def __init__(self, page: bool) -> None:
-        self._page = page
-        self._address = ""
+    def __init__(self, pages: int) -> None:
+        self._pages = pages
+        self._addresses: dict[str, str] = {}
         self._active = False
 
     def take(self, text: str) -> str:
         """One line of output; returns what to print when it makes the rig ready, else ""."""
-        address = re.search(r"operator's page: (\S+)", text)
-        if address:
-            self._address = address[1]
+        found = re.search(r"(?:\[([\w.]*?)\.?page\]:? )?operator's page: (\S+)", text)
+        if found:
+            self._addresses[found[1] or ""] = found[2]
         elif ALL_ACTIVE in text:
             self._active = True
         else:
             return ""
-        if not self._active or (self._page and not self._address):
+        if not self._active or len(self._addresses) < self._pages:
             return ""
         self._active = False
-        return "all ready" + (f": page at {self._address}" if self._page else "")
+        if self._pages < 2:
+            return ": page at ".join(("all ready", *self._addresses.values()))
+        pages = (f"{name.rpartition('.')[2]} {url}" for name, url in self._addresses.items())
+        return "all ready: pages at " + ", ".join(pages)
 
 
 def _up(arguments: argparse.Namespace) -> int:
@@ -324,7 +335,7 @@ def _up(arguments: argparse.Namespace) -> int:
     boards, devices = nodes.simulated_boards(fingers(arguments) if arguments.simulated else ())
     chosen = entries(arguments, devices)
     lock = lock_folder(folder, "a rig")
-    _warn_of_sections(chosen, arguments)
+    _warn(chosen, arguments)
     specs = boards + nodes.process_specs(
         chosen,
         folder,
@@ -334,7 +345,7 @@ def _up(arguments: argparse.Namespace) -> int:
         realtime=arguments.realtime,
     )
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    ready = ReadyLine("page" in {entry.name for entry in chosen})
+    ready = ReadyLine(sum(entry.name == "page" for entry in chosen))
 
     def line(name: str, text: str) -> None:
         supervisor.show(name, text)
@@ -420,7 +431,7 @@ def _calibrate(arguments: argparse.Namespace) -> int:
     folder = folder_of(arguments)
     lock = lock_folder(folder, "a rig") if arguments.simulated else None
     log = folder / "calibrate.log"
-    _warn_of_sections(chosen, arguments)
+    _warn(chosen, arguments)
     with tempfile.TemporaryDirectory() as own:
         names = namespace_of(arguments), arguments.parameters
         specs = nodes.process_specs(chosen, Path(own), *names)

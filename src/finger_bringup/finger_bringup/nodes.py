@@ -268,9 +268,9 @@ def check_fingers(fingers: Iterable[str]) -> list[str]:
     """The names; raises InputError for one that is no ROS name and for one that comes twice."""
     names = list(fingers)
     for name in names:
-        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
+        if not re.fullmatch(r"(?!.*__)[A-Za-z][A-Za-z0-9_]*", name):
             raise InputError(
-                f"finger '{name}' is no ROS name; use letters, digits and _, a letter first"
+                f"finger '{name}' is no ROS name; use letters, digits and single _, a letter first"
             )
         if names.count(name) > 1:
             raise InputError(f"finger '{name}' is named twice; give each finger its own name")
@@ -387,6 +387,43 @@ def without_effect(
         return ""
     sections = f"sections {', '.join(idle)} are" if len(idle) > 1 else f"section {idle[0]} is"
     return f"{parameter_file}: {sections} of no node that runs here, and without effect"
+
+
+SENSOR_ADDRESS = {
+    "netcanoem": ("can_interface", "can_channel", "can_options", "base_identifier"),
+    "netft": ("netft_host",),
+}
+"""Parameters of the node `force` that tell one sensor of a kind from another."""
+
+
+def shared_sensors(
+    entries: Iterable[NodeEntry], namespace: str, parameter_file: Path | None
+) -> str:
+    """A sentence that names the nodes of several fingers which read one sensor or one wrench, as
+    where a section was copied; empty where there are none.
+    """
+    file = {} if parameter_file is None else read_parameter_file(parameter_file)
+    readers: dict[str, list[str]] = {}
+    for entry in entries:
+        name = entry.full_name(namespace)
+        values: dict[str, Any] = {}
+        for section in (*(file[node] for node in file if matches(node, name)), entry.parameters):
+            values.update(section)
+        if entry.name == "model":
+            topic = str(values.get("wrench_topic", "wrench"))
+            own = f"{entry.namespace(namespace).rstrip('/')}/"
+            what = "wrench_topic " + (topic if topic.startswith("/") else own + topic)
+        elif entry.name == "force":
+            keys = SENSOR_ADDRESS.get(str(values.get("device", "netcanoem")))
+            if keys is None:
+                continue
+            what = ", ".join(f"{key} {values[key]}" for key in keys if key in values)
+            what = f"sensor ({what or 'the usual one'})"
+        else:
+            continue
+        readers.setdefault(what, []).append(f"'{name}'")
+    shared = [f"{', '.join(n)} read the same {what}" for what, n in readers.items() if len(n) > 1]
+    return "; ".join(shared) + "; give each finger its own" if shared else ""
 
 
 def settled(

@@ -137,6 +137,49 @@ def test_the_rigs_own_file_has_no_section_without_effect() -> None:
     assert nodes.without_effect(nodes.hand(["thumb"]), "hand", file) == ""
 
 
+@pytest.mark.parametrize(
+    ("sections", "says"),
+    [
+        ({"thumb/model": "{wrench_topic: /robot/ft}", "index/model": "{wrench_topic: /r/ft}"}, ""),
+        (
+            {"*/model": "{wrench_topic: /robot/ft}"},
+            "'/hand/thumb/model', '/hand/index/model' read the same wrench_topic /robot/ft; give",
+        ),
+        (
+            {"thumb/model": "{wrench_topic: /hand/index/wrench}"},
+            "read the same wrench_topic /hand/index/wrench; give each finger its own",
+        ),
+        (
+            {"*/force": "{can_channel: can0, base_identifier: 32}"},
+            "'/hand/thumb/force', '/hand/index/force' read the same sensor (can_channel can0, "
+            "base_identifier 32); give each finger its own",
+        ),
+        (
+            {"*/force": "{can_channel: can0}", "thumb/force": "{base_identifier: 33}"},
+            "",
+        ),
+        (
+            {"*/force": "{device: netft, netft_host: ft1}"},
+            "read the same sensor (netft_host ft1)",
+        ),
+        ({"*/force": "{device: of_somebody, netft_host: ft1}"}, ""),
+    ],
+)
+def test_two_fingers_on_one_sensor_are_named(
+    sections: dict[str, str], says: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "hand.yaml"
+    apart = {"index/force": "{base_identifier: 34}"} if "*/force" not in sections else {}
+    lines = {**sections, **apart}.items()
+    file.write_text("".join(f"/hand/{k}:\n  ros__parameters: {v}\n" for k, v in lines))
+    told = nodes.shared_sensors(nodes.hand(["thumb", "index"]), "hand", file)
+    assert says in told and bool(told) == bool(says)
+    assert nodes.shared_sensors(nodes.hand(["thumb"]), "hand", file) == ""
+    _, devices = nodes.simulated_boards(["thumb", "index"])
+    simulated = nodes.hand(["thumb", "index"], parameters=devices)
+    assert nodes.shared_sensors(simulated, "hand", None) == ""
+
+
 def test_fingers_have_folders_and_frames_of_their_own(tmp_path: Path) -> None:
     assert folder_of(parser().parse_args(["up"])) == Path("out/rig").absolute()
     assert namespace_of(parser().parse_args(["up", "--namespace", ""])) == ""  # the global one
@@ -161,6 +204,9 @@ def test_an_option_of_the_command_is_the_last_word(tmp_path: Path) -> None:
     nodes.process_specs(entries(parser().parse_args(arguments[:4])), tmp_path)
     assert "port" not in written(tmp_path)["page"]
     assert "seed" not in written(tmp_path)["simulated_rig"]
+    arguments = ["up", "--fingers", "thumb", "--nodes", "force", "page", "--port", "9001"]
+    nodes.process_specs(entries(parser().parse_args(arguments)), tmp_path, parameter_file=own)
+    assert written(tmp_path)["page"]["port"] == 9001
 
 
 @pytest.mark.parametrize(
@@ -197,6 +243,7 @@ def test_a_file_that_is_no_parameter_file_is_named(tmp_path: Path, text: str, sa
         (["up", "--namespace", "2nd"], "namespace '2nd' is not one of ROS; use letters"),
         (["up", "--namespace", "hand//thumb"], "namespace 'hand//thumb' is not one of ROS"),
         (["up", "--namespace", "my rig"], "namespace 'my rig' is not one of ROS"),
+        (["up", "--namespace", "my__rig"], "namespace 'my__rig' is not one of ROS"),
         (["up", "--seed", "2"], "--seed is for the node 'simulated_rig', which would not run"),
         (["up", "--port", "9001", "--without", "page"], "--port is for the node 'page', which"),
         (["calibrate", "--subject", "S01"], "--folder is for a simulated rig; give --simulated"),
@@ -228,9 +275,20 @@ def test_the_ready_line_comes_once_all_are_active_and_the_page_is_served() -> No
         ([page, "x", active, page, active], ["", "", news, "", news]),
         ([active, page], ["", news]),
     ):
-        ready = ReadyLine(page=True)
+        ready = ReadyLine(pages=1)
         assert [ready.take(line) for line in lines] == says
-    assert ReadyLine(page=False).take(active) == "all ready"
+    assert ReadyLine(pages=0).take(active) == "all ready"
+
+
+def test_the_ready_line_names_the_pages_of_all_fingers() -> None:
+    ready = ReadyLine(pages=2)
+    pages = [
+        f"[INFO] [1.5] [hand.{finger}.page]: operator's page: http://127.0.0.1:{port}/"
+        for finger, port in (("thumb", 8080), ("index", 40001))
+    ]
+    says = [ready.take(line) for line in (pages[0], ALL_ACTIVE, pages[0], pages[1])]
+    news = "all ready: pages at thumb http://127.0.0.1:8080/, index http://127.0.0.1:40001/"
+    assert says == ["", "", "", news]
 
 
 def names(*arguments: str) -> list[str]:
@@ -331,9 +389,14 @@ def test_composed_nodes_are_one_process_and_the_others_stay_their_own(tmp_path: 
     ("arguments", "says"),
     [
         (["--fingers", "thumb", "2nd"], "finger '2nd' is no ROS name"),
+        (["--fingers", "thumb__2"], "finger 'thumb__2' is no ROS name; use letters, digits and"),
         (["--fingers", "thumb", "thumb"], "finger 'thumb' is named twice"),
         (["--fingers", "--without", "page"], "node 'page' would not run anyway"),
         (["--fingers", "--port", "9001"], "--port is for the node 'page', which would not run"),
+        (
+            ["--fingers", "thumb", "index", "--nodes", "page", "--port", "9001"],
+            "--port: the pages of several fingers cannot share a port",
+        ),
         (["--fingers", "--simulated", "--seed", "2"], "--seed is for the node 'simulated_rig'"),
         (["--fingers", "--lsl"], "--lsl exchanges the streams of one finger"),
         (["--fingers", "--realtime"], "--realtime is for the process of --compose; give both"),

@@ -19,10 +19,10 @@ def check_namespace(namespace: str) -> None:
     """Raise InputError for a namespace that ROS does not take; "" and "/" are the global one."""
     parts = namespace.strip("/").split("/") if namespace.strip("/") else []
     for part in parts:
-        if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", part):
+        if not re.fullmatch(r"(?!.*__)[A-Za-z_][A-Za-z0-9_]*", part):
             raise InputError(
-                f"namespace '{namespace}' is not one of ROS; use letters, digits and _ between "
-                "single slashes, and no digit at the beginning of a part"
+                f"namespace '{namespace}' is not one of ROS; use letters, digits and single _ "
+                "between single slashes, and no digit at the beginning of a part"
             )
 
 

@@ -102,7 +102,8 @@ class PageNode(ManagedNode):
         self._health = Health("page")
         self.healths = [self._health]
         self._normal_force = NormalForce(settings.normal_axis)
-        self._server = PageServer(settings, self._command, self.sample_time)
+        namespace = self.get_namespace()
+        self._server = PageServer(settings, self._command, self.sample_time, namespace)
         self.closing.callback(self._server.stop)
         kinds: dict[str, Any] = {c.service: Trigger for c in COMMANDS.values() if c.service}
         kinds |= {PARAMETERS: SetParameters, COMMANDS["moisture"].service: SetMoisture}

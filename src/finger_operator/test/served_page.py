@@ -13,6 +13,7 @@ from typing import Any
 
 import aiohttp
 
+from finger_common.namespaces import DEFAULT_NAMESPACE
 from finger_operator.page.server import PageServer
 from finger_operator.page.settings import PageSettings
 
@@ -20,9 +21,14 @@ from finger_operator.page.settings import PageSettings
 class Served:
     """A running server and the commands that reached it."""
 
-    def __init__(self, now: Callable[[], int] = time.time_ns, **settings: Any) -> None:
+    def __init__(
+        self,
+        now: Callable[[], int] = time.time_ns,
+        namespace: str = DEFAULT_NAMESPACE,
+        **settings: Any,
+    ) -> None:
         self.commands: list[tuple[str, dict[str, Any]]] = []
-        self.server = PageServer(PageSettings(port=0, **settings), self.command, now)
+        self.server = PageServer(PageSettings(port=0, **settings), self.command, now, namespace)
         self.server.start()
         self.host = f"127.0.0.1:{self.server.port}"
 

@@ -69,6 +69,23 @@ def test_operator_page_carries_the_token_and_loads_nothing_from_elsewhere(served
     run(body)
 
 
+@pytest.mark.parametrize(
+    ("namespace", "title"), [("/finger", "Finger rig"), ("/hand/thumb", "Finger rig hand/thumb")]
+)
+def test_the_title_tells_the_pages_of_fingers_apart(namespace: str, title: str) -> None:
+    served = Served(namespace=namespace)
+
+    async def body(session: aiohttp.ClientSession) -> None:
+        async with session.get(served.url()) as page:
+            text = await page.text()
+            assert f"<title>{title}</title>" in text and f"<h1>{title}</h1>" in text
+
+    try:
+        run(body)
+    finally:
+        served.server.stop()
+
+
 @pytest.mark.parametrize("host", ["evil.example", "evil.example:{port}", "", "[", ":{port}"])
 def test_requests_under_a_foreign_name_are_refused(served: Served, host: str) -> None:
     async def body(session: aiohttp.ClientSession) -> None:

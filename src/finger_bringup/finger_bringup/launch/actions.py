@@ -91,7 +91,7 @@ def node_actions(
     suite = value(context, "namespace")
     file = path(context, "parameters") if value(context, "parameters") else None
     entries = nodes.settled(entries, suite, file)
-    idle = nodes.without_effect(entries, suite, file)
+    doubts = (nodes.without_effect, nodes.shared_sensors)
     files = [] if file is None else [str(file)]
     together = [entry for entry in entries if compose and entry.composable]
 
@@ -131,7 +131,8 @@ def node_actions(
 
     alone = [(e, node) for e in entries if e not in together]
     shared = [(nodes.COMPOSED, composed)] if together else []
-    warnings: list[Action] = [LogInfo(msg=idle)] if idle else []
+    sentences = [doubt(entries, suite, file) for doubt in doubts]
+    warnings: list[Action] = [LogInfo(msg=sentence) for sentence in sentences if sentence]
     return warnings + [
         action
         for entry, make in (*alone, *shared)

@@ -36,6 +36,7 @@ from aiohttp.http_exceptions import HttpProcessingError
 
 from finger_common.errors import FingerError, InputError
 from finger_common.moisture import MOISTURE_RANGE
+from finger_common.namespaces import DEFAULT_NAMESPACE, own_name
 from finger_common.stamps import seconds
 
 from ..study_plan import PlanSettings
@@ -86,11 +87,15 @@ def to_json(message: Mapping[str, Any]) -> str:
         return json.dumps(known)
 
 
-def operator_page(token: str) -> str:
-    """The operator's page, its inputs limited as the parameters that they set."""
+def operator_page(token: str, finger: str = "") -> str:
+    """The operator's page, its inputs limited as the parameters that they set.
+
+    finger: name in the title, "" for none.
+    """
     text = (STATIC / "index.html").read_text(encoding="utf-8")
     low, high = MOISTURE_RANGE
     facts: dict[str, Any] = {"token": token, "moisture.minimum": low, "moisture.maximum": high}
+    facts["title"] = f"Finger rig {finger}".rstrip()
     for parameter in PlanSettings.parameters():
         facts[f"{parameter.name}.minimum"] = parameter.minimum
         facts[f"{parameter.name}.maximum"] = parameter.maximum
@@ -104,8 +109,8 @@ class PageServer:
     """Serves the page in a thread of its own.
 
     command: called in the server's thread with (name, arguments); returns an awaitable of (success,
-    sentence). now: time (ns) on the clock that stamps samples, called there too. The `publish…`
-    methods may be called from any thread.
+    sentence). now: time (ns) on the clock that stamps samples, called there too. namespace: of the
+    finger, for the title. The `publish…` methods may be called from any thread.
     """
 
     def __init__(
@@ -113,12 +118,14 @@ class PageServer:
         settings: PageSettings,
         command: Callable[[str, dict[str, Any]], Awaitable[tuple[bool, str]]],
         now: Callable[[], int] = time.time_ns,
+        namespace: str = DEFAULT_NAMESPACE,
     ) -> None:
         self.settings = settings
         self.token = settings.token or secrets.token_urlsafe(16)
         self.port = settings.port
         self._command = command
         self._now = now
+        self._finger = own_name(namespace, "/")
         self._allowed = {name for name in settings.allowed_hosts if name}
         self._browsers: set[Browser] = set()
         self._tasks: set[asyncio.Task[None]] = set()
@@ -272,7 +279,7 @@ class PageServer:
                 text="From another machine or port the operator's page needs ?token=… behind its "
                 "address, as the page node's log shows it; /participant needs no token.\n",
             )
-        return web.Response(text=operator_page(self.token), content_type="text/html")
+        return web.Response(text=operator_page(self.token, self._finger), content_type="text/html")
 
     async def _participant_page(self, request: web.Request) -> web.Response:
         text = (STATIC / "participant.html").read_text(encoding="utf-8")
