@@ -5,11 +5,11 @@
 
     python scripts/pose_linear.py TABLE
 
-writes a row for each finger, pose and depth of contact, of fingers all over the population box.
-What a contact costs in the three-dimensional model (`scripts/pose_truth.py`) buys a hundred of
-these. `scripts/pose_correction.py` learns from them how finger and pose act, and from the few of
-the truth what large strain adds. A table that is there already is continued, so that a run may be
-broken off; `--part 0 2` and `--part 1 2` are two halves for two processes with a table each.
+writes a row for each finger, pose and depth of contact, of fingers all over the population box. A
+pose costs some 0.4 s where the three-dimensional model (`scripts/pose_truth.py`) takes 20.
+`scripts/pose_correction.py` learns from them how finger and pose act, and from the few of the truth
+what large strain adds. A table that is there already is continued, so that a run may be broken off;
+`--part 0 2` and `--part 1 2` are two halves for two processes with a table each.
 
 The mesh is that of the truth, strains are small, there is no friction. The finger is condensed onto
 the skin near the plate once; contacts of growing indentation are then found in that matrix by
@@ -18,9 +18,8 @@ exchanging nodes until none pulls and none penetrates.
 
 from __future__ import annotations
 
-import argparse
-import csv
 import math
+from collections.abc import Iterator
 from dataclasses import astuple, fields
 from pathlib import Path
 
@@ -30,8 +29,10 @@ from pose_truth import (
     box_fingers,
     center_of_pressure,
     exchanged,
+    fill,
     material,
     mesh_of,
+    parser_of,
     random_pose,
 )
 from scipy.linalg import cho_factor, cho_solve, inv
@@ -61,7 +62,7 @@ EDGE = 0.7
 EXCHANGES = 80
 FAR = 10.0
 """Where skin is held that cannot touch, over half the pad's width."""
-FINGERS = 2000
+FINGERS = 1375
 KINDS = ("pitch", "roll"), ("pitch", "level", "roll"), ("both", "roll"), ("pitch", "both")
 """Of the poses of fingers in turn."""
 
@@ -157,38 +158,20 @@ def rows_of(finger: Finger, poses: list[Pose]) -> list[list[float]]:
     return rows
 
 
+def cases() -> Iterator[tuple[Finger, list[Pose]]]:
+    """Fingers with their poses, without end."""
+    for finger in box_fingers(SEED, 0):
+        rng = np.random.default_rng([SEED, finger.number])
+        yield finger, [random_pose(rng, kind) for kind in KINDS[finger.number % len(KINDS)]]
+
+
 def main() -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = parser_of(__doc__.splitlines()[0], str(FINGERS))
     parser.add_argument("table", type=Path)
-    parser.add_argument("--fingers", type=int, default=FINGERS, help="(default: %(default)s)")
-    parser.add_argument(
-        "--part",
-        type=int,
-        nargs=2,
-        default=(0, 1),
-        metavar=("K", "N"),
-        help="only fingers whose number divided by N leaves K",
-    )
     arguments = parser.parse_args()
-    done = -1
-    if arguments.table.exists():
-        with arguments.table.open() as file:
-            done = max((int(row["number"]) for row in csv.DictReader(file)), default=-1)
-    else:
-        arguments.table.write_text(",".join(COLUMNS) + "\n")
-    part, parts = arguments.part
-    for finger in box_fingers(SEED, 0):
-        if finger.number >= arguments.fingers:
-            break
-        if finger.number <= done or finger.number % parts != part:
-            continue
-        rng = np.random.default_rng([SEED, finger.number])
-        kinds = KINDS[finger.number % len(KINDS)]
-        rows = rows_of(finger, [random_pose(rng, kind) for kind in kinds])
-        with arguments.table.open("a", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerows([[f"{value:.5g}" for value in row] for row in rows])
+    number = arguments.fingers or FINGERS
+    fill(arguments.table, COLUMNS, number, arguments.part, cases(), rows_of)
 
 
 if __name__ == "__main__":

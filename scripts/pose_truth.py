@@ -26,7 +26,7 @@ import argparse
 import csv
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import astuple, dataclass, fields, replace
 from pathlib import Path
@@ -256,12 +256,10 @@ def rows_of(finger: Finger, poses: list[Pose]) -> list[list[float]]:
     return rows
 
 
-def main() -> None:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("which", choices=sorted(SEEDS))
-    parser.add_argument("table", type=Path)
-    parser.add_argument("--fingers", type=int, help="(default: those of the shipped table)")
+def parser_of(description: str, fingers: str) -> argparse.ArgumentParser:
+    """Options of a script that fills a table; fingers: how many there are by default."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--fingers", type=int, help=f"(default: {fingers})")
     parser.add_argument(
         "--part",
         type=int,
@@ -270,23 +268,45 @@ def main() -> None:
         metavar=("K", "N"),
         help="only fingers whose number divided by N leaves K",
     )
-    arguments = parser.parse_args()
+    return parser
+
+
+def fill(
+    table: Path,
+    columns: Sequence[str],
+    number: int,
+    part: tuple[int, int],
+    cases: Iterable[tuple[Finger, list[Pose]]],
+    rows: Callable[[Finger, list[Pose]], list[list[float]]],
+) -> None:
+    """Add the rows of the fingers below `number` of a part that the table has not yet."""
     done = set()
-    if arguments.table.exists():
-        with arguments.table.open() as file:
+    if table.exists():
+        with table.open() as file:
             done = {int(row["number"]) for row in csv.DictReader(file)}
     else:
-        arguments.table.write_text(",".join(COLUMNS) + "\n")
-    for finger, poses in fingers(arguments.which):
-        if finger.number >= (arguments.fingers or FINGERS[arguments.which]):
+        table.write_text(",".join(columns) + "\n")
+    rest, parts = part
+    for finger, poses in cases:
+        if finger.number >= number:
             break
-        part, parts = arguments.part
-        if finger.number in done or finger.number % parts != part:
+        if finger.number in done or finger.number % parts != rest:
             continue
-        rows = rows_of(finger, poses)
-        with arguments.table.open("a", newline="") as file:
+        found = rows(finger, poses)
+        with table.open("a", newline="") as file:
             writer = csv.writer(file, lineterminator="\n")
-            writer.writerows([[f"{value:.5g}" for value in row] for row in rows])
+            writer.writerows([[f"{value:.5g}" for value in row] for row in found])
+
+
+def main() -> None:
+    """Command line."""
+    parser = parser_of(__doc__.splitlines()[0], "those of the shipped table")
+    parser.add_argument("which", choices=sorted(SEEDS))
+    parser.add_argument("table", type=Path)
+    arguments = parser.parse_args()
+    which = arguments.which
+    number = arguments.fingers or FINGERS[which]
+    fill(arguments.table, COLUMNS, number, arguments.part, fingers(which), rows_of)
 
 
 if __name__ == "__main__":
