@@ -198,7 +198,7 @@ class Stepper:
                     self.state.crept, ahead * (time - start.time), load, end
                 )
                 goal = min(goal, done + allowed * ahead)
-            if goal > 1.0 - 1e-9:
+            if 1.0 - goal < 0.1 * (goal - done):
                 goal = 1.0
             part = target._replace(value=begin + goal * (end - begin))
             instant = start.time + goal * (time - start.time)
