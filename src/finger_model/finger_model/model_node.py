@@ -21,35 +21,29 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import rclpy
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import WrenchStamped
 from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.serialization import deserialize_message
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from finger_common.cli import one_line
-from finger_common.diagnostics import ERROR, OK, WARN, Health
+from finger_common.diagnostics import WARN, Health
 from finger_common.errors import FingerError
 from finger_common.flags import StateFlag
 from finger_common.moisture import MOISTURE_TEXT, is_moisture
 from finger_common.node import (
     EVENTS_QOS,
     LATCHED_QOS,
-    STATE_QOS,
     FixedMessage,
     Listeners,
     LocalSubscription,
     ManagedNode,
-    PolledSubscription,
     WaitedSubscription,
     main_of,
     message_of,
 )
-from finger_common.parameter_values import parameter_values
 from finger_common.settings import Settings, setting
 from finger_common.stamps import seconds
 from finger_msgs.msg import (
@@ -59,13 +53,12 @@ from finger_msgs.msg import (
     ContactState,
     ModelEvent,
     Moisture,
-    SessionStatus,
     Trial,
 )
 from finger_msgs.srv import ForceForArea, PredictContact
 
-from .anthropometry import GeometryEstimate, session_estimate
-from .calibration import CalibrationPress
+from .anthropometry import GeometryEstimate
+from .calibration import Calibration, CalibrationPress
 from .estimator import ContactEstimate, ContactEstimator, EstimatorEvent, EstimatorSettings
 from .estimator.estimator import FUTURE
 from .estimator.events import ANOTHER_SUBJECT
@@ -87,12 +80,13 @@ from .messages import (
     torque_of,
     wrench_of,
 )
+from .node.calibration import LiveCalibration
 from .parameter_sets import ParameterSets
 from .pose.estimator import MeasuredOutline
 from .pose.settings import PoseSettings
 from .reduced.model import ReducedModel, load_population
 from .slip import SlipSettings
-from .subject_calibration import PressCollector, fit_subject, keep_subject, why_refused
+from .subject_calibration import fit_subject
 from .subjects import subject_file
 from .warm_up import warm_up
 from .wrench_watch import WrenchWatch
@@ -251,10 +245,8 @@ class ModelNode(ManagedNode):
         self._entities: list[tuple[Any, Any]] = []
         self._jump_handle: Any = None
         self._subject = ""
-        self._collector = PressCollector()
-        self._calibration: threading.Thread | None = None
+        self._calibration = LiveCalibration(self, self._fit_subject, self._use_calibration)
         self._preparation: threading.Thread | None = None
-        self._plan: Any = None
 
     # Lifecycle -------------------------------------------------------------------------------
 
@@ -302,10 +294,6 @@ class ModelNode(ManagedNode):
         )
         self._entities.append((self.destroy_subscription, kept))
         trial = self.create_stream_subscription(Trial, "trial", self._on_trial, LATCHED_QOS)
-        self._protocol = PolledSubscription(self, SessionStatus, "protocol/status", STATE_QOS)
-        self._calibration_publisher = self.create_publisher(
-            DiagnosticStatus, "calibration", STATE_QOS
-        )
         services = (
             self.create_service(Trigger, "~/reset", self._on_reset),
             self.create_service(Trigger, "~/new_surface", self._on_new_surface),
@@ -318,8 +306,7 @@ class ModelNode(ManagedNode):
             (self.destroy_publisher, self._shape_publisher),
             (self.destroy_publisher, self._event_publisher),
             (self.destroy_subscription, trial),
-            (PolledSubscription.destroy, self._protocol),
-            (self.destroy_publisher, self._calibration_publisher),
+            *self._calibration.open(),
             *((self.destroy_service, service) for service in services),
         ]
         self._jump_handle = self.get_clock().create_jump_callback(
@@ -340,7 +327,7 @@ class ModelNode(ManagedNode):
         """Begin with a finger at rest."""
         assert self._model is not None
         self._follow_wrench()
-        self._collector = PressCollector()
+        self._calibration.forget()
         self._run = self._new_run(self._sets_of(self._subject))
         if self._reading is not None:
             self._run.estimator.add_moisture(*self._reading)
@@ -356,9 +343,7 @@ class ModelNode(ManagedNode):
 
     def cleanup(self) -> None:
         """Disconnect."""
-        if self._calibration is not None:
-            self._calibration.join()
-            self._calibration = None
+        self._calibration.wait()
         if self._local is not None:
             self._local.close()
             self._local = None
@@ -487,11 +472,12 @@ class ModelNode(ManagedNode):
                 if last is not None and stamp <= last:
                     self._publish_event(estimator.clock_jump_event(stamp))
             estimates = estimator.add_wrench(stamp, force)
+            presses = self._calibration.collector
             run.watch.add(stamp, frame, not estimates)
             for estimate in estimates:
                 run.watch.see(estimate.stamp_ns, estimate.normal_force, estimate.lateral_force)
-                if self._collector.collecting:
-                    self._collector.add_force(estimate.stamp_ns, estimate.normal_force)
+                if presses.collecting:
+                    presses.add_force(estimate.stamp_ns, estimate.normal_force)
                 texts = frame, estimate.parameter_set
                 self._state_publisher.publish(self._pack_state(texts, state_numbers(estimate)))
                 now = time.time_ns()
@@ -530,8 +516,8 @@ class ModelNode(ManagedNode):
                 return
             run.area_received = True
             area = area_of(message)
-            if self._collector.collecting:
-                self._collector.add_area(*area)
+            if self._calibration.collector.collecting:
+                self._calibration.collector.add_area(*area)
             used = run.estimator.add_area(*area, live=True)
             silent = self._force_is_silent(run)
             if not silent:
@@ -583,8 +569,8 @@ class ModelNode(ManagedNode):
             if run is None:
                 return
             estimator = run.estimator
-            if self._collector.collecting:
-                self._collector.add_moisture(reading[1])
+            if self._calibration.collector.collecting:
+                self._calibration.collector.add_moisture(reading[1])
             before = 0.0 if run.first_stamp is None else seconds(run.first_stamp - reading[0])
             if estimator.moisture is None and 0.0 < before < self.values["moisture_stale_after"]:
                 # Kept for late joiners, but it came after the first force.
@@ -611,45 +597,10 @@ class ModelNode(ManagedNode):
             run = self._running
             if run is None:
                 return
-            self._collector.rejected_flags = run.estimator.settings.rejected_area_flags
-            if self._collector.begins(message.session, message.condition):
-                # Before somebody presses for it in vain.
-                folder = self.values["subjects_folder"]
-                reason = why_refused(message.index, message.phase, message.note, folder)
-                if reason:
-                    self._refuse_calibration(message, reason)
-            of_trial = message.session, message.condition, message.index, message.attempt
-            if not self._collector.announce(*of_trial, message.phase):
-                return
-            presses, moisture = self._collector.presses(), self._collector.moisture()
-            if self._calibration is not None and self._calibration.is_alive():
-                self._refuse_calibration(message, "the one before is still being computed")
-                return
-            arguments = message, presses, moisture, self._sets
-            self._calibration = threading.Thread(
-                target=self._calibrate, args=arguments, name="calibration", daemon=True
-            )
-            self._calibration.start()
-
-    def _refuse_calibration(self, message: Trial, reason: str) -> None:
-        self.get_logger().error(f"subject {message.subject} not calibrated: {reason}")
-        self._tell(message, ERROR, reason, {})
-
-    def _tell(self, message: Trial, level: int, text: str, values: dict[str, str]) -> None:
-        """Publish what became of the calibration that a trial belongs to."""
-        status = DiagnosticStatus(level=bytes([level]), name=message.subject, message=text)
-        status.hardware_id = message.session
-        status.values = [KeyValue(key=key, value=value) for key, value in values.items()]
-        if rclpy.ok(context=self.context):
-            self._calibration_publisher.publish(status)
-
-    def _calipers_of(self, session: str) -> GeometryEstimate | None:
-        """What calipers told of the finger of a session, as the protocol node's status has it."""
-        for raw, _ in self._protocol.take():
-            self._plan = deserialize_message(raw, SessionStatus)
-        if self._plan is None or self._plan.session != session:
-            return None
-        return session_estimate(parameter_values(self._plan.plan))
+            assert self._sets is not None
+            rejected = run.estimator.settings.rejected_area_flags
+            self._calibration.collector.rejected_flags = rejected
+            self._calibration.hear(message, self._sets)
 
     def _sets_of(self, subject: str) -> ParameterSets:
         """The subject's own parameters, or else those of `parameter_file`."""
@@ -700,33 +651,23 @@ class ModelNode(ManagedNode):
             estimator.add_moisture(*self._reading)
         run.begin_anew(estimator, reason)
 
-    def _calibrate(
+    def _fit_subject(
         self,
-        message: Trial,
+        sets: ParameterSets,
         presses: list[CalibrationPress],
         moisture: float | None,
-        sets: ParameterSets,
-    ) -> None:
-        """Fit the presses, take the result live and save it; in a thread of its own."""
-        began, subject = time.monotonic(), message.subject
-        try:
-            calipers, run = self._calipers_of(message.session), self._run
-            pose = None if run is None else run.estimator.pose_correction
-            settings = self.settings(EstimatorSettings)
-            model = self._model_of(sets)
-            found = fit_subject(model, sets, presses, moisture, settings, calipers, pose)
-            taken = time.monotonic() - began
-            with self._lock:
-                if self.active and self._subject == subject:
-                    self._use_sets(found.sets, f"calibration of subject {subject}", forget=False)
-            answer = keep_subject(self.values["subjects_folder"], subject, found, taken)
-        except Exception as error:
-            reason = one_line(error) if isinstance(error, FingerError) else repr(error)
-            self._refuse_calibration(message, reason)
-            return
-        told = f"{answer.sentence}; {answer.place}"
-        self.get_logger().info(f"subject {subject} calibrated: {told}")
-        self._tell(message, OK if answer.kept else WARN, answer.message, answer.values)
+        calipers: GeometryEstimate | None,
+    ) -> Calibration:
+        run = self._run
+        pose = None if run is None else run.estimator.pose_correction
+        settings = self.settings(EstimatorSettings)
+        model = self._model_of(sets)
+        return fit_subject(model, sets, presses, moisture, settings, calipers, pose)
+
+    def _use_calibration(self, subject: str, sets: ParameterSets) -> None:
+        with self._lock:
+            if self.active and self._subject == subject:
+                self._use_sets(sets, f"calibration of subject {subject}", forget=False)
 
     def _on_jump(self, jump: Any) -> None:
         if self._run is not None:
