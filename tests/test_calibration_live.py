@@ -18,6 +18,7 @@ rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
 from geometry_msgs.msg import WrenchStamped  # noqa: E402
 from rcl_interfaces.srv import SetParameters  # noqa: E402
+from rclpy.duration import Duration  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 from service_calls import call  # noqa: E402
@@ -75,7 +76,9 @@ class Rig:
             rclpy.spin_once(self.node, timeout_sec=0.02)
 
     def settle(self, seconds: float = 0.5) -> None:
-        """Spin for messages that have no answer."""
+        """Spin for messages that have no answer, once the node has them."""
+        for publisher in (self.trial, self.status, self.area, self.wrench):
+            assert publisher.wait_for_all_acked(Duration(seconds=120))
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             rclpy.spin_once(self.node, timeout_sec=0.02)
@@ -107,6 +110,7 @@ class Rig:
                 message = ContactArea(gross_area=float(areas[k]), area_stddev=1e-6)
                 fill_time(message.header.stamp, T0 + round((start + at[k]) * 1e9))
                 self.area.publish(message)
+        self.settle()
         for instant, value in zip(at, force):
             self.sample(T0 + round((start + instant) * 1e9), float(value))
         self.until(lambda: self.states >= before + len(at))
