@@ -50,13 +50,14 @@ COUNTED_FORCE = 0.1
 @dataclass(frozen=True)
 class Press:
     """Truth of one press: time since the session's start (n,) in s, force (n,) in N, area (n,) in
-    m² and the press's own factor in it."""
+    m² and the press's own factor in it, peak pressure (n,) in Pa."""
 
     kind: str
     time: np.ndarray
     force: np.ndarray
     area: np.ndarray
     gain: float
+    peak: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -97,16 +98,17 @@ def session_of(seed: int, index: int, full_order: bool = False) -> Session:
         forces.append(force)
         at = times[-1][-1]
     if full_order:
-        areas = _full_order(person, times, forces)
+        tables = _full_order(person, times, forces)
     else:
         model = load_population(person.geometry).for_material(person.material)
         constants = model.constants(person.material)
-        state, areas, before = model.state_at_rest(constants), [], 0.0
+        state, tables, before = model.state_at_rest(constants), [], 0.0
         for time, force in zip(times, forces):
-            areas.append(model.follow(constants, state, time, force, before)[:, 0])
+            tables.append(model.follow(constants, state, time, force, before)[:, [0, 2]])
             before = time[-1]
     presses = [
-        Press(k, t, f, g * a, float(g)) for k, t, f, a, g in zip(KINDS, times, forces, areas, gains)
+        Press(k, t, f, g * a[:, 0], float(g), a[:, 1] / g)
+        for k, t, f, a, g in zip(KINDS, times, forces, tables, gains)
     ]
     return Session(
         person, tuple(presses), np.nan if index % 2 else person.reading, 7919 * seed + index
@@ -116,14 +118,15 @@ def session_of(seed: int, index: int, full_order: bool = False) -> Session:
 def _full_order(
     person: Person, times: list[np.ndarray], forces: list[np.ndarray]
 ) -> list[np.ndarray]:
-    """Areas of the presses by the full-order model, in steps of 20 ms."""
+    """Areas and peak pressures (n, 2) of the presses by the full-order model, every 20 ms."""
     stepper = FullOrderModel(person.geometry).start(person.material, 0.0)
-    areas = []
+    tables = []
     for time, force in zip(times, forces):
         knots = np.unique(np.append(np.arange(0, len(time), 2), len(time) - 1))
-        found = [stepper.step(float(time[i]), float(force[i])).area for i in knots]
-        areas.append(np.interp(time, time[knots], found))
-    return areas
+        found = [stepper.step(float(time[i]), float(force[i])) for i in knots]
+        columns = [p.area for p in found], [p.peak_pressure for p in found]
+        tables.append(np.column_stack([np.interp(time, time[knots], c) for c in columns]))
+    return tables
 
 
 def run_session(
@@ -171,11 +174,12 @@ def run_session(
 
 def states_of(
     session: Session, covariance: np.ndarray, mean: np.ndarray
-) -> tuple[np.ndarray, float]:
+) -> tuple[np.ndarray, float, np.ndarray]:
     """The finger states (5,) that describe the areas of a session best, and what they leave.
 
     By Gauss and Newton from a prior; the model is that of the true moisture. What they leave is the
-    deviation of the logarithm of the area about each press's own mean.
+    deviation of the logarithm of the area about each press's own mean, and the logarithm (n,) of
+    the peak over the mean pressure, against that of the model.
     """
     model = ReducedModel.load()
     sets = ParameterSets.default()
@@ -189,7 +193,7 @@ def states_of(
         finger = np.concatenate([model.state_at_rest(base)] * len(constants))
         records = (model.networks, base, constants, finger, model.work)
         members.place_all(*records, near)
-        rows, values, weights, residuals, before = [], [], [], [], 0.0
+        rows, values, weights, residuals, peaks, before = [], [], [], [], [], 0.0
         for press in session.presses:
             table = np.empty((len(press.time), 3 + 2 * members.DIRECTIONS))
             members.follow(
@@ -213,12 +217,14 @@ def states_of(
             # As accurate as some ten frames a second with the misfit of a few per cent.
             weights.append(np.full(len(y), 1.0 / (0.1 / KNOT * 0.03**2)))
             residuals.append(y - h @ x)
+            model_peak = table[use, 0] * table[use, 2]
+            peaks.append(np.log(press.area[use] * press.peak[use] / model_peak))
         h, y, w = np.vstack(rows), np.concatenate(values), np.concatenate(weights)
         left = rms(np.concatenate([r - r.mean() for r in residuals]))
         inverse = np.linalg.inv(covariance)
         x = np.linalg.solve(h.T @ (w[:, None] * h) + inverse, h.T @ (w * y) + inverse @ mean)
         x[2:] = np.clip(x[2:], -1.5 * np.array(members.LIMITS), 1.5 * np.array(members.LIMITS))
-    return x, left
+    return x, left, np.concatenate(peaks)
 
 
 def derive_prior(seed: int, number: int) -> FingerPrior:
@@ -226,19 +232,25 @@ def derive_prior(seed: int, number: int) -> FingerPrior:
     mean, covariance = np.zeros(5), np.diag([0.25, 0.06, 0.3, 0.7, 0.4]) ** 2
     sessions = [session_of(seed, index) for index in range(number)]
     left: list[float] = []
+    peaks: list[np.ndarray] = []
     for _ in range(2):
         found = [states_of(session, covariance, mean) for session in sessions]
-        x, left = np.array([f[0] for f in found]), [f[1] for f in found]
+        states, left, peaks = zip(*found)
+        x = np.array(states)
         mean, covariance = x.mean(axis=0), np.cov(x.T)
         print("mean", mean.round(3), "deviations", np.sqrt(np.diag(covariance)).round(3))
         print("left", np.percentile(left, [10, 50, 90]).round(4))
     people = People.default()
+    peak_mean = float(np.mean([peak.mean() for peak in peaks]))
+    peak_sd = rms(np.array([rms(peak - peak_mean) for peak in peaks]))
     return FingerPrior(
         tuple(mean.round(4).tolist()),
         tuple(map(tuple, covariance.round(5).tolist())),
         round(float(np.median(left)), 4),
         people.moisture_sd,
         people.reading_sd,
+        round(peak_mean, 3),
+        round(peak_sd, 3),
     )
 
 

@@ -8,7 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from finger_model.estimator import ContactEstimator
+from finger_model.parameter_sets import ParameterSets
 from finger_model.people import People
+from finger_model.reduced import ReducedModel
 from finger_model.reduced.population import check_geometry
 
 FIGURES = {
@@ -86,3 +89,17 @@ def test_the_whole_table(script: Any) -> None:
         assert 90.0 <= found[name] <= 99.0
     for name in ("camera fingers", "none fingers"):
         assert found[name] >= 90.0
+
+
+def test_the_peak_pressure_is_as_uncertain_as_fingers_differ_in_it(script: Any) -> None:
+    """Peak over mean pressure of drawn fingers, beside the model of the default finger."""
+    prior = ParameterSets.default().prior
+    assert prior is not None
+    mean, covariance = np.array(prior.mean), np.array(prior.covariance)
+    found = [script.states_of(script.session_of(3, i), covariance, mean)[2] for i in range(8)]
+    off = np.array([script.rms(peak - prior.peak_mean) for peak in found])
+    assert 0.5 * prior.peak_sd < script.rms(off) < 1.5 * prior.peak_sd
+    estimator = ContactEstimator(ReducedModel.load())
+    estimate = [estimator.add_wrench(k * 10**7, (0.0, 0.0, -0.01 * k))[0] for k in range(100)][-1]
+    own = estimate.peak_pressure_stddev / estimate.peak_pressure
+    assert own**2 > prior.peak_sd**2 + (estimate.area_stddev / estimate.area) ** 2

@@ -151,7 +151,8 @@ def _add_calibrate(commands: Any) -> None:
             "node at once. It is kept as SUBJECT.yaml in the model node's subjects_folder and is "
             "used whenever a session of this subject begins. With --width, the fit takes the "
             "lengths that 'finger-model geometry' makes of the readings, and SUBJECT.yaml carries "
-            "them. Ctrl-C aborts; nothing is written."
+            "them. Ctrl-C during the presses ends the session, and nothing is written; after the "
+            "last press the model node fits and keeps them anyway."
         ),
         example=(
             "finger-rig calibrate --subject S01\n"
