@@ -11,6 +11,7 @@ import re
 import sys
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -119,7 +120,7 @@ def _print_info(data: dict[str, Any]) -> None:
 
 
 def _validate(args: argparse.Namespace) -> int:
-    from .validate import validate
+    from .validate import fingers, validate
 
     settings = read_settings_from(args, ReadSettings)
     results = []
@@ -133,7 +134,8 @@ def _validate(args: argparse.Namespace) -> int:
         print(f"finger-bag: left out, as they are no bags: {names}", file=sys.stderr)
     for bag in find_bags(bags):
         try:
-            results.append(validate(bag, settings))
+            for namespace in fingers(bag, settings):
+                results.append(validate(bag, replace(settings, namespace=namespace)))
         except InputError as error:
             # One unreadable bag does not hide what is known of the others.
             if len(bags) == 1 and not results:
@@ -146,14 +148,14 @@ def _validate(args: argparse.Namespace) -> int:
         console = _console()
         colours = {"ok": "green", "note": "yellow", "fail": "red"}
         for result in results:
-            title = Text(plain(result.bag))
+            title = Text(plain(" ".join(filter(None, (result.bag, result.namespace)))))
             table = Table("check", "", "found", title=title, box=None, pad_edge=False)
             for check in result.checks:
                 colour = colours[check.status]
                 status = Text(check.status, colour)
                 table.add_row(Text(plain(check.name)), status, Text(plain(check.detail)))
             console.print(table)
-            console.print("fit for use" if result.fit else "[red]not fit for use as it is[/]")
+            console.print(Text(result.verdict, "" if result.fit else "red"))
     if unreadable:
         return 2
     return 0 if all(r.fit for r in results) else EXIT_CHECK_FAILS

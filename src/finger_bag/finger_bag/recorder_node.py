@@ -25,7 +25,7 @@ from typing import Any
 from rclpy.qos import ReliabilityPolicy
 
 from finger_common.diagnostics import ERROR, WARN, Health
-from finger_common.errors import FingerError, InputError
+from finger_common.errors import FingerError, InputError, listed
 from finger_common.files import read_bytes
 from finger_common.interface_text import message_text
 from finger_common.node import LATCHED_QOS, ManagedNode, PolledSubscription, main_of
@@ -37,7 +37,7 @@ from finger_msgs.srv import Record
 
 from .cdr_layout import stamp_of_cdr
 from .definitions import type_hash
-from .recorder import Recorder, RecorderSettings, Serialized
+from .recorder import Recorder, RecorderSettings, RecordingResult, Serialized
 from .schema import CALIBRATION_ATTACHMENT, TOPICS, SessionMetadata, spec_of
 from .stamp_gaps import StampGaps
 
@@ -89,6 +89,8 @@ class SessionSettings(Settings):
 
 _REMINDER = 10.0
 """s between error messages while an interrupted recording is not resumed."""
+_PATIENCE = 5.0
+"""s of a recording after which it is told that nothing comes."""
 _LONGEST_DELAY = 60.0
 """s that a message waits at most between its arrival and being taken."""
 
@@ -184,6 +186,7 @@ class RecorderNode(ManagedNode):
         self._health.notes["minimum_free"] = str(self.values["minimum_free"])
         self._lost_told = 0
         """Messages lost in the newest warning."""
+        self._started = 0.0
         self._pauses = Pauses(1.0, 3.0)
         self._next_attempt = self._last_attempt = self._next_reminder = 0.0
         self.create_service(Record, "~/record", self._on_record)
@@ -299,10 +302,15 @@ class RecorderNode(ManagedNode):
         if sum(lost.values()) > self._lost_told:
             self._lost_told = sum(lost.values())
             self.log_fault(self._health, "lost", f"messages lost: {notes['lost']}", WARN)
-        if text := self._without_force(recorder.counts):
-            self.log_fault(self._health, "force", text, WARN)
-        else:
-            self._health.recovered("force")
+        expected = recorder.recording and time.monotonic() - self._started > _PATIENCE
+        for key, text in (
+            ("force", self._without_force(recorder.counts)),
+            ("nothing", self._nothing_came(recorder.counts) if expected else ""),
+        ):
+            if text:
+                self.log_fault(self._health, key, text, WARN)
+            else:
+                self._health.recovered(key)
 
     def _without_force(self, counts: dict[str, int]) -> str:
         """Sentence on a wrench that did not come although contact states made of it did, or ""."""
@@ -316,6 +324,30 @@ class RecorderNode(ManagedNode):
                     f"'name={TOPICS[last].type}'"
                 )
         return ""
+
+    def _nothing_came(self, counts: dict[str, int]) -> str:
+        """Sentence on a recording without any stream, and where there are some, or ""."""
+        streams = [
+            topic.name
+            for topic in self._topics.values()
+            if not topic.is_latched and topic.name not in TOPICS
+        ]
+        came = counts.keys() & {n for name in streams for n in (name, f"{name}/compressed")}
+        if not streams or any(counts[name] for name in came):
+            return ""
+        text = f"nothing came on {listed(streams, 3)}: "
+        if any(map(self.count_publishers, streams)):
+            return text + "they are published, but nothing is sent; activate their nodes"
+        others = set()
+        for name, kinds in self.get_topic_names_and_types():
+            spec = spec_of(name)
+            if spec is None or spec.latched or spec.name == name or spec.type not in kinds:
+                continue
+            if self.count_publishers(name):
+                others.add(name.removesuffix(f"/{spec.name}") or "/")
+        if others:
+            return text + f"they are published in {listed(sorted(others))}; record there"
+        return text + "nobody publishes such streams here; start the rig, in this ROS_DOMAIN_ID"
 
     def _follow_publishers(self) -> None:
         """Where every publisher offers it, reliable delivery costs nothing and loses nothing."""
@@ -380,7 +412,7 @@ class RecorderNode(ManagedNode):
                     result.error
                     or f"{result.message_count} messages recorded, {result.lost_count} lost"
                 )
-                if text := self._without_force(result.counts):
+                for text in self._doubts(result):
                     response.message += f"; {text}"
                 if result.error:
                     response.success = False
@@ -412,10 +444,11 @@ class RecorderNode(ManagedNode):
         self._check_middleware()
         if not self._recorder.started:  # else the start is refused, and these are of what runs
             for topic in self._topics.values():
-                topic.gaps = StampGaps() if topic.steady else None
+                topic.gaps = StampGaps(topic.rate) if topic.steady else None
             self._lost_told = 0
             for key in ("recording", "interrupted", "lost"):
                 self._health.recovered(key)
+            self._started = time.monotonic()
         started = self._recorder.start(
             target, SessionMetadata.from_mapping(session), topics, attachments, self._definitions
         )
@@ -442,11 +475,11 @@ class RecorderNode(ManagedNode):
             for message in topic.latched:
                 self._recorder.put(message._replace(log_time_ns=now))
 
-    def _finish(self) -> Any:
+    def _finish(self) -> RecordingResult:
         self._poll()
         self._check_middleware()
         result = self._recorder.stop()
-        missing, forceless = self._missing(), self._without_force(result.counts)
+        missing, doubts = self._missing(), self._doubts(result)
         self._note_bag()
         # What is wrong with a bag that is closed keeps no other one from being begun.
         self._health.recovered("recording")
@@ -461,9 +494,16 @@ class RecorderNode(ManagedNode):
             f"recorded {result.message_count} messages into {result.path}, "
             f"{result.lost_count} lost" + (f", stamps missing: {missing}" if missing else "")
         )
-        if forceless:
-            self.get_logger().warning(forceless)
+        for text in doubts:
+            self.get_logger().warning(text)
         return result
+
+    def _doubts(self, result: RecordingResult) -> list[str]:
+        """What makes a bag of little use that was recorded as it should be."""
+        nothing = "" if result.error else self._nothing_came(result.counts)
+        if nothing:
+            self.exit_code = 1
+        return [text for text in (self._without_force(result.counts), nothing) if text]
 
     def _end_bag(self) -> None:
         """Finish the bag that was started, if there is one."""

@@ -10,8 +10,14 @@ from statistics import median
 
 _BATCH = 250
 """Steps judged together; many more than a catch-up or a burst at the start holds."""
-_GAP, _SHORT = 1.5, 0.75
-"""Steps, in periods, that are longer than a jittering one, and shorter."""
+_WITHIN = 100
+"""Messages in which a driver catches up; what they do not make up for is missing."""
+_EARLY = 0.25
+"""Periods by which the newest message may be early."""
+_DRIFT = 0.1
+"""Part of a delay that lasts which is taken for an error of the period, with each message."""
+_NEAR, _SHARE = 0.2, 0.2
+"""Steps this near the expected period, relatively, and the share of them that shows it."""
 _CLOCK_STEP = 1.0
 """s by which stamps may move against the time of arrival before their clock was stepped."""
 
@@ -19,18 +25,22 @@ _CLOCK_STEP = 1.0
 class StampGaps:
     """Counts messages that are missing between the stamps of a stream.
 
-    The period is the median of the last steps, in batches, so that a burst at the start does not
-    pass for the stream's period. A gap that the next messages make up for, as those of a driver
-    that catches up, misses nothing. Stamps that jump while no such time passes come from a clock
-    that was stepped; they are counted in `clock_steps`.
+    rate: expected, Hz; 0 where it is not known. The period is the median of the last steps, in
+    batches, so that a burst at the start does not pass for the stream's period. In a stream slowed
+    by gaps it is the expected one where enough steps still have it. A message may be late, and the
+    next ones make up for it, as those of a driver that catches up; what they do not make up for
+    soon is missing. Stamps that jump while no such time passes come from a clock that was stepped;
+    they are counted in `clock_steps`.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, rate: float = 0.0) -> None:
         self.clock_steps = 0
+        self._expected = 1e9 / rate if rate else 0.0
         self._recent: deque[int] = deque(maxlen=4 * _BATCH)
         self._batch: list[int] = []
         self._last: tuple[int, float] | None = None
-        self._missing, self._behind = 0, 0.0
+        self._missing, self._earliest = 0, 0.0
+        self._newest = deque([0.0], maxlen=_WITHIN)
 
     def add(self, stamp_ns: int, arrival: float) -> None:
         """Take the next stamp, and its arrival on a steady clock (s).
@@ -49,26 +59,34 @@ class StampGaps:
             self._batch.append(step)
             self._recent.append(step)
             if len(self._batch) == _BATCH:
-                self._missing, self._behind = self._judge()
+                self._missing, self._earliest, self._newest = self._judge()
                 self._batch = []
 
     @property
     def missing(self) -> int:
         """Messages missing so far."""
-        missing, behind = self._judge()
-        return missing + round(behind)
+        missing, earliest, newest = self._judge()
+        return missing + int(newest[-1] - earliest + _EARLY)
 
-    def _judge(self) -> tuple[int, float]:
-        """Messages missing, and those that may still be made up for, with the batch."""
-        missing, behind = self._missing, self._behind
-        period = median(self._recent) if self._batch else 0.0
+    def _period(self) -> float:
+        """ns"""
+        usual, expected = median(self._recent), self._expected
+        if usual > (1 + _NEAR) * expected > 0.0:
+            near = sum(abs(step - expected) < _NEAR * expected for step in self._recent)
+            if near >= _SHARE * len(self._recent):
+                return expected
+        return usual
+
+    def _judge(self) -> tuple[int, float, deque[float]]:
+        """Messages missing, with the batch; and, in periods by which messages lag behind one for
+        each, the least lag of what is not missing, and those of the last messages."""
+        missing, earliest, newest = self._missing, self._earliest, self._newest.copy()
+        period = self._period() if self._batch else 0.0
         for step in self._batch:
-            periods = step / period
-            if periods > _GAP:
-                behind += periods - 1
-            elif periods < _SHORT:
-                behind = max(0.0, behind - (1 - periods))
-            else:
-                missing += round(behind)
-                behind = 0.0
-        return missing, behind
+            newest.append(newest[-1] + step / period - 1)
+            earliest = min(earliest, newest[-1])
+            late = min(newest) - earliest
+            lost = round(late) if len(newest) == _WITHIN else 0
+            missing += lost
+            earliest += lost or _DRIFT * late
+        return missing, earliest, newest

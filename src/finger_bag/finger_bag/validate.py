@@ -4,7 +4,7 @@
 """Is a bag fit for use? Checks with a status each, for a table or as data.
 
 Statuses: "ok"; "note", information only; "fail". A bag is fit for use when nothing
-fails.
+fails. A bag of several fingers, each in a namespace of its own, is checked for each of them.
 """
 
 from __future__ import annotations
@@ -30,6 +30,10 @@ from .schema import CALIBRATION_ATTACHMENT, TOPICS
 from .streams import SessionStreams, find_topic, find_used, read_streams
 
 OK, NOTE, FAIL = "ok", "note", "fail"
+
+AREAS = "contact_area (or image_raw)"
+OF_TRIALS = {"topics", "calibration", "trials"}
+"""Checks that a recording of something else than trials cannot pass."""
 
 CHECKS = Plugins("finger_bag.checks", "bag check")
 """Further checks of installed packages: functions that take a CheckedBag and a Validation."""
@@ -65,10 +69,16 @@ class Check:
 
 @dataclass
 class Validation:
-    """All checks of one bag."""
+    """All checks of one bag, or of one finger in it.
+
+    namespace: of the finger, where there are several. of_trials: false of a recording without areas
+    and without a word of trials, such as that of a grasp.
+    """
 
     bag: str
+    namespace: str = ""
     checks: list[Check] = field(default_factory=list)
+    of_trials: bool = True
 
     def add(self, name: str, status: str, detail: str) -> None:
         """Append a check; status: OK, NOTE or FAIL."""
@@ -79,11 +89,25 @@ class Validation:
         """Whether nothing fails."""
         return all(c.status != FAIL for c in self.checks)
 
+    @property
+    def verdict(self) -> str:
+        """What the checks come to, for people."""
+        if self.fit:
+            return "fit for use"
+        if not self.of_trials and {c.name for c in self.checks if c.status == FAIL} <= OF_TRIALS:
+            return (
+                "fit for 'finger-bag process' and 'play', not for a fit of parameters, which needs "
+                f"presses with {AREAS}"
+            )
+        return "not fit for use as it is"
+
     def to_data(self) -> dict[str, Any]:
         """For JSON."""
         return {
             "bag": self.bag,
+            "namespace": self.namespace,
             "fit_for_use": self.fit,
+            "verdict": self.verdict,
             "checks": [asdict(c) for c in self.checks],
         }
 
@@ -103,11 +127,28 @@ def installed_checks() -> dict[str, Callable[[CheckedBag, Validation], None]]:
     return {name: CHECKS.load(name) for name in CHECKS.names()}
 
 
+def fingers(path: str | Path, settings: ReadSettings) -> list[str]:
+    """Namespaces of the fingers of a bag; the one of the settings where it does not hold several.
+
+    Raises InputError when it cannot be read at all.
+    """
+    if settings.namespace:
+        return [settings.namespace]
+    with open_bag(path) as reader:
+        topics = [t for t in reader.info.topics.values() if t.count != 0]
+    found: set[str] = set()
+    for name in ("wrench", "contact_state"):
+        held = [t.name.removesuffix(name) for t in topics if t.name.endswith(f"/{name}")]
+        if len(held) > 1 and not settings.mapping.topic(name).topic:
+            found.update(namespace.rstrip("/") or "/" for namespace in held)
+    return sorted(found) or [""]
+
+
 def validate(path: str | Path, settings: ReadSettings | None = None) -> Validation:
-    """Check one bag. Raises InputError when it cannot be read at all."""
+    """Check one bag, or one finger in it. Raises InputError when it cannot be read at all."""
     settings = settings or ReadSettings()
     with open_bag(path) as reader:
-        result = Validation(str(path))
+        result = Validation(str(path), settings.namespace)
         _check_topics(reader, settings, result)
         try:
             streams = read_streams(reader, settings)
@@ -144,7 +185,8 @@ def _check_topics(reader: BagReader, settings: ReadSettings, result: Validation)
     if not present("wrench") and settings.wrench_topic == "wrench":
         missing.append("wrench")
     if not areas and not images:
-        missing.append("contact_area (or image_raw)")
+        missing.append(AREAS)
+        result.of_trials = present("trial")
     if not present("moisture"):
         notes.append("moisture")
     if not present("trial"):

@@ -159,6 +159,41 @@ def test_of_all_files_of_a_session_the_bags_are_judged(
         assert run(command, ["validate", *map(str, alone)]) == 2
 
 
+def test_each_finger_of_a_hand_is_judged_in_turn(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "hand"
+    with BagWriter(path) as bag:
+        for i in range(1500):
+            for finger in ("thumb", "index"):
+                if finger == "thumb" or i < 3:
+                    stamp = START + i * 2_000_000
+                    message = wrench(stamp, press_force(i / 500) + 0.001 * (i % 7))
+                    bag.write(f"/hand/{finger}/wrench", message, stamp)
+    assert run(command, ["validate", str(path)]) == 1
+    out = capsys.readouterr().out
+    thumb = out.index(f"{path} /hand/thumb")
+    assert out.index(f"{path} /hand/index") < thumb
+    # Whole, but a grasp: no word of a bag that is damaged.
+    assert "not fit for use" not in out[thumb:]
+    assert "fit for 'finger-bag process' and 'play', not for a fit of parameters" in out[thumb:]
+    assert run(command, ["validate", str(path), "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert [data["namespace"] for data in found] == ["/hand/index", "/hand/thumb"]
+    assert run(command, ["validate", str(path), "--namespace", "hand/thumb", "--json"]) == 1
+    assert len(json.loads(capsys.readouterr().out)) == 1
+
+
+def test_a_recording_of_trials_without_areas_is_not_called_fit_for_anything(
+    session: Callable[..., Path],
+) -> None:
+    with open_bag(session(trials=1)) as reader, BagWriter(reader.path.with_name("blind")) as bag:
+        for item in reader:
+            if not item.topic.endswith(("contact_area", "image_raw")):
+                bag.write(item.topic, item.message, item.log_time_ns)
+    assert validate(bag.path).verdict == "not fit for use as it is"
+
+
 def damaged(path: Path, kind: str) -> Path:
     """A session with one thing wrong."""
     rng = np.random.default_rng(0)

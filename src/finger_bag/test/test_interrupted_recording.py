@@ -558,3 +558,38 @@ def test_states_recorded_without_their_force_are_told_until_it_comes(
             node._take(node._topics[topic], raw, {})
         wait_for(lambda: sum(node._recorder.counts.values()) == 2, "both")
         assert not said()
+
+
+def test_a_recording_to_which_nothing_comes_names_where_there_are_streams(
+    ros_domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any
+) -> None:
+    import rclpy
+    from geometry_msgs.msg import WrenchStamped
+
+    monkeypatch.setattr("finger_bag.recorder_node._PATIENCE", -1.0)
+
+    def said() -> str:
+        node._each_second()
+        return str(node.healths[0].faults.get("nothing", ""))
+
+    with running_node(ros_domain, tmp_path, monkeypatch) as node:
+        assert "nothing came on /wrench, " in said() and "start the rig" in said()
+        rig = rclpy.create_node("rig", context=node.context)
+        for finger in ("thumb", "index"):
+            rig.create_publisher(WrenchStamped, f"/hand/{finger}/wrench", 10)
+        wait_for(lambda: "published in /hand/index, /hand/thumb; record there" in said(), "both")
+        # Neither health nor what was kept of a trial is a stream of the finger.
+        node._take(
+            node._topics["/diagnostics"], encode("diagnostic_msgs/msg/DiagnosticArray", {}), {}
+        )
+        wait_for(lambda: node._recorder.counts.get("/diagnostics"), "the health")
+        assert said()
+        capfd.readouterr()
+        assert node._finish().message_count == 1 and node.exit_code == 1
+        assert "published in /hand/index, /hand/thumb" in capfd.readouterr().err
+        assert not said(), "nothing is being recorded"
+        node._start("whole", None)
+        node._take(node._topics["/wrench"], encode("geometry_msgs/msg/WrenchStamped", {}), {})
+        wait_for(lambda: node._recorder.counts.get("/wrench"), "the force")
+        assert not said() and "nothing came" not in node._doubts(node._finish())
+        rig.destroy_node()

@@ -16,8 +16,10 @@ PERIOD = 2_000_000
 """ns"""
 
 
-def counted(stamps: Iterable[float], arrivals: Iterable[float] | None = None) -> StampGaps:
-    gaps, stamps = StampGaps(), [int(s) for s in stamps]
+def counted(
+    stamps: Iterable[float], arrivals: Iterable[float] | None = None, rate: float = 0.0
+) -> StampGaps:
+    gaps, stamps = StampGaps(rate), [int(s) for s in stamps]
     for stamp, arrival in zip(stamps, (s * 1e-9 for s in stamps) if arrivals is None else arrivals):
         gaps.add(stamp, float(arrival))
     return gaps
@@ -72,3 +74,63 @@ def test_a_silence_is_missing_however_late_it_is_noticed() -> None:
     present = np.array([i for i in range(6000) if not 2000 <= i < 4000])
     gaps = counted(present * PERIOD)
     assert (gaps.missing, gaps.clock_steps) == (2000, 0)
+
+
+def polled(count: int, free: float, held: float, exchange: float = 0.2) -> tuple[list[float], int]:
+    """Stamps (ns) of a driver that polls on a schedule, catches up five polls and leaves out what
+    is older, and how many it left out. It runs for about `free` periods, and is held for about
+    `held` ones."""
+    rng = np.random.default_rng(1)
+    now = due = 0.0
+    stop, stamps, left_out = rng.exponential(free), [], 0
+    while len(stamps) < count:
+        now = max(now, due)
+        if now > stop:
+            now += rng.exponential(held)
+            stop = now + rng.exponential(free)
+        if now - due > 5:
+            skipped = int(now - due)
+            left_out += skipped
+            due += skipped
+        due += 1
+        stamps.append(now * PERIOD + 1e9)
+        now += exchange
+    return stamps, left_out
+
+
+@pytest.mark.parametrize(("free", "held"), [(50.0, 3.0), (8.0, 12.0), (4.0, 12.0), (3.0, 30.0)])
+def test_what_a_driver_leaves_out_that_does_not_keep_up_is_counted(
+    free: float, held: float
+) -> None:
+    stamps, left_out = polled(6000, free, held)
+    assert counted(stamps, rate=500.0).missing == pytest.approx(left_out, rel=0.03, abs=3)
+    # A long gap counts fully beside them.
+    stamps = [s + 3500 * PERIOD * (k >= 3000) for k, s in enumerate(stamps)]
+    found = counted(stamps, rate=500.0).missing
+    assert found == pytest.approx(left_out + 3500, rel=0.03)
+
+
+def test_a_stream_that_is_slowed_does_not_hide_its_gaps() -> None:
+    """Most steps are gaps: by their median, one of 3,500 messages was one of 1,400."""
+    steps = np.tile([2.5, 1.0, 2.5, 0.5, 2.5], 1200)
+    missing = round(float((steps - 1).sum())) + 3500
+    steps[3000] += 3500
+    assert counted(1e9 + PERIOD * np.cumsum(steps), rate=500.0).missing == pytest.approx(
+        missing, abs=3
+    )
+
+
+def test_late_messages_that_the_next_ones_make_up_for_are_not_missing() -> None:
+    """A busy machine's: 58 of these were "missing"."""
+    rng = np.random.default_rng(2)
+    late = np.where(rng.random(4000) < 0.3, rng.exponential(0.8, 4000), 0.0)
+    stamps = np.maximum.accumulate((np.arange(4000) + late) * PERIOD) + 1000 * np.arange(4000)
+    assert counted(stamps).missing == 0
+
+
+@pytest.mark.parametrize("rate", [200.0, 250.0, 1000.0])
+def test_another_rate_than_expected_is_that_of_the_stream(rate: float) -> None:
+    rng = np.random.default_rng(4)
+    stamps = (np.arange(4000) + rng.normal(0, 0.05, 4000)) * 1e9 / rate
+    assert counted(stamps, rate=500.0).missing == 0
+    assert counted([*stamps[:2000], *stamps[2007:]], rate=500.0).missing == 7

@@ -4,7 +4,8 @@
 """Health of a source of data: rates, counters and faults, without ROS.
 
 A fault is reported for logging once when it begins, then only counted; it ends when the source
-calls `recovered`. The node turns a `Health` into a DiagnosticStatus once a second.
+calls `recovered`. The node turns a `Health` into a DiagnosticStatus once a second; whether samples
+come as fast as they should is judged then.
 """
 
 from __future__ import annotations
@@ -20,6 +21,16 @@ OK, WARN, ERROR, STALE = 0, 1, 2, 3
 
 STARTING = "starting"
 """Value of the node `bring_up` that names, with spaces between, the nodes that were not up yet."""
+
+MIXED_INPUT = "mixed_input"
+"""Key of the fault that several nodes publish what one reads; numbers of samples mean nothing."""
+
+_SHORTEST, _FEWEST = 0.5, 5
+"""s that a rate is measured over at least, and samples that are due meanwhile."""
+
+_PATIENCE, _START = 5, 20.0
+"""Wrong rates in a row after which they are logged, and right ones after which their end is; s from
+the first sample in which none is counted, as the start of other nodes keeps the computer busy."""
 
 
 def full_node_name(name: str, namespace: str) -> str:
@@ -41,18 +52,23 @@ def node_within(status_name: str, namespace: str) -> str | None:
 
 @dataclass
 class HealthReport:
-    """State of a `Health` at one time: the worst level, and all faults, the worst one first."""
+    """State of a `Health` at one time: the worst level, and all faults, the worst one first.
+
+    news: level and sentence of what is to be logged of the rate; the sentence is empty for nothing.
+    """
 
     level: int
     message: str
     hardware_id: str
     values: dict[str, str] = field(default_factory=dict)
+    news: tuple[int, str] = (OK, "")
 
 
 class Health:
     """Thread-safe counters and faults of one source.
 
-    expected_rate: samples per second, None where there is no fixed rate.
+    expected_rate: samples per second, None where there is no fixed rate; then the rate is judged
+    by the samples that are lost by their numbers (`numbered`).
     rate_tolerance: relative deviation of the measured rate that is still OK.
     stale_after: seconds without a sample until the source counts as silent, None for never.
 
@@ -81,17 +97,41 @@ class Health:
         self._clock = clock
         self._lock = threading.Lock()
         self._faults: dict[str, tuple[int, str]] = {}
-        self._count = 0
+        self._count = self._missed = 0
+        self._number: int | None = None
+        self._first_sample: float | None = None
         self._last_sample: float | None = None
-        self._since: tuple[float, int] | None = None
+        self._since: tuple[float, int, int] | None = None
+        """Begin of the measurement of the rate, and samples and missed ones until then."""
+        self._wrong_rates = 0
+        self._rate_told = False
 
     def sample(self) -> None:
         """Count a good sample."""
         with self._lock:
+            now, last = self._clock(), self._last_sample
             self._count += 1
-            self._last_sample = self._clock()
-            if self._since is None:
-                self._since = (self._last_sample, self._count)
+            self._last_sample = now
+            if self._first_sample is None:
+                self._first_sample = now
+            if self._since is None or (
+                # A silence is told as such; the rate is that of what comes after it.
+                self.stale_after is not None
+                and last is not None
+                and now - last > max(self.stale_after, _SHORTEST)
+            ):
+                self._since = (now, self._count, self._missed)
+
+    def numbered(self, number: int | None) -> None:
+        """Count samples as lost that are missing before this one, by the number that its publisher
+        gave it; None where it gives none. A number that is not higher begins another count."""
+        with self._lock:
+            last, self._number = self._number, number
+            if last is None or number is None or MIXED_INPUT in self._faults:
+                return
+            if number > last + 1:
+                self._missed += number - last - 1
+                self.counters["lost"] += number - last - 1
 
     def count(self, what: str, number: int = 1) -> None:
         """Count an event, such as "lost", "late", "malformed", "saturated"."""
@@ -123,34 +163,28 @@ class Health:
             return {key: message for key, (_, message) in self._faults.items()}
 
     def report(self) -> HealthReport:
-        """State now; the measured rate is that since the last report."""
+        """State now; the measured rate is that since the last report, or the one before it."""
         with self._lock:
             now = self._clock()
-            rate = None
-            if self._since is not None and now > self._since[0]:
-                rate = (self._count - self._since[1]) / (now - self._since[0])
-                self._since = (now, self._count)
             age = None if self._last_sample is None else now - self._last_sample
+            silent = ""
+            if (
+                self.state == "active"
+                and self.stale_after is not None
+                and (age is None or age > self.stale_after)
+            ):
+                silent = "no sample yet" if age is None else f"no sample for {age:.1f} s"
+            rate, news = self._measure(now, bool(silent))
             level, message = OK, self.state
             if self.state == "active" and self.activity:
                 message = self.activity
             if self._faults:
                 faults = sorted(self._faults.values(), key=lambda fault: -fault[0])
                 level, message = faults[0][0], "; ".join(text for _, text in faults)
-            if self.state == "active" and level < ERROR:
-                if self.stale_after is not None and (age is None or age > self.stale_after):
-                    silent = "no sample yet" if age is None else f"no sample for {age:.1f} s"
-                    # What is wrong may explain the silence, but a warning would hide it.
-                    message = f"{silent}: {message}" if level else silent
-                    level = ERROR
-                elif (
-                    level == OK
-                    and self.expected_rate
-                    and rate is not None
-                    and abs(rate / self.expected_rate - 1) > self.rate_tolerance
-                ):
-                    level = WARN
-                    message = f"rate {rate:.1f} Hz, expected {self.expected_rate:.1f} Hz"
+            if silent and level < ERROR:
+                # What is wrong may explain the silence, but a warning would hide it.
+                message = f"{silent}: {message}" if level else silent
+                level = ERROR
             values = {"state": self.state, "samples": str(self._count)}
             if rate is not None:
                 values["measured_rate_hz"] = f"{rate:.2f}"
@@ -161,4 +195,47 @@ class Health:
             values.update({key: str(number) for key, number in sorted(self.counters.items())})
             values.update(self.notes)
             values["last_error"] = self.last_error
-            return HealthReport(level, message, self.hardware_id, values)
+            return HealthReport(level, message, self.hardware_id, values, news)
+
+    def _measure(self, now: float, silent: bool) -> tuple[float | None, tuple[int, str]]:
+        """Rate (Hz) and what is to be logged of it; a wrong one is a fault from now on."""
+        told_otherwise = silent or any(level >= ERROR for level, _ in self._faults.values())
+        if told_otherwise or self.state != "active":
+            self._faults.pop("rate", None)
+        if self._since is None or self._first_sample is None or now <= self._since[0]:
+            return None, (OK, "")
+        passed = now - self._since[0]
+        rate = (self._count - self._since[1]) / passed
+        expected = self.expected_rate or rate + (self._missed - self._since[2]) / passed
+        if passed < _SHORTEST or passed * expected < _FEWEST:
+            return rate, (OK, "")
+        self._since = (now, self._count, self._missed)
+        if told_otherwise or self.state != "active":
+            return rate, (OK, "")
+        if abs(rate / expected - 1) > self.rate_tolerance:
+            text = self._wrong_rate(rate, expected)
+            self._faults["rate"] = (WARN, text)
+            self.counters["rate"] += 1
+            self.last_error = text
+            if now - self._first_sample > _START:
+                self._wrong_rates = min(self._wrong_rates + 1, _PATIENCE)
+            if self._wrong_rates == _PATIENCE and not self._rate_told:
+                self._rate_told = True
+                return rate, (WARN, f"{self.name}: {text}")
+        else:
+            self._faults.pop("rate", None)
+            self._wrong_rates = max(self._wrong_rates - 1, 0)
+            if self._rate_told and not self._wrong_rates:
+                self._rate_told = False
+                return rate, (OK, f"{self.name}: rate {rate:.1f} Hz, as expected again")
+        return rate, (OK, "")
+
+    def _wrong_rate(self, rate: float, expected: float) -> str:
+        if not self.expected_rate:
+            return (
+                f"{rate:.1f} of {expected:.1f} samples per second come through, the others are "
+                "lost: this computer does not keep up"
+            )
+        text = f"rate {rate:.1f} Hz, expected {expected:.1f} Hz"
+        slow = ": device, bus or this computer does not keep up"
+        return text + slow if rate < expected else text

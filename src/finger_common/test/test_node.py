@@ -310,6 +310,30 @@ def test_transitions_in_an_odd_order_are_refused_and_change_nothing(ros_domain: 
         rclpy.shutdown()
 
 
+def test_a_rate_that_stays_low_and_its_end_are_logged_once(ros_domain: int, capfd: Any) -> None:
+    from finger_common.diagnostics import Health
+    from finger_common.node import ManagedNode
+
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=ros_domain)
+    node = ManagedNode(context=context)
+    now = [0.0]
+    health = Health("gauge", expected_rate=100.0, clock=lambda: now[0])
+    health.state, node.healths = "active", [health]
+    try:
+        for rate in [100.0] * 22 + [40.0] * 12 + [100.0] * 12:
+            for _ in range(int(rate)):
+                now[0] += 1.0 / rate
+                health.sample()
+            node.publish_diagnostics()
+        said = capfd.readouterr().err
+        assert said.count("WARN") == 1 and "gauge: rate 40.0 Hz, expected 100.0 Hz" in said
+        assert said.count("gauge: rate 100.0 Hz, as expected again") == 1
+    finally:
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
 def test_the_heart_stops_while_no_callback_is_served_and_an_executor_may_change(
     ros_domain: int,
 ) -> None:

@@ -5,10 +5,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from finger_common.diagnostics import (
     ERROR,
+    MIXED_INPUT,
     OK,
     WARN,
     Health,
@@ -95,6 +98,85 @@ def test_rate_is_measured_between_reports_and_judged() -> None:
         health.sample()
     report = health.report()
     assert report.level == WARN and "50.0 Hz" in report.message
+
+
+def run(health: Health, clock: Clock, rate: float, seconds: int, step: int = 1) -> list[Any]:
+    """Reports of each second of samples; step: between the numbers of those that come."""
+    reports = []
+    number = int(clock.now * rate * step) + 1
+    for _ in range(seconds):
+        begin = clock.now
+        for i in range(int(rate)):
+            clock.now = begin + (i + 1) / rate
+            number += step
+            health.numbered(number)
+            health.sample()
+        reports.append(health.report())
+    return reports
+
+
+def test_a_low_rate_is_told_beside_other_warnings_and_logged_once_while_it_lasts() -> None:
+    clock = Clock()
+    health = source(clock, expected_rate=500.0, stale_after=0.5)
+    health.fault("tare_needed", "tare needed", WARN)
+    told = []
+    for report in run(health, clock, 136.0, 40):
+        assert report.level == WARN
+        assert report.message.startswith("tare needed; rate 136.0 Hz, expected 500.0 Hz: ")
+        told += [report.news] if report.news[1] else []
+    assert [level for level, _ in told] == [WARN] and "force: rate 136" in told[0][1]
+    good = run(health, clock, 500.0, 12)
+    assert {report.message for report in good} == {"tare needed"}
+    assert [r.news for r in good if r.news[1]] == [(OK, "force: rate 500.0 Hz, as expected again")]
+
+
+def test_a_slow_moment_at_the_start_or_between_is_not_logged() -> None:
+    clock = Clock()
+    health = source(clock, expected_rate=500.0)
+    reports = run(health, clock, 200.0, 20)
+    for _ in range(5):
+        reports += run(health, clock, 500.0, 3) + run(health, clock, 300.0, 2)
+    assert {report.news[1] for report in reports} == {""}
+
+
+def test_a_silence_is_no_low_rate_and_short_looks_judge_none() -> None:
+    clock = Clock()
+    health = source(clock, expected_rate=100.0, stale_after=0.5)
+    assert run(health, clock, 100.0, 2)[-1].level == OK
+    clock.now += 3.6
+    assert health.report().message == "no sample for 3.6 s"
+    clock.now += 0.3
+    assert run(health, clock, 100.0, 1)[-1].message == "active"
+    health.sample()
+    clock.now += 0.015
+    assert health.report().message == "active"
+    # An error says why nothing comes.
+    health.fault("saturated", "gauge 3 is saturated")
+    assert run(health, clock, 20.0, 1)[-1].message == "gauge 3 is saturated"
+
+
+def test_samples_that_are_lost_on_their_way_are_told_at_any_rate() -> None:
+    clock = Clock()
+    health = source(clock, rate_tolerance=0.1)
+    for rate in (250.0, 500.0, 1000.0):  # also that of a bag that is played
+        assert run(health, clock, rate, 2)[-1].level == OK
+        health.numbered(None)
+    reports = run(health, clock, 63.0, 25, step=2)
+    assert {report.level for report in reports} == {WARN}
+    assert reports[-1].message.startswith("63.0 of 126.0 samples per second come through")
+    (told,) = [report.news for report in reports if report.news[1]]
+    assert told[0] == WARN
+    report = reports[-1]
+    assert int(report.values["lost"]) == 63 * 25 - 1
+    # It does not outlast the samples.
+    health.stale_after = 0.1
+    clock.now += 1.0
+    assert health.report().message == "no sample for 1.0 s"
+    # Two publishers that count apart are another fault.
+    health.fault(MIXED_INPUT, "several publish it", WARN)
+    for number in range(100):
+        health.numbered(number + 1000 * (number % 2))
+    assert health.report().values["lost"] == report.values["lost"]
 
 
 def test_silence_is_an_error_with_its_age() -> None:

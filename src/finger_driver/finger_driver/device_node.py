@@ -11,7 +11,7 @@ from functools import partial
 from typing import Any
 
 from finger_common.cli import one_line
-from finger_common.diagnostics import ERROR, WARN
+from finger_common.diagnostics import ERROR
 from finger_common.errors import DeviceError
 from finger_common.host_clock import HostClock
 from finger_common.node import FrameSettings, ManagedNode
@@ -78,7 +78,7 @@ class DeviceNode(ManagedNode):
     def configure(self) -> None:
         self.device = self.PLUGINS.open(self.values)
         self.closing.callback(self.device.close)
-        self.device.log = self._log
+        self.device.log = self.log
         self.healths = [self.device.health]
         self._stamps = IncreasingStamps()
         self._statistics = StampStatistics()
@@ -134,15 +134,6 @@ class DeviceNode(ManagedNode):
             if self.context.ok():
                 raise
         return None
-
-    def _log(self, level: int, message: str) -> None:
-        logger = self.get_logger()
-        if level >= ERROR:
-            logger.error(message)
-        elif level >= WARN:
-            logger.warning(message)
-        else:
-            logger.info(message)
 
     def publish_diagnostics(self) -> None:
         if self._configured:

@@ -36,7 +36,7 @@ from rclpy.time_source import CLOCK_TOPIC
 from std_msgs.msg import String
 
 from ..cli import one_line
-from ..diagnostics import ERROR, Health, full_node_name
+from ..diagnostics import ERROR, WARN, Health, full_node_name
 from ..errors import FingerError, InputError, known_names
 from ..host_clock import HostClock
 from ..parameters import ParameterTable
@@ -401,6 +401,8 @@ class ManagedNode(LifecycleNode):
         array.header.stamp = self.get_clock().now().to_msg()
         for health in self.healths:
             report = health.report()
+            if report.news[1]:
+                self.log(*report.news)
             array.status.append(
                 DiagnosticStatus(
                     level=bytes([report.level]),
@@ -456,8 +458,17 @@ class ManagedNode(LifecycleNode):
     def log_fault(self, health: Health, key: str, message: str, level: int = ERROR) -> None:
         """Note a fault and log it if it is new."""
         if health.fault(key, message, level):
-            logger = self.get_logger()
-            logger.error(message) if level >= ERROR else logger.warning(message)
+            self.log(level, message)
+
+    def log(self, level: int, message: str) -> None:
+        """Log a sentence; level: of `finger_common.diagnostics`, OK for information."""
+        logger = self.get_logger()
+        if level >= ERROR:
+            logger.error(message)
+        elif level >= WARN:
+            logger.warning(message)
+        else:
+            logger.info(message)
 
     # Lifecycle -------------------------------------------------------------------------------
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from rclpy.qos import DurabilityPolicy, QoSCompatibility, QoSProfile, qos_check_compatible
 
-from ..diagnostics import ERROR, WARN
+from ..diagnostics import ERROR, MIXED_INPUT, WARN
 from .polling import PolledSubscription
 
 if TYPE_CHECKING:
@@ -114,7 +114,7 @@ class StreamWatch:
         text = "; ".join(mixed)
         if mixed:
             text += ": this node mixes them; end one, or give it another topic"
-        self._tell("mixed_input", text, WARN)
+        self._tell(MIXED_INPUT, text, WARN)
 
     def _tell(self, key: str, text: str, level: int) -> None:
         """Report a fault of the node, none where the text is empty."""
