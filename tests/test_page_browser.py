@@ -5,6 +5,7 @@ Pictures of the page at five sizes go to out/page (PAGE_SHOTS names another fold
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -443,6 +444,39 @@ def test_redo_asks_before_it_takes_a_kept_trial_back(rig: StandIn, page: Any) ->
     until(lambda: [name for name, _ in rig.commands] == ["redo"], page)
 
 
+def test_redo_names_the_trial_that_it_takes_back_and_takes_that_one(
+    rig: StandIn, page: Any
+) -> None:
+    told = session("prepare")
+    kept = {"kind": "kept", "attempt": 0}
+    events = [
+        {**kept, "time": time.time(), "text": "trial 1 kept", "index": 0},
+        {**kept, "time": time.time() - 7200, "text": "trial 4 kept", "index": 3},
+        {**kept, "time": time.time() - 7100, "text": "trial 5 kept", "index": 4},
+    ]
+    for index, verdict in ((3, "done"), (4, "pending")):  # the last one begins again
+        told["trials"][index].update(verdict=verdict)
+    prepare(rig, page, attempt=0, trials=told["trials"], events=events)
+    rig.commands.clear()
+    page.keyboard.press("r")
+    page.wait_for_selector("#ask-dialog[open]")
+    assert page.inner_text("#ask-title") == "Redo the last kept trial, 4 (natural)?"
+    page.click("#ask-buttons button:has-text('Redo the trial')")
+    until(lambda: list(rig.commands) == [("repeat", {"index": 3, **SEEN})], page)
+
+
+def test_the_log_shows_the_date_of_what_is_not_of_today(rig: StandIn, page: Any) -> None:
+    now = time.time()
+    event = {"text": "paused", "kind": "command", "index": 2, "attempt": 0}
+    events = [{**event, "time": now - 3 * 86400}, {**event, "time": now}]
+    prepare(rig, page, events=events)
+    page.click("#tab-log")
+    until(lambda: page.locator("#log li").count() == 2, page)
+    today, before = (page.inner_text(f"#log li:nth-child({n}) span:first-child") for n in (1, 2))
+    assert re.fullmatch(r"\d\d:\d\d:\d\d", today)
+    assert re.fullmatch(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d", before)
+
+
 def test_untared_is_said_before_ready(rig: StandIn, page: Any) -> None:
     prepare(rig, page)
     rig.tared, rig.problems = False, [TARE_NEEDED]
@@ -608,6 +642,31 @@ def test_a_session_begins_with_all_that_was_typed(rig: StandIn, page: Any) -> No
         "target_force": CLOSED["plan"]["target_force"], "order": "counterbalanced",
         "order_seed": 5,
     }  # fmt: skip
+
+
+def test_a_session_s_order_and_codes_that_may_be_one_person_are_told(
+    rig: StandIn, page: Any
+) -> None:
+    page.wait_for_selector("#cue[data-look=closed]")
+    page.keyboard.press("Space")
+    page.fill("#plan-conditions", "dry, moist")
+    until(lambda: page.inner_text("#plan-blocks") == "Blocks: dry, moist.", page)
+    page.select_option("#plan-order", "counterbalanced")
+    page.fill("#plan-subject", "2026_S02")
+    blocks = "Blocks: moist, dry, by the number 2."
+    until(lambda: page.inner_text("#plan-blocks") == blocks, page)
+    page.fill("#plan-seed", "1")
+    blocks = "Blocks: dry, moist, by the number 2."
+    until(lambda: page.inner_text("#plan-blocks") == blocks, page)
+    page.fill("#plan-subject", "")
+    until(lambda: page.inner_text("#plan-blocks") == "", page)
+    for code in ("s01", "S1"):
+        page.fill("#plan-subject", code)
+        warning = page.inner_text("#subject-used")
+        assert warning.startswith("S01 was used before (S01_2")
+        assert warning.endswith("If this is the same person, write S01.")
+    page.fill("#plan-subject", "S10")
+    assert page.inner_text("#subject-used") == ""
 
 
 def test_notes_markers_and_the_end_of_a_session(rig: StandIn, page: Any) -> None:

@@ -21,7 +21,7 @@ _SPLIT = re.compile(r"(.+)_(0|[1-9][0-9]{0,8})")  # as recorders number files, w
 
 def find_bags(paths: Iterable[str | Path]) -> list[Path]:
     """Bags among files and folders; a folder that is no bag stands for the bags in it and in the
-    folders directly in it.
+    folders directly in it, or where there are none, for those one folder deeper: of its sessions.
 
     Raises InputError for a path that does not exist or a folder without bags.
     """
@@ -32,13 +32,10 @@ def find_bags(paths: Iterable[str | Path]) -> list[Path]:
         if path.is_file() or (path / METADATA).is_file():
             found.append(path)
             continue
-        bags = _bags_of(path)
-        inside = [bag for p in _visible(path) if p.is_dir() for bag in _bags_of(p)]
-        if inside and bags == [path]:  # files beside bags are no bag with them
-            bags = data_files(path)
-        if not bags and not inside:
+        bags = _bags_within(path) or [bag for p in _folders(path) for bag in _bags_within(p)]
+        if not bags:
             raise InputError(f"{path}: no bag in this folder; give a bag or a folder of bags")
-        found += sorted(bags + inside)
+        found += bags
     if not found:
         raise InputError("no bag was given; name bags or a folder of bags")
     return found
@@ -46,6 +43,19 @@ def find_bags(paths: Iterable[str | Path]) -> list[Path]:
 
 def _visible(folder: Path) -> list[Path]:
     return [p for p in sorted(folder.iterdir()) if not p.name.startswith(".")]
+
+
+def _folders(folder: Path) -> list[Path]:
+    return [p for p in _visible(folder) if p.is_dir()]
+
+
+def _bags_within(folder: Path) -> list[Path]:
+    """Bags in a folder and in the folders directly in it."""
+    bags = _bags_of(folder)
+    inside = [bag for p in _folders(folder) for bag in _bags_of(p)]
+    if inside and bags == [folder]:  # files beside bags are no bag with them
+        bags = data_files(folder)
+    return sorted(bags + inside)
 
 
 def _bags_of(folder: Path) -> list[Path]:

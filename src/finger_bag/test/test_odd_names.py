@@ -245,6 +245,20 @@ def names(paths: list[Path]) -> list[str]:
     return [path.name for path in paths]
 
 
+def test_a_folder_of_sessions_stands_for_all_their_bags(tmp_path: Path) -> None:
+    for name in ("S02_a/000_dry_0", "S01_a/001_dry_0", "S01_a/000_dry_0"):
+        write_session(tmp_path / "sessions" / name, trials=1, rate=100)
+        (tmp_path / "sessions" / name).with_name("session.json").write_text("{}")
+    (tmp_path / "sessions" / "current_session").write_text("S02_a")
+    found = find_bags([tmp_path / "sessions"])
+    assert [str(bag.relative_to(tmp_path / "sessions")) for bag in found] == [
+        "S01_a/000_dry_0", "S01_a/001_dry_0", "S02_a/000_dry_0",
+    ]  # fmt: skip
+    assert find_bags([tmp_path / "sessions" / "S01_a"]) == found[:2]
+    with pytest.raises(InputError, match="no bag in this folder"):
+        find_bags([tmp_path])
+
+
 def test_files_are_one_bag_only_where_they_are_numbered(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -28,3 +28,16 @@ def check_subject(code: str) -> str:
             "digit, such as S01, and never a name"
         )
     return code
+
+
+def check_new_subject(code: str) -> str:
+    """As `check_subject`, for a person that nothing was recorded of: older codes may begin with
+    - or _, which commands take for an option."""
+    if not check_subject(code)[0].isalnum():
+        raise InputError(f"subject '{code}' must begin with a letter or a digit, such as S01")
+    return code
+
+
+def alike(code: str) -> str:
+    """Equal for codes that may have been meant for one person: S01, s01 and S1."""
+    return re.sub(r"(?<!\d)0+(?=\d)", "", code.casefold())

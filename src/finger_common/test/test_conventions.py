@@ -18,6 +18,7 @@ from finger_common.contact_threshold import check_thresholds, contacts, in_conta
 from finger_common.errors import InputError
 from finger_common.flags import AreaFlag, ShapeFlag, SlipFlag, StateFlag, flag_names
 from finger_common.moisture import is_moisture
+from finger_common.subject_code import alike, check_new_subject, is_subject
 from finger_common.trial_phases import TrialPhase
 
 
@@ -37,6 +38,22 @@ def test_constants_are_those_of_the_message(
     text = (project_root / "src" / "finger_msgs" / "msg" / f"{file}.msg").read_text()
     defined = {n: int(v) for n, v in re.findall(rf"{prefix}(\w+) = (\d+)", text)}
     assert {m.name: m.value for m in members} == defined
+
+
+@pytest.mark.parametrize("code", ["-1", "_S01", "-S01"])
+def test_a_code_for_a_new_person_is_no_option_of_a_command(code: str) -> None:
+    assert is_subject(code), "recordings of older versions are read"
+    with pytest.raises(InputError, match="must begin with a letter or a digit"):
+        check_new_subject(code)
+    assert check_new_subject("1S") == "1S"
+    with pytest.raises(InputError, match="never a name"):
+        check_new_subject("Maria")
+
+
+def test_codes_that_may_be_of_one_person_are_alike() -> None:
+    assert alike("S01") == alike("s1") == alike("S001") != alike("S10")
+    assert alike("2026_S007") == alike("2026_s7") != alike("2026_S07_2")
+    assert alike("S100") != alike("S10") and alike("S0") == alike("S00") != alike("S")
 
 
 def test_flag_names() -> None:

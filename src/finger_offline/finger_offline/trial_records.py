@@ -21,8 +21,9 @@ class TrialRecord:
     indentation (j,): measured approach of plate and bone in m, positive into the finger, of unknown
     zero; empty where none was measured. moisture_before,
     moisture_after: readings (a.u.). onset_ns, liftoff_ns: first sample at or above the onset force,
-    first one below the lift-off force (None when the recording ends before). area_source: "topic"
-    or "images". doubts: what is wrong with the recording that it comes from.
+    first one below the lift-off force (None when the recording ends before). completed: false where
+    messages announce the trial and not that it was done. area_source: "topic" or "images". doubts:
+    what is wrong with the recording that it comes from.
     """
 
     bag: str
@@ -44,6 +45,7 @@ class TrialRecord:
     moisture_after: list[float]
     onset_ns: int
     liftoff_ns: int | None
+    completed: bool = True
     area_source: str = "topic"
     doubts: tuple[str, ...] = ()
     indentation_stamp_ns: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))

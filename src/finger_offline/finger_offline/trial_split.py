@@ -114,7 +114,14 @@ class _Press:
     end: int
     event: TrialEvent | None
     reason: str = ""
+    completed: bool = True
 
+
+RELEASE = 0.5
+"""s without force after which a guided press is over, by default."""
+
+NOTABLE = 0.3
+"""s between announcements and forces that two clocks explain, and no delay."""
 
 _SAMPLE = np.dtype([("stamp_ns", "i8"), ("normal", "f8"), ("lateral", "f8")])
 
@@ -260,6 +267,7 @@ class _Recording:
             moisture_after=moisture[1],
             onset_ns=onset,
             liftoff_ns=int(stamp[press.end]) if press.end < len(stamp) else None,
+            completed=press.completed,
             indentation_stamp_ns=indentations["stamp_ns"].copy(),
             indentation=indentations["indentation"].copy(),
         )
@@ -325,16 +333,45 @@ def _by_messages(
         inside = [p for p in found if p[0] < high and p[1] > low and p[0] >= low]
         failed = next((e for e in group if e.phase == TrialPhase.FAILED), None)
         if not inside:
-            text = f"marked as failed: {failed.note or 'no reason given'}" if failed else "no press"
+            text = (
+                f"marked as failed: {failed.note or 'no reason given'}"
+                if failed
+                else f"no press{_apart(group, ends, stamp, found)}"
+            )
             without.append((group[0], text))
             continue
         best = max(inside, key=lambda p: float(normal[p[0] : p[1]].max()))
         reason = f"marked as failed: {failed.note or 'no reason given'}" if failed else ""
         if not reason and any(e.phase == TrialPhase.PULL for e in group):
             reason = PULLED
-        chosen.append(_Press(*best, group[-1], reason))
+        completed = any(e.phase == TrialPhase.DONE for e in group)
+        chosen.append(_Press(*best, group[-1], reason, completed))
     # A trial that was only prepared in this bag has no press to lose.
     return chosen, without
+
+
+def _apart(
+    group: Sequence[TrialEvent],
+    ends: Sequence[int],
+    stamp: np.ndarray,
+    found: Sequence[tuple[int, int]],
+) -> str:
+    """What to add to "no press" where the trial was announced by another clock than the force's.
+
+    The cue to lift has the stamp of a force, so that the press it belongs to is known; it ends
+    RELEASE before the next phase.
+    """
+    lifts = [e.stamp_ns for e in group if e.phase == TrialPhase.LIFT]
+    of_lift = [end for first, end in found for s in lifts if stamp[first] <= s <= stamp[end - 1]]
+    first, last = group[0].stamp_ns, group[-1].stamp_ns
+    apart = 0.0
+    if of_lift and ends:
+        apart = seconds(min(ends) - int(stamp[of_lift[0] - 1])) - RELEASE
+    elif len(stamp) and not lifts:
+        apart = max(seconds(first - int(stamp[-1])), seconds(int(stamp[0]) - last), 0.0)
+    if abs(apart) < NOTABLE:
+        return ""
+    return f": announcements and forces are {abs(apart):.1f} s apart"
 
 
 def _assign_moistures(

@@ -87,16 +87,19 @@ def streams_with_areas(reader: BagReader, settings: TrialSettings) -> SessionStr
 def without_superseded(
     trials: Sequence[TrialRecord],
 ) -> tuple[list[TrialRecord], list[Exclusion]]:
-    """Of trials that were done again, also in another bag, the last attempt; and the others."""
-    last: dict[tuple[str, str, str, int], int] = {}
+    """Of trials that were done again, also in another bag, the last attempt, of those that were
+    completed where there are any; and the others."""
+    last: dict[tuple[str, str, str, int], tuple[bool, int]] = {}
     for trial in trials:
         key = (trial.session, trial.subject, trial.condition, trial.index)
-        last[key] = max(last.get(key, 0), trial.attempt)
+        rank = (trial.completed, trial.attempt)
+        last[key] = max(last.get(key, rank), rank)
     kept, again = [], []
     for trial in trials:
         key = (trial.session, trial.subject, trial.condition, trial.index)
-        if trial.attempt < last[key]:
-            reason = f"attempt {trial.attempt}, done again"
+        if (trial.completed, trial.attempt) < last[key]:
+            why = "done again" if trial.attempt < last[key][1] else "not completed, unlike another"
+            reason = f"attempt {trial.attempt}, {why}"
             again.append(Exclusion(trial.bag, trial.condition, trial.index, reason, trial.subject))
         else:
             kept.append(trial)

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -103,6 +104,65 @@ def test_failed_redone_and_touching_presses_are_excluded_with_reasons(tmp_path: 
     assert load_trials(light).exclusions[0].reason.startswith("a touch of 0.10 N")
     wrong_sign = load_trials(light, TrialSettings(normal_axis="+z"))
     assert not wrong_sign.trials and "along +z" in wrong_sign.exclusions[0].reason
+
+
+@pytest.mark.parametrize("ahead", [-3600.0, -5.0, 8.0, 3600.0])
+@pytest.mark.parametrize("cue", [True, False], ids=["with the cue to lift", "without"])
+def test_announcements_of_another_clock_are_named_where_no_press_is_found(
+    tmp_path: Path, ahead: float, cue: bool
+) -> None:
+    """ahead: s of the clock of the announcements; only the cue to lift has the force's stamp."""
+    path = tmp_path / "bag"
+    with BagWriter(path, {"condition": "dry"}) as bag:
+        for t in np.arange(0, 14.0, 0.002):
+            stamp = START + round(t * 1e9)
+            bag.write("wrench", wrench(stamp, float(press_force(np.array(t - 6.0)))))
+            if round(t * 500) % 50 == 0:
+                bag.write("contact_area", {"header": {"stamp": stamp}, "gross_area": 0.0})
+        time = np.arange(0, 3.5, 0.002)
+        off = 6.0 + time[press_force(time) > 0.03][-1]
+        phases = [(TrialPhase.PRESS, 5.0 + ahead), (TrialPhase.MOISTURE_AFTER, off + 0.5 + ahead)]
+        phases += [(TrialPhase.DONE, off + 2.0 + ahead)]
+        phases += [(TrialPhase.LIFT, 7.5)] if cue else []
+        for phase, t in phases:
+            stamp = START + round(t * 1e9)
+            trial = {"session": "s", "condition": "dry", "index": 4, "attempt": 0}
+            bag.write("trial", {"header": {"stamp": stamp}, "phase": int(phase), **trial})
+    (left_out,) = load_trials(path).exclusions
+    words = left_out.reason.partition(": announcements and forces are ")
+    assert words[0] == "no press"
+    if cue or abs(ahead) > 14.0:
+        apart = float(words[2].removesuffix(" s apart"))
+        assert apart == pytest.approx(abs(ahead), abs=0.1 if cue else 15.0)
+    else:
+        assert words[2] == "", "a trial without a press, for all that is known"
+
+
+def test_an_attempt_that_was_not_completed_does_not_replace_one_that_was(tmp_path: Path) -> None:
+    """Such as that of a crash, in a bag that nobody could mark."""
+    for attempt, completed in enumerate([False, True, False]):
+        with BagWriter(tmp_path / f"004_dry_{attempt}", {"condition": "dry"}) as bag:
+            begin = START + attempt * 10_000_000_000
+            trial = {"session": "s", "condition": "dry", "index": 4, "attempt": attempt}
+            bag.write("trial", {"header": {"stamp": begin}, "phase": 3, **trial})
+            for t in np.arange(0, 3.5, 0.002):
+                stamp, force = begin + round(t * 1e9), float(press_force(np.array(t)))
+                bag.write("wrench", wrench(stamp, force))
+                if round(t * 500) % 50 == 0:
+                    fields = {"header": {"stamp": stamp}, "gross_area": AREA_PER_FORCE * force}
+                    bag.write("contact_area", fields)
+            if completed:
+                end = {"header": {"stamp": begin + 4_000_000_000}, "phase": 6}
+                bag.write("trial", {**end, **trial})
+    found = load_trials(tmp_path)
+    assert [t.attempt for t in found] == [1]
+    assert [e.reason for e in found.exclusions] == [
+        "attempt 0, done again",
+        "attempt 2, not completed, unlike another",
+    ]
+    # Where none was completed, the last one is all there is.
+    shutil.rmtree(tmp_path / "004_dry_1")
+    assert [t.attempt for t in load_trials(tmp_path)] == [2]
 
 
 def test_presses_in_quick_succession_keep_nothing_of_one_another(tmp_path: Path) -> None:

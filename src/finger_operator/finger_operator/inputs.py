@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -16,6 +17,9 @@ from .limits import Limits
 
 REPORT_MEMORY = 3.0
 """s for which a report in /diagnostics counts; each node repeats it once a second."""
+
+CLOCKS_APART = 0.3
+"""s between the stamp of a force and its arrival from which the nodes disagree on the time."""
 
 LOGGED_SILENCE = 1.0
 """s without a sample from which silence is an event of the log."""
@@ -41,6 +45,8 @@ class Inputs:
         self._area: _Sample | None = None
         self._errors: dict[str, tuple[int, str]] = {}
         self._recorder: int | None = None
+        self._compared: _Sample | None = None
+        self._lags: deque[float] = deque(maxlen=20)
         self._silent: set[str] = set()
 
     @property
@@ -56,6 +62,27 @@ class Inputs:
     def add_force(self, stamp_ns: int, force: float, now_ns: int) -> None:
         """One normal force."""
         self._force = _Sample(stamp_ns, now_ns or None, force)
+
+    def compare_clocks(self, now_ns: int) -> None:
+        """Note the lag of the force; to be called when all that has come was added."""
+        if self._force is not None and self._force is not self._compared:
+            self._compared = self._force
+            self._lags.append(seconds(now_ns - self._force.stamp_ns))
+
+    @property
+    def force_lag(self) -> float:
+        """s by which the stamps of the force are behind the protocol's clock. A delay on the way
+        adds to it, so that the smallest one counts."""
+        return min(self._lags, default=0.0)
+
+    def clocks_apart(self) -> str:
+        """That force and protocol disagree on the time, and the remedy; empty where they agree."""
+        if abs(self.force_lag) <= CLOCKS_APART:
+            return ""
+        return (
+            f"the clocks of the force driver and the protocol are {abs(self.force_lag):.1f} s "
+            "apart: the system clock was stepped between their starts; restart all nodes"
+        )
 
     def add_area(self, stamp_ns: int, area: float, flags: int, now_ns: int) -> None:
         """One contact area with its quality flags."""

@@ -326,7 +326,7 @@ class PageNode(ManagedNode):
             if reason:
                 return False, reason
         if command.service in ("", PARAMETERS):
-            return True, ""
+            return True, command.answer(arguments)
         response = await self._call(command.service, request)
         if name == "tare" and response.success:
             await self._in_node(self._forget_curves)

@@ -5,9 +5,10 @@
 
 Every input carries a time in nanoseconds: commands and ticks that of the protocol's own clock,
 samples their stamp, which may be of another clock. What is waited for is measured by the first,
-what happened in a press by the second. The machine answers with effects (announce a phase, start
-or stop the recorder) through one callback, and writes its state file at every change, so that a
-crash costs at most the attempt that was under way.
+what happened in a press by the second; phases are announced by that of the force, as readers find
+the presses by it. The machine answers with effects (announce a phase, start or stop the recorder)
+through one callback, and writes its state file at every change, so that a crash costs at most the
+attempt that was under way.
 
     idle → prepare → moisture before → clear → press → lift → moisture after → closing → done
     press → pull → lift, where the trial is a pull
@@ -340,7 +341,9 @@ class Protocol:
         done = [t for t in self.trials if t.attempts and t.verdict == "done"]
         if not done:
             raise InputError("no trial was done yet, so none can be redone")
-        last = max(done, key=lambda t: t.attempts[-1].began_ns or 0)
+        # In the order of the log: a clock may be behind that of the day before.
+        kept = {e.index: place for place, e in enumerate(self.log.events) if e.kind == "kept"}
+        last = max(done, key=lambda t: (kept.get(t.index, -1), t.attempts[-1].began_ns or 0))
         self.repeat(last.index, now_ns)
 
     def repeat(self, index: int, now_ns: int) -> None:
@@ -473,9 +476,16 @@ class Protocol:
         early = seconds(self._step_began - stamp_ns)
         # Tables have whole seconds.
         if early > (0.0 if stamp_ns % NANOSECONDS else 1.0):
+            apart = self._inputs.clocks_apart()
+            as_late = abs(seconds(self._now - stamp_ns) - self._inputs.force_lag) <= 1.0
+            remedy = (
+                f"{apart}."
+                if apart and as_late
+                else "take another. If it was taken now, the clock of the probe is late."
+            )
             self.message = (
                 f"Reading {value:g} is stamped {early:.1f} s before this step and does not count; "
-                "take another. If it was taken now, the clock of the probe is late."
+                f"{remedy}"
             )
             self._announce()
             return
@@ -578,6 +588,7 @@ class Protocol:
     def tick(self, now_ns: int) -> None:
         """Let time pass; to be called ten times a second or more."""
         self._now = max(self._now, now_ns)
+        self._inputs.compare_clocks(self._now)
         for news in self._inputs.silences(self._now, self.limits):
             self._log("fault", news)
         if not self.paused and self.step in self._waits:
@@ -653,6 +664,11 @@ class Protocol:
         self._log("calibration", self.message, of_trial=False)
         self._announce()
         self.save()
+
+    def check_clocks(self) -> None:
+        """Raise InputError where the force is stamped by a clock that is far from this one."""
+        if apart := self._inputs.clocks_apart():
+            raise InputError(apart)
 
     def waiting_for(self) -> str:
         """Why the press does not begin yet; empty when nothing is in the way."""
@@ -733,8 +749,9 @@ class Protocol:
                 self._unmarked = bag, event
 
     def _mark_in_bag(self, bag: Path, event: TrialEvent) -> None:
-        """Say in a closed bag what became of its attempt; nothing where there is no such bag."""
+        """Say in a closed bag what became of its attempt."""
         if not bag.is_dir():
+            self._log("warning", f"{bag} is not there, and is not marked as failed")
             return
         try:
             mark_in_bag(bag, event)
@@ -789,7 +806,7 @@ class Protocol:
             found = [text for text in (trial.attempts[-1].found,) if text]
             note = "; ".join([*found, *(f"{e.text} ({utc_time(e.stamp_ns)})" for e in events)])
         return TrialEvent(
-            self._step_stamp if self.step in PRESSING else self._now,
+            self._step_stamp if self.step in PRESSING else self._stamp(),
             self.plan.session,
             self.plan.subject,
             trial.condition,
@@ -799,6 +816,12 @@ class Protocol:
             self.plan.press_of(trial.condition).target_force,
             note or self.message,
         )
+
+    def _stamp(self) -> int:
+        """This moment by the clock of the force; by the protocol's own where no force comes."""
+        newest = self._inputs.force_stamp
+        silent = self._inputs.force_fell_silent(self._now, self.limits)
+        return self._now if newest is None or silent else newest
 
     def _phase(self, step: Step) -> TrialPhase:
         if step is Step.CLEAR and not self.plan.readings:
@@ -826,7 +849,7 @@ class Protocol:
             self.message, self._known_result = self._known_result or unknown, ""
         self.step = step
         self._step_began = self._last_progress = self._now
-        self._step_stamp = self._now if stamp_ns is None else stamp_ns
+        self._step_stamp = self._stamp() if stamp_ns is None else stamp_ns
         self._announce()
         self._log("step", step.value.replace("_", " "))
         # Of a session with thousands of trials that takes long, and the next cue must not wait. A

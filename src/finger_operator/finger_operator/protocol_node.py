@@ -50,6 +50,7 @@ from finger_common.node import (
 )
 from finger_common.settings import Settings, setting
 from finger_common.stamps import fill_time, header_stamp
+from finger_common.subject_code import check_new_subject
 from finger_common.trial_phases import TrialPhase
 from finger_msgs.msg import ContactArea, Moisture, SessionStatus, Trial
 from finger_msgs.srv import Record
@@ -59,7 +60,13 @@ from .normal_force import NormalForce
 from .page.readiness import TARE_NEEDED, refusal, tared_by
 from .protocol import Effect, Protocol, StartRecording, Step, StopRecording
 from .recorder_requests import RecorderRequests
-from .session_store import STATE_FILE, free_space, further_files, sessions_by_subject
+from .session_store import (
+    STATE_FILE,
+    earlier_sessions,
+    free_space,
+    further_files,
+    sessions_by_subject,
+)
 from .status import GIGABYTE, USUAL_SIZE, closed_status, session_status
 from .status_message import status_fields
 from .study_plan import (
@@ -255,6 +262,7 @@ class ProtocolNode(ManagedNode):
 
     def _new_session(self, calibration: bool = False) -> Protocol:
         values = self.values
+        check_new_subject(values["subject"])
         session = values["session"] or f"{values['subject']}_{time.strftime('%Y%m%dT%H%M%S')}"
         plan = StudyPlan(
             **{**self.settings(PlanSettings).to_dict(), "session": session},
@@ -282,6 +290,7 @@ class ProtocolNode(ManagedNode):
             self._protocol = self._new_session()
         if self._protocol.step is Step.PREPARE and not self._protocol.paused:
             self._refuse_untared()
+            self._protocol.check_clocks()
         self._protocol.start(self.sample_time())
         prepare = self._protocol.step is Step.PREPARE
         return "prepare finger and plate" if prepare else "the trial begins"
@@ -509,7 +518,7 @@ class ProtocolNode(ManagedNode):
         self._status_of = self._stage()
         if self._protocol is not None:
             plan = self._protocol.plan
-            earlier = [s for s in self._used_subjects.get(plan.subject, []) if s != plan.session]
+            earlier = earlier_sessions(self._used_subjects, plan)
             status = session_status(self._protocol, self._free, earlier, self._reserve)
         else:
             status = closed_status(

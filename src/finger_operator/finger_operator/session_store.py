@@ -9,7 +9,7 @@ import csv
 import json
 import math
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import fmean
@@ -22,6 +22,7 @@ from finger_bag.writer import add_message
 from finger_common.errors import InputError
 from finger_common.files import atomic_write, load_json
 from finger_common.plugins import Plugins
+from finger_common.subject_code import alike
 
 from .attempt import Attempt, TrialState
 from .event_log import EventLog
@@ -58,6 +59,9 @@ class SavedSession:
 
 def save_state(folder: Path, session: SavedSession) -> None:
     """Write the state file, so that it survives a crash of the computer."""
+    trials = [asdict(trial) for trial in session.trials]
+    for attempt in (a for trial in trials for a in trial["attempts"]):
+        attempt["bag"] = Path(attempt["bag"]).name  # sessions are moved and copied
     state = {
         "version": STATE_VERSION,
         "plan": session.plan.to_dict(),
@@ -65,7 +69,7 @@ def save_state(folder: Path, session: SavedSession) -> None:
         "paused": session.paused,
         "current": session.current,
         "ended": session.ended,
-        "trials": [asdict(trial) for trial in session.trials],
+        "trials": trials,
     }
     with atomic_write(folder / STATE_FILE, durable=True) as file:
         json.dump(state, file, indent=1)
@@ -80,6 +84,8 @@ def load_state(folder: Path) -> SavedSession:
             raise InputError(f"version {state.get('version')} is not {STATE_VERSION}")
         plan = StudyPlan.from_dict(state["plan"])
         trials = [_trial(trial, plan) for trial in state["trials"]]
+        for attempt in (a for trial in trials for a in trial.attempts if a.bag):
+            attempt.bag = str(folder / Path(attempt.bag).name)
         current = state["current"]
         _check(type(current) is int and 0 <= current < len(trials), "current", current)
         step, paused, ended = str(state["step"]), bool(state["paused"]), state.get("ended", "")
@@ -192,6 +198,18 @@ def sessions_by_subject(output: Path) -> dict[str, list[str]]:
             continue
         found.setdefault(subject, []).append(path.parent.name)
     return found
+
+
+def earlier_sessions(used: Mapping[str, Sequence[str]], plan: StudyPlan) -> list[str]:
+    """Of the sessions by subject code, those that may be of the same person as that of the plan,
+    with the code where it was written in another way."""
+    return [
+        session if code == plan.subject else f"{session} as {code}"
+        for code, sessions in used.items()
+        if alike(code) == alike(plan.subject)
+        for session in sessions
+        if session != plan.session
+    ]
 
 
 def free_space(folder: Path) -> int | None:

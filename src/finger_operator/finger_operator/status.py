@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from itertools import pairwise
-from statistics import median
+from statistics import median, median_low
 from typing import Any
 
 from finger_common.guided_pulls import PULL_TEXT, is_pull
@@ -26,6 +26,9 @@ from .study_plan import CLEAN_PLATE, CLEAN_PLATE_PULL, PlanSettings
 EVENTS_SHOWN = 60
 
 GIGABYTE = 1e9
+
+LONGEST_WAIT = 1800.0
+"""s between two trials above which it was a break, which does not belong to the pace."""
 
 USUAL_SIZE = 220_000_000
 """Bytes of a trial with images; stands in until one was kept."""
@@ -60,7 +63,7 @@ def session_status(
     """The session, the current trial and a row for each trial.
 
     free: bytes left on the disk of the sessions, None when unknown. earlier_sessions: of this
-    subject. reserve: bytes that the recorder leaves free.
+    subject, or of a code like it. reserve: bytes that the recorder leaves free.
     """
     plan = protocol.plan
     trial = protocol.trials[protocol.current]
@@ -174,13 +177,21 @@ def summary(protocol: Protocol) -> dict[str, Any]:
 
 def time_left(protocol: Protocol) -> float | None:
     """s until the open trials are done at the pace of those that were kept; None before two."""
-    ends = sorted(
-        a.ended_ns for t in protocol.trials for a in t.attempts if a.verdict == "done" if a.ended_ns
+    kept = sorted(
+        (a.ended_ns, a.began_ns)
+        for t in protocol.trials
+        for a in t.attempts
+        if a.verdict == "done" and a.ended_ns and a.began_ns
     )
-    if len(ends) < 2:
+    if len(kept) < 2:
         return None
-    pace = median(b - a for a, b in pairwise(ends))
-    return round(seconds(int(pace)) * sum(t.verdict == "pending" for t in protocol.trials), 1)
+    # With what came before the trial, but for a long break and where the clock was changed.
+    breaks = [seconds(began - before) for (before, _), (_, began) in pairwise(kept)]
+    paces = [
+        seconds(ended - began) + (wait if 0.0 <= wait <= LONGEST_WAIT else 0.0)
+        for (ended, began), wait in zip(kept[1:], breaks)
+    ]
+    return round(median_low(paces) * sum(t.verdict == "pending" for t in protocol.trials), 1)
 
 
 def disk_status(protocol: Protocol, free: int | None, reserve: int = 0) -> dict[str, Any]:

@@ -11,7 +11,10 @@ from __future__ import annotations
 
 import random
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from finger_common.subject_code import is_subject
 
 ORDERS = ("as_given", "shuffled_blocks", "counterbalanced", "shuffled_trials")
 
@@ -23,13 +26,19 @@ def williams_rows(number: int) -> list[list[int]]:
     return rows if number % 2 == 0 else rows + [row[::-1] for row in rows]
 
 
+def subject_number(subject: str) -> int:
+    """The last number in a subject code, as those of year, study or group come first; 1 without."""
+    numbers = re.findall(r"\d+", subject)
+    return int(numbers[-1]) if numbers else 1
+
+
 def trial_conditions(
     conditions: Sequence[str], trials: int, order: str, seed: int, subject: str
 ) -> list[str]:
     """Condition of each trial of a session, `trials` of each.
 
     order: one of ORDERS. seed, subject: the same pair gives the same order; for counterbalanced
-    blocks the first number in the subject code plus the seed chooses the row.
+    blocks `subject_number` plus the seed chooses the row.
     """
     blocks = list(conditions)
     shuffled = random.Random(f"{seed} {subject}")
@@ -37,10 +46,23 @@ def trial_conditions(
         shuffled.shuffle(blocks)
     elif order == "counterbalanced":
         rows = williams_rows(len(blocks))
-        digits = re.search(r"\d+", subject)
-        number = int(digits[0]) - 1 if digits else 0
-        blocks = [blocks[i] for i in rows[(number + seed) % len(rows)]]
+        blocks = [blocks[i] for i in rows[(subject_number(subject) - 1 + seed) % len(rows)]]
     result = [condition for condition in blocks for _ in range(trials)]
     if order == "shuffled_trials":
         shuffled.shuffle(result)
     return result
+
+
+def order_text(given: Mapping[str, Any]) -> str:
+    """What `subject`, `conditions`, `order` and `order_seed` come to, for the operator; empty for a
+    subject that is no code yet."""
+    order, subject = given["order"], given["subject"]
+    if not is_subject(subject):
+        return ""
+    if order == "shuffled_trials":
+        return "All trials in random order."
+    blocks = ", ".join(
+        trial_conditions(given["conditions"], 1, order, given["order_seed"], subject)
+    )
+    by = f", by the number {subject_number(subject)}" if order == "counterbalanced" else ""
+    return f"Blocks: {blocks}{by}."

@@ -163,6 +163,20 @@ def page_here(ros_domain: int, port: int) -> Iterator[tuple[Any, dict[str, Any]]
         rclpy.shutdown(context=context)
 
 
+def test_the_order_of_a_session_is_told_before_it_begins(
+    ros_domain: int, free_port: Callable[[], int]
+) -> None:
+    async def here(action: Callable[[], Any]) -> Any:
+        return action()
+
+    given = {"subject": "2026_S02", "conditions": ["dry", "moist"], "order_seed": 0}
+    with page_here(ros_domain, free_port()) as (node, _):
+        node._in_node = here
+        for order, blocks in (("as_given", "dry, moist"), ("counterbalanced", "moist, dry")):
+            good, sentence = asyncio.run(node._command("order", {**given, "order": order}))
+            assert good and sentence.startswith(f"Blocks: {blocks}")
+
+
 def test_an_area_that_is_not_known_is_told_with_the_reason(
     ros_domain: int, free_port: Callable[[], int]
 ) -> None:

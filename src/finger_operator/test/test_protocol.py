@@ -9,6 +9,7 @@ import csv
 import json
 import math
 import re
+import shutil
 from collections import Counter
 from datetime import datetime
 from itertools import pairwise
@@ -33,10 +34,10 @@ from finger_operator.protocol import (
     Step,
     StopRecording,
 )
-from finger_operator.session_store import STATE_FILE, sessions_by_subject
+from finger_operator.session_store import STATE_FILE, earlier_sessions, sessions_by_subject
 from finger_operator.status import session_status
 from finger_operator.study_plan import PREPARATIONS, StudyPlan, parse_preparations
-from finger_operator.trial_order import ORDERS, trial_conditions
+from finger_operator.trial_order import ORDERS, order_text, trial_conditions
 
 SECOND = 1_000_000_000
 START = 1_700_000_000 * SECOND
@@ -454,6 +455,46 @@ def test_an_attempt_that_a_crash_ended_is_failed_wherever_it_is_told(
     assert again.paused and again.step is Step.PREPARE and rig.last.attempt == 1
 
 
+def mark_where_the_session_is_now(rig: Rig, folder: Path) -> Protocol:
+    """The session goes on in `folder`, after a crash in a press."""
+    again = Protocol.resume_from(folder, rig.take, rig.now + SECOND, rig.limits)
+    again.recorder_stopped(True, "", rig.now + 2 * SECOND)
+    return again
+
+
+@pytest.mark.parametrize("how", ["moved", "copied"])
+@pytest.mark.parametrize("written", ["by name", "by absolute path, as older versions"])
+def test_in_a_folder_that_was_moved_after_a_crash_its_own_bag_is_marked(
+    rig: Rig, tmp_path: Path, how: str, written: str
+) -> None:
+    rig.to_press()
+    bag, new = Path(rig.attempt.bag), tmp_path / "elsewhere" / rig.folder.name
+    with BagWriter(bag) as writer:
+        phase = int(TrialPhase.PRESS)
+        writer.write("trial", {"header": {"stamp": rig.now}, "phase": phase})
+    state = json.loads((rig.folder / STATE_FILE).read_text())
+    attempt = state["trials"][0]["attempts"][0]
+    assert attempt["bag"] == "000_dry_0"
+    if written != "by name":
+        attempt["bag"] = str(bag)
+        (rig.folder / STATE_FILE).write_text(json.dumps(state))
+    (shutil.move if how == "moved" else shutil.copytree)(rig.folder, new)
+    again = mark_where_the_session_is_now(rig, new)
+    assert Path(again.trials[0].attempts[0].bag) == new / bag.name
+    with open_bag(new / bag.name) as reader:
+        assert list(reader.messages())[-1].message.phase == TrialPhase.FAILED
+    if how == "copied":
+        with open_bag(bag) as reader:
+            assert reader.info.message_count == 1, "that of another session stays as it is"
+
+
+def test_a_bag_of_an_interrupted_attempt_that_is_gone_is_named_in_the_log(rig: Rig) -> None:
+    rig.to_press()
+    again = mark_where_the_session_is_now(rig, rig.folder)
+    (text,) = (e.text for e in again.log.events if e.kind == "warning")
+    assert text == f"{rig.folder / '000_dry_0'} is not there, and is not marked as failed"
+
+
 @pytest.mark.parametrize("when", ["moisture_before", "clear", "press"])
 def test_a_trial_whose_recorder_writes_it_no_longer_fails_at_once(rig: Rig, when: str) -> None:
     """Such as one that died and came back, which knows nothing of the trial."""
@@ -632,6 +673,21 @@ def test_an_edited_preparation_keeps_those_of_other_sessions(rig: Rig) -> None:
     assert session_status(protocol)["preparations"] == texts
 
 
+@pytest.mark.parametrize(("offset", "culprit"), [(-60, "restart all nodes"), (0, "of the probe")])
+def test_a_reading_is_late_by_itself_or_with_the_force(
+    rig: Rig, offset: float, culprit: str
+) -> None:
+    rig.force_offset = offset * SECOND
+    rig.run(0.2)
+    rig.protocol.start(rig.now)
+    rig.run(2.0)
+    rig.protocol.moisture(rig.now - 60 * SECOND + 1, 50.0)
+    assert "stamped 58.0 s before this step and does not count" in rig.last.note
+    assert culprit in rig.last.note
+    assert ("force driver and the protocol are 60.0 s apart" in rig.last.note) == bool(offset)
+    assert rig.attempt.moisture_before == []
+
+
 def test_readings_outside_the_scale_or_of_another_time_do_not_count(rig: Rig) -> None:
     rig.run(0.2)
     rig.protocol.moisture(rig.now, 50.0)  # no reading is expected yet
@@ -742,6 +798,34 @@ def test_redo_after_the_next_trial_was_announced_redoes_the_last_one_done(rig: R
     assert rig.last.index == 1
     rig.protocol.redo(rig.now)
     assert rig.last.index == 0 and rig.last.attempt == 1
+
+
+def on_another_day(rig: Rig, later: float) -> None:
+    """The session goes on after a restart, `later` (s) by its clock."""
+    rig.now += round(later * SECOND)
+    rig.protocol = Protocol.resume_from(rig.folder, rig.take, rig.now, rig.limits)
+    rig.answered = len([e for e in rig.effects if not isinstance(e, TrialEvent)])
+    rig.next_frame = rig.next_tick = rig.now
+    rig.run(0.5)
+    rig.protocol.resume(rig.now)
+
+
+def test_redo_takes_the_trial_that_was_kept_last_whatever_the_clock_said(rig: Rig) -> None:
+    for later in (0.0, -7200.0):
+        if later:
+            on_another_day(rig, later)
+        rig.trial()
+        rig.run(2.0)
+    assert rig.protocol.current == 2
+    rig.protocol.redo(rig.now)
+    assert rig.protocol.current == 1
+    rig.trial()
+    rig.run(2.0)
+    rig.protocol.repeat(0, rig.now)
+    rig.trial()
+    rig.run(2.0)
+    rig.protocol.redo(rig.now)
+    assert rig.protocol.current == 0, "the first trial, which was repeated last"
 
 
 def test_a_trial_that_begins_again_takes_no_kept_trial_with_it(rig: Rig) -> None:
@@ -990,6 +1074,22 @@ def test_counterbalanced_orders_put_every_condition_equally_often_at_each_place(
         assert len(pairs) == number * (number - 1) and len(set(pairs.values())) == 1
 
 
+@pytest.mark.parametrize("code", ["2026_S{:02d}", "E2_P{}", "G1S{:02d}", "S{}"])
+def test_the_last_number_of_a_code_counterbalances(code: str) -> None:
+    def of(number: int) -> list[str]:
+        return trial_conditions("abc", 1, "counterbalanced", 0, code.format(number))
+
+    assert Counter("".join(of(n)) for n in range(1, 13)) == dict.fromkeys(
+        ("abc", "bca", "cab", "bac", "cba", "acb"), 2
+    )
+    given = {"subject": code.format(2), "conditions": ["a", "b", "c"], "order_seed": 0}
+    assert order_text({**given, "order": "counterbalanced"}) == (
+        f"Blocks: {', '.join(of(2))}, by the number 2."
+    )
+    assert order_text({**given, "order": "as_given"}) == "Blocks: a, b, c."
+    assert order_text({**given, "order": "as_given", "subject": "Maria"}) == ""
+
+
 @pytest.mark.parametrize("order", ORDERS)
 def test_orders_hold_every_trial_and_follow_from_seed_and_subject(order: str) -> None:
     conditions = ["dry", "natural", "moist"]
@@ -1200,6 +1300,24 @@ def test_time_left_and_disk_space_follow_from_the_trials_that_were_kept(rig: Rig
     assert session_status(rig.protocol, 10**9, reserve=2 * 10**9)["disk"]["trials_left"] == 0
 
 
+@pytest.mark.parametrize("later", [-7200.0, 12 * 3600.0])
+@pytest.mark.parametrize("before", [1, 2])
+def test_a_night_or_a_change_of_the_clock_is_not_in_the_time_left(
+    tmp_path: Path, before: int, later: float
+) -> None:
+    rig = Rig(tmp_path, trials=4)
+    rig.run(0.5)
+    rig.protocol.start(rig.now)
+    for trial in range(before + 1):
+        if trial == before:
+            on_another_day(rig, later)
+        rig.trial()
+        took = rig.attempt.ended_ns - rig.attempt.began_ns
+        rig.run(2.0)
+    left = session_status(rig.protocol)["time_left"]
+    assert left == pytest.approx((7 - before) * took / SECOND, rel=0.5)
+
+
 def test_a_disk_without_room_for_a_first_trial_is_warned_of(rig: Rig) -> None:
     told = session_status(rig.protocol, 300_000_000, reserve=268_435_456)
     assert "no room for another trial" in told["warnings"][0]
@@ -1262,6 +1380,18 @@ def test_subject_codes_that_were_used_are_found_and_warned_of(rig: Rig, tmp_path
     assert sessions_by_subject(tmp_path) == {"S01": ["session"]}
     told = session_status(rig.protocol, None, ["S01_old"])
     assert "S01 was used before (S01_old)" in told["warnings"][0]
+
+
+@pytest.mark.parametrize("code", ["S01", "s01", "S1", "S001"])
+def test_codes_that_may_be_one_person_are_warned_of(rig: Rig, tmp_path: Path, code: str) -> None:
+    rig.protocol.save()
+    used = sessions_by_subject(tmp_path)
+    plan = StudyPlan(code, "another")
+    named = "session" if code == "S01" else "session as S01"
+    assert earlier_sessions(used, plan) == [named]
+    for other in ("S11", "S010", "S02", "S0_1"):
+        assert earlier_sessions(used, StudyPlan(other, "another")) == []
+    assert earlier_sessions(used, StudyPlan(code, "session")) == [], "itself"
 
 
 def test_instructions_say_what_to_do(rig: Rig) -> None:
@@ -1330,6 +1460,42 @@ def test_a_press_is_timed_on_one_clock_whatever_that_of_the_force(
     assert rig.protocol.step is Step.PRESS
     rig.run(1.0)
     assert "target not reached within 10 s: 0.50 of 1.35 N" in rig.last.note
+
+
+@pytest.mark.parametrize("offset", [-3600, -5, 0, 5, 3600])
+def test_phases_are_announced_by_the_clock_of_the_force(tmp_path: Path, offset: float) -> None:
+    """By which a reader looks for the press."""
+    rig = Rig(tmp_path, limits=Limits(need_camera=False))
+    rig.force_offset = offset * SECOND
+    rig.protocol.start(rig.now)
+    rig.trial()
+    events = [e for e in rig.effects if isinstance(e, TrialEvent)]
+    stamps = {e.phase: e.stamp_ns - rig.force_offset for e in events}
+    onset, lifted = (t - rig.force_offset for t in (rig.attempt.onset_ns, rig.attempt.lifted_ns))
+    assert stamps[TrialPhase.PRESS] < onset < stamps[TrialPhase.LIFT] < lifted
+    assert stamps[TrialPhase.MOISTURE_AFTER] - lifted == pytest.approx(0.5 * SECOND, abs=0.05e9)
+    assert stamps[TrialPhase.DONE] - rig.now == pytest.approx(0.0, abs=0.5e9)
+
+
+@pytest.mark.parametrize("offset", [-3600.0, -0.5, 0.5, 7.0])
+def test_clocks_of_force_and_protocol_that_differ_are_named_with_the_remedy(
+    rig: Rig, offset: float
+) -> None:
+    rig.protocol.check_clocks()
+    rig.force_offset = round(offset * SECOND)
+    rig.run(1.5)
+    words = rf"{abs(offset):.1f} s apart: the system clock was stepped .* restart all nodes$"
+    with pytest.raises(InputError, match=words):
+        rig.protocol.check_clocks()
+    rig.force_offset = -SECOND // 5  # as a message takes on a busy computer
+    rig.run(1.5)
+    rig.protocol.check_clocks()
+
+
+def test_a_force_that_comes_late_once_is_no_other_clock(rig: Rig) -> None:
+    rig.force_offset = -2 * SECOND
+    rig.run(0.1)
+    rig.protocol.check_clocks()
 
 
 def test_an_area_of_zero_is_no_contact_whatever_its_flags(tmp_path: Path) -> None:

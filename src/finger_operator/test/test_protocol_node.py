@@ -407,6 +407,46 @@ def test_no_trial_begins_without_a_tare(ros_domain: int, tmp_path: Path) -> None
         assert node._protocol.step is not Step.PREPARE
 
 
+def test_no_trial_begins_where_the_nodes_disagree_on_the_time(
+    ros_domain: int, tmp_path: Path
+) -> None:
+    from finger_common.errors import InputError
+    from finger_operator.protocol import Step
+
+    with node_here(ros_domain, tmp_path) as node:
+        node._start()
+        assert node._protocol.step is Step.PREPARE
+        now = node.sample_time()
+        node._protocol.wrench(now - 60 * 10**9, 0.0)
+        node._protocol.tick(now)
+        with pytest.raises(InputError, match=r"60.0 s apart.*restart all nodes"):
+            node._start()
+        assert node._protocol.step is Step.PREPARE
+        node._protocol.wrench(now, 0.0)
+        node._protocol.tick(now)
+        node._start()
+        assert node._protocol.step is not Step.PREPARE
+
+
+@pytest.mark.parametrize("code", ["-1", "_S01"])
+def test_a_new_code_begins_with_a_letter_or_a_digit_and_older_ones_go_on(
+    ros_domain: int, tmp_path: Path, code: str
+) -> None:
+    from finger_common.errors import InputError
+    from finger_operator.protocol import Protocol
+    from finger_operator.study_plan import StudyPlan
+
+    with node_here(ros_domain, tmp_path, subject=code) as node:
+        with pytest.raises(InputError, match=f"'{code}' must begin with a letter or a digit"):
+            node._start()
+        assert node._protocol is None and not list(tmp_path.glob(f"{code}*"))
+        protocol = Protocol(StudyPlan(code, "older"), tmp_path / "older", lambda effect: None)
+        protocol.start(node.sample_time())
+        (tmp_path / "current_session").write_text("older")
+        node._resume_pointer()
+        assert node._protocol.plan.subject == code
+
+
 def tell(node: Any, name: str, **values: str) -> None:
     """A report of a node in /diagnostics, a warning."""
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue

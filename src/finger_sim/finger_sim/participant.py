@@ -14,12 +14,13 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from finger_common.guided_presses import CALIBRATION_PRESSES, PRESS_BY_NAME
+from finger_common.host_clock import HostClock
 from finger_common.stamps import NANOSECONDS, nanoseconds, seconds
 from finger_common.trial_phases import TrialPhase
 from finger_model.paper import READINGS_PER_TRIAL
@@ -39,10 +40,11 @@ REPEATED_READINGS = 5
 
 @dataclass(frozen=True)
 class FrameClock:
-    """Mid-exposures of the camera: frame k at first_ns + k period_ns."""
+    """Mid-exposures of the camera: frame k at first_ns + k period_ns of the host's clock."""
 
     first_ns: int
     period_ns: int
+    host: HostClock = field(default_factory=HostClock)
 
     def next_after(self, stamp_ns: int) -> int:
         """Stamp of the first frame at or after a time."""
@@ -207,9 +209,9 @@ class Participant:
             self._send_reading(float(values[-1]), side)
 
     def _play(self, trial: PlannedTrial) -> None:
-        start_ns = self._clock.next_after(time.time_ns() + self._clock.period_ns)
+        start_ns = self._clock.next_after(self._clock.host.now() + self._clock.period_ns)
         self._press = _Press(trial, start_ns)
         end_ns = start_ns + nanoseconds(trial.press.duration)
-        self._stop.wait(max(end_ns - time.time_ns(), 0) / NANOSECONDS)
+        self._stop.wait(max(end_ns - self._clock.host.now(), 0) / NANOSECONDS)
         self._press = None
         self._played(trial, start_ns)

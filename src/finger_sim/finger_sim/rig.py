@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import functools
 import threading
-import time
 from collections.abc import Callable
 from contextlib import ExitStack
 
@@ -21,6 +20,7 @@ import cv2
 import numpy as np
 
 from finger_common.errors import InputError
+from finger_common.host_clock import HostClock
 from finger_common.namespaces import DEFAULT_NAMESPACE
 from finger_common.stamps import NANOSECONDS, nanoseconds
 from finger_driver import can_bus
@@ -105,7 +105,8 @@ class SimulatedRig:
         )
         period_ns = nanoseconds(1 / settings.frame_rate)
         self._open.callback(planner.close)
-        self._clock = FrameClock(time.time_ns() + period_ns, period_ns)
+        host = HostClock()
+        self._clock = FrameClock(host.now() + period_ns, period_ns, host)
         self._probe = probe = SerialMoistureSimulator(addresses.probe)
         self._open.callback(probe.close)
         self.participant = Participant(
@@ -170,7 +171,9 @@ class SimulatedRig:
         self._open.callback(self._sensor.start().stop)
 
     def wrench(self, stamp_ns: int) -> np.ndarray:
-        """Wrench (6,) in N and N m on the sensor below the plate, whose z axis points up."""
+        """Wrench (6,) in N and N m on the sensor below the plate, whose z axis points up, at this
+        moment by the system clock."""
+        stamp_ns = self._clock.host.of_stamp(stamp_ns, 0)
         normal = self.participant.normal_force(stamp_ns)
         wrench = UNLOADED_WRENCH.copy()
         pulled = self.participant.tangential_force(stamp_ns)
@@ -207,7 +210,7 @@ class SimulatedRig:
 
     def _wait_until(self, stamp_ns: int) -> bool:
         """Wait until that time; true when the rig stops before."""
-        return self._stop.wait(max(stamp_ns - time.time_ns(), 0) / NANOSECONDS)
+        return self._stop.wait(max(stamp_ns - self._clock.host.now(), 0) / NANOSECONDS)
 
     def _image(self, stamp_ns: int) -> np.ndarray:
         path = self.participant.frame(stamp_ns)

@@ -11,6 +11,8 @@ from typing import Any
 
 from finger_common.errors import InputError
 
+from ..trial_order import order_text
+
 SEEN: dict[str, type] = {"seen_session": str, "seen_trial": int, "seen_step": str}
 """What a browser showed when the operator asked: another session, trial or step is not meant.
 
@@ -27,12 +29,14 @@ class Command:
     """A command of the page, and who carries it out.
 
     arguments: types by name. service: that carries it out; empty for none. sets: makes of the
-    arguments the parameters of the protocol node, by name, that are set before.
+    arguments the parameters of the protocol node, by name, that are set before. answer: makes the
+    answer of the arguments where no service gives one.
     """
 
     arguments: Mapping[str, type]
     service: str = ""
     sets: Callable[[dict[str, Any]], dict[str, Any]] = lambda given: {}
+    answer: Callable[[dict[str, Any]], str] = lambda given: ""
 
 
 COMMANDS: dict[str, Command] = {
@@ -72,6 +76,9 @@ COMMANDS: dict[str, Command] = {
         },
         PARAMETERS,
         dict,
+    ),
+    "order": Command(
+        {"subject": str, "conditions": list, "order": str, "order_seed": int}, answer=order_text
     ),
     "tare": Command({}, "force/tare"),
     "moisture": Command({"value": float, **SEEN}, "moisture/set_moisture"),

@@ -100,7 +100,7 @@ function openSession() {
   newSession(state.status, async (plan, calibrate) => {
     const answer = await command("configure", plan, true);
     return answer.success ? command(calibrate ? "calibrate" : "start", shown) : answer;
-  });
+  }, (given) => command("order", given, true));
 }
 
 const repeat = once((index) => command("repeat", { index, ...seen() }));
@@ -114,15 +114,25 @@ async function skip() {
   if (chosen) command("skip", shown);
 }
 
+// As far back as the log is shown.
+function lastKept({ events = [], trials = [] }) {
+  const kept = [...events].reverse().find(
+    (e) => e.kind === "kept" && trials[e.index]?.verdict === "done");
+  return kept && trials[kept.index];
+}
+
 async function redo() {
   const { step, index, attempt } = state.status;
   const shown = seen();
+  const last = lastKept(state.status);
   // Of a trial that begins again already there is nothing to ask: the answer says so.
   if (!RUNNING.includes(step) && step !== "failed" && !(step === "prepare" && attempt)) {
-    const chosen = await ask("Redo the last kept trial?",
+    const which = last ? `, ${last.index + 1} (${last.condition})` : "";
+    const chosen = await ask(`Redo the last kept trial${which}?`,
       `Its attempt no longer counts; the bag stays. Now: trial ${index + 1}.`,
       [["redo", "Redo the trial"]]);
     if (!chosen) return;
+    if (last) return command("repeat", { index: last.index, ...shown });
   }
   command("redo", shown);
 }

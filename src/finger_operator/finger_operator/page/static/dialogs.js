@@ -62,17 +62,34 @@ const ORDERS = [
   ["shuffled_trials", "all trials shuffled"],
 ];
 
+// As `alike` of finger_common.subject_code: S01, s01 and S1 may be one person.
+const alike = (code) => code.toLowerCase().replace(/(?<!\d)0+(?=\d)/g, "");
+
 // Ask for a session. status: without a session. begin: called with the plan, and whether the
-// subject is to be calibrated.
-export function newSession(status, begin) {
+// subject is to be calibrated. orderOf: called with subject, conditions, order and seed, resolves
+// to an answer of the server that says what order they give.
+export function newSession(status, begin, orderOf) {
   const { plan } = status;
   const used = status.used_subjects || {};
   const subject = $("plan-subject");
   const warn = () => {
-    const sessions = used[subject.value.trim()];
-    $("subject-used").textContent = sessions
-      ? `${subject.value.trim()} was used before (${sessions.slice(-2).join(", ")}). `
-        + "Go on only if this is the same person." : "";
+    const code = subject.value.trim();
+    $("subject-used").textContent = Object.keys(used).filter((c) => alike(c) === alike(code))
+      .map((c) => `${c} was used before (${used[c].slice(-2).join(", ")}). ${c === code
+        ? "Go on only if this is the same person."
+        : `If this is the same person, write ${c}.`}`).join(" ");
+  };
+  const conditions = () => $("plan-conditions").value.split(",").map((c) => c.trim())
+    .filter(Boolean);
+  let asked = 0;
+  const showOrder = async () => {
+    const question = ++asked;
+    const given = {
+      subject: subject.value.trim(), conditions: conditions(),
+      order: $("plan-order").value, order_seed: Number($("plan-seed").value) || 0,
+    };
+    const answer = given.conditions.length ? await orderOf(given) : { success: false };
+    if (question === asked) $("plan-blocks").textContent = answer.success ? answer.message : "";
   };
   const number = (value) => (value ? String(value) : "");
   subject.value = plan.subject;
@@ -85,6 +102,7 @@ export function newSession(status, begin) {
       own.forEach((id) => { $(id).value = ""; });
     }
     warn();
+    showOrder();
   };
   warn();
   $("plan-age").value = number(plan.age);
@@ -100,6 +118,8 @@ export function newSession(status, begin) {
   $("plan-readings").value = plan.readings;
   $("plan-target").value = plan.target_force;
   $("plan-error").textContent = "";
+  ["plan-conditions", "plan-order", "plan-seed"].forEach((id) => { $(id).oninput = showOrder; });
+  showOrder();
   submits($("session-form"), $("plan-error"), (submitter) => begin({
     subject: subject.value.trim(),
     age: Number($("plan-age").value),
@@ -107,7 +127,7 @@ export function newSession(status, begin) {
     finger: $("plan-finger").value,
     finger_width: Number($("plan-width").value) / 1e3,
     finger_depth: Number($("plan-depth").value) / 1e3,
-    conditions: $("plan-conditions").value.split(",").map((c) => c.trim()).filter(Boolean),
+    conditions: conditions(),
     trials: Number($("plan-trials").value),
     readings: Number($("plan-readings").value),
     target_force: Number($("plan-target").value),

@@ -168,6 +168,13 @@ export function showHealth(items) {
 // Steps whose own words say too little.
 const STEPS = { clear: "waiting for a free plate", closing: "saving the trial" };
 
+// Time of day, with the date where it is not today's.
+function clock(date) {
+  const today = date.toDateString() === new Date().toDateString();
+  const time = date.toLocaleTimeString("en-GB");
+  return today ? time : `${date.toLocaleDateString("en-CA")} ${time}`;
+}
+
 export function showLog(events) {
   const list = $("log").querySelector("ol");
   const newest = [...(events || [])].reverse();
@@ -180,7 +187,7 @@ export function showLog(events) {
   newest.forEach((event, i) => {
     const [time, what, text] = list.children[i].children;
     list.children[i].dataset.kind = event.kind;
-    set(time, new Date(event.time * 1e3).toLocaleTimeString("en-GB"));
+    set(time, clock(new Date(event.time * 1e3)));
     set(what, event.index >= 0 ? `trial ${event.index + 1}` : "session");
     set(text, event.kind === "note" ? `note: ${event.text}`
       : (event.kind === "step" && STEPS[event.text]) || event.text);
