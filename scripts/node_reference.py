@@ -123,11 +123,19 @@ def text_of(node: ast.expr, module: Any) -> str | None:
     return None
 
 
+def sources_of(module: Any) -> list[Path]:
+    """Source of a node's module, and of its parts in the package's folder `node`."""
+    package = module.__name__.partition(".")[0]
+    used = {getattr(value, "__module__", "") or "" for value in vars(module).values()}
+    parts = sorted(name for name in used if name.startswith(f"{package}.node."))
+    return [Path(sys.modules[name].__file__ or "") for name in (module.__name__, *parts)]
+
+
 def uses_of(module: Any) -> dict[str, list[tuple[str, str]]]:
-    """Kind of use -> (name, interface type) from the calls in a module's source."""
-    tree = ast.parse(Path(module.__file__).read_text())
+    """Kind of use -> (name, interface type) from the calls in a node's source."""
+    trees = [ast.parse(source.read_text()) for source in sources_of(module)]
     found: dict[str, list[tuple[str, str]]] = {}
-    for call in [n for n in ast.walk(tree) if isinstance(n, ast.Call)]:
+    for call in [n for tree in trees for n in ast.walk(tree) if isinstance(n, ast.Call)]:
         function = (
             call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
         )
