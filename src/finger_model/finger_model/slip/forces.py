@@ -1,7 +1,11 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Compiled filters of the forces P and Q: present values and rates, noise, and knocks."""
+"""Compiled filters of the forces P and Q: present values and rates, noise, and knocks.
+
+In the air Q is the sensor's zero: what the tare left, and what a gripper that moves brings. Its
+mean over blocks of samples is taken off where it is clear; how the blocks scatter is its error.
+"""
 
 from __future__ import annotations
 
@@ -13,13 +17,32 @@ from ..compiled import njit
 
 FAST, SLOW = 0.008, 0.03
 """s, time constants of the filters of the present forces and of their rates."""
-LONGEST_STEP, NOISE_MEMORY = 0.005, 1.0
+LONGEST_STEP, NOISE_MEMORY = 0.0125, 1.0
 """s between samples up to which what is rough of Q is noise, and how long it is remembered."""
 KNOCK, KNOCKED = 40.0, 0.08
 """1/s, rate of Q over P of a knock, not a pull, and s after it in which ratios tell nothing."""
+BLOCK, BLOCKS, LEAST_BLOCKS = 0.1, 10.0, 3.0
+"""s of a block in the air, also of the first one, which is left out; how many are remembered, and
+how many tell the zero."""
+LEAST_ROUGH = 10.0
+"""Samples in the air that tell the noise."""
+CLEAR_ZERO = 3.0
+"""Mean over scatter of the blocks from which the mean is taken off."""
 
 TRACK = np.dtype([("value", "f8", (3,)), ("rate", "f8", (3,))])
 """P, Qx, Qy."""
+AIR = np.dtype(
+    [
+        ("begin", "i8"),  # ns, of this block
+        ("sum", "f8", (2,)),  # N, Q of this block
+        ("samples", "f8"),
+        ("blocks", "f8"),  # so far
+        ("mean", "f8", (2,)),  # N, of the blocks
+        ("variance", "f8"),  # N², of a block
+        ("rough_samples", "f8"),
+        ("rough_variance", "f8"),  # N², of a sample
+    ]
+)
 FORCES = np.dtype(
     [
         ("fast", TRACK),
@@ -30,13 +53,16 @@ FORCES = np.dtype(
         ("noise", "f8"),  # N, of a sample of Q
         ("filtered_noise", "f8"),  # N, of `fast`
         ("knocked", "i8"),  # ns, when Q last jumped
+        ("air", AIR),
+        ("zero", "f8", (2,)),  # N, of Q in this contact
+        ("zero_error", "f8"),  # N
     ]
 )
 
 
 @njit(cache=True)
 def begin(forces, noise, stamp, normal, q0, q1):
-    """First sample of a contact; the noise (N) is that of the settings."""
+    """First sample of a contact, Q less its zero; the noise (N) is that of the settings."""
     for i in range(3):
         value = normal if i == 0 else (q0 if i == 1 else q1)
         forces.fast.value[i] = forces.slow.value[i] = value
@@ -58,24 +84,89 @@ def _track(track, tau, dt, values):
 
 
 @njit(cache=True)
-def _see_noise(forces, noise, dt, q0, q1):
-    """Noise of Q, that of the settings or more where its samples show more, and that of `fast`."""
+def _roughness(forces, q0, q1, noise, variance):
+    """What this sample of Q shows of its variance (N²), at a noise and a variance so far."""
     last = forces.last
     rough = (q0 - 2.0 * last[0, 0] + last[1, 0]) ** 2
     rough = 0.5 * (rough + (q1 - 2.0 * last[0, 1] + last[1, 1]) ** 2) / 6.0
     last[1] = last[0]
     last[0, 0], last[0, 1] = q0, q1
-    forces.noise = noise
+    # A knock is not noise.
+    return min(rough, 16.0 * max(variance, noise * noise))
+
+
+@njit(cache=True)
+def _see_noise(forces, noise, dt, q0, q1):
+    """Noise of Q, that of the settings or more where its samples show more, and that of `fast`."""
+    rough = _roughness(forces, q0, q1, noise, forces.seen_variance)
     if dt <= LONGEST_STEP:
-        # A knock is not noise.
-        rough = min(rough, 16.0 * max(forces.seen_variance, noise * noise))
         forces.seen_time = min(forces.seen_time + dt, NOISE_MEMORY)
         forces.seen_variance += (rough - forces.seen_variance) * dt / forces.seen_time
         forces.noise = max(noise, math.sqrt(forces.seen_variance))
+    else:
+        forces.noise = max(noise, math.sqrt(forces.air.rough_variance))
     beta = math.exp(-dt / FAST)
     forces.filtered_noise = forces.noise * math.sqrt(
         (1.0 - beta) * (1.0 + 4.0 * beta + 5.0 * beta * beta) / (1.0 + beta) ** 3
     )
+
+
+@njit(cache=True)
+def leave(forces, stamp):
+    """The contact has ended at this stamp."""
+    air = forces.air
+    air.begin = stamp + np.int64(1e9 * BLOCK)
+    air.sum[:] = 0.0
+    air.samples = 0.0
+
+
+@njit(cache=True)
+def see_air(forces, noise, stamp, dt, q0, q1):
+    """A sample in the air, dt (s) after the one before."""
+    air = forces.air
+    if not 0.0 < dt < 2.0 * BLOCK:
+        leave(forces, stamp)
+    rough = _roughness(forces, q0, q1, noise, air.rough_variance)
+    if stamp < air.begin:
+        return
+    air.rough_samples += 1.0
+    share = max(1.0 / air.rough_samples, min(dt / NOISE_MEMORY, 0.1))
+    air.rough_variance += share * (rough - air.rough_variance)
+    air.sum[0] += q0
+    air.sum[1] += q1
+    air.samples += 1.0
+    if (stamp - air.begin) * 1e-9 < BLOCK:
+        return
+    air.blocks = min(air.blocks + 1.0, BLOCKS)
+    share = 1.0 / air.blocks
+    d0, d1 = air.sum[0] / air.samples - air.mean[0], air.sum[1] / air.samples - air.mean[1]
+    air.mean[0] += share * d0
+    air.mean[1] += share * d1
+    air.variance = (1.0 - share) * (air.variance + share * (d0 * d0 + d1 * d1))
+    air.begin = stamp
+    air.sum[:] = 0.0
+    air.samples = 0.0
+
+
+@njit(cache=True)
+def set_zero(forces):
+    """Let the zero of the contact that begins be what the air told."""
+    air = forces.air
+    forces.zero[:] = 0.0
+    forces.zero_error = 0.0
+    if air.blocks >= LEAST_BLOCKS:
+        scatter, mean = math.sqrt(air.variance), math.hypot(air.mean[0], air.mean[1])
+        if mean > CLEAR_ZERO * scatter:
+            forces.zero[:] = air.mean
+            forces.zero_error = scatter
+        else:
+            forces.zero_error = math.hypot(scatter, mean)
+
+
+@njit(cache=True)
+def noise_known(forces):
+    """Whether samples, in this contact or in the air, have shown their noise."""
+    return forces.seen_time >= BLOCK or forces.air.rough_samples >= LEAST_ROUGH
 
 
 @njit(cache=True)

@@ -18,6 +18,8 @@ from .forces import tangential
 
 LAG, EVERY, MEMORY = 0.04, 0.01, 0.1
 """s: over which forces are forecast, how often, and how long the comparison is remembered."""
+LEAST_ODDS = -4.0
+"""Log of the odds of standing still that a pull leaves: more would hide a slip for longer."""
 KEPT = 4
 """Newest forecasts kept."""
 OLD = LAG - 0.5 * EVERY
@@ -89,7 +91,8 @@ def compare(forecasts, forces, stamp):
             log_pull = -0.5 * (pull * pull / pull_variance + math.log(pull_variance))
             keep = math.exp(-EVERY / MEMORY)
             gain = max(log_slip, log_hold) - log_pull
-            forecasts.odds = keep * forecasts.odds + min(max(gain, -3.0), 3.0)
+            odds = keep * forecasts.odds + min(max(gain, -3.0), 3.0)
+            forecasts.odds = max(odds, LEAST_ODDS)
     now = forecasts.past[forecasts.count % KEPT]
     now.made, now.ratio, now.force, now.rate = stamp * 1e-9, q / max(p, 1e-6), q, rate
     forecasts.count += 1

@@ -32,6 +32,8 @@ FRAMES, NEXT_RATIO = 20, 0.05
 """Frames of a pull that count until r has grown by NEXT_RATIO: more of them err as these do."""
 SMALLEST_FORCE = 0.05
 """N; below it ratios are not judged."""
+UNSURE = 0.1
+"""Error of the zero of Q over μP from which friction counts as assumed."""
 TEACHING_FORCE = 0.2
 """N; below it a ratio carried teaches no friction: what the tare left may be all of it."""
 
@@ -99,9 +101,10 @@ def _begin_contact(config, state, stamp, normal, q0, q1):
 def _learn(state):
     """Keep what the plateau that ends has told."""
     known = state.friction.known
-    if friction.learn(known, state.plateau) and not state.pull.counted:
+    probability = friction.learn(known, state.plateau)
+    if probability > 0.5 and not state.pull.counted:
         state.pull.counted = True
-        known.slips += 1
+        friction.count_slip(known, plateau.mean_log_ratio(state.plateau), probability)
 
 
 @njit(cache=True)
@@ -126,9 +129,9 @@ def _judge_ratio(config, state, stamp):
     forces.see_knock(tracked, stamp)
     if forces.calm(tracked, stamp):
         # Noise of the force is no pull.
-        carried = min(ratio, slow) - 2.0 * tracked.noise / load
+        carried = min(ratio, slow) - 2.0 * math.hypot(tracked.noise, tracked.zero_error) / load
         if load >= TEACHING_FORCE:
-            state.friction.carried = max(state.friction.carried, carried)
+            friction.carry(state.friction, carried, config.drift)
         pull.largest = max(pull.largest, carried)
     if ratio < TURNED * pull.largest - 0.02:
         pull.turned = True
@@ -156,7 +159,8 @@ def _ahead(tracked, horizon, ratio, stands):
     q0 = now.value[1] + horizon * now.rate[1]
     q1 = now.value[2] + horizon * now.rate[2]
     ahead = ratio if stands else max(math.hypot(q0, q1) / p, ratio)
-    return ahead, math.hypot(friction.EDGE, tracked.filtered_noise / max(ahead * p, 1e-3))
+    error = math.hypot(tracked.filtered_noise, tracked.zero_error)
+    return ahead, math.hypot(friction.EDGE, error / max(ahead * p, 1e-3))
 
 
 @njit(cache=True)
@@ -181,23 +185,32 @@ def follow(config, state, stamp, normal, q0, q1, touching, doubted, indentation,
         _say_nothing(out)
         out.friction, out.friction_stddev = state.friction.mean, state.friction.stddev
         out.slips = known.slips
-        out.flags = INVALID | (ASSUMED if known.slips == 0 else 0)
+        out.flags = INVALID | (0 if known.shown else ASSUMED)
         return
     if not known.told and moisture != state.friction.moisture and math.isfinite(moisture):
         friction.set_prior(config.prior, state.friction, moisture)
     dt = (stamp - state.stamp) * 1e-9
+    if touching:
+        if not state.touching:
+            forces.set_zero(state.forces)
+        q0 -= state.forces.zero[0]
+        q1 -= state.forces.zero[1]
     if touching and not state.touching:
         _begin_contact(config, state, stamp, normal, q0, q1)
         dt = 0.0
     elif state.touching and not touching:
         _end_contact(config, state, stamp)
-    elif touching and dt > 0.0:
+        forces.leave(state.forces, stamp)
+    elif not touching:
+        forces.see_air(state.forces, config.noise, stamp, dt, q0, q1)
+    elif dt > 0.0:
         forces.add(state.forces, config.noise, dt, normal, q0, q1)
+        friction.pass_time(state.friction, config.drift, dt)
     if touching:
         state.doubted = doubted
     state.stamp = stamp
     out.slips = known.slips
-    out.flags = ASSUMED if known.slips == 0 else 0
+    out.flags = 0 if known.shown else ASSUMED
     now = state.forces.fast.value
     judged = touching and normal >= SMALLEST_FORCE and now[0] >= SMALLEST_FORCE
     ratio, beyond, with_load = 0.0, math.nan, 0.0
@@ -215,7 +228,17 @@ def follow(config, state, stamp, normal, q0, q1, touching, doubted, indentation,
     if judged:
         ahead, spread = _ahead(state.forces, config.horizon, ratio, stands)
     slipping, first_stick, stick_spread = friction.weigh(
-        state.friction, state.plateau, stands, judged, beyond, with_load, ahead, spread, out
+        state.friction,
+        config.drift,
+        state.plateau,
+        stands,
+        judged,
+        ratio,
+        beyond,
+        with_load,
+        ahead,
+        spread,
+        out,
     )
     mean = out.friction
     if not judged:
@@ -232,8 +255,13 @@ def follow(config, state, stamp, normal, q0, q1, touching, doubted, indentation,
         stick = first_stick
     out.stick_ratio = 0.0 if slipping else stick
     out.stick_ratio_stddev = math.hypot(stick_spread, 0.03)
-    out.slip_margin = 0.0 if slipping else max(0.0, 1.0 - ratio / mean)
-    out.slip_margin_stddev = ratio / mean * math.hypot(out.friction_stddev / mean, friction.EDGE)
+    if slipping:
+        out.slip_margin = 0.0
+    used = ratio / mean * friction.EDGE
+    error = math.hypot(state.forces.filtered_noise, state.forces.zero_error) / (mean * now[0])
+    out.slip_margin_stddev = math.hypot(out.slip_margin_stddev, math.hypot(used, error))
+    if state.forces.zero_error > UNSURE * mean * now[0] or not forces.noise_known(state.forces):
+        out.flags |= ASSUMED
     stiffness = elements.sudden_stiffness(config.finger, indentation)
     out.tangential_stiffness = stiffness
     out.tangential_displacement[:] = math.nan

@@ -31,7 +31,9 @@ GROWN = 1.3
 """By which r must have grown in a contact before it can be slip: a force that is oblique from the
 first touch on, or a sensor that is not level, has Q in proportion to P too."""
 SPREAD = 0.03
-"""Of ln r in slip."""
+"""Of ln r in slip, where Q's zero is exact."""
+SLIDE = 100
+"""Forecasts of a slide after which its newest ones tell its ratio."""
 EARLIER = 0.5
 """Share of what the windows before tell that is kept."""
 LETTING_GO = 3.0
@@ -45,6 +47,7 @@ PLATEAU = np.dtype(
         ("least", "f8"),  # ratio in this contact
         ("sum", "f8"),  # of ln r, of the time in which it looked most like slip
         ("count", "f8"),  # weight of that sum
+        ("spread", "f8"),  # of ln r in slip
         ("odds", "f8"),  # largest log of the odds of slip in it
         ("past_odds", "f8", (KEPT,)),  # the same, at the newest forecasts
         ("window", "f8", (windows.LENGTH, 2)),  # P, Q, newest samples, one with each forecast
@@ -122,7 +125,12 @@ def _look_for_slip(plateau, forces, coupled, log_ratio, judged):
         keep = 0.5 if plateau.odds > 0.0 else 0.0
         plateau.sum *= keep
         plateau.count *= keep
-    if odds > plateau.odds - 0.5 or plateau.count == 0.0:
+    # Friction may change in a slide that goes on.
+    slides = plateau.odds >= CLEAR_SLIP and plateau.window_odds > 0.0 and plateau.seen > SLIDE
+    if slides and plateau.count > SLIDE:
+        plateau.sum *= SLIDE / plateau.count
+        plateau.count = SLIDE
+    if slides or odds > plateau.odds - 0.5 or plateau.count == 0.0:
         plateau.sum += log_ratio
         plateau.count += 1.0
     if plateau.looks <= 1:
@@ -167,6 +175,7 @@ def judge(plateau, forecasts, forces, coupled, stamp):
     elif still and not plateau.present:
         _begin(plateau, stamp)
     if plateau.present:
+        plateau.spread = math.hypot(SPREAD, forces.zero_error / max(q, 1e-6))
         _look_for_slip(plateau, forces, coupled, log_ratio, not letting_go or away < SPREAD)
         plateau.past_odds[forecasts.count % KEPT] = plateau.odds
     return ended
