@@ -21,7 +21,7 @@ _SPLIT = re.compile(r"(.+)_(0|[1-9][0-9]{0,8})")  # as recorders number files, w
 
 def find_bags(paths: Iterable[str | Path]) -> list[Path]:
     """Bags among files and folders; a folder that is no bag stands for the bags in it and in the
-    folders directly in it, or where there are none, for those one folder deeper: of its sessions.
+    folders directly in it, and a folder without bags there for those one deeper: of a session.
 
     Raises InputError for a path that does not exist or a folder without bags.
     """
@@ -32,7 +32,7 @@ def find_bags(paths: Iterable[str | Path]) -> list[Path]:
         if path.is_file() or (path / METADATA).is_file():
             found.append(path)
             continue
-        bags = _bags_within(path) or [bag for p in _folders(path) for bag in _bags_within(p)]
+        bags = _bags_within(path)
         if not bags:
             raise InputError(f"{path}: no bag in this folder; give a bag or a folder of bags")
         found += bags
@@ -52,10 +52,14 @@ def _folders(folder: Path) -> list[Path]:
 def _bags_within(folder: Path) -> list[Path]:
     """Bags in a folder and in the folders directly in it."""
     bags = _bags_of(folder)
-    inside = [bag for p in _folders(folder) for bag in _bags_of(p)]
+    inside = [bag for p in _folders(folder) for bag in _bags_of(p) or _bags_of_folders(p)]
     if inside and bags == [folder]:  # files beside bags are no bag with them
         bags = data_files(folder)
     return sorted(bags + inside)
+
+
+def _bags_of_folders(folder: Path) -> list[Path]:
+    return [bag for p in _folders(folder) for bag in _bags_of(p)]
 
 
 def _bags_of(folder: Path) -> list[Path]:

@@ -89,7 +89,7 @@ class SessionSettings(Settings):
 
 _REMINDER = 10.0
 """s between error messages while an interrupted recording is not resumed."""
-_PATIENCE = 5.0
+_PATIENCE = 20.0
 """s of a recording after which it is told that nothing comes."""
 _LONGEST_DELAY = 60.0
 """s that a message waits at most between its arrival and being taken."""
@@ -333,7 +333,8 @@ class RecorderNode(ManagedNode):
             if not topic.is_latched and topic.name not in TOPICS
         ]
         came = counts.keys() & {n for name in streams for n in (name, f"{name}/compressed")}
-        if not streams or any(counts[name] for name in came):
+        steady = any(topic.steady for topic in self._topics.values())
+        if not steady or any(counts[name] for name in came):
             return ""
         text = f"nothing came on {listed(streams, 3)}: "
         if any(map(self.count_publishers, streams)):
@@ -501,7 +502,7 @@ class RecorderNode(ManagedNode):
     def _doubts(self, result: RecordingResult) -> list[str]:
         """What makes a bag of little use that was recorded as it should be."""
         nothing = "" if result.error else self._nothing_came(result.counts)
-        if nothing:
+        if nothing and self.values["record_at_start"]:
             self.exit_code = 1
         return [text for text in (self._without_force(result.counts), nothing) if text]
 

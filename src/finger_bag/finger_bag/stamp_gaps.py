@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections import deque
-from statistics import median
+from statistics import fmean, median
 
 _BATCH = 250
 """Steps judged together; many more than a catch-up or a burst at the start holds."""
@@ -18,6 +18,10 @@ _DRIFT = 0.1
 """Part of a delay that lasts which is taken for an error of the period, with each message."""
 _NEAR, _SHARE = 0.2, 0.2
 """Steps this near the expected period, relatively, and the share of them that shows it."""
+_BETWEEN = 1.6
+"""Expected periods, up to which a longer step is one of a slower stream and no gap."""
+_USUAL = (0.75, 1.5)
+"""Steps, in their usual length, whose mean is the period: stamps may be rounded."""
 _CLOCK_STEP = 1.0
 """s by which stamps may move against the time of arrival before their clock was stepped."""
 
@@ -25,12 +29,12 @@ _CLOCK_STEP = 1.0
 class StampGaps:
     """Counts messages that are missing between the stamps of a stream.
 
-    rate: expected, Hz; 0 where it is not known. The period is the median of the last steps, in
-    batches, so that a burst at the start does not pass for the stream's period. In a stream slowed
-    by gaps it is the expected one where enough steps still have it. A message may be late, and the
-    next ones make up for it, as those of a driver that catches up; what they do not make up for
-    soon is missing. Stamps that jump while no such time passes come from a clock that was stepped;
-    they are counted in `clock_steps`.
+    rate: expected, Hz; 0 where it is not known. The period is the mean of the steps near the median
+    of the last ones, in batches, so that a burst at the start does not pass for the stream's
+    period. In a stream slowed by gaps it is the expected one where enough steps still have it.
+    A message may be late, and the next ones make up for it, as those of a driver that catches up;
+    what they do not make up for soon is missing. Stamps that jump while no such time passes
+    come from a clock that was stepped; they are counted in `clock_steps`.
     """
 
     def __init__(self, rate: float = 0.0) -> None:
@@ -73,9 +77,11 @@ class StampGaps:
         usual, expected = median(self._recent), self._expected
         if usual > (1 + _NEAR) * expected > 0.0:
             near = sum(abs(step - expected) < _NEAR * expected for step in self._recent)
-            if near >= _SHARE * len(self._recent):
+            slower = sum((1 + _NEAR) * expected < s <= _BETWEEN * expected for s in self._recent)
+            if near >= max(_SHARE * len(self._recent), 2 * slower):
                 return expected
-        return usual
+        low, high = _USUAL
+        return fmean([s for s in self._batch if low * usual <= s <= high * usual] or [usual])
 
     def _judge(self) -> tuple[int, float, deque[float]]:
         """Messages missing, with the batch; and, in periods by which messages lag behind one for

@@ -130,18 +130,26 @@ def installed_checks() -> dict[str, Callable[[CheckedBag, Validation], None]]:
 def fingers(path: str | Path, settings: ReadSettings) -> list[str]:
     """Namespaces of the fingers of a bag; the one of the settings where it does not hold several.
 
-    Raises InputError when it cannot be read at all.
+    A force with no other stream of a finger beside it is another sensor's, as a robot's wrist has
+    it, where any finger has more. Raises InputError when it cannot be read at all.
     """
-    if settings.namespace:
+    if settings.namespace or settings.wrench_topic.startswith("/"):
         return [settings.namespace]
     with open_bag(path) as reader:
-        topics = [t for t in reader.info.topics.values() if t.count != 0]
-    found: set[str] = set()
+        topics = {t.name: t.type for t in reader.info.topics.values() if t.count != 0}
+    found: dict[str, int] = {}
     for name in ("wrench", "contact_state"):
-        held = [t.name.removesuffix(name) for t in topics if t.name.endswith(f"/{name}")]
-        if len(held) > 1 and not settings.mapping.topic(name).topic:
-            found.update(namespace.rstrip("/") or "/" for namespace in held)
-    return sorted(found) or [""]
+        ends = [t for t, kind in topics.items() if t.endswith(f"/{name}") and kind == _type(name)]
+        if len(ends) > 1 and not settings.mapping.topic(name).topic:
+            for namespace in (topic.removesuffix(f"/{name}") for topic in ends):
+                found[namespace] = sum(topics.get(f"{namespace}/{n}") == _type(n) for n in TOPICS)
+    most = max(found.values(), default=0)
+    fingers = [n or "/" for n, streams in sorted(found.items()) if streams > 1 or most < 2]
+    return fingers if len(fingers) > 1 else [""]
+
+
+def _type(name: str) -> str:
+    return TOPICS[name].type
 
 
 def validate(path: str | Path, settings: ReadSettings | None = None) -> Validation:

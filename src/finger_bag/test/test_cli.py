@@ -159,6 +159,23 @@ def test_of_all_files_of_a_session_the_bags_are_judged(
         assert run(command, ["validate", *map(str, alone)]) == 2
 
 
+def test_the_force_of_a_wrist_is_no_finger(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "arm"
+    with BagWriter(path) as bag:
+        for i in range(500):
+            stamp = START + i * 2_000_000
+            for topic in ("/finger/wrench", "/arm/ft/wrench"):
+                bag.write(topic, wrench(stamp, 0.1), stamp)
+            if i % 50 == 0:
+                bag.write("/finger/image_raw", image(stamp, 1e-4), stamp)
+    assert run(command, ["validate", str(path)]) == 2
+    assert "choose with --namespace" in capsys.readouterr().err
+    run(command, ["validate", str(path), "--namespace", "finger", "--json"])
+    assert len(json.loads(capsys.readouterr().out)) == 1
+
+
 def test_each_finger_of_a_hand_is_judged_in_turn(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -257,6 +257,9 @@ def test_a_folder_of_sessions_stands_for_all_their_bags(tmp_path: Path) -> None:
     assert find_bags([tmp_path / "sessions" / "S01_a"]) == found[:2]
     with pytest.raises(InputError, match="no bag in this folder"):
         find_bags([tmp_path])
+    # Also beside a bag of no session.
+    loose = write_session(tmp_path / "sessions" / "take", trials=1, rate=100)
+    assert find_bags([tmp_path / "sessions"]) == [*found, loose]
 
 
 def test_files_are_one_bag_only_where_they_are_numbered(

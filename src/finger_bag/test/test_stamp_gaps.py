@@ -134,3 +134,17 @@ def test_another_rate_than_expected_is_that_of_the_stream(rate: float) -> None:
     stamps = (np.arange(4000) + rng.normal(0, 0.05, 4000)) * 1e9 / rate
     assert counted(stamps, rate=500.0).missing == 0
     assert counted([*stamps[:2000], *stamps[2007:]], rate=500.0).missing == 7
+
+
+@pytest.mark.parametrize("rate", [476.0, 450.0, 420.0, 400.0, 390.0, 300.0])
+def test_rounded_stamps_miss_nothing(rate: float) -> None:
+    """Stamps in whole milliseconds: 1,999 of 8,000 at 400 Hz were "missing"."""
+    stamps = np.floor(np.arange(8000) * 1000 / rate) * 1e6
+    assert counted(stamps).missing == counted(stamps, rate=500.0).missing == 0
+
+
+@pytest.mark.parametrize("rates", [(10.0, 9.0), (10.0, 8.0), (500.0, 450.0, 500.0)])
+def test_a_rate_that_changes_a_little_misses_nothing(rates: tuple[float, ...]) -> None:
+    """Of a camera whose exposure changes: 146 of 2,000 were "missing"."""
+    steps = np.concatenate([np.full(1000, 1e9 / rate) for rate in rates])
+    assert counted(np.cumsum(steps)).missing == 0

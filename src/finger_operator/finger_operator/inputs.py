@@ -81,7 +81,8 @@ class Inputs:
             return ""
         return (
             f"the clocks of the force driver and the protocol are {abs(self.force_lag):.1f} s "
-            "apart: the system clock was stepped between their starts; restart all nodes"
+            "apart: the system clock was stepped between their starts, or the force comes from "
+            "another computer; restart all nodes, or synchronise the computers"
         )
 
     def add_area(self, stamp_ns: int, area: float, flags: int, now_ns: int) -> None:

@@ -262,7 +262,8 @@ class ProtocolNode(ManagedNode):
 
     def _new_session(self, calibration: bool = False) -> Protocol:
         values = self.values
-        check_new_subject(values["subject"])
+        if values["subject"] not in self._used_subjects:
+            check_new_subject(values["subject"])
         session = values["session"] or f"{values['subject']}_{time.strftime('%Y%m%dT%H%M%S')}"
         plan = StudyPlan(
             **{**self.settings(PlanSettings).to_dict(), "session": session},

@@ -107,7 +107,8 @@ class PlanSettings(Settings):
     order: str = setting(
         "as_given",
         "Order of the trials: blocks as given, blocks shuffled, blocks counterbalanced over the "
-        "subjects (by the last number in the subject code), or all trials shuffled.",
+        "subjects (by the last number in the subject code that follows a letter), or all trials "
+        "shuffled.",
         choices=ORDERS,
         runtime=True,
     )

@@ -27,8 +27,12 @@ def williams_rows(number: int) -> list[list[int]]:
 
 
 def subject_number(subject: str) -> int:
-    """The last number in a subject code, as those of year, study or group come first; 1 without."""
-    numbers = re.findall(r"\d+", subject)
+    """The last number in a subject code that follows a letter, else the last one; 1 without.
+
+    Numbers of year, study or group come first (`2026_S07`), those of a visit behind another
+    separator (`S07_2`).
+    """
+    numbers = re.findall(r"[^\W\d_](\d+)", subject) or re.findall(r"\d+", subject)
     return int(numbers[-1]) if numbers else 1
 
 

@@ -63,7 +63,7 @@ const ORDERS = [
 ];
 
 // As `alike` of finger_common.subject_code: S01, s01 and S1 may be one person.
-const alike = (code) => code.toLowerCase().replace(/(?<!\d)0+(?=\d)/g, "");
+const alike = (code) => code.toLowerCase().replace(/(^|\D)0+(?=\d)/g, "$1");
 
 // Ask for a session. status: without a session. begin: called with the plan, and whether the
 // subject is to be calibrated. orderOf: called with subject, conditions, order and seed, resolves
