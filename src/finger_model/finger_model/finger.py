@@ -35,11 +35,31 @@ def load_reduced(
 
 
 def load_for(
-    sets: ParameterSets, model_file: str | Path = "", geometry_file: str | Path | Geometry = ""
+    sets: ParameterSets, model_file: str | Path = "", geometry_file: str | Path = ""
 ) -> ReducedModel:
-    """As `load_reduced`; without files the model of the finger whose lengths the sets hold."""
-    own = "" if model_file else sets.geometry or ""
-    return load_reduced(model_file, geometry_file or own)
+    """As `load_reduced`, for the finger whose lengths the sets hold.
+
+    Raises InputError too where a file names another finger.
+    """
+    return model_for(sets, load_reduced(model_file, geometry_file), model_file, geometry_file)
+
+
+def model_for(
+    sets: ParameterSets,
+    model: ReducedModel,
+    model_file: str | Path = "",
+    geometry_file: str | Path = "",
+) -> ReducedModel:
+    """As `load_for`; model: that of the files."""
+    own = sets.geometry
+    if own is None or sets.geometry_hash == model.geometry_hash:
+        return model
+    if geometry_file or (model_file and not model.serves_population):
+        raise InputError(
+            f"{sets.where}: holds the lengths of another finger ({sets.geometry_hash[:8]}) than "
+            f"{geometry_file or model_file} ({model.geometry_hash[:8]}); leave one of the two out"
+        )
+    return load_reduced(model_file, own)
 
 
 def _geometry(source: str | Path | Geometry) -> Geometry | None:

@@ -63,9 +63,8 @@ from .estimator import ContactEstimate, ContactEstimator, EstimatorEvent, Estima
 from .estimator.estimator import FUTURE
 from .estimator.events import ANOTHER_SUBJECT
 from .estimator.parameter_selection import check_sets
-from .finger import load_for, load_reduced
+from .finger import load_reduced, model_for
 from .followers import Followers, prepare
-from .geometry import Geometry
 from .latency import LatencyHistogram
 from .lateness import Lateness
 from .messages import (
@@ -84,11 +83,11 @@ from .node.calibration import LiveCalibration
 from .parameter_sets import ParameterSets
 from .pose.estimator import MeasuredOutline
 from .pose.settings import PoseSettings
-from .reduced.model import ReducedModel, load_population
+from .reduced.model import ReducedModel
 from .slip import SlipSettings
 from .subject_calibration import fit_subject
 from .subjects import subject_file
-from .warm_up import warm_up
+from .warm_up import warm_up, warm_up_all
 from .wrench_watch import WrenchWatch
 
 
@@ -109,7 +108,8 @@ class ModelSettings(Settings):
     )
     geometry_file: str = setting(
         "",
-        "geometry.yaml of the finger; empty for the default geometry.",
+        "geometry.yaml of the finger; empty for the default geometry. A parameter_file of other "
+        "lengths is refused; a subject's own file may hold others.",
         advice="A finger outside the population box needs its own reduced model: finger-model "
         "reduce --geometry.",
     )
@@ -218,7 +218,7 @@ class ModelNode(ManagedNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
-        self.health = Health("contact state", stale_after=0.1)
+        self.health = Health("contact state", rate_tolerance=0.1, stale_after=0.1)
         # Apart from the stream, so that a warning of an input does not hide a silent sensor.
         self.inputs = Health("inputs")
         self.healths += [self.health, self.inputs]
@@ -254,10 +254,8 @@ class ModelNode(ManagedNode):
         """Load model and parameters, compile, connect."""
         values = self.values
         self._model = load_reduced(values["reduced_model_file"], values["geometry_file"])
-        self._sets = self._load_sets(values["parameter_file"])
-        if values["subjects_folder"]:
-            # The kernels of a finger of its own lengths, which a subject may bring.
-            warm_up(ContactEstimator(load_population(Geometry())))
+        self._sets = self._load_named_sets(values["parameter_file"])
+        warm_up_all()
         warm_up(self._new_estimator(self._sets))
         prepare(self._model_of(self._sets), self._sets)
         self._run = self._new_run(self._sets)
@@ -315,17 +313,12 @@ class ModelNode(ManagedNode):
             ),
             post_callback=self._on_jump,
         )
-        error = self._model.measured_error
-        self.get_logger().info(
-            f"reduced model {self._model.hash[:8]} of law '{self._model.law.name}', RMS error "
-            f"{100 * self._model.rms_error:.2f} %"
-            + (f" in {error['pairs']} full-order histories" if "pairs" in error else "")
-            + f"; parameter sets {self._sets.hash[:8]}"
-        )
+        self._tell_model(self._run.estimator)
 
     def activate(self) -> None:
         """Begin with a finger at rest."""
         assert self._model is not None
+        self.health.numbered(None)
         self._follow_wrench()
         self._calibration.forget()
         self._run = self._new_run(self._sets_of(self._subject))
@@ -364,7 +357,8 @@ class ModelNode(ManagedNode):
         merged = {**self.values, **changes}
         settings, slip = EstimatorSettings.select(merged), SlipSettings.select(merged)
         pose = PoseSettings.select(merged)
-        sets = self._load_sets(merged["parameter_file"]) if "parameter_file" in changes else None
+        named = "parameter_file" in changes
+        sets = self._load_named_sets(merged["parameter_file"]) if named else None
         # Nothing is refused from here on; what is made anew has all of the changes.
         self.values = merged
         self.health.stale_after = merged["force_stale_after"]
@@ -381,6 +375,15 @@ class ModelNode(ManagedNode):
                 reason = f"parameter file {changes['parameter_file'] or 'unset, shipped sets'}"
                 self._use_sets(self._sets_of(self._subject), reason, forget=False)
 
+    def _load_named_sets(self, path: str) -> ParameterSets:
+        """Those of `parameter_file`; raises InputError too where another file names a finger of
+        other lengths. A subject's file may bring its own."""
+        assert self._model is not None
+        sets = self._load_sets(path)
+        files = (self.values[name] for name in ("reduced_model_file", "geometry_file"))
+        model_for(sets, self._model, *files)
+        return sets
+
     def _load_sets(self, path: str) -> ParameterSets:
         sets = ParameterSets.load(path) if path else ParameterSets.default()
         model = self._model_of(sets)
@@ -394,8 +397,26 @@ class ModelNode(ManagedNode):
     def _model_of(self, sets: ParameterSets) -> ReducedModel:
         """The model of the finger whose lengths the sets hold, or else of `geometry_file`."""
         assert self._model is not None
-        own = sets.geometry is None or sets.geometry_hash == self._model.geometry_hash
-        return self._model if own else load_for(sets)
+        model_file = self.values["reduced_model_file"] if self._model.serves_population else ""
+        return model_for(sets, self._model, model_file)
+
+    def _origin(self, estimator: ContactEstimator) -> str:
+        """The file that the lengths of the finger in use come from, or what is in its place."""
+        assert self._model is not None
+        if estimator.model.geometry_hash != self._model.geometry_hash:
+            return estimator.parameter_sets.where or f"the calibration of {self._subject}"
+        model_file = "" if self._model.serves_population else self.values["reduced_model_file"]
+        return self.values["geometry_file"] or model_file or "the default finger"
+
+    def _tell_model(self, estimator: ContactEstimator) -> None:
+        """Log the model in use and how exact it is."""
+        model, error = estimator.model, estimator.model.measured_error
+        self.get_logger().info(
+            f"reduced model {model.hash[:8]} of law '{model.law.name}', lengths of "
+            f"{self._origin(estimator)}, RMS error {100 * model.rms_error:.2f} %"
+            + (f" in {error['pairs']} full-order histories" if "pairs" in error else "")
+            + f"; parameter sets {estimator.parameter_sets.hash[:8]}"
+        )
 
     def _new_estimator(self, sets: ParameterSets) -> ContactEstimator:
         return ContactEstimator(self._model_of(sets), sets, self.settings(EstimatorSettings))
@@ -415,6 +436,7 @@ class ModelNode(ManagedNode):
         """Subscribe to the wrench, unless a node of this process gives it or none is wanted."""
         wanted = self._local is not None and not self._local.fed
         if wanted and self._wrench is None:
+            self.health.numbered(None)
             self._wrench = self.create_stream_subscription(
                 WrenchStamped, self.values["wrench_topic"], self._on_wrench, self.stream_qos()
             )
@@ -429,18 +451,19 @@ class ModelNode(ManagedNode):
         """
         if self._local is None or self._local.fed:
             return
-        self._follow(*_sample_of(message, info))
+        self._follow(message, info)
         handle = self._wrench.handle
         for _ in range(SAMPLES_PER_CALLBACK):
             with handle:
                 taken = handle.take_message(WrenchStamped, False)
             if taken is None:
                 return
-            self._follow(*_sample_of(*taken))
+            self._follow(*taken)
 
-    def _follow(self, *sample: Any) -> None:
+    def _follow(self, message: WrenchStamped, info: dict[str, int]) -> None:
         """All of a sample at once."""
-        rest = self._on_sample(*sample)
+        self.health.numbered(info.get("publication_sequence_number"))
+        rest = self._on_sample(*_sample_of(message, info))
         if rest is not None:
             rest()
 
@@ -622,6 +645,7 @@ class ModelNode(ManagedNode):
         run = self._run
         assert run is not None
         model = self._model_of(sets)
+        sets = sets.of_finger(model.geometry)
         if run.first_stamp is None or model.hash != run.estimator.model.hash:
             # A finger of other lengths begins anew.
             self._begin_anew(run, model, sets, reason)
@@ -647,8 +671,11 @@ class ModelNode(ManagedNode):
         """A finger that was not seen before, with the reading there is, from the next sample on,
         whose event names sets and model; the caller holds the lock."""
         estimator = ContactEstimator(model, sets, self.settings(EstimatorSettings))
+        estimator.go_on_from(run.estimator)
         if self._reading is not None:
             estimator.add_moisture(*self._reading)
+        if model.hash != run.estimator.model.hash:
+            self._tell_model(estimator)
         run.begin_anew(estimator, reason)
 
     def _fit_subject(
@@ -753,6 +780,8 @@ class ModelNode(ManagedNode):
                 "model_mismatch",
                 f"measured areas are not those of this finger's model: it is {found.sentence()}",
             )
+            model = f"{run.estimator.model.hash[:8]}, lengths of {self._origin(run.estimator)}"
+            self.health.notes["model"] = model
             self.health.notes["finger"] = found.sentence()
             self.health.notes["finger_deviation_sd"] = f"{found.deviation:.2f}"
             self.health.notes["finger_probability"] = f"{found.probability:.3g}"

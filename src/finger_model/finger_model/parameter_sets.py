@@ -7,7 +7,8 @@
 
     law: …                    # of the parameters; may be absent for the default law
     geometry_hash: …          # hash of the geometry the sets were fitted with; "" when unknown
-    geometry: {…}             # its lengths, as in geometry.yaml; left out for the finger in use
+    geometry: {…}             # its lengths, as in geometry.yaml; left out for the finger in use,
+                              # where a recorded event has them unless it is the default one
     reduced_model_hash: …     # hash of the reduced model they were fitted with; "" when unknown
     sets:
       - condition: natural
@@ -21,6 +22,7 @@
           - …
 
 A key `prior` says how fingers differ from the sets, see `finger_prior`; the shipped file has one.
+A key `presses` says how much the presses of the fit differ, see `press_scatter`.
 
 Between two sets the logarithms of the parameters and the covariance are interpolated linearly over
 moisture. Beyond the driest and the wettest set the end set holds. The result is marked where the
@@ -47,6 +49,7 @@ from finger_common.moisture import MOISTURE_TEXT, is_moisture
 from .finger_prior import FingerPrior
 from .geometry import Geometry
 from .laws import ConstitutiveLaw, ParameterSpace, StandardLinearSolid, law_of
+from .press_scatter import PressScatter
 
 
 @dataclass(frozen=True)
@@ -115,6 +118,7 @@ class ParameterSets:
         law: type[ConstitutiveLaw] = StandardLinearSolid,
         prior: FingerPrior | None = None,
         geometry: Geometry | None = None,
+        presses: PressScatter | None = None,
     ) -> None:
         if not sets:
             raise InputError(f"{where}: 'sets' is empty; give at least one parameter set")
@@ -123,6 +127,7 @@ class ParameterSets:
         self.space = law.PARAMETERS
         self.sets = tuple(sorted(sets, key=lambda s: s.moisture))
         self.prior = prior
+        self.presses = presses
         if geometry is not None and geometry_hash not in ("", geometry.hash()):
             raise InputError(f"{where}: 'geometry' is not that of 'geometry_hash'; correct one")
         self.geometry = geometry
@@ -139,6 +144,7 @@ class ParameterSets:
                 *self._law_key().values(),
                 *self._entries(),
                 *self._prior_key().values(),
+                *self._presses_key().values(),
                 *self._geometry_key().values(),
             ]
         )
@@ -150,6 +156,10 @@ class ParameterSets:
     def _prior_key(self) -> dict[str, Any]:
         """The key `prior`, which files without one do not have."""
         return {"prior": self.prior.to_dict()} if self.prior else {}
+
+    def _presses_key(self) -> dict[str, Any]:
+        """The key `presses`, which files without one do not have."""
+        return {"presses": self.presses.to_dict()} if self.presses else {}
 
     def _geometry_key(self) -> dict[str, Any]:
         """The key `geometry`, which files without lengths do not have."""
@@ -182,6 +192,7 @@ class ParameterSets:
             law,
             FingerPrior.parse(data["prior"], where) if data.get("prior") else None,
             _parse_geometry(data.get("geometry"), where),
+            PressScatter.parse(data["presses"], where) if data.get("presses") else None,
         )
 
     @classmethod
@@ -209,6 +220,7 @@ class ParameterSets:
                 **self._geometry_key(),
                 "reduced_model_hash": self.reduced_model_hash,
                 **self._prior_key(),
+                **self._presses_key(),
                 "sets": self._entries(),
             },
             sort_keys=False,
@@ -222,11 +234,21 @@ class ParameterSets:
 
     # Use -------------------------------------------------------------------------------------
 
-    def with_prior(self, prior: FingerPrior, geometry: Geometry) -> ParameterSets:
-        """The same sets with another distribution of fingers, of this geometry, about them."""
+    def with_prior(
+        self, prior: FingerPrior, geometry: Geometry, presses: PressScatter | None = None
+    ) -> ParameterSets:
+        """The same sets with another distribution of fingers, of this geometry, about them, and the
+        scatter of the presses that it was found from."""
         same = geometry.hash() == self.geometry_hash
         model_hash = self.reduced_model_hash if same else ""
-        return ParameterSets(self.sets, "", model_hash, "", self.law, prior, geometry)
+        return ParameterSets(self.sets, "", model_hash, "", self.law, prior, geometry, presses)
+
+    def of_finger(self, geometry: Geometry) -> ParameterSets:
+        """The same sets with the lengths of the finger in use; without any for the default one."""
+        if geometry.hash() == (self.geometry or Geometry()).hash():
+            return self
+        known = self.reduced_model_hash, self.where, self.law, self.prior, geometry, self.presses
+        return ParameterSets(self.sets, "", *known)
 
     def of_condition(self, condition: str) -> ParameterSet:
         """Find the set of a condition; without a name the only one.
@@ -295,7 +317,7 @@ _DOUBTFUL = ("not final", "interrupted")
 """Statuses of a fit that are no result; one that was merely not checked is not among them."""
 
 _SET_KEYS = ("condition", "moisture", "moisture_sd", "status", "covariance_log")
-_FILE_KEYS = ("law", "geometry_hash", "geometry", "reduced_model_hash", "prior", "sets")
+_FILE_KEYS = ("law", "geometry_hash", "geometry", "reduced_model_hash", "prior", "presses", "sets")
 
 
 def _check_keys(data: dict[str, Any], known: Sequence[str], where: str) -> None:

@@ -9,21 +9,41 @@ sources.
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
-from .estimator import ContactEstimator
-from .reduced.model import ReducedModel
-from .slip import SlipEstimator
+from .estimator import ContactEstimator, members
+from .followers import Followers
+from .geometry import Geometry
+from .messages import NO_OUTLINE
+from .pose.settings import PoseSettings
+from .reduced.model import ReducedModel, load_population
+from .slip import SlipSettings
 
 
 def warm_up(estimator: ContactEstimator) -> None:
-    """Run everything that streams and services use once; spoils the estimator's state."""
-    for estimate in estimator.add_wrench(1, (0.0, 0.0, 0.0)):
-        SlipEstimator().add(estimate, (0.0, 0.0, 0.0))
+    """Run everything that streams, services and changes use once; spoils the estimator's state."""
+    followers = Followers(estimator, SlipSettings(), PoseSettings())
+    followers.see_area(0, (0.5, 0.1), NO_OUTLINE)
+    estimator.reset()
+    for stamp_ns in range(1, 3):
+        for estimate in estimator.add_wrench(stamp_ns * 10**9, (0.0, 0.0, 0.0)):
+            followers.follow(estimate, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     estimator.predict(np.array([0.1]), np.array([0.01]))
     estimator.force_for_area(1e-6)
     estimator.mismatch()
+    # Of a calibration, beside which streams go on.
+    members.shift_all(np.zeros(1, members.MEMBERS), np.zeros(members.DIRECTIONS))
+
+
+@functools.cache
+def warm_up_all() -> None:
+    """`warm_up`, once in a process, for the default finger and for those of other lengths, which
+    files may bring."""
+    for model in (ReducedModel.load(), load_population(Geometry())):
+        warm_up(ContactEstimator(model))
 
 
 if __name__ == "__main__":
-    warm_up(ContactEstimator(ReducedModel.load()))
+    warm_up_all()

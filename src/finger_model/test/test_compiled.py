@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import importlib
+import subprocess
 import sys
 from pathlib import Path
 
@@ -58,3 +59,92 @@ def test_a_kernel_is_compiled_anew_when_one_that_it_calls_has_changed(
     assert computed() == 20.25
     (package / "__pycache__" / "sources_of_kernels.txt").unlink()
     assert computed() == 20.25
+
+
+CHANGES = """
+import gc
+import numpy as np
+from numba.core.registry import CPUDispatcher
+
+from finger_model.calibration import CalibrationPress, calibrate
+from finger_model.estimator import ContactEstimator, EstimatorSettings
+from finger_model.followers import Followers, prepare
+from finger_model.geometry import Geometry
+from finger_model.parameter_sets import ParameterSets
+from finger_model.pose.estimator import MeasuredOutline
+from finger_model.pose.settings import PoseSettings
+from finger_model.reduced.model import ReducedModel, load_population
+from finger_model.slip import SlipSettings
+from finger_model.warm_up import warm_up_all
+
+
+def compiled():
+    kernels = [k for k in gc.get_objects() if isinstance(k, CPUDispatcher)]
+    own = [k for k in kernels if k.py_func.__module__.startswith("finger_")]
+    return {f"{k.py_func.__module__}.{k.py_func.__name__}": len(k.signatures) for k in own}
+
+
+def use(model):
+    estimator = ContactEstimator(model)
+    followers = Followers(estimator, SlipSettings(), PoseSettings())
+    sets = ParameterSets.default()
+    outline = MeasuredOutline((0.0, 0.0), 9e-3, 8e-3, 0.0, 1e-4, 1e-4, 1e-4)
+    prepare(model, sets)
+    now = 1_700_000_000_000_000_000
+
+    def press(normal):
+        nonlocal now
+        for number in range(60):
+            now += 2_000_000
+            force = 0.1, 0.0, -normal
+            for estimate in estimator.add_wrench(now, force):
+                followers.follow(estimate, force, (0.0, 0.0, 1e-3))
+            if number % 20 == 0:
+                estimator.add_area(now - 10_000_000, 60e-6, 3e-6)
+                followers.see_area(now - 10_000_000, (0.8, 0.1), outline)
+        estimator.predict(np.array([0.1, 0.2]), np.array([0.5, 0.6]))
+        estimator.force_for_area(20e-6, 0.5)
+        estimator.mismatch()
+
+    fewer = ParameterSets(sets.sets[:2], prior=sets.prior)
+    for change in (
+        lambda: press(0.0),
+        lambda: estimator.change_surface(),
+        lambda: estimator.change_settings(EstimatorSettings(pad_aspect=1.2)),
+        lambda: estimator.add_moisture(now, 80.0),
+        lambda: estimator.prepare_moisture(90.0),
+        lambda: estimator.change_parameters(fewer),
+        lambda: estimator.reset(),
+        lambda: press(np.nan),
+        lambda: estimator.reset("another subject: S02"),
+        lambda: estimator.clock_jump_event(now + 1),
+    ):
+        change()
+        followers.keep_up()
+        press(1.0)
+    time = np.arange(0.0, 2.0, 0.02)
+    force = np.clip(2.0 * np.sin(2.0 * time), 0.0, 1.0)
+    seen = model.simulate(sets.interpolate(69.0).parameters, time, force).area
+    for number in range(6):
+        part = slice(20, 60)
+        taken = time[part] + 3.0 * number, seen[part], 0.02 * seen[part]
+        presses.append(CalibrationPress(time + 3.0 * number, force, *taken))
+    calibrate(model, sets, presses)
+
+
+warm_up_all()
+for model in (ReducedModel.load(), load_population(Geometry(pad_semi_axis_radial=8e-3))):
+    presses = []
+    before = compiled()
+    use(model)
+    after = compiled()
+    print(*(name for name in after if after[name] != before.get(name)))
+"""
+
+
+def test_nothing_is_compiled_after_the_warm_up() -> None:
+    """Samples of all fingers of a process would wait for it."""
+    done = subprocess.run(
+        [sys.executable, "-c", CHANGES], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == []

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 rclpy = pytest.importorskip("rclpy")
 
@@ -39,6 +40,8 @@ from finger_model.estimator import (  # noqa: E402
     replay,
 )
 from finger_model.estimator.estimate import ESTIMATE_DTYPE, ESTIMATE_FIELDS  # noqa: E402
+from finger_model.finger import load_reduced  # noqa: E402
+from finger_model.geometry import Geometry  # noqa: E402
 from finger_model.messages import (  # noqa: E402
     area_of,
     event_of,
@@ -434,6 +437,23 @@ def test_what_is_wrong_with_an_input_is_named_in_diagnostics(
     assert child.poll() is None
 
 
+def test_samples_that_are_lost_on_their_way_to_it_are_named_in_diagnostics(
+    bench: Bench, process: Callable[..., Any]
+) -> None:
+    """They come faster than the node takes them, which keeps one."""
+    start(process, "qos_reliability:=best_effort", "qos_depth:=1")
+    bench.connected()
+    stamps = itertools.count(T0, MS)
+
+    def lost() -> bool:
+        for _ in range(100):
+            bench.press(next(stamps), 0.0)
+        return any("samples per second come through" in said for said in bench.said)
+
+    bench.until(lost)
+    bench.until(lambda: int(bench.diagnostics["contact state"].get("lost", 0)) > 0)
+
+
 def test_a_trial_that_is_not_latched_is_named_in_diagnostics(
     bench: Bench, process: Callable[..., Any]
 ) -> None:
@@ -499,6 +519,49 @@ def test_services_and_parameters_answer_and_refuse_with_a_reason(
     bench.until(latency_reported)
     bench.until(lambda: "no sample" in found.get("contact state", {}).get("message", ""))
     assert "moisture" in found["inputs"]["message"]
+
+
+def test_files_that_name_two_fingers_are_refused_and_the_one_in_use_is_told(
+    bench: Bench, process: Callable[..., Any], tmp_path: Path
+) -> None:
+    shipped = ParameterSets.default()
+    assert shipped.prior is not None
+    thin, subject = Geometry(pad_semi_axis_radial=8e-3), Geometry(pad_semi_axis_radial=8.2e-3)
+    geometry_file, fit = tmp_path / "thin.yaml", tmp_path / "fit.yaml"
+    geometry_file.write_text(yaml.safe_dump(thin.to_dict()))
+    for file in (fit, tmp_path / "S01.yaml"):
+        shipped.with_prior(shipped.prior, subject).save(file)
+    files = f"geometry_file:={geometry_file}", f"parameter_file:={fit}"
+    child = start(process, *files)
+    said = f"fit.yaml: holds the lengths of another finger ({subject.hash()[:8]}) than "
+    bench.until(lambda: said in child.output.read_text())
+    child.terminate()
+    child.wait()
+
+    child = start(process, files[0], f"subjects_folder:={tmp_path}")
+    bench.connected()
+    model = load_reduced("", thin)
+    assert f"{model.hash[:8]} of law '{model.law.name}', lengths of {geometry_file}" in (
+        child.output.read_text()
+    )
+    result = bench.set("parameter_file", str(fit))
+    assert not result.successful and "thin.yaml" in result.reason
+    # The same finger by both files, then a subject's own.
+    shipped.with_prior(shipped.prior, thin).save(fit)
+    assert bench.set("parameter_file", str(fit)).successful
+    bench.press(T0, 0.5)
+    bench.answered(1)
+    bench.until(lambda: bench.events and bench.events[-1].model_hash == model.hash)
+    trials = bench.node.create_publisher(Trial, "/finger/trial", LATCHED_QOS)
+    trials.publish(Trial(subject="S01", session="S01_a"))
+    own = load_reduced("", subject).hash
+    bench.until(
+        lambda: bench.diagnostics.get("contact state", {}).get("model", "").startswith(own[:8])
+    )
+    assert "S01.yaml" in bench.diagnostics["contact state"]["model"]
+    bench.press(T0 + 2 * MS, 0.5)
+    bench.answered(2)
+    bench.until(lambda: bench.events[-1].model_hash == own)
 
 
 def test_parameters_of_a_fit_that_is_not_final_are_reported_while_in_use(

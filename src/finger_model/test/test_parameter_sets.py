@@ -13,8 +13,10 @@ import pytest
 
 from finger_common.errors import InputError
 from finger_model.estimator import ContactEstimator
+from finger_model.geometry import Geometry
 from finger_model.laws import LAWS, StandardLinearSolid, parameter
 from finger_model.parameter_sets import ParameterSet, ParameterSets
+from finger_model.press_scatter import PressResiduals, PressScatter, press_scatter
 from finger_model.reduced import ReducedModel
 
 DRY = np.array([140e3, 38.56e3, 0.20, 1652e3])
@@ -121,6 +123,39 @@ def test_a_saved_file_reads_back_bit_for_bit(tmp_path: Path) -> None:
     assert again.hash == sets.hash
 
 
+def test_the_scatter_of_the_presses_is_kept_and_told(tmp_path: Path) -> None:
+    """A file without it has the hash that it had."""
+    default = ParameterSets.default()
+    presses = PressScatter(9, 0.031, 0.006, 0.008)
+    sets = ParameterSets(default.sets, presses=presses)
+    sets.save(tmp_path / "parameters.yaml")
+    again = ParameterSets.load(tmp_path / "parameters.yaml")
+    assert again.presses == presses and again.hash == sets.hash
+    plain = ParameterSets(default.sets)
+    assert plain.hash != sets.hash and "presses" not in plain.to_yaml()
+    assert again.of_finger(Geometry(pad_semi_axis_radial=9e-3)).presses == presses
+
+
+@pytest.mark.parametrize(("sd", "drift"), [(0.0, 0.0), (0.03, 0.0), (0.08, 0.02)])
+def test_residuals_tell_how_presses_differ(sd: float, drift: float) -> None:
+    rng = np.random.default_rng(1)
+    time = np.arange(0.0, 3.0, 0.1)
+    presses = []
+    for _ in range(40):
+        walk = drift * np.cumsum(rng.normal(size=len(time))) * 0.1**0.5
+        left = sd * rng.normal() + walk + 0.025 * rng.normal(size=len(time))
+        noise, log_force = np.full(len(time), 0.025), np.full(len(time), 0.1)
+        presses.append(PressResiduals(time, left, noise, log_force))
+    found = press_scatter(presses, 0.0)
+    assert found is not None and found.number == 40
+    assert found.sd == pytest.approx(max(sd, 0.01), rel=0.3)
+    assert found.drift_sd == pytest.approx(drift, abs=0.004)
+    assert press_scatter(presses[:3], 0.0) is None
+
+
+_DEVIATIONS = "sd: 0.03, drift_sd: 0.006, slope_sd: 0.008"
+
+
 @pytest.mark.parametrize(
     ("old", "new", "named"),
     [
@@ -140,6 +175,16 @@ def test_a_saved_file_reads_back_bit_for_bit(tmp_path: Path) -> None:
         ("E2: 700.0e+3}", "E2: 700.0e+3, friction: 0.9}", "unknown key 'friction'"),
         ("E2: 700.0e+3}", "E2: 700.0e+3, moisture_sd: -3}", "'moisture_sd' is -3"),
         ("sets:", "set_of: x\nsets:", "unknown key 'set_of'"),
+        ("peak_sd: 0.186", "peak_sd: -0.1", "deviation of 'prior' is negative"),
+        ("sets:", "presses: 9\nsets:", "'presses' needs"),
+        ("sets:", f"presses: {{number: 3, {_DEVIATIONS}}}\nsets:", "'number' of 'presses' is 3"),
+        ("sets:", f"presses: {{number: 9.5, {_DEVIATIONS}}}\nsets:", "is 9.5, a whole number"),
+        ("sets:", f"presses: {{{_DEVIATIONS}}}\nsets:", "'number'"),
+        (
+            "sets:",
+            "presses: {number: 9, sd: 0.03, drift_sd: -1, slope_sd: 0}\nsets:",
+            "deviation of 'presses' is negative",
+        ),
     ],
 )
 def test_a_bad_file_is_refused_with_the_place(

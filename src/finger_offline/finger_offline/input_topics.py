@@ -29,7 +29,7 @@ class InputTopics:
     namespace: str
     """Where the results go, such as "/finger"; "" for none."""
     replaced: frozenset[str]
-    """Topics of the input that are not copied: the run writes its own or does not follow them."""
+    """Topics of the input that are not copied: the run writes its own."""
 
     @classmethod
     def of(cls, reader: BagReader, options: ProcessOptions) -> InputTopics:
@@ -48,7 +48,8 @@ class InputTopics:
         if from_images and not images:
             raise missing(reader, "image_raw")
         recorded = find_topic(reader, "model_events", options)
-        follow = find_used(reader, "model_events", options) and not options.is_own()
+        follow = find_used(reader, "model_events", options) is not None
+        same = follow and not options.is_own()
         # Beside the former states: their force may come from a topic of another namespace.
         if options.namespace:
             namespace = f"/{options.namespace.strip('/')}".rstrip("/")
@@ -56,13 +57,13 @@ class InputTopics:
             namespace = (recorded or wrench).rpartition("/")[0]
         replaced = {f"{namespace}/contact_state"}
         # What the recording made of the former states; with other settings it is theirs no more.
-        if options.slip or not follow:
+        if options.slip or not same:
             replaced.add(f"{namespace}/contact_slip")
-        if options.shape or not follow:
+        if options.shape or not same:
             replaced.add(f"{namespace}/contact_shape")
         if from_images:
             replaced |= {f"{namespace}/contact_area", area or ""}
-        if not follow:
+        if not same:
             replaced.add(recorded or "")
         return cls(
             wrench=wrench,

@@ -94,9 +94,10 @@ class OutputBag:
         topic = self._topics.result("contact_area")
         self._writer.write(topic, area_fields(stamp, measured, "plate"), log_ns)
 
-    def write_event(self, event: EstimatorEvent, log_ns: int) -> None:
+    def write_event(self, event: EstimatorEvent, log_ns: int, sequence: int = 0) -> None:
         """Write an event of the estimator."""
-        self._writer.write(self._topics.result("model_events"), event_fields(event, 0), log_ns)
+        topic = self._topics.result("model_events")
+        self._writer.write(topic, event_fields(event, sequence), log_ns)
 
     def write(self, name: str, messages: Iterable[tuple[int, bytes]]) -> None:
         """Write estimates, serialized, to the results' topic of this name; each with its log time

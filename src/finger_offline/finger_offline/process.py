@@ -26,9 +26,7 @@ from finger_common.stamps import seconds
 from finger_model.estimator import (
     ContactEstimator,
     EstimateBlock,
-    EstimatorEvent,
     EstimatorSettings,
-    EventType,
 )
 from finger_model.estimator.estimate import ESTIMATE_DTYPE
 from finger_model.finger import load_for
@@ -55,6 +53,7 @@ from .input_order import HEAD_START_NS, InputOrder
 from .input_topics import InputTopics
 from .output_bag import OutputBag
 from .process_options import ProcessOptions
+from .recorded_events import ANOTHER_FINGER, RecordedEvents
 from .validity import Validity
 
 ROUND_NS = 500_000_000
@@ -138,8 +137,11 @@ def _processed(
         if topics.image is not None:
             areas = ImageAreas.for_bag(reader, options, ridge_motion=options.slip)
             images = stack.enter_context(MeasuringThread(areas))
-        start = None if topics.events is None else _recorded_start(reader, topics.events)
-        estimator = _estimator(options, start, population)
+        sets = ParameterSets.load(options.parameter_file) if options.parameter_file else None
+        events = None
+        if topics.events is not None:
+            events = RecordedEvents(reader, topics.events, topics.wrench, options, sets)
+        estimator = _estimator(options, sets, events, population)
         # Everything is checked and loaded before anything is written.
         output = None
         if target is not None:
@@ -148,51 +150,36 @@ def _processed(
         sinks = [on_block] if on_block is not None else []
         for table in options.tables:
             sinks.append(stack.enter_context(open_table(table)))
-        run = _Run(reader, options, topics, estimator, start, images, output, sinks)
+        run = _Run(reader, options, topics, estimator, events, images, output, sinks)
         run.read_all(progress)
         result = run.result()
     if population:
         result.notes.insert(0, GAVE_WAY)
+    if events is not None and events.another_finger:
+        result.notes.insert(0, ANOTHER_FINGER)
     result.path = None if target is None else Path(target)
     return result
 
 
 def _estimator(
-    options: ProcessOptions, start: EstimatorEvent | None, population: bool
+    options: ProcessOptions,
+    sets: ParameterSets | None,
+    events: RecordedEvents | None,
+    population: bool,
 ) -> ContactEstimator:
-    """With the options' files or, where none are given, for the finger of the recorded start."""
-    sets = ParameterSets.load(options.parameter_file) if options.parameter_file else None
-    finger = sets or ParameterSets.default()
-    if start is not None:
-        finger = ParameterSets.parse(start.parameter_sets, "recorded parameter sets")
-    model = load_for(finger, options.model_file, options.geometry_file)
-    recorded = start is not None and start.model_hash != model.hash and model.gives_way
-    if population or recorded:
-        other = load_population(model.geometry)
-        if start is None or start.model_hash == other.hash:
-            model = other
+    """For the finger of the options or of the recording's events; sets: those of the options."""
+    if events is not None:
+        model = events.model
+    else:
+        named = options.model_file, options.geometry_file
+        model = load_for(sets or ParameterSets.default(), *named)
+        if population:
+            model = load_population(model.geometry)
     values = {"normal_axis": options.axis, **options.estimator}
-    return ContactEstimator(model, sets, EstimatorSettings.from_mapping(values))
-
-
-def _recorded_start(reader: BagReader, topic: str) -> EstimatorEvent | None:
-    """The newest start among the events, with the sets and the model of the recording's finger.
-
-    Before it the node may have had another subject's. Of a recording begun long after the node the
-    start may no longer be kept: then the oldest event, which has the same.
-    """
-    found = oldest = None
-    for item in reader.messages([topic]):
-        try:
-            event = event_of(item.message)
-            if event.type == EventType.START or oldest is None:
-                ParameterSets.parse(event.parameter_sets)
-                oldest = oldest or event
-            if event.type == EventType.START:
-                found = event
-        except (FingerError, AttributeError, TypeError, ValueError):
-            continue  # Named when it is read to be applied.
-    return found or oldest
+    estimator = ContactEstimator(model, sets, EstimatorSettings.from_mapping(values))
+    if events is not None:
+        estimator.models = {own.hash: own for own in (model, *events.models.values())}
+    return estimator
 
 
 def measured_outline(measured: ContactMeasurement) -> MeasuredOutline:
@@ -219,14 +206,14 @@ class _Run:
         options: ProcessOptions,
         topics: InputTopics,
         estimator: ContactEstimator,
-        start: EstimatorEvent | None,
+        events: RecordedEvents | None,
         images: MeasuringThread | None,
         output: OutputBag | None,
         sinks: Sequence[BlockSink],
     ) -> None:
         self.reader, self.mapping, self.topics = reader, options.mapping, topics
         self.estimator, self.images, self.output, self.sinks = estimator, images, output, sinks
-        self.start = start
+        self.events = events
         written = output is not None
         self.followers = Followers(
             estimator,
@@ -246,7 +233,9 @@ class _Run:
         self.first_state: int | None = None
         # Settings that are given replace those of the recording, known or not.
         self.axis = options.axis
-        self.recorded_states = "" if options.is_own() else topics.result("contact_state")
+        given = options.estimator or options.normal_axis
+        self.recorded_states = "" if given else topics.result("contact_state")
+        self.rewrites_events = options.is_own()
         self.states = self.areas = 0
         self.validity = Validity()
         model = estimator.model
@@ -355,23 +344,24 @@ class _Run:
                 area, sd, flags = value, RELATIVE_AREA_SD * abs(value), 0
             self._add_area(item.log_time_ns, stamp, area, sd, flags)
         elif item.topic == topics.events:
-            event = event_of(item.message)
-            if self.first_event is None:
-                self.first_event = event.stamp_ns
-            if self._of_subject_before(event):
-                return
-            self.estimator.expect_late([event])
-            self.estimator.apply_event(event)
-            self.started = True
+            self._follow_event(item)
         elif item.topic == self.recorded_states:
             if self.first_state is None:
                 self.first_state = stamp_of_cdr(item.raw)
 
-    def _of_subject_before(self, event: EstimatorEvent) -> bool:
-        """Whether an event belongs to the model of a subject before the recorded one."""
-        if self.start is None or event.model_hash == self.estimator.model.hash:
-            return False
-        return event.stamp_ns < self.start.stamp_ns
+    def _follow_event(self, item: BagMessage) -> None:
+        assert self.events is not None
+        recorded = event_of(item.message)
+        if self.first_event is None:
+            self.first_event = recorded.stamp_ns
+        event = self.events.applied(recorded)
+        if event is None:
+            return
+        self.estimator.expect_late([event])
+        self.estimator.apply_event(event)
+        self.started = True
+        if self.output is not None and self.rewrites_events:
+            self.output.write_event(event, item.log_time_ns, int(item.message.sequence))
 
     def _add_area(self, log_ns: int, stamp: int, area: float, sd: float, flags: int) -> None:
         self.areas += 1

@@ -20,8 +20,8 @@ class ProcessOptions(ImageSettings, ReadSettings):
     """What to run and to write.
 
     estimator: settings of the estimator by name that replace those recorded. parameter_file,
-    model_file, geometry_file: for the model, empty for those of the suite. tables: CSV and Parquet
-    files of the estimates.
+    model_file, geometry_file: for the model, empty for those of the recording or else of the suite.
+    tables: CSV and Parquet files of the estimates.
     """
 
     images: str = setting(
@@ -40,7 +40,7 @@ class ProcessOptions(ImageSettings, ReadSettings):
     tables: tuple[str, ...] = ()
 
     def is_own(self) -> bool:
-        """Whether an axis, files or settings are given, so that recorded events do not apply."""
+        """Whether an axis, files or settings are given, which replace those of recorded events."""
         files = (self.parameter_file, self.model_file, self.geometry_file)
         own = (self.estimator, *files, self.normal_axis)
         return any(own)
