@@ -201,6 +201,27 @@ def test_force_alone_is_enough_after_nine_presses(fingers: list[Finger]) -> None
     assert np.mean([coverage for _, coverage in after]) > 0.9
 
 
+def test_force_alone_is_as_certain_as_the_guided_presses_were_alike(
+    fingers: list[Finger],
+) -> None:
+    """The deviation that is stated after a calibration is not twice that of the errors."""
+    stated = []
+    for finger in fingers[:2]:
+        sets = calibrated(finger).sets
+        assert sets.presses is not None and sets.presses.number == 9
+        assert 0.01 <= sets.presses.sd < 0.08
+        estimator = ContactEstimator(ReducedModel.load(), sets)
+        estimator.add_moisture(START - 10**9, finger.person.reading)
+        press = finger.presses[len(CALIBRATION_PRESSES)]
+        stamps = START + np.round(press.time * 1e9).astype(np.int64)
+        forces = np.column_stack([0 * press.force, 0 * press.force, -press.force])
+        block = estimator.add_wrenches(stamps, forces)
+        use = block.column("normal_force") > 0.3
+        stated.append(np.median(block.column("area_stddev")[use] / block.column("area")[use]))
+        assert stated[-1] < 2.0 * sets.presses.sd + 0.015
+    assert np.median(stated) < 0.06
+
+
 def test_its_numbers_are_those_of_the_finger(fingers: list[Finger]) -> None:
     """The area under 1 N after a second lies within its interval, the presses' scatter aside."""
     for finger in fingers:

@@ -367,6 +367,10 @@ def test_parameter_file_is_what_the_model_node_loads(study, tmp_path: Path) -> N
         assert entry.moisture == pytest.approx(mean, abs=0.01)
         eigenvalues = np.linalg.eigvalsh(np.array(entry.covariance_log))
         assert eigenvalues.min() > -1e-12 and eigenvalues.max() > 0
+    # How the presses differ that were fitted, which the model node need not assume then.
+    fewest = min(len(fit.problem) for fit in study.fits.values())
+    assert sets.presses is not None and sets.presses.number == fewest
+    assert 0.0 < sets.presses.sd < 0.1 and sets.presses.drift_sd < 0.02
 
 
 def test_a_condition_without_moisture_beside_others_gets_a_file_of_its_own(

@@ -39,6 +39,7 @@ from .geometry import Geometry
 from .parameter_sets import ParameterSets
 from .people import People
 from .pose.correction import PoseCorrection
+from .press_scatter import MISFIT_MEMORY, PressResiduals, press_scatter
 from .reduced.model import ReducedModel, load_population
 
 LEAST_PRESSES = 4
@@ -51,8 +52,6 @@ SMALLEST_MODEL_AREA = 1e-7
 """m² of the model's finger in such an area, however far it is from the right one."""
 MODEL_STEP = 0.01
 """s between instants at which the model follows the force."""
-MISFIT_MEMORY = 0.3
-"""s over which what the states cannot describe stays alike; an assumption."""
 MOST_SCATTER = 0.15
 """Relative deviation from press to press above which the presses are not those of one finger."""
 DOUBTFUL_SCATTER = 0.08
@@ -144,6 +143,12 @@ class _Areas:
     def predicted(self, x: np.ndarray) -> np.ndarray:
         """Areas (k,) of the finger at x (5,)."""
         return self.model * np.exp(self.h @ x - self.offset)
+
+    def residuals(self, x: np.ndarray) -> PressResiduals:
+        """What is left of them beside the finger at x (5,)."""
+        predicted = self.predicted(x)
+        left = self.area / predicted - 1.0
+        return PressResiduals(self.time, left, self.sd / predicted, self.h[:, 1])
 
 
 def usable(presses: Sequence[CalibrationPress]) -> list[CalibrationPress]:
@@ -280,9 +285,12 @@ def calibrate(
         misfit if base is None else base.misfit_sd,
         0.0 if base is None else base.moisture_sd,
         0.0 if base is None else base.reading_sd,
+        0.0 if base is None else base.peak_mean,
+        0.0 if base is None else base.peak_sd,
     )
+    residuals = [press.residuals(found) for press in areas]
     return Calibration(
-        sets.with_prior(own_prior, model.geometry),
+        sets.with_prior(own_prior, model.geometry, press_scatter(residuals, misfit)),
         _quantities(model, selected.constants, found, uncertain, assumed),
         spread,
         float(np.sqrt(np.mean(left**2))),

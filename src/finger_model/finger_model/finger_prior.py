@@ -11,6 +11,8 @@
       misfit_sd: 0.02     # of ln area: what these five cannot describe of the finger
       moisture_sd: 22.0   # a.u., of a finger without reading
       reading_sd: 3.0     # a.u., of a reading
+      peak_mean: 0.15     # of ln (peak over mean pressure), less the model's; may be absent
+      peak_sd: 0.19       # of the same; may be absent
 
 gain and slope: of ln A over ln F; stiffness, time, creep: of the material parameters, see
 `estimator.members`. Without this key the sets' covariances and the estimator's settings serve.
@@ -39,6 +41,8 @@ class FingerPrior:
     misfit_sd: float
     moisture_sd: float
     reading_sd: float
+    peak_mean: float = 0.0
+    peak_sd: float = 0.0
 
     def to_dict(self) -> dict[str, Any]:
         """As the key `prior` of parameters.yaml."""
@@ -48,7 +52,12 @@ class FingerPrior:
             "misfit_sd": self.misfit_sd,
             "moisture_sd": self.moisture_sd,
             "reading_sd": self.reading_sd,
+            **{name: value for name, value in self._peak().items() if value},
         }
+
+    def _peak(self) -> dict[str, float]:
+        """What earlier files do not have."""
+        return {"peak_mean": self.peak_mean, "peak_sd": self.peak_sd}
 
     @classmethod
     def parse(cls, data: Any, where: str) -> FingerPrior:
@@ -74,8 +83,7 @@ class FingerPrior:
                 "negative variance); correct it"
             )
         rest = [number(data, name, where) for name in ("misfit_sd", "moisture_sd", "reading_sd")]
-        if min(rest) < 0:
+        peak = {n: number(data, n, where) for n in ("peak_mean", "peak_sd") if n in data}
+        if min(*rest, peak.get("peak_sd", 0.0)) < 0:
             raise InputError(f"{where}: a deviation of 'prior' is negative; correct it")
-        return cls(
-            tuple(mean.tolist()), tuple(map(tuple, covariance.tolist())), rest[0], rest[1], rest[2]
-        )
+        return cls(tuple(mean.tolist()), tuple(map(tuple, covariance.tolist())), *rest, **peak)

@@ -79,7 +79,8 @@ class People:
         return from_numbers(cls, data, "data/people.yaml")
 
     def draw(self, rng: np.random.Generator) -> Person:
-        """A finger; drawn again while it lies outside the population box of the reduced model."""
+        """A finger, each value clipped to the population box of the reduced model; its lengths are
+        drawn again while they are no possible geometry."""
         moisture = _clip(rng.normal(self.moisture, self.moisture_sd), MOISTURE_RANGE)
         reading = _clip(rng.normal(moisture, self.reading_sd), MOISTURE_RANGE)
         return Person(self._geometry(rng), self._material(rng, moisture), moisture, reading)

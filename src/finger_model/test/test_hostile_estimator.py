@@ -363,3 +363,103 @@ def test_all_outputs_follow_the_fused_area(model: ReducedModel) -> None:
     assert after.indentation_stddev / after.indentation < (
         before.indentation_stddev / before.indentation
     )
+
+
+def test_a_wrong_zero_is_not_forgotten_when_the_camera_sees_the_finger(
+    model: ReducedModel,
+) -> None:
+    """Offset of 0.2 N: flagged through the presses, until the force rests near zero."""
+    areas = {e.stamp_ns: e.area for e in feed(ContactEstimator(model), 0.0, 12.0, press)}
+    estimator = ContactEstimator(model)
+    for k in range(120):
+        stamp = T0 + 100 * k * MS
+        flags = 0 if areas[stamp] > 3e-6 else int(AreaFlag.NO_CONTACT)
+        estimator.add_area(stamp, areas[stamp], 1e-6, flags)
+    found = feed(estimator, 0.0, 12.0, lambda t: press(t) + 0.2)
+    # The second and third press, after four frames of air.
+    assert all(flagged(found[4000 // PERIOD :], StateFlag.FORCE_OFFSET))
+    tared = feed(estimator, 12.0, 16.0, lambda t: 0.0)
+    assert not any(flagged(tared[600 // PERIOD :], StateFlag.FORCE_OFFSET))
+    same_again(estimator, model, 16.0)
+
+
+def test_a_light_touch_that_the_camera_overlooks_is_no_wrong_zero(model: ReducedModel) -> None:
+    estimator = ContactEstimator(model)
+    for k in range(30):
+        stamp, seen = T0 + 100 * k * MS, k >= 20
+        estimator.add_area(stamp, 30e-6 * seen, 1e-6, 0 if seen else int(AreaFlag.NO_CONTACT))
+
+    def touch(t: float) -> float:
+        light = 0.1 if t > 0.5 else 0.0
+        return light + 0.4 * min(max((t - 1.9) / 0.1, 0.0), 1.0)
+
+    found = feed(estimator, 0.0, 3.0, touch)
+    assert any(flagged(found, StateFlag.FORCE_OFFSET))  # as long as it is not seen
+    assert not any(flagged(found[2200 // PERIOD :], StateFlag.FORCE_OFFSET))
+
+
+def test_contacts_beyond_the_models_force_teach_nothing_of_the_finger(
+    model: ReducedModel,
+) -> None:
+    """Five presses to 9 N whose areas grow on: the next light one is as without them."""
+    known, taught = ContactEstimator(model), ContactEstimator(model)
+    limit = known.force_limit
+    assert limit < 6.0
+    for e in feed(ContactEstimator(model), 0.0, 4.0, press):
+        if e.area > 5e-6 and (e.stamp_ns - T0) % (100 * MS) == 0:
+            known.add_area(e.stamp_ns, e.area, 1e-6)
+            taught.add_area(e.stamp_ns, e.area, 1e-6)
+
+    def hard(t: float) -> float:
+        return 9.0 * press(t)
+
+    for e in feed(ContactEstimator(model), 4.0, 24.0, hard):
+        if e.normal_force > limit and (e.stamp_ns - T0) % (100 * MS) == 0:
+            taught.add_area(e.stamp_ns, e.area * (e.normal_force / limit) ** 0.4, 1e-6)
+    feed(known, 0.0, 4.0, press)
+    feed(known, 4.0, 24.0, hard)
+    feed(taught, 0.0, 4.0, press)
+    overloaded = feed(taught, 4.0, 24.0, hard)
+    # The area is followed while it is seen.
+    followed = [e for e in overloaded if e.measured_area_age < 0.12 and e.normal_force > limit]
+    assert max(abs(e.area / e.measured_area - 1.0) for e in followed) < 0.15
+    for a, b in zip(feed(known, 24.0, 28.0, press), feed(taught, 24.0, 28.0, press)):
+        if a.normal_force > 0.1:
+            assert b.area == pytest.approx(a.area, rel=0.02)
+            assert b.area_stddev == pytest.approx(a.area_stddev, rel=0.05)
+
+
+@pytest.mark.parametrize("prior", [True, False], ids=["people", "without prior"])
+def test_a_long_hold_is_no_less_certain_than_another_contact(
+    model: ReducedModel, prior: bool
+) -> None:
+    """Ten minutes without camera."""
+    default = ParameterSets.default()
+    estimator = ContactEstimator(model, default if prior else ParameterSets(default.sets))
+    time = np.arange(0.0, 600.0, 0.1)
+    force = np.minimum(time, 1.0)
+    stamps = T0 + np.round(time * 1e9).astype(np.int64)
+    block = estimator.add_wrenches(stamps, np.column_stack([0 * force, 0 * force, -force]))
+    relative = block.column("area_stddev")[20:] / block.column("area")[20:]
+    begin, end = relative[0], relative[-1]
+    settings = estimator.settings
+    assert begin < end + 0.1
+    assert end < math.hypot(max(begin, 0.3 if prior else 0.0), 2.2 * settings.contact_area_sd)
+
+
+def test_the_noise_of_the_force_is_in_the_deviation_of_the_area(model: ReducedModel) -> None:
+    """A held force with noise of 0.05 N: the areas scatter about their mean as they say."""
+    rng = np.random.default_rng(0)
+    time = np.arange(0.0, 6.0, 0.002)
+    stamps = T0 + np.round(time * 1e9).astype(np.int64)
+    held = np.minimum(time, 0.5)
+    rows = []
+    for noise in (0.0, 0.05):
+        estimator = ContactEstimator(model)
+        force = held + noise * rng.normal(size=len(time))
+        rows.append(estimator.add_wrenches(stamps, np.column_stack([0 * force, 0 * force, -force])))
+    late = time > 4.0
+    still, noisy = (row.column("area_stddev")[late] for row in rows)
+    scatter = float(np.std(rows[1].column("area")[late]))
+    added = float(np.sqrt(np.mean(noisy**2) - np.mean(still**2)))
+    assert added == pytest.approx(scatter, rel=0.4)

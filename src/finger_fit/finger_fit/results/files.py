@@ -8,8 +8,8 @@ from __future__ import annotations
 import itertools
 import json
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +19,17 @@ from finger_common.errors import InputError, listed
 from finger_common.files import atomic_write, load_json
 from finger_common.moisture import MOISTURE_RANGE
 from finger_common.subject_code import is_subject
+from finger_model.calibration import SMALLEST_AREA, SMALLEST_FORCE
 from finger_model.geometry import Geometry
 from finger_model.laws import ConstitutiveLaw
 from finger_model.parameter_sets import ParameterSet, ParameterSets
 from finger_model.people import People
+from finger_model.press_scatter import (
+    LEAST_PRESSES,
+    PressResiduals,
+    PressScatter,
+    press_scatter,
+)
 from finger_model.subjects import subject_file
 
 from ..problem import MM4, material_of
@@ -265,7 +272,35 @@ def _sets(
         "fit",
         law,
         geometry=None if geometry == Geometry() else geometry,
+        presses=_scatter(result, [_residuals(fit) for fit in fits.values()]),
     )
+
+
+def _scatter(
+    result: FitResult, conditions: Sequence[Sequence[PressResiduals]]
+) -> PressScatter | None:
+    """Scatter of the presses of all conditions, which the model node has one of; each condition is
+    known from its own number of them, of which the smallest counts."""
+    fewest = min(map(len, conditions))
+    misfit = float(getattr(result.model, "rms_error", 0.0))
+    found = press_scatter([press for presses in conditions for press in presses], misfit)
+    return replace(found, number=fewest) if found and fewest >= LEAST_PRESSES else None
+
+
+def _residuals(fit: ConditionFit) -> list[PressResiduals]:
+    """The presses of a condition beside its model, at the frames that count."""
+    problem, found = fit.problem, []
+    for number, trial in enumerate(problem.trials):
+        rows = slice(*problem.starts[number : number + 2])
+        areas, weight = fit.areas[rows], problem.weight[rows]
+        use = (weight > 0) & (np.minimum(areas, trial.area) > SMALLEST_AREA) & (trial.area_sd > 0)
+        if np.count_nonzero(use) < 2:
+            continue
+        left = problem.measured[rows] / np.where(use, areas, np.inf) - 1.0
+        log_force = np.log(np.maximum(trial.frame_force, SMALLEST_FORCE))
+        columns = trial.frame_time, left, trial.area_sd / np.where(use, areas, 1.0), log_force
+        found.append(PressResiduals(*(column[use] for column in columns)))
+    return found
 
 
 def check_folder(folder: Path, subjects: Iterable[str]) -> None:

@@ -5,14 +5,16 @@
 
 With φ = ln(F / 1 N) the error of the model is
 
-    ln A_true − ln A_model = h x − s w₀,    x = (gain, slope, w, moisture, d, e)
-    h = (1, φ, s, u · (1, φ, s), 1, φ)
+    ln A_true − ln A_model = h x − s w₀,    x = (gain, slope, w, moisture, d, e, f)
+    h = (1, φ, s, u · (1, φ, s), 1, φ, β)
 
 gain, slope and w = (stiffness, creep time, creep) belong to the finger and last over contacts; s =
 ∂ln A/∂w are sensitivities of the reduced model along the present history (`members`), which runs at
 the shift w₀. moisture is the error of the reading in standard deviations of the population, u what
-it does to the other coordinates. d and e belong to the contact (drawn anew at each onset), and d
-drifts within a contact.
+it does to the other coordinates. d, e and f belong to the contact (drawn anew at each onset), and d
+drifts within a contact, in the end as far as from one contact to another. The model ends at a force
+limit; φ is held there, and f is the exponent of the area over β = ln(F / limit) beyond it, so that
+areas measured there tell little of the finger.
 
 How much contacts of one finger differ is not known beforehand: presses of a simulated finger are
 all alike, real ones scatter by 5 %. So a bank of such filters runs side by side, with SCALES times
@@ -52,8 +54,11 @@ FILTERS = len(SCALES)
 FINGER_STATES = 2 + DIRECTIONS
 MOISTURE = FINGER_STATES
 CONTACT = MOISTURE + 1
-STATES = CONTACT + 2
-"""Places in x: finger 0 … 4, moisture 5, contact 6 and 7."""
+STATES = CONTACT + 3
+"""Places in x: finger 0 … 4, moisture 5, contact 6 to 8."""
+
+BEYOND_DEVIATION = 0.5
+"""Of f: beyond the force limit the area may stay, or grow with the root of the force."""
 
 GAIN_OF_INDENTATION = 0.5
 """ln δ answers to gains of the area by this: a larger finger has A ∝ L², δ ∝ L."""
@@ -92,7 +97,8 @@ FILTER_NOISE = np.dtype(
         ("moisture_wander", "f8"),  # its growth in 1 s
         ("slope_variance", "f8"),  # of e
         ("contact_variance", "f8"),  # of d
-        ("drift_variance", "f8"),  # of d within 1 s
+        ("drift_variance", "f8"),  # of d within 1 s, at first
+        ("drift_limit", "f8"),  # what it grows to in the end
         ("model_variance", "f8"),  # of ln A by the reduced model itself
         ("gain_variance", "f8"),  # of the factor that all measured areas share
         ("outlier_limit", "f8"),  # standard deviations
@@ -109,14 +115,12 @@ MOST_SURPRISE = 25.0
 
 
 @njit(cache=True)
-def log_force(force, limit):
-    """φ = ln(F / 1 N), held below 0.05 N and above the model's limit (N)."""
-    return math.log(min(max(force, 0.05), limit))
+def regressors(noise, force, limit, sensitivity, gain, h):
+    """Fill h (9,): answer of ln A (gain 1) or ln δ (its gain) with sensitivities (3,) to x.
 
-
-@njit(cache=True)
-def regressors(noise, phi, sensitivity, gain, h):
-    """Fill h (8,): answer of ln A (gain 1) or ln δ (its gain) with sensitivities (3,) to x."""
+    force: N, of which φ is held below 0.05 N and above the model's `limit` (N).
+    """
+    phi = math.log(min(max(force, 0.05), limit))
     h[0] = gain
     h[1] = gain * phi
     moisture = gain * (noise.moisture_direction[0] + noise.moisture_direction[1] * phi)
@@ -126,16 +130,18 @@ def regressors(noise, phi, sensitivity, gain, h):
     h[MOISTURE] = moisture
     h[CONTACT] = gain
     h[CONTACT + 1] = gain * phi
+    h[CONTACT + 2] = gain * math.log(max(force / limit, 1.0))
 
 
 @njit(cache=True)
 def _draw_contact(bank, noise, k):
-    """Covariance of d and e of filter k as at an onset."""
+    """Covariance of d, e and f of filter k as at an onset."""
     square = SCALES[k] * SCALES[k]
     bank.covariance[k, CONTACT:, :] = 0.0
     bank.covariance[k, :, CONTACT:] = 0.0
     bank.covariance[k, CONTACT, CONTACT] = square * noise.contact_variance
     bank.covariance[k, CONTACT + 1, CONTACT + 1] = square * noise.slope_variance
+    bank.covariance[k, CONTACT + 2, CONTACT + 2] = BEYOND_DEVIATION**2
 
 
 @njit(cache=True)
@@ -201,7 +207,7 @@ def shift_contact(bank, own, newest):
 
 @njit(cache=True)
 def mixture_mean(bank, out):
-    """Mean of x (8,) over the filters."""
+    """Mean of x (9,) over the filters."""
     total = 0.0
     out[:] = 0.0
     for k in range(FILTERS):
@@ -215,7 +221,7 @@ def mixture_mean(bank, out):
 
 @njit(cache=True)
 def begin_contact(bank, noise, stamp):
-    """Draw the contact's own errors d and e again; the reading of the moisture has aged."""
+    """Draw the contact's own errors d, e and f again; the reading of the moisture has aged."""
     aged = noise.moisture_wander * max((stamp - bank.moisture_stamp) * 1e-9, 0.0)
     for k in range(FILTERS):
         bank.mean[k, CONTACT:] = 0.0
@@ -241,7 +247,7 @@ def _product(h, x):
 
 @njit(cache=True)
 def _variance(covariance, h):
-    """h P hᵀ with the filter's covariance P (8, 8)."""
+    """h P hᵀ with the filter's covariance P (9, 9)."""
     total = 0.0
     for i in range(STATES):
         row = 0.0
@@ -289,16 +295,17 @@ def _normalised(bank, k, noise, h, offset, model_area, area, sd):
 
 
 @njit(cache=True)
-def _add_drift(bank, drift):
-    """Add `drift`, scaled for each filter, to the variance of d."""
-    for k in range(FILTERS):
-        bank.covariance[k, CONTACT, CONTACT] += DRIFT_SCALES[k] ** 2 * drift
+def _drift_until(bank, noise, k, stamp):
+    """Variance that d of filter k gains until `stamp`: of a process of Ornstein and Uhlenbeck."""
+    walked = DRIFT_SCALES[k] ** 2 * noise.drift_variance * max((stamp - bank.stamp) * 1e-9, 0.0)
+    return -noise.drift_limit * math.expm1(-walked / noise.drift_limit)
 
 
 @njit(cache=True)
-def _drift_until(bank, noise, stamp):
-    """Variance that d gains until `stamp`, in the filter of drift scale 1."""
-    return noise.drift_variance * max((stamp - bank.stamp) * 1e-9, 0.0)
+def _add_drift(bank, noise, stamp, sign):
+    """Add the drift until `stamp` to the variance of d; sign −1 takes it off again."""
+    for k in range(FILTERS):
+        bank.covariance[k, CONTACT, CONTACT] += sign * _drift_until(bank, noise, k, stamp)
 
 
 @njit(cache=True)
@@ -330,10 +337,9 @@ def _update(bank, noise, h, offset, model_area, area, sd):
 def correct(bank, noise, stamp, h, offset, model_area, area, sd):
     """Predict to `stamp` and update with an area measured then; false when it is an outlier.
 
-    h (8,), offset = s w₀ and model_area (m²) are those of the stamp; area, sd in m².
+    h (9,), offset = s w₀ and model_area (m²) are those of the stamp; area, sd in m².
     """
-    drift = _drift_until(bank, noise, stamp)
-    _add_drift(bank, drift)
+    _add_drift(bank, noise, stamp, 1.0)
     least = math.inf
     for k in range(FILTERS):
         least = min(least, _normalised(bank, k, noise, h, offset, model_area, area, sd))
@@ -344,7 +350,7 @@ def correct(bank, noise, stamp, h, offset, model_area, area, sd):
     if least > noise.outlier_limit**2:
         bank.outliers += 1
         if bank.outliers < ACCEPTED_OUTLIERS:
-            _add_drift(bank, -drift)
+            _add_drift(bank, noise, stamp, -1.0)
             return False
         # The filters were too confident.
         _widen(bank, noise)
@@ -361,9 +367,11 @@ def correct(bank, noise, stamp, h, offset, model_area, area, sd):
 def estimate(bank, noise, h, offset, stamp, bounded):
     """Mean and variance of the error h x − offset at `stamp`, of the mixture.
 
-    bounded: keep the mean within prediction and newest measurement.
+    bounded: keep the mean within prediction and newest measurement. Beyond the force limit an
+    estimate without area in its contact is that of the limit.
     """
-    drift = _drift_until(bank, noise, stamp) * h[CONTACT] * h[CONTACT]
+    if not bank.measured:
+        h[CONTACT + 2] = 0.0
     weight = 0.0
     mean = 0.0
     square = 0.0
@@ -374,9 +382,8 @@ def estimate(bank, noise, h, offset, stamp, bounded):
         error = _product(h, bank.mean[k]) - offset
         weight += w
         mean += w * error
-        square += w * (
-            _variance(bank.covariance[k], h) + DRIFT_SCALES[k] ** 2 * drift + error * error
-        )
+        drift = h[CONTACT] * h[CONTACT] * _drift_until(bank, noise, k, stamp)
+        square += w * (_variance(bank.covariance[k], h) + drift + error * error)
     mean /= weight
     variance = max(square / weight - mean * mean, 0.0) + noise.model_variance
     variance += noise.gain_variance * h[CONTACT] * h[CONTACT]

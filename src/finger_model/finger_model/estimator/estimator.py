@@ -37,7 +37,7 @@ from __future__ import annotations
 
 import bisect
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -77,8 +77,10 @@ class ContactEstimator:
     model: the reduced model; parameter_sets: None for the shipped ones; settings: None for the
     defaults. `counters` counts duplicates, out_of_order, resets, late_areas, late_moistures,
     flagged_areas; `fingers` counts starts and resets, after which the finger is one that was not
-    seen before, and `surfaces` changes of the surface alone. Raises InputError for parameter sets
-    of another geometry or law than the model's.
+    seen before, and `surfaces` changes of the surface alone. `parameter_sets` have the lengths of
+    the model's finger, unless it is the default one. `models` has those that a recorded start may
+    change to, by their hash. Raises InputError for parameter sets of another geometry or law than
+    the model's.
     """
 
     def __init__(
@@ -91,8 +93,10 @@ class ContactEstimator:
         self.model = model
         self.settings = EstimatorSettings() if settings is None else settings
         check_type(self.settings, EstimatorSettings, "settings")
-        self.parameter_sets = ParameterSets.default() if parameter_sets is None else parameter_sets
-        check_sets(self.parameter_sets, model)
+        sets = ParameterSets.default() if parameter_sets is None else parameter_sets
+        check_sets(sets, model)
+        self.parameter_sets = sets.of_finger(model.geometry)
+        self.models: Mapping[str, ReducedModel] = {model.hash: model}
         self.counters: Counter[str] = Counter()
         self.fingers = self.surfaces = 0
         self._inputs = InputQueue(self.counters)
@@ -238,9 +242,9 @@ class ContactEstimator:
     def apply_event(self, event: EstimatorEvent) -> None:
         """Apply a recorded event, which takes effect by its stamp.
 
-        Raises InputError for an event of another reduced model.
+        Raises InputError for an event of a reduced model that is not in `models`.
         """
-        if event.model_hash and event.model_hash != self.model.hash:
+        if event.model_hash and event.model_hash not in self.models:
             raise InputError(
                 f"the event was recorded with reduced model {event.model_hash[:8]}, this one is "
                 f"{self.model.hash[:8]}; use the same model file"
@@ -255,6 +259,11 @@ class ContactEstimator:
             self._jumps.add(event.stamp_ns)
             return
         bisect.insort(self._events, event, key=lambda e: e.stamp_ns)
+
+    def go_on_from(self, other: ContactEstimator) -> None:
+        """Take the areas that wait in the estimator of the finger before, as a recorded start
+        leaves them to the finger after it."""
+        self._inputs.take_areas(other._inputs)
 
     def expect_late(self, events: Iterable[EstimatorEvent]) -> None:
         """Leave out the areas and readings that came too late by these recorded events."""
@@ -281,7 +290,8 @@ class ContactEstimator:
         Returns the event to record. Raises InputError for sets of another geometry or law.
         """
         check_sets(sets, self.model)
-        return self._record_event(EventType.PARAMETERS, reason, parameter_sets=sets.to_yaml())
+        text = sets.of_finger(self.model.geometry).to_yaml()
+        return self._record_event(EventType.PARAMETERS, reason, parameter_sets=text)
 
     def change_surface(self, reason: str = "") -> EstimatorEvent:
         """Another surface from the next sample on: slip knows nothing of its friction; what is
@@ -434,6 +444,12 @@ class ContactEstimator:
 
     def _apply_now(self, event: EstimatorEvent) -> None:
         """Put an event into effect."""
+        if event.model_hash not in ("", self.model.hash):
+            if event.type != EventType.START:
+                return  # Of a finger that is not in use; its start tells all of it.
+            self.model = self.models[event.model_hash]
+            self._state = FilterState(self.model)
+            self._selected_for = self._prepared = None
         self.settings = event.estimator_settings()
         new_sets = self._take_over_sets(event.parameter_sets)
         self._count_late(len(event.late_areas), len(event.late_moistures))

@@ -16,7 +16,7 @@ from finger_common.stamps import nanoseconds
 from ..pose.correction import PoseCorrection
 from ..pose.pose import Pose
 from ..reduced.model import ReducedModel
-from . import members, stream
+from . import area_filter, members, stream
 from .estimate import ESTIMATE_DTYPE
 from .mismatch import Mismatch, mismatch_of
 from .parameter_selection import SelectedParameters
@@ -56,9 +56,7 @@ class FilterState:
         config["fusion_delay"] = nanoseconds(settings.fusion_delay)
         self._pose = settings.pose
         noise = config["noise"]
-        noise["slope_variance"] = settings.slope_sd**2
-        noise["contact_variance"] = settings.contact_area_sd**2
-        noise["drift_variance"] = settings.drift_sd**2
+        noise["drift_limit"] = 2.0 * (max(area_filter.SCALES) * settings.contact_area_sd) ** 2
         noise["gain_variance"] = settings.area_gain_sd**2
         noise["outlier_limit"] = settings.outlier_limit
 
@@ -99,6 +97,10 @@ class FilterState:
         noise["moisture_direction"] = prior.moisture_direction
         noise["moisture_variance"] = prior.moisture_variance
         noise["moisture_wander"] = prior.moisture_wander
+        noise["contact_variance"] = prior.contact_sd**2
+        noise["slope_variance"] = prior.slope_sd**2
+        noise["drift_variance"] = prior.drift_sd**2
+        config["peak"] = prior.peak_mean, prior.peak_sd
         errors = self.model.rms_error, prior.misfit_sd, self.pose_correction.area_sd
         noise["model_variance"] = sum(error**2 for error in errors)
         self.base = selected.constants

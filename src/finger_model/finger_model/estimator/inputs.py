@@ -68,6 +68,10 @@ class InputQueue:
         self._area_stamps.append(stamp_ns)
         bisect.insort(self._areas, (int(stamp_ns), float(area), float(sd), int(flags)), key=_stamp)
 
+    def take_areas(self, other: InputQueue) -> None:
+        """Let the areas that wait in another queue wait here."""
+        self._areas, self._area_stamps = other._areas.copy(), other._area_stamps.copy()
+
     def forget_areas_before(self, stamp_ns: int) -> None:
         """Remove areas of earlier stamps, which no wrench sample will need."""
         del self._areas[: bisect.bisect_left(self._areas, stamp_ns, key=_stamp)]

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,7 +35,9 @@ class SelectedPrior:
 
     mean (5,), covariance (5, 5) of the finger states; moisture_direction (5,): what one standard
     deviation of the population in moisture does to them; moisture_variance: of the reading in use,
-    over the population's; moisture_wander: its growth in 1/s; misfit_sd: of ln A.
+    over the population's; moisture_wander: its growth in 1/s; misfit_sd: of ln A; contact_sd,
+    slope_sd, drift_sd: of a contact, for scale 1 of the filters; peak_mean, peak_sd: of ln (peak
+    over mean pressure) over the model's.
     """
 
     mean: np.ndarray
@@ -43,6 +46,11 @@ class SelectedPrior:
     moisture_variance: float
     moisture_wander: float
     misfit_sd: float
+    contact_sd: float
+    slope_sd: float
+    drift_sd: float
+    peak_mean: float = 0.0
+    peak_sd: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -112,13 +120,16 @@ def _prior(
 ) -> SelectedPrior:
     """What is known of the finger: by the sets' own prior, or by covariances and settings."""
     none = np.zeros(area_filter.FINGER_STATES)
-    known = sets.prior
+    known, presses = sets.prior, sets.presses
+    area_sd, contact = settings.prior_area_sd, _contact(sets, settings)
     if known is None:
-        covariance = np.diag([settings.prior_area_sd**2, settings.slope_sd**2, 0.0, 0.0, 0.0])
+        if presses is not None:
+            area_sd = presses.sd * math.sqrt(presses.margin / presses.number)
+        covariance = np.diag([area_sd**2, settings.slope_sd**2, 0.0, 0.0, 0.0])
         if np.any(found.covariance_log):
             answers = _answers(model, found.parameters)
             covariance = covariance + answers @ found.covariance_log @ answers.T
-        return SelectedPrior(none, covariance, none, 0.0, 0.0, 0.0)
+        return SelectedPrior(none, covariance, none, 0.0, 0.0, 0.0, *contact)
     direction, variance, wander = none, 0.0, 0.0
     if known.moisture_sd > 0 and len(sets.sets) > 1:
         here = settings.default_moisture if moisture is None else moisture
@@ -138,7 +149,24 @@ def _prior(
         variance,
         wander,
         known.misfit_sd,
+        *contact,
+        known.peak_mean,
+        known.peak_sd,
     )
+
+
+def _contact(sets: ParameterSets, settings: EstimatorSettings) -> tuple[float, float, float]:
+    """Deviations of area, slope and drift of a contact for scale 1 of the filters: by the settings,
+    or by the presses of the fit, which all filters together then expect."""
+    presses = sets.presses
+    if presses is None:
+        return settings.contact_area_sd, settings.slope_sd, settings.drift_sd
+    contact, drift = (
+        math.sqrt(np.mean(np.square(scales)))
+        for scales in (area_filter.SCALES, area_filter.DRIFT_SCALES)
+    )
+    area_sd = presses.sd * math.sqrt(presses.margin)
+    return area_sd / contact, presses.slope_sd / contact, presses.drift_sd / drift
 
 
 def _answers(model: ReducedModel, parameters: np.ndarray) -> np.ndarray:

@@ -19,6 +19,7 @@ import numpy as np
 from finger_common import contact_threshold
 from finger_common.flags import StateFlag
 
+from .. import force_noise
 from ..compiled import njit
 from ..pose.correction import LARGEST_DEPTH
 from ..reduced import kernels as rk
@@ -39,6 +40,8 @@ SLOWEST_TOUCH = 2.0
 """s from half the onset force to it, beyond which it is the tare that drifts."""
 EMPTY_AREAS = 3
 """Areas without contact in a row at which the force is not believed."""
+EMPTY_TIME = 0.5
+"""s of them under more than QUIET_FORCE, which no camera overlooks, at which it is the tare."""
 QUIET_FORCE, QUIET_BAND, QUIET_TIME = 0.15, 0.02, 5.0
 """N, N, s: below the first a force that stays within the second for the third is an offset."""
 PULLED_TIME = 1.0
@@ -64,6 +67,7 @@ CONFIGURATION = np.dtype(
         ("moisture_stamp", "i8"),  # ns
         ("flags", "i8"),  # of moisture and parameters
         ("noise", area_filter.FILTER_NOISE),
+        ("peak", "f8", (2,)),  # mean and deviation of ln (peak over mean pressure) over the model's
         ("pose", "f8", (4,)),  # see _pose_gain; zeros for a round pad on a level plate
     ]
 )
@@ -75,6 +79,9 @@ STREAM = np.dtype(
         ("last_stamp", "i8"),  # ns, newest sample
         ("model_stamp", "i8"),  # ns, newest valid sample
         ("pending_flags", "i8"),  # of the next estimate
+        ("forces", "f8", (2,)),  # N, of the two newest valid samples
+        ("noise_variance", "f8"),  # N², of a sample
+        ("noise_time", "f8"),  # s, over which it was averaged
     ],
     align=True,
 )
@@ -90,12 +97,14 @@ CONTACT = np.dtype(
         ("fused_area", "f8"),  # m²
         ("air", "i8"),  # ns, newest sample below half the onset force; 0 for none
         ("unseen", "?"),  # the contact did not begin as a finger's does
+        ("beyond", "?"),  # the force has been beyond the model's limit
         ("outdated", "?"),  # the model has constants from before the last change of them
         ("empty", "i8"),  # areas in a row that show no contact
+        ("empty_since", "i8"),  # ns, stamp of the first of them under more than QUIET_FORCE
         ("quiet", "i8"),  # ns, since when the force is nearly constant
         ("quiet_force", "f8"),  # N
         ("pulled", "i8"),  # ns, since when the force is negative; 0 while it is not
-        ("untared", "?"),  # it was negative for long, and not at rest near zero since
+        ("untared", "?"),  # no finger's for certain, and not at rest near zero since
         ("loaded", "i8"),  # ns, newest sample beyond the onset force, of either sign
     ],
     align=True,
@@ -124,7 +133,8 @@ STATE = np.dtype(
         ("contact", CONTACT),
         ("counters", COUNTERS),
         ("filters", area_filter.FILTER_BANK),
-        ("before", area_filter.FILTER_BANK),  # at the onset of the present contact
+        ("before", area_filter.FILTER_BANK),  # at the onset of the present contact, or later: what
+        # is known of the finger if the rest of the contact tells nothing
         ("members", members.MEMBERS),
         ("memory", MEMORY),
     ],
@@ -136,6 +146,9 @@ NO_CONTACT = -1.0
 """In place of an area: the camera saw none."""
 LEAST_AREA, LARGEST_AREA = 1e-7, 1e-3
 """m² between which an area may be that of a finger; a deviation that is larger tells nothing."""
+
+LEAST_NOISE = 1e-3
+"""N, of a sample of the force: none has less."""
 
 LEAST_DEVIATION = 1e-3
 """Of an area, relative: none is known better."""
@@ -185,6 +198,7 @@ def _follow_contact(config, state, normal_force, stamp):
         area_filter.begin_contact(state.filters, config.noise, stamp)
         rise = (stamp - contact.air) * 1e-9
         contact.unseen = contact.air == 0 or rise > SLOWEST_TOUCH
+        contact.beyond = False
         contact.empty = 0
         contact.quiet = stamp
         contact.onset = stamp
@@ -192,9 +206,9 @@ def _follow_contact(config, state, normal_force, stamp):
         state.counters.contacts += 1
     elif contact.touching and not touching:
         contact.liftoff = stamp
-        if _offset_suspected(contact, stamp):
-            # What was learned from a force that was none is forgotten, and areas of this contact
-            # that are still under way teach nothing.
+        if contact.beyond or _offset_suspected(contact, stamp):
+            # What was learned from a force that was none, or beyond the model's, is forgotten, and
+            # areas of this contact that are still under way teach nothing.
             area_filter.keep(state.before, state.filters)
             contact.liftoff = contact.onset - 1
     contact.touching = touching
@@ -204,6 +218,17 @@ def _follow_contact(config, state, normal_force, stamp):
         contact.quiet, contact.quiet_force = stamp, normal_force
     _follow_pull(config, state, normal_force, stamp)
     return begins
+
+
+@njit(cache=True)
+def _follow_limit(state, normal_force, limit, stamp):
+    """From a force (N) beyond the model's limit on, a contact tells nothing of the finger: neither
+    the area there, nor what the tissue has gone through, is the model's."""
+    contact = state.contact
+    if contact.touching and normal_force > limit and not contact.beyond:
+        contact.beyond = True
+        if not _offset_suspected(contact, stamp):
+            area_filter.keep(state.filters, state.before)
 
 
 @njit(cache=True)
@@ -281,14 +306,18 @@ def _fuse(config, state, stamp, area, sd, limit):
     if not model_area >= SMALLEST_AREA:
         return False
     if area == NO_CONTACT:
+        if contact.empty == 0 or force <= QUIET_FORCE:
+            contact.empty_since = stamp
         contact.empty += 1
+        empty_time = (stamp - contact.empty_since) * 1e-9
+        if contact.empty >= EMPTY_AREAS and empty_time >= EMPTY_TIME:
+            contact.untared = True
         return False
     if not LEAST_AREA < area < LARGEST_AREA or not 0.0 < sd < LARGEST_AREA:
         return False
     sd = max(sd, LEAST_DEVIATION * area)
     h = np.empty(area_filter.STATES)
-    phi = area_filter.log_force(force, limit)
-    area_filter.regressors(config.noise, phi, sensitivity, 1.0, h)
+    area_filter.regressors(config.noise, force, limit, sensitivity, 1.0, h)
     offset = _offset(state, sensitivity)
     if not area_filter.correct(state.filters, config.noise, stamp, h, offset, model_area, area, sd):
         return False
@@ -315,6 +344,17 @@ def _place(net, base, par, finger, work, state):
 
 
 @njit(cache=True)
+def _see_noise(stream, dt, force):
+    """Noise of the force (N), by a valid sample dt (s) after the one before."""
+    rough = force_noise.roughness(force, stream.forces[0], stream.forces[1])
+    stream.forces[1], stream.forces[0] = stream.forces[0], force
+    if 0.0 < dt <= force_noise.LONGEST_STEP:
+        stream.noise_variance, stream.noise_time = force_noise.averaged(
+            stream.noise_variance, stream.noise_time, rough, LEAST_NOISE**2, dt
+        )
+
+
+@njit(cache=True)
 def _advance_model(net, base, par, finger, work, config, state, stamp, normal_force):
     """Reduced model to a valid sample; the contact and the remembered samples follow."""
     stream, near = state.stream, state.members
@@ -325,6 +365,7 @@ def _advance_model(net, base, par, finger, work, config, state, stamp, normal_fo
         near.stamp[:] = stamp - 1
     stream.model_stamp = stamp
     stream.started = True
+    _see_noise(stream, dt, normal_force)
     rk.step(net, par, finger, work, dt, normal_force)
     if normal_force < config.liftoff_force and not math.isfinite(finger[0].indentation):
         # A model that could not follow a contact starts again from rest in the air.
@@ -340,6 +381,7 @@ def _advance_model(net, base, par, finger, work, config, state, stamp, normal_fo
         members.renew(net, par, finger, work, near, normal_force)
     else:
         members.advance(net, par, finger, work, near, stamp, normal_force, False)
+    _follow_limit(state, normal_force, par[0].force_limit, stamp)
     gain, _ = _pose_gain(config, finger[0].area)
     _remember(state.memory, stamp, normal_force, gain * finger[0].area, near.area)
 
@@ -355,34 +397,34 @@ def _write_contact(config, state, finger, normal_force, limit, stamp, row):
     if not state.contact.touching or not finger.area > 0.0:
         return
     noise, filters, near = config.noise, state.filters, state.members
-    phi = area_filter.log_force(normal_force, limit)
     h = np.empty(area_filter.STATES)
-    area_filter.regressors(noise, phi, near.area, 1.0, h)
+    area_filter.regressors(noise, normal_force, limit, near.area, 1.0, h)
     offset = _offset(state, near.area)
     error, variance = area_filter.estimate(filters, noise, h, offset, stamp, True)
-    deviation = area_filter.deviation_of(variance)
     own_gain, slope = _pose_gain(config, finger.area)
     area = finger.area * own_gain * math.exp(error)
     row.model_area = finger.area * own_gain
     row.area = area
-    row.area_stddev = area * deviation
     row.area_force_slope = finger.area_force_slope * own_gain * (1.0 + slope) * math.exp(error)
+    variance += state.stream.noise_variance * (row.area_force_slope / area) ** 2
+    deviation = area_filter.deviation_of(variance)
+    row.area_stddev = area * deviation
     row.radius = math.sqrt(area / math.pi)
     row.radius_stddev = row.radius * area_filter.deviation_of(0.25 * variance)
     pressure = normal_force / area
     row.mean_pressure = pressure
     row.mean_pressure_stddev = pressure * deviation
-    row.peak_pressure = finger.peak_pressure * math.exp(-error) / own_gain
+    row.peak_pressure = finger.peak_pressure * math.exp(config.peak[0] - error) / own_gain
     if normal_force > limit:
         # The model's force ends there; as the mean pressure does, it grows on with the force.
         row.peak_pressure *= normal_force / limit
     row.peak_pressure_stddev = row.peak_pressure * area_filter.deviation_of(
-        variance + PEAK_DEVIATION * PEAK_DEVIATION
+        variance + PEAK_DEVIATION * PEAK_DEVIATION + config.peak[1] * config.peak[1]
     )
     # Gains and the contact's own error: half in length (see GAIN_OF_INDENTATION), and that half
     # uncertain.
     gain = area_filter.GAIN_OF_INDENTATION
-    area_filter.regressors(noise, phi, near.indentation, gain, h)
+    area_filter.regressors(noise, normal_force, limit, near.indentation, gain, h)
     offset = _offset(state, near.indentation)
     deeper, spread = area_filter.estimate(filters, noise, h, offset, stamp, False)
     for i in range(area_filter.STATES):
@@ -526,8 +568,7 @@ def new_reading(configuration, states):
 def _fused_error(config, state, finger, limit, bounded):
     """Logarithm of the fused area over the model's now, `limit` (N) of whose force is `finger`."""
     h = np.empty(area_filter.STATES)
-    phi = area_filter.log_force(finger.force, limit)
-    area_filter.regressors(config.noise, phi, state.members.area, 1.0, h)
+    area_filter.regressors(config.noise, finger.force, limit, state.members.area, 1.0, h)
     offset = _offset(state, state.members.area)
     stamp = state.stream.model_stamp
     return area_filter.estimate(state.filters, config.noise, h, offset, stamp, bounded)[0]
@@ -587,20 +628,19 @@ def predicted(net, par, finger, work, near, configuration, states, time, force, 
     found = np.empty((len(time), 3 + 2 * members.DIRECTIONS))
     members.follow(net, par, finger, work, near, 0.0, time, force, found)
     h = np.empty(area_filter.STATES)
-    gain = area_filter.GAIN_OF_INDENTATION
+    gain, limit = area_filter.GAIN_OF_INDENTATION, par[0].force_limit
     for i in range(len(time)):
         table[i] = found[i, :3]
         if found[i, 0] > 0.0:
-            phi = area_filter.log_force(force[i], par[0].force_limit)
             sensitivity = found[i, 3 : 3 + members.DIRECTIONS]
-            area_filter.regressors(noise, phi, sensitivity, 1.0, h)
+            area_filter.regressors(noise, force[i], limit, sensitivity, 1.0, h)
             offset = _offset(state, sensitivity)
             error, _ = area_filter.estimate(filters, noise, h, offset, filters.stamp, True)
             own_gain, _ = _pose_gain(config, found[i, 0])
             table[i, 0] *= own_gain * math.exp(error)
-            table[i, 2] *= math.exp(-error) / own_gain
+            table[i, 2] *= math.exp(config.peak[0] - error) / own_gain
             sensitivity = found[i, 3 + members.DIRECTIONS :]
-            area_filter.regressors(noise, phi, sensitivity, gain, h)
+            area_filter.regressors(noise, force[i], limit, sensitivity, gain, h)
             offset = _offset(state, sensitivity)
             deeper, _ = area_filter.estimate(filters, noise, h, offset, filters.stamp, False)
             table[i, 1] *= math.exp(deeper)

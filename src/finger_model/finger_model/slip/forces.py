@@ -13,12 +13,14 @@ import math
 
 import numpy as np
 
+from .. import force_noise
 from ..compiled import njit
+from ..force_noise import NOISE_MEMORY
 
 FAST, SLOW = 0.008, 0.03
 """s, time constants of the filters of the present forces and of their rates."""
-LONGEST_STEP, NOISE_MEMORY = 0.0125, 1.0
-"""s between samples up to which what is rough of Q is noise, and how long it is remembered."""
+LONGEST_STEP = 0.0125
+"""s between samples up to which what is rough of Q is noise."""
 KNOCK, KNOCKED = 40.0, 0.08
 """1/s, rate of Q over P of a knock, not a pull, and s after it in which ratios tell nothing."""
 BLOCK, BLOCKS, LEAST_BLOCKS = 0.1, 10.0, 3.0
@@ -84,24 +86,24 @@ def _track(track, tau, dt, values):
 
 
 @njit(cache=True)
-def _roughness(forces, q0, q1, noise, variance):
-    """What this sample of Q shows of its variance (N²), at a noise and a variance so far."""
+def _roughness(forces, q0, q1):
+    """What this sample of Q shows of its variance (N²)."""
     last = forces.last
-    rough = (q0 - 2.0 * last[0, 0] + last[1, 0]) ** 2
-    rough = 0.5 * (rough + (q1 - 2.0 * last[0, 1] + last[1, 1]) ** 2) / 6.0
+    rough = force_noise.roughness(q0, last[0, 0], last[1, 0])
+    rough = 0.5 * (rough + force_noise.roughness(q1, last[0, 1], last[1, 1]))
     last[1] = last[0]
     last[0, 0], last[0, 1] = q0, q1
-    # A knock is not noise.
-    return min(rough, 16.0 * max(variance, noise * noise))
+    return rough
 
 
 @njit(cache=True)
 def _see_noise(forces, noise, dt, q0, q1):
     """Noise of Q, that of the settings or more where its samples show more, and that of `fast`."""
-    rough = _roughness(forces, q0, q1, noise, forces.seen_variance)
+    rough = _roughness(forces, q0, q1)
     if dt <= LONGEST_STEP:
-        forces.seen_time = min(forces.seen_time + dt, NOISE_MEMORY)
-        forces.seen_variance += (rough - forces.seen_variance) * dt / forces.seen_time
+        forces.seen_variance, forces.seen_time = force_noise.averaged(
+            forces.seen_variance, forces.seen_time, rough, noise * noise, dt
+        )
         forces.noise = max(noise, math.sqrt(forces.seen_variance))
     else:
         forces.noise = max(noise, math.sqrt(forces.air.rough_variance))
@@ -126,11 +128,12 @@ def see_air(forces, noise, stamp, dt, q0, q1):
     air = forces.air
     if not 0.0 < dt < 2.0 * BLOCK:
         leave(forces, stamp)
-    rough = _roughness(forces, q0, q1, noise, air.rough_variance)
+    rough = _roughness(forces, q0, q1)
     if stamp < air.begin:
         return
     air.rough_samples += 1.0
     share = max(1.0 / air.rough_samples, min(dt / NOISE_MEMORY, 0.1))
+    rough = force_noise.no_knock(rough, air.rough_variance, noise * noise)
     air.rough_variance += share * (rough - air.rough_variance)
     air.sum[0] += q0
     air.sum[1] += q1
