@@ -91,8 +91,10 @@ class Followers:
         self._known, self._surface = self._finger(), estimator.surfaces
         axis, delay = estimator.settings.normal_axis, estimator.settings.fusion_delay
         if self._slip is not None:
-            if (self._known, self._surface) != (known, surface):
+            if self._known != known:
                 self._slip.turn(axis)
+            elif self._surface != surface:
+                self._slip.change_surface()
             self._slip.assume(estimator.model.geometry, estimator.material)
             self._slip.sticks.delay = delay
         if self._pose is not None:

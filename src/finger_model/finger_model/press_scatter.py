@@ -22,6 +22,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from finger_common.errors import InputError
 from finger_common.files import number
@@ -32,6 +33,8 @@ LEAST_SD = 0.01
 """Scatter from press to press below which few presses cannot show that it is smaller."""
 MISFIT_MEMORY = 0.3
 """s over which what a model cannot describe stays alike; an assumption."""
+MOST_FRAMES = 150
+"""Frames of a press that are compared: its length tells drift and slope, not how many there are."""
 
 _DRIFTS = 0.04 * 0.5 ** np.arange(6)
 _SLOPES = 0.032 * 0.5 ** np.arange(6)
@@ -113,15 +116,18 @@ def press_scatter(presses: Sequence[PressResiduals], misfit: float) -> PressScat
 
 def _likelihood(press: PressResiduals, sd: float, misfit: float) -> np.ndarray:
     """Logarithm of the likelihood of one press for _DRIFTS × _SLOPES."""
-    apart = np.abs(press.time[:, None] - press.time[None, :])
-    since = press.time - press.time[0]
-    fixed = np.diag(press.noise**2) + sd**2 + misfit**2 * np.exp(-apart / MISFIT_MEMORY)
+    taken = slice(None, None, -(-len(press.time) // MOST_FRAMES))
+    time, log_force = press.time[taken], press.log_force[taken]
+    residual, noise = press.residual[taken], press.noise[taken]
+    apart = np.abs(time[:, None] - time[None, :])
+    since = time - time[0]
+    fixed = np.diag(noise**2) + sd**2 + misfit**2 * np.exp(-apart / MISFIT_MEMORY)
     walk = np.minimum(since[:, None], since[None, :])
-    tilt = np.outer(press.log_force, press.log_force)
+    tilt = np.outer(log_force, log_force)
     found = np.empty((len(_DRIFTS), len(_SLOPES)))
     for i, drift in enumerate(_DRIFTS):
         for j, slope in enumerate(_SLOPES):
             root = np.linalg.cholesky(fixed + drift**2 * walk + slope**2 * tilt)
-            white = np.linalg.solve(root, press.residual)
+            white = solve_triangular(root, residual, lower=True)
             found[i, j] = -0.5 * (white @ white) - np.log(np.diag(root)).sum()
     return found

@@ -9,6 +9,7 @@ import bisect
 import itertools
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -396,6 +397,39 @@ def test_a_light_touch_that_the_camera_overlooks_is_no_wrong_zero(model: Reduced
     found = feed(estimator, 0.0, 3.0, touch)
     assert any(flagged(found, StateFlag.FORCE_OFFSET))  # as long as it is not seen
     assert not any(flagged(found[2200 // PERIOD :], StateFlag.FORCE_OFFSET))
+
+
+@pytest.mark.parametrize("blind", [(0.5, 1.3), (2.0, 2.7)], ids=["touch", "hold"])
+def test_a_camera_that_is_blind_for_a_while_shows_no_wrong_zero(
+    model: ReducedModel, blind: tuple[float, float]
+) -> None:
+    def touch(t: float) -> float:
+        return min(max((t - 0.5) / 0.1, 0.0), 1.0)
+
+    estimator = ContactEstimator(model)
+    for e in feed(ContactEstimator(model), 0.0, 4.0, touch):
+        t = (e.stamp_ns - T0) * 1e-9
+        if round(t * 1e3) % 50 == 0:
+            seen = e.area > 0 and not blind[0] <= t < blind[1]
+            flags = 0 if seen else int(AreaFlag.NO_CONTACT)
+            estimator.add_area(e.stamp_ns, e.area * seen, 1e-6, flags)
+    found = feed(estimator, 0.0, 4.0, touch)
+    assert not any(flagged(found[3000 // PERIOD :], StateFlag.FORCE_OFFSET))
+
+
+def test_parameters_changed_beyond_the_models_force_stay(model: ReducedModel) -> None:
+    default = ParameterSets.default()
+    assert default.prior is not None
+    mean = (0.35, *default.prior.mean[1:])
+    sets = ParameterSets(default.sets, prior=replace(default.prior, mean=mean))
+    areas = []
+    for force in (2.5, 4.0):
+        estimator = ContactEstimator(model)
+        feed(estimator, 0.0, 1.0, lambda t, force=force: force * min(t / 0.2, 1.0))
+        estimator.change_parameters(sets, "test")
+        feed(estimator, 1.0, 2.0, lambda t, force=force: force if t < 1.5 else 0.0)
+        areas.append(feed(estimator, 2.0, 4.0, lambda t: min(max(t - 2.5, 0.0), 1.0))[-1].area)
+    assert areas[1] == pytest.approx(areas[0], rel=0.03)
 
 
 def test_contacts_beyond_the_models_force_teach_nothing_of_the_finger(

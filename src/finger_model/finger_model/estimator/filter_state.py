@@ -56,7 +56,6 @@ class FilterState:
         config["fusion_delay"] = nanoseconds(settings.fusion_delay)
         self._pose = settings.pose
         noise = config["noise"]
-        noise["drift_limit"] = 2.0 * (max(area_filter.SCALES) * settings.contact_area_sd) ** 2
         noise["gain_variance"] = settings.area_gain_sd**2
         noise["outlier_limit"] = settings.outlier_limit
 
@@ -98,6 +97,7 @@ class FilterState:
         noise["moisture_variance"] = prior.moisture_variance
         noise["moisture_wander"] = prior.moisture_wander
         noise["contact_variance"] = prior.contact_sd**2
+        noise["drift_limit"] = 2.0 * (max(area_filter.SCALES) * prior.contact_sd) ** 2
         noise["slope_variance"] = prior.slope_sd**2
         noise["drift_variance"] = prior.drift_sd**2
         config["peak"] = prior.peak_mean, prior.peak_sd

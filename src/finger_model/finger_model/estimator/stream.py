@@ -100,6 +100,7 @@ CONTACT = np.dtype(
         ("beyond", "?"),  # the force has been beyond the model's limit
         ("outdated", "?"),  # the model has constants from before the last change of them
         ("empty", "i8"),  # areas in a row that show no contact
+        ("seen_force", "f8"),  # N, at the newest area of this contact; 0 for none
         ("empty_since", "i8"),  # ns, stamp of the first of them under more than QUIET_FORCE
         ("quiet", "i8"),  # ns, since when the force is nearly constant
         ("quiet_force", "f8"),  # N
@@ -199,6 +200,7 @@ def _follow_contact(config, state, normal_force, stamp):
         rise = (stamp - contact.air) * 1e-9
         contact.unseen = contact.air == 0 or rise > SLOWEST_TOUCH
         contact.beyond = False
+        contact.seen_force = 0.0
         contact.empty = 0
         contact.quiet = stamp
         contact.onset = stamp
@@ -310,7 +312,11 @@ def _fuse(config, state, stamp, area, sd, limit):
             contact.empty_since = stamp
         contact.empty += 1
         empty_time = (stamp - contact.empty_since) * 1e-9
-        if contact.empty >= EMPTY_AREAS and empty_time >= EMPTY_TIME:
+        # A finger that began as one does may come into the picture late, or be lost in a hold; one
+        # that was lifted was small, or pressed harder, when it was last seen.
+        lifted = force < 0.5 * contact.seen_force
+        lifted |= contact.seen_force > 0.0 and contact.fused_area < 0.5 * model_area
+        if (contact.unseen or lifted) and contact.empty >= EMPTY_AREAS and empty_time >= EMPTY_TIME:
             contact.untared = True
         return False
     if not LEAST_AREA < area < LARGEST_AREA or not 0.0 < sd < LARGEST_AREA:
@@ -323,6 +329,7 @@ def _fuse(config, state, stamp, area, sd, limit):
         return False
     contact.empty = 0
     contact.unseen = False
+    contact.seen_force = force
     contact.fused_stamp = stamp
     contact.fused_area = area
     contact.has_fused = True
@@ -551,7 +558,8 @@ def process(net, base, par, finger, work, configuration, states, stamps, forces,
 def initialise_filters(net, base, par, finger, work, configuration, states):
     """Filters and members as for a finger not seen before, with no area fused."""
     config, state = configuration[0], states[0]
-    area_filter.initialise(state.filters, config.noise, config.moisture_stamp)
+    for bank in (state.filters, state.before):
+        area_filter.initialise(bank, config.noise, config.moisture_stamp)
     state.contact.has_fused = False
     members.shift_to(state.members, state.filters.start[2:])
     _place(net, base, par, finger, work, state)
@@ -560,8 +568,9 @@ def initialise_filters(net, base, par, finger, work, configuration, states):
 @njit(cache=True)
 def new_reading(configuration, states):
     """The filters' error of the moisture as after a new reading."""
-    config = configuration[0]
-    area_filter.new_reading(states[0].filters, config.noise, config.moisture_stamp)
+    config, state = configuration[0], states[0]
+    for bank in (state.filters, state.before):
+        area_filter.new_reading(bank, config.noise, config.moisture_stamp)
 
 
 @njit(cache=True)

@@ -111,6 +111,12 @@ class SlipEstimator:
         self._state[:] = np.zeros(1, kernels.STATE)
         set_prior(self._config["prior"][0], self._state["friction"][0], math.nan)
 
+    def change_surface(self) -> None:
+        """Another plate; what the air told of the sensor's zero is kept."""
+        air = self._state["forces"]["air"].copy()
+        self.reset()
+        self._state["forces"]["air"] = air
+
     def add(self, estimate: ContactEstimate, force: Sequence[float]) -> SlipEstimate:
         """One sample: the contact's estimate and the force (3,) in N that it came from.
 
