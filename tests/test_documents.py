@@ -8,7 +8,6 @@ leaves the block out and gives the reason, `<!-- slow -->` runs it with the slow
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import subprocess
@@ -127,34 +126,3 @@ def test_architecture_names_every_module_or_its_folder() -> None:
         and part.stem not in named
     ]
     assert not missing, f"name them in docs/architecture.md: {missing}"
-
-
-MEASURED = {
-    "full_order_trial": r"full-order finger: .*? \| ([\d.]+) s",
-    "full_order_memory": r"full-order finger: .*? s, (\d+) MB",
-    "reduced_step_p99": r"one step through Python, p99 \| ([\d.]+) µs",
-    "estimator_sample_p99": r"one wrench sample through Python, .*? \| ([\d.]+) µs",
-    "slip_sample_p99": r"one wrench sample through Python, .* µs; ([\d.]+) µs \|",
-    "reduced_paper_batch": r"reduced model: 13,500 presses .*? \| ([\d.]+) s",
-    "vision_frame": r"frame to contact area, one core \| ([\d.]+) ms",
-    "process_speed": r"`finger-bag process`: .*? \| ([\d.]+) ×",
-    "process_speed_images": r"`finger-bag process`: .* ×, ([\d.]+) × real time \|",
-    "default_finger_rms_error": r"reduced against full order, default .*? \| ([\d.]+) %",
-    "default_finger_max_error": r"reduced against full order, default .* %, ([\d.]+) % \| 1 %",
-    "ridge_stick_rms": r"share of the contact that sticks, .*? \| ([\d.]+)",
-}
-"""Figure of bench/results.json -> where the tables of README.md print it."""
-
-
-def test_tables_of_the_readme_are_those_of_the_benchmarks() -> None:
-    results = json.loads((ROOT / "bench/results.json").read_text())
-    value = {result["name"]: result["value"] for result in results}
-    text = (ROOT / "README.md").read_text()
-    wrong = []
-    for name, pattern in MEASURED.items():
-        printed = re.search(pattern, text)
-        assert printed is not None, f"README.md prints no {name}"
-        decimals = len(printed[1].partition(".")[2])
-        if f"{value[name]:.{decimals}f}" != printed[1]:
-            wrong.append(f"{name}: README.md has {printed[1]}, bench/results.json {value[name]:g}")
-    assert not wrong, wrong

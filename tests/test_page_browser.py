@@ -295,6 +295,8 @@ def test_axe_finds_nothing_in_the_rarer_looks(
 def test_axe_finds_nothing(rig: StandIn, page: Any, browser: Any, scheme: str) -> None:
     page.emulate_media(color_scheme=scheme, reduced_motion="reduce")
     assert violations(page) == []
+    # The search may have kept the page from its link.
+    page.wait_for_selector("#banner", state="hidden")
     page.keyboard.press("Space")
     page.wait_for_selector("#session-dialog[open]")
     until(lambda: "used before" in page.inner_text("#subject-used"), page)
