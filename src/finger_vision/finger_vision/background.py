@@ -8,6 +8,7 @@ All images here are at the segmenter's working resolution.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -31,6 +32,14 @@ LEVEL, BRIGHT_LEVEL = 150.0, 60.0
 """Greys of a plate of unchanged light in a frame that was divided by the learned plate, and in one
 from which it was subtracted."""
 
+BORDER_STEP, BORDER_GREYS, BORDER_EDGE = 1.25, 8.0, 3
+"""Where a dark border ends, the image brightens by this factor and so many greys within so many
+working pixels."""
+
+BORDER_SIDE, BORDER_OFF = 0.6, 1.5
+"""Share of a side of the image along which the edge of a border is straight, and working pixels by
+which it is."""
+
 POLARITIES = ("auto", "dark", "bright")
 """Touching ridges are darker or brighter than the plate; "auto" finds out in each frame."""
 
@@ -41,13 +50,16 @@ class Background:
 
     image: (h, w) uint8. bright_ridges: whether touching ridges are brighter than the plate.
     learned: false where it was guessed from the frame itself. noise: standard deviation of a
-    pixel, greys. lit: whether the frame has the light that the learned one has.
+    pixel, greys. frame: the frame, (h, w) uint8, with plate in place of a dark border. border: mask
+    of that border; None without one. lit: whether the frame has the light that the learned one has.
     """
 
     image: np.ndarray
     bright_ridges: bool
     learned: bool
     noise: float
+    frame: np.ndarray
+    border: np.ndarray | None = None
     lit: bool = True
 
 
@@ -127,10 +139,16 @@ def background_of(
                 bright = _ridges_are_bright(mean - expected, deviation)
             if _light_moved(mean, deviation, expected):
                 image = _relit(image, frame, bright, envelope)
-            return Background(image, bright, True, learned.noise, lit)
+            return Background(image, bright, True, learned.noise, frame, lit=lit)
+    border = dark_border(frame)
+    if border is not None and polarity == "auto":
+        mean, deviation = tile_statistics(_filled(frame, border, cv2.blur, envelope))
     bright = guess_polarity(mean, deviation) if polarity == "auto" else polarity == "bright"
+    if border is not None:
+        frame = _filled(frame, border, cv2.erode if bright else cv2.dilate, envelope)
+        mean, deviation = tile_statistics(frame)
     image = guess_background(frame, mean, deviation, bright, envelope)
-    return Background(image, bright, False, float(np.percentile(deviation, 10)))
+    return Background(image, bright, False, float(np.percentile(deviation, 10)), frame, border)
 
 
 def gain_of(ratios: np.ndarray, spread: float = ONE_RATIO) -> float:
@@ -233,6 +251,55 @@ def guess_polarity(mean: np.ndarray, deviation: np.ndarray) -> bool:
         return False
     step = mean[beside] - level[beside] / share[beside]
     return float(np.sum(step)) > 0
+
+
+def dark_border(frame: np.ndarray) -> np.ndarray | None:
+    """Mask (h, w) of the dark border around a plate: black rows or columns, the straight edge of
+    the mount, a few degrees tilted at most. None without one.
+    """
+    border = np.zeros(frame.shape, np.uint8)
+    for turns in range(4):
+        side = np.ascontiguousarray(np.rot90(frame, turns))
+        outside = _border_at_left(cv2.blur(side, (1, 5), borderType=cv2.BORDER_REPLICATE))
+        if outside is not None:
+            border |= np.rot90(outside, -turns)
+    return border if border.any() else None
+
+
+def _border_at_left(frame: np.ndarray) -> np.ndarray | None:
+    """Mask (h, w) of the border at the left of a frame; None without one."""
+    height, width = frame.shape
+    inner, outer = frame[:, BORDER_EDGE:], frame[:, :-BORDER_EDGE].astype(np.float32)
+    brightens = inner > BORDER_STEP * outer + BORDER_GREYS
+    begins = brightens.argmax(axis=1)
+    beyond = ~brightens & (np.arange(brightens.shape[1]) > begins[:, None])
+    edge = np.where(brightens.any(axis=1), beyond.argmax(axis=1) + 1, width)
+    rows = np.arange(height)
+    ends = [half[edge[half] < width / 2] for half in np.array_split(rows, 2)]
+    if min(map(len, ends)) < 8:
+        return None
+    (x, y), (other_x, other_y) = ((np.median(end), np.median(edge[end])) for end in ends)
+    line = y + (other_y - y) / (other_x - x) * (rows - x)
+    if np.mean(np.abs(edge - line) <= BORDER_OFF) < BORDER_SIDE:
+        return None
+    return np.where(np.arange(width) < line[:, None] + BORDER_OFF, np.uint8(255), np.uint8(0))
+
+
+def _filled(
+    frame: np.ndarray, border: np.ndarray, smooth: Callable[..., np.ndarray], size: int
+) -> np.ndarray:
+    """The frame with what lies beside a border, smoothed over `size` pixels, in place of it."""
+    distance = cv2.distanceTransformWithLabels(
+        border, cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    labels, inside = distance[1], border == 0
+    beside = np.zeros(int(labels.max()) + 1, np.uint8)
+    beside[labels[inside]] = frame[inside]
+    # First what lies beside it as it is, so that smoothing does not see the border; less its noise.
+    continued = cv2.blur(beside[labels], (3, 3))
+    window = (size, size) if smooth is cv2.blur else np.ones((size, size), np.uint8)
+    beside[labels[inside]] = smooth(continued, window)[inside]
+    return np.where(inside, frame, beside[labels])
 
 
 def guess_background(

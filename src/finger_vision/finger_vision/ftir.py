@@ -186,7 +186,8 @@ class FtirSegmenter(AreaSensor):
             raise NoLight(
                 "the plate is dark, and contacts are not seen; check light, lens and exposure"
             )
-        contrast, noise = contrast_of(frame, background)
+        frame = background.frame
+        contrast, noise = contrast_of(background)
         ridges = find_ridges(contrast, noise, background.learned, settings.minimum_contrast, grid)
         self.steps = Steps(frame, background.image, contrast, ridges)
         flags = AreaFlag(0)
@@ -207,7 +208,7 @@ class FtirSegmenter(AreaSensor):
         shape, real_area, hull, hidden = outlined
         if ridges.other_regions:
             flags |= AreaFlag.MULTIPLE_REGIONS
-        if self._is_clipped(hull, grid):
+        if self._is_clipped(hull, grid) or _reaches(ridges, background.border, grid):
             flags |= AreaFlag.CLIPPED
         if real_area < 0.2 * shape.area or shape.area < 5e-6:
             flags |= AreaFlag.SPARSE
@@ -316,6 +317,15 @@ def ellipse_deviations(
     # No direction is known of a circle.
     angle = min(turn, math.pi / math.sqrt(12))
     return share * math.sqrt(a * b / 2), shape.major * axis, shape.minor * axis, angle
+
+
+def _reaches(ridges: Ridges, border: np.ndarray | None, grid: WorkingGrid) -> bool:
+    """Whether ridges lie within a ridge period of a dark border."""
+    if border is None:
+        return False
+    size = 2 * math.ceil(grid.period) + 1
+    near = cv2.dilate(ridges.outermost, np.ones((size, size), np.uint8))
+    return bool(cv2.bitwise_and(near, border[ridges.box]).any())
 
 
 def _saturated_share(frame: np.ndarray, ridges: Ridges, bright_ridges: bool) -> float:

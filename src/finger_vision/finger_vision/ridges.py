@@ -63,8 +63,10 @@ class Ridges:
     other_regions: bool
 
 
-def contrast_of(frame: np.ndarray, background: Background) -> tuple[np.ndarray, float]:
-    """Contrast (h, w) uint8 of touching skin, 255 for all of the light, and noise in that unit."""
+def contrast_of(background: Background) -> tuple[np.ndarray, float]:
+    """Contrast (h, w) uint8 of touching skin in a frame, 255 for all of the light, and noise in
+    that unit."""
+    frame = background.frame
     if background.bright_ridges:
         return cv2.subtract(frame, background.image), background.noise
     # Relative to the light that falls there, so that vignetting does not matter.

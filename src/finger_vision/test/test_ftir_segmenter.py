@@ -497,3 +497,48 @@ def test_a_print_too_pale_to_be_measured_is_not_learned_as_plate() -> None:
     assert segmenter.learned == 1
     seen = segmenter.process(renderer.render(4.5e-3))
     assert seen.gross_area == pytest.approx(math.pi * 4.5e-3**2, rel=0.04)
+
+
+def bordered(image: np.ndarray, wide: int, tilt: float, grey: int) -> np.ndarray:
+    """A frame (H, W) in a border of `wide` pixels and `tilt` degrees."""
+    larger = cv2.copyMakeBorder(image, *[wide] * 4, cv2.BORDER_REPLICATE)
+    height, width = larger.shape
+    centre, size = (width / 2, height / 2), (width - 2 * wide, height - 2 * wide)
+    inside = np.zeros(larger.shape, np.float32)
+    corners = np.round(cv2.boxPoints((centre, size, tilt))).astype(np.int32)
+    inside = cv2.GaussianBlur(cv2.fillPoly(inside, [corners], 1.0), (0, 0), 0.8)
+    return cv2.convertScaleAbs(larger * inside + grey * (1 - inside))
+
+
+@pytest.mark.parametrize(
+    "wide, tilt, grey", [(1, 0.0, 0), (6, 0.0, 40), (20, 1.5, 0), (60, 3.0, 15)]
+)
+@pytest.mark.parametrize("bright", [False, True])
+def test_a_dark_border_around_a_plate_that_was_not_learned_is_no_skin(
+    bright: bool, wide: int, tilt: float, grey: int
+) -> None:
+    scene = Scene(background=60 if bright else 180, bright_ridges=bright, vignetting=0.3)
+    for index, skin in enumerate(SKINS):
+        renderer = FtirRenderer(skin, index, scene)
+        calibration = PlateCalibration.from_area_per_pixel(AREA_PER_PIXEL)
+        frame = renderer.render_frame([Contact(4e-3, aspect=1.3)])
+        plain = FtirSegmenter(calibration=calibration).measure(frame.image)
+        image = bordered(frame.image, wide, tilt, min(grey, int(0.3 * scene.background)))
+        found = FtirSegmenter(calibration=calibration).measure(image)
+        assert found.gross_area == pytest.approx(plain.gross_area, rel=0.02)
+        assert found.flags == plain.flags
+        empty = bordered(renderer.empty(), wide, tilt, 0)
+        assert FtirSegmenter(calibration=calibration).measure(empty).gross_area == 0.0
+
+
+def test_a_print_that_runs_under_a_dark_border_is_flagged_as_clipped() -> None:
+    renderer = FtirRenderer("natural", 3, Scene())
+    frame = renderer.render_frame([Contact(4e-3)])
+    rows, columns = np.nonzero(frame.image < 100)
+    cut = frame.image.copy()
+    end = int(np.median(columns))
+    cut[:, end:] = 0
+    segmenter = FtirSegmenter(calibration=PlateCalibration.from_area_per_pixel(AREA_PER_PIXEL))
+    found = segmenter.measure(cut)
+    assert found.flags & AreaFlag.CLIPPED
+    assert 0.35 * frame.gross_area < found.gross_area < 0.65 * frame.gross_area
