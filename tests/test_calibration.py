@@ -32,8 +32,8 @@ from finger_model.pose.correction import PoseCorrection
 from finger_model.pose.pose import Pose
 from finger_model.reduced import ReducedModel
 from finger_model.reduced.model import load_population
-from finger_model.subject_calibration import PressCollector
-from finger_model.subjects import save_subject, subject_file
+from finger_model.subject_calibration import PressCollector, keep_subject
+from finger_model.subjects import find_subject, save_subject, subject_file
 from finger_sim.press import guided_style, plan_press
 from finger_sim.study_trial import AREA_NOISE
 
@@ -351,6 +351,30 @@ def test_an_earlier_calibration_is_kept(fingers: list[Finger], tmp_path: Path) -
     assert len(files) == 2 and files[1] == path
     assert ParameterSets.load(files[0]).hash == sets.hash
     assert ParameterSets.load(path).hash == calibrated(fingers[0]).sets.hash
+
+
+def test_a_calibration_is_of_one_finger_of_the_subject(
+    fingers: list[Finger], tmp_path: Path
+) -> None:
+    """Another finger's replaces nothing, and no session begins with it."""
+    found = calibrated(fingers[0])
+    assert find_subject(tmp_path, "S01", "right_index") == (None, "")
+    for finger in ("index", "left_thumb"):
+        assert keep_subject(str(tmp_path), "S01", finger, found, 1.0).kept
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["S01.index.yaml", "S01.left_thumb.yaml"]
+    for finger, name, words in (
+        ("index", "S01.index.yaml", ""),
+        ("right_index", "S01.index.yaml", "no parameters of right_index; those of"),
+        ("right_thumb", "", "right_thumb, only S01.index.yaml, S01.left_thumb.yaml; calibrate"),
+        ("", "", "a finger that is not noted, only S01"),
+    ):
+        path, said = find_subject(tmp_path, "S01", finger)
+        assert (path.name if path else "") == name and words in said and bool(words) == bool(said)
+    # One of which no finger was noted, as from before fingers were, serves all others.
+    save_subject(tmp_path, "S01", found.sets)
+    assert find_subject(tmp_path, "S01") == (tmp_path / "S01.yaml", "")
+    path, said = find_subject(tmp_path, "S01", "right_thumb")
+    assert path == tmp_path / "S01.yaml" and "no parameters of right_thumb; those of" in said
 
 
 @pytest.mark.parametrize("code", ["", "../S01", "a b", "x" * 65])

@@ -327,6 +327,11 @@ def test_an_earlier_calibration_is_not_replaced_unasked(
     options = ["--subject", "S01", "--simulated", "--folder", str(tmp_path)]
     assert main(["calibrate", *options]) == 2
     assert "--again" in capsys.readouterr().err
+    # Another finger has a file of its own.
+    assert calibration_entries(parser().parse_args(["calibrate", *options, "--finger", "index"]))
+    ParameterSets.default().save(tmp_path / "subjects" / "S01.index.yaml")
+    assert main(["calibrate", *options, "--finger", "index"]) == 2
+    assert "S01.index.yaml" in capsys.readouterr().err
 
 
 BUSY = """

@@ -636,7 +636,8 @@ def test_a_session_begins_with_all_that_was_typed(rig: StandIn, page: Any) -> No
     page.click("#plan-start")
     until(lambda: len(rig.commands) == 2, page)
     (name, plan), begun = rig.commands
-    assert name == "configure" and begun == ("start", {"seen_step": "closed"})
+    begin = {"seen_step": "closed", "for_subject": "S07"}
+    assert name == "configure" and begun == ("start", begin)
     assert plan == {
         "subject": "S07", "age": 31, "hand": "right", "finger": "index",
         "finger_width": pytest.approx(0.0155), "finger_depth": pytest.approx(0.0112),
@@ -710,7 +711,7 @@ def test_calibrate_subject_begins_a_calibration_with_what_was_typed(
     page.keyboard.press("Enter")
     page.wait_for_selector("#session-dialog:not([open])", state="attached")
     (first, plan), second, again, last = rig.commands
-    calibrate = ("calibrate", {"seen_step": "closed"})
+    calibrate = ("calibrate", {"seen_step": "closed", "for_subject": "S07"})
     assert (first, second, again[0], last) == ("configure", calibrate, "configure", calibrate)
     assert (plan["subject"], plan["age"]) == ("S07", 31) and again[1] == plan
     # Its presses have words of their own.

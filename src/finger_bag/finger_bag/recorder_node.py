@@ -33,6 +33,7 @@ from finger_common.node.qos import RELIABLE
 from finger_common.retry import Pauses
 from finger_common.settings import Settings, setting
 from finger_common.stamps import NANOSECONDS, seconds
+from finger_common.subject_code import known_finger
 from finger_msgs.srv import Record
 
 from .cdr_layout import stamp_of_cdr
@@ -430,6 +431,7 @@ class RecorderNode(ManagedNode):
         session = self.settings(SessionSettings).to_dict()
         if trial is not None:
             named = {k: getattr(trial, k) for k in ("session", "subject", "condition")}
+            named["finger"] = known_finger(trial.header.frame_id)
             session.update({k: text for k, text in named.items() if text})
             if trial.target_force > 0:
                 session["target_force"] = f"{trial.target_force:g}"

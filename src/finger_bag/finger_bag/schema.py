@@ -177,6 +177,8 @@ class SessionMetadata:
 
     session: str = ""
     subject: str = ""
+    finger: str = ""
+    """That is tested, such as right_index."""
     condition: str = ""
     trial_index: str = ""
     target_force: str = ""

@@ -14,6 +14,7 @@ import numpy as np
 
 from finger_common.errors import InputError, listed
 from finger_common.stamps import header_stamp
+from finger_common.subject_code import known_finger
 
 from .cdr_layout import WRENCH_TYPE, frame_id_of_cdr, stamp_of_cdr, stamps_and_wrenches
 from .definitions import Decoder
@@ -65,7 +66,7 @@ class MoistureReading:
 
 @dataclass(frozen=True)
 class TrialEvent:
-    """One `trial` message; fields as in finger_msgs/Trial."""
+    """One `trial` message; fields as in finger_msgs/Trial. finger: the header's frame."""
 
     stamp_ns: int
     session: str
@@ -76,6 +77,7 @@ class TrialEvent:
     phase: int
     target_force: float
     note: str = ""
+    finger: str = ""
 
 
 class Wrenches(NamedTuple):
@@ -353,7 +355,8 @@ def _trial(item: BagMessage, mapped: MappedTopic) -> TrialEvent:
         raise InputError(f"a text has more than {MAXIMUM_TEXT} characters")
     numbers = [int(getattr(message, name)) for name in ("index", "attempt", "phase")]
     stamp = header_stamp(message)
-    last = (float(message.target_force), note)
+    finger = known_finger(str(message.header.frame_id))
+    last = (float(message.target_force), note, finger)
     values: Any = (stamp, *texts, *numbers, *last)
     return TrialEvent(*values)
 

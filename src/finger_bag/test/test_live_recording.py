@@ -211,16 +211,17 @@ def test_a_burst_of_events_is_recorded_whole(rig: Rig, process: Any, tmp_path: P
     from rclpy.duration import Duration
     from rclpy.qos import DurabilityPolicy, QoSProfile
 
-    from finger_msgs.msg import ModelEvent
+    from finger_msgs.msg import ModelEvent, Trial
     from finger_msgs.srv import Record
 
     process("-m", "finger_bag.recorder_node", "--ros-args", "-r", "__ns:=/finger")
     keeping = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     publisher = rig.node.create_publisher(ModelEvent, "model_events", keeping)
     rig.until(lambda: publisher.get_subscription_count() == 2, "recorder and rig")
-    started = rig.call(
-        Record, "recorder/record", Record.Request(command=1, path=str(tmp_path / "burst"))
-    )
+    trial = Trial(subject="S01")
+    trial.header.frame_id = "right_index"
+    request = Record.Request(command=1, path=str(tmp_path / "burst"), trial=trial)
+    started = rig.call(Record, "recorder/record", request)
     assert started.success, started.message
     for number in range(100):
         publisher.publish(ModelEvent(reason=str(number)))
@@ -228,5 +229,6 @@ def test_a_burst_of_events_is_recorded_whole(rig: Rig, process: Any, tmp_path: P
     stopped = rig.call(Record, "recorder/record", Record.Request(command=0))
     assert stopped.success and stopped.lost_count == 0, stopped.message
     with open_bag(tmp_path / "burst") as reader:
+        assert (reader.info.metadata.subject, reader.info.metadata.finger) == ("S01", "right_index")
         reasons = [m.message.reason for m in reader.messages(["/finger/model_events"])]
     assert reasons == [str(number) for number in range(100)]

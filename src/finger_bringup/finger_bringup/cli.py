@@ -22,7 +22,7 @@ from finger_common.errors import InputError
 from finger_common.folder_lock import lock_folder
 from finger_common.guided_presses import CALIBRATION_PRESSES
 from finger_common.namespaces import DEFAULT_NAMESPACE, default_folder
-from finger_common.subject_code import check_subject
+from finger_common.subject_code import check_subject, parameter_file_name
 from finger_model.anthropometry import FINGERS as FINGER_NAMES
 from finger_model.anthropometry import parse_length, session_geometry
 
@@ -148,11 +148,12 @@ def _add_calibrate(commands: Any) -> None:
         help="calibrate a subject by nine guided presses",
         description=(
             "Guide nine presses on the rig that runs, fit them, and use the result in the model "
-            "node at once. It is kept as SUBJECT.yaml in the model node's subjects_folder and is "
-            "used whenever a session of this subject begins. With --width, the fit takes the "
-            "lengths that 'finger-model geometry' makes of the readings, and SUBJECT.yaml carries "
-            "them. Ctrl-C during the presses ends the session, and nothing is written; after the "
-            "last press the model node fits and keeps them anyway."
+            "node at once. It is kept in the model node's subjects_folder, as SUBJECT.yaml or with "
+            "--finger as SUBJECT.FINGER.yaml, and is used whenever a session of this finger "
+            "begins. With --width, the fit takes the lengths that 'finger-model geometry' makes of "
+            "the readings, and the file carries them. Ctrl-C during the presses ends the session, "
+            "and nothing is written; after the last press the model node fits and keeps them "
+            "anyway."
         ),
         example=(
             "finger-rig calibrate --subject S01\n"
@@ -405,7 +406,8 @@ def calibration_entries(arguments: argparse.Namespace) -> list[nodes.NodeEntry]:
             if getattr(arguments, name) is not None:
                 raise InputError(f"--{name} is for a simulated rig; give --simulated too")
         return nodes.select(["calibrate"], {"calibrate": own})
-    earlier = folder_of(arguments) / "subjects" / f"{arguments.subject}.yaml"
+    name = parameter_file_name(arguments.subject, own.get("finger", ""))
+    earlier = folder_of(arguments) / "subjects" / name
     if earlier.exists() and not arguments.again:
         raise InputError(
             f"subject {arguments.subject} is calibrated already ({earlier}); give --again to "

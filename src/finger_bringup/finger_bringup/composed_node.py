@@ -36,7 +36,7 @@ from rclpy.signals import SignalHandlerOptions
 from finger_common.cli import EXIT_BAD_INPUT, one_line
 from finger_common.errors import FingerError, InputError
 from finger_common.node import ManagedNode, use_large_shared_memory
-from finger_common.node.running import END_SIGNALS, say_farewell
+from finger_common.node.running import END_SIGNALS, say_farewell, why_not_begun
 from finger_common.priority import run_in_real_time
 
 from .restarts import RestartDelay
@@ -154,11 +154,7 @@ def _main(argv: Sequence[str]) -> int:
     try:
         rclpy.init(args=list(argv[at:]), signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:
-        print(
-            f"composed_node: ROS arguments cannot be used ({one_line(error)}); check the "
-            "parameter file and --ros-args",
-            file=sys.stderr,
-        )
+        print(f"composed_node: {why_not_begun(error)}", file=sys.stderr)
         return EXIT_BAD_INPUT
     ending = threading.Event()
     for number in END_SIGNALS:

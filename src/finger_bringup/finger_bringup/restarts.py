@@ -8,6 +8,7 @@ Read by `finger-rig up` and by the launch files alike.
 
 from __future__ import annotations
 
+from finger_common.cli import EXIT_BAD_INPUT
 from finger_common.retry import Pauses
 
 FIRST_DELAY = 1.0
@@ -25,6 +26,13 @@ class RestartDelay(Pauses):
 
     def __init__(self, first: float = FIRST_DELAY, longest: float = LONGEST_DELAY) -> None:
         super().__init__(first, longest)
+        self._ends = 0
+
+    def refused(self, code: int) -> bool:
+        """Whether a process that ended with this exit code stays down: it could not begin at its
+        first start, as with a parameter file that cannot be read. To be asked at each end."""
+        self._ends += 1
+        return code == EXIT_BAD_INPUT and self._ends == 1
 
     def after_running(self, duration: float) -> float:
         """Delay in s before the restart of a process that ran for `duration` (s)."""

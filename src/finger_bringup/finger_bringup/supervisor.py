@@ -31,8 +31,8 @@ COLOURS = (36, 33, 32, 35, 34, 96, 93, 92, 95, 94)
 class ProcessSpec:
     """One process to keep running.
 
-    rank: processes of higher ranks end first. restart: start again when it ends by itself.
-    essential: its end ends everything.
+    rank: processes of higher ranks end first. restart: start again when it ends by itself, unless
+    it could not begin (see `RestartDelay.refused`). essential: its end ends everything.
     """
 
     name: str
@@ -55,7 +55,7 @@ class _Running:
 
 
 class Supervisor:
-    """Runs processes until `stop`, or until an essential one ends.
+    """Runs processes until `stop`, or until an essential one or all of them have ended.
 
     line: receives every line of output as (process, text); None prints it with a coloured prefix.
     Its OSError and ValueError are passed over: that line is lost.
@@ -100,7 +100,7 @@ class Supervisor:
         self._monitor.start()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until `stop` was called or an essential process ended; false on timeout."""
+        """Wait until `stop` was called or the processes have ended; false on timeout."""
         return self._ended.wait(timeout)
 
     def stop(self, patience: float = 8.0) -> None:
@@ -217,16 +217,21 @@ class Supervisor:
         if running.spec.essential:
             self._report(running.spec.name, f"{how}; ending all")
             running.process = None
-            self.exit_code = code if code > 0 else int(code != 0)
-            self._stopping.set()
-            self._ended.set()
-        elif running.spec.restart:
+            self._end_all(code)
+        elif running.spec.restart and not running.delay.refused(code):
             delay = running.delay.after_running(now - running.started)
             self._report(running.spec.name, f"{how}; starting it again in {delay:g} s")
             running.restart_at = now + delay
         else:
-            self._report(running.spec.name, how)
+            self._report(running.spec.name, f"{how}; it is not started again")
             running.process = None
+            if not any(r.process for r in self._running.values()):
+                self._end_all(code)
+
+    def _end_all(self, code: int) -> None:
+        self.exit_code = code if code > 0 else int(code != 0)
+        self._stopping.set()
+        self._ended.set()
 
     def _start_again(self, running: _Running) -> None:
         try:

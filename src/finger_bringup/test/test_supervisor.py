@@ -194,6 +194,29 @@ def test_who_ran_a_supervisor_to_its_end_still_has_its_signal_handlers() -> None
         assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
 
 
+def test_what_cannot_begin_is_not_started_again_and_ends_all_when_nothing_is_left() -> None:
+    """As all nodes where ROS cannot write its logs."""
+    log = Log()
+    refusing = python("raise SystemExit(2)")
+    specs = [ProcessSpec(name, refusing) for name in ("a", "b")]
+    supervisor = Supervisor(specs, line=log, first_delay=0.05)
+    supervisor.start()
+    assert supervisor.wait(60)
+    supervisor.stop()
+    assert supervisor.exit_code == 2 and supervisor.restarts() == {"a": 0, "b": 0}
+    told = [text for _, text in log.lines]
+    assert sum("exit code 2; it is not started again" in text for text in told) == 2
+
+
+def test_what_has_run_is_started_again_whatever_its_exit_code(tmp_path: Path) -> None:
+    """As where the disk is full for a while."""
+    log, ran = Log(), tmp_path / "ran"
+    code = f"import pathlib, sys; path = pathlib.Path({str(ran)!r}); first = not path.exists(); "
+    code += "path.touch(); sys.exit(1 if first else 2)"
+    with Supervisor([ProcessSpec("node", python(code))], line=log, first_delay=0.05):
+        log.wait_for("exit code 2; starting it again", count=2)
+
+
 def test_restarts_slow_down_for_what_cannot_run() -> None:
     log = Log()
     specs = [ProcessSpec("broken", python("raise SystemExit(1)"))]

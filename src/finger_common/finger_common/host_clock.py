@@ -8,9 +8,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from .stamps import seconds
+from .stamps import nanoseconds, seconds
 
-_NOTABLE_STEP = 0.05
+NOTABLE_STEP = 0.05
 """s of a step of the system clock that is worth a warning."""
 
 
@@ -18,7 +18,8 @@ class HostClock:
     """Nanoseconds since the epoch that only ever increase.
 
     The offset between the steady clock and the wall clock is taken once. Slewing (NTP) moves both
-    alike; a *step* of the wall clock does not reach the stamps and is reported by `step`.
+    alike; a *step* of the wall clock does not reach the stamps and is reported by `step`. A suspend
+    is one too: the steady clock stands still in it.
     """
 
     def __init__(
@@ -44,9 +45,16 @@ class HostClock:
         stamp = now - (self._wall() - wall_ns)
         return stamp if earliest <= stamp <= now else now
 
+    def of_wall(self, wall_ns: int) -> int:
+        """This clock's time of a moment in wall time as it is now; the same without a step."""
+        step = self.step()
+        return wall_ns - nanoseconds(step) if abs(step) > NOTABLE_STEP else wall_ns
+
     def step(self) -> float:
         """Seconds by which the wall clock has been stepped since this clock was made."""
-        return seconds(self._wall() - self.now())
+        before, wall, after = self.now(), self._wall(), self.now()
+        # A busy machine may take long between two readings.
+        return seconds(wall - min(max(wall, before), after))
 
     def step_warning(self, what: str) -> str:
         """Sentence that names a step of the wall clock; empty where there is none to speak of.
@@ -54,9 +62,10 @@ class HostClock:
         what: the times that do not follow it, such as "stamps".
         """
         step = self.step()
-        if abs(step) <= _NOTABLE_STEP:
+        if abs(step) <= NOTABLE_STEP:
             return ""
+        suspended = " or the computer was suspended" if step > 0.0 else ""
         return (
-            f"the system clock was stepped by {step:+.3f} s; {what} continue as before, "
+            f"the system clock was stepped by {step:+.3f} s{suspended}; {what} continue as before, "
             "restart all nodes to follow it"
         )

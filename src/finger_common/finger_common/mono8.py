@@ -54,14 +54,20 @@ class Mono8:
 
     def _fills_upper_bits(self, image: np.ndarray, where: str) -> bool:
         """Whether it is certain; raises InputError where it does not look so."""
-        used = int(np.bitwise_or.reduce(image, axis=None))
-        if used and not used & _UPPER_BITS and used & _LOW_BITS:
+        if in_low_bits(image):
             raise InputError(
                 f"{where}: no value of the 16-bit pixels is above {int(image.max())} of 65535: 10- "
                 "or 12-bit pixels in the lower bits, or no light; shift them to the upper bits, or "
                 "set the camera to 8 bits"
             )
-        return bool(used)
+        return bool(image.any())
+
+
+def in_low_bits(image: np.ndarray) -> bool:
+    """Whether a 16-bit picture may be one of 10 or 12 bits that fill the lower ones: it is dark and
+    uses the lowest bits."""
+    used = int(np.bitwise_or.reduce(image, axis=None))
+    return not used & _UPPER_BITS and bool(used & _LOW_BITS)
 
 
 def as_mono8(image: np.ndarray, where: str = "image") -> np.ndarray:

@@ -10,7 +10,7 @@ import pytest
 
 from finger_common.errors import InputError
 from finger_common.image_size import white_level
-from finger_common.mono8 import Mono8, as_mono8, in_full_range
+from finger_common.mono8 import Mono8, as_mono8, in_full_range, in_low_bits
 
 LOWER = np.arange(4096, dtype=np.uint16).reshape(64, 64)
 """A picture of 12 bits in the lower bits."""
@@ -39,6 +39,8 @@ def test_a_picture_in_the_lower_bits_is_refused_until_the_camera_has_shown_more(
     np.testing.assert_array_equal(camera(LOWER), LOWER >> 8)
     np.testing.assert_array_equal(Mono8(dark=True)(LOWER), LOWER >> 8)
     assert not as_mono8(np.zeros((4, 4), np.uint16)).any()
+    assert in_low_bits(LOWER)
+    assert not any(map(in_low_bits, (LOWER * 16, LOWER & 0xFFF0, LOWER * 0)))
 
 
 def test_white_of_a_pgm_is_that_of_its_header() -> None:

@@ -166,6 +166,35 @@ def test_parameter_file_that_is_not_yaml_ends_with_one_sentence(
     assert "bad.yaml" in output and "Traceback" not in output
 
 
+@pytest.mark.parametrize("folder", ["file/log", "/sys"])
+def test_logs_that_cannot_be_written_are_told_from_arguments(
+    ros_domain: int, process: Any, tmp_path: Path, folder: str
+) -> None:
+    """As of a home folder that cannot be written."""
+    script = tmp_path / "gauge.py"
+    script.write_text(NODE)
+    (tmp_path / "file").touch()
+    logs = tmp_path / folder
+    child = process(script, env={"ROS_LOG_DIR": str(logs)})
+    assert child.wait(60) == 2
+    output = child.output.read_text()
+    assert f"gauge: logs cannot be written to {logs} (" in output
+    assert "set ROS_LOG_DIR to a folder" in output
+    assert "arguments cannot" not in output and "Traceback" not in output
+
+
+def test_a_node_that_fails_while_it_runs_is_told_from_one_that_cannot_begin(
+    ros_domain: int, process: Any, tmp_path: Path
+) -> None:
+    """By its exit code: it is started again."""
+    script = tmp_path / "gauge.py"
+    fails = NODE.replace("lambda: self", "lambda: exec(\"raise InputError('it broke')\") or self")
+    script.write_text(fails)
+    child = process(script)
+    assert child.wait(60) == 1
+    assert "gauge: it broke" in child.output.read_text()
+
+
 def test_messages_that_are_polled_for_neither_wake_the_executor_nor_get_lost(
     ros_domain: int,
 ) -> None:

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 from finger_common.errors import DeviceError, InputError
+from finger_common.host_clock import HostClock
 from finger_driver import camera, moisture
 from finger_driver.camera import opencv
 from finger_driver.camera.folder import FolderSettings, FolderSource
@@ -676,3 +677,24 @@ def test_export_readings_carry_their_own_time(tmp_path: Path, name: str) -> None
     assert (reading.value, reading.phase) == (42.5, 2)
     # The table has whole seconds.
     assert abs(reading.stamp_ns - sent) < 2e9 and reading.stamp_ns % 10**9 == 0
+
+
+@pytest.mark.parametrize("column", ["time", ""])
+@pytest.mark.parametrize("step", [3600.4, -3600.4])
+def test_export_readings_follow_the_clock_of_the_node_over_a_step(
+    tmp_path: Path, step: float, column: str
+) -> None:
+    """Of the system clock, or a suspend, after the node was started."""
+    table = ExportFileSimulator(ExportOptions(path=str(tmp_path / "e.csv")))
+    options = {"device": "export", "path": str(table.path), "export_period": 0.02}
+    source = moisture.open_source({**options, "export_time_column": column})
+    source.connect()
+    before = [round(step * 1e9)]
+    source.clock = HostClock(wall=lambda: time.time_ns() - before[0])
+    before[0] = 0
+    table.send(42.5)
+    reading = source.read(5.0)
+    assert reading is not None
+    assert abs(reading.stamp_ns - source.clock.now()) < 2e9
+    # Whole seconds show that the table knows no more.
+    assert (reading.stamp_ns % 10**9 == 0) == bool(column)

@@ -138,6 +138,24 @@ def test_host_time_does_not_follow_a_step_of_the_wall_clock() -> None:
     wall[0] += 1_000_000_000 - 3600_000_000_000
     assert clock.now() == 10**18 + 1_000_000_000
     assert clock.step() == pytest.approx(-3600)
+    assert clock.of_wall(wall[0] - 7) == clock.now() - 7
+    assert "suspended" not in clock.step_warning("stamps")
+    wall[0] += 2 * 3600_000_000_000
+    assert clock.of_wall(wall[0] + 7) == clock.now() + 7
+    assert "+3600.000 s or the computer was suspended" in clock.step_warning("stamps")
+
+
+def test_a_busy_machine_is_no_step_of_the_clock() -> None:
+    """Another program runs between two readings."""
+    steady = [0]
+
+    def late() -> int:
+        steady[0] += 200_000_000
+        return steady[0]
+
+    clock = HostClock(lambda: 10**18 + steady[0], late)
+    clock._offset = 10**18
+    assert clock.step() == 0.0 and clock.of_wall(5) == 5
 
 
 def test_only_later_stamps_pass() -> None:

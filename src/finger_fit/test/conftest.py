@@ -83,6 +83,7 @@ class Record:
     moisture_before: list = field(default_factory=lambda: [69.0, 70.0, 71.0])
     moisture_after: list = field(default_factory=lambda: [70.0, 70.0, 70.0])
     subject: str = "S01"
+    finger: str = ""
 
 
 def make_record(

@@ -223,6 +223,25 @@ def test_two_subjects_are_fitted_apart_unless_pooled(
     assert [p.name for p in (tmp_path / "subjects").iterdir()] == ["S02.yaml"]
 
 
+def test_two_fingers_of_a_subject_are_not_fitted_as_one(
+    double: SimpleNamespace, presses: list[Any], tmp_path: Path
+) -> None:
+    """What is not noted may be of either; each finger has a file of its own for the model node."""
+    first, thumb = (
+        [replace(p, bag=f"S01_{name}/{p.bag}", finger=finger) for p in presses]
+        for name, finger in (("a", "right_index"), ("b", "thumb"))
+    )
+    both = [*first, *(replace(p, force=1.001 * p.force, area=1.45 * p.area) for p in thumb)]
+    said = r"subject S01 has trials of several fingers \(right_index in S01_a/natural_00 and 3 more"
+    with pytest.raises(InputError, match=said + ", thumb in S01_b/.*--pool"):
+        fitted(double, both)
+    assert len(fitted(double, both, replace(QUICK, pool=True)).fits["natural"].problem) == 8
+    mixed = [*first[:2], *presses[2:]]
+    for records, name in ((mixed, "S01.right_index.yaml"), (thumb, "S01.thumb.yaml")):
+        write(fitted(double, records), tmp_path)
+        assert [p.name for p in (tmp_path / "subjects").iterdir()] == [name]
+
+
 def test_a_folder_with_a_fit_of_other_subjects_is_refused(
     double: SimpleNamespace, presses: list[Any], tmp_path: Path
 ) -> None:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,7 +17,7 @@ from finger_common.errors import InputError
 from finger_fit.options import FitOptions
 from finger_fit.problem import TrialRejected, prepare, prepare_all
 from finger_fit.problem.moisture import best_division, moisture_clusters
-from finger_fit.study import group_trials
+from finger_fit.study import fit_bags, group_trials
 from finger_fit.study.bags import load, reading
 from finger_fit.study.grouping import cluster_names
 from finger_model.laws import StandardLinearSolid
@@ -59,6 +60,26 @@ def test_a_trial_that_was_repeated_is_fitted_by_its_last_attempt(tmp_path) -> No
     assert any("not used; measure the images again with --vision" in p for p in found.problems)
     assert [record.attempt for record in found.records] == [1]
     assert [e.reason for e in found.exclusions] == ["attempt 0, done again"]
+
+
+def test_sessions_of_one_id_in_two_folders_are_both_fitted(tmp_path) -> None:
+    """Two laboratories: what was done again in one of them says nothing of the other."""
+    for folder, attempts in (("A", (0,)), ("B", (0, 1))):
+        for attempt in attempts:
+            with BagWriter(tmp_path / folder / f"a{attempt}", {"condition": "dry"}) as bag:
+                write_attempt(bag, attempt, phases=((3, 0), (6, 4)))
+    found = load([tmp_path], reading(FitOptions()))
+    kept = [f"{Path(r.bag).parent.name} {r.attempt}" for r in found.records]
+    assert kept == ["A 0", "B 1"] and len(found.exclusions) == 1
+    (said,) = (p for p in found.problems if "session 's'" in p)
+    assert "is in several folders" in said and str(tmp_path / "A") in said
+
+
+def test_an_output_that_cannot_be_written_is_refused_before_bags_are_read(tmp_path) -> None:
+    (tmp_path / "file").touch()
+    for output in (tmp_path / "file" / "fit", tmp_path / "file"):
+        with pytest.raises(InputError, match="nothing can be written there"):
+            fit_bags([tmp_path / "no bag"], output=output)
 
 
 def test_a_trial_that_a_crash_interrupted_is_not_fitted(tmp_path) -> None:

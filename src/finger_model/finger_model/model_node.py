@@ -46,6 +46,7 @@ from finger_common.node import (
 )
 from finger_common.settings import Settings, setting
 from finger_common.stamps import seconds
+from finger_common.subject_code import known_finger
 from finger_msgs.msg import (
     ContactArea,
     ContactShape,
@@ -86,7 +87,7 @@ from .pose.settings import PoseSettings
 from .reduced.model import ReducedModel
 from .slip import SlipSettings
 from .subject_calibration import fit_subject
-from .subjects import subject_file
+from .subjects import find_subject
 from .warm_up import warm_up, warm_up_all
 from .wrench_watch import WrenchWatch
 
@@ -103,8 +104,9 @@ class ModelSettings(Settings):
     )
     subjects_folder: str = setting(
         "",
-        "Folder of the subjects' own parameters, SUBJECT.yaml, as a calibration writes them. The "
-        "subject on `trial` chooses; one without file has those of parameter_file. Empty: none.",
+        "Folder of the subjects' own parameters, SUBJECT.FINGER.yaml or SUBJECT.yaml, as a "
+        "calibration writes them. Subject and finger on `trial` choose; a finger without file has "
+        "those of parameter_file. Empty: none.",
     )
     geometry_file: str = setting(
         "",
@@ -185,7 +187,8 @@ class _Run:
     before: tuple[Vector, Vector] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     """Force and torque of the newest sample, which may wait for the next one."""
     sampled_at: float = -math.inf
-    unused_areas: list[int] = field(default_factory=list)
+    pause: tuple[int, int] | None = None
+    """Stamps of the first and the last area that came while no force did."""
     jumped: bool = False
     last: ContactEstimate | None = None
     flags: int = 0
@@ -203,7 +206,7 @@ class _Run:
         """Go on with another estimator from the next sample on."""
         self.followers.estimator = estimator
         self.followers.keep_up()
-        self.reason, self.first_stamp, self.unused_areas = reason, None, []
+        self.reason, self.first_stamp, self.pause = reason, None, None
 
 
 class ModelNode(ManagedNode):
@@ -244,7 +247,7 @@ class ModelNode(ManagedNode):
         self._local: LocalSubscription | None = None
         self._entities: list[tuple[Any, Any]] = []
         self._jump_handle: Any = None
-        self._subject = ""
+        self._subject = self._finger = ""
         self._calibration = LiveCalibration(self, self._fit_subject, self._use_calibration)
         self._preparation: threading.Thread | None = None
 
@@ -321,7 +324,7 @@ class ModelNode(ManagedNode):
         self.health.numbered(None)
         self._follow_wrench()
         self._calibration.forget()
-        self._run = self._new_run(self._sets_of(self._subject))
+        self._run = self._new_run(self._own_sets())
         if self._reading is not None:
             self._run.estimator.add_moisture(*self._reading)
         # What exists now lives as long as the node; the garbage collector leaves it alone.
@@ -373,7 +376,7 @@ class ModelNode(ManagedNode):
             if sets is not None:
                 self._sets = sets
                 reason = f"parameter file {changes['parameter_file'] or 'unset, shipped sets'}"
-                self._use_sets(self._sets_of(self._subject), reason, forget=False)
+                self._use_sets(self._own_sets(), reason, forget=False)
 
     def _load_named_sets(self, path: str) -> ParameterSets:
         """Those of `parameter_file`; raises InputError too where another file names a finger of
@@ -486,9 +489,9 @@ class ModelNode(ManagedNode):
                 run.first_stamp = stamp
                 self._publish_event(estimator.start_event(stamp, run.reason))
             run.sampled_at = time.monotonic()
-            if run.unused_areas:
-                self._publish_event(estimator.note_late(areas=run.unused_areas))
-                run.unused_areas = []
+            if run.pause is not None:
+                self._publish_event(estimator.note_pause(*run.pause))
+                run.pause = None
             if run.jumped:
                 run.jumped = False
                 last = estimator.last_stamp
@@ -549,9 +552,10 @@ class ModelNode(ManagedNode):
                 outline = outline_of(message)
                 self._check_outline(outline)
                 run.followers.see_area(area[0], stick_of(message), outline)
-            elif silent:
-                # One event for all of a pause, when it ends.
-                run.unused_areas.append(area[0])
+            elif silent and 0.0 < -self._behind(run, area[0]) < self._silence(run) + FUTURE:
+                # One event for all of a pause, when it ends; not with a stamp of another time.
+                ends = area[0], *(run.pause or ())
+                run.pause = min(ends), max(ends)
             else:
                 self._publish_event(run.estimator.note_late(areas=[area[0]]))
 
@@ -565,9 +569,13 @@ class ModelNode(ManagedNode):
         self._warn_while(bool(wrong), "bad_outline", sentence)
 
     @staticmethod
-    def _force_is_silent(run: _Run) -> bool:
+    def _silence(run: _Run) -> float:
+        """s since the newest sample."""
+        return time.monotonic() - run.sampled_at
+
+    def _force_is_silent(self, run: _Run) -> bool:
         """Whether no sample came for so long that a stamp ahead of the newest tells nothing."""
-        return time.monotonic() - run.sampled_at > 0.5 * FUTURE
+        return self._silence(run) > 0.5 * FUTURE
 
     @staticmethod
     def _behind(run: _Run, stamp: int) -> float:
@@ -608,15 +616,17 @@ class ModelNode(ManagedNode):
     # Subjects --------------------------------------------------------------------------------
 
     def _on_trial(self, message: Trial) -> None:
-        """Another subject: its own parameters, and nothing learned of the one before."""
+        """Another subject or finger: its own parameters, and nothing learned of the one before."""
         with self._lock:
-            if message.subject and message.subject != self._subject:
+            finger = known_finger(message.header.frame_id)
+            if message.subject and (message.subject, finger) != (self._subject, self._finger):
                 if self._subject:
                     self._reading = None
                 reason = (ANOTHER_SUBJECT if self._subject else "subject ") + message.subject
-                self._subject = message.subject
+                reason += f", {finger}" if finger else ""
+                self._subject, self._finger = message.subject, finger
                 if self.active:
-                    self._use_sets(self._sets_of(message.subject), reason, forget=True)
+                    self._use_sets(self._own_sets(), reason, forget=True)
             run = self._running
             if run is None:
                 return
@@ -625,15 +635,17 @@ class ModelNode(ManagedNode):
             self._calibration.collector.rejected_flags = rejected
             self._calibration.hear(message, self._sets)
 
-    def _sets_of(self, subject: str) -> ParameterSets:
-        """The subject's own parameters, or else those of `parameter_file`."""
+    def _own_sets(self) -> ParameterSets:
+        """Those of the subject's finger, or else those of `parameter_file`."""
         assert self._sets is not None
         folder = self.values["subjects_folder"]
-        if not folder or not subject:
+        if not folder or not self._subject:
             return self._sets
         try:
-            path = subject_file(folder, subject)
-            sets = self._load_sets(str(path)) if path.exists() else self._sets
+            path, told = find_subject(folder, self._subject, self._finger)
+            if told:
+                self.get_logger().info(told)
+            sets = self._load_sets(str(path)) if path else self._sets
         except FingerError as error:
             self.log_fault(self.inputs, "subject_file", f"{one_line(error)}; left out", WARN)
             return self._sets
@@ -691,9 +703,9 @@ class ModelNode(ManagedNode):
         model = self._model_of(sets)
         return fit_subject(model, sets, presses, moisture, settings, calipers, pose)
 
-    def _use_calibration(self, subject: str, sets: ParameterSets) -> None:
+    def _use_calibration(self, subject: str, finger: str, sets: ParameterSets) -> None:
         with self._lock:
-            if self.active and self._subject == subject:
+            if self.active and (self._subject, self._finger) == (subject, finger):
                 self._use_sets(sets, f"calibration of subject {subject}", forget=False)
 
     def _on_jump(self, jump: Any) -> None:

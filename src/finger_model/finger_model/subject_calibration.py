@@ -212,7 +212,9 @@ class Answer:
         return self.sentence if self.kept else f"{self.sentence}; {self.place}"
 
 
-def keep_subject(folder: str, subject: str, found: Calibration, taken: float) -> Answer:
+def keep_subject(
+    folder: str, subject: str, finger: str, found: Calibration, taken: float
+) -> Answer:
     """Write the parameters of a calibration that took so long (s), and tell of it.
 
     folder: as for `why_refused`.
@@ -227,7 +229,7 @@ def keep_subject(folder: str, subject: str, found: Calibration, taken: float) ->
     reason = "the model node has no 'subjects_folder'"
     if folder:
         try:
-            rows["file"] = str(save_subject(folder, subject, found.sets))
+            rows["file"] = str(save_subject(folder, subject, found.sets, finger))
             return Answer(found.sentence(), rows["file"], True, rows)
         except InputError as error:
             reason = one_line(error)

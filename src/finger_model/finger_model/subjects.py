@@ -1,7 +1,8 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Parameter files of subjects."""
+"""Parameter files of subjects: SUBJECT.FINGER.yaml, or SUBJECT.yaml where the finger was not
+noted."""
 
 from __future__ import annotations
 
@@ -11,14 +12,39 @@ import time
 from pathlib import Path
 
 from finger_common.errors import InputError
-from finger_common.subject_code import check_subject
+from finger_common.subject_code import FINGER_NAMES, may_be_one, parameter_file_name
 
 from .parameter_sets import ParameterSets
 
 
-def subject_file(folder: str | Path, subject: str) -> Path:
-    """Where the parameters of a subject are; raises InputError for a code that is no file name."""
-    return Path(folder).expanduser() / f"{check_subject(subject)}.yaml"
+def subject_file(folder: str | Path, subject: str, finger: str = "") -> Path:
+    """Where the parameters of a subject's finger are; raises InputError for a code that is no file
+    name."""
+    return Path(folder).expanduser() / parameter_file_name(subject, finger)
+
+
+def find_subject(folder: str | Path, subject: str, finger: str = "") -> tuple[Path | None, str]:
+    """The file that a session of this finger begins with, or none, and what is to be told of it.
+
+    The finger's own; else one that may be of it, unless several fingers may. Raises InputError as
+    `subject_file`.
+    """
+    own = subject_file(folder, subject, finger)
+    if own.exists():
+        return own, ""
+    files = {name: subject_file(folder, subject, name) for name in FINGER_NAMES}
+    fingers = [name for name, path in files.items() if path.exists()]
+    fitting = [name for name in fingers if may_be_one(name, finger)]
+    if not may_be_one(*fitting, finger):
+        fitting = [name for name in fitting if not name]
+    said = f"subject {subject}: no parameters of {finger or 'a finger that is not noted'}"
+    if fitting:
+        path = files[max(fitting, key=len)]
+        return path, f"{said}; those of {path} are used"
+    if fingers:
+        others = ", ".join(files[name].name for name in fingers)
+        return None, f"{said}, only {others}; calibrate this finger"
+    return None, ""
 
 
 def check_folder(folder: str | Path) -> None:
@@ -36,16 +62,17 @@ def check_folder(folder: str | Path) -> None:
         ) from None
 
 
-def save_subject(folder: str | Path, subject: str, sets: ParameterSets) -> Path:
-    """Write a subject's parameters; those of before are kept beside them with their date.
+def save_subject(folder: str | Path, subject: str, sets: ParameterSets, finger: str = "") -> Path:
+    """Write the parameters of a subject's finger; those of before are kept beside them with their
+    date.
 
     Raises InputError when the folder cannot be written to.
     """
-    path = subject_file(folder, subject)
+    path = subject_file(folder, subject, finger)
     try:
         if path.exists():
             made = time.strftime("%Y%m%dT%H%M%S", time.localtime(path.stat().st_mtime))
-            earlier = path.with_name(f"{subject}.{made}.yaml")
+            earlier = path.with_name(f"{path.stem}.{made}.yaml")
             shutil.copy2(path, earlier)
         sets.save(path)
     except OSError as error:

@@ -167,6 +167,37 @@ def test_a_replay_of_everything_received_gives_the_same_bits(model: ReducedModel
     assert rows(replayed) == rows(published)
 
 
+@pytest.mark.parametrize("known_before", [True, False])
+def test_a_pause_of_the_force_is_recorded_by_its_ends(
+    model: ReducedModel, known_before: bool
+) -> None:
+    """However long the camera went on alone, in a contact. A bag may give its areas before it."""
+    live, again = ContactEstimator(model), ContactEstimator(model)
+    stamps, forces = press(800)
+    stamps[400:] += 3600_000 * MS
+    found = [e for s, f in zip(stamps[:400], forces) for e in live.add_wrench(int(s), f)]
+    areas = [(int(stamps[399]) + k * 1000 * MS, 60e-6, 1e-6) for k in range(1, 3601)]
+    unused = [stamp for stamp, *rest in areas if not live.add_area(stamp, *rest, live=True)]
+    assert len(unused) == len(areas) - 2
+    event = live.note_pause(min(unused), max(unused))
+    assert event.is_pause and len(event.late_areas) == 2
+    assert not live.add_area(unused[-1], 60e-6, 1e-6, live=True)
+    areas.append((int(stamps[600]), 55e-6, 1e-6))
+    assert live.add_area(*areas[-1], live=False)
+    found += [e for s, f in zip(stamps[400:], forces[400:]) for e in live.add_wrench(int(s), f)]
+    blocks = [(stamps[:400], forces[:400]), (stamps[400:], forces[400:])]
+    if known_before:
+        replayed = [e for b in replay(again, blocks, areas, events=[event]) for e in b]
+    else:
+        replayed = list(again.add_wrenches(*blocks[0]))
+        for area in areas:
+            again.add_area(*area)
+        replayed += [e for b in replay(again, blocks[1:], events=[event]) for e in b]
+    assert rows(replayed) == rows(found)
+    assert live.statistics()["fused_areas"] == 3
+    assert again.statistics()["fused_areas"] == 3
+
+
 @pytest.mark.parametrize("begun", [True, False])
 def test_what_becomes_of_areas_changes_at_its_stamp_in_a_replay(
     model: ReducedModel, begun: bool

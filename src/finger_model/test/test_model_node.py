@@ -564,6 +564,74 @@ def test_files_that_name_two_fingers_are_refused_and_the_one_in_use_is_told(
     bench.until(lambda: bench.events[-1].model_hash == own)
 
 
+def test_each_finger_of_a_subject_has_parameters_of_its_own(
+    bench: Bench, process: Callable[..., Any], tmp_path: Path
+) -> None:
+    shipped = ParameterSets.default()
+    index = ParameterSets(shipped.sets[:1])
+    index.save(tmp_path / "S01.right_index.yaml")
+    child = start(process, f"subjects_folder:={tmp_path}")
+    bench.connected()
+    trials = bench.node.create_publisher(Trial, "/finger/trial", LATCHED_QOS)
+    bench.press(T0, 0.5)
+    bench.answered(1)
+    fingers = ("right_index", index), ("left_thumb", shipped), ("right_index", index)
+    for number, (finger, sets) in enumerate(fingers, 1):
+        trial = Trial(subject="S01", session=f"S01_{number}")
+        trial.header.frame_id = finger
+        trials.publish(trial)
+        reason = f"{'subject' if number == 1 else 'another subject:'} S01, {finger}"
+        bench.until(
+            lambda n=number, reason=reason: (
+                [e.reason for e in bench.events if e.type == ModelEvent.TYPE_RESET][n - 1 :]
+                == [reason]
+            )
+        )
+        bench.press(T0 + 2 * number * MS, 0.5)
+        bench.answered(number + 1)
+        assert bench.states[-1].parameter_set.startswith(sets.hash[:8])
+    said = "subject S01: no parameters of left_thumb, only S01.right_index.yaml; calibrate"
+    assert child.output.read_text().count(said) == 1
+
+
+def test_a_pause_of_the_force_is_one_event_however_many_areas_come_in_it(
+    bench: Bench, process: Callable[..., Any]
+) -> None:
+    start(process)
+    bench.connected()
+    bench.press(T0, 0.5)
+    bench.answered(1)
+    number = told = 0
+
+    def send(ahead: int) -> None:
+        area = ContactArea(gross_area=3e-5, area_stddev=1e-6)
+        area.header.stamp = to_time(T0 + ahead * MS)
+        bench.area.publish(area)
+
+    def only_one_more() -> bool:
+        """Of the areas that come without force, as soon as it counts as silent."""
+        nonlocal number, told
+        send(2100 + number)
+        number += 1
+        told, before = len(bench.events), told
+        return number > 200 and told == before
+
+    bench.until(only_one_more)
+    bench.settle()
+    known = len(bench.events)
+    for k in range(50):
+        send(2600 + k)
+    send(3600_000)  # a stamp of another time is told by itself
+    bench.until(lambda: len(bench.events) == known + 1)
+    bench.press(T0 + 10_000 * MS, 0.5)
+    bench.answered(2)
+    bench.until(lambda: len(bench.events) == known + 2)
+    alone, pause = map(event_of, bench.events[-2:])
+    assert alone.late_areas == (T0 + 3600_000 * MS,) and not alone.is_pause
+    assert pause.is_pause and pause.late_areas[1] == T0 + 2649 * MS
+    assert bench.states[-1].flags & StateFlag.AREA_LATE
+
+
 def test_parameters_of_a_fit_that_is_not_final_are_reported_while_in_use(
     bench: Bench, process: Callable[..., Any], tmp_path: Path
 ) -> None:

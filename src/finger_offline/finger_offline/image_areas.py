@@ -20,12 +20,7 @@ from finger_common.errors import FingerError, InputError
 from finger_common.image_files import decode_image
 from finger_common.image_size import PixelBudget
 from finger_common.mono8 import brightest_channel
-from finger_vision.area_sensor import (
-    AREA_SENSORS,
-    AreaSensor,
-    ContactMeasurement,
-    measured,
-)
+from finger_vision.area_sensor import AreaSensor, ContactMeasurement, measured
 from finger_vision.messages import contact_area_fields, image_of
 from finger_vision.ridge_motion import RidgeMotion, with_motion
 
@@ -50,11 +45,32 @@ def grey_image(message: Any) -> np.ndarray:
     return image if image.ndim == 2 else brightest_channel(image)
 
 
+class RepeatedImage(InputError):
+    """An image that a camera gave once more, which gives no area."""
+
+
+def repeats(image: np.ndarray, before: np.ndarray | None) -> bool:
+    """Whether a camera gave the image before once more: noise makes two equal ones all but
+    impossible, unless they have one grey level throughout."""
+    return before is not None and np.array_equal(image, before) and np.ptp(image) > 0
+
+
+def repeated_text(number: int) -> list[str]:
+    """Sentence on so many images that equal the one before."""
+    if not number:
+        return []
+    return [
+        f"{number} images equal the one before, and give no area: the camera, or its driver, "
+        "repeated its images"
+    ]
+
+
 class ImageAreas:
     """Collects the areas of images; `add` one image message after the other, in order.
 
     pixels: of all images together, None: without limit; those behind them are not measured, and
     counted in `left_out`.
+    Of images that equal the one before no area is given; `repeated` counts them.
     motion: follows the ridges, None: nobody does.
     """
 
@@ -67,7 +83,8 @@ class ImageAreas:
         self._sensor = sensor
         self._motion = motion
         self._pixels = pixels
-        self.left_out = 0
+        self.left_out = self.repeated = 0
+        self._before: np.ndarray | None = None
         self._brightest = 0
         self._rows: list[tuple[int, int, float, float, float, int]] = []
 
@@ -75,13 +92,13 @@ class ImageAreas:
     def for_bag(
         cls, reader: BagReader, settings: ImageSettings, ridge_motion: bool = False
     ) -> ImageAreas:
-        """With the area sensor's default settings; raises InputError without a plate calibration.
+        """With the settings' area sensor; raises InputError without a plate calibration.
 
         ridge_motion: whether ridges are followed from image to image.
         """
         plate = settings.plate(reader)
         pixels = PixelBudget(reader.info.size)
-        sensor = AREA_SENSORS.open({"area_sensor": settings.area_sensor}, plate)
+        sensor = settings.opened(plate)
         return cls(sensor, pixels, RidgeMotion(calibration=plate) if ridge_motion else None)
 
     def measure(self, message: Any) -> ContactMeasurement:
@@ -92,25 +109,33 @@ class ImageAreas:
         image = grey_image(message)
         if self._pixels is not None:
             self._pixels.take(image.size)
+        before, self._before = self._before, image
+        if repeats(image, before):
+            self.repeated += 1
+            raise RepeatedImage("equal to the image before; not measured")
         if image.dtype == np.uint16:
             self._brightest = max(self._brightest, int(image.max()))
         return with_motion(measured(self._sensor, image, learn=True), image, self._motion)
 
     def add(self, item: BagMessage, stamp: int) -> None:
         """Measure one image and keep its area; raises InputError when it is no usable image."""
-        found = self.measure(item.message)
+        try:
+            found = self.measure(item.message)
+        except RepeatedImage:
+            return
         areas = found.gross_area, found.real_area, found.area_sd
         self._rows.append((stamp, item.log_time_ns, *areas, int(found.flags)))
 
     def problems(self) -> list[str]:
         """Sentences on what the images as a whole lack."""
-        if not 0 < self._brightest < LEAST_BRIGHTEST:
-            return []
-        return [
-            f"the images have 16 bits, but no pixel is brighter than {self._brightest}: a camera "
-            "of 10 or 12 bits that fills the lower ones? Scale them to full scale; as they are, "
-            "contacts are hardly seen"
-        ]
+        found = repeated_text(self.repeated)
+        if 0 < self._brightest < LEAST_BRIGHTEST:
+            found.append(
+                f"the images have 16 bits, but no pixel is brighter than {self._brightest}: a "
+                "camera of 10 or 12 bits that fills the lower ones? Scale them to full scale; as "
+                "they are, contacts are hardly seen"
+            )
+        return found
 
     def table(self) -> np.ndarray:
         """The areas (k,), of `finger_bag.streams.AREA`."""

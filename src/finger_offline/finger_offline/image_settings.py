@@ -5,14 +5,49 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 from finger_bag.reader import BagReader
 from finger_bag.schema import CALIBRATION_ATTACHMENT
 from finger_common.errors import InputError
 from finger_common.settings import Settings, setting
-from finger_vision.area_sensor import AREA_SENSORS
+from finger_vision.area_sensor import AREA_SENSORS, AreaSensor
 from finger_vision.calibration import PlateCalibration
+
+
+def named_values(pairs: Sequence[str], example: str) -> dict[str, Any]:
+    """Values of NAME=VALUE pairs by name; raises InputError."""
+    found: dict[str, Any] = {}
+    for pair in pairs:
+        name, sign, text = pair.partition("=")
+        if not sign:
+            raise InputError(f"--set {pair}: give NAME=VALUE, such as {example}")
+        try:
+            found[name] = json.loads(text)
+        except ValueError:
+            found[name] = text
+    return found
+
+
+def sensor_settings(area_sensor: str, values: dict[str, Any]) -> dict[str, Any]:
+    """Take the settings of an area sensor out of values by name, checked; raises InputError."""
+    if not values:
+        return {}
+    known = AREA_SENSORS.load(area_sensor).SETTINGS.parameters()
+    found = {name: values.pop(name) for name in list(values) if name in known}
+    known.check(found)
+    return found
+
+
+def told_settings(area_sensor: str, values: Mapping[str, Any]) -> str:
+    """The settings of an area sensor that are not its defaults, in words; empty without any."""
+    if not values:
+        return ""
+    known = AREA_SENSORS.load(area_sensor).SETTINGS.parameters()
+    return ", ".join(f"{n} {v}" for n, v in values.items() if v != known[n].default)
 
 
 @dataclass(frozen=True)
@@ -28,6 +63,12 @@ class ImageSettings(Settings):
     area_sensor: str = setting(
         AREA_SENSORS.default, "Area sensor that measures the contact in the images."
     )
+    sensor: Mapping[str, Any] = field(default_factory=dict)
+    """Settings of the area sensor by name; defaults where absent."""
+
+    def opened(self, plate: PlateCalibration) -> AreaSensor:
+        """The area sensor with its settings; raises InputError for those that it refuses."""
+        return AREA_SENSORS.open({**self.sensor, "area_sensor": self.area_sensor}, plate)
 
     def plate(self, reader: BagReader) -> PlateCalibration:
         """Plate calibration of the file or the area, else of the bag's attachment.

@@ -48,7 +48,8 @@ from finger_model.slip import SlipSettings
 from finger_vision.area_sensor import ContactMeasurement
 
 from .contact_states import open_table, serialize, serialize_shapes, serialize_slips
-from .image_areas import ImageAreas, MeasuringThread
+from .image_areas import ImageAreas, MeasuringThread, RepeatedImage
+from .image_settings import told_settings
 from .input_order import HEAD_START_NS, InputOrder
 from .input_topics import InputTopics
 from .output_bag import OutputBag
@@ -134,6 +135,7 @@ def _processed(
         reader = stack.enter_context(open_bag(source))
         topics = InputTopics.of(reader, options)
         images = None
+        told = told_settings(options.area_sensor, options.sensor)
         if topics.image is not None:
             areas = ImageAreas.for_bag(reader, options, ridge_motion=options.slip)
             images = stack.enter_context(MeasuringThread(areas))
@@ -153,6 +155,10 @@ def _processed(
         run = _Run(reader, options, topics, estimator, events, images, output, sinks)
         run.read_all(progress)
         result = run.result()
+    if told and images is not None:
+        result.notes.insert(0, f"areas measured with {told} of the area sensor")
+    elif told:
+        result.problems.append(f"areas are recorded, so that {told} is not used: give --images yes")
     if population:
         result.notes.insert(0, GAVE_WAY)
     if events is not None and events.another_finger:
@@ -373,6 +379,8 @@ class _Run:
         if self.images is None:
             return
         for item, measured in self.images.results(until_ns):
+            if isinstance(measured, RepeatedImage):
+                continue
             if isinstance(measured, FingerError):
                 self.malformed.add(item.topic, measured)
                 continue

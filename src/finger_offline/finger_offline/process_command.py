@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 import time
@@ -24,6 +23,7 @@ from finger_common.errors import FingerError, InputError
 from finger_common.processes import begin_worker
 from finger_common.progress import Stages
 
+from .image_settings import named_values, sensor_settings
 from .process_options import ProcessOptions
 
 if TYPE_CHECKING:
@@ -45,7 +45,11 @@ def add_command(add: AddCommand) -> None:
     )
     model = parser.add_argument_group("model and estimator")
     model.add_argument(
-        "--set", action="append", default=[], metavar="NAME=VALUE", help="estimator or pose setting"
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="setting of estimator, pose or area sensor",
     )
     model.add_argument("--parameters", default="", metavar="FILE", help="parameters.yaml to use")
     model.add_argument("--model", default="", metavar="FILE", help="reduced model to use")
@@ -68,12 +72,15 @@ def run(args: argparse.Namespace) -> int:
     tables = tuple(table for table in (args.csv, args.parquet) if table)
     if several and tables:
         raise InputError("--csv and --parquet take one bag; process the bags one by one")
-    estimator, pose = estimator_settings(args.set)
+    values = named_values(args.set, "fusion_delay=0.05")
+    sensor = sensor_settings(args.area_sensor, values)
+    estimator, pose = estimator_settings(values)
     options = read_settings_from(
         args,
         ProcessOptions,
         estimator=estimator,
         pose=pose,
+        sensor=sensor,
         parameter_file=args.parameters,
         model_file=args.model,
         geometry_file=args.geometry,
@@ -110,20 +117,11 @@ def _name_of(bag: Path) -> str:
     return bag.name if bag.is_dir() else Path(bag.name.removesuffix(".zstd")).stem
 
 
-def estimator_settings(pairs: Sequence[str]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """NAME=VALUE pairs as checked settings of the estimator and of the pose; raises InputError."""
+def estimator_settings(found: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Values by name as checked settings of the estimator and of the pose; raises InputError."""
     from finger_model.estimator import EstimatorSettings
     from finger_model.pose.settings import PoseSettings
 
-    found: dict[str, Any] = {}
-    for pair in pairs:
-        name, sign, text = pair.partition("=")
-        if not sign:
-            raise InputError(f"--set {pair}: give NAME=VALUE, such as fusion_delay=0.05")
-        try:
-            found[name] = json.loads(text)
-        except ValueError:
-            found[name] = text
     pose = {name: found.pop(name) for name in list(found) if name in PoseSettings.parameters()}
     EstimatorSettings.parameters().check(found)
     PoseSettings.parameters().check(pose)

@@ -57,6 +57,10 @@ LARGEST_RATIO = 1.5
 """Measured indentation over that of the default finger at the same area beyond which, or below its
 inverse, it is noted; fingers differ by a third or so."""
 
+MOST_FRAMES = 0.8
+"""Share of the frames, of those in presses and of the others, from which on what they show stays on
+the plate."""
+
 READINGS = 3
 """Moisture readings expected before and after each press (paper, section III)."""
 
@@ -290,6 +294,9 @@ def _check_sync(
         if len(usable) < MANY_PRESSES:
             result.add(name, NOTE, "unknown: no areas over a rising force")
             return
+        if stays := _stays(pressed, areas, int(stamp[-1])):
+            result.add(name, FAIL, stays)
+            return
         result.add(
             name,
             FAIL,
@@ -309,4 +316,23 @@ def _check_sync(
             else f"; move them by {-lag:.2f} s (import: --time-offset; mapping file: time_offset; "
             "rig: image_time_offset), or correct the clocks"
         ),
+    )
+
+
+def _stays(pressed: list[tuple[int, int]], areas: np.ndarray, end_ns: int) -> str:
+    """In words, a contact that the frames after the first press show whether or not the force
+    presses; empty for one that comes and goes, as with a clock that is wrong."""
+    frames = areas[(areas["stamp_ns"] > pressed[0][1]) & (areas["stamp_ns"] <= end_ns)]
+    stamps, empty = frames["stamp_ns"], without_contact(frames["area"], frames["flags"])
+    touching = np.isfinite(frames["area"]) & ~empty
+    during = np.zeros(len(frames), bool)
+    for first, last in pressed:
+        during |= (stamps >= first) & (stamps <= last)
+    shares = [float(touching[of].mean()) if of.any() else 0.0 for of in (during, ~during)]
+    if min(shares) < MOST_FRAMES:
+        return ""
+    return (
+        f"the areas show a contact in {np.count_nonzero(touching & ~during)} of "
+        f"{np.count_nonzero(~during)} frames between the presses, where the force is zero: a print "
+        "or dirt on the plate; clean it and let the camera learn it anew"
     )

@@ -23,7 +23,8 @@ class TrialRecord:
     moisture_after: readings (a.u.). onset_ns, liftoff_ns: first sample at or above the onset force,
     first one below the lift-off force (None when the recording ends before). completed: false where
     messages announce the trial and not that it was done. area_source: "topic" or "images". doubts:
-    what is wrong with the recording that it comes from.
+    what is wrong with the recording that it comes from. finger: such as right_index, empty where it
+    was not noted.
     """
 
     bag: str
@@ -46,6 +47,7 @@ class TrialRecord:
     onset_ns: int
     liftoff_ns: int | None
     completed: bool = True
+    finger: str = ""
     area_source: str = "topic"
     doubts: tuple[str, ...] = ()
     indentation_stamp_ns: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))

@@ -251,6 +251,7 @@ class _Recording:
             bag=self._bag,
             session=(event.session if event else "") or metadata.session,
             subject=(event.subject if event else "") or metadata.subject,
+            finger=(event.finger if event else "") or metadata.finger,
             condition=(event.condition if event else "") or metadata.condition,
             index=index,
             attempt=event.attempt if event else 0,

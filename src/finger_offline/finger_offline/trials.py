@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
-from finger_bag.bag_files import find_bags
+from finger_bag.bag_files import METADATA, find_bags
 from finger_bag.reader import BagReader, open_bag
 from finger_bag.streams import (
     IMAGES,
@@ -19,6 +20,7 @@ from finger_bag.streams import (
     missing,
     read_streams,
 )
+from finger_common.errors import listed
 
 from .image_areas import ImageAreas
 from .trial_records import Exclusion, TrialRecord, TrialSet
@@ -44,6 +46,7 @@ def load_trials(
         result.exclusions += found.exclusions
         result.problems += found.problems
         result.lost += found.lost
+    result.problems += shared_sessions(result.trials)
     result.trials, again = without_superseded(result.trials)
     result.exclusions += again
     return result
@@ -87,16 +90,16 @@ def streams_with_areas(reader: BagReader, settings: TrialSettings) -> SessionStr
 def without_superseded(
     trials: Sequence[TrialRecord],
 ) -> tuple[list[TrialRecord], list[Exclusion]]:
-    """Of trials that were done again, also in another bag, the last attempt, of those that were
-    completed where there are any; and the others."""
-    last: dict[tuple[str, str, str, int], tuple[bool, int]] = {}
+    """Of trials that were done again, also in another bag of the folder, the last attempt, of those
+    that were completed where there are any; and the others."""
+    last: dict[tuple[Any, ...], tuple[bool, int]] = {}
     for trial in trials:
-        key = (trial.session, trial.subject, trial.condition, trial.index)
+        key = (_folder(trial), *_number(trial))
         rank = (trial.completed, trial.attempt)
         last[key] = max(last.get(key, rank), rank)
     kept, again = [], []
     for trial in trials:
-        key = (trial.session, trial.subject, trial.condition, trial.index)
+        key = (_folder(trial), *_number(trial))
         if (trial.completed, trial.attempt) < last[key]:
             why = "done again" if trial.attempt < last[key][1] else "not completed, unlike another"
             reason = f"attempt {trial.attempt}, {why}"
@@ -104,3 +107,31 @@ def without_superseded(
         else:
             kept.append(trial)
     return kept, again
+
+
+def shared_sessions(trials: Sequence[TrialRecord]) -> list[str]:
+    """Sentences on sessions of one id that were recorded in several folders: whether a trial of one
+    was done again in the other is not known."""
+    folders: dict[tuple[Any, ...], list[Path]] = {}
+    for trial in trials:
+        known = folders.setdefault(_number(trial), [])
+        known += [folder] if (folder := _folder(trial)) not in known else []
+    places = {number[:2]: found for number, found in folders.items() if len(found) > 1}
+    return [
+        f"session '{session}' of subject {subject or 'without a code'} is in several folders "
+        f"({listed(found)}) with trials of the same numbers; all of them are kept: leave out a "
+        "folder that is a copy, and give two people two codes"
+        for (session, subject), found in places.items()
+    ]
+
+
+def _number(trial: TrialRecord) -> tuple[str, str, str, int]:
+    """What the attempts at a trial have in common."""
+    return trial.session, trial.subject, trial.condition, trial.index
+
+
+def _folder(trial: TrialRecord) -> Path:
+    """Where the bag of a trial is: two laboratories may give their sessions the same id."""
+    path = Path(trial.bag).absolute()
+    inside = path.is_file() and (path.parent / METADATA).is_file()
+    return path.parents[1] if inside else path.parent

@@ -33,6 +33,8 @@ from finger_offline.importing.pictures import frames_of
 from finger_offline.importing.settings import ImportSettings
 from finger_offline.importing.tables import Table, of_rows, read_table
 from finger_offline.importing.trial import import_trial
+from finger_offline.process import process
+from finger_offline.process_options import ProcessOptions
 from finger_offline.trial_records import TrialRecord
 from finger_offline.trials import load_trials
 from finger_offline.unloaded import without_spikes
@@ -1041,7 +1043,9 @@ def test_images_by_name_of_one_size_and_without_a_gap(
     folder = tmp_path / "images"
     folder.mkdir()
     for number in range(len(FRAMES)):
-        cv2.imwrite(str(folder / f"{number + 1}.png"), plate(area_at(FRAMES[number])))
+        image = plate(area_at(FRAMES[number]))
+        image[0, 0] += number % 7  # as a camera's noise
+        cv2.imwrite(str(folder / f"{number + 1}.png"), image)
     # The order of a text column: 1, 10, 11, …
     order = sorted(range(len(FRAMES)), key=lambda i: f"{i + 1}.png")
     lines = ["file,time_s", *(f"{i + 1}.png,{FRAMES[i]:.3f}" for i in order)]
@@ -1058,6 +1062,76 @@ def test_images_by_name_of_one_size_and_without_a_gap(
         import_trial(timed, tmp_path / "missing")
     with pytest.raises(InputError, match=r"missing between 6\.png and 8\.png.*--image-times"):
         import_trial(ImportSettings(**settings, frame_rate=10.0), tmp_path / "gap")
+
+
+def test_images_that_a_camera_repeats_give_no_area(files: dict[str, str], tmp_path: Path) -> None:
+    """It froze within the first press, for as long as the second took."""
+    rng = np.random.default_rng(0)
+    folder = tmp_path / "images"
+    folder.mkdir()
+    for number, time in enumerate(FRAMES):
+        if not 2.0 < time < 8.3:
+            image = picture(float(area_at(time)), rng)
+        cv2.imwrite(str(folder / f"{number}.png"), image)
+    repeated = int(np.count_nonzero((FRAMES > 2.0) & (FRAMES < 8.3)))
+    source = {"images": str(folder), "area": "", "frame_rate": 10.0, "area_per_pixel": PIXEL}
+    found = import_trial(ImportSettings(**{**files, **source}), tmp_path / "bag")
+    assert len(found.areas) == len(FRAMES) - repeated
+    assert any(f"{repeated} images equal the one before" in note for note in found.notes)
+    # The same from the images of the bag.
+    kept = ImportSettings(**{**files, **source}, keep_images=True)
+    bag = import_trial(kept, tmp_path / "kept").path
+    result = process(bag, tmp_path / "out", ProcessOptions(images="yes"))
+    assert result.areas == len(found.areas) and not result.lost
+    assert any(f"{repeated} images equal the one before" in text for text in result.problems)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (["minimum_area"], "give NAME=VALUE, such as minimum_area"),
+        (["minimum_aria=1e-6"], "'minimum_aria' is no setting of the area sensor"),
+        (["minimum_area=2"], "parameter 'minimum_area' is 2"),
+        (["minimum_area=4e-5"], ""),
+    ],
+)
+def test_areas_are_measured_with_the_settings_of_the_rig(
+    files: dict[str, str], tmp_path: Path, given: list[str], words: str
+) -> None:
+    """Of a vision node that leaves small contacts out."""
+    rng = np.random.default_rng(0)
+    folder = tmp_path / "images"
+    folder.mkdir()
+    for number, time in enumerate(FRAMES):
+        cv2.imwrite(str(folder / f"{number}.png"), picture(float(area_at(time)), rng))
+    source = {"images": str(folder), "area": "", "frame_rate": 10.0, "area_per_pixel": PIXEL}
+    if words:
+        with pytest.raises(InputError, match=words):
+            ImportSettings(**{**files, **source}, set=given)
+        return
+    plain = import_trial(ImportSettings(**{**files, **source}, keep_images=True), tmp_path / "bag")
+    own = import_trial(ImportSettings(**{**files, **source}, set=given), tmp_path / "own")
+    small = [a for a in plain.areas if 0.0 < a < 4e-5]
+    assert small and not any(0.0 < a < 4e-5 for a in own.areas)
+    said = "areas measured with minimum_area 4e-05 of the area sensor"
+    assert said in own.notes and not any("area sensor" in note for note in plain.notes)
+    target = str(tmp_path / "out")
+    arguments = ["process", str(plain.path), "-o", target, "--images", "yes", "--set", given[0]]
+    assert command(arguments) == 0
+    with open_bag(tmp_path / "out") as reader:
+        topic = "/finger/contact_area"
+        again = [m.message.gross_area for m in reader.messages([topic])]
+    assert again == pytest.approx(own.areas, rel=1e-6)
+
+
+def test_a_print_that_stays_on_the_plate_is_no_wrong_clock(tmp_path: Path) -> None:
+    files = long_files(tmp_path, FIFTEEN)
+    time, area = np.loadtxt(files["area"], delimiter=",", skiprows=1).T
+    csv(Path(files["area"]), "time_s,area_mm2", time, np.where(time > 2.0, 70.0 + 0.0 * area, area))
+    bag = import_trial(ImportSettings(**files), tmp_path / "bag").path
+    found = {check.name: check for check in validate(bag).checks}["sync of force and image"]
+    assert found.status == "fail" and "frames between the presses" in found.detail, found
+    assert "a print or dirt on the plate" in found.detail
 
 
 def plate(area: float) -> np.ndarray:

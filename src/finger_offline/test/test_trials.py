@@ -165,6 +165,26 @@ def test_an_attempt_that_was_not_completed_does_not_replace_one_that_was(tmp_pat
     assert [t.attempt for t in load_trials(tmp_path)] == [2]
 
 
+def test_a_trial_names_its_finger(tmp_path: Path) -> None:
+    """By its messages, or else by the bag; a frame that is no finger's is left out."""
+    for name, frame, noted, finger in (
+        ("a", "right_index", "", "right_index"),
+        ("b", "left_thumb", "index", "left_thumb"),
+        ("c", "", "index", "index"),
+        ("d", "map", "", ""),
+    ):
+        with BagWriter(tmp_path / name, {"condition": "dry", "finger": noted}) as bag:
+            header = {"stamp": START, "frame_id": frame}
+            bag.write("trial", {"header": header, "phase": 3, "session": name})
+            for t in np.arange(0, 3.5, 0.002):
+                stamp, force = START + round(t * 1e9), float(press_force(np.array(t)))
+                bag.write("wrench", wrench(stamp, force))
+                if round(t * 500) % 50 == 0:
+                    fields = {"header": {"stamp": stamp}, "gross_area": AREA_PER_FORCE * force}
+                    bag.write("contact_area", fields)
+        assert [t.finger for t in load_trials(tmp_path / name)] == [finger]
+
+
 def test_presses_in_quick_succession_keep_nothing_of_one_another(tmp_path: Path) -> None:
     """Half a second is kept around a press, unless another one lies there."""
     with BagWriter(tmp_path / "bag", {"condition": "dry"}) as bag:

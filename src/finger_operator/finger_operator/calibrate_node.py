@@ -33,6 +33,7 @@ from finger_common.node import (
     set_request,
 )
 from finger_common.settings import Settings, setting
+from finger_common.subject_code import parameter_file_name
 from finger_msgs.msg import ContactArea, ContactState, SessionStatus
 
 from .status_message import status_of
@@ -240,7 +241,7 @@ class CalibrateNode(ManagedNode):
             raise InputError(
                 "the model node has no 'subjects_folder' to keep the result in; set it"
             )
-        path = Path(folder).expanduser() / f"{subject}.yaml"
+        path = Path(folder).expanduser() / parameter_file_name(subject, self._settings.finger)
         if path.exists() and not self._settings.again:
             raise InputError(
                 f"subject {subject} is calibrated already ({path}); give --again to replace that"

@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
-from rcl_interfaces.srv import SetParameters
+from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
@@ -47,7 +47,7 @@ from finger_msgs.srv import SetMoisture
 
 from .normal_force import NormalForce
 from .page.access import is_loopback
-from .page.commands import COMMANDS, PARAMETERS, stale
+from .page.commands import COMMANDS, PARAMETERS, SUBJECT, stale
 from .page.feed import (
     AREA_DOUBTS,
     ESTIMATE,
@@ -71,6 +71,9 @@ POLL = 0.04
 
 ALIVE = 0.2
 """s between messages that say which values are fresh and what is wrong."""
+
+PLANNED = "protocol/get_parameters"
+"""Service that tells the plan of the next session."""
 
 NODES = {"protocol": "protocol node", "force": "force driver", "moisture": "moisture node"}
 """What the nodes that carry out commands are called."""
@@ -106,7 +109,8 @@ class PageNode(ManagedNode):
         self._server = PageServer(settings, self._command, self.sample_time, namespace)
         self.closing.callback(self._server.stop)
         kinds: dict[str, Any] = {c.service: Trigger for c in COMMANDS.values() if c.service}
-        kinds |= {PARAMETERS: SetParameters, COMMANDS["moisture"].service: SetMoisture}
+        kinds |= {PARAMETERS: SetParameters, PLANNED: GetParameters}
+        kinds |= {COMMANDS["moisture"].service: SetMoisture}
         self._callers = {name: self.create_client(kind, name) for name, kind in kinds.items()}
 
     def activate(self) -> None:
@@ -321,6 +325,8 @@ class PageNode(ManagedNode):
     async def _carry_out(self, name: str, arguments: dict[str, Any]) -> tuple[bool, str]:
         command = COMMANDS[name]
         request = await self._in_node(lambda: self._begin(name, arguments))
+        if SUBJECT in arguments:
+            await self._refuse_another(arguments[SUBJECT])
         if values := command.sets(arguments):
             reason = refusal_of(await self._call(PARAMETERS, set_request(values)))
             if reason:
@@ -358,6 +364,16 @@ class PageNode(ManagedNode):
             }.get("" if self._status.get("paused") else str(step), Moisture.PHASE_UNKNOWN)
             return SetMoisture.Request(value=arguments["value"], phase=phase)
         return Trigger.Request()
+
+    async def _refuse_another(self, subject: str) -> None:
+        """Raise InputError where the next session is of another subject than its dialog has set."""
+        answer = await self._call(PLANNED, GetParameters.Request(names=["subject"]))
+        planned = answer.values[0].string_value
+        if planned != subject:
+            raise InputError(
+                f"not begun: the session would be of {planned}, which another dialog has set "
+                f"meanwhile, and not of {subject}; begin again when the other one is done"
+            )
 
     def _publish_curves(self) -> None:
         self._server.publish("curves", self._curves.snapshot())

@@ -8,7 +8,7 @@ samples their stamp, which may be of another clock. What is waited for is measur
 what happened in a press by the second; phases are announced by that of the force, as readers find
 the presses by it. The machine answers with effects (announce a phase, start or stop the recorder)
 through one callback, and writes its state file at every change, so that a crash costs at most the
-attempt that was under way.
+attempt that was under way. What cannot be written is tried again while the session is open.
 
     idle → prepare → moisture before → clear → press → lift → moisture after → closing → done
     press → pull → lift, where the trial is a pull
@@ -30,8 +30,10 @@ from finger_common.diagnostics import ERROR
 from finger_common.errors import InputError
 from finger_common.guided_presses import FITTING
 from finger_common.guided_pulls import is_pull
+from finger_common.host_clock import NOTABLE_STEP
 from finger_common.moisture import MOISTURE_RANGE, is_moisture
 from finger_common.stamps import NANOSECONDS, seconds
+from finger_common.subject_code import finger_name
 from finger_common.trial_phases import TrialPhase
 
 from .attempt import Attempt, TrialState
@@ -106,6 +108,9 @@ WAITING_TIME = 300.0
 LATE_REPORT = 0.5
 """s in which reports come that were on their way when the recorder began a bag."""
 
+WRITE_AGAIN = 5.0
+"""s between attempts to write what could not be written."""
+
 FIT_TIME = 120.0
 """s to wait for the result of a calibration: a second of work, on a busy machine a minute."""
 
@@ -155,8 +160,10 @@ class Protocol:
         self._announced: tuple[object, ...] = ()
         self._clear_since: int | None = None
         self._press: Press | None = None
-        self._unmarked: tuple[Path, TrialEvent] | None = None
-        """Bag of an interrupted attempt and what it says of it, once the recorder has closed it."""
+        self.unmarked: list[tuple[Path, TrialEvent]] = []
+        """Bags of failed attempts and what they are to say of them, once they are closed."""
+        self._written_again = 0
+        self._clock_step = 0.0
         self._waits: dict[Step, Callable[[float], None]] = {
             Step.PREPARE: self._await_preparation,
             **dict.fromkeys((Step.MOISTURE_BEFORE, Step.MOISTURE_AFTER), self._await_progress),
@@ -185,7 +192,7 @@ class Protocol:
         """Write the state file, the table of trials and the event log; without `state` the log
         alone.
 
-        What cannot be written is named in `save_problem` and is written with the next change.
+        What cannot be written is named in `save_problem`, and `tick` tries again.
         """
         saved = SavedSession(
             self.plan, self.step.value, self.paused, self.current, self.trials, self.ended
@@ -196,10 +203,25 @@ class Protocol:
             self.log.save()
             if self.step in (Step.DONE, Step.FAILED, Step.FINISHED, Step.PREPARE):
                 save_table(self.folder, self.trials, self.log)
-            self.save_problem = ""
+            if state:  # else the state may still be unwritten
+                self.save_problem = ""
         except (OSError, InputError) as error:
             reason = getattr(error, "strerror", None) or one_line(error)
             self.save_problem = f"The session cannot be saved in {self.folder}: {reason}"
+
+    def write_all(self) -> None:
+        """Write all that a session leaves; raises InputError while that cannot be."""
+        self._mark_bags()
+        self.save()
+        if self.save_problem:
+            raise InputError(f"{self.save_problem}; make room or give access, then try again")
+
+    def _write_again(self) -> None:
+        """Write what could not be written before."""
+        self._written_again = self._now
+        self._mark_bags()
+        if self.save_problem:
+            self.save()
 
     def _log(self, kind: str, text: str, of_trial: bool = True) -> None:
         """Add to the event log, for the current trial or for the session as a whole."""
@@ -249,7 +271,7 @@ class Protocol:
         if step in UNDER_WAY:
             protocol._conclude_failed("interrupted: the protocol ended during it")
             bag = Path(protocol._attempt.bag)
-            protocol._unmarked = bag, protocol._announcement(TrialPhase.FAILED)
+            protocol.unmarked.append((bag, protocol._announcement(TrialPhase.FAILED)))
             protocol.message = (
                 f"Restarted. Trial {protocol.current + 1} will begin again: press Space."
             )
@@ -533,7 +555,8 @@ class Protocol:
             self._other_bag_since = self._now
         elif seconds(self._now - self._other_bag_since) > LATE_REPORT:
             self._fail("the recorder no longer writes the bag of this trial")
-            self._unmarked = Path(self._attempt.bag), self._announcement(TrialPhase.FAILED)
+            failed = self._announcement(TrialPhase.FAILED)
+            self.unmarked.append((Path(self._attempt.bag), failed))
 
     def recorder_started(
         self, success: bool, message: str, now_ns: int, bag: str = "", asked: str = ""
@@ -565,9 +588,7 @@ class Protocol:
         bag: those that are in it, and its path, where they are told.
         """
         self._now = max(self._now, now_ns)
-        if self._unmarked is not None:
-            self._mark_in_bag(*self._unmarked)
-            self._unmarked = None
+        self._mark_bags(left=True)
         if self.recording not in ("stopping", "on"):
             # The answer to the stop of an earlier attempt; the next bag is being opened already.
             return
@@ -591,8 +612,12 @@ class Protocol:
         self._inputs.compare_clocks(now_ns)
         for news in self._inputs.silences(self._now, self.limits):
             self._log("fault", news)
-        if not self.paused and self.step in self._waits:
+        # A bag that is open after the press grows in a pause too.
+        waits = not self.paused or self.step in (Step.MOISTURE_AFTER, Step.CLOSING)
+        if waits and self.step in self._waits:
             self._waits[self.step](seconds(self._now - self._step_began))
+        if self.step not in PRESSING and seconds(self._now - self._written_again) >= WRITE_AGAIN:
+            self._write_again()
 
     def _await_preparation(self, in_step: float) -> None:
         if self.plan.is_calibration:
@@ -604,7 +629,7 @@ class Protocol:
 
     def _await_progress(self, in_step: float) -> None:
         """End an attempt that nobody goes on with, as its bag grows all the while; after the press
-        it is kept with the readings that it has."""
+        it is kept with the readings that it has, also in a pause."""
         waited = seconds(self._now - self._last_progress)
         if not self.limits.need_recorder or waited <= WAITING_TIME:
             return
@@ -664,6 +689,14 @@ class Protocol:
         self._log("calibration", self.message, of_trial=False)
         self._announce()
         self.save()
+
+    def clock_stepped(self, step: float, warning: str) -> None:
+        """Where the system clock stands, s from where it was when this node began, and the warning
+        of it; each further step is logged."""
+        if abs(step - self._clock_step) > NOTABLE_STEP:
+            self._clock_step = step
+            back = "the system clock is where it was when this node began"
+            self._log("warning", warning or back, of_trial=False)
 
     def check_clocks(self) -> None:
         """Log where the force is stamped by a clock that is far from this one."""
@@ -741,22 +774,33 @@ class Protocol:
             self.recording = "stopping"
             self._effects(StopRecording())
         elif closing:
-            bag, event = Path(self._attempt.bag), self._announcement(TrialPhase.FAILED)
-            if (bag / METADATA).is_file():
-                self._mark_in_bag(bag, event)
-            else:
-                # The recorder may write it still.
-                self._unmarked = bag, event
+            failed = self._announcement(TrialPhase.FAILED)
+            self.unmarked.append((Path(self._attempt.bag), failed))
+            self._mark_bags()
 
-    def _mark_in_bag(self, bag: Path, event: TrialEvent) -> None:
-        """Say in a closed bag what became of its attempt."""
+    def _mark_bags(self, left: bool = False) -> None:
+        """Say in bags what became of their attempts, as far as they are closed. left: the recorder
+        writes none of them, also where one is not closed."""
+        self.unmarked = [
+            (bag, event)
+            for bag, event in self.unmarked
+            # The recorder may write it still.
+            if not ((left or (bag / METADATA).is_file()) and self._mark_in_bag(bag, event))
+        ]
+
+    def _mark_in_bag(self, bag: Path, event: TrialEvent) -> bool:
+        """Say in a bag what became of its attempt; false where that is to be tried again."""
         if not bag.is_dir():
             self._log("warning", f"{bag} is not there, and is not marked as failed")
-            return
+            return True
         try:
             mark_in_bag(bag, event)
         except (OSError, InputError) as error:
-            self._log("fault", f"{bag.name} is not marked as failed: {one_line(error)}")
+            text = f"{bag.name} is not marked as failed"
+            if not any(e.kind == "fault" and e.text.startswith(text) for e in self.log.events):
+                self._log("fault", f"{text}, which is tried again: {one_line(error)}")
+            return False
+        return True
 
     def _hold(self, message: str) -> None:
         self.paused = True
@@ -815,6 +859,7 @@ class Protocol:
             phase,
             self.plan.press_of(trial.condition).target_force,
             note or self.message,
+            finger_name(self.plan.hand, self.plan.finger),
         )
 
     def _stamp(self) -> int:
@@ -830,7 +875,9 @@ class Protocol:
         return PHASE_OF[step] if step in PHASE_OF else TrialPhase[step.name]
 
     def _announce(self) -> None:
-        event = self._announcement(TrialPhase.PAUSED if self.paused else self._phase(self.step))
+        # With the last message of its bag a trial is done, also where it is closed in a pause.
+        paused = self.paused and self.step is not Step.CLOSING
+        event = self._announcement(TrialPhase.PAUSED if paused else self._phase(self.step))
         news = (event.phase, event.index, event.attempt, event.note)
         if news != self._announced:
             self._announced = news

@@ -206,7 +206,8 @@ class ProtocolNode(ManagedNode):
         self.create_stream_subscription(Moisture, "moisture", self._on_moisture, qos)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
         self.create_subscription(DiagnosticStatus, "calibration", self._on_calibration, LATCHED_QOS)
-        self._resume_pointer()
+        if self._protocol is None or not self._protocol.save_problem:
+            self._resume_pointer()  # else its state file is older than what is known here
         # Steady time, so that the tick continues when simulated time jumps.
         self.create_steady_timer(TICK, self._tick)
         self._press_timer = self.create_steady_timer(POLL, self._poll)
@@ -222,6 +223,11 @@ class ProtocolNode(ManagedNode):
         if self._protocol is not None and self._protocol.recording in ("starting", "on"):
             self._effect(StopRecording())
         self._recorder.send_all()
+        if self._protocol is not None:
+            try:
+                self._protocol.write_all()
+            except InputError as error:
+                self.get_logger().error(one_line(error))
 
     def parameters_changed(self, changes: dict[str, Any]) -> None:
         values = {**self.values, **changes}
@@ -374,6 +380,9 @@ class ProtocolNode(ManagedNode):
         protocol = self._open()
         if protocol.step not in (Step.IDLE, Step.FINISHED, Step.PREPARE, Step.FAILED, Step.DONE):
             raise InputError("a trial is under way; finish, skip or pause it first")
+        protocol.write_all()
+        if protocol.unmarked and self._recorder.busy:
+            raise InputError("the recorder is still busy; try again in a moment")
         (self._output / POINTER).unlink(missing_ok=True)
         self._protocol = None
         self._used_subjects = sessions_by_subject(self._output)
@@ -449,6 +458,7 @@ class ProtocolNode(ManagedNode):
         if time.monotonic() - self._free_read > FREE_SPACE_PERIOD:
             self._free_read = time.monotonic()
             self._free = free_space(self._output)
+            self._watch_clock()
         pressing = self._protocol is not None and self._protocol.step in (Step.PRESS, Step.PULL)
         # The status of a long session takes long, and the cue must not wait for it.
         due = not pressing and time.monotonic() >= self._status_due
@@ -464,6 +474,11 @@ class ProtocolNode(ManagedNode):
         running = self.count_publishers("contact_state") > 0
         level, text = (OK, "") if running else (ERROR, "the node is not running")
         protocol.health("model", level, text, self.sample_time())
+
+    def _watch_clock(self) -> None:
+        if self._protocol is not None:
+            warning = self._host_clock.step_warning("the times of the session")
+            self._protocol.clock_stepped(self._host_clock.step(), warning)
 
     # Effects ---------------------------------------------------------------------------------
 
@@ -493,6 +508,7 @@ class ProtocolNode(ManagedNode):
         fields = {**vars(event), "phase": int(event.phase)}
         message = Trial()
         fill_time(message.header.stamp, fields.pop("stamp_ns"))
+        message.header.frame_id = fields.pop("finger")
         for name, value in fields.items():
             setattr(message, name, value)
         return message

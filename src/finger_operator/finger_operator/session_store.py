@@ -183,8 +183,8 @@ def mark_in_bag(bag: Path, event: TrialEvent) -> None:
     with open_bag(bag) as reader:
         topic = reader.topic("trial") or full_name("trial")
         after = (reader.info.end_ns or 0) + 1
-    values = {**vars(event), "header": {"stamp": event.stamp_ns}}
-    del values["stamp_ns"]
+    values = {**vars(event)}
+    values["header"] = {"stamp": values.pop("stamp_ns"), "frame_id": values.pop("finger")}
     add_message(bag, topic, TOPICS["trial"].type, values, max(event.stamp_ns, after))
 
 

@@ -20,7 +20,7 @@ from finger_common.errors import InputError
 from finger_common.guided_presses import CALIBRATION_PRESSES, PRESS_BY_NAME, GuidedPress
 from finger_common.guided_pulls import is_pull, press_before_pull, skin_of
 from finger_common.settings import Settings, setting
-from finger_common.subject_code import check_subject
+from finger_common.subject_code import FINGERS, HANDS, check_subject
 from finger_common.trial_phases import TARGET_FORCE
 
 from .trial_order import ORDERS, trial_conditions
@@ -45,9 +45,6 @@ CLEAN_PLATE_PULL = (
 """Prompt before each pull."""
 
 NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
-
-HANDS = ("left", "right")
-FINGERS = ("thumb", "index", "middle", "ring", "little")
 
 REQUIRED = ("subject", "session", "conditions", "trials", "readings", "target_force")
 """What the plan in a state file must name; older files lack the rest."""

@@ -99,7 +99,11 @@ def test_commands_reach_the_protocol_and_its_cues_come_back(
                 assert not refused["success"]
                 # No force driver, and the protocol's heartbeat may not have come yet.
                 assert refused["message"].startswith("Not ready: The ")
-                assert (await command("start", seen_step="closed"))["success"]
+                refused = await command("start", seen_step="closed", for_subject="S09")
+                assert not refused["success"], "of another dialog"
+                assert "would be of S01," in refused["message"] and "S09" in refused["message"]
+                begin = {"seen_step": "closed", "for_subject": "S01"}
+                assert (await command("start", **begin))["success"]
                 assert (await receive("cue", phase="prepare"))["index"] == 0
                 session = (await receive("status", step="prepare"))["session"]
                 refused = await command("start", seen_step="closed")  # of a second tab

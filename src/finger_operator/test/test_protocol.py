@@ -11,6 +11,7 @@ import math
 import re
 import shutil
 from collections import Counter
+from dataclasses import replace
 from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
@@ -403,6 +404,7 @@ def test_recorder_that_never_answers_holds_the_session(rig: Rig) -> None:
 
 
 def test_a_trial_that_failed_when_its_bag_was_closed_is_marked_in_the_bag(rig: Rig) -> None:
+    rig.protocol.plan = replace(rig.protocol.plan, hand="right", finger="index")
     rig.to_press()
     rig.press()
     with BagWriter(Path(rig.attempt.bag), maximum_duration=1.0) as bag:
@@ -418,6 +420,7 @@ def test_a_trial_that_failed_when_its_bag_was_closed_is_marked_in_the_bag(rig: R
         assert reader.info.message_count == 4 and reader.all_problems() == []
     assert (last.phase, last.note) == (TrialPhase.FAILED, "the recorder lost 7 messages")
     assert (last.index, last.attempt, last.session) == (0, 0, "S01_test")
+    assert last.header.frame_id == rig.last.finger == "right_index"
     metadata = yaml.safe_load((Path(rig.attempt.bag) / "metadata.yaml").read_text())
     (found,) = metadata.values()
     topics = found["topics_with_message_count"]
@@ -493,6 +496,54 @@ def test_a_bag_of_an_interrupted_attempt_that_is_gone_is_named_in_the_log(rig: R
     again = mark_where_the_session_is_now(rig, rig.folder)
     (text,) = (e.text for e in again.log.events if e.kind == "warning")
     assert text == f"{rig.folder / '000_dry_0'} is not there, and is not marked as failed"
+
+
+def test_bags_that_cannot_be_marked_are_marked_as_soon_as_they_can_be(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import finger_operator.protocol as module
+
+    def refuse(bag: Path, event: TrialEvent) -> None:
+        raise OSError(28, f"No space left on device: {len(bags)}")
+
+    bags: list[Path] = []
+    monkeypatch.setattr(module, "mark_in_bag", refuse)
+    rig.lost = 7
+    for _ in range(2):
+        rig.to_press()
+        rig.press()
+        bags.append(Path(rig.attempt.bag))
+        with BagWriter(bags[-1]) as bag:
+            bag.write("trial", {"header": {"stamp": rig.now}, "phase": int(TrialPhase.DONE)})
+        rig.readings(1.0, 2.0, 3.0)
+        rig.run(2.0)
+    rig.run(20.0)
+    told = [e.text for e in rig.protocol.log.events if "not marked" in e.text]
+    assert [text[:11] for text in told] == ["000_dry_0 i", "000_dry_1 i"], "each is told once"
+    monkeypatch.undo()
+    rig.run(6.0)
+    for path in bags:
+        with open_bag(path) as reader:
+            assert [m.message.phase for m in reader.messages()][1:] == [TrialPhase.FAILED]
+
+
+def test_a_bag_that_its_recorder_has_not_closed_is_not_marked_yet(rig: Rig) -> None:
+    rig.to_press()
+    bag = Path(rig.attempt.bag)
+    with BagWriter(bag) as writer:
+        writer.write("trial", {"header": {"stamp": rig.now}, "phase": int(TrialPhase.PRESS)})
+    whole = (bag / "metadata.yaml").read_text()
+    (bag / "metadata.yaml").unlink()
+    again = Protocol.resume_from(rig.folder, rig.take, rig.now + SECOND, rig.limits)
+    for second in range(2, 20):
+        again.tick(rig.now + second * SECOND)
+    again.write_all()
+    assert len(list(bag.iterdir())) == 1 and again.unmarked
+    (bag / "metadata.yaml").write_text(whole)
+    again.recorder_stopped(True, "", rig.now + 20 * SECOND)
+    with open_bag(bag) as reader:
+        assert list(reader.messages())[-1].message.phase == TrialPhase.FAILED
+    assert not again.unmarked
 
 
 @pytest.mark.parametrize("when", ["moisture_before", "clear", "press"])
@@ -579,6 +630,29 @@ def test_a_trial_that_nobody_goes_on_with_ends_its_recording(rig: Rig, when: str
     assert "Nobody went on" in session_status(protocol)["instruction"]
     protocol.resume(rig.now)
     assert protocol.step is Step.PREPARE
+
+
+def test_a_pause_after_the_press_ends_the_recording_too_and_lasts(rig: Rig) -> None:
+    """The operator goes to lunch: the bag would grow until the disk is full."""
+    rig.to_press()
+    rig.press()
+    rig.readings(40.0)
+    protocol, attempt = rig.protocol, rig.attempt
+    protocol.pause(rig.now)
+    for _ in range(3600):
+        rig.now += SECOND
+        protocol.wrench(rig.now, 0.0)
+        protocol.tick(rig.now)
+        rig.answer_recorder()
+    assert protocol.recording == "off" and protocol.paused
+    assert attempt.verdict == "done" and attempt.moisture_after == [40.0]
+    (stop,) = (n for n, effect in enumerate(rig.effects) if isinstance(effect, StopRecording))
+    assert rig.effects[stop - 1].phase is TrialPhase.DONE, "the bag says that it is done"
+    assert rig.last.phase is TrialPhase.PAUSED
+    protocol.resume(rig.now)
+    rig.next_force = rig.next_frame = rig.next_tick = rig.now
+    rig.run(2.0)
+    assert protocol.step is Step.PREPARE and rig.last.index == 1
 
 
 def test_after_its_end_a_session_does_not_wait_for_a_trial_that_nobody_goes_on_with(
@@ -1276,6 +1350,57 @@ def test_session_goes_on_and_warns_while_its_folder_cannot_be_written(
     rig.run(2.0)
     assert session_status(rig.protocol)["warnings"] == []
     assert json.loads((rig.folder / STATE_FILE).read_text())["trials"][0]["verdict"] == "done"
+
+
+@pytest.mark.parametrize("refused", ["save_state", "save_table", "log"])
+def test_a_finished_session_is_saved_as_soon_as_it_can_be(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, refused: str
+) -> None:
+    import finger_operator.protocol as module
+
+    def refuse(*_: Any) -> None:
+        raise InputError("no room")
+
+    rig.trial()
+    with monkeypatch.context() as full:
+        place, name = (rig.protocol.log, "save") if refused == "log" else (module, refused)
+        full.setattr(place, name, refuse)
+        rig.protocol.note(rig.now, "the window is open")
+        rig.protocol.end(rig.now)
+        rig.run(12.0)
+        with pytest.raises(InputError, match=r"cannot be saved in .*no room; make room"):
+            rig.protocol.write_all()
+    assert session_status(rig.protocol)["warnings"]
+    rig.run(6.0)
+    assert rig.protocol.step is Step.FINISHED and session_status(rig.protocol)["warnings"] == []
+    assert json.loads((rig.folder / STATE_FILE).read_text())["step"] == "finished"
+    assert [e.text for e in EventLog.load(rig.folder).of("note")] == ["the window is open"]
+    with (rig.folder / "trials.csv").open() as file:
+        assert [row["verdict"] for row in csv.DictReader(file)] == ["done"]
+    rig.protocol.write_all()
+
+
+def test_the_log_of_a_press_hides_no_state_that_could_not_be_saved(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import finger_operator.protocol as module
+
+    def full(*_: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(module, "save_state", full)
+    rig.to_press()
+    rig.run(0.5, 0.7, ramp=True)
+    rig.protocol.mark(rig.now)
+    assert rig.protocol.step is Step.PRESS and "No space left" in rig.protocol.save_problem
+
+
+def test_each_step_of_the_system_clock_is_an_event(rig: Rig) -> None:
+    for step in (0.0, 1e-4, 3600.0, 3600.001, 7200.0, 0.0):
+        rig.protocol.clock_stepped(step, f"stepped by {step:g} s" if step > 1.0 else "")
+    texts = [event.text for event in rig.protocol.log.events if event.kind == "warning"]
+    assert texts[:2] == ["stepped by 3600 s", "stepped by 7200 s"]
+    assert texts[2:] == ["the system clock is where it was when this node began"]
 
 
 def test_time_left_and_disk_space_follow_from_the_trials_that_were_kept(rig: Rig) -> None:

@@ -453,6 +453,17 @@ def tell(node: Any, name: str, **values: str) -> None:
     node._on_diagnostics(DiagnosticArray(status=[status]))
 
 
+def test_a_trial_names_the_finger_that_is_tested(ros_domain: int, tmp_path: Path) -> None:
+    """To whoever hears it, and to the recorder, which notes it in the bag."""
+    from finger_common.trial_phases import TrialPhase
+
+    with node_here(ros_domain, tmp_path, hand="right", finger="index") as node:
+        tell(node, "force", tared="yes", tare_offset="0.1, 0, 0, 0, 0, 0")
+        node._start()
+        event = node._protocol._announcement(TrialPhase.PRESS)
+        assert node._trial_message(event).header.frame_id == "right_index"
+
+
 def test_a_trial_under_way_needs_a_tare_too(ros_domain: int, tmp_path: Path) -> None:
     """The force driver started again within it, which loses its zero."""
     with node_here(ros_domain, tmp_path) as node:
@@ -501,6 +512,49 @@ def test_what_the_recorder_says_of_itself_reaches_the_trial(
         protocol.tick(node.sample_time() + 1_000_000_000)
         tell(node, "recorder", recording="no", minimum_free="0")
         assert protocol.step is Step.FAILED
+
+
+def test_a_session_that_cannot_be_saved_is_not_closed(
+    ros_domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nor read again from its old file when the node is activated again."""
+    import finger_operator.protocol as module
+    from finger_common.errors import InputError
+
+    def full(*_: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    saved = tmp_path / "run" / "session.json"
+    with node_here(ros_domain, tmp_path, session="run", need_recorder=False) as node:
+        node._start()
+        with monkeypatch.context() as disk:
+            disk.setattr(module, "save_state", full)
+            node._end()
+            with pytest.raises(InputError, match=r"No space left on device; make room"):
+                node._close()
+            assert node.trigger_deactivate().name == "SUCCESS"
+            assert node.trigger_activate().name == "SUCCESS"
+        assert json.loads(saved.read_text())["step"] == "prepare"
+        assert node._protocol.step.value == "finished"
+        assert node.trigger_deactivate().name == "SUCCESS"
+        assert json.loads(saved.read_text())["step"] == "finished"
+        assert node.trigger_activate().name == "SUCCESS"
+        assert "closed" in node._close()
+
+
+def test_a_suspend_of_the_computer_is_in_the_event_log(ros_domain: int, tmp_path: Path) -> None:
+    from finger_common.host_clock import HostClock
+
+    with node_here(ros_domain, tmp_path) as node:
+        node._start()
+        wall = [node.sample_time()]
+        node._host_clock = HostClock(lambda: wall[0], lambda: 0)
+        for asleep in (0, 3600, 0):
+            wall[0] += asleep * 10**9
+            node._free_read = -1e9
+            node._tick()
+        (text,) = (e.text for e in node._protocol.log.events if e.kind == "warning")
+        assert "stepped by +3600.000 s or the computer was suspended" in text
 
 
 @pytest.mark.parametrize("step", ["PRESS", "MOISTURE_AFTER"])

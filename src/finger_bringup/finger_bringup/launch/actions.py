@@ -156,7 +156,7 @@ def _kept_running(
             if event.returncode:
                 raise RuntimeError(f"'{entry.name}' failed; the lines above name the cause")
             return [EmitEvent(event=Shutdown(reason=f"'{entry.name}' has ended"))]
-        if not (respawn and entry.restart):
+        if not (respawn and entry.restart) or delay.refused(event.returncode):
             return []
         wait = delay.after_running(time.monotonic() - started)
         again = OpaqueFunction(function=lambda _: _kept_running(entry, make, delay, respawn))

@@ -9,6 +9,7 @@ import inspect
 import os
 import signal
 import sys
+import tempfile
 import textwrap
 import threading
 import time
@@ -18,6 +19,7 @@ from typing import Any
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.logging import get_logging_directory
 from rclpy.signals import SignalHandlerOptions
 
 from ..cli import EXIT_BAD_INPUT, one_line
@@ -95,8 +97,27 @@ def say_farewell(node: ManagedNode, executor: SingleThreadedExecutor) -> None:
         executor.spin_once(timeout_sec=0.05)
 
 
+def why_not_begun(error: Exception) -> str:
+    """Sentence on an rclpy.init that failed: by the folder of the logs, or by the arguments."""
+    folder = Path("~/.ros/log")
+    try:
+        folder = get_logging_directory()
+        os.makedirs(folder, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except (OSError, RuntimeError) as problem:  # RuntimeError: there is no HOME
+        reason = getattr(problem, "strerror", None) or one_line(problem)
+        return (
+            f"logs cannot be written to {folder} ({reason}); set ROS_LOG_DIR to a folder that can "
+            "be written"
+        )
+    return (
+        f"ROS arguments cannot be used ({one_line(error)}); check the parameter file and --ros-args"
+    )
+
+
 def run_node(node_class: type[ManagedNode], argv: Sequence[str] | None = None) -> int:
-    """Run one node until a signal ends it; returns the exit code.
+    """Run one node until a signal ends it; returns the exit code, 2 for one that could not begin.
 
     A configuration that fails leaves the node up, unconfigured, so that parameters can be corrected
     and the transition tried again; it ends a node of one task, which nobody corrects. SIGINT and
@@ -109,11 +130,7 @@ def run_node(node_class: type[ManagedNode], argv: Sequence[str] | None = None) -
             signal_handler_options=SignalHandlerOptions.NO,
         )
     except Exception as error:
-        print(
-            f"{node_class.NAME}: ROS arguments cannot be used ({one_line(error)}); "
-            "check the parameter file and --ros-args",
-            file=sys.stderr,
-        )
+        print(f"{node_class.NAME}: {why_not_begun(error)}", file=sys.stderr)
         return EXIT_BAD_INPUT
     node: ManagedNode | None = None
     executor = SingleThreadedExecutor()
@@ -128,7 +145,8 @@ def run_node(node_class: type[ManagedNode], argv: Sequence[str] | None = None) -
         pass
     except FingerError as error:
         print(f"{node_class.NAME}: {one_line(error)}", file=sys.stderr)
-        return EXIT_BAD_INPUT
+        began = node is not None and node.active and not node.ONE_TASK
+        return 1 if began else EXIT_BAD_INPUT
     finally:
         # A second Ctrl-C during release would leave devices open.
         for number in END_SIGNALS:

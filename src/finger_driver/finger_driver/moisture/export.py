@@ -5,7 +5,8 @@
 
 The file is read when it has stayed the same for two checks, so that a table just being written is
 not read half. Rows that are there at the start are not new. A reading's stamp is its own time where
-the table has one, else the file's time of modification: never the time of the check.
+the table has one, else the file's time of modification: never the time of the check. Both are wall
+times; a step of the system clock is taken out of them.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from finger_common.cli import one_line
 from finger_common.diagnostics import ERROR
 from finger_common.errors import DeviceError
 from finger_common.settings import setting
+from finger_common.stamps import NANOSECONDS
 
 from ..protocols.export_table import MAX_BYTES, Row, TableFormat, new_rows, parse_table
 from .source import PHASE_UNKNOWN, PHASES, MoistureSettings, MoistureSource, Reading
@@ -158,7 +160,13 @@ class ExportSource(MoistureSource):
             "gone; set export_time_column, or append to the table",
         )
         stamped = [
-            (state[0] + number if row.time_ns is None else row.time_ns, row)
+            (self._host_time(state[0] + number if row.time_ns is None else row.time_ns), row)
             for number, row in enumerate(fresh)
         ]
         self._ready.extend(sorted(stamped, key=lambda pair: pair[0]))
+
+    def _host_time(self, wall_ns: int) -> int:
+        """Host time of a wall time. Whole seconds stay whole: it shows that there is no more in
+        them."""
+        stamp = self.clock.of_wall(wall_ns)
+        return stamp if wall_ns % NANOSECONDS else stamp + -stamp % NANOSECONDS

@@ -103,8 +103,8 @@ def read_subjects(paths: Sequence[str]) -> dict[str, dict[str, Any]]:
         for name, part in _parts(data, path):
             if name in found:
                 raise InputError(
-                    f"{path}: subject '{name}' is there twice; give each once, and fit all bags of "
-                    "a subject together"
+                    f"{path}: subject '{name}' is there twice; give each once, by a fit of all "
+                    "bags of one finger"
                 )
             found[name] = part
     return found

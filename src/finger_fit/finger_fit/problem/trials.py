@@ -121,6 +121,7 @@ class FitTrial:
     a.u.; dropped: frames inside the window without a measured area; rest: the unloaded plate, None
     where the trial does not show it. indentation (q,): measured, in m from an unknown zero, at the
     times of the frames that count on the clock of the force; empty where none was measured.
+    finger: such as right_index, empty where it was not noted.
     """
 
     label: str
@@ -137,6 +138,7 @@ class FitTrial:
     indentation: np.ndarray
     recording: Recording
     drive: Drive
+    finger: str = ""
 
     def with_drive(self, tare: float, lag: float, options: FitOptions) -> FitTrial:
         """Drive the same frames with another tare (N) and another lag of the images (s)."""
@@ -286,6 +288,7 @@ def prepare(record: Any, options: FitOptions) -> FitTrial:
         indentation=indentation,
         recording=recording,
         drive=drive,
+        finger=record.finger,
     )
 
 

@@ -6,6 +6,7 @@
 from .contrasts import Contrast, contrasts
 from .files import (
     check_folder,
+    check_writable,
     condition_dict,
     failing,
     fit_dict,

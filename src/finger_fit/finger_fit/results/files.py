@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
+import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -18,7 +19,7 @@ import numpy as np
 from finger_common.errors import InputError, listed
 from finger_common.files import atomic_write, load_json
 from finger_common.moisture import MOISTURE_RANGE
-from finger_common.subject_code import is_subject
+from finger_common.subject_code import is_subject, may_be_one
 from finger_model.calibration import SMALLEST_AREA, SMALLEST_FORCE
 from finger_model.geometry import Geometry
 from finger_model.laws import ConstitutiveLaw
@@ -35,6 +36,9 @@ from finger_model.subjects import subject_file
 from ..problem import MM4, material_of
 from .fits import ConditionFit, FitResult
 from .tables import write_tables
+
+_Finger = tuple[str, str]
+"""Subject and finger, such as ("S01", "right_index")."""
 
 TOO_NEAR = 2.0
 """Distance of the mean moistures of two conditions over the deviation of their readings, below
@@ -185,8 +189,10 @@ def _found(result: FitResult) -> dict[str, Any]:
     """What was fitted: `conditions`, or of several subjects `subjects` with theirs."""
     if result.subjects:
         return {"subjects": {name: _found(part) for name, part in result.subjects.items()}}
+    subject, finger = _finger_of(result)
     return {
-        "subject": _subject_of(result),
+        "subject": subject,
+        "finger": finger,
         "conditions": {name: condition_dict(fit) for name, fit in result.fits.items()},
         "force_modes": result.force_modes,
         "shared": result.shared,
@@ -303,10 +309,21 @@ def _residuals(fit: ConditionFit) -> list[PressResiduals]:
     return found
 
 
+def check_writable(folder: Path) -> None:
+    """Raise InputError for a folder that no result could be written into."""
+    existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    try:
+        tempfile.TemporaryFile(dir=existing).close()
+    except OSError as error:
+        raise InputError(
+            f"{folder}: nothing can be written there ({error.strerror}); give another folder"
+        ) from None
+
+
 def check_folder(folder: Path, subjects: Iterable[str]) -> None:
     """Raise InputError for a folder that holds an earlier fit of others than these subjects: what
     it wrote of them would stay, and be taken for a result of this fit."""
-    others = sorted(_earlier_subjects(folder).keys() - set(subjects))
+    others = sorted({code for code, _ in _earlier_fingers(folder)} - set(subjects))
     if others:
         raise InputError(
             f"{folder}: holds an earlier fit of {listed(others)}, who are not among these trials; "
@@ -314,43 +331,43 @@ def check_folder(folder: Path, subjects: Iterable[str]) -> None:
         )
 
 
-def _earlier_subjects(folder: Path) -> dict[str, bytes]:
-    """Codes of the subjects of the fit in a folder, each with the content of its parameters.yaml;
-    none without a fit."""
+def _earlier_fingers(folder: Path) -> dict[_Finger, bytes]:
+    """Fingers of the fit in a folder, each with the content of its parameters.yaml; none without a
+    fit."""
     try:
         found = load_json(folder / "fit.json", "fit.json")
         parts = found.get("subjects") or {"": found}
-        codes = {name: str(part["subject"]) for name, part in parts.items()}
+        fingers = {n: (str(p["subject"]), str(p.get("finger", ""))) for n, p in parts.items()}
     except (InputError, KeyError, TypeError, AttributeError):
         return {}
-    files = {c: folder / name / "parameters.yaml" for name, c in codes.items() if is_subject(c)}
-    return {code: file.read_bytes() if file.is_file() else b"" for code, file in files.items()}
+    files = {f: folder / n / "parameters.yaml" for n, f in fingers.items() if is_subject(f[0])}
+    return {finger: file.read_bytes() if file.is_file() else b"" for finger, file in files.items()}
 
 
 def write(result: FitResult, folder: Path) -> None:
     """Write fit.json, the parameter files and the tables into the folder; of several subjects,
-    those of each into a folder of its own too, and subjects/CODE.yaml of each for the model node.
+    those of each into a folder of its own too, and a file of each in subjects/ for the model node.
 
     A fit that was interrupted leaves the parameter files of an earlier one.
     """
-    earlier = _earlier_subjects(folder)
+    earlier = _earlier_fingers(folder)
     for name, part in result.subjects.items():
         _write(part, folder / name)
     _write(result, folder)
     found = subject_sets(result)
     for part in result.subjects.values() or [result]:
-        code = _subject_of(part)
-        if not is_subject(code) or part.unfinished:
+        finger = _finger_of(part)
+        if not is_subject(finger[0]) or part.unfinished:
             continue
-        file = subject_file(folder / "subjects", code)
-        if code in found:
-            found[code].save(file)
+        file = subject_file(folder / "subjects", *finger)
+        if finger in found:
+            found[finger].save(file)
         else:
             file.unlink(missing_ok=True)  # of an earlier fit in this folder
-    for code in set() if result.interrupted else earlier.keys() - found.keys():
-        file = subject_file(folder / "subjects", code)
+    for finger in set() if result.interrupted else earlier.keys() - found.keys():
+        file = subject_file(folder / "subjects", *finger)
         # Not one that a calibration, or somebody, put there since.
-        if file.is_file() and file.read_bytes() == earlier[code]:
+        if file.is_file() and file.read_bytes() == earlier[finger]:
             file.unlink()
 
 
@@ -378,16 +395,16 @@ def _parameter_files_of(folder: Path) -> set[str]:
     return {"parameters.yaml", *_own_files(map(str, conditions)).values()}
 
 
-def subject_sets(result: FitResult) -> dict[str, ParameterSets]:
-    """Sets of each subject by code, as `finger-rig calibrate` writes them: those of
+def subject_sets(result: FitResult) -> dict[_Finger, ParameterSets]:
+    """Sets of each subject's finger, as `finger-rig calibrate` writes them: those of
     parameters.yaml but of conditions that fail a data check; not of trials that are pooled or have
     no code."""
     found = {}
     for part in result.subjects.values() or [result]:
-        code, material = _subject_of(part), material_of(part.model)
+        finger, material = _finger_of(part), material_of(part.model)
         fits = {n: f for n, f in _by_moisture(part.fits).items() if not failing(f)}
-        if fits and is_subject(code) and material is not None and not part.unfinished:
-            found[code] = _sets(part, fits, type(material))
+        if fits and is_subject(finger[0]) and material is not None and not part.unfinished:
+            found[finger] = _sets(part, fits, type(material))
     return found
 
 
@@ -396,10 +413,12 @@ def failing(fit: ConditionFit) -> bool:
     return fit.quality is not None and bool(fit.quality.failures)
 
 
-def _subject_of(result: FitResult) -> str:
-    """Code of the subject of all trials, empty where there are several."""
-    codes = {trial.subject for fit in result.fits.values() for trial in fit.problem.trials}
-    return codes.pop() if len(codes) == 1 else ""
+def _finger_of(result: FitResult) -> _Finger:
+    """Subject and finger of all trials, empty where there are several."""
+    trials = [trial for fit in result.fits.values() for trial in fit.problem.trials]
+    codes, fingers = {t.subject for t in trials}, {t.finger for t in trials}
+    finger = max(fingers, key=len, default="") if may_be_one(*fingers) else ""
+    return (codes.pop(), finger) if len(codes) == 1 else ("", "")
 
 
 def _plain(value: Any) -> Any:

@@ -22,6 +22,7 @@ from finger_offline.trial_records import Exclusion as TrialExclusion
 from finger_offline.trial_records import TrialRecord, TrialSet
 from finger_offline.trial_split import TrialSettings
 from finger_offline.trials import (
+    shared_sessions,
     streams_with_areas,
     trials_in,
     trials_of,
@@ -109,6 +110,7 @@ def load(
             "recorded, so that calibration and area per pixel are not used; measure the images "
             "again with --vision"
         )
+    out.problems += shared_sessions(out.records)
     out.records, again = without_superseded(out.records)
     out.exclusions = [
         Exclusion(f"{Path(e.bag).name} trial {e.index}", e.condition, e.reason, e.subject)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from finger_common.errors import FingerError, InputError, ModelError, listed
+from finger_common.subject_code import may_be_one
 from finger_model.fem.area_model import FullOrderAreas
 from finger_model.finger import serving
 from finger_model.reduced import ReducedModel
@@ -60,6 +61,8 @@ def fit_records(
 
     options.pool fits all subjects as one. Raises InputError when nothing can be fitted.
     """
+    if not options.pool:
+        _check_fingers(records)
     screened = screen(records, options.indentation_sd > 0)
     trials, excluded = prepare_all(screened.records, options)
     exclusions = [*screened.exclusions, *excluded]
@@ -122,6 +125,22 @@ def fit_records(
         contrasts=[found for part in parts.values() for found in part.contrasts],
         stopped=tried < len(own) or any(part.stopped for part in parts.values()),
     )
+
+
+def _check_fingers(records: Sequence[Any]) -> None:
+    """Raise InputError for trials of one subject that are of two fingers."""
+    fingers: dict[str, dict[str, list[Path]]] = {}
+    for record in records:
+        fingers.setdefault(record.subject or "", {}).setdefault(record.finger, []).append(
+            Path(*Path(record.bag).parts[-2:])
+        )
+    for code, bags in fingers.items():
+        if not may_be_one(*bags):
+            found = listed(f"{finger} in {listed(of, 1)}" for finger, of in bags.items() if finger)
+            raise InputError(
+                f"subject {code or UNNAMED} has trials of several fingers ({found}): fit the bags "
+                "of each finger alone, or all as if they were one finger's with --pool"
+            )
 
 
 def _check_codes(subjects: Iterable[str]) -> list[str]:
@@ -374,6 +393,8 @@ def fit_bags(
     model = model or ReducedModel.load()
     options.check_names(model.space, getattr(model, "geometry", None))
     folder = None if output is None else Path(output)
+    if folder is not None:
+        results.check_writable(folder)
     progress = Progress("", len(model.space), report)
     with progress.timed("load"):
         loaded = load(paths, settings or reading(options), progress.count("load"))

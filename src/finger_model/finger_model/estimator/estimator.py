@@ -53,7 +53,7 @@ from ..pose.correction import PoseCorrection
 from ..reduced.model import ReducedModel
 from . import prediction
 from .estimate import ESTIMATE_DTYPE, ContactEstimate, EstimateBlock
-from .events import TIME_JUMP, EstimatorEvent, EventType
+from .events import NO_FORCE, TIME_JUMP, EstimatorEvent, EventType
 from .filter_state import FilterState, new_rows
 from .inputs import InputQueue
 from .mismatch import Mismatch
@@ -310,6 +310,13 @@ class ContactEstimator:
         """Event that records which inputs came too late, so that a replay leaves them out too."""
         event = self._event(EventType.SETTINGS, "inputs came too late to be used")
         return replace(event, late_areas=tuple(areas), late_moistures=tuple(moistures))
+
+    def note_pause(self, first: int, last: int) -> EstimatorEvent:
+        """Event that records that no force came, so that areas of these stamps and of all between
+        were not used; nor are those that are still to come."""
+        event = replace(self._event(EventType.SETTINGS, NO_FORCE), late_areas=(first, last))
+        self._inputs.expect_late([event])
+        return event
 
     def start_event(self, stamp_ns: int, reason: str = "start") -> EstimatorEvent:
         """Event that records with what the estimator begins at the sample of this stamp."""

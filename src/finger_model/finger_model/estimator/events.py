@@ -20,6 +20,10 @@ ANOTHER_SUBJECT = "another subject: "
 """Beginning of the reason of the reset at another subject, whose moisture is not known yet."""
 
 
+NO_FORCE = "no force came: no area from the first to the second stamp was used"
+"""Reason of the event that records a pause of the force, however many areas came in it."""
+
+
 class EventType(IntEnum):
     """Kinds of event, numbered as in ModelEvent."""
 
@@ -36,7 +40,8 @@ class EstimatorEvent:
 
     stamp_ns: takes effect before the first wrench sample stamped like this or later.
     settings, parameter_sets: JSON and YAML text in force after the event.
-    late_areas, late_moistures: stamps of inputs that had arrived too late and were not used.
+    late_areas, late_moistures: stamps of inputs that had arrived too late and were not used; of a
+    pause, the first and the last one.
     """
 
     stamp_ns: int
@@ -52,6 +57,11 @@ class EstimatorEvent:
     def is_time_jump(self) -> bool:
         """Whether it records that time jumped back."""
         return self.type == EventType.RESET and self.reason == TIME_JUMP
+
+    @property
+    def is_pause(self) -> bool:
+        """Whether it records that no force came for a while."""
+        return self.reason == NO_FORCE and len(self.late_areas) == 2
 
     @property
     def is_another_subject(self) -> bool:

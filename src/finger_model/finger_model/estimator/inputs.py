@@ -41,6 +41,7 @@ class InputQueue:
         self._moistures: list[tuple[int, float]] = []
         self._area_stamps: deque[int] = deque(maxlen=64)
         self._known_late: set[tuple[str, int]] = set()
+        self._pauses: list[tuple[int, ...]] = []
 
     def is_late(self, stamp_ns: int, newest: int | None) -> bool:
         """Whether an input of this stamp is late; newest: stamp of the newest wrench sample."""
@@ -48,13 +49,18 @@ class InputQueue:
 
     def knows_late(self, kind: str, stamp_ns: int) -> bool:
         """Whether, by a recorded event, this "area" or "moisture" came too late."""
-        return (kind, stamp_ns) in self._known_late
+        paused = kind == "area" and any(a <= stamp_ns <= b for a, b in self._pauses)
+        return paused or (kind, stamp_ns) in self._known_late
 
     def expect_late(self, events: Iterable[EstimatorEvent]) -> None:
         """Leave out the inputs that came too late according to these recorded events."""
         for event in events:
+            if event.is_pause:
+                self._pauses.append(event.late_areas)
             self._known_late.update(("area", stamp) for stamp in event.late_areas)
             self._known_late.update(("moisture", stamp) for stamp in event.late_moistures)
+        # A pause is told at its end, when some of its areas wait already.
+        self._areas = [area for area in self._areas if not self.knows_late("area", area[0])]
 
     def is_duplicate(self, stamp_ns: int) -> bool:
         """Whether an area of this stamp came before; counts it."""
@@ -126,5 +132,6 @@ class InputQueue:
             return abs(item[0] - stamp_ns) < NANOSECONDS
 
         self._area_stamps.clear()
+        self._pauses.clear()
         self._areas = [area for area in self._areas if near(area)]
         self._moistures = [reading for reading in self._moistures if near(reading)]

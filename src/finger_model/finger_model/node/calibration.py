@@ -20,6 +20,7 @@ from finger_common.diagnostics import ERROR, OK, WARN
 from finger_common.errors import FingerError
 from finger_common.node import STATE_QOS, ManagedNode, PolledSubscription
 from finger_common.parameter_values import parameter_values
+from finger_common.subject_code import known_finger
 from finger_msgs.msg import SessionStatus, Trial
 
 from ..anthropometry import GeometryEstimate, session_estimate
@@ -31,8 +32,8 @@ Fit = Callable[
     [ParameterSets, list[CalibrationPress], "float | None", "GeometryEstimate | None"], Calibration
 ]
 """Of sets in use, presses, moisture (a.u.) and what calipers told of the finger."""
-Use = Callable[[str, ParameterSets], None]
-"""Takes the parameters of a subject live."""
+Use = Callable[[str, str, ParameterSets], None]
+"""Takes the parameters of a subject's finger live."""
 
 
 class LiveCalibration:
@@ -99,11 +100,12 @@ class LiveCalibration:
     ) -> None:
         """Fit the presses, take the result live and save it; in a thread of its own."""
         began, subject = time.monotonic(), message.subject
+        finger = known_finger(message.header.frame_id)
         try:
             found = self._fit(sets, presses, moisture, self._calipers_of(message.session))
             taken = time.monotonic() - began
-            self._use(subject, found.sets)
-            answer = keep_subject(folder, subject, found, taken)
+            self._use(subject, finger, found.sets)
+            answer = keep_subject(folder, subject, finger, found, taken)
         except Exception as error:
             reason = one_line(error) if isinstance(error, FingerError) else repr(error)
             self._refuse(message, reason)

@@ -9,12 +9,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from finger_common.axes import DEFAULT_NORMAL_AXIS, NORMAL_AXES
-from finger_common.errors import InputError
+from finger_common.errors import InputError, known_names
 from finger_common.moisture import MOISTURE_TEXT, is_moisture
 from finger_common.settings import Settings, setting
 from finger_common.units import AREA_UNITS, FORCE_UNITS, LENGTH_UNITS, TIME_UNITS
 from finger_vision.area_sensor import AREA_SENSORS
 
+from ..image_settings import named_values, sensor_settings
 from ..trial_split import CONDITION
 
 PIXELS = "px"
@@ -191,6 +192,9 @@ class ImportSettings(Settings):
     area_sensor: str = setting(
         AREA_SENSORS.default, "Area sensor that measures the contact.", group=IMAGES
     )
+    set: list[str] = setting(
+        [], "Settings of the area sensor as NAME=VALUE, such as minimum_area=1e-6.", group=IMAGES
+    )
     keep_images: bool = setting(
         False,
         "Write the images into the bag too, as lossless PNG. They show prints: biometric data.",
@@ -264,13 +268,26 @@ class ImportSettings(Settings):
             raise InputError(
                 f"--frame-rate {self.frame_rate:g}: below {SLOWEST_RATE:g} Hz; give images a second"
             )
-        _ = self.readings
+        if self.set and self.area:
+            raise InputError("--set is for --video and --images, not for --area")
+        _ = self.readings, self.sensor
 
     @property
     def grouping(self) -> dict[str, str]:
         """Option → column, of the columns that tell recordings apart."""
         names = ("subject_column", "condition_column", "trial_column")
         return {name: getattr(self, name) for name in names if getattr(self, name)}
+
+    @property
+    def sensor(self) -> dict[str, Any]:
+        """Settings of the area sensor that are given; raises InputError for what is none."""
+        values = named_values(self.set, "minimum_area=1e-6")
+        found = sensor_settings(self.area_sensor, values)
+        for name in values:
+            table = AREA_SENSORS.load(self.area_sensor).SETTINGS.parameters()
+            known = known_names(name, (p.name for p in table))
+            raise InputError(f"--set: '{name}' is no setting of the area sensor; {known}")
+        return found
 
     @property
     def readings(self) -> list[float]:

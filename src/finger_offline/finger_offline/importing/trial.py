@@ -28,7 +28,8 @@ from finger_common.trial_phases import TrialPhase
 from finger_vision.area_sensor import AREA_SENSORS, measured
 from finger_vision.calibration import PlateCalibration
 
-from ..image_areas import area_fields
+from ..image_areas import area_fields, repeated_text, repeats
+from ..image_settings import told_settings
 from ..indentation_checks import indentation_fault
 from ..lag import MAXIMUM_LAG, indentation_lag, lag_text
 from ..trial_checks import PLAUSIBLE_AREA
@@ -308,19 +309,27 @@ class _Recording:
     def _measured_areas(self, frames: Iterator[Frame], count: int, begin: int) -> Iterator[_Item]:
         settings, result = self.settings, self.result
         plate = PlateCalibration.given(settings.calibration, settings.area_per_pixel)
-        sensor = AREA_SENSORS.open({"area_sensor": settings.area_sensor}, plate)
+        name, values = settings.area_sensor, settings.sensor
+        if told := told_settings(name, values):
+            result.notes.append(f"areas measured with {told} of the area sensor")
+        sensor = AREA_SENSORS.open({**values, "area_sensor": name}, plate)
         stamps, areas = result.area_stamps, result.areas
+        last, before, repeated = 0, None, 0
         for number, (time, image) in enumerate(frames, 1):
             stamp = begin + time
-            if stamps and stamp <= stamps[-1]:
+            if number > 1 and stamp <= last:
                 raise InputError(
                     f"{settings.image_times or settings.video}: time of frame {number} is not "
                     "after the one before; correct the times"
                 )
-            found = measured(sensor, image, learn=True)
-            stamps.append(stamp)
-            areas.append(found.gross_area)
-            yield stamp, "contact_area", area_fields(stamp, found, "plate")
+            # A codec makes equal frames of a scene that hardly moves.
+            known = not settings.video and repeats(image, before)
+            last, before, repeated = stamp, image, repeated + known
+            if not known:
+                found = measured(sensor, image, learn=True)
+                stamps.append(stamp)
+                areas.append(found.gross_area)
+                yield stamp, "contact_area", area_fields(stamp, found, "plate")
             if settings.keep_images:
                 data = cv2.imencode(".png", image)[1].tobytes()
                 header = {"frame_id": "camera_optical"}
@@ -331,6 +340,7 @@ class _Recording:
                 )
             if self._show is not None:
                 self._show("areas", number, max(count, number))
+        result.notes += repeated_text(repeated)
 
     # Checks ----------------------------------------------------------------------------------
 

@@ -23,6 +23,10 @@ SEEN: dict[str, type] = {"seen_session": str, "seen_trial": int, "seen_step": st
 PARAMETERS = "protocol/set_parameters"
 """Service that takes what a command sets."""
 
+SUBJECT = "for_subject"
+"""Argument of what begins a session: the subject that its dialog has set. Another one may have been
+set since, in another dialog."""
+
 
 @dataclass(frozen=True)
 class Command:
@@ -42,7 +46,10 @@ class Command:
 COMMANDS: dict[str, Command] = {
     **{
         name: Command(SEEN, f"protocol/{name}")
-        for name in "start calibrate pause resume redo skip end abort marker close".split()
+        for name in "pause resume redo skip end abort marker close".split()
+    },
+    **{
+        name: Command({**SEEN, SUBJECT: str}, f"protocol/{name}") for name in ("start", "calibrate")
     },
     "note": Command(
         {"text": str, "trial": int, **SEEN},
@@ -87,6 +94,7 @@ COMMANDS: dict[str, Command] = {
 
 OPTIONAL = {
     *SEEN,
+    SUBJECT,
     *("age", "hand", "finger", "finger_width", "finger_depth", "order", "order_seed"),
 }
 """Arguments that may be left out; the protocol's parameters stay as they are."""

@@ -99,7 +99,8 @@ function openSession() {
   const shown = seen();
   newSession(state.status, async (plan, calibrate) => {
     const answer = await command("configure", plan, true);
-    return answer.success ? command(calibrate ? "calibrate" : "start", shown) : answer;
+    if (!answer.success) return answer;
+    return command(calibrate ? "calibrate" : "start", { ...shown, for_subject: plan.subject });
   }, (given) => command("order", given, true));
 }
 
