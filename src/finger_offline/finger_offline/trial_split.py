@@ -123,26 +123,22 @@ RELEASE = 0.5
 NOTABLE = 0.3
 """s between announcements and forces that two clocks explain, and no delay."""
 
-_SAMPLE = np.dtype([("stamp_ns", "i8"), ("normal", "f8"), ("lateral", "f8")])
+_SAMPLE = np.dtype([("stamp_ns", "i8"), ("normal", "f8"), ("lateral", "f8"), ("pressing", "f8")])
 
 
-def forces_of(streams: SessionStreams, settings: ReadSettings) -> np.ndarray:
-    """Stamps, normal and lateral forces (n,) of the finite wrenches, in the order of their
-    stamps."""
+def force_samples(streams: SessionStreams, settings: ReadSettings) -> np.ndarray:
+    """Stamps and forces (n,) of the finite wrenches, in the order of their stamps; pressing: the
+    normal force by which presses are told apart."""
     samples = np.empty(len(streams.wrenches.stamp_ns), _SAMPLE)
     samples["stamp_ns"] = streams.wrenches.stamp_ns
     samples["normal"] = normal_force(streams.wrenches.force, settings.axis)
     samples["lateral"] = lateral_force(streams.wrenches.force, settings.axis)
-    return in_stamp_order(samples[np.isfinite(samples["normal"])])
-
-
-def pressing_samples(streams: SessionStreams, settings: ReadSettings) -> np.ndarray:
-    """As `forces_of`, with the normal force by which presses are told apart."""
-    samples, areas = forces_of(streams, settings), in_stamp_order(streams.areas)
+    samples = in_stamp_order(samples[np.isfinite(samples["normal"])])
+    areas = in_stamp_order(streams.areas)
     empty = without_contact(areas["area"], areas["flags"])
     touched = np.isfinite(areas["area"]) & ~empty
     frames = areas["stamp_ns"]
-    samples["normal"] = pressing_force(
+    samples["pressing"] = pressing_force(
         np.ascontiguousarray(samples["stamp_ns"]),
         np.ascontiguousarray(samples["normal"]),
         frames[touched],
@@ -218,13 +214,12 @@ class _Recording:
         self._metadata, self._settings, self._bag = metadata, settings, bag
         normal = normal_force(streams.wrenches.force, settings.axis)
         self.unusable = int((~np.isfinite(normal)).sum())
-        samples = forces_of(streams, settings)
-        self.stamp_ns, self.normal, self._lateral = (
-            np.ascontiguousarray(samples[name]) for name in ("stamp_ns", "normal", "lateral")
+        samples = force_samples(streams, settings)
+        self.stamp_ns, self._normal, self._lateral, self.pressing = (
+            np.ascontiguousarray(samples[name]) for name in _SAMPLE.names
         )
         self._areas = in_stamp_order(streams.areas)
         self._indentations = in_stamp_order(streams.indentations)
-        self.pressing = pressing_samples(streams, settings)["normal"]
         self.presses = settings.presses(self.stamp_ns, self.pressing)
 
     def trial(
@@ -256,7 +251,7 @@ class _Recording:
             attempt=event.attempt if event else 0,
             target_force=target if target > 0 else TARGET_FORCE,
             stamp_ns=stamp[low:high],
-            force=self.normal[low:high],
+            force=self._normal[low:high],
             lateral_force=self._lateral[low:high],
             area_stamp_ns=areas["stamp_ns"].copy(),
             area=areas["area"].copy(),
