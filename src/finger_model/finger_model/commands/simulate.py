@@ -14,7 +14,7 @@ import numpy as np
 
 from finger_common.cli import one_line
 from finger_common.errors import InputError
-from finger_common.files import check_output
+from finger_common.files import atomic_write, check_output
 from finger_common.progress import Stages
 
 from ..fem.elasticity import ELASTICITIES, NEO_HOOKE
@@ -178,10 +178,7 @@ def run(arguments: argparse.Namespace) -> int:
     if pull is not None:
         assert isinstance(material, MaxwellLaw)  # as all that have a reduced model
         found = pull_history(history, pull, geometry, material)
-    if arguments.output:
-        found.to_csv(arguments.output)
-    else:
-        sys.stdout.write(found.csv_text())
+    _write(found.csv_text(), arguments.output)
     return 0
 
 
@@ -252,10 +249,7 @@ def _solid(
         history = model.simulate(
             material, time, force, pull, lambda done: stages.update(FULL_ORDER, done)
         )
-    if arguments.output:
-        history.to_csv(arguments.output)
-    else:
-        sys.stdout.write(history.csv_text())
+    _write(history.csv_text(), arguments.output)
     return 0
 
 
@@ -266,6 +260,15 @@ def _check_output(*paths: str | None) -> None:
             raise InputError(f"{path}: the folder does not exist; create it first")
         if path and Path(path).is_dir():
             raise InputError(f"{path}: is a folder; give the name of a file")
+
+
+def _write(text: str, output: str | None) -> None:
+    """Write to the file, or to the terminal where none is given."""
+    if not output:
+        sys.stdout.write(text)
+        return
+    with atomic_write(output) as file:
+        file.write(text)
 
 
 def _reduced(
