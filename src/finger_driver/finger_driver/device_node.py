@@ -63,7 +63,7 @@ class DeviceNode(ManagedNode):
         """Publishers and services, once the device is connected."""
         raise NotImplementedError
 
-    def on_sample(self, sample: Any) -> Rest:
+    def on_sample(self, sample: Any) -> Rest | None:
         """Publish one sample; called in the reading thread.
 
         May return a function for what can wait until the samples of other devices that came at the
@@ -122,7 +122,7 @@ class DeviceNode(ManagedNode):
         self.device.health.count("backwards")
         return False
 
-    def _deliver(self, sample: Any) -> Rest:
+    def _deliver(self, sample: Any) -> Rest | None:
         rest = self._unless_ended(self.on_sample, sample)
         return None if rest is None else partial(self._unless_ended, rest)
 
