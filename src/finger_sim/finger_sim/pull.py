@@ -91,7 +91,7 @@ def pressed_and_pulled(
     press_rng: np.random.Generator, pull_rng: np.random.Generator, friction: float
 ) -> tuple[Press, Pull]:
     """A press that is held, and its pull; friction: of the finger."""
-    press = plan_press(press_rng, None, STYLE, LOAD)
+    press = plan_press(press_rng, STYLE, LOAD)
     return press, plan_pull(pull_rng, press, friction)
 
 
