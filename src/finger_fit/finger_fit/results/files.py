@@ -268,9 +268,9 @@ def _sets(
     return ParameterSets(
         sets,
         str(result.sources.get("geometry_hash", "")),
-        str(result.sources.get("reduced_model_hash", "")),
-        "fit",
-        law,
+        reduced_model_hash=str(result.sources.get("reduced_model_hash", "")),
+        where="fit",
+        law=law,
         geometry=None if geometry == Geometry() else geometry,
         presses=_scatter(result, [_residuals(fit) for fit in fits.values()]),
     )
@@ -338,7 +338,7 @@ def write(result: FitResult, folder: Path) -> None:
         _write(part, folder / name)
     _write(result, folder)
     found = subject_sets(result)
-    for part in result.subjects.values() or [result]:
+    for part in result.parts.values():
         code = _subject_of(part)
         if not is_subject(code) or part.unfinished:
             continue
@@ -383,7 +383,7 @@ def subject_sets(result: FitResult) -> dict[str, ParameterSets]:
     parameters.yaml but of conditions that fail a data check; not of trials that are pooled or have
     no code."""
     found = {}
-    for part in result.subjects.values() or [result]:
+    for part in result.parts.values():
         code, material = _subject_of(part), material_of(part.model)
         fits = {n: f for n, f in _by_moisture(part.fits).items() if not failing(f)}
         if fits and is_subject(code) and material is not None and not part.unfinished:

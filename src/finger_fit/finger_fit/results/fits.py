@@ -273,6 +273,11 @@ class FitResult:
         cut = [name for name, fit in self.fits.items() if fit.status == "interrupted"]
         return [*cut, *self.missing]
 
+    @property
+    def parts(self) -> dict[str, FitResult]:
+        """The result of each subject; of a single one this result, with an empty name."""
+        return self.subjects or {"": self}
+
     def example(self) -> tuple[ConditionFit, int]:
         """The condition in the middle, and the index of its trial of median cost."""
         fits = list(self.fits.values())

@@ -212,7 +212,7 @@ def indentation_rows(result: FitResult) -> Iterator[dict[str, Any]]:
 
 def named(result: FitResult) -> Iterator[tuple[str, str, ConditionFit]]:
     """Subject, condition and fit of everything that was fitted."""
-    for part in result.subjects.values() or [result]:
+    for part in result.parts.values():
         for condition, fit in part.fits.items():
             yield codes_of(fit.problem.trials), condition, fit
 

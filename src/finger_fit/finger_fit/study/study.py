@@ -419,7 +419,7 @@ def draw(result: FitResult) -> None:
     full_order = FullOrder.like(result.model)
     if full_order is None:
         return
-    for part in result.subjects.values() or [result]:
+    for part in result.parts.values():
         fit, trial = part.example()
         try:
             part.deformed = deformed_finger(fit, trial, full_order)
