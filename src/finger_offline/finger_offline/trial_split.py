@@ -72,33 +72,19 @@ class TrialSettings(ImageSettings, ReadSettings):
         check_thresholds(self.onset_force, self.liftoff_force)
 
     def presses(self, stamp_ns: np.ndarray, force: np.ndarray) -> list[tuple[int, int]]:
-        """As the function `presses`, with these settings."""
-        return presses(stamp_ns, force, self.onset_force, self.liftoff_force, self.merge_gap)
+        """Presses in normal forces (n,) as (first sample, first sample after)."""
+        found: list[tuple[int, int]] = []
+        for first, end in contacts(force, self.onset_force, self.liftoff_force):
+            if found and seconds(stamp_ns[first] - stamp_ns[found[-1][1] - 1]) < self.merge_gap:
+                found[-1] = (found[-1][0], end)
+            else:
+                found.append((first, end))
+        return found
 
     @classmethod
     def of(cls, settings: ReadSettings) -> TrialSettings:
         """Default settings for a bag that is read in this way."""
         return cls(settings.mapping, **settings.to_dict())
-
-
-def presses(
-    stamp_ns: np.ndarray,
-    force: np.ndarray,
-    onset_force: float = ONSET_FORCE,
-    liftoff_force: float = LIFTOFF_FORCE,
-    merge_gap: float = 0.1,
-) -> list[tuple[int, int]]:
-    """Presses in normal forces (n,) as (first sample, first sample after).
-
-    The settings are those of TrialSettings.
-    """
-    found: list[tuple[int, int]] = []
-    for first, end in contacts(force, onset_force, liftoff_force):
-        if found and seconds(stamp_ns[first] - stamp_ns[found[-1][1] - 1]) < merge_gap:
-            found[-1] = (found[-1][0], end)
-        else:
-            found.append((first, end))
-    return found
 
 
 def without_contact(area: np.ndarray, flags: np.ndarray) -> np.ndarray:
