@@ -57,8 +57,8 @@ from finger_msgs.srv import Record
 
 from .limits import Limits
 from .normal_force import NormalForce
-from .page.readiness import TARE_NEEDED, refusal, tared_by
 from .protocol import Effect, Protocol, StartRecording, Step, StopRecording
+from .readiness import TARE_NEEDED, refusal, tared_by
 from .recorder_requests import RecorderRequests
 from .session_store import (
     STATE_FILE,
