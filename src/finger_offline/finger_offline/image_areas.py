@@ -53,15 +53,14 @@ def grey_image(message: Any) -> np.ndarray:
 class ImageAreas:
     """Collects the areas of images; `add` one image message after the other, in order.
 
-    pixels: of all images together, None: without limit; those behind them are not measured, and
-    counted in `left_out`.
+    pixels: of all images together; those behind them are not measured, and counted in `left_out`.
     motion: follows the ridges, None: nobody does.
     """
 
     def __init__(
         self,
         sensor: AreaSensor,
-        pixels: PixelBudget | None = None,
+        pixels: PixelBudget,
         motion: RidgeMotion | None = None,
     ) -> None:
         self._sensor = sensor
@@ -86,12 +85,11 @@ class ImageAreas:
 
     def measure(self, message: Any) -> ContactMeasurement:
         """Measure one image; raises InputError when it is no usable image."""
-        if self._pixels is not None and self._pixels.spent:
+        if self._pixels.spent:
             self.left_out += 1
             raise InputError("more pixels than a bag of this size can hold; not measured")
         image = grey_image(message)
-        if self._pixels is not None:
-            self._pixels.take(image.size)
+        self._pixels.take(image.size)
         if image.dtype == np.uint16:
             self._brightest = max(self._brightest, int(image.max()))
         return with_motion(measured(self._sensor, image, learn=True), image, self._motion)
