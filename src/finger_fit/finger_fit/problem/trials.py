@@ -116,13 +116,15 @@ class Recording:
 class FitTrial:
     """One trial as a fit uses it (SI).
 
-    label: bag and index; area (k,), area_sd (k,): measured at the frames that count; low (k,): the
-    frame lies below the low force; moisture: mean of the readings, NaN without any; readings (m,):
-    a.u.; dropped: frames inside the window without a measured area; rest: the unloaded plate, None
-    where the trial does not show it. indentation (q,): measured, in m from an unknown zero, at the
-    times of the frames that count on the clock of the force; empty where none was measured.
+    record: the recorded trial that it is made of; label: bag and index; area (k,), area_sd (k,):
+    measured at the frames that count; low (k,): the frame lies below the low force; moisture: mean
+    of the readings, NaN without any; readings (m,): a.u.; dropped: frames inside the window without
+    a measured area; rest: the unloaded plate, None where the trial does not show it. indentation
+    (q,): measured, in m from an unknown zero, at the times of the frames that count on the clock of
+    the force; empty where none was measured.
     """
 
+    record: Any
     label: str
     condition: str
     subject: str
@@ -272,6 +274,7 @@ def prepare(record: Any, options: FitOptions) -> FitTrial:
     drive = recording.drive(tare, 0.0, options)
     sd = np.asarray(record.area_sd, dtype=float)
     return FitTrial(
+        record=record,
         label=label_of(record),
         condition=record.condition or "",
         subject=record.subject or "",

@@ -19,7 +19,7 @@ from finger_model.laws import ParameterSpace, ParameterSpec
 
 from ..full_order import FullOrder
 from ..nuisance.names import absorber_of
-from ..problem import MM4, FitProblem, FitTrial, Goal, prepare_all
+from ..problem import MM4, FitProblem, Goal, prepare_all
 from ..results import ConditionFit
 from ..search import Coordinates, all_free, refine
 from ..uncertainty import covariance
@@ -184,22 +184,16 @@ def thickness_fit(problem: FitProblem, best: np.ndarray, full_order: FullOrder) 
     }
 
 
-def force_modes(fit: ConditionFit, records: Sequence[Any]) -> dict[str, dict[str, float]]:
+def force_modes(fit: ConditionFit) -> dict[str, dict[str, float]]:
     """J (mm⁴) and the headline quantity with the force at its full rate and as in the paper.
 
     The mode that the fit did not use is refitted locally to the same trials.
     """
     options, headline = fit.problem.options, fit.space.headline
     other = "paper" if options.force == "full" else "full"
-
-    def identity(trial: FitTrial) -> tuple[str, bytes]:
-        # Trials of two conditions may have the same label, but not the same measured areas.
-        return trial.label, trial.area.tobytes()
-
-    wanted = {identity(trial) for trial in fit.problem.trials}
     changed = replace(options, force=other)
-    trials, _ = prepare_all(records, changed)
-    problem = FitProblem([t for t in trials if identity(t) in wanted], fit.problem.model, changed)
+    trials, _ = prepare_all([trial.record for trial in fit.problem.trials], changed)
+    problem = FitProblem(trials, fit.problem.model, changed)
     problem.weigh(fit.problem.area_noise)
     if len(problem.observed) == len(fit.problem.observed):
         problem.correction = fit.problem.correction
