@@ -202,7 +202,8 @@ class _Recording:
         self.unusable = int((~np.isfinite(normal)).sum())
         samples = force_samples(streams, settings)
         self.stamp_ns, self._normal, self._lateral, self.pressing = (
-            np.ascontiguousarray(samples[name]) for name in _SAMPLE.names
+            np.ascontiguousarray(samples[name])
+            for name in ("stamp_ns", "normal", "lateral", "pressing")
         )
         self._areas = in_stamp_order(streams.areas)
         self._indentations = in_stamp_order(streams.indentations)
