@@ -3,8 +3,8 @@
 
 """From recorded trials to what a fit compares: the force that drives the model, and the frames.
 
-A recorded trial is any object with the fields of `finger_offline.trials.TrialRecord`. The trials
-that are excluded, and the reasons, are part of the result.
+A recorded trial is any object with the fields of `finger_offline.trial_records.TrialRecord`. The
+trials that are excluded, and the reasons, are part of the result.
 """
 
 from __future__ import annotations
@@ -181,7 +181,7 @@ class Exclusion:
 
     @classmethod
     def of(cls, record: Any, reason: str) -> Exclusion:
-        """Name a recorded trial that is left out."""
+        """Name a recorded trial that is left out, or one left out when the bags were read."""
         return cls(label_of(record), record.condition or "", reason, record.subject or "")
 
 

@@ -110,10 +110,7 @@ def load(
             "again with --vision"
         )
     out.records, again = without_superseded(out.records)
-    out.exclusions = [
-        Exclusion(f"{Path(e.bag).name} trial {e.index}", e.condition, e.reason, e.subject)
-        for e in [*excluded, *again]
-    ]
+    out.exclusions = [Exclusion.of(e, e.reason) for e in [*excluded, *again]]
     return out
 
 
