@@ -62,14 +62,14 @@ class JointGoal:
     def __init__(self, goals: Sequence[Goal], splits: np.ndarray) -> None:
         self._goals, self._splits = goals, splits
 
-    def cost(self, areas: np.ndarray) -> np.ndarray:
-        """Cost (…,) in m⁴ of areas (…, n)."""
-        parts = np.split(areas, self._splits, axis=-1)
+    def cost(self, outputs: np.ndarray) -> np.ndarray:
+        """Cost (…,) in m⁴ of outputs (…, n)."""
+        parts = np.split(outputs, self._splits, axis=-1)
         return np.sum([goal.cost(part) for goal, part in zip(self._goals, parts)], axis=0)
 
-    def rows(self, areas: np.ndarray) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
-        """Rows as of `Goal.rows`, those of the conditions one after the other."""
-        parts = np.split(areas, self._splits)
+    def rows(self, outputs: np.ndarray) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
+        """Terms as of `Goal.rows`, those of the conditions one after the other."""
+        parts = np.split(outputs, self._splits)
         found = [goal.rows(part) for goal, part in zip(self._goals, parts)]
 
         def linear(change: np.ndarray) -> np.ndarray:
