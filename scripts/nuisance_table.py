@@ -223,12 +223,6 @@ MISFITS: dict[str, tuple[str, Rig]] = {
 """Fingers that the fit's model does not hold."""
 
 
-class InProcess(LocalEngine):
-    """Everything in this process."""
-
-    spread = LocalEngine.map
-
-
 @cache
 def model() -> ReducedModel:
     return ReducedModel.load()
@@ -432,7 +426,7 @@ def responses_of(name: str, folder: Path | None) -> dict[str, Response]:
     options = FitOptions(step=STEP)
     records = [record(name, i, Rig(), 0, None, options) for i in range(TRIALS_PER_CONDITION)]
     problem = problem_of(name, Rig(), records, options)
-    better = FullOrderGeometry(FullOrder.like(model(), InProcess()))
+    better = FullOrderGeometry(FullOrder.like(model(), LocalEngine(1)))
     truth = STUDY[name].material.vector()
     found = geometry_responses(problem, truth, better, {"epidermis_thickness": 0.25})
     if path is not None:
@@ -478,7 +472,7 @@ def fit_case(
     nuisances = NuisanceModel(problem, options, population=population)
     found = nuisances.settle(np.vstack([truth, alone.parameters]))
     if rig.curve:
-        correct(problem, found.fit.parameters, FullOrder.like(assumed, InProcess()))
+        correct(problem, found.fit.parameters, FullOrder.like(assumed, LocalEngine(1)))
         found = nuisances.settle(found.fit.parameters[None])
     fit, known = found.fit, covariance(problem, found.fit.parameters)
     out |= {

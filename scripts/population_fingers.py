@@ -30,7 +30,7 @@ import yaml
 
 from finger_common.files import atomic_write
 from finger_common.flags import StateFlag
-from finger_model.estimator import ContactEstimator, EstimatorSettings, members
+from finger_model.estimator import ContactEstimator, members
 from finger_model.fem.full_order import FullOrderModel
 from finger_model.finger_prior import FingerPrior
 from finger_model.parameter_sets import ParameterSets
@@ -129,16 +129,14 @@ def _full_order(
     return tables
 
 
-def run_session(
-    session: Session, cameras: range, settings: EstimatorSettings | None = None
-) -> Iterator[dict[str, np.ndarray]]:
+def run_session(session: Session, cameras: range) -> Iterator[dict[str, np.ndarray]]:
     """Estimates of each press whose area a camera sees for the presses in `cameras`.
 
     Columns (n,) of the samples in contact: truth, area, area_stddev, model_area, force, held (the
     camera's newest usable area, NaN before the first), flags.
     """
     rng = np.random.default_rng(session.seed)
-    estimator = ContactEstimator(ReducedModel.load(), settings=settings)
+    estimator = ContactEstimator(ReducedModel.load())
     if np.isfinite(session.reading):
         estimator.add_moisture(START - 10**9, session.reading)
     delay = estimator.settings.fusion_delay

@@ -260,12 +260,6 @@ def errors(parameters: np.ndarray, truth: np.ndarray) -> dict[str, float]:
     return {q: float(np.log(value(q, parameters) / value(q, truth))) for q in QUANTITIES}
 
 
-class InProcess(LocalEngine):
-    """Everything in this process."""
-
-    spread = LocalEngine.map
-
-
 def fit_one(
     trials: list[StudyTrial],
     seed: int,
@@ -289,7 +283,7 @@ def fit_one(
     by_index = {r.index: (r, t) for r, t in zip(records, trials)}
     prepared, _ = prepare_all(records, options)
     problem = FitProblem(prepared, model, options)
-    better: Any = table or FullOrder.like(model, InProcess())
+    better: Any = table or FullOrder.like(model, LocalEngine(1))
     if table is not None:
         table.records = {(r.condition, r.index): r for r in records}
     out: dict[str, Any] = {"condition": name, "window": window, "seed": seed}
