@@ -274,6 +274,12 @@ class FitResult:
         return [*cut, *self.missing]
 
     @property
+    def subject(self) -> str:
+        """Code of the subject of all trials, empty where there are several."""
+        codes = {trial.subject for fit in self.fits.values() for trial in fit.problem.trials}
+        return codes.pop() if len(codes) == 1 else ""
+
+    @property
     def parts(self) -> dict[str, FitResult]:
         """The result of each subject; of a single one this result, with an empty name."""
         return self.subjects or {"": self}
