@@ -33,6 +33,7 @@ from finger_common.errors import InputError
 
 from .anthropometry import GeometryEstimate
 from .estimator import EstimatorSettings, members
+from .estimator.neighbourhood import Neighbourhood
 from .estimator.parameter_selection import check_sets, select_parameters
 from .finger_prior import COORDINATES, FingerPrior
 from .geometry import Geometry
@@ -431,47 +432,30 @@ def _covariance(press: _Areas, predicted: np.ndarray, scatter: float, misfit: fl
     return np.diag(press.sd**2) + relative * np.outer(predicted, predicted)
 
 
-def _members(
-    model: ReducedModel, base: np.ndarray, w: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Constants (4,) and states at rest (4,) of the finger at w (3,), scratch, and the members."""
-    near = np.zeros(1, members.MEMBERS)
-    members.shift_all(near, np.ascontiguousarray(w))
-    constants = np.repeat(base, 1 + members.DIRECTIONS)
-    finger = np.concatenate([model.state_at_rest(base)] * len(constants))
-    # Apart from the model's own scratch, which a live estimator may be using.
-    work = model.work.copy()
-    members.place_all(model.networks, base, constants, finger, work, near)
-    return constants, finger, work, near
-
-
 def _follow(
     model: ReducedModel, base: np.ndarray, w: np.ndarray, presses: Sequence[CalibrationPress]
 ) -> list[_Areas]:
     """The presses beside the model of a finger at w (3,), which creeps on between them."""
-    constants, finger, work, near = _members(model, base, w)
+    near = Neighbourhood.at(model, base, w)
     found = []
     before = presses[0].time[0]
     for press in presses:
         steps = np.arange(press.time[0], press.time[-1], MODEL_STEP)
         time = np.union1d(steps, press.area_time)
         force = np.maximum(np.interp(time, press.time, press.force, 0.0, 0.0), 0.0)
-        table = np.empty((len(time), 3 + 2 * members.DIRECTIONS))
-        members.follow(
-            model.networks, constants, finger, work, near.copy(), before, time, force, table
-        )
+        followed = near.follow(before, time, force)
         before = time[-1]
         at = np.searchsorted(time, press.area_time)
-        sensitivities = table[at, 3 : 3 + members.DIRECTIONS]
+        sensitivities = followed.sensitivities[at]
         phi = np.log(np.maximum(force[at], SMALLEST_FORCE))
         found.append(
             _Areas(
                 press.area_time,
                 press.area,
                 press.area_sd,
-                np.maximum(table[at, 0], SMALLEST_MODEL_AREA),
+                np.maximum(followed.area[at], SMALLEST_MODEL_AREA),
                 np.column_stack([np.ones(len(at)), phi, sensitivities]),
-                sensitivities @ near["shift"][0],
+                sensitivities @ near.shift,
             )
         )
     return found
