@@ -34,7 +34,8 @@ from finger_model.estimator import ContactEstimate
 from finger_model.estimator.estimate import ESTIMATE_FIELDS
 from finger_model.geometry import Geometry
 from finger_model.pose import correction
-from finger_model.pose.estimator import MeasuredOutline, PoseEstimator, ShapeEstimate
+from finger_model.pose.estimate import MeasuredOutline, ShapeEstimate
+from finger_model.pose.estimator import PoseEstimator
 from finger_model.pose.networks import MIDDLE_SKIN_RATIO, inputs
 from finger_model.pose.pose import Pose
 from finger_model.pose.settings import PoseSettings

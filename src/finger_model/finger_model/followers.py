@@ -24,7 +24,8 @@ from finger_common.moisture import MOISTURE_RANGE
 from .estimator import ContactEstimate, ContactEstimator, EstimateBlock
 from .laws import MaxwellLaw
 from .parameter_sets import ParameterSets
-from .pose.estimator import MeasuredOutline, PoseEstimator, ShapeEstimate
+from .pose.estimate import MeasuredOutline, ShapeEstimate
+from .pose.estimator import PoseEstimator
 from .pose.settings import PoseSettings
 from .reduced.model import ReducedModel
 from .slip import SlipEstimate, SlipEstimator, SlipSettings

@@ -21,7 +21,8 @@ from finger_model.geometry import Geometry
 from finger_model.laws import GeneralizedMaxwell2, StandardLinearSolid
 from finger_model.parameter_sets import ParameterSet, ParameterSets
 from finger_model.pose.correction import STEEP, PoseCorrection
-from finger_model.pose.estimator import MeasuredOutline, PoseEstimator
+from finger_model.pose.estimate import MeasuredOutline
+from finger_model.pose.estimator import PoseEstimator
 from finger_model.pose.pose import Pose
 from finger_model.pose.settings import PoseSettings
 from finger_model.pose.touch import first_touch

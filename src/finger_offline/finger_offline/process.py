@@ -39,7 +39,6 @@ from finger_model.estimator.estimate import ESTIMATE_DTYPE
 from finger_model.finger import load_for
 from finger_model.followers import Followers
 from finger_model.messages import (
-    NO_OUTLINE,
     NOT_WHOLE,
     area_of,
     event_of,
@@ -48,7 +47,7 @@ from finger_model.messages import (
     stick_of,
 )
 from finger_model.parameter_sets import ParameterSets
-from finger_model.pose.estimator import MeasuredOutline, ShapeEstimate
+from finger_model.pose.estimate import NO_OUTLINE, MeasuredOutline, ShapeEstimate
 from finger_model.pose.settings import PoseSettings
 from finger_model.reduced.model import load_population
 from finger_model.slip import SlipSettings
