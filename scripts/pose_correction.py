@@ -292,7 +292,6 @@ def _pressed(press: list[Row], rng: np.random.Generator) -> ShapeEstimate:
                     5e-5,
                     *(0.01 * np.sort(axes)[::-1]).tolist(),
                 ),
-                0.0,
             )
         pull = np.array([0.1 * force, 0.05 * force, -force])
         pressed = between([r.pressure for r in press]) + place

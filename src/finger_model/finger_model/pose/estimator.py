@@ -80,7 +80,7 @@ class PoseEstimator:
         self._assumed = assumed
         self._correction: PoseCorrection | None = None
         self.outlines: Delayed[MeasuredOutline] = Delayed()
-        """Outlines that wait."""
+        """Outlines that wait; the owner sets the delay."""
         self._areas: deque[tuple[int, float]] = deque(maxlen=REMEMBERED)
         self.turn(normal_axis)
 
@@ -148,11 +148,10 @@ class PoseEstimator:
 
     # Inputs ----------------------------------------------------------------------------------
 
-    def expect_outline(self, stamp_ns: int, outline: MeasuredOutline, delay: float) -> None:
-        """An outline seen at `stamp_ns`; it is used at the first sample stamped that plus `delay`
-        (s) or later, so that the result does not depend on when it comes. The delay is that of all
-        that wait. A second one of a stamp is left out, and one that is not `usable`."""
-        self.outlines.delay = delay
+    def expect_outline(self, stamp_ns: int, outline: MeasuredOutline) -> None:
+        """An outline seen at `stamp_ns`; it is used at the first sample stamped that plus
+        `outlines.delay` or later, so that the result does not depend on when it comes. A second one
+        of a stamp is left out, and one that is not `usable`."""
         if outline.usable:
             self.outlines.add(stamp_ns, outline)
 
