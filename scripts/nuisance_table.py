@@ -56,7 +56,8 @@ from finger_fit.nuisance.geometry import (
     geometry_responses,
 )
 from finger_fit.options import FitOptions
-from finger_fit.problem import MM4, FitProblem, fit_power_law, prepare_all
+from finger_fit.problem import FitProblem, fit_power_law, prepare_all
+from finger_fit.report_units import MM4
 from finger_fit.search import all_free, refine
 from finger_fit.uncertainty import covariance, in_interval
 from finger_model.geometry import Geometry

@@ -47,7 +47,8 @@ from finger_fit.engine import LocalEngine
 from finger_fit.full_order import FullOrder, correct, correction_around
 from finger_fit.full_order.areas import REFINEMENT
 from finger_fit.options import FitOptions
-from finger_fit.problem import MM4, FitProblem, FitTrial, fit_power_law, prepare, prepare_all
+from finger_fit.problem import FitProblem, FitTrial, fit_power_law, prepare, prepare_all
+from finger_fit.report_units import MM4
 from finger_fit.search import all_free, best_points, refine, search_grid
 from finger_fit.study import polish
 from finger_fit.uncertainty import bias_corrected, bias_pair, covariance, cramer_rao, in_interval

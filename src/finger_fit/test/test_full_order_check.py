@@ -17,7 +17,8 @@ from finger_fit.engine import LocalEngine
 from finger_fit.full_order import FullOrder, check, correct
 from finger_fit.full_order.correction import shifted
 from finger_fit.options import FitOptions
-from finger_fit.problem import MM4, AreaCorrection, FitProblem
+from finger_fit.problem import AreaCorrection, FitProblem
+from finger_fit.report_units import MM4
 from finger_fit.search import all_free, refine
 from finger_fit.study.deformed import deformed_finger
 from finger_model.fem.area_model import FullOrderAreas, thinned_rows

@@ -27,11 +27,8 @@ from typing import Protocol
 
 import numpy as np
 
-from ..nuisance.names import is_assumed
-from .report_units import MM2
-
-PRESS_GAIN = "press_gain"
-"""Name of the logarithm of each press's gain."""
+from ..nuisance_names import PRESS_GAIN, is_assumed
+from ..report_units import MM2
 
 
 class Loss(Protocol):

@@ -22,7 +22,7 @@ from finger_common.flags import AreaFlag
 from finger_offline.unloaded import LATE_START, Tare, unloaded_tare
 
 from ..options import FitOptions
-from .report_units import minus
+from ..report_units import minus
 
 REST_FORCE = 0.005
 """N; a smoothed force up to this is no touch: 1/171 N, the resolution of the Nano17 (paper)."""

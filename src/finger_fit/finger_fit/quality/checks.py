@@ -6,22 +6,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, field
-from typing import Any
 
 import numpy as np
 
-from finger_bag.validate import FAIL, NOTE, OK, Check
+from finger_bag.validate import FAIL, NOTE, OK
 from finger_common.errors import listed
 from finger_common.flags import AreaFlag
 from finger_model.geometry import Geometry
 from finger_offline.lag import MAXIMUM_LAG, WORTH_A_NOTE, log_lag
 from finger_offline.trial_checks import fault_of
 
-from ..problem import MM2, MM4, FitTrial, minus, three_digits
+from ..problem import FitTrial
 from ..problem.moisture import moisture_clusters
 from ..problem.trials import label_of
-from ..results import ConditionFit
+from ..report_units import MM2, MM4, minus, three_digits
+from ..results import ConditionFit, Quality, TrialQuality
 from ..uncertainty import active_bounds
 from .misfit import Misfit, misfit
 
@@ -71,47 +70,6 @@ more."""
 
 STEP = 0.01
 """s between the samples of the force by which the lag is looked for."""
-
-
-@dataclass(frozen=True)
-class TrialQuality:
-    """One trial.
-
-    J: m⁴; lag: s of the areas behind the fitted model, NaN where it is unclear; tare: force (N) on
-    the unloaded plate, NaN where the trial does not show it; gain: measured area over the model's;
-    frames, saturated, doubtful, low: numbers of frames.
-    """
-
-    label: str
-    J: float
-    lag: float
-    tare: float
-    gain: float
-    frames: int
-    saturated: int
-    doubtful: int
-    low: int
-
-
-@dataclass
-class Quality:
-    """Checks and trials of one condition."""
-
-    checks: list[Check] = field(default_factory=list)
-    trials: list[TrialQuality] = field(default_factory=list)
-
-    @property
-    def failures(self) -> list[str]:
-        """Names and details of the checks that fail."""
-        return [f"{c.name}: {c.detail}" for c in self.checks if c.status == FAIL]
-
-    def add(self, name: str, status: str, detail: str) -> None:
-        self.checks.append(Check(name, status, detail))
-
-    def to_data(self) -> dict[str, Any]:
-        """Make `checks` and `trials` (SI, J in mm⁴) for JSON."""
-        trials = [{**asdict(t), "J": t.J * 1e12} for t in self.trials]
-        return {"checks": [asdict(c) for c in self.checks], "trials": trials}
 
 
 def quality_of(fit: ConditionFit) -> Quality:

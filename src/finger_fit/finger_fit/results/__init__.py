@@ -9,3 +9,4 @@ from .fit_json import condition_dict, fit_dict
 from .fits import ConditionFit, CrossCheck, DeformedFinger, FitResult, QuantityResult, codes_of
 from .indentation import IndentationFit, indentation_fit
 from .parameter_files import failing, parameter_files, too_near
+from .quality import Quality, TrialQuality

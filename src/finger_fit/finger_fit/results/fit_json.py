@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..problem import MM4
+from ..report_units import MM4
 from .fits import ConditionFit, FitResult, QuantityResult
 
 

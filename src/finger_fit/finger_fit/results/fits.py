@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from ..nuisance.result import NuisanceResult
     from ..options import FitOptions
     from ..problem import Exclusion, FitProblem, FitTrial, PowerLaw
-    from ..quality import Quality
     from ..search import LocalFit, Search
     from .contrasts import Contrast
     from .indentation import IndentationFit
+    from .quality import Quality
 
 
 def codes_of(trials: Iterable[FitTrial]) -> str:

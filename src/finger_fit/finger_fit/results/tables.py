@@ -18,7 +18,7 @@ import numpy as np
 
 from finger_common.files import atomic_write
 
-from ..problem import MM, MM2, MM4, three_digits
+from ..report_units import MM, MM2, MM4, three_digits
 from .contrasts import Contrast
 from .fits import ConditionFit, FitResult, codes_of
 

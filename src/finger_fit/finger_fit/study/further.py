@@ -18,8 +18,9 @@ from finger_model.geometry import LENGTHS
 from finger_model.laws import ParameterSpace, ParameterSpec
 
 from ..full_order import FullOrder
-from ..nuisance.names import absorber_of
-from ..problem import MM4, FitProblem, Goal, prepare_all
+from ..nuisance_names import absorber_of
+from ..problem import FitProblem, Goal, prepare_all
+from ..report_units import MM4
 from ..results import ConditionFit
 from ..search import Coordinates, all_free, refine
 from ..uncertainty import covariance
