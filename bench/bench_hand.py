@@ -45,6 +45,7 @@ import yaml
 
 from finger_bringup import nodes
 from finger_bringup.bring_up import ALL_ACTIVE
+from finger_bringup.parameter_files import ParameterFile
 from finger_bringup.supervisor import Supervisor
 from finger_common.domains import free_domain
 from finger_common.priority import PRIORITY, run_in_real_time
@@ -260,7 +261,12 @@ class Case:
             return {"start": self._command_start(folder, own, devices, result)}
         entries = nodes.hand(self.fingers, parameters=devices)
         specs = nodes.process_specs(
-            entries, folder, NAMESPACE, own, compose=not self.separate, realtime=self.realtime
+            entries,
+            folder,
+            NAMESPACE,
+            ParameterFile(own),
+            compose=not self.separate,
+            realtime=self.realtime,
         )
         lines: list[str] = []
         began = time.time()

@@ -56,7 +56,8 @@ from finger_fit.nuisance.geometry import (
     geometry_responses,
 )
 from finger_fit.options import FitOptions
-from finger_fit.problem import MM4, FitProblem, fit_power_law, prepare_all
+from finger_fit.problem import FitProblem, fit_power_law, prepare_all
+from finger_fit.report_units import MM4
 from finger_fit.search import all_free, refine
 from finger_fit.uncertainty import covariance, in_interval
 from finger_model.geometry import Geometry
@@ -221,12 +222,6 @@ MISFITS: dict[str, tuple[str, Rig]] = {
     **{name: ("natural", Rig(curve=name, trials=5)) for name in CURVES},
 }
 """Fingers that the fit's model does not hold."""
-
-
-class InProcess(LocalEngine):
-    """Everything in this process."""
-
-    spread = LocalEngine.map
 
 
 @cache
@@ -432,7 +427,7 @@ def responses_of(name: str, folder: Path | None) -> dict[str, Response]:
     options = FitOptions(step=STEP)
     records = [record(name, i, Rig(), 0, None, options) for i in range(TRIALS_PER_CONDITION)]
     problem = problem_of(name, Rig(), records, options)
-    better = FullOrderGeometry(FullOrder.like(model(), InProcess()))
+    better = FullOrderGeometry(FullOrder.like(model(), LocalEngine(1)))
     truth = STUDY[name].material.vector()
     found = geometry_responses(problem, truth, better, {"epidermis_thickness": 0.25})
     if path is not None:
@@ -478,7 +473,7 @@ def fit_case(
     nuisances = NuisanceModel(problem, options, population=population)
     found = nuisances.settle(np.vstack([truth, alone.parameters]))
     if rig.curve:
-        correct(problem, found.fit.parameters, FullOrder.like(assumed, InProcess()))
+        correct(problem, found.fit.parameters, FullOrder.like(assumed, LocalEngine(1)))
         found = nuisances.settle(found.fit.parameters[None])
     fit, known = found.fit, covariance(problem, found.fit.parameters)
     out |= {

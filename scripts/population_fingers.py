@@ -30,7 +30,8 @@ import yaml
 
 from finger_common.files import atomic_write
 from finger_common.flags import StateFlag
-from finger_model.estimator import ContactEstimator, EstimatorSettings, members
+from finger_model.estimator import ContactEstimator, members
+from finger_model.estimator.neighbourhood import Neighbourhood
 from finger_model.fem.full_order import FullOrderModel
 from finger_model.finger_prior import FingerPrior
 from finger_model.parameter_sets import ParameterSets
@@ -129,16 +130,14 @@ def _full_order(
     return tables
 
 
-def run_session(
-    session: Session, cameras: range, settings: EstimatorSettings | None = None
-) -> Iterator[dict[str, np.ndarray]]:
+def run_session(session: Session, cameras: range) -> Iterator[dict[str, np.ndarray]]:
     """Estimates of each press whose area a camera sees for the presses in `cameras`.
 
     Columns (n,) of the samples in contact: truth, area, area_stddev, model_area, force, held (the
     camera's newest usable area, NaN before the first), flags.
     """
     rng = np.random.default_rng(session.seed)
-    estimator = ContactEstimator(ReducedModel.load(), settings=settings)
+    estimator = ContactEstimator(ReducedModel.load())
     if np.isfinite(session.reading):
         estimator.add_moisture(START - 10**9, session.reading)
     delay = estimator.settings.fusion_delay
@@ -184,40 +183,24 @@ def states_of(
     model = ReducedModel.load()
     sets = ParameterSets.default()
     base = model.constants(sets.interpolate(session.person.moisture).parameters)
-    near = np.zeros(1, members.MEMBERS)
     x = mean.copy()
     left = 0.0
     for _ in range(4):
-        members.shift_all(near, x[2:])
-        constants = np.repeat(base, 1 + members.DIRECTIONS)
-        finger = np.concatenate([model.state_at_rest(base)] * len(constants))
-        records = (model.networks, base, constants, finger, model.work)
-        members.place_all(*records, near)
+        near = Neighbourhood.at(model, base, x[2:])
         rows, values, weights, residuals, peaks, before = [], [], [], [], [], 0.0
         for press in session.presses:
-            table = np.empty((len(press.time), 3 + 2 * members.DIRECTIONS))
-            members.follow(
-                model.networks,
-                constants,
-                finger,
-                model.work,
-                near.copy(),
-                before,
-                press.time,
-                press.force,
-                table,
-            )
+            found = near.follow(before, press.time, press.force)
             before = press.time[-1]
             use = (press.force > COUNTED_FORCE) & (press.area > 5e-6)
-            h = np.column_stack([np.ones(len(table)), np.log(np.maximum(press.force, 0.05))])
-            h = np.column_stack([h, table[:, 3 : 3 + members.DIRECTIONS]])[use]
-            y = np.log(press.area[use] / table[use, 0]) + h[:, 2:] @ near["shift"][0]
+            log_force = np.log(np.maximum(press.force, 0.05))
+            h = np.column_stack([np.ones(len(log_force)), log_force, found.sensitivities])[use]
+            y = np.log(press.area[use] / found.area[use]) + h[:, 2:] @ near.shift
             rows.append(h)
             values.append(y)
             # As accurate as some ten frames a second with the misfit of a few per cent.
             weights.append(np.full(len(y), 1.0 / (0.1 / KNOT * 0.03**2)))
             residuals.append(y - h @ x)
-            model_peak = table[use, 0] * table[use, 2]
+            model_peak = (found.area * found.peak_pressure)[use]
             peaks.append(np.log(press.area[use] * press.peak[use] / model_peak))
         h, y, w = np.vstack(rows), np.concatenate(values), np.concatenate(weights)
         left = rms(np.concatenate([r - r.mean() for r in residuals]))

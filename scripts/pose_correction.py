@@ -34,7 +34,8 @@ from finger_model.estimator import ContactEstimate
 from finger_model.estimator.estimate import ESTIMATE_FIELDS
 from finger_model.geometry import Geometry
 from finger_model.pose import correction
-from finger_model.pose.estimator import MeasuredOutline, PoseEstimator, ShapeEstimate
+from finger_model.pose.estimate import MeasuredOutline, ShapeEstimate
+from finger_model.pose.estimator import PoseEstimator
 from finger_model.pose.networks import MIDDLE_SKIN_RATIO, inputs
 from finger_model.pose.pose import Pose
 from finger_model.pose.settings import PoseSettings
@@ -291,7 +292,6 @@ def _pressed(press: list[Row], rng: np.random.Generator) -> ShapeEstimate:
                     5e-5,
                     *(0.01 * np.sort(axes)[::-1]).tolist(),
                 ),
-                0.0,
             )
         pull = np.array([0.1 * force, 0.05 * force, -force])
         pressed = between([r.pressure for r in press]) + place

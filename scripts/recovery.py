@@ -47,7 +47,8 @@ from finger_fit.engine import LocalEngine
 from finger_fit.full_order import FullOrder, correct, correction_around
 from finger_fit.full_order.areas import REFINEMENT
 from finger_fit.options import FitOptions
-from finger_fit.problem import MM4, FitProblem, FitTrial, fit_power_law, prepare, prepare_all
+from finger_fit.problem import FitProblem, FitTrial, fit_power_law, prepare, prepare_all
+from finger_fit.report_units import MM4
 from finger_fit.search import all_free, best_points, refine, search_grid
 from finger_fit.study import polish
 from finger_fit.uncertainty import bias_corrected, bias_pair, covariance, cramer_rao, in_interval
@@ -260,12 +261,6 @@ def errors(parameters: np.ndarray, truth: np.ndarray) -> dict[str, float]:
     return {q: float(np.log(value(q, parameters) / value(q, truth))) for q in QUANTITIES}
 
 
-class InProcess(LocalEngine):
-    """Everything in this process."""
-
-    spread = LocalEngine.map
-
-
 def fit_one(
     trials: list[StudyTrial],
     seed: int,
@@ -289,7 +284,7 @@ def fit_one(
     by_index = {r.index: (r, t) for r, t in zip(records, trials)}
     prepared, _ = prepare_all(records, options)
     problem = FitProblem(prepared, model, options)
-    better: Any = table or FullOrder.like(model, InProcess())
+    better: Any = table or FullOrder.like(model, LocalEngine(1))
     if table is not None:
         table.records = {(r.condition, r.index): r for r in records}
     out: dict[str, Any] = {"condition": name, "window": window, "seed": seed}

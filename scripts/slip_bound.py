@@ -61,9 +61,9 @@ def stick_error(friction: float, rate: float, carried: float, end: float) -> flo
     return float(np.mean(squares))
 
 
-def observe(fingers: int, price: float, seed: int = 1) -> dict[str, float]:
+def observe(fingers: int, price: float) -> dict[str, float]:
     """Figures over fingers of PULLS pulls."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(1)
     alarms = np.concatenate([[0.0], np.geomspace(0.02, 1.19, 90)])
     announced: list[bool] = []
     errors: list[float] = []

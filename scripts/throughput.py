@@ -44,6 +44,9 @@ PROFILES = 22_000
 STEP = 0.04
 """s, time step of the full-order runs."""
 
+TIMED = 6
+"""Full-order runs of which the time is taken."""
+
 FULL_ORDER = 180
 """Full-order runs of one condition: correction (105, the slope and two renewals) and check (75)."""
 
@@ -68,20 +71,20 @@ def rate(seconds: float = 2.0) -> float:
     return count / (time.process_time() - start)
 
 
-def full_order_seconds(runs: int = 6) -> float:
+def full_order_seconds() -> float:
     """Processor time of one full-order run of a fit: a natural press to the target, the fit's mesh
     and steps.
     """
     model = FullOrderModel(refinement=REFINEMENT)
     rng = np.random.default_rng(0)
     spent = 0.0
-    for _ in range(runs):
+    for _ in range(TIMED):
         press = plan_press(rng)
         times = np.arange(press.onset, press.cue, STEP)
         start = time.process_time()
         model.simulate(STUDY["natural"].material, times, np.interp(times, press.time, press.force))
         spent += time.process_time() - start
-    return spent / runs
+    return spent / TIMED
 
 
 class Counting:

@@ -60,7 +60,7 @@ class Hand:
         """Make the nodes of a simulated rig, in its usual folder, and further ones."""
         folder = default_folder(namespace).absolute()
         entries = nodes.settled(
-            nodes.rig(folder, simulated=True, parameters=LIGHT, further=further), namespace, None
+            nodes.rig(folder, simulated=True, parameters=LIGHT, further=further), namespace
         )
         self.nodes[namespace] = {}
         for entry in entries:

@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 
 from finger_operator.page.feed import CurveMemory
-from finger_operator.page.readiness import Problem
 from finger_operator.page.server import PageServer
 from finger_operator.page.settings import PageSettings
+from finger_operator.readiness import Problem
 from finger_operator.study_plan import CLEAN_PLATE, PREPARATIONS, PlanSettings
 from finger_operator.trial_order import order_text
 

@@ -17,7 +17,7 @@ from page_looks import OVERFLOW, SIZES, shots, violations
 from page_stand_in import CLOSED, TARE_NEEDED, ForwardedPort, StandIn, session, trial
 
 from finger_common.guided_presses import CALIBRATION_PRESSES
-from finger_operator.page.readiness import Problem
+from finger_operator.readiness import Problem
 from finger_operator.study_plan import PREPARATIONS
 
 SEEN_SESSION = {"seen_session": "S01_20261122T101500"}

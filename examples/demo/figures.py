@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from finger_fit.problem import three_digits
+from finger_fit.report_units import three_digits
 from finger_model.paper import TARGET_FORCE
 
 from .results import PARAMETERS, ConditionResult, LivePress

@@ -13,8 +13,8 @@ from rich.console import Console
 from rich.table import Table
 
 from finger_common.files import atomic_write
-from finger_fit.problem import three_digits
 from finger_fit.report.tables import model_error
+from finger_fit.report_units import three_digits
 
 from . import figures
 from .results import PARAMETERS, ConditionResult, DemoResult, gather, live_press, true_trials

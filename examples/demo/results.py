@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from finger_bag.reader import open_bag
-from finger_fit.problem import MM2, MM4
+from finger_fit.report_units import MM2, MM4
 from finger_fit.results import ConditionFit
 from finger_model.reduced import ReducedModel
 from finger_offline.image_settings import ImageSettings

@@ -18,7 +18,7 @@ import finger_driver
 import finger_model
 from finger_bag.cli import command as bag_command
 from finger_bag.mapping import TopicMapping
-from finger_bringup.nodes import read_parameter_file
+from finger_bringup.parameter_files import ParameterFile
 from finger_common.cli import run
 from finger_common.errors import InputError
 from finger_common.files import read_csv
@@ -205,7 +205,7 @@ READERS: dict[str, dict[str, Reader]] = {
     "material": {"material": lambda path, out: StandardLinearSolid.load(path)},
     "geometry": {"geometry": lambda path, out: Geometry.load(path)},
     "camera": {"camera_info": lambda path, out: CameraCalibration.load(path)},
-    "rig": {"rig": lambda path, out: read_parameter_file(path)},
+    "rig": {"rig": lambda path, out: ParameterFile(path).sections},
     "settings": {"settings": _settings},
     "session": {"session": _session},
     "events": {"event log": _events},

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from finger_common.errors import InputError
 
-from .definitions import MAXIMUM_DEFINITION
-from .reader import BagReader, TopicInfo, open_bag
+from .definitions import MAXIMUM_DEFINITION, TopicInfo
+from .reader import BagReader, open_bag
 from .schema import IMAGE_TOPICS, spec_of
 from .writer import BagWriter
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
 from typing import Any
@@ -61,6 +62,19 @@ BROKEN_MESSAGE = (
     SyntaxError,
 )
 """What parsers of definitions and messages raise on malformed input."""
+
+
+@dataclass
+class TopicInfo:
+    """A topic of a bag. `count` is None where it is not known without reading the bag."""
+
+    name: str
+    type: str
+    encoding: str = "cdr"
+    definition: str = ""
+    form: str = ""
+    qos: str = ""
+    count: int | None = None
 
 
 def own_definition(message_type: str) -> str | None:

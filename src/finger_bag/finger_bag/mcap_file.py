@@ -204,7 +204,8 @@ class McapFile:
             self._walk(self._regions)
         return self._regions
 
-    def _problem(self, text: str, lost: bool = True) -> None:
+    def note(self, text: str, lost: bool = True) -> None:
+        """Add a problem; lost: whether something that is in the file is left out for it."""
         self.lost = self.lost or lost
         if len(self.problems) < 50 and text not in self.problems:
             self.problems.append(text)
@@ -296,7 +297,7 @@ class McapFile:
                 found = self._next_chunk(position + 1)
                 # Nothing is left out where a killed recorder's last record is cut off.
                 cut = found == self._length and not closed
-                self._problem(f"record at byte {position} is cut off or damaged", lost=not cut)
+                self.note(f"record at byte {position} is cut off or damaged", lost=not cut)
                 position = found
                 continue
             if opcode == MESSAGE:
@@ -312,12 +313,12 @@ class McapFile:
         self._flush_run(run, regions)
         self.complete = ended and closed
         if not self.complete:
-            self._problem("file was not closed by its recorder", lost=False)
+            self.note("file was not closed by its recorder", lost=False)
 
     def _extend_run(self, run: list[int], position: int, end: int, regions: list[Region]) -> None:
         head = self._stream.read(_MESSAGE.size)
         if len(head) < _MESSAGE.size or end - position < _RECORD.size + _MESSAGE.size:
-            self._problem(f"message at byte {position} is too short")
+            self.note(f"message at byte {position} is too short")
             self._flush_run(run, regions)
             return
         log_time = _MESSAGE.unpack(head)[2]
@@ -339,7 +340,7 @@ class McapFile:
         if opcode == ATTACHMENT:
             self._take_attachment(body, length)
         elif length > MAXIMUM_SMALL_RECORD:
-            self._problem(f"record at byte {body} claims {length} bytes and was not read")
+            self.note(f"record at byte {body} claims {length} bytes and was not read")
         else:
             self._stream.seek(body)
             self._take_small(opcode, self._stream.read(length), body)
@@ -367,13 +368,13 @@ class McapFile:
             elif opcode == METADATA_INDEX:
                 self._take_at(METADATA, MetadataIndex.read(stream).offset)
         except _BROKEN:
-            self._problem(f"record at byte {where} cannot be parsed")
+            self.note(f"record at byte {where} cannot be parsed")
 
     def _keep(self, known: dict[int, Any], record: Any, what: str) -> None:
         if len(known) < MAXIMUM_TOPICS or record.id in known:
             known.setdefault(record.id, record)
         else:
-            self._problem(f"more than {MAXIMUM_TOPICS} {what}; not all are read")
+            self.note(f"more than {MAXIMUM_TOPICS} {what}; not all are read")
 
     def _take_at(self, opcode: int, position: int) -> None:
         """Take the record that an index names; raises ValueError when it is not there."""
@@ -397,20 +398,20 @@ class McapFile:
             compression = tail[:name_length].decode("ascii")
             (stored,) = struct.unpack("<Q", tail[name_length:])
         except (struct.error, ValueError):
-            self._problem(f"chunk at byte {body} cannot be parsed")
+            self.note(f"chunk at byte {body} cannot be parsed")
             return
         offset = body + len(head) + len(tail)
         if stored > body + length - offset:
-            self._problem(f"chunk at byte {body} claims more bytes than it has")
+            self.note(f"chunk at byte {body} claims more bytes than it has")
             return
         if compression not in ("", "zstd", "lz4"):
-            self._problem(f"chunk at byte {body} is compressed with '{compression}', unknown")
+            self.note(f"chunk at byte {body} is compressed with '{compression}', unknown")
             return
         if size > MAXIMUM_CHUNK or (size > PLAIN_CHUNK and size > _RATIO * stored):
-            self._problem(f"chunk at byte {body} claims {size} bytes from {stored}; not read")
+            self.note(f"chunk at byte {body} claims {size} bytes from {stored}; not read")
             return
         if self._claimed + size > FREE_BYTES + BYTES_PER_STORED * self._length:
-            self._problem("chunks claim more than a file of its size can hold; not all are read")
+            self.note("chunks claim more than a file of its size can hold; not all are read")
             return
         self._claimed += size
         regions.append(Region(offset, stored, size, compression, crc, start, end))
@@ -425,7 +426,7 @@ class McapFile:
             if position + size > length:
                 raise ValueError
         except _BROKEN:
-            self._problem(f"attachment at byte {body} cannot be parsed")
+            self.note(f"attachment at byte {body} cannot be parsed")
             return
         if len(self.attachments) < 1000:
             self.attachments.append(AttachmentEntry(name, media_type, body + position, size))
@@ -478,13 +479,13 @@ class McapFile:
             else:
                 data = stored
         except (zstandard.ZstdError, RuntimeError, *_BROKEN):
-            self._problem(f"{where} cannot be uncompressed")
+            self.note(f"{where} cannot be uncompressed")
             return None
         if len(data) != region.size:
-            self._problem(f"{where} has {len(data)} bytes, {region.size} are claimed")
+            self.note(f"{where} has {len(data)} bytes, {region.size} are claimed")
             return None
         if region.crc and zlib.crc32(data) != region.crc:
-            self._problem(f"{where} does not match its checksum")
+            self.note(f"{where} does not match its checksum")
             return None
         return data
 
@@ -510,7 +511,7 @@ class McapFile:
                 break
             if opcode == MESSAGE:
                 if len(offsets) == allowed:
-                    self._problem("more messages than a file of its size holds; not all are read")
+                    self.note("more messages than a file of its size holds; not all are read")
                     position = size
                     break
                 add_time(log_time)
@@ -520,7 +521,7 @@ class McapFile:
                 self._take_small(opcode, data[position + _RECORD.size : end], region.offset)
             position = end
         if position != size:
-            self._problem(f"chunk at byte {region.offset} holds a damaged record")
+            self.note(f"chunk at byte {region.offset} holds a damaged record")
         if region.offset not in self._allowed:
             self._allowed[region.offset] = len(offsets)
             self._messages_left -= len(offsets)
@@ -534,7 +535,7 @@ class McapFile:
     def attachment(self, entry: AttachmentEntry) -> bytes | None:
         """Content of an attachment; None, and a problem noted, when it is too large."""
         if entry.size > MAXIMUM_ATTACHMENT:
-            self._problem(f"attachment '{entry.name}' has {entry.size} bytes and was not read")
+            self.note(f"attachment '{entry.name}' has {entry.size} bytes and was not read")
             return None
         self._stream.seek(entry.offset)
         return self._stream.read(entry.size)

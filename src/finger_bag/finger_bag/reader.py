@@ -10,7 +10,6 @@ listed in `BagReader.problems`.
 
 from __future__ import annotations
 
-import contextlib
 import heapq
 import shutil
 import tempfile
@@ -21,7 +20,6 @@ from pathlib import Path, PurePath, PureWindowsPath
 from typing import Any
 
 import numpy as np
-import yaml
 import zstandard
 
 from finger_common.errors import InputError, listed
@@ -29,9 +27,11 @@ from finger_common.files import exists, load_yaml
 from finger_common.stamps import seconds, whole_stamp
 
 from .bag_files import METADATA, are_one_bag, data_files, storage_of
-from .definitions import FORMS, Decoder, decoder, fields_of
-from .mcap_file import MAXIMUM_CHUNK, RECORD_HEAD, WHOLE_MESSAGE, AttachmentEntry, McapFile
+from .definitions import Decoder, TopicInfo, decoder, fields_of
+from .log_order import Part, Pending
+from .mcap_file import MAXIMUM_CHUNK, AttachmentEntry, McapFile
 from .schema import SESSION_RECORD, SessionMetadata
+from .sqlite_file import SqliteFile
 
 MAXIMUM_PENDING = 64 << 20
 """Bytes of messages held back to give them in the order of log time."""
@@ -42,22 +42,8 @@ MAXIMUM_PROBLEMS = 100
 LAST_TIME = 1 << 63
 """Log times (ns) from here on, the year 2262, are damage: they fit no signed integer."""
 
-_AT_ONCE = 1 << 16  # messages whose places become Python numbers at once
 _UNPACKED_RATIO = 100
 _UNPACKED_FREE = 1 << 30
-
-
-@dataclass
-class TopicInfo:
-    """A topic of a bag. `count` is None where it is not known without reading the bag."""
-
-    name: str
-    type: str
-    encoding: str = "cdr"
-    definition: str = ""
-    form: str = ""
-    qos: str = ""
-    count: int | None = None
 
 
 @dataclass
@@ -122,7 +108,7 @@ class BagReader:
         self._lost = False
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
         self._mcaps: list[McapFile] = []
-        self._sqlites: list[Any] = []
+        self._sqlites: list[SqliteFile] = []
         # Of each topic and type, a description for each definition with fields of its own.
         self._types: dict[tuple[str, str], dict[Any, TopicInfo]] = {}
         self._known: dict[tuple[str, ...], TopicInfo] = {}
@@ -260,28 +246,10 @@ class BagReader:
             self._know(channel_info(mcap, channel.id))
 
     def _open_sqlite(self, opened: Path, file: Path) -> None:
-        # Imported here: only those who have sqlite3 bags need apsw, which rosbags reads them with.
-        import apsw
-        from rosbags.rosbag2 import Reader
-        from rosbags.rosbag2.errors import ReaderError
-
-        try:
-            reader = Reader(opened)
-            reader.open()
-            with contextlib.closing(
-                apsw.Connection(str(opened), flags=apsw.SQLITE_OPEN_READONLY)
-            ) as database:
-                computed = list(database.execute(_COMPUTED))
-        except (ReaderError, apsw.Error, *_SQLITE_BROKEN) as error:
-            text = str(error).splitlines()[0] if str(error) else type(error).__name__
-            raise InputError(f"{file}: cannot be read as a sqlite3 bag ({text})") from None
-        if computed:
-            # A row of no bytes could compute gigabytes.
-            reader.close()
-            raise InputError(f"{file}: computes its column '{computed[0][0]}'; no recorder does")
-        self._sqlites.append(reader)
-        for connection in reader.connections:
-            self._know(_connection_info(connection))
+        sqlite = SqliteFile(opened, file)
+        self._sqlites.append(sqlite)
+        for topic in sqlite.topics:
+            self._know(topic)
 
     def _know(self, topic: TopicInfo) -> TopicInfo:
         """The description of a topic that holds for messages described so."""
@@ -313,10 +281,9 @@ class BagReader:
             starts += [t for t in (mcap.start_ns,) if t is not None and t < LAST_TIME]
             ends += [t for t in (mcap.end_ns,) if t is not None and t < LAST_TIME]
             attachments += [a.name for a in mcap.attachments if a.name not in attachments]
-        for reader in self._sqlites:
-            if reader.message_count:
-                starts.append(reader.start_time)
-                ends.append(reader.end_time - 1)
+        for sqlite in self._sqlites:
+            starts += [t for t in (sqlite.start_ns,) if t is not None]
+            ends += [t for t in (sqlite.end_ns,) if t is not None]
         message_count = self._count()
         topics: dict[str, TopicInfo] = {}
         for (name, _), described in self._types.items():
@@ -352,10 +319,10 @@ class BagReader:
                 # A channel without messages need not be among the statistics.
                 number = statistics.channel_message_counts.get(channel_id, 0)
                 counts[(info.name, info.type)] += number
-        for reader in self._sqlites:
-            total += reader.message_count
-            for connection in reader.connections:
-                counts[(connection.topic, connection.msgtype)] += connection.msgcount
+        for sqlite in self._sqlites:
+            total += sqlite.count
+            for topic, number in zip(sqlite.topics, sqlite.counts):
+                counts[(topic.name, topic.type)] += number
         for key, described in self._types.items():
             next(iter(described.values())).count = counts[key]
         return total
@@ -457,13 +424,13 @@ class BagReader:
         regions.sort()
         known: dict[tuple[int, int], TopicInfo | None] = {}
         # What was uncompressed and may still be overtaken by the next region.
-        pending = _Pending()
+        pending = Pending()
         for place, (_, number, index) in enumerate(regions):
             self._check_open()
             mcap = self._mcaps[number]
             block = mcap.block(mcap.regions[index])
             if len(block.times) and int(block.times.max()) >= LAST_TIME:
-                mcap._problem("messages with a time beyond the year 2262 are left out")
+                mcap.note("messages with a time beyond the year 2262 are left out")
             counts = np.bincount(block.channels)
             used = np.zeros(len(counts), bool)
             for channel_id in np.flatnonzero(counts).tolist():
@@ -472,12 +439,12 @@ class BagReader:
                 used[channel_id] = known[(number, channel_id)] is not None
             keep = (block.times >= low) & (block.times < high) & used[block.channels]
             if keep.any():
-                pending.add(_Part(number, block.data, block.times[keep], block.offsets[keep]))
+                pending.add(Part(number, block.data, block.times[keep], block.offsets[keep]))
             bound = regions[place + 1][0] if place + 1 < len(regions) else LAST_TIME
             if bound < LAST_TIME and pending.size > MAXIMUM_PENDING:
                 if pending.reach(bound):
                     text = "messages lie too far out of order to be sorted by log time"
-                    mcap._problem(text, lost=False)
+                    mcap.note(text, lost=False)
                 bound = LAST_TIME
             for part, offset in pending.before(bound):
                 _, length, channel_id, sequence, time_ns, publish_time_ns = part.head(offset)
@@ -497,9 +464,7 @@ class BagReader:
         self, mcap: McapFile, channel_id: int, wanted: set[str] | None
     ) -> TopicInfo | None:
         if channel_id not in mcap.channels:
-            mcap._problem(
-                f"messages of channel {channel_id}, which nothing describes, are left out"
-            )
+            mcap.note(f"messages of channel {channel_id}, which nothing describes, are left out")
             return None
         info = self._know(channel_info(mcap, channel_id))
         return None if wanted is not None and info.name not in wanted else info
@@ -517,24 +482,17 @@ class BagReader:
     def _sqlite_messages(
         self, wanted: set[str] | None, start: int | None, stop: int | None
     ) -> Iterator[BagMessage]:
-        import apsw
-        from rosbags.rosbag2.errors import ReaderError
-
-        def of(reader: Any) -> Iterator[tuple[int, TopicInfo, bytes]]:
-            connections = [c for c in reader.connections if wanted is None or c.topic in wanted]
-            if not connections:
-                return
-            known = {c.id: self._know(_connection_info(c)) for c in connections}
+        def of(sqlite: SqliteFile) -> Iterator[tuple[int, TopicInfo, bytes]]:
+            known = [self._know(topic) for topic in sqlite.topics]
             try:
-                for connection, time_ns, raw in reader.messages(connections, start, stop):
-                    yield time_ns, known[connection.id], bytes(raw)
-            except (ReaderError, apsw.Error, *_SQLITE_BROKEN) as error:
+                for time_ns, place, raw in sqlite.messages(wanted, start, stop):
+                    yield time_ns, known[place], raw
+            except InputError as error:
                 self._check_open()
-                text = str(error).splitlines()[0] if str(error) else type(error).__name__
-                self._problem(f"database cannot be read to its end ({text})")
+                self._problem(str(error))
 
         self._check_open()
-        merged = heapq.merge(*(of(reader) for reader in self._sqlites), key=lambda item: item[0])
+        merged = heapq.merge(*(of(sqlite) for sqlite in self._sqlites), key=lambda item: item[0])
         for time_ns, info, raw in merged:
             data: bytes | None = raw
             if self._message_compression:
@@ -575,20 +533,12 @@ class BagReader:
         """Close all files."""
         for mcap in self._mcaps:
             mcap.close()
-        for reader in self._sqlites:
-            if reader.is_open:
-                reader.close()
+        for sqlite in self._sqlites:
+            sqlite.close()
         self._mcaps, self._sqlites = [], []
         if self._temporary is not None:
             self._temporary.cleanup()
             self._temporary = None
-
-
-_COMPUTED = """SELECT c.name FROM sqlite_master AS m JOIN pragma_table_xinfo(m.name) AS c
-    WHERE c.hidden <> 0"""
-"""Columns of a database that are computed when they are read."""
-
-_SQLITE_BROKEN = (OSError, ValueError, KeyError, TypeError, AssertionError, yaml.YAMLError)
 
 
 def open_bag(path: str | Path) -> BagReader:
@@ -619,21 +569,6 @@ def channel_info(mcap: McapFile, channel_id: int) -> TopicInfo:
     )
 
 
-def _connection_info(connection: Any) -> TopicInfo:
-    """Topic, type and definition of a connection of a sqlite3 file, as rosbags gives it."""
-    # Imported with rosbags' reader of sqlite3 bags only.
-    from rosbags.rosbag2.metadata import dump_qos_v8
-
-    return TopicInfo(
-        connection.topic,
-        connection.msgtype,
-        connection.ext.serialization_format,
-        connection.msgdef.data,
-        FORMS[connection.msgdef.format],
-        dump_qos_v8(connection.ext.offered_qos_profiles),
-    )
-
-
 def _fields(topic: TopicInfo) -> tuple[Any, ...]:
     """Equal for descriptions of a topic whose messages are decoded alike."""
     return topic.encoding, fields_of(topic.type, topic.definition, topic.form)
@@ -651,84 +586,3 @@ def _normal_type(name: str) -> str:
     """ "pkg/Type" as "pkg/msg/Type"."""
     parts = name.split("/")
     return f"{parts[0]}/msg/{parts[1]}" if len(parts) == 2 else name
-
-
-class _Part:
-    """Messages of one block that were not given yet, in the order of log time.
-
-    times (n,): ns; messages of equal time stay in the order written.
-    """
-
-    def __init__(self, number: int, data: bytes, times: np.ndarray, offsets: np.ndarray) -> None:
-        self.number = number
-        self._data = data
-        if (np.diff(times.astype(np.int64)) < 0).any():
-            order = np.argsort(times, kind="stable")
-            times, offsets = times[order], offsets[order]
-        self.times, self._offsets = times, offsets
-        self.size = len(data) + times.nbytes + offsets.nbytes
-
-    def take(self, bound: int) -> tuple[np.ndarray, np.ndarray]:
-        """Times and offsets of messages before a time, which are then no longer in the part."""
-        ready = int(np.searchsorted(self.times, np.uint64(bound)))
-        taken = self.times[:ready], self._offsets[:ready]
-        self.times, self._offsets = self.times[ready:], self._offsets[ready:]
-        return taken
-
-    def head(self, offset: int) -> tuple[int, ...]:
-        return WHOLE_MESSAGE.unpack_from(self._data, offset)
-
-    def content(self, offset: int, length: int) -> bytes:
-        begin = offset + WHOLE_MESSAGE.size
-        return self._data[begin : offset + RECORD_HEAD + length]
-
-
-class _Pending:
-    """Parts that wait for what may come before their messages; size: their bytes.
-
-    A part is looked at when some of its messages are due, not for each of the parts that follow: a
-    small file can have ten thousand that overlap.
-    """
-
-    def __init__(self) -> None:
-        self.size = 0
-        self._added = 0
-        self._parts: list[tuple[int, int, _Part]] = []  # heap: first time, number of the part
-
-    def add(self, part: _Part) -> None:
-        self.size += part.size
-        self._added += 1
-        heapq.heappush(self._parts, (int(part.times[0]), self._added, part))
-
-    def reach(self, bound: int) -> bool:
-        """Whether a message is at a time (ns) or later."""
-        return any(int(part.times[-1]) >= bound for _, _, part in self._parts)
-
-    def before(self, bound: int) -> Iterator[tuple[_Part, int]]:
-        """Messages before a time (ns), in its order; they no longer wait then."""
-        due = []
-        while self._parts and self._parts[0][0] < bound:
-            due.append(heapq.heappop(self._parts)[1:])
-        due.sort(key=lambda item: item[0])
-        taken = [(part, *part.take(bound)) for _, part in due]
-        for number, part in due:
-            if len(part.times):
-                heapq.heappush(self._parts, (int(part.times[0]), number, part))
-            else:
-                self.size -= part.size
-        if not taken:
-            return
-        offsets = np.concatenate([item[2] for item in taken])
-        if len(taken) == 1:
-            part = taken[0][0]
-            for begin in range(0, len(offsets), _AT_ONCE):
-                for offset in offsets[begin : begin + _AT_ONCE].tolist():
-                    yield part, offset
-            return
-        # Stable: of equal times, the one of the earlier part is first.
-        order = np.argsort(np.concatenate([item[1] for item in taken]), kind="stable")
-        owner = np.repeat(np.arange(len(taken)), [len(item[1]) for item in taken])
-        for begin in range(0, len(order), _AT_ONCE):
-            now = order[begin : begin + _AT_ONCE]
-            for place, offset in zip(owner[now].tolist(), offsets[now].tolist()):
-                yield taken[place][0], offset

@@ -244,12 +244,12 @@ class RecorderNode(ManagedNode):
 
     def _take(self, topic: _Topic, cdr: bytes, info: dict[str, Any]) -> None:
         # On a clock that steps of the system clock do not reach: a bag is read in this order.
-        now = self._host_clock.now()
+        now = self.host_clock.now()
         earliest = now - round(_LONGEST_DELAY * NANOSECONDS)
-        received = self._host_clock.of_stamp(info.get("received_timestamp") or None, earliest)
+        received = self.host_clock.of_stamp(info.get("received_timestamp") or None, earliest)
         # What the middleware had to send again keeps its place among its publisher's messages.
         received = topic.newest = max(received, topic.newest)
-        sent = self._host_clock.of_stamp(info.get("source_timestamp") or None, 0)
+        sent = self.host_clock.of_stamp(info.get("source_timestamp") or None, 0)
         message = Serialized(topic.name, topic.type, cdr, received, min(sent, received))
         topic.latched.append(message)
         if self._recorder.put(message):
@@ -287,7 +287,7 @@ class RecorderNode(ManagedNode):
         self._health.activity = "idle" if path is None else f"recording {path.name}"
 
     def _watch_clock(self) -> None:
-        if warning := self._host_clock.step_warning("log times"):
+        if warning := self.host_clock.step_warning("log times"):
             self.log_fault(self._health, "clock_step", warning, WARN)
         else:
             self._health.recovered("clock_step")
@@ -473,7 +473,7 @@ class RecorderNode(ManagedNode):
 
     def _put_latched(self) -> None:
         """Repeat the latched messages at the head of a bag."""
-        now = self._host_clock.now()
+        now = self.host_clock.now()
         for topic in self._topics.values():
             for message in topic.latched:
                 self._recorder.put(message._replace(log_time_ns=now))

@@ -329,9 +329,13 @@ def _area(item: BagMessage, mapped: MappedTopic) -> tuple[int, int, float, float
     return stamp, item.log_time_ns, gross, real, sd, int(message.flags)
 
 
+def image_stamp(item: BagMessage, mapped: MappedTopic) -> int:
+    """Stamp (ns) of an image message, read without decoding it."""
+    return (item.log_time_ns if mapped.log_time else stamp_of_cdr(item.raw)) + mapped.offset_ns
+
+
 def _image(item: BagMessage, mapped: MappedTopic) -> tuple[int, int]:
-    stamp = item.log_time_ns if mapped.log_time else stamp_of_cdr(item.raw)
-    return stamp + mapped.offset_ns, item.log_time_ns
+    return image_stamp(item, mapped), item.log_time_ns
 
 
 def _indentation(item: BagMessage, mapped: MappedTopic) -> tuple[int, float]:

@@ -11,7 +11,7 @@ import shutil
 import struct
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -391,11 +391,6 @@ class BagWriter:
         if self._splits:
             self._split_if_due(log_time_ns)
         return self._channel_id(self._channels[name])
-
-    def write_many(self, topic: str, cdrs: Sequence[bytes], log_times_ns: Sequence[int]) -> None:
-        """Write serialized messages of one topic, published when logged."""
-        for cdr, log_time_ns in zip(cdrs, log_times_ns):
-            self.write_raw(topic, cdr, log_time_ns)
 
     def copy(self, message: BagMessage) -> None:
         """Write a message of another bag as it is; its topic must be known or announced."""

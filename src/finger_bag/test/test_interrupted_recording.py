@@ -367,7 +367,7 @@ def test_log_times_do_not_follow_a_step_of_the_system_clock(node: Any) -> None:
     from finger_common.host_clock import HostClock
 
     wall, steady = [10**18], [0]
-    node._host_clock = HostClock(lambda: wall[0], lambda: steady[0])
+    node.host_clock = HostClock(lambda: wall[0], lambda: steady[0])
     taken: list[Any] = []
     node._recorder = type("Taking", (), {"put": lambda self, m: taken.append(m) or False})()
     topic = next(topic for topic in node._topics.values() if not topic.is_latched)
@@ -389,7 +389,7 @@ def test_a_step_of_the_system_clock_is_named_until_it_is_taken_back(node: Any) -
     from finger_common.host_clock import HostClock
 
     wall = [10**18]
-    node._host_clock = HostClock(lambda: wall[0], lambda: 0)
+    node.host_clock = HostClock(lambda: wall[0], lambda: 0)
     for step, named in ((0, False), (3600, True), (0, False)):
         wall[0] = 10**18 + step * 10**9
         node._each_second()

@@ -107,7 +107,7 @@ class LslNode(ManagedNode):
         self._settings = self.settings(LslSettings)
         if self.get_parameter("use_sim_time").value:
             raise InputError("LSL has the time of the host; set 'use_sim_time' to false")
-        self._clocks = ClockMap(self._host_clock.now)
+        self._clocks = ClockMap(self.host_clock.now)
         self._health = Health("lsl")
         self._health.notes["clock_error_s"] = f"{self._clocks.error:.1e}"
         streams = {topic: Health(f"from LSL '{n}'") for topic, n in self._settings.received.items()}
@@ -147,14 +147,14 @@ class LslNode(ManagedNode):
             if lost := subscription.newly_lost():
                 self._health.count("lost", lost)
         # Steps reach neither clock of the mapping, but those of drivers that start later.
-        self._health.notes["system_clock_step_s"] = f"{self._host_clock.step():.3f}"
+        self._health.notes["system_clock_step_s"] = f"{self.host_clock.step():.3f}"
 
     def _receiver(self, topic: str, name: str) -> Receiver:
         stream, health = STREAMS[topic], self._incoming[topic]
         publisher, message_type = self._outputs[topic], TYPES[topic]
 
         def publish(stamp_ns: int, sample: Sequence[Any], error: float) -> None:
-            ahead = seconds(stamp_ns - self._host_clock.now())
+            ahead = seconds(stamp_ns - self.host_clock.now())
             if abs(ahead) > LARGEST_AGE:
                 text = (
                     f"samples of LSL stream '{name}' are stamped {abs(ahead):.3g} s "

@@ -28,6 +28,7 @@ from finger_model.anthropometry import parse_length, session_geometry
 
 from . import nodes
 from .bring_up import ALL_ACTIVE
+from .parameter_files import ParameterFile
 from .supervisor import Supervisor
 
 EXAMPLE = """\
@@ -293,10 +294,10 @@ def folder_of(arguments: argparse.Namespace) -> Path:
     return folder.expanduser().absolute()
 
 
-def _warn(chosen: Sequence[nodes.NodeEntry], arguments: argparse.Namespace) -> None:
+def _warn(chosen: Sequence[nodes.NodeEntry], namespace: str, file: ParameterFile) -> None:
     """Name the sections of the parameter file that are of no node, and sensors of two fingers."""
     for doubt in (nodes.without_effect, nodes.shared_sensors):
-        sentence = doubt(chosen, namespace_of(arguments), arguments.parameters)
+        sentence = doubt(chosen, namespace, file)
         if sentence:
             print(f"finger-rig: {sentence}", file=sys.stderr)
 
@@ -337,14 +338,10 @@ def _up(arguments: argparse.Namespace) -> int:
     boards, devices = nodes.simulated_boards(fingers(arguments) if arguments.simulated else ())
     chosen = entries(arguments, devices)
     lock = lock_folder(folder, "a rig")
-    _warn(chosen, arguments)
+    names = namespace_of(arguments), ParameterFile(arguments.parameters)
+    _warn(chosen, *names)
     specs = boards + nodes.process_specs(
-        chosen,
-        folder,
-        namespace_of(arguments),
-        arguments.parameters,
-        compose=arguments.compose,
-        realtime=arguments.realtime,
+        chosen, folder, *names, compose=arguments.compose, realtime=arguments.realtime
     )
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     ready = ReadyLine(sum(entry.name == "page" for entry in chosen))
@@ -434,9 +431,9 @@ def _calibrate(arguments: argparse.Namespace) -> int:
     folder = folder_of(arguments)
     lock = lock_folder(folder, "a rig") if arguments.simulated else None
     log = folder / "calibrate.log"
-    _warn(chosen, arguments)
+    names = namespace_of(arguments), ParameterFile(arguments.parameters)
+    _warn(chosen, *names)
     with tempfile.TemporaryDirectory() as own:
-        names = namespace_of(arguments), arguments.parameters
         specs = nodes.process_specs(chosen, Path(own), *names)
         with open(log if lock else os.devnull, "w", encoding="utf-8") as lines:
 

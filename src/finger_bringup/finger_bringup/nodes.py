@@ -19,14 +19,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from finger_common.axes import DEFAULT_NORMAL_AXIS
 from finger_common.errors import InputError, known_names, nearest
-from finger_common.files import atomic_write, load_yaml
 from finger_common.namespaces import DEFAULT_NAMESPACE, check_namespace, own_name
 from finger_sim.addresses import RigAddresses
 
+from .parameter_files import NO_PARAMETER_FILE, ParameterFile, matches, write_parameter_file
 from .supervisor import ProcessSpec
 
 Parameters = Mapping[str, Mapping[str, Any]]
@@ -223,6 +221,16 @@ def select(
     return [*chosen, BRING_UP.with_parameters(order=order, **own)]
 
 
+def _less(names: Iterable[str], without: Iterable[str]) -> list[str]:
+    """The names that are left; raises InputError for one to leave out that is not among them."""
+    left = list(names)
+    for name in without:
+        if entry_of(name).name not in left:
+            raise InputError(f"node '{name}' would not run anyway; do not name it to be left out")
+        left.remove(name)
+    return left
+
+
 def rig(
     folder: Path,
     simulated: bool = False,
@@ -243,10 +251,7 @@ def rig(
     if simulated and "simulated_rig" not in names:
         names.insert(0, "simulated_rig")
     names += [name for name in further if name not in names]
-    for name in without:
-        if entry_of(name).name not in names:
-            raise InputError(f"node '{name}' would not run anyway; do not name it to be left out")
-        names.remove(name)
+    names = _less(names, without)
     defaults: dict[str, dict[str, Any]] = {
         "protocol": {"output": str(folder / "sessions")},
         "model": {"subjects_folder": str(folder / "subjects")},
@@ -290,11 +295,7 @@ def hand(
     parameters: by the path of a node ("thumb/force"). further: nodes of the whole hand. Raises
     InputError as `rig`.
     """
-    names = [entry_of(name).name for name in (only or GRASP)]
-    for name in without:
-        if entry_of(name).name not in names:
-            raise InputError(f"node '{name}' would not run anyway; do not name it to be left out")
-        names.remove(name)
+    names = _less([entry_of(name).name for name in (only or GRASP)], without)
     entries = [
         replace(NODES[name], finger=finger) for finger in check_fingers(fingers) for name in names
     ]
@@ -322,53 +323,8 @@ def simulated_boards(fingers: Iterable[str]) -> tuple[list[ProcessSpec], dict[st
     return specs, parameters
 
 
-class QuotingDumper(yaml.SafeDumper):
-    """Writes all text in quotes: ROS takes more of it for numbers and truth values than YAML 1.1
-    does, such as 1e3 and y.
-    """
-
-    def represent_str(self, data: str) -> yaml.ScalarNode:
-        """As text, whatever it looks like."""
-        return self.represent_scalar("tag:yaml.org,2002:str", data, style='"')
-
-
-QuotingDumper.add_representer(str, QuotingDumper.represent_str)
-
-
-def write_parameter_file(entries: Iterable[NodeEntry], namespace: str, path: Path) -> Path:
-    """Write the settled entries' own parameters as a ROS parameter file and return its path."""
-    data = {
-        entry.full_name(namespace): {"ros__parameters": dict(entry.parameters)}
-        for entry in entries
-        if entry.parameters
-    }
-    with atomic_write(path) as file:
-        yaml.dump(data, file, QuotingDumper, sort_keys=False, allow_unicode=True)
-    return path
-
-
-def read_parameter_file(path: Path) -> dict[str, Mapping[str, Any]]:
-    """Parameters by node pattern of a ROS parameter file; raises InputError naming file and key."""
-    found = {}
-    for node, section in load_yaml(path, "parameter file").items():
-        if not isinstance(section, dict) or not isinstance(section.get("ros__parameters"), dict):
-            raise InputError(
-                f"{path}: '{node}' has no 'ros__parameters' with 'name: value' lines; "
-                "see the rig parameter file of finger_bringup"
-            )
-        found[node] = section["ros__parameters"]
-    return found
-
-
-def matches(pattern: str, node: str) -> bool:
-    """Whether a key of a parameter file means a node of this full name; * and ** as in ROS."""
-    text = re.escape("/" + pattern.strip("/"))
-    text = text.replace(r"/\*\*", r"(/[^/]+)*").replace(r"\*", r"[^/]+")
-    return re.fullmatch(text, node) is not None
-
-
 def without_effect(
-    entries: Iterable[NodeEntry], namespace: str, parameter_file: Path | None
+    entries: Iterable[NodeEntry], namespace: str, parameter_file: ParameterFile
 ) -> str:
     """A sentence that names the sections of the user's file which are of no node that runs, as
     where a finger's name is misspelt; empty where there are none.
@@ -378,7 +334,7 @@ def without_effect(
     names = [entry.full_name(namespace) for entry in entries]
     of_all = [f"/{name}" for name in NODES]
     idle = []
-    for section in {} if parameter_file is None else read_parameter_file(parameter_file):
+    for section in parameter_file.sections:
         known = names if "*" not in section else [*names, *of_all]
         if not any(matches(section, name) for name in known):
             near = nearest(f"/{section.strip('/')}", names)
@@ -386,7 +342,7 @@ def without_effect(
     if not idle:
         return ""
     sections = f"sections {', '.join(idle)} are" if len(idle) > 1 else f"section {idle[0]} is"
-    return f"{parameter_file}: {sections} of no node that runs here, and without effect"
+    return f"{parameter_file.path}: {sections} of no node that runs here, and without effect"
 
 
 SENSOR_ADDRESS = {
@@ -397,18 +353,15 @@ SENSOR_ADDRESS = {
 
 
 def shared_sensors(
-    entries: Iterable[NodeEntry], namespace: str, parameter_file: Path | None
+    entries: Iterable[NodeEntry], namespace: str, parameter_file: ParameterFile
 ) -> str:
     """A sentence that names the nodes of several fingers which read one sensor or one wrench, as
     where a section was copied; empty where there are none.
     """
-    file = {} if parameter_file is None else read_parameter_file(parameter_file)
     readers: dict[str, list[str]] = {}
     for entry in entries:
         name = entry.full_name(namespace)
-        values: dict[str, Any] = {}
-        for section in (*(file[node] for node in file if matches(node, name)), entry.parameters):
-            values.update(section)
+        values = {**parameter_file.values_of(name), **entry.parameters}
         if entry.name == "model":
             topic = str(values.get("wrench_topic", "wrench"))
             own = f"{entry.namespace(namespace).rstrip('/')}/"
@@ -427,7 +380,9 @@ def shared_sensors(
 
 
 def settled(
-    entries: Iterable[NodeEntry], namespace: str, parameter_file: Path | None
+    entries: Iterable[NodeEntry],
+    namespace: str,
+    parameter_file: ParameterFile = NO_PARAMETER_FILE,
 ) -> list[NodeEntry]:
     """The entries with each default that the user's file does not set among their parameters.
 
@@ -435,14 +390,12 @@ def settled(
     namespace that ROS does not take.
     """
     check_namespace(namespace)
-    file = {} if parameter_file is None else read_parameter_file(parameter_file)
     result = []
     for entry in entries:
         prefix = own_name(entry.namespace(namespace), "/")
         if prefix and entry.name in FRAMED:
             entry = replace(entry, defaults={"frame_prefix": f"{prefix}/", **entry.defaults})
-        name = entry.full_name(namespace)
-        set_there = {key for node in file if matches(node, name) for key in file[node]}
+        set_there = parameter_file.values_of(entry.full_name(namespace))
         free = {key: value for key, value in entry.defaults.items() if key not in set_there}
         result.append(replace(entry, parameters={**free, **entry.parameters}, defaults={}))
     return result
@@ -452,21 +405,21 @@ def process_specs(
     entries: Iterable[NodeEntry],
     folder: Path,
     namespace: str = DEFAULT_NAMESPACE,
-    parameter_file: Path | None = None,
+    parameter_file: ParameterFile = NO_PARAMETER_FILE,
     compose: bool = False,
     realtime: bool = False,
 ) -> list[ProcessSpec]:
     """Commands that run the entries with this Python.
 
-    parameter_file: of the user, may be None; it overrides defaults, not parameters of an entry.
+    parameter_file: of the user; it overrides defaults, not parameters of an entry.
     folder: where the file of the entries' own parameters is written, out of the way of other files
     (OWN_PARAMETERS). compose: run all that can share a process in one. realtime: that process has
     real-time priority.
     """
     entries = settled(entries, namespace, parameter_file)
-    files = [] if parameter_file is None else [parameter_file]
-    files.append(write_parameter_file(entries, namespace, folder / OWN_PARAMETERS))
-    arguments = [part for file in files for part in ("--params-file", str(file))]
+    values = {entry.full_name(namespace): entry.parameters for entry in entries}
+    files = parameter_file.path, write_parameter_file(values, folder / OWN_PARAMETERS)
+    arguments = [part for file in files if file for part in ("--params-file", str(file))]
     together = [entry for entry in entries if compose and entry.composable]
     specs = [
         ProcessSpec(

@@ -27,6 +27,7 @@ from service_calls import call  # noqa: E402
 
 from finger_bringup import nodes  # noqa: E402
 from finger_bringup.bring_up import ALL_ACTIVE  # noqa: E402
+from finger_bringup.parameter_files import ParameterFile  # noqa: E402
 from finger_common.node import LATCHED_QOS  # noqa: E402
 from finger_common.stamps import header_stamp  # noqa: E402
 from finger_model.estimator import ContactEstimator, replay  # noqa: E402
@@ -113,7 +114,8 @@ def hand(
     reliable = {"ros__parameters": {"qos_reliability": "reliable", "qos_depth": 5000}}
     own.write_text(yaml.safe_dump({"/**": reliable}))
     chosen = nodes.hand(["thumb", "index"], parameters=devices)
-    (spec,) = nodes.process_specs(chosen, tmp_path, "hand", own, compose=True, realtime=True)
+    file = ParameterFile(own)
+    (spec,) = nodes.process_specs(chosen, tmp_path, "hand", file, compose=True, realtime=True)
     command = [
         part.replace("/hand/thumb=finger_model.model_node", "/hand/thumb=broken_model")
         for part in spec.command[1:]
@@ -200,7 +202,7 @@ def test_a_finger_without_its_sensor_holds_up_no_other_and_comes_when_it_is_plug
     }
     own.write_text(yaml.safe_dump({node: {"ros__parameters": v} for node, v in quick.items()}))
     chosen = nodes.hand(["thumb", "index"], parameters=devices)
-    (spec,) = nodes.process_specs(chosen, tmp_path, "hand", own, compose=True)
+    (spec,) = nodes.process_specs(chosen, tmp_path, "hand", ParameterFile(own), compose=True)
     process(*boards[1].command[1:])
     running = Hand(process(*spec.command[1:]), ros_domain)
     try:

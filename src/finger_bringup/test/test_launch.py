@@ -145,6 +145,7 @@ def test_launch_files_and_finger_rig_run_the_same_nodes_with_the_same_parameters
 
     from finger_bringup import nodes
     from finger_bringup.launch.actions import COMMON, node_actions
+    from finger_bringup.parameter_files import ParameterFile
 
     own = tmp_path / "rig.yaml"
     own.write_text("/**/force:\n  ros__parameters: {can_channel: can7}\n")
@@ -153,7 +154,7 @@ def test_launch_files_and_finger_rig_run_the_same_nodes_with_the_same_parameters
     context.launch_configurations["parameters"] = str(own)
     entries = nodes.rig(tmp_path, simulated=True)
     launched = [a for a in node_actions(context, entries) if isinstance(a, Node)]
-    specs = nodes.process_specs(entries, tmp_path, parameter_file=own)
+    specs = nodes.process_specs(entries, tmp_path, parameter_file=ParameterFile(own))
     modules = [spec.command[2] for spec in specs]
     assert [f"{a.node_package}.{a.node_executable}" for a in launched] == modules
     written = yaml.safe_load((tmp_path / nodes.OWN_PARAMETERS).read_text())

@@ -17,6 +17,7 @@ from finger_bag.writer import BagWriter
 from finger_bringup import nodes
 from finger_bringup.bring_up import ALL_ACTIVE
 from finger_bringup.cli import ReadyLine, entries, folder_of, main, namespace_of, parser
+from finger_bringup.parameter_files import NO_PARAMETER_FILE, ParameterFile, matches
 from finger_bringup.replay import replay_of
 from finger_bringup.restarts import RestartDelay
 from finger_common.errors import InputError
@@ -62,7 +63,8 @@ def test_parameters_reach_the_file_under_the_full_node_name(tmp_path: Path) -> N
 def test_what_the_suite_sets_overrides_the_users_parameter_file(tmp_path: Path) -> None:
     own = tmp_path / "rig.yaml"
     own.write_text("/**/force:\n  ros__parameters: {can_channel: can7}\n")
-    specs = nodes.process_specs(nodes.select(["force"]), tmp_path, parameter_file=own)
+    file = ParameterFile(own)
+    specs = nodes.process_specs(nodes.select(["force"]), tmp_path, parameter_file=file)
     files = [
         w for w, before in zip(specs[0].command[1:], specs[0].command) if before == "--params-file"
     ]
@@ -73,7 +75,7 @@ def test_a_parameters_file_of_the_user_in_the_rig_s_folder_stays_as_it_is(tmp_pa
     own = tmp_path / "parameters.yaml"
     own.write_text("/**/force:\n  ros__parameters: {can_channel: can7}\n")
     before = own.read_bytes()
-    nodes.process_specs(nodes.rig(tmp_path), tmp_path, parameter_file=own)
+    nodes.process_specs(nodes.rig(tmp_path), tmp_path, parameter_file=ParameterFile(own))
     assert own.read_bytes() == before
 
 
@@ -95,16 +97,16 @@ def test_what_the_user_s_file_sets_is_no_default_of_the_suite(tmp_path: Path, pa
         "output": str(tmp_path / "sessions"),
         "need_recorder": False,
     }
-    nodes.process_specs(entries, tmp_path, parameter_file=own)
+    nodes.process_specs(entries, tmp_path, parameter_file=ParameterFile(own))
     # The order of coming up is the suite's, whatever a copy of the reference file says.
     assert written(tmp_path)["protocol"] == {"autostart": False}
 
 
 def test_keys_of_a_parameter_file_mean_nodes_as_in_ros() -> None:
     for pattern in ("/**", "/**/force", "/hand/thumb/force", "/hand/*/force", "/hand/**", "/*/*/*"):
-        assert nodes.matches(pattern, "/hand/thumb/force"), pattern
+        assert matches(pattern, "/hand/thumb/force"), pattern
     for pattern in ("/**/forc", "/*", "/thumb/force", "/hand/thumb", "force", "/*/force"):
-        assert not nodes.matches(pattern, "/hand/thumb/force"), pattern
+        assert not matches(pattern, "/hand/thumb/force"), pattern
 
 
 @pytest.mark.parametrize(
@@ -127,13 +129,13 @@ def test_sections_of_no_node_are_named(sections: list[str], says: str, tmp_path:
     own = tmp_path / "hand.yaml"
     own.write_text("".join(f"{name}:\n  ros__parameters: {{}}\n" for name in sections))
     fingers = nodes.hand(["thumb", "index"])
-    told = nodes.without_effect(fingers, "hand", own)
+    told = nodes.without_effect(fingers, "hand", ParameterFile(own))
     assert says in told and bool(told) == bool(says)
     assert told == "" or told.startswith(f"{own}: section")
 
 
 def test_the_rigs_own_file_has_no_section_without_effect() -> None:
-    file = Path(nodes.__file__).parents[1] / "config" / "rig.yaml"
+    file = ParameterFile(Path(nodes.__file__).parents[1] / "config" / "rig.yaml")
     assert nodes.without_effect(nodes.hand(["thumb"]), "hand", file) == ""
 
 
@@ -168,16 +170,17 @@ def test_the_rigs_own_file_has_no_section_without_effect() -> None:
 def test_two_fingers_on_one_sensor_are_named(
     sections: dict[str, str], says: str, tmp_path: Path
 ) -> None:
-    file = tmp_path / "hand.yaml"
+    own = tmp_path / "hand.yaml"
     apart = {"index/force": "{base_identifier: 34}"} if "*/force" not in sections else {}
     lines = {**sections, **apart}.items()
-    file.write_text("".join(f"/hand/{k}:\n  ros__parameters: {v}\n" for k, v in lines))
+    own.write_text("".join(f"/hand/{k}:\n  ros__parameters: {v}\n" for k, v in lines))
+    file = ParameterFile(own)
     told = nodes.shared_sensors(nodes.hand(["thumb", "index"]), "hand", file)
     assert says in told and bool(told) == bool(says)
     assert nodes.shared_sensors(nodes.hand(["thumb"]), "hand", file) == ""
     _, devices = nodes.simulated_boards(["thumb", "index"])
     simulated = nodes.hand(["thumb", "index"], parameters=devices)
-    assert nodes.shared_sensors(simulated, "hand", None) == ""
+    assert nodes.shared_sensors(simulated, "hand", NO_PARAMETER_FILE) == ""
 
 
 def test_fingers_have_folders_and_frames_of_their_own(tmp_path: Path) -> None:
@@ -197,15 +200,16 @@ def test_fingers_have_folders_and_frames_of_their_own(tmp_path: Path) -> None:
 def test_an_option_of_the_command_is_the_last_word(tmp_path: Path) -> None:
     own = tmp_path / "rig.yaml"
     own.write_text("/**/page:\n  ros__parameters: {port: 9000}\n")
+    file = ParameterFile(own)
     arguments = ["up", "--simulated", "--folder", str(tmp_path), "--port", "9001", "--seed", "7"]
-    nodes.process_specs(entries(parser().parse_args(arguments)), tmp_path, parameter_file=own)
+    nodes.process_specs(entries(parser().parse_args(arguments)), tmp_path, parameter_file=file)
     assert written(tmp_path)["page"]["port"] == 9001
     assert written(tmp_path)["simulated_rig"]["seed"] == 7
     nodes.process_specs(entries(parser().parse_args(arguments[:4])), tmp_path)
     assert "port" not in written(tmp_path)["page"]
     assert "seed" not in written(tmp_path)["simulated_rig"]
     arguments = ["up", "--fingers", "thumb", "--nodes", "force", "page", "--port", "9001"]
-    nodes.process_specs(entries(parser().parse_args(arguments)), tmp_path, parameter_file=own)
+    nodes.process_specs(entries(parser().parse_args(arguments)), tmp_path, parameter_file=file)
     assert written(tmp_path)["page"]["port"] == 9001
 
 
@@ -221,7 +225,7 @@ def test_a_file_that_is_no_parameter_file_is_named(tmp_path: Path, text: str, sa
     path = tmp_path / "bad.yaml"
     path.write_text(text)
     with pytest.raises(InputError, match=re.escape(str(path))) as error:
-        nodes.read_parameter_file(path)
+        _ = ParameterFile(path).sections
     assert says in str(error.value)
 
 

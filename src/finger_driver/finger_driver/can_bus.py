@@ -85,7 +85,10 @@ class HostMulticastBus(can.BusABC):
     """
 
     def __init__(
-        self, channel: str = "239.74.163.2", port: int = DEFAULT_PORT, **kwargs: Any
+        self,
+        channel: str = DEFAULT_CHANNEL["udp_multicast"],
+        port: int = DEFAULT_PORT,
+        **kwargs: Any,
     ) -> None:
         super().__init__(channel, **kwargs)
         self.channel_info = f"udp_multicast {channel}:{port} on this host"

@@ -113,7 +113,7 @@ class DeviceThread(Generic[Sample]):
     """
 
     def __init__(
-        self, device: Device[Sample], on_sample: Callable[[Sample], Rest], pauses: Pauses
+        self, device: Device[Sample], on_sample: Callable[[Sample], Rest | None], pauses: Pauses
     ) -> None:
         self._device = device
         self._on_sample = on_sample
@@ -211,7 +211,7 @@ class DeviceThread(Generic[Sample]):
             kind = type(error).__name__
             self._device.note("close", f"closing it failed ({kind}: {one_line(error)})")
 
-    def _deliver(self, sample: Sample) -> Rest:
+    def _deliver(self, sample: Sample) -> Rest | None:
         self._pauses.reset()
         rest = self._on_sample(sample)
         self._device.cleared("internal")

@@ -13,7 +13,6 @@ from typing import Any
 from finger_common.cli import one_line
 from finger_common.diagnostics import ERROR
 from finger_common.errors import DeviceError
-from finger_common.host_clock import HostClock
 from finger_common.node import FrameSettings, ManagedNode
 from finger_common.plugins import PluginKind
 from finger_common.retry import Pauses
@@ -63,7 +62,7 @@ class DeviceNode(ManagedNode):
         """Publishers and services, once the device is connected."""
         raise NotImplementedError
 
-    def on_sample(self, sample: Any) -> Rest:
+    def on_sample(self, sample: Any) -> Rest | None:
         """Publish one sample; called in the reading thread.
 
         May return a function for what can wait until the samples of other devices that came at the
@@ -82,7 +81,6 @@ class DeviceNode(ManagedNode):
         self.healths = [self.device.health]
         self._stamps = IncreasingStamps()
         self._statistics = StampStatistics()
-        self._host_clock = HostClock()
         settings = self.settings(DeviceNodeSettings)
         pauses = Pauses(settings.reconnect_first_pause, settings.reconnect_longest_pause)
         self._thread = DeviceThread(self.device, self._deliver, pauses)
@@ -122,7 +120,7 @@ class DeviceNode(ManagedNode):
         self.device.health.count("backwards")
         return False
 
-    def _deliver(self, sample: Any) -> Rest:
+    def _deliver(self, sample: Any) -> Rest | None:
         rest = self._unless_ended(self.on_sample, sample)
         return None if rest is None else partial(self._unless_ended, rest)
 
@@ -139,7 +137,7 @@ class DeviceNode(ManagedNode):
         if self._configured:
             health = self.device.health
             health.notes.update(self._statistics.notes())
-            warning = self._host_clock.step_warning("stamps")
+            warning = self.device.clock.step_warning("stamps")
             self.device.note_if(bool(warning), "clock_step", warning)
             self.device.end_passed()
         super().publish_diagnostics()

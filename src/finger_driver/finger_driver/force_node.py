@@ -113,7 +113,7 @@ class ForceNode(DeviceNode):
         self.create_service(Trigger, "~/tare", self._on_tare)
         self.create_service(Trigger, "~/reset_tare", self._on_reset_tare)
 
-    def on_sample(self, sample: WrenchSample) -> Rest:
+    def on_sample(self, sample: WrenchSample) -> Rest | None:
         received = time.time_ns()
         sample = self.device.checked(sample)
         if not self.accept_stamp(sample.stamp_ns):

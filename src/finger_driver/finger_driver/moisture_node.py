@@ -16,7 +16,7 @@ from typing import Any
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64
 
-from finger_common.moisture import MOISTURE_RANGE, is_moisture
+from finger_common.moisture import MOISTURE_TEXT, is_moisture
 from finger_common.node import LATCHED_QOS, main_of
 from finger_common.settings import setting
 from finger_common.stamps import NANOSECONDS, seconds
@@ -33,8 +33,6 @@ from .moisture.source import FLAG_MANUAL, FLAG_OUT_OF_RANGE, PHASE_AFTER
 _AHEAD = 2.0
 """s by which a reading may be stamped ahead of this machine's clock; tables have whole seconds."""
 
-_RANGE = f"{MOISTURE_RANGE[0]:g} … {MOISTURE_RANGE[1]:g} a.u."
-
 
 @dataclass(frozen=True)
 class MoistureNodeSettings(DeviceNodeSettings):
@@ -43,7 +41,8 @@ class MoistureNodeSettings(DeviceNodeSettings):
     frame_id: str = setting("finger", "Frame of the reading: the skin it was taken on.")
     out_of_range: str = setting(
         "flag",
-        f"What becomes of a reading outside {_RANGE}: published with its flag set, or left out.",
+        f"What becomes of a reading outside {MOISTURE_TEXT}: published with its flag set, or left "
+        "out.",
         choices=("flag", "drop"),
     )
 
@@ -108,7 +107,7 @@ class MoistureNode(DeviceNode):
             if old:
                 return text
             wild = bool(reading.flags & FLAG_OUT_OF_RANGE)
-            text = f"{name} is outside {_RANGE}; measure again"
+            text = f"{name} is outside {MOISTURE_TEXT}; measure again"
             device.note_if(wild, "out_of_range", text)
             if wild and self.values["out_of_range"] == "drop":
                 return text
@@ -122,7 +121,7 @@ class MoistureNode(DeviceNode):
         if not self.reading:
             response.message = "not accepted: the node is not active"
         elif not is_moisture(request.value):
-            response.message = f"not accepted: {request.value:g} is outside {_RANGE}"
+            response.message = f"not accepted: {request.value:g} is outside {MOISTURE_TEXT}"
         elif request.phase > PHASE_AFTER:
             response.message = f"not accepted: phase {request.phase} does not exist; use 0, 1 or 2"
         else:

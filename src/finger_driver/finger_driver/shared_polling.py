@@ -26,7 +26,7 @@ _IDLE = 5.0
 """s without a device after which the thread ends."""
 
 
-Rest = Callable[[], None] | None
+Rest = Callable[[], None]
 """What is left to do with a sample when the others have been delivered."""
 
 
@@ -63,14 +63,14 @@ class _Seat:
     """A device while the shared thread polls it."""
 
     def __init__(
-        self, device: Polled, deliver: Callable[[Any], Rest], ended: Callable[[], bool]
+        self, device: Polled, deliver: Callable[[Any], Rest | None], ended: Callable[[], bool]
     ) -> None:
         self.device = device
         self.deliver = deliver
         self.ended = ended
         self.released = threading.Event()
         self.error: BaseException | None = None
-        self.rest: Rest = None
+        self.rest: Rest | None = None
 
 
 class SharedPolling:
@@ -83,7 +83,7 @@ class SharedPolling:
         self._woken, self._wake = os.pipe()
 
     def serve(
-        self, device: Polled, deliver: Callable[[Any], Rest], ended: Callable[[], bool]
+        self, device: Polled, deliver: Callable[[Any], Rest | None], ended: Callable[[], bool]
     ) -> None:
         """Have the device polled until it needs its own thread, the caller's, or `ended()`.
 

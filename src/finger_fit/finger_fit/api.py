@@ -25,7 +25,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from finger_common.columns import column
-from finger_common.contact_threshold import LIFTOFF_FORCE, ONSET_FORCE
 from finger_common.errors import InputError, listed
 from finger_common.flags import AreaFlag
 from finger_common.stamps import NANOSECONDS
@@ -39,7 +38,7 @@ from finger_offline.trial_checks import (
     fault_of,
 )
 from finger_offline.trial_records import TrialRecord
-from finger_offline.trial_split import CONDITION, TrialSettings, presses
+from finger_offline.trial_split import CONDITION, TrialSettings
 from finger_offline.unloaded import reached_force, unloaded_tare
 
 from .options import FitOptions
@@ -112,9 +111,10 @@ class Trial:
         starts = [s.time[0] for s in (force, area, indentation) if len(s.time)]
         origin = min(float(min(starts)), 0.0)
         stamps = _stamps(force.time, origin)
-        touches = presses(stamps, force.values, ONSET_FORCE, LIFTOFF_FORCE)
+        settings = TrialSettings()
+        touches = settings.presses(stamps, force.values)
         peaks = [float(force.values[first:end].max()) for first, end in touches]
-        least, peak = TrialSettings().minimum_peak, max(peaks, default=0.0)
+        least, peak = settings.minimum_peak, max(peaks, default=0.0)
         if peak < least:
             raise InputError(
                 f"{name}: no press of {least:g} N or more, the largest force is "
@@ -491,7 +491,7 @@ class Fit:
         """`save`, and report.html with its figures; returns the page's path."""
         from .report import write_report
 
-        if all(part.deformed is None for part in self.result.subjects.values() or [self.result]):
+        if all(part.deformed is None for part in self.result.parts.values()):
             draw(self.result)
         self.save(folder)
         return write_report(self.result, Path(folder))

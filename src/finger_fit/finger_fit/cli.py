@@ -32,10 +32,10 @@ from finger_model.finger import load_areas
 
 from .design.command import command as design_command
 from .hierarchy.command import command as population_command
-from .nuisance.names import name_of
+from .nuisance_names import name_of
 from .options import FitOptions
-from .problem import MM4, three_digits
 from .report import find_browser, write_pdf
+from .report_units import MM4, three_digits
 from .results import FitResult
 from .study import fit_bags, reading
 

@@ -130,6 +130,11 @@ class FitNode(ManagedNode):
 
     _job: _Job | None = None
     """The newest one; its thread may outlast the configuration that it was begun in."""
+    _handle: Any = None
+    """Of the goal that is being answered."""
+    _server: ActionServer | None = None
+    _farewell: Any = None
+    """Timer that withdraws the action, once the last goal is answered."""
 
     def configure(self) -> None:
         """Check the model file and offer the action."""
@@ -138,8 +143,8 @@ class FitNode(ManagedNode):
         self.health = Health("fit", "no device")
         self.healths = [self.health]
         self._withdraw(at_once=True)
-        self._handle: Any = None
-        self._server: ActionServer | None = ActionServer(
+        self._handle = None
+        self._server = ActionServer(
             self,
             FitParameters,
             "~/fit",
@@ -171,21 +176,21 @@ class FitNode(ManagedNode):
     def _withdraw(self, at_once: bool = False) -> None:
         if self.answering and not at_once:
             return
-        farewell = self.__dict__.pop("_farewell", None)
+        farewell, server = self._farewell, self._server
+        self._farewell = self._server = None
         if farewell is not None:
             self.destroy_timer(farewell)
-        server = self.__dict__.pop("_server", None)
         if server is not None:
             server.destroy()
 
     @property
     def answering(self) -> bool:
-        return getattr(self, "_handle", None) is not None
+        return self._handle is not None
 
     def _on_goal(self, goal: Any) -> GoalResponse:
         # A refusal of an action carries no reason: what only time changes is answered instead.
         try:
-            if not self._active:
+            if not self.active:
                 raise InputError("the fit node is not active; activate it first")
             checked_options(goal)
         except FingerError as error:
@@ -244,7 +249,7 @@ class FitNode(ManagedNode):
             folder = Path(outcome.output)
             files = [
                 folder / name / file
-                for name, part in (outcome.subjects or {"": outcome}).items()
+                for name, part in outcome.parts.items()
                 for file in parameter_files(part)
             ]
             result.parameter_file = str(files[0]) if files else ""

@@ -20,7 +20,7 @@ from finger_model.geometry import Geometry
 from finger_model.laws import ParameterSpace, ParameterSpec
 from finger_model.paper import TARGET_FORCE
 
-from .nuisance.priors import NuisancePriors
+from .nuisance_priors import NuisancePriors
 
 FRAMES = "frames and forces"
 SEARCH = "cost and search"

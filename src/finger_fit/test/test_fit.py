@@ -25,8 +25,9 @@ from finger_fit import report, results
 from finger_fit.cli import command
 from finger_fit.engine import DaskEngine
 from finger_fit.options import FitOptions
-from finger_fit.problem import MM4, fit_power_law, three_digits
+from finger_fit.problem import fit_power_law
 from finger_fit.report import find_browser, write_pdf, write_report
+from finger_fit.report_units import MM4, three_digits
 from finger_fit.results import FitResult
 from finger_fit.results.tables import goodness_rows
 from finger_fit.search import Stopped, all_free, refine

@@ -304,7 +304,7 @@ def test_deactivation_and_shutdown_end_the_goal(
     assert result.result().status == GoalStatus.STATUS_ABORTED
     assert "the fit node was deactivated" in result.result().result.message
     if transition == "active_shutdown":
-        wait(lambda: "_server" not in vars(node))
+        wait(lambda: node._server is None)
     else:
         # An inactive node takes no goal, and says so at once.
         handle, _ = send(tmp_path, client=1)

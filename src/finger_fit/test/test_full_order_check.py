@@ -17,7 +17,8 @@ from finger_fit.engine import LocalEngine
 from finger_fit.full_order import FullOrder, check, correct
 from finger_fit.full_order.correction import shifted
 from finger_fit.options import FitOptions
-from finger_fit.problem import MM4, AreaCorrection, FitProblem
+from finger_fit.problem import AreaCorrection, FitProblem
+from finger_fit.report_units import MM4
 from finger_fit.search import all_free, refine
 from finger_fit.study.deformed import deformed_finger
 from finger_model.fem.area_model import FullOrderAreas, thinned_rows
@@ -26,10 +27,6 @@ from finger_model.laws import StandardLinearSolid
 from finger_model.reduced import ReducedModel
 
 PARAMETERS = StandardLinearSolid.PARAMETERS
-
-
-class InProcess(LocalEngine):
-    spread = LocalEngine.map
 
 
 @pytest.fixture
@@ -142,7 +139,7 @@ def test_thinned_drive_keeps_frames_and_step(double) -> None:
 def test_full_order_areas_follow_the_drive_and_the_parameters(double) -> None:
     problem = double.make_problem(trials=1)
     candidates = np.array([[140e3, 60e3, 0.5, 1795e3], [140e3, 22e3, 0.5, 1795e3]])
-    model = replace(FullOrder.like(problem.model), refinement=0.5, engine=InProcess())
+    model = replace(FullOrder.like(problem.model), refinement=0.5, engine=LocalEngine(1))
     stiff, soft = model.areas(problem, candidates)
     assert (soft > stiff).all() and (np.diff(soft) > 0).all()
     assert len(soft) == len(problem.trials[0].frames)
@@ -165,7 +162,7 @@ def test_every_fixed_property_and_length_reaches_the_full_order_areas(double) ->
         friction=0.6, nail_modulus=1e6, poisson_ratio_bulk=0.45, poisson_ratio_epidermis=0.46
     )
     model = SimpleNamespace(material=material, geometry=geometry)
-    full = replace(FullOrder.like(model), refinement=0.4, engine=InProcess())
+    full = replace(FullOrder.like(model), refinement=0.4, engine=LocalEngine(1))
     assert (full.material, full.geometry) == (material, geometry)
     candidate = np.array([[140e3, 22e3, 0.5, 1795e3]])
     found = full.areas(problem, candidate)[0]

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from finger_fit.options import FitOptions
-from finger_fit.problem import MM4
+from finger_fit.report_units import MM4
 from finger_fit.search import all_free, held, refine
 from finger_fit.uncertainty import (
     bootstrap_sample,

@@ -22,9 +22,10 @@ from finger_fit.nuisance.geometry import (
     Response,
     geometry_responses,
 )
-from finger_fit.nuisance.names import COLLAPSE, LAG, TARE
+from finger_fit.nuisance_names import COLLAPSE, LAG, TARE
 from finger_fit.options import FitOptions
-from finger_fit.problem import MM4, FitProblem, Goal, Nuisance, Nuisances, prepare_all
+from finger_fit.problem import FitProblem, Goal, Nuisance, Nuisances, prepare_all
+from finger_fit.report_units import MM4
 from finger_fit.results import fit_dict
 from finger_fit.search import all_free, refine
 from finger_fit.study import fit_records

@@ -10,7 +10,8 @@ import pytest
 from scipy.optimize import minimize
 
 from finger_fit.options import FitOptions
-from finger_fit.problem import MM4, fit_power_law
+from finger_fit.problem import fit_power_law
+from finger_fit.report_units import MM4
 from finger_fit.search import all_free, refine
 
 

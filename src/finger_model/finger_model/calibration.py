@@ -33,6 +33,7 @@ from finger_common.errors import InputError
 
 from .anthropometry import GeometryEstimate
 from .estimator import EstimatorSettings, members
+from .estimator.neighbourhood import Neighbourhood
 from .estimator.parameter_selection import check_sets, select_parameters
 from .finger_prior import COORDINATES, FingerPrior
 from .geometry import Geometry
@@ -249,55 +250,34 @@ def calibrate(
     inverse = np.linalg.inv(covariance + _SMALLEST_VARIANCE * np.eye(_STATES + 1))
     scatter, misfit = People.default().press_gain, max(prior.misfit_sd, model.rms_error)
     problem = _Problem(model, selected.constants, good, own, mean, inverse, misfit)
-    x, settled = mean.copy(), False
-    areas = problem.follow(x)
-    for _ in range(_ROUNDS):
-        information, gradient, weights = problem.linearised(x, areas, scatter)
-        before, present = x, problem.cost(x, areas, weights)
-        step = problem.step(x, information, gradient)
-        for halved in range(_HALVINGS):
-            x = before + 0.5**halved * step
-            areas = problem.follow(x)
-            if problem.cost(x, areas, weights) <= present:
-                break
-        else:
-            x, areas = before, problem.follow(before)
-        factors, left = _factors(areas, own @ x)
-        spread = math.sqrt(np.sum(np.square(factors)) / max(len(good) - 2, 1))
-        if np.abs(x - before).max() < _CONVERGED:
-            if settled or spread <= scatter:
-                break
-            settled, scatter = True, spread
-    if spread > MOST_SCATTER:
+    fit = _solve(problem, scatter)
+    if fit.spread > MOST_SCATTER:
         raise InputError(
-            f"the presses differ by {100 * spread:.0f} %, more than those of one finger: press "
+            f"the presses differ by {100 * fit.spread:.0f} %, more than those of one finger: press "
             "with the same part of the same finger each time, on a clean plate, and calibrate again"
         )
-    found = own @ x
-    uncertain = own @ np.linalg.inv(information) @ own.T
+    found = own @ fit.x
+    uncertain = own @ np.linalg.inv(fit.information) @ own.T
     uncertain = 0.5 * (uncertain + uncertain.T)
-    answers = problem.answers(x, areas, weights, selected.parameters, lengths.deviations)
-    assumed = own @ np.linalg.solve(information, answers)
-    base = sets.prior
-    own_prior = FingerPrior(
-        tuple(float(f"{v:.6g}") for v in found),
-        tuple(tuple(float(f"{v:.6g}") for v in row) for row in uncertain),
-        misfit if base is None else base.misfit_sd,
-        0.0 if base is None else base.moisture_sd,
-        0.0 if base is None else base.reading_sd,
-        0.0 if base is None else base.peak_mean,
-        0.0 if base is None else base.peak_sd,
-    )
-    residuals = [press.residuals(found) for press in areas]
+    answers = problem.answers(fit, selected.parameters, lengths.deviations)
+    assumed = own @ np.linalg.solve(fit.information, answers)
+    base = sets.prior or FingerPrior((), (), misfit, 0.0, 0.0)
+    own_prior = replace(base, mean=_rounded(found), covariance=tuple(map(_rounded, uncertain)))
+    residuals = [press.residuals(found) for press in fit.areas]
     return Calibration(
         sets.with_prior(own_prior, model.geometry, press_scatter(residuals, misfit)),
         _quantities(model, selected.constants, found, uncertain, assumed),
-        spread,
-        float(np.sqrt(np.mean(left**2))),
+        fit.spread,
+        float(np.sqrt(np.mean(fit.left**2))),
         len(good),
         sum(len(press.area) for press in good),
         lengths.note,
     )
+
+
+def _rounded(values: np.ndarray) -> tuple[float, ...]:
+    """With the digits that a file has."""
+    return tuple(float(f"{value:.6g}") for value in values)
 
 
 @dataclass(frozen=True)
@@ -358,18 +338,13 @@ class _Problem:
         return float(off @ self.inverse @ off + sum(r @ w @ r for r, w in zip(left, weights)))
 
     def answers(
-        self,
-        x: np.ndarray,
-        areas: Sequence[_Areas],
-        weights: Sequence[np.ndarray],
-        parameters: np.ndarray,
-        deviations: Mapping[str, float],
+        self, fit: _Solution, parameters: np.ndarray, deviations: Mapping[str, float]
     ) -> np.ndarray:
         """Gradient (6, m) by one deviation of each length; x moves by information⁻¹ times it.
 
         Lengths that the reduced model of all fingers does not vary are left out.
         """
-        found = []
+        found, x = [], fit.x
         geometry = self.model.geometry
         here = self._logarithms(x, geometry, parameters) if deviations else None
         for name, deviation in deviations.items():
@@ -381,7 +356,7 @@ class _Problem:
                     continue
                 assert here is not None
                 total = np.zeros(len(x))
-                for press, weight, a, b in zip(areas, weights, here, there):
+                for press, weight, a, b in zip(fit.areas, fit.weights, here, there):
                     change = press.predicted(self.own @ x) * (b - a)
                     total += self.slope(x, press).T @ weight @ change
                 found.append(total)
@@ -395,6 +370,48 @@ class _Problem:
         model = load_population(geometry)
         areas = _follow(model, model.constants(parameters), x[2:_STATES], self.presses)
         return [np.log(press.model) for press in areas]
+
+
+@dataclass(frozen=True)
+class _Solution:
+    """x (6,) with the presses beside the model there, and of the step that led to it information
+    (6, 6) and the weight (k, k) of each press.
+
+    spread: relative deviation of the area from press to press; left (areas,): relative, of all
+    areas within their presses.
+    """
+
+    x: np.ndarray
+    areas: list[_Areas]
+    information: np.ndarray
+    weights: list[np.ndarray]
+    spread: float
+    left: np.ndarray
+
+
+def _solve(problem: _Problem, scatter: float) -> _Solution:
+    """Gauss and Newton's method from the mean; scatter: of presses of one finger, relative, in
+    whose place that of these presses comes where it is larger."""
+    x, settled = problem.mean.copy(), False
+    areas = problem.follow(x)
+    for _ in range(_ROUNDS):
+        information, gradient, weights = problem.linearised(x, areas, scatter)
+        before, present = x, problem.cost(x, areas, weights)
+        step = problem.step(x, information, gradient)
+        for halved in range(_HALVINGS):
+            x = before + 0.5**halved * step
+            areas = problem.follow(x)
+            if problem.cost(x, areas, weights) <= present:
+                break
+        else:
+            x, areas = before, problem.follow(before)
+        factors, left = _factors(areas, problem.own @ x)
+        spread = math.sqrt(np.sum(np.square(factors)) / max(len(problem.presses) - 2, 1))
+        if np.abs(x - before).max() < _CONVERGED:
+            if settled or spread <= scatter:
+                break
+            settled, scatter = True, spread
+    return _Solution(x, areas, information, weights, spread, left)
 
 
 def _factors(areas: Sequence[_Areas], x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -415,47 +432,30 @@ def _covariance(press: _Areas, predicted: np.ndarray, scatter: float, misfit: fl
     return np.diag(press.sd**2) + relative * np.outer(predicted, predicted)
 
 
-def _members(
-    model: ReducedModel, base: np.ndarray, w: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Constants (4,) and states at rest (4,) of the finger at w (3,), scratch, and the members."""
-    near = np.zeros(1, members.MEMBERS)
-    members.shift_all(near, np.ascontiguousarray(w))
-    constants = np.repeat(base, 1 + members.DIRECTIONS)
-    finger = np.concatenate([model.state_at_rest(base)] * len(constants))
-    # Apart from the model's own scratch, which a live estimator may be using.
-    work = model.work.copy()
-    members.place_all(model.networks, base, constants, finger, work, near)
-    return constants, finger, work, near
-
-
 def _follow(
     model: ReducedModel, base: np.ndarray, w: np.ndarray, presses: Sequence[CalibrationPress]
 ) -> list[_Areas]:
     """The presses beside the model of a finger at w (3,), which creeps on between them."""
-    constants, finger, work, near = _members(model, base, w)
+    near = Neighbourhood.at(model, base, w)
     found = []
     before = presses[0].time[0]
     for press in presses:
         steps = np.arange(press.time[0], press.time[-1], MODEL_STEP)
         time = np.union1d(steps, press.area_time)
         force = np.maximum(np.interp(time, press.time, press.force, 0.0, 0.0), 0.0)
-        table = np.empty((len(time), 3 + 2 * members.DIRECTIONS))
-        members.follow(
-            model.networks, constants, finger, work, near.copy(), before, time, force, table
-        )
+        followed = near.follow(before, time, force)
         before = time[-1]
         at = np.searchsorted(time, press.area_time)
-        sensitivities = table[at, 3 : 3 + members.DIRECTIONS]
+        sensitivities = followed.sensitivities[at]
         phi = np.log(np.maximum(force[at], SMALLEST_FORCE))
         found.append(
             _Areas(
                 press.area_time,
                 press.area,
                 press.area_sd,
-                np.maximum(table[at, 0], SMALLEST_MODEL_AREA),
+                np.maximum(followed.area[at], SMALLEST_MODEL_AREA),
                 np.column_stack([np.ones(len(at)), phi, sensitivities]),
-                sensitivities @ near["shift"][0],
+                sensitivities @ near.shift,
             )
         )
     return found

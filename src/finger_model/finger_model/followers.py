@@ -24,7 +24,8 @@ from finger_common.moisture import MOISTURE_RANGE
 from .estimator import ContactEstimate, ContactEstimator, EstimateBlock
 from .laws import MaxwellLaw
 from .parameter_sets import ParameterSets
-from .pose.estimator import MeasuredOutline, PoseEstimator, ShapeEstimate
+from .pose.estimate import MeasuredOutline, ShapeEstimate
+from .pose.estimator import PoseEstimator
 from .pose.settings import PoseSettings
 from .reduced.model import ReducedModel
 from .slip import SlipEstimate, SlipEstimator, SlipSettings
@@ -111,11 +112,10 @@ class Followers:
     def see_area(self, stamp_ns: int, stick: tuple[float, float], outline: MeasuredOutline) -> None:
         """Take what a picture shows beside an area that the estimator uses: the stick ratio with
         its standard deviation, and the outline; NaN where they are not known."""
-        delay = self.estimator.settings.fusion_delay
         if self._slip is not None:
-            self._slip.expect_stick_ratio(stamp_ns, *stick, delay)
+            self._slip.expect_stick_ratio(stamp_ns, *stick)
         if self._pose is not None:
-            self._pose.expect_outline(stamp_ns, outline, delay)
+            self._pose.expect_outline(stamp_ns, outline)
 
     def follow(
         self, estimate: ContactEstimate, force: Sequence[float], torque: Sequence[float]

@@ -15,7 +15,7 @@ import numpy as np
 
 from finger_common.columns import column
 from finger_common.errors import InputError
-from finger_common.files import atomic_write, read_csv
+from finger_common.files import read_csv
 
 CSV_HEADER = "time_s,force_n,area_mm2,radius_mm,indentation_mm,peak_pressure_kpa"
 
@@ -74,11 +74,6 @@ class ContactHistory:
             self.indentation * 1e3,
             self.peak_pressure * 1e-3,
         )
-
-    def to_csv(self, path: str | Path) -> None:
-        """Write `csv_text` to a file."""
-        with atomic_write(path) as file:
-            file.write(self.csv_text())
 
 
 def csv_of(header: str, time: np.ndarray, force: np.ndarray, *columns: np.ndarray) -> str:

@@ -19,13 +19,11 @@ from finger_common.parameter_values import parameter_fields, parameter_values
 from finger_common.stamps import NANOSECONDS, header_stamp, stamp_of, time_fields
 
 from .estimator import ContactEstimate, EstimatorEvent, EventType
-from .pose.estimator import MeasuredOutline, ShapeEstimate
+from .pose.estimate import NO_OUTLINE, MeasuredOutline, ShapeEstimate
 from .slip import SlipEstimate
 
 NOT_WHOLE = int(AreaFlag.NO_CONTACT | AreaFlag.SPARSE | AreaFlag.CLIPPED)
 """Flags of a contact of which too little is seen for a stick ratio."""
-
-NO_OUTLINE = MeasuredOutline((math.nan, math.nan), *(math.nan,) * 6)
 
 
 def wrench_of(message: Any) -> tuple[int, tuple[float, float, float]]:

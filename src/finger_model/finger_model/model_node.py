@@ -82,7 +82,7 @@ from .messages import (
 )
 from .node.calibration import LiveCalibration
 from .parameter_sets import ParameterSets
-from .pose.estimator import MeasuredOutline
+from .pose.estimate import MeasuredOutline
 from .pose.settings import PoseSettings
 from .reduced.model import ReducedModel
 from .slip import SlipSettings

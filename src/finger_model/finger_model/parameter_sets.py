@@ -105,14 +105,15 @@ class ParameterSets:
     """The sets of one parameters.yaml, in the order of their moisture.
 
     `law` is the law that the parameters belong to, `space` its parameters; `where` names their
-    file in messages. Raises InputError for no
-    sets, two sets at one moisture, or values that the space refuses.
+    file in messages. Raises InputError for no sets, two sets at one moisture, or values that the
+    space refuses.
     """
 
     def __init__(
         self,
         sets: Sequence[ParameterSet],
         geometry_hash: str = "",
+        *,
         reduced_model_hash: str = "",
         where: str = "parameter sets",
         law: type[ConstitutiveLaw] = StandardLinearSolid,
@@ -187,12 +188,12 @@ class ParameterSets:
                 for i, entry in enumerate(entries)
             ],
             str(data.get("geometry_hash") or ""),
-            str(data.get("reduced_model_hash") or ""),
-            where,
-            law,
-            FingerPrior.parse(data["prior"], where) if data.get("prior") else None,
-            _parse_geometry(data.get("geometry"), where),
-            PressScatter.parse(data["presses"], where) if data.get("presses") else None,
+            reduced_model_hash=str(data.get("reduced_model_hash") or ""),
+            where=where,
+            law=law,
+            prior=FingerPrior.parse(data["prior"], where) if data.get("prior") else None,
+            geometry=_parse_geometry(data.get("geometry"), where),
+            presses=PressScatter.parse(data["presses"], where) if data.get("presses") else None,
         )
 
     @classmethod
@@ -240,15 +241,29 @@ class ParameterSets:
         """The same sets with another distribution of fingers, of this geometry, about them, and the
         scatter of the presses that it was found from."""
         same = geometry.hash() == self.geometry_hash
-        model_hash = self.reduced_model_hash if same else ""
-        return ParameterSets(self.sets, "", model_hash, "", self.law, prior, geometry, presses)
+        return ParameterSets(
+            self.sets,
+            reduced_model_hash=self.reduced_model_hash if same else "",
+            where="",
+            law=self.law,
+            prior=prior,
+            geometry=geometry,
+            presses=presses,
+        )
 
     def of_finger(self, geometry: Geometry) -> ParameterSets:
         """The same sets with the lengths of the finger in use; without any for the default one."""
         if geometry.hash() == (self.geometry or Geometry()).hash():
             return self
-        known = self.reduced_model_hash, self.where, self.law, self.prior, geometry, self.presses
-        return ParameterSets(self.sets, "", *known)
+        return ParameterSets(
+            self.sets,
+            reduced_model_hash=self.reduced_model_hash,
+            where=self.where,
+            law=self.law,
+            prior=self.prior,
+            geometry=geometry,
+            presses=self.presses,
+        )
 
     def of_condition(self, condition: str) -> ParameterSet:
         """Find the set of a condition; without a name the only one.

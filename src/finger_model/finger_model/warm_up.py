@@ -16,7 +16,7 @@ import numpy as np
 from .estimator import ContactEstimator, members
 from .followers import Followers
 from .geometry import Geometry
-from .messages import NO_OUTLINE
+from .pose.estimate import NO_OUTLINE
 from .pose.settings import PoseSettings
 from .reduced.model import ReducedModel, load_population
 from .slip import SlipSettings

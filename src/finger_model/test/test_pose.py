@@ -21,7 +21,8 @@ from finger_model.geometry import Geometry
 from finger_model.laws import GeneralizedMaxwell2, StandardLinearSolid
 from finger_model.parameter_sets import ParameterSet, ParameterSets
 from finger_model.pose.correction import STEEP, PoseCorrection
-from finger_model.pose.estimator import MeasuredOutline, PoseEstimator
+from finger_model.pose.estimate import MeasuredOutline
+from finger_model.pose.estimator import PoseEstimator
 from finger_model.pose.pose import Pose
 from finger_model.pose.settings import PoseSettings
 from finger_model.pose.touch import first_touch
@@ -184,6 +185,7 @@ def follow(
         sensor_depth=0.02,
     )
     estimator = PoseEstimator(PoseCorrection(Geometry(), assumed or Pose(), SKIN), settings)
+    estimator.outlines.delay = 0.1
     correction = PoseCorrection(Geometry(), pose, SKIN)
     for k in range(250):
         stamp, force = 10**9 + k * 4_000_000, 0.1 + 1.2 * k / 250
@@ -203,7 +205,7 @@ def follow(
                 0.01 * minor,
             )
             for _ in range(repeated):
-                estimator.expect_outline(stamp, outline, 0.1)
+                estimator.expect_outline(stamp, outline)
         pull = np.array([0.1 * force, -0.05 * force, -force])
         pressed = place + TURN @ seen.center_of_pressure
         moment = np.cross([*pressed, 0.02], pull) + bias + 3e-4 * rng.standard_normal(3)
@@ -406,7 +408,7 @@ def test_an_outline_that_comes_again_counts_once():
             MeasuredOutline((1e-4, 0.0), 7e-3, 6e-3, 0.1 * k, 5e-5, 5e-5, 5e-5) for k in range(3)
         ]
         for k in order:
-            estimator.expect_outline(10**9 + 10**8 * k, outlines[k], 0.0)
+            estimator.expect_outline(10**9 + 10**8 * k, outlines[k])
         for k in range(10):
             estimator.add(estimate(10**9 + 10**8 * k, ROUND, 1.0), (0, 0, -1.0), (0, 0, 0))
         found.append(np.append(estimator.mean, estimator.covariance))
@@ -438,7 +440,7 @@ def test_an_outline_that_is_no_fingers_is_named_and_left_out(changes, says):
     for outlines in ((LIKELY,), (LIKELY, absurd)):
         estimator = PoseEstimator(PoseCorrection(Geometry(), Pose(), SKIN))
         for k, outline in enumerate(outlines):
-            estimator.expect_outline(10**9 + 10**8 * k, outline, 0.0)
+            estimator.expect_outline(10**9 + 10**8 * k, outline)
         for k in range(5):
             estimator.add(estimate(10**9 + 10**8 * k, ROUND, 1.0), (0, 0, -1.0), (0, 0, 0))
         found.append(np.append(estimator.mean, estimator.covariance))

@@ -272,6 +272,7 @@ def test_stick_ratios_enter_by_their_stamps_whenever_they_come():
     forces = np.column_stack([pull, np.zeros(n), -normal])
     frames = [(int(stamps[k]) + 700_000, 0.05 * (9 - k // 100), 0.05) for k in range(350, 850, 30)]
     contact, slip = ContactEstimator(model), SlipEstimator()
+    slip.sticks.delay = 0.1
     late = []
     single = []
     for stamp, force in zip(stamps.tolist(), forces):
@@ -280,13 +281,14 @@ def test_stick_ratios_enter_by_their_stamps_whenever_they_come():
             f for f in frames if f[0] // 2_000_000 + 15 + 30 * (f[0] % 3) == stamp // 2_000_000
         ]
         while late:
-            slip.expect_stick_ratio(*late.pop(), 0.1)
+            slip.expect_stick_ratio(*late.pop())
         for estimate in contact.add_wrench(stamp, force):
             single.append(slip.add(estimate, force))
     many = SlipEstimator()
+    many.sticks.delay = 0.1
     for frame in frames[::-1] + frames[:3]:
-        many.expect_stick_ratio(*frame, 0.1)
-    many.expect_stick_ratio(int(stamps[500]), math.nan, math.nan, 0.1)
+        many.expect_stick_ratio(*frame)
+    many.expect_stick_ratio(int(stamps[500]), math.nan, math.nan)
     block = ContactEstimator(model).add_wrenches(stamps, forces)
     assert repr(single) == repr(slip_estimates(many.add_block(block, forces)))
     blind = SlipEstimator().add_block(block, forces)
@@ -512,12 +514,13 @@ def test_a_camera_is_not_surer_after_a_long_hold_than_after_a_short_one() -> Non
     for hold in (2.0, 30.0):
         random = np.random.default_rng(0)
         contact, slip = ContactEstimator(ReducedModel.load()), SlipEstimator()
+        slip.sticks.delay = 0.05
         for k in range(round(500 * hold)):
             stamp = 10**15 + 2_000_000 * k
             normal, pull = min(1.0, k / 250), 0.3 * min(1.0, max(0.0, k - 300) / 500)
             if k % 16 == 0 and k > 400:
                 seen = float(backbone.stick_ratio(pull / normal / 0.6))
-                slip.expect_stick_ratio(stamp, seen + 0.02 * random.standard_normal(), 0.05, 0.05)
+                slip.expect_stick_ratio(stamp, seen + 0.02 * random.standard_normal(), 0.05)
             for estimate in contact.add_wrench(stamp, (pull, 0.0, -normal)):
                 state = slip.add(estimate, (pull, 0.0, -normal))
         found.append(state)

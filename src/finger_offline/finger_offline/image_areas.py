@@ -68,8 +68,7 @@ def repeated_text(number: int) -> list[str]:
 class ImageAreas:
     """Collects the areas of images; `add` one image message after the other, in order.
 
-    pixels: of all images together, None: without limit; those behind them are not measured, and
-    counted in `left_out`.
+    pixels: of all images together; those behind them are not measured, and counted in `left_out`.
     Of images that equal the one before no area is given; `repeated` counts them.
     motion: follows the ridges, None: nobody does.
     """
@@ -77,7 +76,7 @@ class ImageAreas:
     def __init__(
         self,
         sensor: AreaSensor,
-        pixels: PixelBudget | None = None,
+        pixels: PixelBudget,
         motion: RidgeMotion | None = None,
     ) -> None:
         self._sensor = sensor
@@ -103,12 +102,11 @@ class ImageAreas:
 
     def measure(self, message: Any) -> ContactMeasurement:
         """Measure one image; raises InputError when it is no usable image."""
-        if self._pixels is not None and self._pixels.spent:
+        if self._pixels.spent:
             self.left_out += 1
             raise InputError("more pixels than a bag of this size can hold; not measured")
         image = grey_image(message)
-        if self._pixels is not None:
-            self._pixels.take(image.size)
+        self._pixels.take(image.size)
         before, self._before = self._before, image
         if repeats(image, before):
             self.repeated += 1

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from finger_bag.mapping import MappedTopic
 from finger_bag.reader import BagReader
 from finger_bag.streams import IMAGES, find_topic, find_used, find_wrench, missing
 
@@ -21,10 +22,8 @@ class InputTopics:
     area: str | None
     moisture: str | None
     image: str | None
-    image_by_log: bool
-    """Whether the images are stamped by their log time."""
-    image_offset_ns: int
-    """Added to the stamps of the images."""
+    image_mapping: MappedTopic
+    """How the images are stamped."""
     events: str | None
     namespace: str
     """Where the results go, such as "/finger"; "" for none."""
@@ -70,8 +69,7 @@ class InputTopics:
             area=None if from_images else area,
             moisture=find_topic(reader, "moisture", options),
             image=images[0][0] if from_images else None,
-            image_by_log=from_images and images[0][1].log_time,
-            image_offset_ns=images[0][1].offset_ns if from_images else 0,
+            image_mapping=images[0][1] if from_images else MappedTopic(),
             events=recorded if follow else None,
             namespace=namespace,
             replaced=frozenset(replaced),

@@ -1,10 +1,11 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""By how much the areas of a press come later than its force.
+"""By how much the areas and indentations of presses come later than their force, whether that
+changes over a recording, and how far a press travels beside a finger model.
 
-The tissue creeps, so its area lags the force by itself. The areas are therefore compared with those
-of a finger model under the same force; what is left is the lag of the clocks.
+The tissue creeps, so area and indentation lag the force by themselves. They are therefore compared
+with those of finger models under the same force; what is left is the lag of the clocks.
 """
 
 from __future__ import annotations

@@ -20,7 +20,14 @@ import numpy as np
 
 from finger_bag.cdr_layout import WRENCH_TYPE, stamp_of_cdr
 from finger_bag.reader import BagMessage, BagReader, open_bag
-from finger_bag.streams import Malformed, Wrenches, read_wrenches, stamp_and_value, wrong_type
+from finger_bag.streams import (
+    Malformed,
+    Wrenches,
+    image_stamp,
+    read_wrenches,
+    stamp_and_value,
+    wrong_type,
+)
 from finger_common.errors import FingerError, InputError
 from finger_common.stamps import seconds
 from finger_model.estimator import (
@@ -32,7 +39,6 @@ from finger_model.estimator.estimate import ESTIMATE_DTYPE
 from finger_model.finger import load_for
 from finger_model.followers import Followers
 from finger_model.messages import (
-    NO_OUTLINE,
     NOT_WHOLE,
     area_of,
     event_of,
@@ -41,7 +47,7 @@ from finger_model.messages import (
     stick_of,
 )
 from finger_model.parameter_sets import ParameterSets
-from finger_model.pose.estimator import MeasuredOutline, ShapeEstimate
+from finger_model.pose.estimate import NO_OUTLINE, MeasuredOutline, ShapeEstimate
 from finger_model.pose.settings import PoseSettings
 from finger_model.reduced.model import load_population
 from finger_model.slip import SlipSettings
@@ -385,9 +391,7 @@ class _Run:
                 self.malformed.add(item.topic, measured)
                 continue
             area, sd = measured.gross_area, measured.area_sd
-            by_log = self.topics.image_by_log
-            stamp = item.log_time_ns if by_log else stamp_of_cdr(item.raw)
-            stamp += self.topics.image_offset_ns
+            stamp = image_stamp(item, self.topics.image_mapping)
             if not measured.flags & NOT_WHOLE:
                 stick = measured.motion.stick_ratio, measured.motion.stick_ratio_sd
                 self.seen[stamp] = stick, measured_outline(measured)

@@ -31,8 +31,7 @@ from .trial_records import Exclusion, TrialRecord, TrialSet
 from .trial_split import (
     PULLED,
     TrialSettings,
-    forces_of,
-    pressing_samples,
+    force_samples,
     split,
     without_contact,
 )
@@ -80,7 +79,8 @@ def check_trials(bag: CheckedBag, result: Validation) -> None:
     settings = TrialSettings.of(bag.settings)
     reader = bag.reader
     found = split(streams, reader.info.metadata, settings, str(reader.path))
-    _check_tare(found, streams, settings, result)
+    forces = force_samples(streams, settings)
+    _check_tare(found, forces, streams, result)
     left_out = [e for e in found.exclusions if found.trials or e.reason != PULLED]
     unused = f"; left out: {_exclusions(left_out)}" if left_out else ""
     if not found.trials and found.pulls:
@@ -107,11 +107,11 @@ def check_trials(bag: CheckedBag, result: Validation) -> None:
     _check_indentation(found, result)
     _check_moisture(found, result)
     _check_lateral(found, result)
-    _check_sync(found, streams, settings, result)
+    _check_sync(found, forces, streams, settings, result)
 
 
 def _check_tare(
-    found: TrialSet, streams: SessionStreams, settings: TrialSettings, result: Validation
+    found: TrialSet, forces: np.ndarray, streams: SessionStreams, result: Validation
 ) -> None:
     """Force of the unloaded plate beside the trials, which is what a fit takes off; where they show
     none, of the whole recording; nothing where that shows none either."""
@@ -120,8 +120,8 @@ def _check_tare(
         for t in (*found.trials, *found.pulls)
     ]
     if not any(plate for _, plate in plates):
-        force, frames = forces_of(streams, settings), streams.areas
-        stamps = force["stamp_ns"], force["normal"], frames["stamp_ns"]
+        frames = streams.areas
+        stamps = forces["stamp_ns"], forces["normal"], frames["stamp_ns"]
         plates = [("", _plate(*stamps, frames["area"], frames["flags"]))]
     known = [(where, plate) for where, plate in plates if plate is not None]
     if not known:
@@ -263,16 +263,19 @@ def _check_lateral(found: TrialSet, result: Validation) -> None:
 
 
 def _check_sync(
-    found: TrialSet, streams: SessionStreams, settings: TrialSettings, result: Validation
+    found: TrialSet,
+    forces: np.ndarray,
+    streams: SessionStreams,
+    settings: TrialSettings,
+    result: Validation,
 ) -> None:
     """Lag of the areas behind the force, and whether it changes from press to press."""
     name = "sync of force and image"
-    forces, areas = pressing_samples(streams, settings), in_stamp_order(streams.areas)
-    stamp = forces["stamp_ns"]
+    areas, stamp = in_stamp_order(streams.areas), forces["stamp_ns"]
     pressed = [
         (int(stamp[first]), int(stamp[end - 1]))
-        for first, end in settings.presses(stamp, forces["normal"])
-        if forces["normal"][first:end].max() >= settings.minimum_peak
+        for first, end in settings.presses(stamp, forces["pressing"])
+        if forces["pressing"][first:end].max() >= settings.minimum_peak
     ]
     if not pressed:
         result.add(name, NOTE, "unknown: no press")

@@ -72,33 +72,19 @@ class TrialSettings(ImageSettings, ReadSettings):
         check_thresholds(self.onset_force, self.liftoff_force)
 
     def presses(self, stamp_ns: np.ndarray, force: np.ndarray) -> list[tuple[int, int]]:
-        """As the function `presses`, with these settings."""
-        return presses(stamp_ns, force, self.onset_force, self.liftoff_force, self.merge_gap)
+        """Presses in normal forces (n,) as (first sample, first sample after)."""
+        found: list[tuple[int, int]] = []
+        for first, end in contacts(force, self.onset_force, self.liftoff_force):
+            if found and seconds(stamp_ns[first] - stamp_ns[found[-1][1] - 1]) < self.merge_gap:
+                found[-1] = (found[-1][0], end)
+            else:
+                found.append((first, end))
+        return found
 
     @classmethod
     def of(cls, settings: ReadSettings) -> TrialSettings:
         """Default settings for a bag that is read in this way."""
         return cls(settings.mapping, **settings.to_dict())
-
-
-def presses(
-    stamp_ns: np.ndarray,
-    force: np.ndarray,
-    onset_force: float = ONSET_FORCE,
-    liftoff_force: float = LIFTOFF_FORCE,
-    merge_gap: float = 0.1,
-) -> list[tuple[int, int]]:
-    """Presses in normal forces (n,) as (first sample, first sample after).
-
-    The settings are those of TrialSettings.
-    """
-    found: list[tuple[int, int]] = []
-    for first, end in contacts(force, onset_force, liftoff_force):
-        if found and seconds(stamp_ns[first] - stamp_ns[found[-1][1] - 1]) < merge_gap:
-            found[-1] = (found[-1][0], end)
-        else:
-            found.append((first, end))
-    return found
 
 
 def without_contact(area: np.ndarray, flags: np.ndarray) -> np.ndarray:
@@ -123,26 +109,22 @@ RELEASE = 0.5
 NOTABLE = 0.3
 """s between announcements and forces that two clocks explain, and no delay."""
 
-_SAMPLE = np.dtype([("stamp_ns", "i8"), ("normal", "f8"), ("lateral", "f8")])
+_SAMPLE = np.dtype([("stamp_ns", "i8"), ("normal", "f8"), ("lateral", "f8"), ("pressing", "f8")])
 
 
-def forces_of(streams: SessionStreams, settings: ReadSettings) -> np.ndarray:
-    """Stamps, normal and lateral forces (n,) of the finite wrenches, in the order of their
-    stamps."""
+def force_samples(streams: SessionStreams, settings: ReadSettings) -> np.ndarray:
+    """Stamps and forces (n,) of the finite wrenches, in the order of their stamps; pressing: the
+    normal force by which presses are told apart."""
     samples = np.empty(len(streams.wrenches.stamp_ns), _SAMPLE)
     samples["stamp_ns"] = streams.wrenches.stamp_ns
     samples["normal"] = normal_force(streams.wrenches.force, settings.axis)
     samples["lateral"] = lateral_force(streams.wrenches.force, settings.axis)
-    return in_stamp_order(samples[np.isfinite(samples["normal"])])
-
-
-def pressing_samples(streams: SessionStreams, settings: ReadSettings) -> np.ndarray:
-    """As `forces_of`, with the normal force by which presses are told apart."""
-    samples, areas = forces_of(streams, settings), in_stamp_order(streams.areas)
+    samples = in_stamp_order(samples[np.isfinite(samples["normal"])])
+    areas = in_stamp_order(streams.areas)
     empty = without_contact(areas["area"], areas["flags"])
     touched = np.isfinite(areas["area"]) & ~empty
     frames = areas["stamp_ns"]
-    samples["normal"] = pressing_force(
+    samples["pressing"] = pressing_force(
         np.ascontiguousarray(samples["stamp_ns"]),
         np.ascontiguousarray(samples["normal"]),
         frames[touched],
@@ -218,13 +200,13 @@ class _Recording:
         self._metadata, self._settings, self._bag = metadata, settings, bag
         normal = normal_force(streams.wrenches.force, settings.axis)
         self.unusable = int((~np.isfinite(normal)).sum())
-        samples = forces_of(streams, settings)
-        self.stamp_ns, self.normal, self._lateral = (
-            np.ascontiguousarray(samples[name]) for name in ("stamp_ns", "normal", "lateral")
+        samples = force_samples(streams, settings)
+        self.stamp_ns, self._normal, self._lateral, self.pressing = (
+            np.ascontiguousarray(samples[name])
+            for name in ("stamp_ns", "normal", "lateral", "pressing")
         )
         self._areas = in_stamp_order(streams.areas)
         self._indentations = in_stamp_order(streams.indentations)
-        self.pressing = pressing_samples(streams, settings)["normal"]
         self.presses = settings.presses(self.stamp_ns, self.pressing)
 
     def trial(
@@ -257,7 +239,7 @@ class _Recording:
             attempt=event.attempt if event else 0,
             target_force=target if target > 0 else TARGET_FORCE,
             stamp_ns=stamp[low:high],
-            force=self.normal[low:high],
+            force=self._normal[low:high],
             lateral_force=self._lateral[low:high],
             area_stamp_ns=areas["stamp_ns"].copy(),
             area=areas["area"].copy(),

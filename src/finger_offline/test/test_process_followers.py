@@ -17,7 +17,7 @@ from finger_bag.writer import BagWriter
 from finger_model.estimator import ContactEstimator, EstimatorEvent, EstimatorSettings
 from finger_model.followers import Followers
 from finger_model.messages import event_fields, shape_fields, slip_numbers
-from finger_model.pose.estimator import MeasuredOutline
+from finger_model.pose.estimate import MeasuredOutline
 from finger_model.pose.settings import PoseSettings
 from finger_model.reduced import ReducedModel
 from finger_model.slip import SlipSettings

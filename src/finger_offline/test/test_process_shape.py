@@ -133,6 +133,7 @@ def live_recording(path: Path, pressed: Path) -> list[bytes]:
     settings = EstimatorSettings(pad_aspect=1.2)
     estimator = ContactEstimator(ReducedModel.load(), settings=settings)
     core = PoseEstimator(estimator.pose_correction)
+    core.outlines.delay = settings.fusion_delay
     shapes, samples, sequence = [], 0, 0
     with open_bag(pressed) as source, BagWriter(path, {}) as bag:
 
@@ -148,7 +149,7 @@ def live_recording(path: Path, pressed: Path) -> list[bytes]:
             if item.topic == "/finger/contact_area":
                 sd, flags = message.area_stddev, message.flags
                 if estimator.add_area(stamp, message.gross_area, sd, flags):
-                    core.expect_outline(stamp, outline_of(message), settings.fusion_delay)
+                    core.expect_outline(stamp, outline_of(message))
                 continue
             samples += 1
             if samples in (301, 403, 705):

@@ -81,13 +81,14 @@ def test_stick_ratios_of_the_camera_enter_as_in_a_live_node(tmp_path: Path) -> N
     bag = pulled(tmp_path / "bag", seen=True)
     assert run(command, ["process", str(bag), "-o", str(tmp_path / "slip"), "--slip"]) == 0
     contact, slip = ContactEstimator(ReducedModel.load()), SlipEstimator()
+    slip.sticks.delay = 0.1
     wanted = []
     with open_bag(bag) as reader:
         for item in reader.messages(["/finger/wrench", "/finger/contact_area"]):
             if item.topic == "/finger/contact_area":
                 area = area_of(item.message)
                 assert contact.add_area(*area)
-                slip.expect_stick_ratio(area[0], *stick_of(item.message), 0.1)
+                slip.expect_stick_ratio(area[0], *stick_of(item.message))
                 continue
             stamp, force = wrench_of(item.message)
             for estimate in contact.add_wrench(stamp, force):
@@ -110,6 +111,7 @@ def test_a_recorded_reset_or_surface_is_a_plate_that_was_not_seen_before(
     """As in a live node, whose services ~/reset and ~/new_surface forget the friction."""
     pull = pulled(tmp_path / "bag", seen=True)
     contact, slip = ContactEstimator(ReducedModel.load()), SlipEstimator()
+    slip.sticks.delay = 0.1
     wanted: list[tuple] = []
     with open_bag(pull) as reader, BagWriter(tmp_path / "live", {}) as bag:
 
@@ -122,7 +124,7 @@ def test_a_recorded_reset_or_surface_is_a_plate_that_was_not_seen_before(
             if item.topic == "/finger/contact_area":
                 area = area_of(item.message)
                 assert contact.add_area(*area)
-                slip.expect_stick_ratio(area[0], *stick_of(item.message), 0.1)
+                slip.expect_stick_ratio(area[0], *stick_of(item.message))
                 continue
             if len(wanted) == 700:
                 tell(change(contact, "asked"), 1, item.log_time_ns)

@@ -33,7 +33,7 @@ from finger_offline.image_areas import grey_image
 from finger_offline.lag import force_image_lag
 from finger_offline.process import process
 from finger_offline.process_options import ProcessOptions
-from finger_offline.trial_split import TrialSettings, presses
+from finger_offline.trial_split import TrialSettings
 from finger_offline.trials import load_trials, streams_with_areas
 
 
@@ -254,9 +254,9 @@ def test_each_trial_in_a_bag_of_its_own_reads_like_one_session(tmp_path: Path) -
 def test_presses_have_hysteresis_and_merge_what_chatters() -> None:
     force = np.array([0, 0.04, 0.06, 0.04, 0.031, 0.02, 0.06, 1, 0.0, 0, 0, 0, 0.2, 0.2])
     stamp = np.arange(len(force)) * 10_000_000
-    assert presses(stamp, force, merge_gap=0.0) == [(2, 5), (6, 8), (12, 14)]
-    assert presses(stamp, force, merge_gap=0.025) == [(2, 8), (12, 14)]
-    assert presses(stamp, np.zeros_like(force)) == []
+    assert TrialSettings(merge_gap=0.0).presses(stamp, force) == [(2, 5), (6, 8), (12, 14)]
+    assert TrialSettings(merge_gap=0.025).presses(stamp, force) == [(2, 8), (12, 14)]
+    assert TrialSettings().presses(stamp, np.zeros_like(force)) == []
 
 
 @pytest.mark.parametrize("axis", ["+x", "-x", "+y", "-y", "+z", "-z"])

@@ -59,9 +59,9 @@ from .page.feed import (
     estimate_point,
     measured_point,
 )
-from .page.readiness import Readiness, refusal
 from .page.server import PageServer
 from .page.settings import PageSettings
+from .readiness import Readiness, refusal
 from .status_message import status_of
 
 T = TypeVar("T")

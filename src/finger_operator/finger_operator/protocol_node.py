@@ -57,8 +57,8 @@ from finger_msgs.srv import Record
 
 from .limits import Limits
 from .normal_force import NormalForce
-from .page.readiness import TARE_NEEDED, refusal, tared_by
 from .protocol import Effect, Protocol, StartRecording, Step, StopRecording
+from .readiness import TARE_NEEDED, refusal, tared_by
 from .recorder_requests import RecorderRequests
 from .session_store import (
     STATE_FILE,
@@ -477,8 +477,8 @@ class ProtocolNode(ManagedNode):
 
     def _watch_clock(self) -> None:
         if self._protocol is not None:
-            warning = self._host_clock.step_warning("the times of the session")
-            self._protocol.clock_stepped(self._host_clock.step(), warning)
+            warning = self.host_clock.step_warning("the times of the session")
+            self._protocol.clock_stepped(self.host_clock.step(), warning)
 
     # Effects ---------------------------------------------------------------------------------
 

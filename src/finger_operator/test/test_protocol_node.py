@@ -374,8 +374,8 @@ def test_no_trial_begins_without_a_tare(ros_domain: int, tmp_path: Path) -> None
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
     from finger_common.errors import InputError
-    from finger_operator.page.readiness import Readiness, refusal
     from finger_operator.protocol import Step
+    from finger_operator.readiness import Readiness, refusal
 
     page = Readiness()
     page.beat("force", 0.0)

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from finger_common.diagnostics import ERROR, OK, STARTING, WARN
-from finger_operator.page.readiness import Readiness, refusal
+from finger_operator.readiness import Readiness, refusal
 
 NODES = ("force", "camera", "vision", "moisture", "model", "recorder", "protocol")
 

@@ -20,7 +20,7 @@ from finger_common.errors import InputError
 from finger_common.folder_lock import lock_folder
 from finger_driver import can_bus
 
-CAN_CHANNEL = "239.74.163.2"
+CAN_CHANNEL = can_bus.DEFAULT_CHANNEL["udp_multicast"]
 """Multicast group of the simulated CAN bus."""
 
 

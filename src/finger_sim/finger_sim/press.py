@@ -96,21 +96,17 @@ def guided_style(press: GuidedPress) -> PressStyle:
 
 def plan_press(
     rng: np.random.Generator,
-    ramp_time: float | None = None,
     style: PressStyle | None = None,
     target_force: float = TARGET_FORCE,
 ) -> Press:
     """One press to the target force in N, drawn from `style`.
 
-    ramp_time: s from onset to the target, drawn from the style when None. The same state of `rng`
-    gives the same press. Raises InputError for a ramp_time that is not positive.
+    The same state of `rng` gives the same press. Raises InputError for a ramp that is not positive.
     """
     style = style or PressStyle()
     ramp = float(rng.uniform(*style.ramp))
-    if ramp_time is not None:
-        ramp = ramp_time
     if not ramp > 0:
-        raise InputError(f"press: ramp_time is {ramp:g} s, a positive number is needed")
+        raise InputError(f"press: ramp is {ramp:g} s, a positive number is needed")
     shape = float(rng.uniform(*style.shape))
     reaction = float(rng.uniform(*style.reaction))
     release = float(rng.uniform(*style.release))

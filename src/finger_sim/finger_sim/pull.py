@@ -17,6 +17,7 @@ import numpy as np
 
 from finger_common.errors import InputError
 from finger_common.guided_pulls import HOLD, LOAD, skin_of
+from finger_model.slip.backbone import SLIP_COMPLIANCE
 
 from .press import Press, PressStyle, plan_press
 from .skin_slip import SkinSlip
@@ -43,9 +44,6 @@ sliding."""
 
 LAG = 0.35
 """Shift of the stick zone towards the trailing side (docs/vision.md)."""
-
-REACH = 0.08
-"""`SkinSlip.reach` over μP/K."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +91,7 @@ def pressed_and_pulled(
     press_rng: np.random.Generator, pull_rng: np.random.Generator, friction: float
 ) -> tuple[Press, Pull]:
     """A press that is held, and its pull; friction: of the finger."""
-    press = plan_press(press_rng, None, STYLE, LOAD)
+    press = plan_press(press_rng, STYLE, LOAD)
     return press, plan_pull(pull_rng, press, friction)
 
 
@@ -115,4 +113,6 @@ def plan_pull(rng: np.random.Generator, press: Press, friction: float) -> Pull:
     ratio = np.divide(tangential, most, out=np.zeros_like(most), where=most > 0)
     sliding = np.flatnonzero(slid > 0)
     slip = float(press.time[sliding[0]]) if len(sliding) else math.nan
-    return Pull(press.time, tangential, ratio, slid, direction, friction, REACH * far, slip)
+    return Pull(
+        press.time, tangential, ratio, slid, direction, friction, SLIP_COMPLIANCE * far, slip
+    )

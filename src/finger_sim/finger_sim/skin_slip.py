@@ -31,10 +31,10 @@ class SkinSlip:
 
     origin: plate coordinates at which the print's centre touched. ratio: r of the pull, 0…1; at 1
     the whole contact slides. direction: of the skin's slip over the plate. reach: slip for each
-    unit of U, some 0.08 μP/K with the finger's tangential stiffness K. lag: shift of the stick
-    zone's centre along `direction` over its distance from the rim, −1…1. slid: further slip of the
-    whole contact. turned: its further rotation about `origin`. twist: whether the ratio is that of
-    a torque, so that skin slips around the centre, at the rim by `reach` times U.
+    unit of U, `SLIP_COMPLIANCE` μP/K with the finger's tangential stiffness K. lag: shift of the
+    stick zone's centre along `direction` over its distance from the rim, −1…1. slid: further slip
+    of the whole contact. turned: its further rotation about `origin`. twist: whether the ratio is
+    that of a torque, so that skin slips around the centre, at the rim by `reach` times U.
     """
 
     origin: tuple[float, float] = (0.0, 0.0)

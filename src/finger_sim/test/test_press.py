@@ -48,8 +48,8 @@ def test_time_to_target_spans_the_half_to_two_seconds_of_the_paper() -> None:
 
 def test_tremor_lies_at_8_to_12_hz() -> None:
     """Held force: power above the drift peaks in the tremor band and is 1.5 % of the force."""
-    style = PressStyle(hold=(8.0, 8.0), drift=0.0)
-    press = plan_press(np.random.default_rng(1), ramp_time=1.0, style=style)
+    style = PressStyle(ramp=(1.0, 1.0), hold=(8.0, 8.0), drift=0.0)
+    press = plan_press(np.random.default_rng(1), style)
     held = press.force[(press.time > press.cue + 0.5) & (press.time < press.release - 0.1)]
     held = held / held.mean() - 1
     power = np.abs(np.fft.rfft(held * np.hanning(len(held)))) ** 2
@@ -60,8 +60,8 @@ def test_tremor_lies_at_8_to_12_hz() -> None:
 
 
 def test_without_fluctuation_the_ramp_reaches_the_target_in_the_given_time() -> None:
-    style = PressStyle(tremor=0.0, drift=0.0, shape=(1.0, 1.0))
-    press = plan_press(np.random.default_rng(1), ramp_time=0.8, style=style)
+    style = PressStyle(ramp=(0.8, 0.8), shape=(1.0, 1.0), tremor=0.0, drift=0.0)
+    press = plan_press(np.random.default_rng(1), style)
     assert press.cue - press.onset == pytest.approx(0.8, abs=2e-3)
     middle = np.interp(press.onset + 0.4, press.time, press.force)
     assert middle == pytest.approx(TARGET_FORCE / 2, rel=1e-9)
@@ -75,5 +75,5 @@ def test_force_has_no_jumps() -> None:
 
 
 def test_a_press_without_duration_is_refused_by_name() -> None:
-    with pytest.raises(InputError, match="ramp_time"):
-        plan_press(np.random.default_rng(0), ramp_time=0.0)
+    with pytest.raises(InputError, match="ramp is 0 s"):
+        plan_press(np.random.default_rng(0), PressStyle(ramp=(0.0, 0.0)))

@@ -17,11 +17,11 @@ from finger_sim.conditions import STUDY
 from finger_sim.finger import SimulatedFinger, area_at
 from finger_sim.ftir import AREA_PER_PIXEL
 from finger_sim.planner import Planner
-from finger_sim.press import plan_press
+from finger_sim.press import PressStyle, plan_press
 from finger_sim.trial_plan import CameraView, TrialRequest, plan_trial, write_truth
 
 VIEW = CameraView(width=480, height=400)
-PRESS = plan_press(np.random.default_rng(1), ramp_time=0.6)
+PRESS = plan_press(np.random.default_rng(1), PressStyle(ramp=(0.6, 0.6)))
 FRAMES = np.arange(0, PRESS.duration, 0.1)
 
 

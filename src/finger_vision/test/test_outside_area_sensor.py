@@ -20,6 +20,7 @@ import cv2
 import numpy as np
 import pytest
 
+from finger_common.image_size import PixelBudget
 from finger_offline.image_areas import ImageAreas
 from finger_vision.area_sensor import (
     AreaSensor,
@@ -179,7 +180,7 @@ def test_what_is_no_measurement_is_refused_by_the_name_of_the_sensor(
     for measure in (
         lambda: measured(Given(found), image),
         lambda: measured(Given(found), image, learn=True),
-        lambda: ImageAreas(Given(found)).measure(message),
+        lambda: ImageAreas(Given(found), PixelBudget()).measure(message),
     ):
         with pytest.raises(SensorDefect, match=f"area sensor Given {sentence}"):
             measure()

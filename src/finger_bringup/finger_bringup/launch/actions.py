@@ -27,6 +27,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from finger_bringup import nodes
+from finger_bringup.parameter_files import ParameterFile, write_parameter_file
 from finger_bringup.restarts import RestartDelay
 from finger_common.errors import InputError
 from finger_common.namespaces import DEFAULT_NAMESPACE
@@ -89,10 +90,10 @@ def node_actions(
     """
     respawn, level = truth(context, "respawn"), value(context, "log_level")
     suite = value(context, "namespace")
-    file = path(context, "parameters") if value(context, "parameters") else None
+    file = ParameterFile(path(context, "parameters") if value(context, "parameters") else None)
     entries = nodes.settled(entries, suite, file)
     doubts = (nodes.without_effect, nodes.shared_sensors)
-    files = [] if file is None else [str(file)]
+    files = [] if file.path is None else [str(file.path)]
     together = [entry for entry in entries if compose and entry.composable]
 
     def node(entry: nodes.NodeEntry) -> Node:
@@ -110,7 +111,7 @@ def node_actions(
 
     def composed(entry: nodes.NodeEntry) -> Node:
         own = Path(tempfile.mkdtemp(prefix="finger_launch_")) / "parameters.yaml"
-        nodes.write_parameter_file(together, suite, own)
+        write_parameter_file({e.full_name(suite): e.parameters for e in together}, own)
         bring_up_loggers = [
             entry.full_name(suite).strip("/").replace("/", ".")
             for entry in together

@@ -150,7 +150,8 @@ class ManagedNode(LifecycleNode):
                 value = ros_value(parameter, parameter.default)
             super().set_parameters_atomically([value])
         self._warn_of_unknown()
-        self._host_clock = HostClock()
+        self.host_clock = HostClock()
+        """Host time without the steps of the system clock; renewed at every configure."""
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self._stream_watch = StreamWatch(self)
         self._unconfigured: set[Any] = set()
@@ -194,7 +195,7 @@ class ManagedNode(LifecycleNode):
         do not reach from `configure` on, or the simulated one."""
         if self.get_parameter("use_sim_time").value:
             return int(self.get_clock().now().nanoseconds)
-        return self._host_clock.now()
+        return self.host_clock.now()
 
     # Parameters ------------------------------------------------------------------------------
 
@@ -522,7 +523,7 @@ class ManagedNode(LifecycleNode):
             for problem in self.PLUGINS.problems.values() if self.PLUGINS else ():
                 self.get_logger().warning(problem)
             self.values = self.read_parameters()
-            self._host_clock = HostClock()
+            self.host_clock = HostClock()
 
         self._unconfigured, configured = set(self._interfaces()), False
         try:

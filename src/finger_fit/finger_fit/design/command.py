@@ -23,8 +23,8 @@ from finger_model.finger import load_areas
 from finger_model.laws import ParameterSpace
 from finger_model.paper import CONDITIONS
 
-from ..nuisance.names import name_of
-from ..nuisance.priors import NuisancePriors
+from ..nuisance_names import name_of
+from ..nuisance_priors import NuisancePriors
 from ..options import FitOptions, value_of
 from .expected import Expected, expected, presses_for
 from .plan import Plan, plan_of

@@ -19,6 +19,9 @@ from scipy.stats import t as student
 
 from .expected import Expected
 
+LEVEL = 0.05
+"""Chance that the test sees a difference where there is none."""
+
 MOST_SUBJECTS = 1000
 """Subjects above which no number is looked for."""
 
@@ -42,9 +45,7 @@ def contrast_deviation(first: Expected, second: Expected, name: str) -> float:
     return math.sqrt(own + shared)
 
 
-def power(
-    difference: float, within: float, between: float, subjects: int, level: float = 0.05
-) -> float:
+def power(difference: float, within: float, between: float, subjects: int) -> float:
     """Chance that n subjects show a difference of the logarithm.
 
     within: deviation of one subject's contrast from its fits (`contrast_deviation`); between:
@@ -54,20 +55,18 @@ def power(
         return 0.0
     scatter = math.hypot(within, between)
     if scatter == 0.0:
-        return 1.0 if difference else level
+        return 1.0 if difference else LEVEL
     degrees = subjects - 1
-    limit = float(student.ppf(1.0 - 0.5 * level, degrees))
+    limit = float(student.ppf(1.0 - 0.5 * LEVEL, degrees))
     shift = abs(difference) / scatter * math.sqrt(subjects)
     found = nct.sf(limit, degrees, shift) + nct.cdf(-limit, degrees, shift)
     # Far in the tail the distribution's series gives NaN: the difference is certain there.
     return float(np.clip(found, 0.0, 1.0)) if math.isfinite(found) else 1.0
 
 
-def subjects_for(
-    wanted: float, difference: float, within: float, between: float, level: float = 0.05
-) -> int | None:
+def subjects_for(wanted: float, difference: float, within: float, between: float) -> int | None:
     """Fewest subjects for a power; None above `MOST_SUBJECTS`."""
     for number in range(2, MOST_SUBJECTS + 1):
-        if power(difference, within, between, number, level) >= wanted:
+        if power(difference, within, between, number) >= wanted:
             return number
     return None

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -65,7 +65,9 @@ class FullOrder:
             for parameters in candidates
             for index in range(number)
         ]
-        shared = (self.material, self.geometry, self.refinement, problem.trials)
+        # A worker needs no record, whose class may be one of the script itself.
+        trials = [replace(trial, record=None) for trial in problem.trials]
+        shared = (self.material, self.geometry, self.refinement, trials)
         parts = self.engine.spread(trial_areas, shared, items, done)
         rows = [parts[c * number : (c + 1) * number] for c in range(len(candidates))]
         return np.array([in_rows(row, problem.trials) for row in rows])

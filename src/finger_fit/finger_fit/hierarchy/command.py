@@ -24,7 +24,7 @@ from finger_common.files import atomic_write, load_json, number
 from finger_common.moisture import is_moisture
 from finger_model.laws import ParameterSpace, StandardLinearSolid, law_of
 
-from ..nuisance.names import AREA_GAIN
+from ..nuisance_names import AREA_GAIN
 from .model import Estimates, HierarchyPriors, Posterior, ends, posterior
 
 MOISTURE_UNIT = 10.0

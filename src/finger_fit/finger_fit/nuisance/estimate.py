@@ -9,7 +9,7 @@ around the present estimate; the finger's parameters are fitted with the nuisanc
 (`problem.Goal`), the nuisances follow, and both are repeated until they rest. The result is the
 joint maximum of the posterior, and the scatter of the presses' gains is estimated with it.
 
-The lengths and the gain of all areas are assumed (`names.is_assumed`): the parameters are those of
+The lengths and the gain of all areas are assumed (`is_assumed`): the parameters are those of
 the finger as given, whose geometry they are stored with, and the intervals allow for other lengths.
 A measured indentation answers to the lengths more than the areas do. Its own answer to each length
 is therefore eliminated, within the prior of the length (`problem.goal`).
@@ -23,28 +23,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..options import FitOptions
-from ..problem import (
-    PRESS_GAIN,
-    FitProblem,
-    FitTrial,
-    Nuisance,
-    Nuisances,
-    fit_power_law,
-    robust_factor,
-)
-from ..search import LocalFit, all_free, refine
-from .geometry import PopulationGeometry, Response
-from .names import (
+from ..nuisance_names import (
     AREA_GAIN,
     COLLAPSE,
     INDENTATION_GAIN,
     LAG,
+    PRESS_GAIN,
     TARE,
     TRIAL_TARE,
     absorber_of,
     is_assumed,
 )
+from ..options import FitOptions
+from ..problem import FitProblem, FitTrial, Nuisance, Nuisances, fit_power_law, robust_factor
+from ..search import LocalFit, all_free, refine
+from .geometry import PopulationGeometry, Response
 
 TRIAL_SHARE = 0.25
 """Deviation of one trial's tare over that of all, where none was measured; an assumption: a sensor

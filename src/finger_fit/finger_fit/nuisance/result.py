@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..problem import PRESS_GAIN, FitProblem
+from ..nuisance_names import PRESS_GAIN, TARE, TRIAL_TARE, UNITS
+from ..problem import FitProblem
 from ..uncertainty import Covariance
-from .names import TARE, TRIAL_TARE, UNITS
 
 if TYPE_CHECKING:
     from .estimate import Settled

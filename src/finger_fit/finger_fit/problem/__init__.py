@@ -11,8 +11,7 @@ from .cost import (
     force_limit_of,
     material_of,
 )
-from .goal import PRESS_GAIN, Goal, Nuisance, Nuisances, losses, robust_factor
+from .goal import Goal, Nuisance, Nuisances, losses, robust_factor
 from .outputs import batch_areas, batch_contacts, in_rows, trial_outputs
 from .power_law import PowerLaw, fit_power_law, power_law_of
-from .report_units import MM, MM2, MM4, minus, three_digits
 from .trials import Exclusion, FitTrial, Recording, TrialRejected, prepare, prepare_all

@@ -27,11 +27,8 @@ from typing import Protocol
 
 import numpy as np
 
-from ..nuisance.names import is_assumed
-from .report_units import MM2
-
-PRESS_GAIN = "press_gain"
-"""Name of the logarithm of each press's gain."""
+from ..nuisance_names import PRESS_GAIN, is_assumed
+from ..report_units import MM2
 
 
 class Loss(Protocol):
@@ -145,18 +142,21 @@ class Nuisances:
 
 
 class Goal:
-    """J, or Q where there are nuisances, under given weights (n,) of the frames."""
+    """J, or Q where there are nuisances, of n rows: areas and others, as `FitProblem.outputs`.
+
+    observed (n,): measured, in m²; weight (n,).
+    """
 
     def __init__(
         self,
-        measured: np.ndarray,
+        observed: np.ndarray,
         weight: np.ndarray,
         loss: Loss,
         nuisances: Nuisances | None = None,
         repeats: np.ndarray | None = None,
     ) -> None:
         """repeats (T,): how often a trial counts, for the priors of its own nuisances."""
-        self.measured, self.weight, self.loss, self.nuisances = measured, weight, loss, nuisances
+        self.observed, self.weight, self.loss, self.nuisances = observed, weight, loss, nuisances
         if nuisances is not None:
             count = np.ones(len(nuisances.state))
             own = ~nuisances.shared
@@ -193,25 +193,25 @@ class Goal:
         move[:, free], offset[free] = solved[:, :-1].T, solved[:, -1]
         return move, offset
 
-    def residuals(self, areas: np.ndarray) -> np.ndarray:
-        """Model less measured area (…, n) in m² at the reference of the nuisances."""
+    def residuals(self, outputs: np.ndarray) -> np.ndarray:
+        """Model less measured (…, n) in m² at the reference of the nuisances."""
         if self.nuisances is None:
-            return areas - self.measured
-        return areas * self.nuisances.factor - self.measured
+            return outputs - self.observed
+        return outputs * self.nuisances.factor - self.observed
 
     def moves(self, residual: np.ndarray) -> np.ndarray:
         """Best moves (…, k) of the nuisances from their reference for residuals (…, n)."""
         matrix, offset = self._best
         return -(residual @ matrix + offset)
 
-    def cost(self, areas: np.ndarray) -> np.ndarray:
-        """J or Q (…,) in m⁴ of the model's areas (…, n) in m²; infinite where the model could not
-        carry the load."""
-        found = self._cost(areas)
+    def cost(self, outputs: np.ndarray) -> np.ndarray:
+        """J or Q (…,) in m⁴ of the model's outputs (…, n); infinite where the model could not carry
+        the load."""
+        found = self._cost(outputs)
         return np.where(np.isfinite(found), found, np.inf)
 
-    def _cost(self, areas: np.ndarray) -> np.ndarray:
-        residual = self.residuals(areas)
+    def _cost(self, outputs: np.ndarray) -> np.ndarray:
+        residual = self.residuals(outputs)
         if self.nuisances is None:
             return (self.weight * losses(residual, self.loss)).sum(axis=-1)
         move = self.moves(residual)
@@ -219,13 +219,13 @@ class Goal:
         prior = (self._precision * (move + self.nuisances.state) ** 2).sum(axis=-1)
         return (self.weight * losses(left, self.loss)).sum(axis=-1) + prior
 
-    def rows(self, areas: np.ndarray) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
-        """Q near the model's areas (n,) as a sum of squares, in mm².
+    def rows(self, outputs: np.ndarray) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
+        """Q near the model's outputs (n,) as a sum of squares, in mm².
 
-        The rows (m,) at these areas, and the linear map from changes (…, n) of the areas (m²) to
-        changes (…, m) of the rows.
+        The terms (m,) at these outputs, and the linear map from changes (…, n) of the outputs (m²)
+        to changes (…, m) of the terms.
         """
-        residual = self.residuals(areas)
+        residual = self.residuals(outputs)
         found = self.nuisances
         if found is None:
             root = np.sqrt(self.weight * robust_factor(residual, self.loss)) * MM2

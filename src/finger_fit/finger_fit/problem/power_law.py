@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.optimize import least_squares, minimize_scalar
 
+from ..report_units import MM2, MM4
 from .goal import huber_factor, losses
-from .report_units import MM2, MM4
 
 if TYPE_CHECKING:
     from .cost import FitProblem

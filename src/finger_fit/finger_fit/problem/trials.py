@@ -3,8 +3,8 @@
 
 """From recorded trials to what a fit compares: the force that drives the model, and the frames.
 
-A recorded trial is any object with the fields of `finger_offline.trials.TrialRecord`. The trials
-that are excluded, and the reasons, are part of the result.
+A recorded trial is any object with the fields of `finger_offline.trial_records.TrialRecord`. The
+trials that are excluded, and the reasons, are part of the result.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from finger_common.flags import AreaFlag
 from finger_offline.unloaded import LATE_START, Tare, unloaded_tare
 
 from ..options import FitOptions
-from .report_units import minus
+from ..report_units import minus
 
 REST_FORCE = 0.005
 """N; a smoothed force up to this is no touch: 1/171 N, the resolution of the Nano17 (paper)."""
@@ -116,14 +116,16 @@ class Recording:
 class FitTrial:
     """One trial as a fit uses it (SI).
 
-    label: bag and index; area (k,), area_sd (k,): measured at the frames that count; low (k,): the
-    frame lies below the low force; moisture: mean of the readings, NaN without any; readings (m,):
-    a.u.; dropped: frames inside the window without a measured area; rest: the unloaded plate, None
-    where the trial does not show it. indentation (q,): measured, in m from an unknown zero, at the
-    times of the frames that count on the clock of the force; empty where none was measured.
-    finger: such as right_index, empty where it was not noted.
+    record: the recorded trial that it is made of; label: bag and index; area (k,), area_sd (k,):
+    measured at the frames that count; low (k,): the frame lies below the low force; moisture: mean
+    of the readings, NaN without any; readings (m,): a.u.; dropped: frames inside the window without
+    a measured area; rest: the unloaded plate, None where the trial does not show it. indentation
+    (q,): measured, in m from an unknown zero, at the times of the frames that count on the clock of
+    the force; empty where none was measured. finger: such as
+    right_index, empty where it was not noted.
     """
 
+    record: Any
     label: str
     condition: str
     subject: str
@@ -181,7 +183,7 @@ class Exclusion:
 
     @classmethod
     def of(cls, record: Any, reason: str) -> Exclusion:
-        """Name a recorded trial that is left out."""
+        """Name a recorded trial that is left out, or one left out when the bags were read."""
         return cls(label_of(record), record.condition or "", reason, record.subject or "")
 
 
@@ -274,6 +276,7 @@ def prepare(record: Any, options: FitOptions) -> FitTrial:
     drive = recording.drive(tare, 0.0, options)
     sd = np.asarray(record.area_sd, dtype=float)
     return FitTrial(
+        record=record,
         label=label_of(record),
         condition=record.condition or "",
         subject=record.subject or "",

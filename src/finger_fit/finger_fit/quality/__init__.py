@@ -4,6 +4,6 @@
 """Is the data fit to be fitted? What is refused before a fit (`screen`), and what is noted of it
 (`checks`)."""
 
-from .checks import Quality, TrialQuality, quality_of
+from .checks import quality_of
 from .screen import screen
 from .verdict import judge

@@ -6,22 +6,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, field
-from typing import Any
 
 import numpy as np
 
-from finger_bag.validate import FAIL, NOTE, OK, Check
+from finger_bag.validate import FAIL, NOTE, OK
 from finger_common.errors import listed
 from finger_common.flags import AreaFlag
 from finger_model.geometry import Geometry
 from finger_offline.lag import MAXIMUM_LAG, WORTH_A_NOTE, log_lag
 from finger_offline.trial_checks import fault_of
 
-from ..problem import MM2, MM4, FitTrial, minus, three_digits
+from ..problem import FitTrial
 from ..problem.moisture import moisture_clusters
 from ..problem.trials import label_of
-from ..results import ConditionFit
+from ..report_units import MM2, MM4, minus, three_digits
+from ..results import ConditionFit, Quality, TrialQuality
 from ..uncertainty import active_bounds
 from .misfit import Misfit, misfit
 
@@ -73,63 +72,22 @@ STEP = 0.01
 """s between the samples of the force by which the lag is looked for."""
 
 
-@dataclass(frozen=True)
-class TrialQuality:
-    """One trial.
-
-    J: m⁴; lag: s of the areas behind the fitted model, NaN where it is unclear; tare: force (N) on
-    the unloaded plate, NaN where the trial does not show it; gain: measured area over the model's;
-    frames, saturated, doubtful, low: numbers of frames.
-    """
-
-    label: str
-    J: float
-    lag: float
-    tare: float
-    gain: float
-    frames: int
-    saturated: int
-    doubtful: int
-    low: int
-
-
-@dataclass
-class Quality:
-    """Checks and trials of one condition."""
-
-    checks: list[Check] = field(default_factory=list)
-    trials: list[TrialQuality] = field(default_factory=list)
-
-    @property
-    def failures(self) -> list[str]:
-        """Names and details of the checks that fail."""
-        return [f"{c.name}: {c.detail}" for c in self.checks if c.status == FAIL]
-
-    def add(self, name: str, status: str, detail: str) -> None:
-        self.checks.append(Check(name, status, detail))
-
-    def to_data(self) -> dict[str, Any]:
-        """Make `checks` and `trials` (SI, J in mm⁴) for JSON."""
-        trials = [{**asdict(t), "J": t.J * 1e12} for t in self.trials]
-        return {"checks": [asdict(c) for c in self.checks], "trials": trials}
-
-
-def quality_of(fit: ConditionFit, records: Sequence[Any]) -> Quality:
-    """Check a fitted condition; records: the recorded trials, in the order of the problem's."""
+def quality_of(fit: ConditionFit) -> Quality:
+    """Check a fitted condition."""
     problem = fit.problem
     out = Quality()
     costs = problem.trial_costs(fit.areas)
-    drives = [_drive(record, t.drive.tare) for t, record in zip(problem.trials, records)]
+    drives = [_drive(trial) for trial in problem.trials]
     curves = problem.model.batch(fit.parameters[None], drives)
-    for index, (trial, record) in enumerate(zip(problem.trials, records)):
+    for index, trial in enumerate(problem.trials):
         part = slice(problem.starts[index], problem.starts[index + 1])
         model, weight = fit.areas[part], problem.weight[part]
-        flags = _flags(record, trial)
+        flags = _flags(trial)
         out.trials.append(
             TrialQuality(
                 trial.label,
                 float(costs[index]),
-                _lag(record, drives[index], curves[index][0]),
+                _lag(trial, drives[index], curves[index][0]),
                 trial.rest.force if trial.rest else float("nan"),
                 float((weight * model * trial.area).sum() / (weight * model * model).sum()),
                 len(trial.area),
@@ -138,39 +96,39 @@ def quality_of(fit: ConditionFit, records: Sequence[Any]) -> Quality:
                 int(trial.low.sum()),
             )
         )
-    _check_frames(out, records, problem.trials)
-    _check_times(out, records)
+    _check_frames(out, problem.trials)
+    _check_times(out, problem.trials)
     _check_lag(out)
     _check_tare(out)
     _check_scatter(out)
     _check_misfit(out, fit, misfit(fit, np.array([t.gain for t in out.trials])))
-    _check_indentation(out, fit, records)
+    _check_indentation(out, fit)
     _check_moisture(out, fit)
     return out
 
 
-def _flags(record: Any, trial: FitTrial) -> np.ndarray:
+def _flags(trial: FitTrial) -> np.ndarray:
     """Flags (k,) of the frames that count."""
-    return np.asarray(record.area_flags, dtype=np.int64)[trial.recording.counted]
+    return np.asarray(trial.record.area_flags, dtype=np.int64)[trial.recording.counted]
 
 
-def _drive(record: Any, tare: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _drive(trial: FitTrial) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Time, force and rows of the whole press at even steps, for the model."""
-    time = (np.asarray(record.stamp_ns) - record.stamp_ns[0]) * 1e-9
-    steps = np.arange(0.0, time[-1], STEP)
-    force = np.maximum(np.interp(steps, time, np.asarray(record.force, dtype=float)) - tare, 0.0)
+    found = trial.recording
+    steps = np.arange(0.0, found.time[-1], STEP)
+    force = np.maximum(np.interp(steps, found.time, found.force) - trial.drive.tare, 0.0)
     return steps, force, np.arange(len(steps))
 
 
-def _lag(record: Any, drive: tuple[np.ndarray, ...], curve: np.ndarray) -> float:
-    frames = (np.asarray(record.area_stamp_ns) - record.stamp_ns[0]) * 1e-9
-    found = log_lag(drive[0], drive[1], curve, frames, np.asarray(record.area, dtype=float))
+def _lag(trial: FitTrial, drive: tuple[np.ndarray, ...], curve: np.ndarray) -> float:
+    area = np.asarray(trial.record.area, dtype=float)
+    found = log_lag(drive[0], drive[1], curve, trial.recording.frame_time, area)
     return float("nan") if found is None else found
 
 
-def _check_frames(out: Quality, records: Sequence[Any], trials: Sequence[FitTrial]) -> None:
+def _check_frames(out: Quality, trials: Sequence[FitTrial]) -> None:
     frames = sum(t.frames for t in out.trials)
-    flags = np.concatenate([_flags(r, t) for r, t in zip(records, trials)])
+    flags = np.concatenate([_flags(t) for t in trials])
     found = {text: int(((flags & flag) != 0).sum()) for flag, text in DOUBTFUL.items()}
     parts = [f"{number} {text}" for text, number in found.items() if number]
     dropped = sum(t.dropped for t in trials)
@@ -193,8 +151,8 @@ def _check_frames(out: Quality, records: Sequence[Any], trials: Sequence[FitTria
     )
 
 
-def _check_times(out: Quality, records: Sequence[Any]) -> None:
-    doubts = list(dict.fromkeys(d for r in records for d in getattr(r, "doubts", ())))
+def _check_times(out: Quality, trials: Sequence[FitTrial]) -> None:
+    doubts = list(dict.fromkeys(d for t in trials for d in getattr(t.record, "doubts", ())))
     out.add("stamps", FAIL if doubts else OK, listed(doubts, 3, "; ") or "in order")
 
 
@@ -310,8 +268,9 @@ def _behind(fit: ConditionFit, bounds: Iterable[str]) -> str:
     )
 
 
-def _check_indentation(out: Quality, fit: ConditionFit, records: Sequence[Any]) -> None:
+def _check_indentation(out: Quality, fit: ConditionFit) -> None:
     """Check the indentation, where one was measured and is to be used."""
+    records = [trial.record for trial in fit.problem.trials]
     given = [r for r in records if len(getattr(r, "indentation", ()))]
     if not given or not fit.problem.options.indentation_sd:
         return

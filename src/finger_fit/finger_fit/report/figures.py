@@ -25,7 +25,7 @@ from matplotlib.ticker import FixedLocator, NullLocator
 from finger_common.errors import InputError, known_names
 from finger_model.laws import Quantity
 
-from ..problem.report_units import MM2, MM4, three_digits
+from ..report_units import MM2, MM4, three_digits
 from ..results import DeformedFinger, FitResult
 
 PALETTE = ("#d55e00", "#009e73", "#0072b2", "#cc79a7", "#e69f00", "#56b4e9")

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from html import escape
 
-from ..nuisance.names import name_of
 from ..nuisance.result import NuisanceResult, NuisanceValue
-from ..problem import minus
+from ..nuisance_names import name_of
+from ..report_units import minus
 from ..results import FitResult
 from .tables import listing, table
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from finger_model.laws import ParameterSpace
 
-from ..problem.report_units import MM2, MM4, minus, three_digits
+from ..report_units import MM2, MM4, minus, three_digits
 from ..results import ConditionFit, FitResult, QuantityResult
 from ..results.tables import goodness_rows, trial_rows
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from finger_model.geometry import LENGTHS
 
-from ..nuisance.names import AREA_GAIN
+from ..nuisance_names import AREA_GAIN
 from .fits import ConditionFit
 
 FEWEST_SAMPLES = 40

@@ -9,10 +9,12 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from scipy.stats import t as student
+
+from finger_common.subject_code import may_be_one
 
 from ..uncertainty import NORMAL_95, BiasCorrected, Covariance, Goodness, Profile, shifted_interval
 
@@ -26,15 +28,23 @@ if TYPE_CHECKING:
     from ..nuisance.result import NuisanceResult
     from ..options import FitOptions
     from ..problem import Exclusion, FitProblem, FitTrial, PowerLaw
-    from ..quality import Quality
     from ..search import LocalFit, Search
     from .contrasts import Contrast
     from .indentation import IndentationFit
+    from .quality import Quality
 
 
 def codes_of(trials: Iterable[FitTrial]) -> str:
     """Codes of the subjects of trials, with commas between."""
     return ", ".join(sorted({trial.subject for trial in trials if trial.subject}))
+
+
+class Finger(NamedTuple):
+    """Whose finger: code of the subject, and name such as right_index, empty where it was not
+    noted."""
+
+    subject: str
+    name: str
 
 
 @dataclass(frozen=True)
@@ -272,6 +282,19 @@ class FitResult:
         """Conditions that were interrupted, or are missing because the fit was."""
         cut = [name for name, fit in self.fits.items() if fit.status == "interrupted"]
         return [*cut, *self.missing]
+
+    @property
+    def finger(self) -> Finger:
+        """Subject and finger of all trials, empty where there are several."""
+        trials = [trial for fit in self.fits.values() for trial in fit.problem.trials]
+        codes, fingers = {t.subject for t in trials}, {t.finger for t in trials}
+        name = max(fingers, key=len, default="") if may_be_one(*fingers) else ""
+        return Finger(codes.pop(), name) if len(codes) == 1 else Finger("", "")
+
+    @property
+    def parts(self) -> dict[str, FitResult]:
+        """The result of each subject; of a single one this result, with an empty name."""
+        return self.subjects or {"": self}
 
     def example(self) -> tuple[ConditionFit, int]:
         """The condition in the middle, and the index of its trial of median cost."""

@@ -18,7 +18,7 @@ import numpy as np
 
 from finger_common.files import atomic_write
 
-from ..problem import MM, MM2, MM4, three_digits
+from ..report_units import MM, MM2, MM4, three_digits
 from .contrasts import Contrast
 from .fits import ConditionFit, FitResult, codes_of
 
@@ -212,7 +212,7 @@ def indentation_rows(result: FitResult) -> Iterator[dict[str, Any]]:
 
 def named(result: FitResult) -> Iterator[tuple[str, str, ConditionFit]]:
     """Subject, condition and fit of everything that was fitted."""
-    for part in result.subjects.values() or [result]:
+    for part in result.parts.values():
         for condition, fit in part.fits.items():
             yield codes_of(fit.problem.trials), condition, fit
 

@@ -25,18 +25,18 @@ area."""
 
 
 class Target(Protocol):
-    """What is minimised, as a function of areas: a `problem.Goal`, or several."""
+    """What is minimised, as a function of a problem's outputs: a `problem.Goal`, or several."""
 
-    def cost(self, areas: np.ndarray) -> np.ndarray:
-        """Cost (…,) in m⁴ of areas (…, n) in m²."""
+    def cost(self, outputs: np.ndarray) -> np.ndarray:
+        """Cost (…,) in m⁴ of outputs (…, n)."""
         ...
 
-    def rows(self, areas: np.ndarray) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
-        """The cost near areas (n,) as a sum of squares; see `problem.Goal.rows`."""
+    def rows(self, outputs: np.ndarray) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
+        """The cost near outputs (n,) as a sum of squares; see `problem.Goal.rows`."""
         ...
 
 
-class Areas(Protocol):
+class Problem(Protocol):
     """What a local fit needs of a problem: a FitProblem, or one that is built from FitProblems."""
 
     def outputs(self, parameters: np.ndarray) -> np.ndarray:
@@ -44,7 +44,7 @@ class Areas(Protocol):
         ...
 
     def goal(self, weight: np.ndarray | None = None) -> Target:
-        """What is minimised, under weights (n,) of the frames in place of the problem's own."""
+        """What is minimised, under weights (n,) of the rows in place of the problem's own."""
         ...
 
 
@@ -58,7 +58,7 @@ class LocalFit:
 
 
 def refine(
-    problem: Areas,
+    problem: Problem,
     coordinates: Coordinates,
     start: np.ndarray,
     frame_weights: np.ndarray | None = None,
@@ -76,15 +76,15 @@ def refine(
     dimension = len(box)
     spent = 0
 
-    def areas(u: np.ndarray) -> np.ndarray:
+    def outputs(u: np.ndarray) -> np.ndarray:
         nonlocal spent
         spent += len(u)
         return problem.outputs(coordinates.parameters(u))
 
     u = np.clip(coordinates.of(np.asarray(start, dtype=float)), box[:, 0], box[:, 1])
     if dimension == 0 or not np.any(span > 0):
-        area = areas(u[None])
-        return LocalFit(coordinates.parameters(u[None])[0], float(goal.cost(area)[0]), spent)
+        cost = float(goal.cost(outputs(u[None]))[0])
+        return LocalFit(coordinates.parameters(u[None])[0], cost, spent)
     damping = 1e-3
     base = None
     cost = np.inf
@@ -93,15 +93,15 @@ def refine(
         step = np.where(u + DIFFERENCE <= box[:, 1], DIFFERENCE, -DIFFERENCE)
         moved = u + np.diag(step)
         if base is None:
-            rows = areas(np.vstack([u, moved]))
-            base, moved_areas = rows[0], rows[1:]
+            rows = outputs(np.vstack([u, moved]))
+            base, neighbours = rows[0], rows[1:]
             cost = float(goal.cost(base))
         else:
-            moved_areas = areas(moved)
+            neighbours = outputs(moved)
         residual, linear = goal.rows(base)
         # A neighbour that cannot carry the load tells nothing.
-        moved_areas = np.where(np.isfinite(moved_areas), moved_areas, base)
-        jacobian = (linear(moved_areas - base) / step[:, None]).T
+        neighbours = np.where(np.isfinite(neighbours), neighbours, base)
+        jacobian = (linear(neighbours - base) / step[:, None]).T
         scale = np.sqrt((jacobian**2).sum(axis=0))
         scale = np.maximum(scale, 1e-6 * max(scale.max(), 1e-30))
         improved = False
@@ -117,7 +117,7 @@ def refine(
                 ).x
                 trials.append(np.clip(u + move, box[:, 0], box[:, 1]))
             candidates = np.array(trials)
-            found = areas(candidates)
+            found = outputs(candidates)
             costs = goal.cost(found)
             pick = int(np.argmin(costs))
             damping *= (0.1, 1.0, 10.0)[pick]

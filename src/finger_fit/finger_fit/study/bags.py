@@ -112,10 +112,7 @@ def load(
         )
     out.problems += shared_sessions(out.records)
     out.records, again = without_superseded(out.records)
-    out.exclusions = [
-        Exclusion(f"{Path(e.bag).name} trial {e.index}", e.condition, e.reason, e.subject)
-        for e in [*excluded, *again]
-    ]
+    out.exclusions = [Exclusion.of(e, e.reason) for e in [*excluded, *again]]
     return out
 
 

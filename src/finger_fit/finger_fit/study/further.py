@@ -18,8 +18,9 @@ from finger_model.geometry import LENGTHS
 from finger_model.laws import ParameterSpace, ParameterSpec
 
 from ..full_order import FullOrder
-from ..nuisance.names import absorber_of
-from ..problem import MM4, FitProblem, FitTrial, Goal, prepare_all
+from ..nuisance_names import absorber_of
+from ..problem import FitProblem, Goal, prepare_all
+from ..report_units import MM4
 from ..results import ConditionFit
 from ..search import Coordinates, all_free, refine
 from ..uncertainty import covariance
@@ -62,14 +63,14 @@ class JointGoal:
     def __init__(self, goals: Sequence[Goal], splits: np.ndarray) -> None:
         self._goals, self._splits = goals, splits
 
-    def cost(self, areas: np.ndarray) -> np.ndarray:
-        """Cost (…,) in m⁴ of areas (…, n)."""
-        parts = np.split(areas, self._splits, axis=-1)
+    def cost(self, outputs: np.ndarray) -> np.ndarray:
+        """Cost (…,) in m⁴ of outputs (…, n)."""
+        parts = np.split(outputs, self._splits, axis=-1)
         return np.sum([goal.cost(part) for goal, part in zip(self._goals, parts)], axis=0)
 
-    def rows(self, areas: np.ndarray) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
-        """Rows as of `Goal.rows`, those of the conditions one after the other."""
-        parts = np.split(areas, self._splits)
+    def rows(self, outputs: np.ndarray) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
+        """Terms as of `Goal.rows`, those of the conditions one after the other."""
+        parts = np.split(outputs, self._splits)
         found = [goal.rows(part) for goal, part in zip(self._goals, parts)]
 
         def linear(change: np.ndarray) -> np.ndarray:
@@ -184,22 +185,16 @@ def thickness_fit(problem: FitProblem, best: np.ndarray, full_order: FullOrder) 
     }
 
 
-def force_modes(fit: ConditionFit, records: Sequence[Any]) -> dict[str, dict[str, float]]:
+def force_modes(fit: ConditionFit) -> dict[str, dict[str, float]]:
     """J (mm⁴) and the headline quantity with the force at its full rate and as in the paper.
 
     The mode that the fit did not use is refitted locally to the same trials.
     """
     options, headline = fit.problem.options, fit.space.headline
     other = "paper" if options.force == "full" else "full"
-
-    def identity(trial: FitTrial) -> tuple[str, bytes]:
-        # Trials of two conditions may have the same label, but not the same measured areas.
-        return trial.label, trial.area.tobytes()
-
-    wanted = {identity(trial) for trial in fit.problem.trials}
     changed = replace(options, force=other)
-    trials, _ = prepare_all(records, changed)
-    problem = FitProblem([t for t in trials if identity(t) in wanted], fit.problem.model, changed)
+    trials, _ = prepare_all([trial.record for trial in fit.problem.trials], changed)
+    problem = FitProblem(trials, fit.problem.model, changed)
     problem.weigh(fit.problem.area_noise)
     if len(problem.observed) == len(fit.problem.observed):
         problem.correction = fit.problem.correction

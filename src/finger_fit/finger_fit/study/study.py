@@ -26,7 +26,6 @@ from ..engine import Engine, LocalEngine, engine_for
 from ..full_order import FullOrder
 from ..options import FitOptions
 from ..problem import Exclusion, FitProblem, FitTrial, material_of, prepare_all
-from ..problem.trials import label_of
 from ..quality import judge, quality_of, screen
 from ..report import write_report
 from ..results import ConditionFit, FitResult, codes_of, contrasts
@@ -66,7 +65,6 @@ def fit_records(
     screened = screen(records, options.indentation_sd > 0)
     trials, excluded = prepare_all(screened.records, options)
     exclusions = [*screened.exclusions, *excluded]
-    of_trial = {label_of(record): record for record in screened.records}
     notes = list(screened.notes)
     if not trials:
         raise nothing_to_fit(exclusions)
@@ -89,7 +87,7 @@ def fit_records(
         subjects.setdefault(trial.subject, []).append(trial)
     notes += _check_codes(subjects)
     with engine_for(options.dask) as engine:
-        work = _Work(model, options, of_trial, conditions, engine, folder, report)
+        work = _Work(model, options, conditions, engine, folder, report)
         if len(subjects) == 1 or options.pool:
             if len(subjects) > 1:
                 notes.append(f"{len(subjects)} subjects are pooled: {', '.join(subjects)}")
@@ -171,13 +169,12 @@ _Outcome = FitResult | FingerError
 class _Work:
     """What the fits of all subjects share.
 
-    records: the recorded trials by label; conditions: names to fit, empty for all; folder: for
-    checkpoints, none are kept without; report: learns of the progress.
+    conditions: names to fit, empty for all; folder: for checkpoints, none are kept without; report:
+    learns of the progress.
     """
 
     model: Any
     options: FitOptions
-    records: Mapping[str, Any]
     conditions: Sequence[str]
     engine: Engine
     folder: Path | None = None
@@ -211,12 +208,9 @@ class _Work:
         """Fit each subject's trials as one piece of work of a cluster, without checkpoints."""
         done = Progress("", len(self.model.space), self.report).count("subjects")
         # A worker may have no processes of its own.
-        shared = _Work(self.model, self.options, {}, self.conditions, LocalEngine(1))
-        jobs = [
-            (trials, {trial.label: self.records[trial.label] for trial in trials})
-            for trials in subjects.values()
-        ]
-        return zip(subjects, self.engine.map(_fit_alone, shared, jobs, done), strict=True)
+        shared = _Work(self.model, self.options, self.conditions, LocalEngine(1))
+        found = self.engine.map(_fit_alone, shared, list(subjects.values()), done)
+        return zip(subjects, found, strict=True)
 
     def fit_subject(self, trials: Sequence[FitTrial]) -> FitResult:
         """Fit the conditions of one subject; raises InputError when none can be fitted."""
@@ -236,7 +230,7 @@ class _Work:
                 problem = FitProblem(group, self.model, self.options)
                 fit = fit_condition(problem, name, self.engine, self.folder, self.report)
                 if fit.status != "interrupted":
-                    fit.quality = quality_of(fit, self._records_of(problem.trials))
+                    fit.quality = quality_of(fit)
                     judge(fit)
             except INTERRUPTIONS:
                 if not fits:
@@ -262,7 +256,7 @@ class _Work:
         if not result.interrupted:
             try:
                 result.contrasts = contrasts(fits, codes_of(trials))
-                _further(result, self._records_of(trials), self.engine)
+                _further(result, self.engine)
             except INTERRUPTIONS:
                 result.stopped = True
             except FingerError as error:
@@ -276,9 +270,6 @@ class _Work:
                 )
             result.problems.append(note)
         return result
-
-    def _records_of(self, trials: Iterable[FitTrial]) -> list[Any]:
-        return [self.records[trial.label] for trial in trials]
 
 
 def _on_parameter_files(fits: Mapping[str, ConditionFit]) -> list[str]:
@@ -307,11 +298,10 @@ def _on_parameter_files(fits: Mapping[str, ConditionFit]) -> list[str]:
     return notes
 
 
-def _fit_alone(work: _Work, job: tuple[Sequence[FitTrial], Mapping[str, Any]]) -> _Outcome:
-    """Fit one subject's trials, given with their records by label, in a worker of a cluster."""
-    trials, records = job
+def _fit_alone(work: _Work, trials: Sequence[FitTrial]) -> _Outcome:
+    """Fit one subject's trials in a worker of a cluster."""
     try:
-        return dataclasses.replace(work, records=records).fit_subject(trials)
+        return work.fit_subject(trials)
     except FingerError as error:
         return error
 
@@ -342,14 +332,14 @@ def _reasons(exclusions: Sequence[Exclusion]) -> str:
     return listed((f"{e.label}: {e.reason}" for e in exclusions), 3, "; ")
 
 
-def _further(result: FitResult, records: Sequence[Any], engine: Engine) -> None:
+def _further(result: FitResult, engine: Engine) -> None:
     """The other force mode, and the additional fits that the options ask for."""
     options, fits = result.options, result.fits
     progress = Progress("", len(result.space), None)
     # A fit by the full-order model itself takes minutes, and is not repeated for a comparison.
     if not isinstance(next(iter(fits.values())).problem.model, FullOrderAreas):
         with progress.timed("other force mode"):
-            result.force_modes = {name: force_modes(fit, records) for name, fit in fits.items()}
+            result.force_modes = {name: force_modes(fit) for name, fit in fits.items()}
     if options.shared and len(fits) == 1:
         result.problems.append(
             f"{', '.join(options.shared)} can be shared by two or more conditions, one is fitted: "
@@ -440,7 +430,7 @@ def draw(result: FitResult) -> None:
     full_order = FullOrder.like(result.model)
     if full_order is None:
         return
-    for part in result.subjects.values() or [result]:
+    for part in result.parts.values():
         fit, trial = part.example()
         try:
             part.deformed = deformed_finger(fit, trial, full_order)

@@ -1,7 +1,7 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Bootstrap over trials: parameters refitted to resampled trials, and percentile intervals."""
+"""Bootstrap over trials: parameters refitted to resampled trials."""
 
 from __future__ import annotations
 

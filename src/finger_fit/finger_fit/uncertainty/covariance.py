@@ -17,6 +17,7 @@ to each by K = −H⁻¹ ∂²J/∂x∂c, and its covariance is V + K C Kᵀ, wi
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -37,18 +38,16 @@ _CENTRAL = 5e-3
 class Covariance:
     """Curvature and covariance of the coordinates at the best parameters (N,).
 
-    curvature (N, N): H in m⁴; covariance (N, N), with zero rows where a bound is active; noise: m²,
-    standard deviation of a frame's residual; active: parameters on a bound, with "low" or "high";
-    scores (M, T): Σ w r s of every trial; frame_information (M, M): B of independent frames.
-    nuisances: names of the K shared nuisances, M = N + K: they follow the parameters in curvature,
-    scores and frame_information, and in prior (M,), their part of H; assumed (K,): which are not
-    estimated.
+    curvature (N, N): H in m⁴; noise: m², standard deviation of a frame's residual; active:
+    parameters on a bound, with "low" or "high"; scores (M, T): Σ w r s of every trial;
+    frame_information (M, M): B of independent frames. nuisances: names of the K shared nuisances,
+    M = N + K: they follow the parameters in curvature, scores and frame_information, and in prior
+    (M,), their part of H; assumed (K,): which are not estimated.
     """
 
     space: ParameterSpace
     parameters: np.ndarray
     curvature: np.ndarray
-    covariance: np.ndarray
     noise: float
     active: dict[str, str]
     scores: np.ndarray
@@ -57,6 +56,15 @@ class Covariance:
     variance: float
     nuisances: tuple[str, ...] = ()
     assumed: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
+
+    @functools.cached_property
+    def covariance(self) -> np.ndarray:
+        """Covariance (N, N) with all that is unknown, with zero rows where a bound is active."""
+        found, free = self.data_covariance(), self._free()
+        if free:
+            moves = self.responses(free)[self.assumed]
+            found += moves.T @ moves
+        return found
 
     def holds(self, name: str) -> bool:
         """Whether a quantity follows from parameters on a bound alone, so that samples of
@@ -170,7 +178,7 @@ class Covariance:
         return {"data": float(data), **dict(zip(self.nuisances, map(float, parts)))}
 
     def with_presses(self, factor: float) -> Covariance:
-        """Predict `factor` times as many presses of the same kind; `covariance` stays as it is."""
+        """Predict `factor` times as many presses of the same kind."""
         prior = np.diag(self.prior)
         return replace(
             self,
@@ -292,11 +300,10 @@ def covariance(
         pick = np.hstack([np.eye(kept), -answer])
         scores, information = pick @ scores, pick @ information @ pick.T
         prior = prior[:kept]
-    found = Covariance(
+    return Covariance(
         space,
         np.array(parameters),
         curvature,
-        np.zeros((number, number)),
         noise,
         active,
         scores,
@@ -306,10 +313,6 @@ def covariance(
         names,
         assumed,
     )
-    if free:
-        moves = found.responses(free)[assumed]
-        found.covariance[:] = found.data_covariance() + moves.T @ moves
-    return found
 
 
 def inverse_of(matrix: np.ndarray) -> np.ndarray:

@@ -9,12 +9,13 @@ import argparse
 import math
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from finger_common.cli import one_line
 from finger_common.errors import InputError
-from finger_common.files import check_output
+from finger_common.files import atomic_write, check_output
 from finger_common.progress import Stages
 
 from ..fem.elasticity import ELASTICITIES, NEO_HOOKE
@@ -23,6 +24,9 @@ from ..history import ContactHistory, read_load_csv
 from ..laws import ConstitutiveLaw, MaxwellLaw, StandardLinearSolid, load_material
 from ..parameter_sets import ParameterSets
 from ..slip.pull import PullHistory, pull_history
+
+if TYPE_CHECKING:
+    from ..solid3d.full_order import SolidHistory
 
 FULL_ORDER = "full-order model"
 """Name of the stage in the progress."""
@@ -142,47 +146,65 @@ def run(arguments: argparse.Namespace) -> int:
             f"{arguments.force}: 'tangential_force_n' needs friction, and the material has none; "
             "set 'friction' in the material file"
         )
-    full_only = (
-        arguments.solver == "full"
-        or arguments.refinement != 1.0
-        or arguments.elasticity != NEO_HOOKE
-        or arguments.plot
-        or arguments.vtu
-    )
-    if arguments.reduced_model and full_only:
+    solver = _solver(arguments, pull)
+    finger = geometry, material, time, force
+    found: ContactHistory | PullHistory | SolidHistory
+    if solver == "solid":
+        found = _solid(arguments, *finger, pull)
+    elif solver == "full":
+        found = _full(arguments, *finger)
+    else:
+        try:
+            found = _reduced(arguments, *finger, pull)
+        except InputError as error:
+            if solver == "reduced":
+                raise
+            print(f"using the full-order model: {one_line(error)}", file=sys.stderr)
+            found = _full(arguments, *finger)
+    _write(found.csv_text(), arguments.output)
+    return 0
+
+
+def _solver(
+    arguments: argparse.Namespace, pull: np.ndarray | None
+) -> Literal["solid", "full", "reduced", "either"]:
+    """The model that options and load call for; either: the reduced one where there is one for the
+    finger and its load, else the full-order one.
+
+    Raises InputError for options that do not go together.
+    """
+    fields = bool(arguments.plot or arguments.vtu)
+    default_mesh = arguments.refinement == 1.0 and arguments.elasticity == NEO_HOOKE
+    full = arguments.solver == "full" or fields or not default_mesh
+    if arguments.reduced_model and full:
         raise InputError(
             "--reduced-model does not go with --solver full, --refinement, --elasticity, --plot or "
             "--vtu, which are of the full-order model: leave one of them out"
         )
     reduced = arguments.solver == "reduced" or bool(arguments.reduced_model)
-    upright = arguments.pad_aspect is None and arguments.tilt_deg is None
-    if not (upright and (pull is None or reduced)):
-        return _solid(arguments, geometry, material, time, force, pull)
-    wants_fields = bool(arguments.plot or arguments.vtu)
-    if arguments.solver == "reduced" and wants_fields:
-        raise InputError("--plot and --vtu need the stress field: use --solver full")
-    if arguments.at is not None and not wants_fields:
-        raise InputError("--at chooses what --plot and --vtu show: give one of them")
-    history = None
-    default_mesh = arguments.refinement == 1.0 and arguments.elasticity == NEO_HOOKE
-    if arguments.solver != "full" and not wants_fields and default_mesh:
-        history = _reduced(arguments, geometry, material, time, force)
-    if history is None:
-        if arguments.solver == "reduced":
+    posed = arguments.pad_aspect is not None or arguments.tilt_deg is not None
+    if posed or (pull is not None and not reduced):
+        if reduced:
             raise InputError(
-                "--refinement and --elasticity are of the full-order model: use --solver full"
+                "--pad-aspect and --tilt-deg need three dimensions, and the reduced model is "
+                "axisymmetric: use --solver full"
             )
-        history = _full(arguments, geometry, material, time, force)
-    found: ContactHistory | PullHistory
-    found = history
-    if pull is not None:
-        assert isinstance(material, MaxwellLaw)  # as all that have a reduced model
-        found = pull_history(history, pull, geometry, material)
-    if arguments.output:
-        found.to_csv(arguments.output)
-    else:
-        sys.stdout.write(found.csv_text())
-    return 0
+        if arguments.elasticity != NEO_HOOKE:
+            raise InputError("--elasticity is of the axisymmetric model: leave it out")
+        if fields or arguments.at is not None:
+            raise InputError("--plot, --vtu and --at are of the axisymmetric model: leave them out")
+        return "solid"
+    if reduced and fields:
+        raise InputError("--plot and --vtu need the stress field: use --solver full")
+    if arguments.at is not None and not fields:
+        raise InputError("--at chooses what --plot and --vtu show: give one of them")
+    if reduced and not default_mesh:
+        raise InputError(
+            "--refinement and --elasticity are of the full-order model: use --solver full"
+        )
+    if reduced:
+        return "reduced"
+    return "full" if full else "either"
 
 
 def _finger(arguments: argparse.Namespace) -> tuple[Geometry, ConstitutiveLaw]:
@@ -227,20 +249,11 @@ def _solid(
     time: np.ndarray,
     force: np.ndarray,
     pull: np.ndarray | None,
-) -> int:
+) -> SolidHistory:
     """History of the full-order model in three dimensions."""
     from ..pose.pose import Pose
     from ..solid3d.full_order import SolidModel
 
-    if arguments.solver == "reduced" or arguments.reduced_model:
-        raise InputError(
-            "--pad-aspect and --tilt-deg need three dimensions, and the reduced model is "
-            "axisymmetric: use --solver full"
-        )
-    if arguments.elasticity != NEO_HOOKE:
-        raise InputError("--elasticity is of the axisymmetric model: leave it out")
-    if arguments.plot or arguments.vtu or arguments.at is not None:
-        raise InputError("--plot, --vtu and --at are of the axisymmetric model: leave them out")
     tilt = arguments.tilt_deg or [0.0]
     if len(tilt) > 2:
         raise InputError(f"--tilt-deg has {len(tilt)} values; give PITCH or PITCH ROLL")
@@ -249,14 +262,9 @@ def _solid(
     _check_output(arguments.output)
     model = SolidModel(geometry, pose, arguments.refinement)
     with Stages(brief=True) as stages:
-        history = model.simulate(
+        return model.simulate(
             material, time, force, pull, lambda done: stages.update(FULL_ORDER, done)
         )
-    if arguments.output:
-        history.to_csv(arguments.output)
-    else:
-        sys.stdout.write(history.csv_text())
-    return 0
 
 
 def _check_output(*paths: str | None) -> None:
@@ -268,23 +276,31 @@ def _check_output(*paths: str | None) -> None:
             raise InputError(f"{path}: is a folder; give the name of a file")
 
 
+def _write(text: str, output: str | None) -> None:
+    """Write to the file, or to the terminal where none is given."""
+    if not output:
+        sys.stdout.write(text)
+        return
+    with atomic_write(output) as file:
+        file.write(text)
+
+
 def _reduced(
     arguments: argparse.Namespace,
     geometry: Geometry,
     material: ConstitutiveLaw,
     time: np.ndarray,
     force: np.ndarray,
-) -> ContactHistory | None:
-    """History of the reduced model; None, with a note, where the full-order model has to do it."""
+    pull: np.ndarray | None,
+) -> ContactHistory | PullHistory:
+    """History of the reduced model, under a pull with stick and slip."""
     from ..finger import simulate_reduced
 
-    try:
-        return simulate_reduced(material, time, force, geometry, arguments.reduced_model or "")
-    except InputError as error:
-        if arguments.solver == "reduced" or arguments.reduced_model:
-            raise
-        print(f"using the full-order model: {one_line(error)}", file=sys.stderr)
-        return None
+    history = simulate_reduced(material, time, force, geometry, arguments.reduced_model or "")
+    if pull is None:
+        return history
+    assert isinstance(material, MaxwellLaw)  # as all that have a reduced model
+    return pull_history(history, pull, geometry, material)
 
 
 def _full(

@@ -18,6 +18,7 @@ from ..laws import MaxwellLaw
 from ..parameter_sets import InterpolatedParameters, ParameterSets
 from ..reduced.model import ReducedModel
 from . import area_filter, members
+from .neighbourhood import Neighbourhood
 from .settings import EstimatorSettings
 
 _TIME = np.concatenate([np.linspace(0.0, 1.0, 21), np.linspace(1.1, 3.0, 20), [3.05, 3.1, 3.15]])
@@ -180,13 +181,8 @@ def _answers(model: ReducedModel, parameters: np.ndarray) -> np.ndarray:
         state = model.state_at_rest(constants)
         areas.append(np.log(model.follow(constants, state, _TIME, _FORCE, before=0.0)[:, 0]))
     base = model.constants(parameters)
-    constants = np.repeat(base, 1 + members.DIRECTIONS)
-    finger = np.concatenate([model.state_at_rest(base)] * len(constants))
-    near = np.zeros(1, members.MEMBERS)
-    members.place_all(model.networks, base, constants, finger, model.work, near)
-    table = np.empty((len(_TIME), 3 + 2 * members.DIRECTIONS))
-    records = (model.networks, constants, finger, model.work, near)
-    members.follow(*records, 0.0, _TIME, _FORCE, table)
-    h = np.column_stack([np.ones(len(_TIME)), np.log(_FORCE), table[:, 3 : 3 + members.DIRECTIONS]])
+    near = Neighbourhood.at(model, base, np.zeros(members.DIRECTIONS))
+    sensitivities = near.follow(0.0, _TIME, _FORCE).sensitivities
+    h = np.column_stack([np.ones(len(_TIME)), np.log(_FORCE), sensitivities])
     changes = (np.array(areas[1:]) - areas[0]).T / _LOG_STEP
     return np.linalg.solve(h.T @ h + np.diag(_RIDGE), h.T @ changes)

@@ -85,12 +85,12 @@ def linear_guess(contact: LinearContact, material: MaxwellLaw) -> LinearGuess:
     for which, share in enumerate(shares):
         curve = contact.curve(material, share)
         x = curve[:, 0]
-        for column, beyond in ((0, 1.0), (1, 1.0)):
+        for column in range(2):
             y = curve[:, 1 + column]
             values = np.interp(nodes, x, y)
             low, high = nodes < x[0], nodes > x[-1]
             values[low] = y[0] + 2.0 * (nodes[low] - x[0])
-            values[high] = y[-1] + beyond * (nodes[high] - x[-1])
+            values[high] = y[-1] + (nodes[high] - x[-1])
             found[which, :, column] = values - 2.0 * nodes
     return LinearGuess(found, np.array([contact.meshes(material, share) for share in shares]))
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import os
 import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -29,7 +29,7 @@ from ..fem.full_order import FullOrderModel
 from ..fem.mesh import similar_mesh
 from ..geometry import Geometry
 from ..laws.generalized_maxwell import STIFFENING_RANGE, TIME_RANGE
-from .build import parts_folder
+from .build import Progress, parts_folder
 from .error import ErrorTable
 from .model import LAW, ReducedModel
 from .population_runs import (
@@ -50,8 +50,6 @@ LARGEST_FORCE = 10.0
 """N, end of the range the model is built for."""
 CHUNK = 50
 """Runs of one file."""
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)

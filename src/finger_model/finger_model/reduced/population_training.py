@@ -13,6 +13,7 @@ import numpy as np
 from finger_common.processes import Map
 
 from . import kernels as rk
+from .build import Progress
 from .context_network import ContextNetwork, Rows, fit
 from .elastic_contact import (
     ElasticContacts,
@@ -34,8 +35,6 @@ from .population import (
 )
 from .population_runs import Run
 from .training import features, strain_scales
-
-Progress = Callable[[str, float], None]
 
 LATENTS = 6
 DRIVE, CONTACT = (48, 128), (128, 192)

@@ -6,7 +6,7 @@
 Two hidden layers of the smooth sigmoid v/√(1 + v²), weighted least squares over all rows of the
 runs. First the drive, on the full order's own states; then the contact network on the states that
 the reduced model visits with that drive, so that it makes up for what the drive leaves
-(`reduction.train`).
+(`build.train`).
 """
 
 from __future__ import annotations

@@ -63,7 +63,7 @@ class SlipEstimator:
         self._strangers = 0
         """Samples in a row whose force is not that of their estimate."""
         self.sticks: Delayed[tuple[float, float]] = Delayed()
-        """Stick ratios that wait, each with its standard deviation."""
+        """Stick ratios that wait, each with its standard deviation; the owner sets the delay."""
         self._finger: tuple[Geometry, MaxwellLaw] | None = None
         self.assume(Geometry(), Material())
         self.configure(settings or SlipSettings())
@@ -234,15 +234,12 @@ class SlipEstimator:
         )
         return rows
 
-    def expect_stick_ratio(
-        self, stamp_ns: int, stick_ratio: float, sd: float, delay: float
-    ) -> None:
-        """As `add_stick_ratio`, at the first sample stamped `stamp_ns` + `delay` (s) or later.
+    def expect_stick_ratio(self, stamp_ns: int, stick_ratio: float, sd: float) -> None:
+        """As `add_stick_ratio`, at the first sample stamped `stamp_ns` + `sticks.delay` or later.
 
-        So that the result does not depend on when the reading comes. The delay is that of all that
-        wait. A second reading of a stamp, and one without a finite ratio, is left out.
+        So that the result does not depend on when the reading comes. A second reading of a stamp,
+        and one without a finite ratio, is left out.
         """
-        self.sticks.delay = delay
         if math.isfinite(stick_ratio):
             self.sticks.add(stamp_ns, (stick_ratio, sd))
 

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from finger_common.errors import InputError
-from finger_common.files import atomic_write
 
 from ..geometry import Geometry
 from ..history import CSV_HEADER, ContactHistory, csv_of
@@ -37,11 +36,6 @@ class PullHistory:
         contact = self.contact
         own = self.stick_ratio, self.slip_margin, self.tangential_displacement * 1e3
         return csv_of(PULL_CSV_HEADER, contact.time, contact.force, *contact.csv_columns(), *own)
-
-    def to_csv(self, path: str) -> None:
-        """Write `csv_text` to a file."""
-        with atomic_write(path) as file:
-            file.write(self.csv_text())
 
 
 def pull_history(

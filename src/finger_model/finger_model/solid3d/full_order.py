@@ -12,12 +12,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
-from pathlib import Path
 
 import numpy as np
 
 from finger_common.errors import InputError, ModelError, check_type
-from finger_common.files import atomic_write
 
 from ..fem.equilibrium import OPEN, SLIP, STEP_LOCK, STICK, NotConverged
 from ..fem.mesh_material import Crushed, StepMaterial
@@ -116,11 +114,6 @@ class SolidHistory:
             self.center_y * 1e3,
         )
         return csv_of(SOLID_CSV_HEADER, self.time, self.load, *columns)
-
-    def to_csv(self, path: str | Path) -> None:
-        """Write `csv_text` to a file."""
-        with atomic_write(path) as file:
-            file.write(self.csv_text())
 
 
 @dataclass

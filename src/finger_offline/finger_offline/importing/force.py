@@ -15,7 +15,7 @@ from finger_common.errors import InputError, listed
 from finger_common.stamps import seconds
 
 from ..trial_checks import LARGEST_FORCE, LONGEST_PRESS, SHORTEST_PRESS
-from ..trial_split import TrialSettings, presses
+from ..trial_split import TrialSettings
 from ..unloaded import (
     LARGEST_TARE,
     LATE_START,
@@ -125,7 +125,7 @@ def presses_in(
         )
     chosen = [
         (first, end)
-        for first, end in presses(stamps, normal)
+        for first, end in split.presses(stamps, normal)
         if normal[first:end].max() >= split.minimum_peak
     ]
     if not chosen:

@@ -9,8 +9,8 @@ from finger_model.geometry import LENGTHS
 
 TARE, TRIAL_TARE, LAG = "tare", "trial_tare", "lag"
 AREA_GAIN, COLLAPSE = "area_gain", "collapse"
-INDENTATION_GAIN = "indentation_gain"
-"""Beside the lengths of the finger, by their keys in geometry.yaml, and `problem.PRESS_GAIN`."""
+INDENTATION_GAIN, PRESS_GAIN = "indentation_gain", "press_gain"
+"""Beside the lengths of the finger, by their keys in geometry.yaml."""
 
 UNITS = {TARE: "N", TRIAL_TARE: "N", LAG: "s"}
 """The others are shares (logarithms of factors)."""

@@ -1,0 +1,79 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""ROS parameter files: that of the user, and the suite's own."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from finger_common.errors import InputError
+from finger_common.files import atomic_write, load_yaml
+
+
+@dataclass(frozen=True)
+class ParameterFile:
+    """The user's parameter file, read once when it is first asked; path None: there is none."""
+
+    path: Path | None
+
+    @cached_property
+    def sections(self) -> dict[str, Mapping[str, Any]]:
+        """Parameters by node pattern; raises InputError naming file and key."""
+        found: dict[str, Mapping[str, Any]] = {}
+        data = {} if self.path is None else load_yaml(self.path, "parameter file")
+        for node, section in data.items():
+            values = section.get("ros__parameters") if isinstance(section, dict) else None
+            if not isinstance(values, dict):
+                raise InputError(
+                    f"{self.path}: '{node}' has no 'ros__parameters' with 'name: value' lines; "
+                    "see the rig parameter file of finger_bringup"
+                )
+            found[node] = values
+        return found
+
+    def values_of(self, node: str) -> dict[str, Any]:
+        """What it sets of a node of this full name; of a parameter set twice, the last value."""
+        values: dict[str, Any] = {}
+        for pattern, section in self.sections.items():
+            if matches(pattern, node):
+                values.update(section)
+        return values
+
+
+NO_PARAMETER_FILE = ParameterFile(None)
+
+
+def matches(pattern: str, node: str) -> bool:
+    """Whether a key of a parameter file means a node of this full name; * and ** as in ROS."""
+    text = re.escape("/" + pattern.strip("/"))
+    text = text.replace(r"/\*\*", r"(/[^/]+)*").replace(r"\*", r"[^/]+")
+    return re.fullmatch(text, node) is not None
+
+
+class QuotingDumper(yaml.SafeDumper):
+    """Writes all text in quotes: ROS takes more of it for numbers and truth values than YAML 1.1
+    does, such as 1e3 and y.
+    """
+
+    def represent_str(self, data: str) -> yaml.ScalarNode:
+        """As text, whatever it looks like."""
+        return self.represent_scalar("tag:yaml.org,2002:str", data, style='"')
+
+
+QuotingDumper.add_representer(str, QuotingDumper.represent_str)
+
+
+def write_parameter_file(values: Mapping[str, Mapping[str, Any]], path: Path) -> Path:
+    """Write parameters by the full name of their node, and return the file's path."""
+    data = {node: {"ros__parameters": dict(own)} for node, own in values.items() if own}
+    with atomic_write(path) as file:
+        yaml.dump(data, file, QuotingDumper, sort_keys=False, allow_unicode=True)
+    return path
