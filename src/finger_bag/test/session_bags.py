@@ -25,10 +25,9 @@ def wrench(stamp_ns: int, normal: float, lateral: float = 0.0) -> dict[str, Any]
 
 
 def image(stamp_ns: int, area: float, size: int = 96) -> dict[str, Any]:
-    """Mono8 image of a disc of an area, 0.2 mm a pixel, with noise in the first pixel."""
+    """Mono8 image of a disc of an area, 0.2 mm a pixel."""
     y, x = np.mgrid[:size, :size] - size / 2
     pixels = np.where(np.hypot(x, y) * 0.2e-3 < np.sqrt(area / np.pi), 60, 180).astype(np.uint8)
-    pixels[0, 0] -= stamp_ns // 10_000_000 % 13
     return {
         "header": {"stamp": stamp_ns, "frame_id": "camera"},
         "height": size,

@@ -49,27 +49,47 @@ class RepeatedImage(InputError):
     """An image that a camera gave once more, which gives no area."""
 
 
-def repeats(image: np.ndarray, before: np.ndarray | None) -> bool:
-    """Whether a camera gave the image before once more: noise makes two equal ones all but
-    impossible, unless they have one grey level throughout."""
-    return before is not None and np.array_equal(image, before) and np.ptp(image) > 0
+NOISY = 0.2
+"""Share of the pixels that differ from image to image of a camera, by its noise; a drawn image of
+a scene that moves differs in fewer."""
 
 
-def repeated_text(number: int) -> list[str]:
-    """Sentence on so many images that equal the one before."""
-    if not number:
-        return []
-    return [
-        f"{number} images equal the one before, and give no area: the camera, or its driver, "
-        "repeated its images"
-    ]
+class Repeats:
+    """Tells images that a camera, or its driver, gave once more, in place of a new one: its noise
+    makes two equal ones all but impossible. `count` counts them."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._before: np.ndarray | None = None
+        self._noisy = False
+
+    def add(self, image: np.ndarray) -> bool:
+        """Whether the next image (H, W) is the one before once more."""
+        before, self._before = self._before, image
+        if before is None or before.shape != image.shape:
+            return False
+        changed = float(np.mean(image != before))
+        if changed > 0:
+            self._noisy = changed > NOISY
+            return False
+        self.count += self._noisy
+        return self._noisy
+
+    def problems(self) -> list[str]:
+        """Sentences on them."""
+        if not self.count:
+            return []
+        return [
+            f"{self.count} images equal the one before, and give no area: the camera, or its "
+            "driver, repeated its images"
+        ]
 
 
 class ImageAreas:
     """Collects the areas of images; `add` one image message after the other, in order.
 
     pixels: of all images together; those behind them are not measured, and counted in `left_out`.
-    Of images that equal the one before no area is given; `repeated` counts them.
+    Images that a camera repeats give no area.
     motion: follows the ridges, None: nobody does.
     """
 
@@ -82,8 +102,8 @@ class ImageAreas:
         self._sensor = sensor
         self._motion = motion
         self._pixels = pixels
-        self.left_out = self.repeated = 0
-        self._before: np.ndarray | None = None
+        self.left_out = 0
+        self._repeats = Repeats()
         self._brightest = 0
         self._rows: list[tuple[int, int, float, float, float, int]] = []
 
@@ -107,9 +127,7 @@ class ImageAreas:
             raise InputError("more pixels than a bag of this size can hold; not measured")
         image = grey_image(message)
         self._pixels.take(image.size)
-        before, self._before = self._before, image
-        if repeats(image, before):
-            self.repeated += 1
+        if self._repeats.add(image):
             raise RepeatedImage("equal to the image before; not measured")
         if image.dtype == np.uint16:
             self._brightest = max(self._brightest, int(image.max()))
@@ -126,7 +144,7 @@ class ImageAreas:
 
     def problems(self) -> list[str]:
         """Sentences on what the images as a whole lack."""
-        found = repeated_text(self.repeated)
+        found = self._repeats.problems()
         if 0 < self._brightest < LEAST_BRIGHTEST:
             found.append(
                 f"the images have 16 bits, but no pixel is brighter than {self._brightest}: a "

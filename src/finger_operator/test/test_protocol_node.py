@@ -548,7 +548,7 @@ def test_a_suspend_of_the_computer_is_in_the_event_log(ros_domain: int, tmp_path
     with node_here(ros_domain, tmp_path) as node:
         node._start()
         wall = [node.sample_time()]
-        node._host_clock = HostClock(lambda: wall[0], lambda: 0)
+        node.host_clock = HostClock(lambda: wall[0], lambda: 0)
         for asleep in (0, 3600, 0):
             wall[0] += asleep * 10**9
             node._free_read = -1e9

@@ -32,6 +32,10 @@ LEVEL, BRIGHT_LEVEL = 150.0, 60.0
 """Greys of a plate of unchanged light in a frame that was divided by the learned plate, and in one
 from which it was subtracted."""
 
+SKIN, ADDED_LIGHT = 16.0, 0.15
+"""Greys up to which a pixel counts that differs from the plate, as skin does; and those by which
+the learned plate with light added must differ less, in the mean, than one with another gain."""
+
 BORDER_STEP, BORDER_GREYS, BORDER_EDGE = 1.25, 8.0, 3
 """Where a dark border ends, the image brightens by this factor and so many greys within so many
 working pixels."""
@@ -67,24 +71,25 @@ class LearnedBackground:
     """Running mean of contact-free frames.
 
     memory: number of frames after which an older one counts 1/e. One float image is kept, however
-    many frames come. `noise` is the standard deviation of a pixel of the newest frame against the
-    mean, in greys.
+    many frames come. `count` is the number of frames, `noise` the standard deviation of a pixel of
+    the newest one against the mean, in greys.
     """
 
     def __init__(self, memory: int = 50) -> None:
         self.memory = memory
         self.count = 0
         self.noise = 0.0
+        self._since_touch = 0
         self._mean: np.ndarray | None = None
         self._grey: np.ndarray | None = None
-        self._tiles = np.zeros((0, 0), np.uint8)
+        self._tiles = np.zeros((0, 0), np.float32)
 
     @property
     def image(self) -> np.ndarray | None:
         """(h, w) uint8, None before the first frame."""
         if self._grey is None and self._mean is not None:
             grey: np.ndarray = cv2.convertScaleAbs(self._mean)
-            self._grey, self._tiles = grey, tile_means(grey)
+            self._grey, self._tiles = grey, tile_statistics(grey)[0]
         return self._grey
 
     @property
@@ -98,19 +103,28 @@ class LearnedBackground:
         """Add a contact-free frame (h, w) uint8; one of another size replaces all before it."""
         if self._mean is None or self._mean.shape != frame.shape:
             self._mean = frame.astype(np.float32)
-            self.count = 1
+            self.count = self._since_touch = 1
             self.noise = float(np.percentile(tile_statistics(frame)[1], 10))
         else:
             self.count += 1
+            self._since_touch += 1
             # Every fourth pixel both ways is enough for this estimate.
             rest = frame[::4, ::4] - self._mean[::4, ::4]
             self.noise = float(np.median(np.abs(rest - np.median(rest)))) * 1.4826
-            cv2.accumulateWeighted(frame, self._mean, 1 / min(self.count, self.memory))
+            cv2.accumulateWeighted(frame, self._mean, 1 / min(self._since_touch, self.memory))
         self._grey = None
+
+    def touched(self) -> None:
+        """Let all frames until now count as one from now on.
+
+        A finger leaves sweat: the plate is no longer the one of before, and a fresh print counts as
+        faint skin beside the next contact until the frames that show it outweigh the others.
+        """
+        self._since_touch = min(self._since_touch, 1)
 
     def clear(self) -> None:
         """Forget all frames."""
-        self.count, self.noise = 0, 0.0
+        self.count, self._since_touch, self.noise = 0, 0, 0.0
         self._mean = self._grey = None
 
 
@@ -125,19 +139,24 @@ def background_of(
     envelope = round(1.6 * ridge_period)
     if learned.image is not None and learned.image.shape == frame.shape:
         # Gain and exposure may drift; what was learned before the light was on tells nothing.
-        reference = learned.tiles.astype(np.float32)
+        reference = learned.tiles
         before = float(np.median(reference))
-        # The learned tiles are whole greys.
+        # The learned plate is of whole greys.
         gain = gain_of(mean / np.maximum(reference, 1), ONE_RATIO + 1.0 / max(before, 1.0))
         now = gain * max(before, 1.0)
         if now <= OTHER_LIGHT * before + DARK:
             lit = before <= OTHER_LIGHT * now + DARK
             image = cv2.convertScaleAbs(learned.image, alpha=gain)
             expected = gain * reference
+            plate = plate_tiles(deviation)
+            added = float(np.median((mean - reference)[plate])) if plate.any() else 0.0
+            if abs(added) > 1 and _light_was_added(frame, learned.image, gain, added):
+                image = cv2.add(learned.image, np.array([added]))
+                expected = reference + added
             bright = polarity == "bright"
             if polarity == "auto":
                 bright = _ridges_are_bright(mean - expected, deviation)
-            if _light_moved(mean, deviation, expected):
+            if _light_moved(mean, expected, plate):
                 image = _relit(image, frame, bright, envelope)
             return Background(image, bright, True, learned.noise, frame, lit=lit)
     border = dark_border(frame)
@@ -168,6 +187,20 @@ def gain_of(ratios: np.ndarray, spread: float = ONE_RATIO) -> float:
     return group if apart and widths[first] < spread * group else median
 
 
+def _light_was_added(frame: np.ndarray, learned: np.ndarray, gain: float, added: float) -> bool:
+    """Whether a frame shows the learned plate with `added` greys, as of room light, rather than
+    with another gain: only that multiplies vignetting, dust and earlier prints.
+    """
+    size = (frame.shape[1] // 4, frame.shape[0] // 4)
+    now, before = (cv2.resize(i, size, interpolation=cv2.INTER_AREA) for i in (frame, learned))
+
+    def differs(plate: np.ndarray) -> float:
+        return cv2.mean(cv2.min(cv2.absdiff(now, plate), np.array([SKIN])))[0]
+
+    scaled = differs(cv2.convertScaleAbs(before, alpha=gain))
+    return differs(cv2.add(before, np.array([added]))) + ADDED_LIGHT < scaled
+
+
 def _ridges_are_bright(change: np.ndarray, deviation: np.ndarray) -> bool:
     """Whether the ridges in a frame are brighter than the plate.
 
@@ -178,11 +211,13 @@ def _ridges_are_bright(change: np.ndarray, deviation: np.ndarray) -> bool:
     return float(np.sum(change[rough] if rough.any() else change)) > 0
 
 
-def _light_moved(mean: np.ndarray, deviation: np.ndarray, expected: np.ndarray) -> bool:
-    """Whether the light on the plate has another shape than `expected` (rows, columns), greys."""
+def _light_moved(mean: np.ndarray, expected: np.ndarray, plate: np.ndarray) -> bool:
+    """Whether the light on the plate has another shape than `expected` (rows, columns), greys.
+
+    plate: mask of the tiles that show it.
+    """
     # Tiles of a plate of a few greys differ by rounding.
     moved = np.abs(mean - expected) > MOVED_LIGHT * expected + 1.5
-    plate = plate_tiles(deviation)
     return bool(np.sum(moved & plate) > MOVED_SHARE * np.sum(plate))
 
 

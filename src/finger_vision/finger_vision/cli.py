@@ -195,8 +195,10 @@ def _area(arguments: Any) -> int:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(COLUMNS)
         for path in arguments.images:
-            # Images on a command line need not follow each other in time: none becomes the
-            # background of another.
+            # Images on a command line need not follow each other in time, or have one size: none
+            # becomes the background of another.
+            if plate is None:
+                sensor.reset()
             measurement = _apply(partial(measured, sensor), _image(path, plate), path)
             writer.writerow(
                 [

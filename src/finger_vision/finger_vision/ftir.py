@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from finger_common.errors import InputError
 from finger_common.flags import AreaFlag
 from finger_common.mono8 import Mono8
 from finger_common.settings import Settings, setting
@@ -35,9 +36,17 @@ GUESSED_MINIMUM = 1.0e-6
 COARSEST = 2.3
 """Working pixels a ridge period below which ridges run into one another."""
 
+SWEAT, FADING = 0.25, 0.9995
+"""Share of the contrast of skin seen before below which what is seen is sweat that it left; and
+what of that contrast still holds in the next frame: half after 1400."""
+
 PALE, PALE_AREA = 2 / 3, 5e-6
 """Share of `minimum_contrast` at which a frame without contact is looked at again where no
 background was learned, and size (m²) of a region that is then taken for a print too pale."""
+
+SHARP_RIM, BLUR = 20e-6, 1.4
+"""Width (m) from half of the contrast out to the outermost trace in a sharp picture; and what a
+blurred one's outline is too far out, in widths above that (rendered frames)."""
 
 
 @dataclass(frozen=True)
@@ -138,6 +147,12 @@ class FtirSegmenter(AreaSensor):
         self._background = LearnedBackground(self.settings.background_frames)
         self._mono8 = Mono8(dark=self.settings.polarity == "bright")
         self._grid: WorkingGrid | None = None
+        self._size: tuple[int, int] | None = None
+        """(width, height) of the frames since the last reset."""
+        self._last: tuple[float, float] | None = None
+        """Centre (m) of the contact in the frame before, where there was one."""
+        self._skin = 0.0
+        """Contrast (0…255) of skin in the frames before."""
 
     @property
     def learned(self) -> int:  # type: ignore[override]
@@ -149,37 +164,54 @@ class FtirSegmenter(AreaSensor):
         self._background.add(self._reduced(signal)[0])
 
     def reset(self) -> None:
-        """Forget the background."""
+        """Forget what was seen: background, contrast of skin, size of the frames."""
         self._background.clear()
+        self._size = self._last = None
+        self._skin = 0.0
 
     def measure(self, signal: np.ndarray) -> ContactMeasurement:
         """The contact in a frame (H, W); raises InputError for one that cannot be used, NoLight for
         one much darker than the background.
         """
-        return self._measure(*self._reduced(signal))
+        return self._measure(*self._reduced(signal))[0]
 
     def process(self, signal: np.ndarray) -> ContactMeasurement:
         """Measure a frame and learn the background from it if it shows no contact."""
         frame, grid = self._reduced(signal)
-        measurement = self._measure(frame, grid)
+        measurement, contrast = self._measure(frame, grid)
+        self._last = None
+        self._skin *= FADING
         if measurement.flags & AreaFlag.NO_CONTACT:
             if measurement.flags & AreaFlag.NO_BACKGROUND:
                 # There was none, or one that was learned before the light was on.
                 self._background.clear()
             if not measurement.flags & AreaFlag.LOW_CONTRAST:
                 self._background.add(frame)
+        else:
+            self._background.touched()
+            self._last = measurement.centroid
+            self._skin = max(self._skin, contrast)
         return measurement
 
     def _reduced(self, signal: np.ndarray) -> tuple[np.ndarray, WorkingGrid]:
         image = self._mono8(signal)
         size = (image.shape[1], image.shape[0])
+        self.calibration.check_size(*size)
+        if self._size is not None and self._size != size:
+            raise InputError(
+                f"image is {size[0]}×{size[1]}, earlier ones were {self._size[0]}×{self._size[1]}, "
+                "and a plain area per pixel may not hold for both; set the camera's size, reset "
+                "where a pixel still covers that area, or give a calibration of the plate"
+            )
         if self._grid is None or self._grid.size != size:
             self._grid = WorkingGrid(
                 size, self.calibration, self.settings.working_pixel, self.settings.ridge_period
             )
+        self._size = size
         return self._grid.reduce(image), self._grid
 
-    def _measure(self, frame: np.ndarray, grid: WorkingGrid) -> ContactMeasurement:
+    def _measure(self, frame: np.ndarray, grid: WorkingGrid) -> tuple[ContactMeasurement, float]:
+        """The contact in a working image, and the mean contrast (0…255) of its ridges."""
         settings = self.settings
         background = background_of(frame, self._background, settings.polarity, grid.period)
         if not background.lit:
@@ -188,7 +220,10 @@ class FtirSegmenter(AreaSensor):
             )
         frame = background.frame
         contrast, noise = contrast_of(background)
-        ridges = find_ridges(contrast, noise, background.learned, settings.minimum_contrast, grid)
+        last = None if self._last is None else grid.from_plate(self._last)
+        ridges = find_ridges(
+            contrast, noise, background.learned, settings.minimum_contrast, grid, last
+        )
         self.steps = Steps(frame, background.image, contrast, ridges)
         flags = AreaFlag(0)
         if not background.learned:
@@ -200,26 +235,31 @@ class FtirSegmenter(AreaSensor):
             saturated = _saturated_share(frame, ridges, background.bright_ridges)
             outlined = self._outline(ridges, grid, saturated)
         smallest = max(settings.minimum_area, 0.0 if background.learned else GUESSED_MINIMUM)
-        if ridges is None or outlined is None or outlined[0].area < smallest:
+        least = SWEAT * self._skin if background.learned else 0.0
+        if (
+            ridges is None
+            or outlined is None
+            or outlined[0].area < smallest
+            or ridges.contrast < least
+        ):
             flags |= AreaFlag.NO_CONTACT
             if not background.learned and self._is_pale(contrast, noise, grid):
                 flags |= AreaFlag.LOW_CONTRAST
-            return ContactMeasurement(flags=int(flags))
-        shape, real_area, hull, hidden = outlined
+            return ContactMeasurement(flags=int(flags)), 0.0
+        shape, real_area, hull, doubt = outlined
         if ridges.other_regions:
             flags |= AreaFlag.MULTIPLE_REGIONS
         if self._is_clipped(hull, grid) or _reaches(ridges, background.border, grid):
             flags |= AreaFlag.CLIPPED
         if real_area < 0.2 * shape.area or shape.area < 5e-6:
             flags |= AreaFlag.SPARSE
-        mean_contrast = cv2.mean(contrast[ridges.box], ridges.touching)[0]
-        if mean_contrast < 1.7 * settings.minimum_contrast * 255 or grid.period < COARSEST:
+        if ridges.contrast < 1.7 * settings.minimum_contrast * 255 or grid.period < COARSEST:
             flags |= AreaFlag.LOW_CONTRAST
         if _is_saturated(frame, ridges):
             flags |= AreaFlag.SATURATED
-        area_sd, rim = self._standard_deviation(shape, hidden), self._rim_deviation(shape)
+        area_sd, rim = self._standard_deviation(shape, doubt), self._rim_deviation(shape)
         centroid_sd, major_sd, minor_sd, angle_sd = ellipse_deviations(shape, area_sd, rim)
-        return ContactMeasurement(
+        measurement = ContactMeasurement(
             gross_area=shape.area,
             real_area=min(real_area, shape.area),
             area_sd=area_sd,
@@ -234,19 +274,19 @@ class FtirSegmenter(AreaSensor):
             ellipse_minor_sd=minor_sd,
             ellipse_angle_sd=angle_sd,
         )
+        return measurement, ridges.contrast
 
     def _outline(
         self, ridges: Ridges, grid: WorkingGrid, saturated: float
     ) -> tuple[Shape, float, np.ndarray, float] | None:
-        """Shape, real area (m²), outline (n, 2) m and width of the rim (m) that saturation hides.
+        """Shape, real area (m²), outline (n, 2) m and the standard deviation of the area (m²) that
+        saturation, blur and doubtful parts add.
 
         saturated: share of the plate around the contact. None where nothing is left.
         """
+        hull = convex_corners(ridges.outermost)
         convex = self.settings.outline == "convex"
-        if convex:
-            corners = convex_corners(ridges.outermost)
-        else:
-            corners = closed_outline(ridges.outermost, round(1.6 * grid.period))
+        corners = hull if convex else closed_outline(ridges.outermost, round(1.6 * grid.period))
         if len(corners) < 3:
             return None
         outline = grid.to_plate(corners, ridges.box)
@@ -262,7 +302,18 @@ class FtirSegmenter(AreaSensor):
         hidden = saturated * extra * furrow
         margin = max(settings.furrow_margin * furrow + hidden, 0.0)
         outline = widened(outline, margin) if convex else shifted(outline, margin)
-        return Shape(outline), real_area, outline, hidden
+        shape = Shape(outline)
+        traced = _pixels_in(hull)
+        touched = _pixels_in(convex_corners(ridges.touching))
+        rim = (traced - touched) * grid.pitch**2 / shape.perimeter
+        blurred = BLUR * max(rim - SHARP_RIM, 0.0)
+        apart = 0.0
+        if ridges.doubtful is not None:
+            most = convex_corners(cv2.bitwise_or(ridges.outermost, ridges.doubtful))
+            least = convex_corners(cv2.subtract(ridges.outermost, ridges.doubtful))
+            apart = (_pixels_in(most) - _pixels_in(least)) * grid.pitch**2
+        doubt = math.hypot(0.5 * hidden * shape.perimeter, blurred * shape.perimeter, apart)
+        return shape, real_area, outline, doubt
 
     def _is_pale(self, contrast: np.ndarray, noise: float, grid: WorkingGrid) -> bool:
         """Whether a frame without contact shows a print that is too pale to count."""
@@ -283,16 +334,14 @@ class FtirSegmenter(AreaSensor):
             low.min() < margin or high[0] > width - 1 - margin or high[1] > height - 1 - margin
         )
 
-    def _standard_deviation(self, shape: Shape, hidden: float) -> float:
+    def _standard_deviation(self, shape: Shape, doubt: float) -> float:
         """Standard deviation of the gross area, m².
 
         Independent errors of the outline, one per ridge period along it; a common relative error;
-        half of the rim (width `hidden`, m) that a saturated plate hides. The first two sizes come
-        from rendered frames (docs/vision.md).
+        `doubt` (m²), as of `_outline`. The first two sizes come from rendered frames
+        (docs/vision.md).
         """
-        return math.hypot(
-            self._rim_deviation(shape), 0.015 * shape.area, 0.5 * hidden * shape.perimeter
-        )
+        return math.hypot(self._rim_deviation(shape), 0.015 * shape.area, doubt)
 
     def _rim_deviation(self, shape: Shape) -> float:
         """Part of the standard deviation (m²) that is of independent errors along the outline."""
@@ -317,6 +366,11 @@ def ellipse_deviations(
     # No direction is known of a circle.
     angle = min(turn, math.pi / math.sqrt(12))
     return share * math.sqrt(a * b / 2), shape.major * axis, shape.minor * axis, angle
+
+
+def _pixels_in(corners: np.ndarray) -> float:
+    """Area of a hull (n, 2) in pixels, pixels²."""
+    return cv2.contourArea(corners.astype(np.float32)) if len(corners) else 0.0
 
 
 def _reaches(ridges: Ridges, border: np.ndarray | None, grid: WorkingGrid) -> bool:

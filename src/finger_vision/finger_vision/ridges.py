@@ -40,6 +40,12 @@ DENSITY = 0.06
 OTHER_REGION = 2e-6
 """m², smallest region beside the finger's that is reported."""
 
+HAIR = 0.95
+"""Share of certain skin in a long and narrow part of a region above which it is a hair."""
+
+LASTING = 4.0
+"""Times that the region nearest the last contact counts more than another."""
+
 DARKEST = 80.0
 """Grey below which a plate counts as dark: noise on it is not contrast."""
 
@@ -53,7 +59,9 @@ class Ridges:
     """Ridges of the pressing finger: masks of the working pixels inside `box`.
 
     touching: down to half of the local contrast. outermost: down to the outermost trace. region:
-    what belongs to the finger. other_regions: whether other regions were left out.
+    what belongs to the finger. other_regions: whether other regions were left out. doubtful: the
+    outermost trace in those so near that they may be the same finger's, and in parts of the region
+    that may be a hair; None without any. contrast: mean of the touching ones, 0…255.
     """
 
     box: Box
@@ -61,6 +69,8 @@ class Ridges:
     outermost: np.ndarray
     region: np.ndarray
     other_regions: bool
+    doubtful: np.ndarray | None
+    contrast: float
 
 
 def contrast_of(background: Background) -> tuple[np.ndarray, float]:
@@ -76,12 +86,18 @@ def contrast_of(background: Background) -> tuple[np.ndarray, float]:
 
 
 def find_ridges(
-    contrast: np.ndarray, noise: float, learned: bool, minimum_contrast: float, grid: WorkingGrid
+    contrast: np.ndarray,
+    noise: float,
+    learned: bool,
+    minimum_contrast: float,
+    grid: WorkingGrid,
+    last: tuple[float, float] | None = None,
 ) -> Ridges | None:
     """Ridges of the pressing finger in a contrast image (h, w) uint8; None without contact.
 
     noise: standard deviation of the contrast. learned: whether the background was learned.
-    minimum_contrast: fraction of the grey range.
+    minimum_contrast: fraction of the grey range. last: (x, y) centre of the contact in the frame
+    before, working pixels; None without one.
     """
     # Certain skin, at a quarter of the working resolution, selects the part to examine further.
     columns, rows = contrast.shape[1] // 2, contrast.shape[0] // 2
@@ -99,14 +115,18 @@ def find_ridges(
     share = FAINT_SHARE if learned or noise < 0.5 else FAINT_SHARE_GUESSED
     faint = max(FAINT_CONTRAST * 255, share * typical, min(5 * noise, 0.6 * strong))
     touching, outermost = _threshold(contrast[box], faint, grid)
-    region, other_regions = _region(core[_quarter(box)], touching, grid)
+    if last is not None:
+        last = (last[0] - box[1].start) / 4, (last[1] - box[0].start) / 4
+    region, other_regions, near = _region(core[_quarter(box)], touching, grid, last)
     if region is None:
         return None
+    doubtful = None if near is None else outermost & near
     touching &= region
     outermost &= region
-    if not learned and cv2.mean(contrast[box], touching)[0] < floor:
+    mean = cv2.mean(contrast[box], touching)[0]
+    if not learned and mean < floor:
         return None
-    return Ridges(box, touching, outermost, region, other_regions)
+    return Ridges(box, touching, outermost, region, other_regions, doubtful, mean)
 
 
 def _above(image: np.ndarray, limit: float) -> np.ndarray:
@@ -122,11 +142,16 @@ def _typical_contrast(contrast: np.ndarray, floor: float) -> float:
     return float(np.searchsorted(np.cumsum(histogram), 0.5 * total)) if total > 0 else 0.0
 
 
+def _window(grid: WorkingGrid) -> int:
+    """2.5 ridge periods on a grid four times coarser; odd."""
+    return max(3, round(2.5 * grid.period / 4) | 1)
+
+
 def _density(mask: np.ndarray, step: int, grid: WorkingGrid) -> np.ndarray:
     """Share (0…255) of a mask within 2.5 ridge periods, `step` times coarser than the mask."""
     size = (-(-mask.shape[1] // step), -(-mask.shape[0] // step))
     coarse = cv2.resize(mask, size, interpolation=cv2.INTER_AREA)
-    window = max(3, round(2.5 * grid.period / 4) | 1)
+    window = _window(grid)
     return cv2.blur(coarse, (window, window), borderType=cv2.BORDER_REPLICATE)
 
 
@@ -172,12 +197,14 @@ def _threshold(
 
 
 def _region(
-    core: np.ndarray, ridges: np.ndarray, grid: WorkingGrid
-) -> tuple[np.ndarray | None, bool]:
-    """Mask of the pressing finger's region in the box, and whether other regions were left out.
+    core: np.ndarray, ridges: np.ndarray, grid: WorkingGrid, last: tuple[float, float] | None
+) -> tuple[np.ndarray | None, bool, np.ndarray | None]:
+    """Mask of the pressing finger's region in the box, whether other regions were left out, and a
+    mask of what is in doubt: those within 2.5 ridge periods of it, and narrow parts of it.
 
     Regions are connected by the density of ridges; the one with most certain skin is the pressing
-    finger's.
+    finger's. last: (x, y) of the last contact's centre in `core`; the region nearest to it counts
+    LASTING times, so that a drop or another finger does not take its place.
     """
     certain = _above(core, DENSITY * 255)
     size = round(REACH / (2 * grid.pitch)) | 1
@@ -186,11 +213,44 @@ def _region(
     count, labels = cv2.connectedComponents(dense, connectivity=8)
     weight = np.bincount(labels[certain > 0], minlength=count)
     weight[0] = 0
-    best = int(np.argmax(weight))
+    preferred = weight.astype(float)
+    if last is not None and np.count_nonzero(weight) > 1:
+        rows, columns = np.nonzero(weight[labels])
+        nearest = int(np.argmin(np.hypot(columns - last[0], rows - last[1])))
+        preferred[labels[rows[nearest], columns[nearest]]] *= LASTING
+    best = int(np.argmax(preferred))
     if weight[best] == 0:
-        return None, False
-    other = max(0.05 * weight[best], OTHER_REGION / (4 * grid.pitch) ** 2)
-    main = np.where(labels == best, np.uint8(255), np.uint8(0))
-    rows, columns = ridges.shape
-    region = cv2.resize(main, (columns, rows), interpolation=cv2.INTER_NEAREST)
-    return region, int(np.sum(weight > other)) > 1
+        return None, False, None
+    others = weight > max(0.05 * weight[best], OTHER_REGION / (4 * grid.pitch) ** 2)
+    others[best] = False
+    main = _mask(labels == best)
+    # A hair across the rim is no wider than the density of a line, and certain all along; a narrow
+    # part that is not may be a rim, too. A first touch may be as narrow as a whole.
+    window = _window(grid)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (window + 2, window + 2))
+    wide = cv2.dilate(cv2.morphologyEx(main, cv2.MORPH_OPEN, disc), np.ones((3, 3), np.uint8))
+    doubtful = np.zeros_like(main)
+    if wide.any():
+        _, parts, boxes, _ = cv2.connectedComponentsWithStats(cv2.subtract(main, wide))
+        sure = np.bincount(parts.ravel(), certain.ravel()) > HAIR * 255 * boxes[:, cv2.CC_STAT_AREA]
+        long = boxes[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1) > window
+        long[0] = False
+        main[(long & sure)[parts]] = 0
+        doubtful = _mask((long & ~sure)[parts])
+    if others.any():
+        around = cv2.dilate(main, np.ones((2 * window + 1, 2 * window + 1), np.uint8))
+        beside = np.zeros(count, bool)
+        beside[np.unique(labels[around > 0])] = True
+        doubtful |= _mask((others & beside)[labels])
+    shown = _enlarged(doubtful, ridges) if doubtful.any() else None
+    return _enlarged(main, ridges), bool(others.any()), shown
+
+
+def _mask(inside: np.ndarray) -> np.ndarray:
+    """Mask, 0 or 255, of an array of bool."""
+    return np.where(inside, np.uint8(255), np.uint8(0))
+
+
+def _enlarged(mask: np.ndarray, like: np.ndarray) -> np.ndarray:
+    """A mask in the size of a finer one."""
+    return cv2.resize(mask, like.shape[::-1], interpolation=cv2.INTER_NEAREST)

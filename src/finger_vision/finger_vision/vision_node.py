@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import cv2
+import numpy as np
 from geometry_msgs.msg import Point, Point32, Vector3
 from lifecycle_msgs.srv import GetState
 from sensor_msgs.msg import Image
@@ -28,11 +29,13 @@ from finger_common.diagnostics import WARN, Health
 from finger_common.errors import FingerError
 from finger_common.files import await_file
 from finger_common.flags import AreaFlag
+from finger_common.mono8 import in_low_bits
 from finger_common.node import FrameSettings, ManagedNode, main_of
 from finger_common.settings import setting
+from finger_common.stamps import NANOSECONDS, stamp_of
 from finger_msgs.msg import ContactArea
 
-from .area_sensor import AREA_SENSORS, NoLight, SensorDefect, measured
+from .area_sensor import AREA_SENSORS, ContactMeasurement, NoLight, SensorDefect, measured
 from .calibration import CalibrationSettings
 from .messages import contact_area_fields, image_of
 from .overlay import draw_overlay
@@ -40,6 +43,13 @@ from .ridge_motion import DEFAULT_RIDGE_PERIOD, RidgeMotion, RidgeMotionSettings
 
 SILENCE = 2.0
 """s without an image, while somebody publishes them, after which it is said."""
+
+STILL, STILL_SDS = 5 * NANOSECONDS, 3.0
+"""ns after which it is said that a contact of low contrast does not change; and its standard
+deviations that count as a change."""
+
+DARK_IMAGES = 100
+"""16-bit images in the lower bits, and none in the upper ones, after which it is said."""
 
 PALE_PRINT = AreaFlag.NO_CONTACT | AreaFlag.LOW_CONTRAST
 """Flags of an image without contact that shows a print all the same."""
@@ -95,6 +105,10 @@ class VisionNode(ManagedNode):
         self._motion = (
             RidgeMotion(following, self.calibration, period) if following.ridge_motion else None
         )
+        self._still: tuple[int, float] | None = None
+        """Stamp (ns) and area (m²) since when a contact of low contrast has not changed."""
+        self._dark: int | None = 0
+        """Number of images in the lower bits; None once one has used the upper ones."""
         self.health = Health("vision")
         self.healths = [self.health]
         self._lock = threading.Lock()
@@ -175,6 +189,7 @@ class VisionNode(ManagedNode):
 
     def _measure(self, message: Image) -> None:
         image = image_of(message)
+        self._check_bits(image)
         with self._lock:
             measurement = with_motion(
                 measured(self.sensor, image, self._learn), image, self._motion
@@ -190,11 +205,8 @@ class VisionNode(ManagedNode):
             self.health.recovered(fault)
         if measurement.flags & AreaFlag.NO_CONTACT:
             self.health.count("without_contact")
-        if measurement.flags & PALE_PRINT == PALE_PRINT:
-            text = (
-                "a print is too pale to be measured, or an earlier one lies on the plate; check "
-                "light and focus, or clean the plate"
-            )
+        text = self._doubt(measurement, stamp_of(message.header.stamp))
+        if text:
             self.log_fault(self.health, "contrast", text, WARN)
         else:
             self.health.recovered("contrast")
@@ -209,6 +221,46 @@ class VisionNode(ManagedNode):
             )
             overlay.data = picture.tobytes()
             self._overlays.publish(overlay)
+
+    def _doubt(self, measurement: ContactMeasurement, stamp: int) -> str:
+        """What to say of a pale print in an image of `stamp` (ns); empty where there is none."""
+        still, self._still = self._still, None
+        if measurement.flags & PALE_PRINT == PALE_PRINT:
+            return (
+                "a print is too pale to be measured, or an earlier one lies on the plate; check "
+                "light and focus, or clean the plate"
+            )
+        if measurement.flags & PALE_PRINT != AreaFlag.LOW_CONTRAST:
+            return ""
+        area = measurement.gross_area
+        if still is None or abs(area - still[1]) > STILL_SDS * measurement.area_sd:
+            still = stamp, area
+        self._still = still
+        if stamp - still[0] <= STILL:
+            return ""
+        return (
+            f"a contact of low contrast has not changed for {(stamp - still[0]) / NANOSECONDS:.0f} "
+            "s; where no finger presses, sweat or dirt counts as one: clean the plate, then call "
+            "~/reset"
+        )
+
+    def _check_bits(self, image: np.ndarray) -> None:
+        """Warn of images that have used the lower of 16 bits only; a dark plate may do so, too."""
+        if image.dtype != np.uint16 or self._dark is None:
+            return
+        if not in_low_bits(image):
+            if image.any():
+                self._dark = None
+                self.health.recovered("bits")
+            return
+        self._dark += 1
+        if self._dark > DARK_IMAGES:
+            text = (
+                f"no value of {DARK_IMAGES} 16-bit images is above 4095 of 65535: 10- or 12-bit "
+                "pixels in the lower bits? Shift them to the upper bits, or set the camera to 8 "
+                "bits, else contacts are not seen"
+            )
+            self.log_fault(self.health, "bits", text, WARN)
 
     def publish_diagnostics(self) -> None:
         """Warn while images are published and none, or few, come."""

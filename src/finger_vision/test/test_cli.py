@@ -111,6 +111,16 @@ def test_images_come_out_of_a_bag_lazily_and_spaced(tmp_path: Path, write_image_
     assert main(["calibrate", str(path), "--on-plate", str(path), *board]) == 2
 
 
+def test_images_of_several_sizes_are_measured_each_for_itself(
+    pictures, tmp_path: Path, capsys
+) -> None:
+    part = tmp_path / "part.png"
+    cv2.imwrite(str(part), cv2.imread(pictures["large"], 0)[100:924, 100:1180])
+    assert main(["area", str(pictures["large"]), str(part)]) == 0
+    whole, cut = csv.DictReader(capsys.readouterr().out.splitlines())
+    assert float(cut["gross_area_mm2"]) == pytest.approx(float(whole["gross_area_mm2"]), rel=0.03)
+
+
 @pytest.mark.parametrize("content", [b"", b"not a bag", b"\x89MCAP0\r\n" + bytes(50)])
 def test_unreadable_bags_are_named(tmp_path: Path, capsys, content: bytes) -> None:
     path = tmp_path / "bad.mcap"

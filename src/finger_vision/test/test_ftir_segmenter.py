@@ -192,6 +192,27 @@ def test_print_left_by_a_press_of_this_session_becomes_background() -> None:
     assert segmenter.process(after.render(4e-3)).gross_area == pytest.approx(truth, rel=0.03)
 
 
+@pytest.mark.parametrize(
+    ("skin", "share"), [("natural", 0.12), ("moist", 0.22)], ids=["faint print", "as of a contact"]
+)
+def test_a_fresh_print_does_not_join_the_next_press(skin: str, share: float) -> None:
+    """Sweat of a press, after a long time without one; the next press lies beside it."""
+    renderer = FtirRenderer(skin, 3, Scene(latent=0.0))
+    segmenter = FtirSegmenter()
+    for _ in range(50):
+        segmenter.process(renderer.empty())
+    pressed = renderer.render_frame([Contact(5e-3, (-1.5e-3, 0.0), 1.3)]).image
+    segmenter.process(pressed)
+    print_left = 1 - share * np.clip(1 - pressed / np.maximum(renderer.empty(), 1), 0, 1)
+    for _ in range(8):
+        left = segmenter.process((renderer.empty() * print_left).astype(np.uint8))
+        assert left.gross_area == 0.0
+    for radius in (2e-3, 4e-3):
+        frame = renderer.render_frame([Contact(radius, (2e-3, 1e-3), 1.3)])
+        seen = segmenter.process((frame.image * print_left).astype(np.uint8))
+        assert seen.gross_area == pytest.approx(frame.gross_area, rel=0.06)
+
+
 def test_pressing_finger_is_distinguished_from_another_contact_and_dirt() -> None:
     renderer = FtirRenderer("natural", 7, Scene(latent=0.0, dust=60))
     segmenter = FtirSegmenter()
@@ -204,6 +225,74 @@ def test_pressing_finger_is_distinguished_from_another_contact_and_dirt() -> Non
     assert seen.flags & AreaFlag.MULTIPLE_REGIONS
     assert not alone.flags & AreaFlag.MULTIPLE_REGIONS
     assert seen.gross_area == pytest.approx(alone.gross_area, rel=0.02)
+
+
+def test_regions_nearby_widen_the_deviation_and_distant_ones_do_not() -> None:
+    """What is left out may be a part of the same finger: the hull with it differs."""
+    renderer = FtirRenderer("natural", 7, Scene(latent=0.0))
+    segmenter = FtirSegmenter()
+    segmenter.learn(renderer.empty())
+    finger = Contact(4.5e-3, (0, -4e-3))
+    alone = segmenter.measure(renderer.render_frame([finger]).image)
+    for gap, near in ((1.5e-3, True), (3e-3, False)):
+        other = Contact(2e-3, (0, 0.5e-3 + gap + 2e-3))
+        seen = segmenter.measure(renderer.render_frame([finger, other]).image)
+        assert seen.flags & AreaFlag.MULTIPLE_REGIONS
+        assert seen.gross_area == pytest.approx(alone.gross_area, rel=0.02)
+        if near:
+            assert 20e-6 < seen.area_sd < 40e-6
+        else:
+            assert seen.area_sd == pytest.approx(alone.area_sd, rel=0.05)
+
+
+def test_a_larger_region_does_not_take_the_place_of_a_contact_that_goes_on() -> None:
+    renderer = FtirRenderer("natural", 7, Scene(latent=0.0))
+    finger, drop = Contact(3e-3, (-8e-3, 0)), Contact(4.5e-3, (6e-3, 0))
+    segmenter = FtirSegmenter()
+    segmenter.process(renderer.empty())
+    alone, both = (
+        segmenter.process(renderer.render_frame(contacts).image)
+        for contacts in ([finger], [finger, drop])
+    )
+    assert both.flags & AreaFlag.MULTIPLE_REGIONS
+    assert both.gross_area == pytest.approx(alone.gross_area, rel=0.02)
+    segmenter.process(renderer.empty())
+    assert segmenter.process(renderer.render_frame([finger, drop]).image).gross_area > 55e-6
+
+
+@pytest.mark.parametrize("skin", SKINS)
+def test_a_hair_across_the_rim_does_not_widen_the_contact(skin: str) -> None:
+    """93 µm thick and 15 mm long, through the contact, after the background was learned; one of
+    31 µm may be a ridge as well and widens the deviation."""
+    renderer = FtirRenderer(skin, 3, Scene(latent=0.0))
+    segmenter = FtirSegmenter()
+    segmenter.learn(renderer.empty())
+    for thickness in (3, 1):
+        hair = np.zeros((1024, 1280), np.uint8)
+        cv2.line(hair, (458, 461), (942, 623), 255, thickness, cv2.LINE_AA)
+        for radius in (3e-3, 4.5e-3):
+            frame = renderer.render_frame([Contact(radius, aspect=1.3)])
+            image = (frame.image * (1 - 0.5 * (hair / 255))).astype(np.uint8)
+            seen = segmenter.measure(image)
+            error = abs(seen.gross_area - frame.gross_area)
+            assert error < (0.2 * frame.gross_area if thickness == 3 else 3 * seen.area_sd)
+
+
+@pytest.mark.parametrize("skin", ["natural", "moist"])
+def test_the_deviation_grows_with_blur(skin: str) -> None:
+    renderer = FtirRenderer(skin, 3, Scene(latent=0.0))
+    frame = renderer.render_frame([Contact(3.5e-3, aspect=1.3)])
+    sds = []
+    for sigma in (0.0, 5.0, 8.0):
+        segmenter = FtirSegmenter()
+        images = [renderer.empty(), frame.image]
+        if sigma:
+            images = [cv2.GaussianBlur(image, (0, 0), sigma) for image in images]
+        segmenter.learn(images[0])
+        seen = segmenter.measure(images[1])
+        sds.append(seen.area_sd)
+        assert abs(seen.gross_area - frame.gross_area) < 2 * seen.area_sd
+    assert sds[2] > 1.5 * sds[1] > 2.5 * sds[0]
 
 
 def test_flags_name_the_defects_of_a_frame() -> None:
@@ -258,6 +347,23 @@ def test_gain_drift_after_the_background_was_learned() -> None:
         assert segmenter.measure(empty).gross_area == 0.0
 
 
+@pytest.mark.parametrize(("gain", "added"), [(1.0, 20), (1.0, 60), (0.7, 0), (3.0, 0)])
+@pytest.mark.parametrize("vignetting", [0.0, 0.25])
+def test_room_light_on_a_dark_plate_is_no_gain(gain: float, added: int, vignetting: float) -> None:
+    """Bright ridges: a gain multiplies earlier prints and dust, light from elsewhere does not."""
+    scene = Scene(
+        background=25, bright_ridges=True, latent=0.08, vignetting=vignetting, gradient=0.0
+    )
+    renderer = FtirRenderer("moist", 3, scene)
+    segmenter = FtirSegmenter()
+    for _ in range(3):
+        segmenter.process((renderer.empty() * 0.8).astype(np.uint8))
+    for radius in (0.0, 2.5e-3, 4.5e-3, 0.0):
+        image = renderer.render(radius) if radius else renderer.empty()
+        seen = segmenter.process(np.clip(image * 0.8 * gain + added, 0, 255).astype(np.uint8))
+        assert seen.gross_area == pytest.approx(math.pi * radius**2, rel=0.05)
+
+
 @pytest.mark.parametrize("share", [0.45, 0.55, 0.65])
 def test_a_finger_on_most_of_the_frame_once_the_background_was_learned(share: float) -> None:
     """A thumb, or a small area of interest: 20 × 16 mm."""
@@ -307,6 +413,20 @@ def test_wrong_sizes_and_settings_are_refused() -> None:
         PlateCalibration.from_area_per_pixel(math.nan)
     for image in (np.zeros((64, 64, 3), np.uint8), np.zeros((64, 64), np.uint16)):
         assert FtirSegmenter().process(np.repeat(np.repeat(image, 4, 0), 4, 1)).gross_area == 0
+
+
+def test_frames_of_another_size_are_refused_until_reset() -> None:
+    """Binning makes a pixel four times larger on the plate, which an area per pixel hides."""
+    renderer = FtirRenderer("natural", 12)
+    segmenter = FtirSegmenter()
+    full = renderer.render(4e-3)
+    binned = cv2.resize(full, (640, 512), interpolation=cv2.INTER_AREA)
+    whole = segmenter.process(full).gross_area
+    with pytest.raises(InputError, match=r"is 640×512, earlier ones were 1280×1024, .*reset"):
+        segmenter.process(binned)
+    assert segmenter.process(full).gross_area == pytest.approx(whole, rel=1e-3)
+    segmenter.reset()
+    assert segmenter.process(binned).gross_area == pytest.approx(whole / 4, rel=0.1)
 
 
 def test_memory_does_not_grow_with_frames() -> None:

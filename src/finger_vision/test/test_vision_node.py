@@ -82,6 +82,54 @@ def test_a_print_too_pale_to_be_measured_is_said(peer) -> None:
     assert peer.wait(lambda: not said())
 
 
+def test_a_pale_contact_that_does_not_change_is_said_to_be_sweat(peer) -> None:
+    """A strong print that was left before the background was learned from a clean plate."""
+    reports: list[DiagnosticArray] = []
+    peer.node.create_subscription(DiagnosticArray, "/diagnostics", reports.append, 10)
+    renderer = FtirRenderer("natural", seed=8, scene=Scene(latent=0.0))
+    plate, pressed = (a.astype(float) for a in (renderer.empty(), renderer.render(4.5e-3)))
+    sweat = np.rint(plate + 0.35 * (pressed - plate)).astype(np.uint8)
+
+    def said() -> bool:
+        texts = [s.message for report in reports[-1:] for s in report.status]
+        return any("not changed for 6 s; where no finger presses, sweat" in t for t in texts)
+
+    peer.ask(peer.image(renderer.empty(), 1))
+    for second in (2, 7):
+        seen = peer.ask(peer.image(sweat, second))
+        assert seen.flags & ContactArea.FLAG_LOW_CONTRAST and seen.gross_area > 50e-6
+    reports.clear()
+    assert peer.wait(lambda: len(reports) > 1)
+    assert not said()
+    peer.ask(peer.image(sweat, 8))
+    assert peer.wait(said)
+    peer.ask(peer.image(renderer.render(4.5e-3), 9))
+    assert peer.wait(lambda: not said())
+
+
+def test_images_in_the_lower_bits_are_said_where_a_dark_plate_is_allowed(
+    ros_domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from finger_vision import vision_node
+
+    monkeypatch.setattr(vision_node, "DARK_IMAGES", 3)
+    scene = Scene(background=25, bright_ridges=True, latent=0.0)
+    renderer = FtirRenderer("natural", seed=8, scene=scene)
+    deep = (renderer.empty().astype(np.uint16) << 4) + 5
+    with node_here(ros_domain, polarity="bright") as node:
+        assert node.bring_up()
+
+        def said(picture: np.ndarray) -> bool:
+            height, width = picture.shape
+            image = Image(height=height, width=width, encoding="mono16", step=2 * width)
+            image.data = picture.tobytes()
+            node._measure(image)
+            return "10- or 12-bit" in node.health.faults.get("bits", "")
+
+        assert [said(deep) for _ in range(4)] == [False, False, False, True]
+        assert not said(deep << 4)
+
+
 def test_a_burst_is_answered_with_its_newest_frame_and_the_rest_is_counted(peer) -> None:
     reports: list[DiagnosticArray] = []
     peer.node.create_subscription(DiagnosticArray, "/diagnostics", reports.append, 10)

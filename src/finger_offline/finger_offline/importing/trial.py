@@ -28,7 +28,7 @@ from finger_common.trial_phases import TrialPhase
 from finger_vision.area_sensor import AREA_SENSORS, measured
 from finger_vision.calibration import PlateCalibration
 
-from ..image_areas import area_fields, repeated_text, repeats
+from ..image_areas import Repeats, area_fields
 from ..image_settings import told_settings
 from ..indentation_checks import indentation_fault
 from ..lag import MAXIMUM_LAG, indentation_lag, lag_text
@@ -314,7 +314,7 @@ class _Recording:
             result.notes.append(f"areas measured with {told} of the area sensor")
         sensor = AREA_SENSORS.open({**values, "area_sensor": name}, plate)
         stamps, areas = result.area_stamps, result.areas
-        last, before, repeated = 0, None, 0
+        last, repeats = 0, Repeats()
         for number, (time, image) in enumerate(frames, 1):
             stamp = begin + time
             if number > 1 and stamp <= last:
@@ -323,9 +323,8 @@ class _Recording:
                     "after the one before; correct the times"
                 )
             # A codec makes equal frames of a scene that hardly moves.
-            known = not settings.video and repeats(image, before)
-            last, before, repeated = stamp, image, repeated + known
-            if not known:
+            last = stamp
+            if settings.video or not repeats.add(image):
                 found = measured(sensor, image, learn=True)
                 stamps.append(stamp)
                 areas.append(found.gross_area)
@@ -340,7 +339,7 @@ class _Recording:
                 )
             if self._show is not None:
                 self._show("areas", number, max(count, number))
-        result.notes += repeated_text(repeated)
+        result.notes += repeats.problems()
 
     # Checks ----------------------------------------------------------------------------------
 
