@@ -40,7 +40,6 @@ from finger_common.node import (
     Listeners,
     LocalSubscription,
     ManagedNode,
-    WaitedSubscription,
     main_of,
     message_of,
 )
@@ -245,8 +244,6 @@ class ModelNode(ManagedNode):
         self._pack_shape = _Texted(lambda frame: ContactShape(header=Header(frame_id=frame))).pack
         self._wrench: Any = None
         self._local: LocalSubscription | None = None
-        self._entities: list[tuple[Any, Any]] = []
-        self._jump_handle: Any = None
         self._subject = self._finger = ""
         self._calibration = LiveCalibration(self, self._fit_subject, self._use_calibration)
         self._preparation: threading.Thread | None = None
@@ -278,44 +275,31 @@ class ModelNode(ManagedNode):
         self._event_publisher = self.create_publisher(ModelEvent, "model_events", EVENTS_QOS)
         self._local = LocalSubscription(self, values["wrench_topic"], self._on_sample, self.fail)
         self._follow_wrench()
-        # Each at once: it has to end also when what comes after it fails.
-        area = self.create_waited_subscription(ContactArea, "contact_area", self._on_area, qos)
-        self._entities.append((WaitedSubscription.destroy, area))
+        self.create_waited_subscription(ContactArea, "contact_area", self._on_area, qos)
         for topic in (values["wrench_topic"], "contact_area", "moisture"):
             self.expect_one_publisher(topic)
-        moisture = self.create_waited_subscription(Moisture, "moisture", self._on_moisture, qos)
-        self._entities.append((WaitedSubscription.destroy, moisture))
+        self.create_waited_subscription(Moisture, "moisture", self._on_moisture, qos)
         # Readings from before this node was there, where the probe keeps them for late joiners.
-        kept = self.create_subscription(
+        self.create_subscription(
             Moisture,
             "moisture",
             self._on_moisture,
             LATCHED_QOS,
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         )
-        self._entities.append((self.destroy_subscription, kept))
-        trial = self.create_stream_subscription(Trial, "trial", self._on_trial, LATCHED_QOS)
-        services = (
-            self.create_service(Trigger, "~/reset", self._on_reset),
-            self.create_service(Trigger, "~/new_surface", self._on_new_surface),
-            self.create_service(ForceForArea, "~/force_for_area", self._on_force_for_area),
-            self.create_service(PredictContact, "~/predict", self._on_predict),
-        )
-        self._entities += [
-            (self.destroy_publisher, self._state_publisher),
-            (self.destroy_publisher, self._slip_publisher),
-            (self.destroy_publisher, self._shape_publisher),
-            (self.destroy_publisher, self._event_publisher),
-            (self.destroy_subscription, trial),
-            *self._calibration.open(),
-            *((self.destroy_service, service) for service in services),
-        ]
-        self._jump_handle = self.get_clock().create_jump_callback(
+        self.create_stream_subscription(Trial, "trial", self._on_trial, LATCHED_QOS)
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        self.create_service(Trigger, "~/new_surface", self._on_new_surface)
+        self.create_service(ForceForArea, "~/force_for_area", self._on_force_for_area)
+        self.create_service(PredictContact, "~/predict", self._on_predict)
+        self._calibration.open()
+        jumps = self.get_clock().create_jump_callback(
             JumpThreshold(
                 min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True
             ),
             post_callback=self._on_jump,
         )
+        self.closing.callback(jumps.unregister)
         self._tell_model(self._run.estimator)
 
     def activate(self) -> None:
@@ -346,12 +330,6 @@ class ModelNode(ManagedNode):
         self._follow_wrench()
         with self._lock:
             self._run = None
-        if self._jump_handle is not None:
-            self._jump_handle.unregister()
-            self._jump_handle = None
-        for destroy, entity in self._entities:
-            destroy(entity)
-        self._entities = []
 
     def parameters_changed(self, changes: dict[str, Any]) -> None:
         """New settings or parameter sets, from the next sample on."""

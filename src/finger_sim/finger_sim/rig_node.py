@@ -27,6 +27,7 @@ class RigNode(ManagedNode):
     def configure(self) -> None:
         log = self.get_logger().info
         self._rig = SimulatedRig(self.settings(RigSettings), log, self.get_namespace())
+        self.closing.callback(self._rig.stop)
         self._rig.start()
         addresses = self._rig.addresses
         log(
@@ -45,11 +46,6 @@ class RigNode(ManagedNode):
 
     def deactivate(self) -> None:
         self.destroy_subscription(self._subscription)
-
-    def cleanup(self) -> None:
-        if hasattr(self, "_rig"):
-            self._rig.stop()
-            del self._rig
 
     def _on_trial(self, message: Trial) -> None:
         self._rig.announce(message.condition, message.index, message.attempt, message.phase)

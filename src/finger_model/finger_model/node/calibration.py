@@ -18,7 +18,7 @@ from rclpy.serialization import deserialize_message
 from finger_common.cli import one_line
 from finger_common.diagnostics import ERROR, OK, WARN
 from finger_common.errors import FingerError
-from finger_common.node import STATE_QOS, ManagedNode, PolledSubscription
+from finger_common.node import STATE_QOS, ManagedNode
 from finger_common.parameter_values import parameter_values
 from finger_common.subject_code import known_finger
 from finger_msgs.msg import SessionStatus, Trial
@@ -51,14 +51,12 @@ class LiveCalibration:
         self._thread: threading.Thread | None = None
         self._plan: Any = None
 
-    def open(self) -> list[tuple[Callable[[Any], Any], Any]]:
-        """Connect; returns what has to be destroyed, and by which function."""
-        self._protocol = PolledSubscription(self._node, SessionStatus, "protocol/status", STATE_QOS)
+    def open(self) -> None:
+        """Connect; what is made here ends with the node's cleanup."""
+        self._protocol = self._node.create_polled_subscription(
+            SessionStatus, "protocol/status", STATE_QOS, overridable=False
+        )
         self._publisher = self._node.create_publisher(DiagnosticStatus, "calibration", STATE_QOS)
-        return [
-            (PolledSubscription.destroy, self._protocol),
-            (self._node.destroy_publisher, self._publisher),
-        ]
 
     def forget(self) -> None:
         """Begin without presses."""
