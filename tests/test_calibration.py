@@ -372,7 +372,8 @@ def test_a_calibration_is_of_one_finger_of_the_subject(
         assert (path.name if path else "") == name and words in said and bool(words) == bool(said)
     # One of which no finger was noted, as from before fingers were, serves all others.
     save_subject(tmp_path, "S01", found.sets)
-    assert find_subject(tmp_path, "S01") == (tmp_path / "S01.yaml", "")
+    path, said = find_subject(tmp_path, "S01")
+    assert path == tmp_path / "S01.yaml" and "not S01.index.yaml, S01.left_thumb.yaml" in said
     path, said = find_subject(tmp_path, "S01", "right_thumb")
     assert path == tmp_path / "S01.yaml" and "no parameters of right_thumb; those of" in said
 

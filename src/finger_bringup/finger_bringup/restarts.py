@@ -17,6 +17,9 @@ FIRST_DELAY = 1.0
 LONGEST_DELAY = 15.0
 """s, where the doubling ends."""
 
+BEGINS_WITHIN = 30.0
+"""s within which a process that cannot begin ends."""
+
 STABLE_AFTER = 60.0
 """s without an end after which the delay is FIRST_DELAY again."""
 
@@ -28,11 +31,12 @@ class RestartDelay(Pauses):
         super().__init__(first, longest)
         self._ends = 0
 
-    def refused(self, code: int) -> bool:
-        """Whether a process that ended with this exit code stays down: it could not begin at its
-        first start, as with a parameter file that cannot be read. To be asked at each end."""
+    def refused(self, code: int, duration: float) -> bool:
+        """Whether a process that ended with this exit code after `duration` (s) stays down: it
+        could not begin at its first start, as with a parameter file that cannot be read. To be
+        asked at each end."""
         self._ends += 1
-        return code == EXIT_BAD_INPUT and self._ends == 1
+        return code == EXIT_BAD_INPUT and self._ends == 1 and duration < BEGINS_WITHIN
 
     def after_running(self, duration: float) -> float:
         """Delay in s before the restart of a process that ran for `duration` (s)."""

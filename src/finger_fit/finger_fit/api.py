@@ -44,7 +44,7 @@ from finger_offline.unloaded import reached_force, unloaded_tare
 from .options import FitOptions
 from .problem import force_limit_of
 from .problem.trials import smoothed
-from .results import ConditionFit, FitResult, QuantityResult, check_folder, write
+from .results import ConditionFit, Finger, FitResult, QuantityResult, check_folder, write
 from .study import draw, fit_records, provenance
 
 if TYPE_CHECKING:
@@ -480,10 +480,12 @@ class Fit:
     def save(self, folder: str | Path) -> Path:
         """Write fit.json, parameters.yaml and tables/ into a folder; returns it.
 
-        Raises InputError for a folder that holds a fit of other subjects.
+        Raises InputError for a folder that holds a fit of other subjects or fingers.
         """
-        fitted = {t.subject for fit in self.result.fits.values() for t in fit.problem.trials}
-        check_folder(Path(folder), fitted | {e.subject for e in self.result.exclusions})
+        trials = [t for fit in self.result.fits.values() for t in fit.problem.trials]
+        fitted = {Finger(t.subject, t.finger) for t in trials}
+        left_out = {Finger(e.subject, "") for e in self.result.exclusions}
+        check_folder(Path(folder), fitted | left_out)
         write(self.result, Path(folder))
         return Path(folder)
 

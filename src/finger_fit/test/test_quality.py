@@ -20,7 +20,7 @@ from finger_common.flags import AreaFlag
 from finger_fit.options import FitOptions
 from finger_fit.problem import FitProblem
 from finger_fit.quality import screen
-from finger_fit.results import check_folder, parameter_files, write
+from finger_fit.results import Finger, check_folder, parameter_files, write
 from finger_fit.study import fit_records
 from finger_model.anthropometry import estimate_geometry
 from finger_model.estimator.parameter_selection import check_sets
@@ -242,6 +242,10 @@ def test_two_fingers_of_a_subject_are_not_fitted_as_one(
         assert [p.name for p in (tmp_path / "subjects").iterdir()] == [name]
 
 
+def unnamed(codes: set[str]) -> set[Finger]:
+    return {Finger(code, "") for code in codes}
+
+
 def test_a_folder_with_a_fit_of_other_subjects_is_refused(
     double: SimpleNamespace, presses: list[Any], tmp_path: Path
 ) -> None:
@@ -250,16 +254,34 @@ def test_a_folder_with_a_fit_of_other_subjects_is_refused(
     write(fitted(double, [*presses, *other]), tmp_path)
     kept = sorted(p for p in tmp_path.rglob("*") if p.is_file())
     for found in ({"S01", "S02"}, {"S01", "S02", "S03"}):
-        check_folder(tmp_path, found)
+        check_folder(tmp_path, unnamed(found))
     for found, named in (({"S01"}, "S02"), ({"S03", ""}, "S01, S02")):
         with pytest.raises(InputError, match=f"holds an earlier fit of {named}, who are not"):
-            check_folder(tmp_path, found)
+            check_folder(tmp_path, unnamed(found))
     assert kept == sorted(p for p in tmp_path.rglob("*") if p.is_file())
     write(fitted(double, presses), tmp_path / "one")
-    check_folder(tmp_path / "one", {"S01"})
+    check_folder(tmp_path / "one", unnamed({"S01"}))
     with pytest.raises(InputError, match="holds an earlier fit of S01"):
-        check_folder(tmp_path / "one", {"S02"})
-    check_folder(tmp_path / "new", {"S02"})
+        check_folder(tmp_path / "one", unnamed({"S02"}))
+    check_folder(tmp_path / "new", unnamed({"S02"}))
+
+
+def test_a_folder_with_a_fit_of_another_finger_is_refused_and_pooled_ones_have_no_file(
+    double: SimpleNamespace, presses: list[Any], tmp_path: Path
+) -> None:
+    """Their parameters would be lost, or taken for those of one of the two."""
+    names = "right_index", "right_thumb"
+    index, thumb = ([replace(p, finger=name) for p in presses] for name in names)
+    write(fitted(double, index), tmp_path)
+    check_folder(tmp_path, {Finger("S01", "right_index")})
+    check_folder(tmp_path, {Finger("S01", "")})
+    with pytest.raises(InputError, match="holds an earlier fit of S01 right_index, who are not"):
+        check_folder(tmp_path, {Finger("S01", "right_thumb")})
+    both = [*index, *(replace(p, index=p.index + 9, area=1.2 * p.area) for p in thumb)]
+    pooled = fit_records(both, double.HereditaryModel(), replace(QUICK, pool=True, nuisances=False))
+    assert any("fingers are pooled: right_index, right_thumb" in note for note in pooled.problems)
+    write(pooled, tmp_path / "pooled")
+    assert not list((tmp_path / "pooled").glob("subjects/*"))
 
 
 @pytest.mark.parametrize(

@@ -75,6 +75,21 @@ def test_sessions_of_one_id_in_two_folders_are_both_fitted(tmp_path) -> None:
     assert "is in several folders" in said and str(tmp_path / "A") in said
 
 
+def test_a_failed_attempt_on_another_disk_is_not_fitted(tmp_path) -> None:
+    """The first disk was full; and one folder has two names."""
+    (tmp_path / "B").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "B")
+    for folder, attempt, end in (("A", 0, 7), ("B", 1, 6)):
+        with BagWriter(tmp_path / folder / f"a{attempt}", {"condition": "dry"}) as bag:
+            write_attempt(bag, attempt, phases=((3, 0), (end, 4)))
+    with BagWriter(tmp_path / "B" / "a0", {"condition": "dry"}) as bag:
+        write_attempt(bag, 0, phases=((3, 0), (6, 4)))
+    parts = [tmp_path / "A", tmp_path / "B" / "a0", tmp_path / "link" / "a1"]
+    found = load(parts, reading(FitOptions()))
+    assert [record.attempt for record in found.records] == [1]
+    assert not any("session" in problem for problem in found.problems)
+
+
 def test_an_output_that_cannot_be_written_is_refused_before_bags_are_read(tmp_path) -> None:
     (tmp_path / "file").touch()
     for output in (tmp_path / "file" / "fit", tmp_path / "file"):

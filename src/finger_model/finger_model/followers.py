@@ -117,6 +117,14 @@ class Followers:
         if self._pose is not None:
             self._pose.expect_outline(stamp_ns, outline)
 
+    def leave_out(self, first_ns: int, last_ns: int) -> None:
+        """Forget what areas of these stamps (ns) showed: they came in a pause of the force, and
+        none is used."""
+        if self._slip is not None:
+            self._slip.sticks.leave_out(first_ns, last_ns)
+        if self._pose is not None:
+            self._pose.outlines.leave_out(first_ns, last_ns)
+
     def follow(
         self, estimate: ContactEstimate, force: Sequence[float], torque: Sequence[float]
     ) -> tuple[SlipEstimate | None, ShapeEstimate | None]:

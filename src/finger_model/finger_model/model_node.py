@@ -622,7 +622,7 @@ class ModelNode(ManagedNode):
         try:
             path, told = find_subject(folder, self._subject, self._finger)
             if told:
-                self.get_logger().info(told)
+                self.get_logger().warning(told)
             sets = self._load_sets(str(path)) if path else self._sets
         except FingerError as error:
             self.log_fault(self.inputs, "subject_file", f"{one_line(error)}; left out", WARN)

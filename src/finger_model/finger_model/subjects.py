@@ -11,7 +11,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from finger_common.errors import InputError
+from finger_common.errors import InputError, listed
 from finger_common.subject_code import FINGER_NAMES, may_be_one, parameter_file_name
 
 from .parameter_sets import ParameterSets
@@ -30,10 +30,12 @@ def find_subject(folder: str | Path, subject: str, finger: str = "") -> tuple[Pa
     `subject_file`.
     """
     own = subject_file(folder, subject, finger)
-    if own.exists():
-        return own, ""
     files = {name: subject_file(folder, subject, name) for name in FINGER_NAMES}
     fingers = [name for name, path in files.items() if path.exists()]
+    if own.exists():
+        unused = [files[name].name for name in fingers if name and not finger]
+        said = f"subject {subject}: finger not noted; {own.name} is used, not {listed(unused)}"
+        return own, said if unused else ""
     fitting = [name for name in fingers if may_be_one(name, finger)]
     if not may_be_one(*fitting, finger):
         fitting = [name for name in fitting if not name]

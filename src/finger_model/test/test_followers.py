@@ -18,6 +18,8 @@ from finger_model.estimator.parameter_selection import select_parameters
 from finger_model.followers import Followers, prepare
 from finger_model.geometry import Geometry
 from finger_model.parameter_sets import ParameterSets
+from finger_model.pose.estimate import MeasuredOutline
+from finger_model.pose.settings import PoseSettings
 from finger_model.reduced import ReducedModel
 from finger_model.reduced.model import load_population
 from finger_model.slip import SlipSettings
@@ -38,6 +40,17 @@ def stiffnesses(readings):
                 followers.follow(estimate, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
         found.append(followers._slip._config["finger"]["shear"][0].copy())
     return np.array(found), _table.cache_info().misses - before
+
+
+def test_what_areas_of_a_pause_showed_is_forgotten() -> None:
+    """A replay hears of the pause when they wait already; live none of them was used."""
+    followers = Followers(ContactEstimator(ReducedModel.load()), SlipSettings(), PoseSettings())
+    outline = MeasuredOutline((0.0, 0.0), 8e-3, 6e-3, 0.0, 1e-4, 1e-4, 1e-4)
+    for k in range(5):
+        followers.see_area(T0 + k * 1000 * MS, (0.5, 0.05), outline)
+    followers.leave_out(T0 + 1000 * MS, T0 + 3000 * MS)
+    for waiting in (followers._slip.sticks, followers._pose.outlines):
+        assert [stamp for stamp, _ in waiting.due(T0 + 9000 * MS)] == [T0, T0 + 4000 * MS]
 
 
 def test_readings_find_their_tables_ready_and_give_the_same_numbers() -> None:

@@ -22,7 +22,7 @@ from finger_common.image_size import PixelBudget
 from finger_common.mono8 import brightest_channel
 from finger_vision.area_sensor import AreaSensor, ContactMeasurement, measured
 from finger_vision.messages import contact_area_fields, image_of
-from finger_vision.ridge_motion import RidgeMotion, with_motion
+from finger_vision.ridge_motion import DEFAULT_RIDGE_PERIOD, RidgeMotion, with_motion
 
 from .image_settings import ImageSettings
 
@@ -49,9 +49,9 @@ class RepeatedImage(InputError):
     """An image that a camera gave once more, which gives no area."""
 
 
-NOISY = 0.2
-"""Share of the pixels that differ from image to image of a camera, by its noise; a drawn image of
-a scene that moves differs in fewer."""
+NOISY, NOISY_PAIRS = 0.2, 3
+"""Share of the pixels that differ from image to image of a camera, by its noise, so many times in a
+row; a drawn image of a scene that moves differs in fewer."""
 
 
 class Repeats:
@@ -61,7 +61,7 @@ class Repeats:
     def __init__(self) -> None:
         self.count = 0
         self._before: np.ndarray | None = None
-        self._noisy = False
+        self._noisy = 0
 
     def add(self, image: np.ndarray) -> bool:
         """Whether the next image (H, W) is the one before once more."""
@@ -70,10 +70,11 @@ class Repeats:
             return False
         changed = float(np.mean(image != before))
         if changed > 0:
-            self._noisy = changed > NOISY
+            self._noisy = self._noisy + 1 if changed > NOISY else 0
             return False
-        self.count += self._noisy
-        return self._noisy
+        repeated = self._noisy >= NOISY_PAIRS
+        self.count += repeated
+        return repeated
 
     def problems(self) -> list[str]:
         """Sentences on them."""
@@ -118,7 +119,9 @@ class ImageAreas:
         plate = settings.plate(reader)
         pixels = PixelBudget(reader.info.size)
         sensor = settings.opened(plate)
-        return cls(sensor, pixels, RidgeMotion(calibration=plate) if ridge_motion else None)
+        period = settings.sensor.get("ridge_period", DEFAULT_RIDGE_PERIOD)
+        motion = RidgeMotion(calibration=plate, ridge_period=period) if ridge_motion else None
+        return cls(sensor, pixels, motion)
 
     def measure(self, message: Any) -> ContactMeasurement:
         """Measure one image; raises InputError when it is no usable image."""

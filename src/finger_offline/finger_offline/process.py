@@ -370,6 +370,8 @@ class _Run:
         if event is None:
             return
         self.estimator.expect_late([event])
+        if event.is_pause:
+            self.followers.leave_out(*event.late_areas)
         self.estimator.apply_event(event)
         self.started = True
         if self.output is not None and self.rewrites_events:

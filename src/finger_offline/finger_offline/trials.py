@@ -91,12 +91,15 @@ def without_superseded(
     trials: Sequence[TrialRecord],
 ) -> tuple[list[TrialRecord], list[Exclusion]]:
     """Of trials that were done again, also in another bag of the folder, the last attempt, of those
-    that were completed where there are any; and the others."""
+    that were completed where there are any, also in another folder; and the others."""
     last: dict[tuple[Any, ...], tuple[bool, int]] = {}
+    completed = {_number(trial) for trial in trials if trial.completed}
     for trial in trials:
         key = (_folder(trial), *_number(trial))
         rank = (trial.completed, trial.attempt)
-        last[key] = max(last.get(key, rank), rank)
+        # A disk that was full may have the failed attempt, and another one the trial.
+        least = (_number(trial) in completed, 0)
+        last[key] = max(last.get(key, rank), rank, least)
     kept, again = [], []
     for trial in trials:
         key = (_folder(trial), *_number(trial))
@@ -113,14 +116,14 @@ def shared_sessions(trials: Sequence[TrialRecord]) -> list[str]:
     """Sentences on sessions of one id that were recorded in several folders: whether a trial of one
     was done again in the other is not known."""
     folders: dict[tuple[Any, ...], list[Path]] = {}
-    for trial in trials:
+    for trial in (t for t in trials if t.session and t.completed):
         known = folders.setdefault(_number(trial), [])
         known += [folder] if (folder := _folder(trial)) not in known else []
     places = {number[:2]: found for number, found in folders.items() if len(found) > 1}
     return [
         f"session '{session}' of subject {subject or 'without a code'} is in several folders "
-        f"({listed(found)}) with trials of the same numbers; all of them are kept: leave out a "
-        "folder that is a copy, and give two people two codes"
+        f"({listed(found)}) with trials of the same numbers; all of them are kept: leave out "
+        "what is a copy or was done again, and give two people two codes"
         for (session, subject), found in places.items()
     ]
 
@@ -132,6 +135,6 @@ def _number(trial: TrialRecord) -> tuple[str, str, str, int]:
 
 def _folder(trial: TrialRecord) -> Path:
     """Where the bag of a trial is: two laboratories may give their sessions the same id."""
-    path = Path(trial.bag).absolute()
+    path = Path(trial.bag).resolve()
     inside = path.is_file() and (path.parent / METADATA).is_file()
     return path.parents[1] if inside else path.parent

@@ -37,7 +37,7 @@ from finger_common.diagnostics import (
     node_within,
     status_node,
 )
-from finger_common.errors import FingerError, InputError
+from finger_common.errors import FingerError, InputError, listed
 from finger_common.files import atomic_write, read_text
 from finger_common.folder_lock import lock_folder
 from finger_common.node import (
@@ -383,10 +383,14 @@ class ProtocolNode(ManagedNode):
         protocol.write_all()
         if protocol.unmarked and self._recorder.busy:
             raise InputError("the recorder is still busy; try again in a moment")
+        unmarked = listed(bag.name for bag, _ in protocol.unmarked)
+        if unmarked:
+            unmarked = f"; not marked as failed, leave out: {unmarked}"
+            self.get_logger().error(f"session {protocol.plan.session}{unmarked}")
         (self._output / POINTER).unlink(missing_ok=True)
         self._protocol = None
         self._used_subjects = sessions_by_subject(self._output)
-        return f"session {protocol.plan.session} closed; it is in {protocol.folder}"
+        return f"session {protocol.plan.session} closed; it is in {protocol.folder}{unmarked}"
 
     def _command(self, action: Callable[[], str]) -> Callable[[Any, Any], Any]:
         def answer(request: Any, response: Any) -> Any:

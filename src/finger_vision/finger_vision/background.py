@@ -44,6 +44,10 @@ BORDER_SIDE, BORDER_OFF = 0.6, 1.5
 """Share of a side of the image along which the edge of a border is straight, and working pixels by
 which it is."""
 
+BORDER_WIDEST, BORDER_INSIDE = 0.2, 16
+"""Share of the image's width or height that a border may have, and working pixels of the plate
+beside it with which it is compared."""
+
 POLARITIES = ("auto", "dark", "bright")
 """Touching ridges are darker or brighter than the plate; "auto" finds out in each frame."""
 
@@ -304,18 +308,27 @@ def dark_border(frame: np.ndarray) -> np.ndarray | None:
 def _border_at_left(frame: np.ndarray) -> np.ndarray | None:
     """Mask (h, w) of the border at the left of a frame; None without one."""
     height, width = frame.shape
+    widest = round(BORDER_WIDEST * width)
+    frame = frame[:, : widest + BORDER_INSIDE + BORDER_EDGE + 2]
     inner, outer = frame[:, BORDER_EDGE:], frame[:, :-BORDER_EDGE].astype(np.float32)
     brightens = inner > BORDER_STEP * outer + BORDER_GREYS
     begins = brightens.argmax(axis=1)
     beyond = ~brightens & (np.arange(brightens.shape[1]) > begins[:, None])
     edge = np.where(brightens.any(axis=1), beyond.argmax(axis=1) + 1, width)
     rows = np.arange(height)
-    ends = [half[edge[half] < width / 2] for half in np.array_split(rows, 2)]
+    ends = [half[edge[half] < widest] for half in np.array_split(rows, 2)]
     if min(map(len, ends)) < 8:
         return None
     (x, y), (other_x, other_y) = ((np.median(end), np.median(edge[end])) for end in ends)
     line = y + (other_y - y) / (other_x - x) * (rows - x)
-    if np.mean(np.abs(edge - line) <= BORDER_OFF) < BORDER_SIDE:
+    straight = rows[(np.abs(edge - line) <= BORDER_OFF) & (edge < widest)]
+    # A line across the plate, or the edge of a shadow on it, has plate on both sides.
+    dark = [
+        np.max(frame[row, : max(end - BORDER_EDGE, 1)]) * BORDER_STEP
+        < np.median(frame[row, end : end + BORDER_INSIDE])
+        for row, end in zip(straight.tolist(), edge[straight].tolist())
+    ]
+    if sum(dark) < BORDER_SIDE * height:
         return None
     return np.where(np.arange(width) < line[:, None] + BORDER_OFF, np.uint8(255), np.uint8(0))
 

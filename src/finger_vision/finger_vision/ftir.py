@@ -36,10 +36,6 @@ GUESSED_MINIMUM = 1.0e-6
 COARSEST = 2.3
 """Working pixels a ridge period below which ridges run into one another."""
 
-SWEAT, FADING = 0.25, 0.9995
-"""Share of the contrast of skin seen before below which what is seen is sweat that it left; and
-what of that contrast still holds in the next frame: half after 1400."""
-
 PALE, PALE_AREA = 2 / 3, 5e-6
 """Share of `minimum_contrast` at which a frame without contact is looked at again where no
 background was learned, and size (m²) of a region that is then taken for a print too pale."""
@@ -149,10 +145,6 @@ class FtirSegmenter(AreaSensor):
         self._grid: WorkingGrid | None = None
         self._size: tuple[int, int] | None = None
         """(width, height) of the frames since the last reset."""
-        self._last: tuple[float, float] | None = None
-        """Centre (m) of the contact in the frame before, where there was one."""
-        self._skin = 0.0
-        """Contrast (0…255) of skin in the frames before."""
 
     @property
     def learned(self) -> int:  # type: ignore[override]
@@ -164,10 +156,9 @@ class FtirSegmenter(AreaSensor):
         self._background.add(self._reduced(signal)[0])
 
     def reset(self) -> None:
-        """Forget what was seen: background, contrast of skin, size of the frames."""
+        """Forget the background and the size of the frames."""
         self._background.clear()
-        self._size = self._last = None
-        self._skin = 0.0
+        self._size = None
 
     def measure(self, signal: np.ndarray) -> ContactMeasurement:
         """The contact in a frame (H, W); raises InputError for one that cannot be used, NoLight for
@@ -178,19 +169,17 @@ class FtirSegmenter(AreaSensor):
     def process(self, signal: np.ndarray) -> ContactMeasurement:
         """Measure a frame and learn the background from it if it shows no contact."""
         frame, grid = self._reduced(signal)
-        measurement, contrast = self._measure(frame, grid)
-        self._last = None
-        self._skin *= FADING
+        measurement, bright_ridges = self._measure(frame, grid)
         if measurement.flags & AreaFlag.NO_CONTACT:
             if measurement.flags & AreaFlag.NO_BACKGROUND:
                 # There was none, or one that was learned before the light was on.
                 self._background.clear()
             if not measurement.flags & AreaFlag.LOW_CONTRAST:
                 self._background.add(frame)
-        else:
+        elif not bright_ridges or self.settings.polarity == "bright":
+            # Sweat that was learned and then wiped off is dark: among bright ridges that are not
+            # set, it would be taken for dark ones.
             self._background.touched()
-            self._last = measurement.centroid
-            self._skin = max(self._skin, contrast)
         return measurement
 
     def _reduced(self, signal: np.ndarray) -> tuple[np.ndarray, WorkingGrid]:
@@ -210,8 +199,8 @@ class FtirSegmenter(AreaSensor):
         self._size = size
         return self._grid.reduce(image), self._grid
 
-    def _measure(self, frame: np.ndarray, grid: WorkingGrid) -> tuple[ContactMeasurement, float]:
-        """The contact in a working image, and the mean contrast (0…255) of its ridges."""
+    def _measure(self, frame: np.ndarray, grid: WorkingGrid) -> tuple[ContactMeasurement, bool]:
+        """The contact in a working image, and whether ridges are brighter than the plate."""
         settings = self.settings
         background = background_of(frame, self._background, settings.polarity, grid.period)
         if not background.lit:
@@ -220,10 +209,7 @@ class FtirSegmenter(AreaSensor):
             )
         frame = background.frame
         contrast, noise = contrast_of(background)
-        last = None if self._last is None else grid.from_plate(self._last)
-        ridges = find_ridges(
-            contrast, noise, background.learned, settings.minimum_contrast, grid, last
-        )
+        ridges = find_ridges(contrast, noise, background.learned, settings.minimum_contrast, grid)
         self.steps = Steps(frame, background.image, contrast, ridges)
         flags = AreaFlag(0)
         if not background.learned:
@@ -235,17 +221,11 @@ class FtirSegmenter(AreaSensor):
             saturated = _saturated_share(frame, ridges, background.bright_ridges)
             outlined = self._outline(ridges, grid, saturated)
         smallest = max(settings.minimum_area, 0.0 if background.learned else GUESSED_MINIMUM)
-        least = SWEAT * self._skin if background.learned else 0.0
-        if (
-            ridges is None
-            or outlined is None
-            or outlined[0].area < smallest
-            or ridges.contrast < least
-        ):
+        if ridges is None or outlined is None or outlined[0].area < smallest:
             flags |= AreaFlag.NO_CONTACT
             if not background.learned and self._is_pale(contrast, noise, grid):
                 flags |= AreaFlag.LOW_CONTRAST
-            return ContactMeasurement(flags=int(flags)), 0.0
+            return ContactMeasurement(flags=int(flags)), background.bright_ridges
         shape, real_area, hull, doubt = outlined
         if ridges.other_regions:
             flags |= AreaFlag.MULTIPLE_REGIONS
@@ -274,7 +254,7 @@ class FtirSegmenter(AreaSensor):
             ellipse_minor_sd=minor_sd,
             ellipse_angle_sd=angle_sd,
         )
-        return measurement, ridges.contrast
+        return measurement, background.bright_ridges
 
     def _outline(
         self, ridges: Ridges, grid: WorkingGrid, saturated: float

@@ -43,9 +43,6 @@ OTHER_REGION = 2e-6
 HAIR = 0.95
 """Share of certain skin in a long and narrow part of a region above which it is a hair."""
 
-LASTING = 4.0
-"""Times that the region nearest the last contact counts more than another."""
-
 DARKEST = 80.0
 """Grey below which a plate counts as dark: noise on it is not contrast."""
 
@@ -86,18 +83,12 @@ def contrast_of(background: Background) -> tuple[np.ndarray, float]:
 
 
 def find_ridges(
-    contrast: np.ndarray,
-    noise: float,
-    learned: bool,
-    minimum_contrast: float,
-    grid: WorkingGrid,
-    last: tuple[float, float] | None = None,
+    contrast: np.ndarray, noise: float, learned: bool, minimum_contrast: float, grid: WorkingGrid
 ) -> Ridges | None:
     """Ridges of the pressing finger in a contrast image (h, w) uint8; None without contact.
 
     noise: standard deviation of the contrast. learned: whether the background was learned.
-    minimum_contrast: fraction of the grey range. last: (x, y) centre of the contact in the frame
-    before, working pixels; None without one.
+    minimum_contrast: fraction of the grey range.
     """
     # Certain skin, at a quarter of the working resolution, selects the part to examine further.
     columns, rows = contrast.shape[1] // 2, contrast.shape[0] // 2
@@ -115,9 +106,7 @@ def find_ridges(
     share = FAINT_SHARE if learned or noise < 0.5 else FAINT_SHARE_GUESSED
     faint = max(FAINT_CONTRAST * 255, share * typical, min(5 * noise, 0.6 * strong))
     touching, outermost = _threshold(contrast[box], faint, grid)
-    if last is not None:
-        last = (last[0] - box[1].start) / 4, (last[1] - box[0].start) / 4
-    region, other_regions, near = _region(core[_quarter(box)], touching, grid, last)
+    region, other_regions, near = _region(core[_quarter(box)], touching, grid)
     if region is None:
         return None
     doubtful = None if near is None else outermost & near
@@ -197,14 +186,13 @@ def _threshold(
 
 
 def _region(
-    core: np.ndarray, ridges: np.ndarray, grid: WorkingGrid, last: tuple[float, float] | None
+    core: np.ndarray, ridges: np.ndarray, grid: WorkingGrid
 ) -> tuple[np.ndarray | None, bool, np.ndarray | None]:
     """Mask of the pressing finger's region in the box, whether other regions were left out, and a
     mask of what is in doubt: those within 2.5 ridge periods of it, and narrow parts of it.
 
     Regions are connected by the density of ridges; the one with most certain skin is the pressing
-    finger's. last: (x, y) of the last contact's centre in `core`; the region nearest to it counts
-    LASTING times, so that a drop or another finger does not take its place.
+    finger's.
     """
     certain = _above(core, DENSITY * 255)
     size = round(REACH / (2 * grid.pitch)) | 1
@@ -213,12 +201,7 @@ def _region(
     count, labels = cv2.connectedComponents(dense, connectivity=8)
     weight = np.bincount(labels[certain > 0], minlength=count)
     weight[0] = 0
-    preferred = weight.astype(float)
-    if last is not None and np.count_nonzero(weight) > 1:
-        rows, columns = np.nonzero(weight[labels])
-        nearest = int(np.argmin(np.hypot(columns - last[0], rows - last[1])))
-        preferred[labels[rows[nearest], columns[nearest]]] *= LASTING
-    best = int(np.argmax(preferred))
+    best = int(np.argmax(weight))
     if weight[best] == 0:
         return None, False, None
     others = weight > max(0.05 * weight[best], OTHER_REGION / (4 * grid.pitch) ** 2)

@@ -80,9 +80,3 @@ class WorkingGrid:
         corner = np.array([box[1].start, box[0].start])
         pixels = to_fine(points + corner, self.step)
         return self.calibration.to_plate(pixels, *self.size)
-
-    def from_plate(self, point: tuple[float, float]) -> tuple[float, float]:
-        """(x, y) in working pixels of a point of the plate, m; the inverse of `to_plate`."""
-        pixels = self.calibration.to_pixels(np.array([point]), *self.size)
-        x, y = to_coarse(pixels, self.step)[0]
-        return float(x), float(y)

@@ -157,9 +157,10 @@ def _kept_running(
             if event.returncode:
                 raise RuntimeError(f"'{entry.name}' failed; the lines above name the cause")
             return [EmitEvent(event=Shutdown(reason=f"'{entry.name}' has ended"))]
-        if not (respawn and entry.restart) or delay.refused(event.returncode):
-            return []
-        wait = delay.after_running(time.monotonic() - started)
+        duration = time.monotonic() - started
+        if not (respawn and entry.restart) or delay.refused(event.returncode, duration):
+            return [LogInfo(msg=f"{entry.name} ended; it is not started again")]
+        wait = delay.after_running(duration)
         again = OpaqueFunction(function=lambda _: _kept_running(entry, make, delay, respawn))
         message = LogInfo(msg=f"{entry.name} ended; starting it again in {wait:g} s")
         return [message, TimerAction(period=wait, actions=[again])]

@@ -14,4 +14,12 @@ from .cost import (
 from .goal import Goal, Nuisance, Nuisances, losses, robust_factor
 from .outputs import batch_areas, batch_contacts, in_rows, trial_outputs
 from .power_law import PowerLaw, fit_power_law, power_law_of
-from .trials import Exclusion, FitTrial, Recording, TrialRejected, prepare, prepare_all
+from .trials import (
+    Exclusion,
+    FitTrial,
+    Recording,
+    TrialRejected,
+    finger_of,
+    prepare,
+    prepare_all,
+)

@@ -291,7 +291,7 @@ def prepare(record: Any, options: FitOptions) -> FitTrial:
         indentation=indentation,
         recording=recording,
         drive=drive,
-        finger=record.finger,
+        finger=finger_of(record),
     )
 
 
@@ -401,6 +401,11 @@ def label_of(record: Any) -> str:
     """Name of a trial: its bag and its index."""
     name = str(record.bag).rstrip("/").rsplit("/", 1)[-1]
     return f"{name} trial {int(record.index)}"
+
+
+def finger_of(record: Any) -> str:
+    """Finger of a recorded trial, such as right_index; empty where it was not noted."""
+    return getattr(record, "finger", "") or ""
 
 
 def sample_period(time: np.ndarray) -> float:

@@ -6,7 +6,15 @@
 from .contrasts import Contrast, contrasts
 from .files import check_folder, check_writable, write
 from .fit_json import condition_dict, fit_dict
-from .fits import ConditionFit, CrossCheck, DeformedFinger, FitResult, QuantityResult, codes_of
+from .fits import (
+    ConditionFit,
+    CrossCheck,
+    DeformedFinger,
+    Finger,
+    FitResult,
+    QuantityResult,
+    codes_of,
+)
 from .indentation import IndentationFit, indentation_fit
 from .parameter_files import failing, parameter_files, too_near
 from .quality import Quality, TrialQuality

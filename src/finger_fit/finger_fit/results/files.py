@@ -13,7 +13,7 @@ from pathlib import Path
 
 from finger_common.errors import InputError, listed
 from finger_common.files import atomic_write, load_json
-from finger_common.subject_code import is_subject
+from finger_common.subject_code import is_subject, may_be_one
 from finger_model.subjects import subject_file
 
 from .fit_json import fit_dict
@@ -33,10 +33,15 @@ def check_writable(folder: Path) -> None:
         ) from None
 
 
-def check_folder(folder: Path, subjects: Iterable[str]) -> None:
-    """Raise InputError for a folder that holds an earlier fit of others than these subjects: what
-    it wrote of them would stay, and be taken for a result of this fit."""
-    others = sorted({code for code, _ in _earlier_fingers(folder)} - set(subjects))
+def check_folder(folder: Path, fingers: Iterable[Finger]) -> None:
+    """Raise InputError for a folder that holds an earlier fit of others than these: what it wrote
+    of them would stay, and be taken for a result of this fit, or be lost."""
+    known = list(fingers)
+    others = sorted(
+        " ".join(filter(None, earlier))
+        for earlier in _earlier_fingers(folder)
+        if not any(f.subject == earlier.subject and may_be_one(f.name, earlier.name) for f in known)
+    )
     if others:
         raise InputError(
             f"{folder}: holds an earlier fit of {listed(others)}, who are not among these trials; "

@@ -285,11 +285,12 @@ class FitResult:
 
     @property
     def finger(self) -> Finger:
-        """Subject and finger of all trials, empty where there are several."""
+        """Subject and finger of all trials; nobody's where they are of several."""
         trials = [trial for fit in self.fits.values() for trial in fit.problem.trials]
-        codes, fingers = {t.subject for t in trials}, {t.finger for t in trials}
-        name = max(fingers, key=len, default="") if may_be_one(*fingers) else ""
-        return Finger(codes.pop(), name) if len(codes) == 1 else Finger("", "")
+        codes, fingers = {t.subject for t in trials}, sorted({t.finger for t in trials})
+        if len(codes) != 1 or not may_be_one(*fingers):
+            return Finger("", "")
+        return Finger(codes.pop(), max(fingers, key=len))
 
     @property
     def parts(self) -> dict[str, FitResult]:

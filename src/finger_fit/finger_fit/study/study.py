@@ -25,10 +25,10 @@ from .. import results
 from ..engine import Engine, LocalEngine, engine_for
 from ..full_order import FullOrder
 from ..options import FitOptions
-from ..problem import Exclusion, FitProblem, FitTrial, material_of, prepare_all
+from ..problem import Exclusion, FitProblem, FitTrial, finger_of, material_of, prepare_all
 from ..quality import judge, quality_of, screen
 from ..report import write_report
-from ..results import ConditionFit, FitResult, codes_of, contrasts
+from ..results import ConditionFit, Finger, FitResult, codes_of, contrasts
 from ..search import Stopped
 from .bags import load, reading
 from .condition import fit_condition
@@ -91,6 +91,8 @@ def fit_records(
         if len(subjects) == 1 or options.pool:
             if len(subjects) > 1:
                 notes.append(f"{len(subjects)} subjects are pooled: {', '.join(subjects)}")
+            elif not may_be_one(*(fingers := {t.finger for t in trials})):
+                notes.append(f"fingers are pooled: {', '.join(sorted(filter(None, fingers)))}")
             try:
                 part = work.fit_subject(trials)
             except InputError as error:
@@ -129,7 +131,7 @@ def _check_fingers(records: Sequence[Any]) -> None:
     """Raise InputError for trials of one subject that are of two fingers."""
     fingers: dict[str, dict[str, list[Path]]] = {}
     for record in records:
-        fingers.setdefault(record.subject or "", {}).setdefault(record.finger, []).append(
+        fingers.setdefault(record.subject or "", {}).setdefault(finger_of(record), []).append(
             Path(*Path(record.bag).parts[-2:])
         )
     for code, bags in fingers.items():
@@ -137,7 +139,8 @@ def _check_fingers(records: Sequence[Any]) -> None:
             found = listed(f"{finger} in {listed(of, 1)}" for finger, of in bags.items() if finger)
             raise InputError(
                 f"subject {code or UNNAMED} has trials of several fingers ({found}): fit the bags "
-                "of each finger alone, or all as if they were one finger's with --pool"
+                "of each finger alone, into folders of their own, or all as if they were of one "
+                "finger with --pool"
             )
 
 
@@ -391,8 +394,8 @@ def fit_bags(
     if not loaded.records:
         raise nothing_to_fit(loaded.exclusions)
     if folder is not None:
-        tried = {record.subject for record in loaded.records}
-        results.check_folder(folder, tried | {e.subject for e in loaded.exclusions})
+        tried = {Finger(r.subject, finger_of(r)) for r in loaded.records}
+        results.check_folder(folder, tried | {Finger(e.subject, "") for e in loaded.exclusions})
     result = fit_records(loaded.records, model, options, conditions, folder, report)
     result.exclusions = [*loaded.exclusions, *result.exclusions]
     for name, part in result.subjects.items():

@@ -48,6 +48,10 @@ class Delayed(Generic[T]):
         found, self._waiting = self._waiting[:number], self._waiting[number:]
         return found
 
+    def leave_out(self, first_ns: int, last_ns: int) -> None:
+        """Remove those of stamps from first to last (ns)."""
+        self._waiting = [w for w in self._waiting if not first_ns <= w[0] <= last_ns]
+
     def jump_back(self, stamp_ns: int) -> None:
         """Time jumped back to this stamp: keep what is near it, which is still to come."""
         self._stamps.clear()
