@@ -277,7 +277,7 @@ def test_a_folder_with_a_fit_of_another_finger_is_refused_and_pooled_ones_have_n
     check_folder(tmp_path, {Finger("S01", "")})
     with pytest.raises(InputError, match="holds an earlier fit of S01 right_index, who are not"):
         check_folder(tmp_path, {Finger("S01", "right_thumb")})
-    both = [*index, *(replace(p, index=p.index + 9, area=1.2 * p.area) for p in thumb)]
+    both = [*index, *(replace(p, index=p.index + 9, force=1.01 * p.force) for p in thumb)]
     pooled = fit_records(both, double.HereditaryModel(), replace(QUICK, pool=True, nuisances=False))
     assert any("fingers are pooled: right_index, right_thumb" in note for note in pooled.problems)
     write(pooled, tmp_path / "pooled")
