@@ -138,6 +138,16 @@ def test_announcements_of_another_clock_are_named_where_no_press_is_found(
         assert words[2] == "", "a trial without a press, for all that is known"
 
 
+def write_press(bag: BagWriter, begin: int) -> None:
+    """Forces and areas of a press of 3.5 s."""
+    for t in np.arange(0, 3.5, 0.002):
+        stamp, force = begin + round(t * 1e9), float(press_force(np.array(t)))
+        bag.write("wrench", wrench(stamp, force))
+        if round(t * 500) % 50 == 0:
+            fields = {"header": {"stamp": stamp}, "gross_area": AREA_PER_FORCE * force}
+            bag.write("contact_area", fields)
+
+
 def test_an_attempt_that_was_not_completed_does_not_replace_one_that_was(tmp_path: Path) -> None:
     """Such as that of a crash, in a bag that nobody could mark."""
     for attempt, completed in enumerate([False, True, False]):
@@ -145,12 +155,7 @@ def test_an_attempt_that_was_not_completed_does_not_replace_one_that_was(tmp_pat
             begin = START + attempt * 10_000_000_000
             trial = {"session": "s", "condition": "dry", "index": 4, "attempt": attempt}
             bag.write("trial", {"header": {"stamp": begin}, "phase": 3, **trial})
-            for t in np.arange(0, 3.5, 0.002):
-                stamp, force = begin + round(t * 1e9), float(press_force(np.array(t)))
-                bag.write("wrench", wrench(stamp, force))
-                if round(t * 500) % 50 == 0:
-                    fields = {"header": {"stamp": stamp}, "gross_area": AREA_PER_FORCE * force}
-                    bag.write("contact_area", fields)
+            write_press(bag, begin)
             if completed:
                 end = {"header": {"stamp": begin + 4_000_000_000}, "phase": 6}
                 bag.write("trial", {**end, **trial})
@@ -176,12 +181,7 @@ def test_a_trial_names_its_finger(tmp_path: Path) -> None:
         with BagWriter(tmp_path / name, {"condition": "dry", "finger": noted}) as bag:
             header = {"stamp": START, "frame_id": frame}
             bag.write("trial", {"header": header, "phase": 3, "session": name})
-            for t in np.arange(0, 3.5, 0.002):
-                stamp, force = START + round(t * 1e9), float(press_force(np.array(t)))
-                bag.write("wrench", wrench(stamp, force))
-                if round(t * 500) % 50 == 0:
-                    fields = {"header": {"stamp": stamp}, "gross_area": AREA_PER_FORCE * force}
-                    bag.write("contact_area", fields)
+            write_press(bag, START)
         assert [t.finger for t in load_trials(tmp_path / name)] == [finger]
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
@@ -63,17 +63,22 @@ def test_areas_carry_the_images_stamp_and_bad_frames_do_not_stop_the_node(peer) 
     assert peer.node.count_subscribers("contact_image") == 0
 
 
-def test_a_print_too_pale_to_be_measured_is_said(peer) -> None:
-    reports: list[DiagnosticArray] = []
+def told(peer, words: str, reports: list[DiagnosticArray]) -> Callable[[], bool]:
+    """Whether the newest of the reports, which are collected from now on, has these words."""
     peer.node.create_subscription(DiagnosticArray, "/diagnostics", reports.append, 10)
-    renderer = FtirRenderer("natural", seed=8, scene=Scene(latent=0.0))
+    return lambda: any(words in s.message for report in reports[-1:] for s in report.status)
+
+
+def paled(renderer: FtirRenderer, share: float) -> np.ndarray:
+    """Frame (H, W) of a print of this share of a contact's contrast."""
     plate, pressed = (a.astype(float) for a in (renderer.empty(), renderer.render(4.5e-3)))
-    pale = np.rint(plate + 0.25 * (pressed - plate)).astype(np.uint8)
+    return np.rint(plate + share * (pressed - plate)).astype(np.uint8)
 
-    def said() -> bool:
-        texts = [s.message for report in reports[-1:] for s in report.status]
-        return any("too pale" in text for text in texts)
 
+def test_a_print_too_pale_to_be_measured_is_said(peer) -> None:
+    said = told(peer, "too pale", [])
+    renderer = FtirRenderer("natural", seed=8, scene=Scene(latent=0.0))
+    pale = paled(renderer, 0.25)
     seen = peer.ask(peer.image(pale, 1))
     doubt = ContactArea.FLAG_NO_CONTACT | ContactArea.FLAG_LOW_CONTRAST
     assert seen.flags & doubt == doubt
@@ -85,15 +90,9 @@ def test_a_print_too_pale_to_be_measured_is_said(peer) -> None:
 def test_a_pale_contact_that_does_not_change_is_said_to_be_sweat(peer) -> None:
     """A strong print that was left before the background was learned from a clean plate."""
     reports: list[DiagnosticArray] = []
-    peer.node.create_subscription(DiagnosticArray, "/diagnostics", reports.append, 10)
+    said = told(peer, "not changed for 6 s; where no finger presses, sweat", reports)
     renderer = FtirRenderer("natural", seed=8, scene=Scene(latent=0.0))
-    plate, pressed = (a.astype(float) for a in (renderer.empty(), renderer.render(4.5e-3)))
-    sweat = np.rint(plate + 0.35 * (pressed - plate)).astype(np.uint8)
-
-    def said() -> bool:
-        texts = [s.message for report in reports[-1:] for s in report.status]
-        return any("not changed for 6 s; where no finger presses, sweat" in t for t in texts)
-
+    sweat = paled(renderer, 0.35)
     peer.ask(peer.image(renderer.empty(), 1))
     for second in (2, 7):
         seen = peer.ask(peer.image(sweat, second))
