@@ -323,12 +323,11 @@ def _border_at_left(frame: np.ndarray) -> np.ndarray | None:
     line = y + (other_y - y) / (other_x - x) * (rows - x)
     straight = rows[(np.abs(edge - line) <= BORDER_OFF) & (edge < widest)]
     # A line across the plate, or the edge of a shadow on it, has plate on both sides.
-    dark = [
-        np.max(frame[row, : max(end - BORDER_EDGE, 1)]) * BORDER_STEP
-        < np.median(frame[row, end : end + BORDER_INSIDE])
-        for row, end in zip(straight.tolist(), edge[straight].tolist())
-    ]
-    if sum(dark) < BORDER_SIDE * height:
+    brightest = np.maximum.accumulate(frame[straight], axis=1)
+    outside = brightest[np.arange(len(straight)), np.maximum(edge[straight] - BORDER_EDGE, 1) - 1]
+    beside = edge[straight, None] + np.arange(BORDER_INSIDE)
+    inside = np.median(frame[straight[:, None], beside], axis=1)
+    if np.sum(outside * BORDER_STEP < inside) < BORDER_SIDE * height:
         return None
     return np.where(np.arange(width) < line[:, None] + BORDER_OFF, np.uint8(255), np.uint8(0))
 
