@@ -47,6 +47,12 @@ MAXIMUM_CHANGE, MAXIMUM_CHANGE_INSIDE = 0.02, 0.1
 events; the second where a node inside began to stick or slip. Beyond it the load path has changed,
 and the curve starts again."""
 
+MAXIMUM_SLOPE_RATIO = 2.0
+"""Largest ratio, either way, of the slope that is continued to that of the present step. While the
+force hardly rises and the tissue creeps, radius over force is a hundred times as steep. A next step
+that rises faster must not take this slope over: a force in stairs gave areas up to 149 % too large.
+"""
+
 CORRECTION_RANGE = (0.8, 1.25)
 """Smallest and largest correction of a predicted gap between events."""
 
@@ -151,7 +157,9 @@ def _continued(
         expected = before.next_force if touched_now else before.predicted
         changed = sticking != before.sticking
         limit = MAXIMUM_CHANGE_INSIDE if changed else MAXIMUM_CHANGE
-        if abs(expected - predicted) < limit * gaps[1]:
+        continued = before.next_slope if touched_now else before.start[2]
+        alike = 1.0 / MAXIMUM_SLOPE_RATIO < continued / slope < MAXIMUM_SLOPE_RATIO
+        if alike and abs(expected - predicted) < limit * gaps[1]:
             if touched_now:
                 error = (before.next_force - before.touched) / before.previous_gap
                 known = math.isfinite(error)
