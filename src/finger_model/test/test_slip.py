@@ -206,6 +206,14 @@ def test_one_by_one_and_many_at_once_agree_to_the_bit():
             assert a == b or (math.isnan(a) and math.isnan(b))
 
 
+def test_stamps_that_count_from_a_trigger_may_be_negative():
+    """Nothing was forecast before time 0, and a slip was learned less from."""
+    _, normal, lateral, _ = slipping(2, 0.5)
+    later, earlier = (run(SlipEstimator(), normal, lateral + 0.1, s) for s in (10**11, -(10**11)))
+    for name in ("slip_probability", "friction", "slip_margin", "stick_ratio"):
+        np.testing.assert_array_equal(later[name], earlier[name])
+
+
 def test_without_contact_nothing_is_claimed():
     rows = run(SlipEstimator(), np.zeros(50), np.full(50, 0.02))
     for name in ("stick_ratio", "slip_margin", "tangential_stiffness"):

@@ -52,8 +52,8 @@ def begin(forecasts):
 
 @njit(cache=True)
 def due(forecasts, stamp):
-    """Whether it is time for the next forecast."""
-    return (stamp - forecasts.made_at) * 1e-9 >= EVERY
+    """Whether it is time for the next forecast; stamps may lie before 0, where none was made."""
+    return abs(stamp - forecasts.made_at) * 1e-9 >= EVERY
 
 
 @njit(cache=True)
