@@ -28,13 +28,8 @@ from finger_common.guided_presses import PRESS_BY_NAME
 from finger_common.trial_phases import TrialPhase
 from finger_operator.event_log import Event, EventLog
 from finger_operator.limits import Limits
-from finger_operator.protocol import (
-    Effect,
-    Protocol,
-    StartRecording,
-    Step,
-    StopRecording,
-)
+from finger_operator.protocol import Effect, Protocol, Step
+from finger_operator.recording import StartRecording, StopRecording
 from finger_operator.session_store import STATE_FILE, earlier_sessions, sessions_by_subject
 from finger_operator.status import session_status
 from finger_operator.study_plan import PREPARATIONS, StudyPlan, parse_preparations
@@ -626,7 +621,7 @@ def test_a_trial_that_nobody_goes_on_with_ends_its_recording(rig: Rig, when: str
         assert any("readings so far" in event.text for event in protocol.log.events)
         return
     expect_failure(rig, "nobody went on for 5 min")
-    assert protocol.paused and protocol.recording == "off"
+    assert protocol.paused and protocol.recording.state.value == "off"
     assert "Nobody went on" in session_status(protocol)["instruction"]
     protocol.resume(rig.now)
     assert protocol.step is Step.PREPARE
@@ -644,7 +639,7 @@ def test_a_pause_after_the_press_ends_the_recording_too_and_lasts(rig: Rig) -> N
         protocol.wrench(rig.now, 0.0)
         protocol.tick(rig.now)
         rig.answer_recorder()
-    assert protocol.recording == "off" and protocol.paused
+    assert protocol.recording.state.value == "off" and protocol.paused
     assert attempt.verdict == "done" and attempt.moisture_after == [40.0]
     (stop,) = (n for n, effect in enumerate(rig.effects) if isinstance(effect, StopRecording))
     assert rig.effects[stop - 1].phase is TrialPhase.DONE, "the bag says that it is done"
@@ -1057,7 +1052,7 @@ def test_state_file_is_whole_at_every_effect(tmp_path: Path) -> None:
         if file.exists():
             seen.append(json.loads(file.read_text())["step"])
 
-    rig.protocol._effects = take
+    rig.protocol._effects = rig.protocol.recording._ask = take
     rig.run(0.2)
     rig.protocol.start(rig.now)
     rig.trial()
