@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from finger_common.files import atomic_write
-from finger_fit.report.tables import model_error
+from finger_fit.report.provenance import model_error
 from finger_fit.report_units import three_digits
 
 from . import figures

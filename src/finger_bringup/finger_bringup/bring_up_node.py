@@ -82,6 +82,31 @@ class BringUpSettings(Settings):
     )
 
 
+@dataclass(eq=False)
+class _Node:
+    """One of the nodes that are brought up: how it is asked, and what is known of it."""
+
+    name: str
+    get_state: Any
+    change_state: Any
+    transitions: Any
+    """Polled subscription to the transitions that it reports."""
+    state: int | None = None
+    """Primary state, None while it is unknown."""
+    last_sign: float | None = None
+    """Time of its last answer or heartbeat, None before it ever answered."""
+    asked: float = -math.inf
+    """Time of the last question for its state."""
+    question: tuple[float, Any] | None = None
+    """The question that has no answer yet: its time and future."""
+    change: tuple[float, Any] | None = None
+    """The transition that was requested and has no answer yet: its time and future."""
+
+    def is_silent(self, seconds: float, now: float) -> bool:
+        """Whether it has answered once, and given no sign of life for so many s."""
+        return self.last_sign is not None and now - self.last_sign > seconds
+
+
 class BringUpNode(ManagedNode):
     """Configures and activates other nodes."""
 
@@ -95,31 +120,25 @@ class BringUpNode(ManagedNode):
         groups = [line.split() for line in settings.order]
         self._answer_timeout = settings.answer_timeout
         self._bring_up = BringUp(groups, settings.patience, settings.retry)
-        nodes = self._bring_up.nodes
-        self._state_clients = {n: self.create_client(GetState, f"{n}/get_state") for n in nodes}
-        self._change_clients = {
-            n: self.create_client(ChangeState, f"{n}/change_state") for n in nodes
-        }
-        self._states: dict[str, int] = {}
-        self._asked: dict[str, float] = {}
-        self._last_sign: dict[str, float] = {}
-        """Time of the last answer or heartbeat of each node that ever answered."""
+        names = self._bring_up.nodes
         depth = QoSProfile(depth=100)
+        self._nodes = {
+            name: _Node(
+                name,
+                self.create_client(GetState, f"{name}/get_state"),
+                self.create_client(ChangeState, f"{name}/change_state"),
+                self.create_polled_subscription(
+                    TransitionEvent, f"{name}/transition_event", depth, overridable=False
+                ),
+            )
+            for name in names
+        }
         self._beating = {
             space: self.create_polled_subscription(
                 String, f"{space}heartbeat", depth, overridable=False
             )
-            for space in {_namespace(n) for n in nodes}
+            for space in {_namespace(name) for name in names}
         }
-        self._moving = {
-            n: self.create_polled_subscription(
-                TransitionEvent, f"{n}/transition_event", depth, overridable=False
-            )
-            for n in nodes
-        }
-        self._requested: dict[str, tuple[float, Any]] = {}
-        self._changing: dict[str, tuple[float, Any]] = {}
-        self._target: dict[str, int] = {}
         self._complete = self._begun = False
         self._told = time.monotonic()
 
@@ -129,72 +148,75 @@ class BringUpNode(ManagedNode):
     def deactivate(self) -> None:
         self.destroy_active_interfaces()
 
+    @property
+    def _states(self) -> dict[str, int]:
+        """Primary state of each node whose state is known."""
+        return {n.name: n.state for n in self._nodes.values() if n.state is not None}
+
     def _step(self) -> None:
         now = time.monotonic()
-        unheard = {n for n, at in self._last_sign.items() if now - at > UNHEARD}
+        nodes = self._nodes.values()
+        unheard = {node for node in nodes if node.is_silent(UNHEARD, now)}
         moved = self._hear(now)
-        well = [
-            n for n, state in self._states.items() if state == ACTIVE and n not in unheard | moved
-        ]
-        well.sort(key=lambda node: self._asked[node])
-        asked = max((self._asked[node] for node in well), default=-math.inf)
+        well = [node for node in nodes if node.state == ACTIVE and node not in unheard | moved]
+        well.sort(key=lambda node: node.asked)
+        asked = max((node.asked for node in well), default=-math.inf)
         later = set(well[1:] if now - asked >= TURN else well)
-        for node in self._state_clients:
-            begun = self._changing.get(node)
+        for node in nodes:
             # A node that does not answer may have changed: on a busy machine replies get lost.
-            if node not in later and (begun is None or now - begun[0] > STATE_TIMEOUT):
+            if node not in later and (node.change is None or now - node.change[0] > STATE_TIMEOUT):
                 self._request_state(node, now)
         self._advance(now)
-        for node, (since, _) in list(self._changing.items()):
-            if now - since > self._answer_timeout:
+        for node in nodes:
+            if node.change is not None and now - node.change[0] > self._answer_timeout:
                 self._forget_change(node)
         self._report()
         self._report_silent(now)
 
-    def _hear(self, now: float) -> set[str]:
+    def _hear(self, now: float) -> set[_Node]:
         """Take in heartbeats and transitions that came; nodes that somebody else changed."""
         for space, beating in self._beating.items():
             for raw, _ in beating.take():
-                node = space + deserialize_message(raw, String).data
-                if node in self._last_sign:
-                    self._last_sign[node] = now
-        moved = {n for n, moving in self._moving.items() if list(moving.take())}
-        moved -= self._changing.keys()
+                node = self._nodes.get(space + deserialize_message(raw, String).data)
+                if node is not None and node.last_sign is not None:
+                    node.last_sign = now
+        reporting = [node for node in self._nodes.values() if list(node.transitions.take())]
+        moved = {node for node in reporting if node.change is None}
         for node in moved:
-            self._bring_up.moved(node, now)
+            self._bring_up.moved(node.name, now)
         return moved
 
     def _advance(self, now: float) -> None:
         """Request the transitions that are due."""
-        for node, transition in self._bring_up.steps(self._states, now):
+        for name, transition in self._bring_up.steps(self._states, now):
+            node = self._nodes[name]
             # A service that was not discovered yet would never hear the request.
-            if node not in self._changing and self._change_clients[node].service_is_ready():
+            if node.change is None and node.change_state.service_is_ready():
                 self._change(node, transition, now)
 
-    def _request_state(self, node: str, now: float) -> None:
-        client = self._state_clients[node]
-        if now - self._last_sign.get(node, now) > STATE_TIMEOUT:
-            self._states.pop(node, None)
-        pending = self._requested.get(node)
-        if pending is not None:
-            if now - pending[0] > STATE_TIMEOUT:
-                pending[1].cancel()
-                del self._requested[node]
+    def _request_state(self, node: _Node, now: float) -> None:
+        if node.is_silent(STATE_TIMEOUT, now):
+            node.state = None
+        if node.question is not None:
+            since, future = node.question
+            if now - since > STATE_TIMEOUT:
+                future.cancel()
+                node.question = None
             return
-        if not client.service_is_ready():
+        if not node.get_state.service_is_ready():
             return
-        future = client.call_async(GetState.Request())
-        self._requested[node] = (now, future)
-        self._asked[node] = now
+        future = node.get_state.call_async(GetState.Request())
+        node.question = (now, future)
+        node.asked = now
 
         def answered(done: Any) -> None:
             if not done.cancelled():
-                self._requested.pop(node, None)
+                node.question = None
                 # A transition that the node reported came before this answer.
                 self._hear(time.monotonic())
-                self._last_sign[node] = answered_at = time.monotonic()
-                self._states[node] = state = done.result().current_state.id
-                self._bring_up.answered(node, state, now, answered_at)
+                node.last_sign = answered_at = time.monotonic()
+                node.state = state = done.result().current_state.id
+                self._bring_up.answered(node.name, state, now, answered_at)
                 if state in (UNCONFIGURED, INACTIVE, ACTIVE):
                     # Asked long after the transition was requested: it ended, or never began.
                     self._forget_change(node)
@@ -202,37 +224,37 @@ class BringUpNode(ManagedNode):
 
         future.add_done_callback(answered)
 
-    def _change(self, node: str, transition: int, now: float) -> None:
-        future = self._change_clients[node].call_async(
+    def _change(self, node: _Node, transition: int, now: float) -> None:
+        target = INACTIVE if transition == CONFIGURE else ACTIVE
+        future = node.change_state.call_async(
             ChangeState.Request(transition=Transition(id=transition))
         )
-        self._changing[node] = (now, future)
-        self._target[node] = INACTIVE if transition == CONFIGURE else ACTIVE
+        node.change = (now, future)
         # An answer from before the change is no state of the time after it.
-        del self._states[node]
-        requested = self._requested.pop(node, None)
-        if requested is not None:
-            requested[1].cancel()
+        node.state = None
+        if node.question is not None:
+            node.question[1].cancel()
+            node.question = None
 
         def answered(done: Any) -> None:
             if done.cancelled():
                 return
-            self._changing.pop(node, None)
-            self._last_sign[node] = now = time.monotonic()
+            node.change = None
+            node.last_sign = now = time.monotonic()
             if done.result().success:
-                self._states[node] = self._target[node]
-                self._bring_up.answered(node, self._target[node], now, now)
+                node.state = target
+                self._bring_up.answered(node.name, target, now, now)
             else:
-                self._bring_up.failed(node, now)
+                self._bring_up.failed(node.name, now)
             self._advance(now)
 
         future.add_done_callback(answered)
 
-    def _forget_change(self, node: str) -> None:
+    def _forget_change(self, node: _Node) -> None:
         """Wait no longer for the answer to a transition."""
-        change = self._changing.pop(node, None)
-        if change is not None:
-            change[1].cancel()
+        if node.change is not None:
+            node.change[1].cancel()
+            node.change = None
 
     def _report(self) -> None:
         taken_down = self._bring_up.taken_down
@@ -262,9 +284,12 @@ class BringUpNode(ManagedNode):
         else:
             # A node's state is unknown while it changes and until it answers after that.
             now = time.monotonic()
-            silent = {n for n, at in self._last_sign.items() if now - at > STATE_TIMEOUT}
-            known = (self._states.keys() | silent) - self._changing.keys()
-            lost = [node for node in missing if node in known]
+            lost = [
+                node.name
+                for node in (self._nodes[name] for name in missing)
+                if node.change is None
+                and (node.state is not None or node.is_silent(STATE_TIMEOUT, now))
+            ]
             if lost:
                 self._complete = False
                 self.log_fault(self._health, "not_active", f"not active: {', '.join(lost)}", WARN)
@@ -296,9 +321,9 @@ class BringUpNode(ManagedNode):
     def _report_silent(self, now: float) -> None:
         """Name nodes that do not answer, at once: they cannot report it themselves."""
         silent = [
-            node
-            for node, at in self._last_sign.items()
-            if now - at > SILENT_AFTER and node not in self._changing
+            node.name
+            for node in self._nodes.values()
+            if node.is_silent(SILENT_AFTER, now) and node.change is None
         ]
         text = f"no answer from: {', '.join(silent)}"
         new = silent and self._health.faults.get("silent") != text

@@ -149,6 +149,12 @@ def manager_of(ros_domain: int, *order: str) -> Iterator[Any]:
         rclpy.shutdown()
 
 
+def serve(manager: Any, name: str, get_state: Node, change_state: Node) -> None:
+    """Let these nodes answer in place of the node of this name."""
+    node = manager._nodes[name]
+    node.get_state, node.change_state = get_state, change_state
+
+
 def test_nodes_that_refuse_and_those_that_were_shut_down_are_named(
     ros_domain: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -156,7 +162,8 @@ def test_nodes_that_refuse_and_those_that_were_shut_down_are_named(
     monkeypatch.setattr(time, "monotonic", lambda: now)
     with manager_of(ros_domain, "force", "vision model") as manager:
         nodes = {"force": Node(), "vision": Node(refuses=True), "model": Node()}
-        manager._state_clients, manager._change_clients = dict(nodes), dict(nodes)
+        for name, node in nodes.items():
+            serve(manager, name, node, node)
         health = manager.healths[0]
 
         def said(after: float) -> tuple[int, str]:
@@ -190,12 +197,12 @@ def test_a_transition_whose_request_was_lost_is_asked_for_again(
     with manager_of(ros_domain, "force", "model") as manager:
         # The first one's service was not discovered yet: a request to it would be lost.
         nodes = {"force": Node(ready=False), "model": Node(lost=1)}
-        manager._state_clients = {"force": Node(), "model": nodes["model"]}
-        manager._change_clients = dict(nodes)
+        serve(manager, "force", Node(), nodes["force"])
+        serve(manager, "model", nodes["model"], nodes["model"])
         manager._step()
         assert nodes["force"].asked == 0
         nodes["force"].ready = True
-        manager._state_clients["force"] = nodes["force"]
+        serve(manager, "force", nodes["force"], nodes["force"])
         manager._step()
         # One transition follows the other at once, up to the request that gets lost.
         assert nodes["force"].state == ACTIVE

@@ -53,6 +53,13 @@ PRESS_BY_NAME = {press.name: press for press in CALIBRATION_PRESSES}
 FITTING = "The presses are being fitted."
 """Note of the announcement with which the last press of a calibration is over."""
 
+
+def is_fitting(note: str) -> bool:
+    """Whether an announcement with this note, or a status with this message, says that all presses
+    are made."""
+    return note == FITTING
+
+
 TOO_HARD = 2.5
 """Force over the target from which a press is not the one that was asked for; a tap overshoots."""
 

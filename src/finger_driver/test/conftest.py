@@ -13,6 +13,16 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from device_process import Observer
 
+from finger_driver.simulators.netft import NetFtOptions, NetFtSimulator
+
+
+@pytest.fixture
+def box() -> Iterator[NetFtSimulator]:
+    """A box in this process."""
+    simulator = NetFtSimulator(NetFtOptions(port=0, http_port=0)).start()
+    yield simulator
+    simulator.stop()
+
 
 @pytest.fixture
 def observer(ros_domain: int) -> Iterator[Observer]:

@@ -24,6 +24,7 @@ from typing import Any
 from service_calls import call
 
 from finger_common.processes import bound_to_parent
+from finger_driver.simulators.netft import NetFtSimulator
 
 
 class DeviceProcess:
@@ -93,6 +94,18 @@ class DeviceProcess:
             except subprocess.TimeoutExpired:
                 os.killpg(self._child.pid, signal.SIGKILL)
                 self._child.wait()
+
+
+def netft_settings(box: DeviceProcess | NetFtSimulator, **further: object) -> dict[str, Any]:
+    """Settings of the driver of a Net F/T box on this host."""
+    own = isinstance(box, DeviceProcess)
+    return {
+        "device": "netft",
+        "netft_host": "127.0.0.1",
+        "netft_port": box.port("RDT port") if own else box.port,
+        "netft_http_port": box.port("HTTP port") if own else box.http_port,
+        **further,
+    }
 
 
 @contextlib.contextmanager

@@ -25,7 +25,7 @@ from typing import Any
 import can
 import numpy as np
 import pytest
-from device_process import DeviceProcess, device, wait_until
+from device_process import DeviceProcess, device, netft_settings, wait_until
 
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
@@ -458,10 +458,7 @@ def box(domain: int) -> Iterator[tuple[DeviceProcess, NodeUnderTest]]:
             domain,
             ForceNode,
             "_tared",
-            device="netft",
-            netft_host="127.0.0.1",
-            netft_port=simulator.port("RDT port"),
-            netft_http_port=simulator.port("HTTP port"),
+            **netft_settings(simulator),
             **FAST_RECONNECT,
         )
         yield simulator, under_test

@@ -7,13 +7,12 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
 from dataclasses import replace
 
 import can
 import numpy as np
 import pytest
-from device_process import device
+from device_process import device, netft_settings
 
 from finger_common.errors import DeviceError, InputError
 from finger_driver.can_bus import frame, open_bus
@@ -30,14 +29,7 @@ from finger_driver.force.netft import NetFtSettings, NetFtSource
 from finger_driver.protocols import netcanoem, rdt
 from finger_driver.protocols.rdt_order import RecordOrder
 from finger_driver.simulators.netcanoem import NetcanoemSimulator, default_calibration
-from finger_driver.simulators.netft import DEFAULT_CONFIGURATION, NetFtOptions, NetFtSimulator
-
-
-@pytest.fixture
-def box() -> Iterator[NetFtSimulator]:
-    simulator = NetFtSimulator(NetFtOptions(port=0, http_port=0)).start()
-    yield simulator
-    simulator.stop()
+from finger_driver.simulators.netft import DEFAULT_CONFIGURATION, NetFtSimulator
 
 
 @pytest.mark.parametrize("counts", [1e-300, 1e-2, 5.0, 1e12, 1e300])
@@ -46,14 +38,7 @@ def test_implausible_counts_per_unit_are_refused(
     box: NetFtSimulator, counts: float, kind: str
 ) -> None:
     box.configuration = replace(DEFAULT_CONFIGURATION, torque_unit="N-m", **{kind: counts})
-    source = open_source(
-        {
-            "device": "netft",
-            "netft_host": "127.0.0.1",
-            "netft_port": box.port,
-            "netft_http_port": box.http_port,
-        }
-    )
+    source = open_source(netft_settings(box))
     limit = "force_range 100 N" if kind == "counts_per_force" else "torque_range 10 N m"
     with pytest.raises(DeviceError, match=f"{limit}.*check counts per unit"):
         source.connect()
@@ -160,14 +145,7 @@ def test_datagrams_of_another_sender_are_not_read(box: NetFtSimulator) -> None:
     """The kernel gives those of the box's address and port only."""
     import socket
 
-    source = open_source(
-        {
-            "device": "netft",
-            "netft_host": "127.0.0.1",
-            "netft_port": box.port,
-            "netft_http_port": box.http_port,
-        }
-    )
+    source = open_source(netft_settings(box))
     source.connect()
     assert isinstance(source, NetFtSource) and source._socket is not None
     stranger = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

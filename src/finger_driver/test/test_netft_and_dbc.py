@@ -11,12 +11,12 @@ import socket
 import struct
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from device_process import device
+from device_process import device, netft_settings
 
 import finger_driver.device
 from finger_common.errors import DeviceError, InputError
@@ -27,7 +27,7 @@ from finger_driver.force.dbc import SHIPPED, DbcSettings, DbcSource
 from finger_driver.force.netft import NetFtSettings, NetFtSource
 from finger_driver.protocols import netft_xml, rdt
 from finger_driver.protocols.dbc import SampleAssembler, SensorMapping
-from finger_driver.simulators.netft import DEFAULT_CONFIGURATION, NetFtOptions, NetFtSimulator
+from finger_driver.simulators.netft import DEFAULT_CONFIGURATION, NetFtSimulator
 
 TRUTH = np.array([0.5, -0.25, -3.0, 0.01, -0.02, 0.03])
 WRENCH = "--wrench=" + ",".join(map(str, TRUTH))
@@ -110,14 +110,7 @@ def collect(source: ForceSource, number: int) -> list[WrenchSample]:
 
 def test_net_ft_streams_from_another_process() -> None:
     with device("rdt", "--port", 0, "--http-port", 0, WRENCH) as box:
-        source = open_source(
-            {
-                "device": "netft",
-                "netft_host": "127.0.0.1",
-                "netft_port": box.port("RDT port"),
-                "netft_http_port": box.port("HTTP port"),
-            }
-        )
+        source = open_source(netft_settings(box))
         try:
             samples = collect(source, 300)
         finally:
@@ -130,18 +123,9 @@ def test_net_ft_streams_from_another_process() -> None:
     assert all(s.quality == GOOD for s in samples)
 
 
-@pytest.fixture
-def box() -> Iterator[NetFtSimulator]:
-    """A box in this process."""
-    simulator = NetFtSimulator(NetFtOptions(port=0, http_port=0)).start()
-    yield simulator
-    simulator.stop()
-
-
 def of_box(box: NetFtSimulator, **settings: object) -> ForceSource:
     """Source for a box in this process."""
-    ports = {"netft_port": box.port, "netft_http_port": box.http_port}
-    return open_source({"device": "netft", "netft_host": "127.0.0.1", **ports, **settings})
+    return open_source(netft_settings(box, **settings))
 
 
 def test_a_box_that_sends_faster_than_it_measures_repeats_samples(box: NetFtSimulator) -> None:
@@ -226,15 +210,7 @@ def test_a_port_that_refuses_is_named_when_connecting(
 
 def test_a_faster_box_is_averaged_not_decimated() -> None:
     with device("rdt", "--port", 0, "--http-port", 0, WRENCH, "--noise", 0.05) as box:
-        source = open_source(
-            {
-                "device": "netft",
-                "rate": 50.0,
-                "netft_host": "127.0.0.1",
-                "netft_port": box.port("RDT port"),
-                "netft_http_port": box.port("HTTP port"),
-            }
-        )
+        source = open_source(netft_settings(box, rate=50.0))
         try:
             samples = collect(source, 60)
         finally:

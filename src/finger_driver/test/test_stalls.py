@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from device_process import device
+from device_process import device, netft_settings
 
 pytestmark = pytest.mark.alone
 
@@ -89,12 +89,7 @@ def test_a_streaming_box_loses_no_record_when_the_driver_stands_still(
     read: Callable[..., Any],
 ) -> None:
     with device("rdt", "--port", 0, "--http-port", 0) as box:
-        settings = {
-            "device": "netft",
-            "netft_host": "127.0.0.1",
-            "netft_port": box.port("RDT port"),
-            "netft_http_port": box.port("HTTP port"),
-        }
+        settings = netft_settings(box)
         for _ in range(4):
             counters, stamps, longest = read(settings)
             # Records are numbered: none is missing between the first and the last one.

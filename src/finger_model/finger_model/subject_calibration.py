@@ -16,7 +16,7 @@ from finger_common.cli import one_line
 from finger_common.contact_threshold import ONSET_FORCE
 from finger_common.errors import InputError
 from finger_common.flags import AreaFlag
-from finger_common.guided_presses import CALIBRATION_PRESSES, FITTING, PRESS_BY_NAME
+from finger_common.guided_presses import CALIBRATION_PRESSES, PRESS_BY_NAME, is_fitting
 from finger_common.moisture import is_moisture
 from finger_common.stamps import seconds
 from finger_common.trial_phases import TrialPhase
@@ -163,7 +163,7 @@ def why_refused(index: int, phase: int, note: str, folder: str) -> str:
     folder: of the subjects' parameters, empty for none.
     """
     if phase == TrialPhase.IDLE:
-        begun = note == FITTING
+        begun = is_fitting(note)
     else:
         begun = index > 0 or phase in (TrialPhase.PRESS, TrialPhase.LIFT, TrialPhase.DONE)
     if begun:

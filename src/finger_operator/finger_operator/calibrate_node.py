@@ -23,7 +23,7 @@ from std_srvs.srv import Trigger
 from finger_common.diagnostics import ERROR, Health
 from finger_common.errors import FingerError, InputError
 from finger_common.flags import AreaFlag
-from finger_common.guided_presses import FITTING
+from finger_common.guided_presses import is_fitting
 from finger_common.node import (
     LATCHED_QOS,
     STATE_QOS,
@@ -128,7 +128,7 @@ class CalibrateNode(ManagedNode):
         if not self._requested:
             return
         self._requested, self._session = False, ""
-        if self._status.get("message") == FITTING:
+        if is_fitting(self._status.get("message", "")):
             self._say("all presses are made; the model node fits them, and the result is kept")
             return
         answers = [self._triggers[name].call_async(Trigger.Request()) for name in ENDING]
@@ -285,8 +285,8 @@ class CalibrateNode(ManagedNode):
             self._since = time.monotonic()
         self._status, self._session = status, status["session"]
         if status["step"] == "finished":
-            if status["message"] == FITTING:
-                self._show(FITTING)
+            if is_fitting(status["message"]):
+                self._show(status["message"])
             else:
                 self._fail(status["message"])
             return

@@ -44,7 +44,6 @@ class Inputs:
         self._force: _Sample | None = None
         self._area: _Sample | None = None
         self._errors: dict[str, tuple[int, str]] = {}
-        self._recorder: int | None = None
         self._compared: _Sample | None = None
         self._lags: deque[float] = deque(maxlen=20)
         self._silent: set[str] = set()
@@ -96,14 +95,6 @@ class Inputs:
         new = name not in self._errors
         self._errors[name] = (now_ns, message)
         return f"{name}: {message}" if new else ""
-
-    def add_recorder(self, now_ns: int) -> None:
-        """The recorder has told what it writes."""
-        self._recorder = now_ns
-
-    def recorder_fell_silent(self, now_ns: int) -> bool:
-        """Whether a recorder that told what it writes does so no longer."""
-        return self._recorder is not None and seconds(now_ns - self._recorder) > REPORT_MEMORY
 
     def force_fell_silent(self, now_ns: int, limits: Limits) -> bool:
         """Whether no force comes any longer."""

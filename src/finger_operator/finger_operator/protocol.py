@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
@@ -42,6 +41,7 @@ from .inputs import Inputs
 from .limits import Limits
 from .press import Press, PressEvent
 from .pull import Pull
+from .recording import Recording, RecordingState, Request, StopRecording
 from .session_store import (
     STATE_FILE,
     SavedSession,
@@ -84,29 +84,13 @@ UNDER_WAY = (Step.MOISTURE_BEFORE, Step.CLEAR, *PRESSING, Step.MOISTURE_AFTER)
 """Steps of an attempt that is being recorded."""
 
 
-@dataclass(frozen=True)
-class StartRecording:
-    """Ask the recorder to begin a bag."""
-
-    path: str
-    trial: TrialEvent
-
-
-@dataclass(frozen=True)
-class StopRecording:
-    """Ask the recorder to close its bag."""
-
-
-Effect = TrialEvent | StartRecording | StopRecording
+Effect = TrialEvent | Request
 
 GUIDANCE_TIME = 3.0
 """s for which the text of a calibration's press is shown before the plate has to be clear."""
 
 WAITING_TIME = 300.0
 """s without a reading, or without a free plate, after which an attempt that is recorded ends."""
-
-LATE_REPORT = 0.5
-"""s in which reports come that were on their way when the recorder began a bag."""
 
 WRITE_AGAIN = 5.0
 """s between attempts to write what could not be written."""
@@ -137,6 +121,8 @@ class Protocol:
         self.paused = False
         self.current = 0
         self.message = ""
+        self.fitting = False
+        """Whether all presses of a calibration are made, and the model node fits them."""
         self.trials = [
             TrialState(index, condition) for index, condition in enumerate(plan.trial_conditions())
         ]
@@ -148,11 +134,7 @@ class Protocol:
         self._step_began = 0
         self._step_stamp = 0
         """Stamp of the sample that brought the step, where one did."""
-        self.recording = "off"
-        self._record_requested = 0
-        self._asked = ""
-        self._other_bag_since: int | None = None
-        """Since when the recorder reports another bag than that of the attempt, or none."""
+        self.recording = Recording(effects)
         self._zero = ""
         self._last_progress = 0
         self._inputs = Inputs()
@@ -270,8 +252,7 @@ class Protocol:
         effects(StopRecording())
         if step in UNDER_WAY:
             protocol._conclude_failed("interrupted: the protocol ended during it")
-            bag = Path(protocol._attempt.bag)
-            protocol.unmarked.append((bag, protocol._announcement(TrialPhase.FAILED)))
+            protocol._note_unmarked()
             protocol.message = (
                 f"Restarted. Trial {protocol.current + 1} will begin again: press Space."
             )
@@ -548,30 +529,21 @@ class Protocol:
     def recorder_writes(self, bag: str, now_ns: int) -> None:
         """What the recorder itself says that it writes, again and again; "no" for no bag."""
         self._now = max(self._now, now_ns)
-        self._inputs.add_recorder(self._now)
-        if self.recording != "on" or self.step not in UNDER_WAY or bag == self._attempt.bag:
-            self._other_bag_since = None
-        elif self._other_bag_since is None:
-            self._other_bag_since = self._now
-        elif seconds(self._now - self._other_bag_since) > LATE_REPORT:
+        own = self._attempt.bag if self.step in UNDER_WAY else None
+        if self.recording.reported(bag, own, self._now):
             self._fail("the recorder no longer writes the bag of this trial")
-            failed = self._announcement(TrialPhase.FAILED)
-            self.unmarked.append((Path(self._attempt.bag), failed))
+            self._note_unmarked()
 
     def recorder_started(
         self, success: bool, message: str, now_ns: int, bag: str = "", asked: str = ""
     ) -> None:
         """The recorder's answer to a start. bag: what it writes; asked: path of the start."""
         self._now = max(self._now, now_ns)
-        if self.recording != "starting" or asked not in ("", self._asked):
-            return  # to an earlier start, which has been stopped since
-        if success:
-            self.recording = "on"
-            if bag:
-                self._attempt.bag = bag
+        if not self.recording.started(success, asked):
             return
-        self.recording = "off"
-        if self.step in UNDER_WAY:
+        if success:
+            self._attempt.bag = bag or self._attempt.bag
+        elif self.step in UNDER_WAY:
             self._fail(f"the recorder did not start: {message}")
             self._hold("The recorder did not start; check its state, then resume.")
 
@@ -589,11 +561,7 @@ class Protocol:
         """
         self._now = max(self._now, now_ns)
         self._mark_bags(left=True)
-        if self.recording not in ("stopping", "on"):
-            # The answer to the stop of an earlier attempt; the next bag is being opened already.
-            return
-        self.recording = "off"
-        if self.step is not Step.CLOSING:
+        if not self.recording.stopped() or self.step is not Step.CLOSING:
             return
         if not success and self.limits.need_recorder:
             self._fail(f"the recorder did not close the bag: {message}")
@@ -645,7 +613,7 @@ class Protocol:
     def _await_clear_plate(self, in_step: float) -> None:
         if self.waiting_for():
             self._clear_since = None
-            if self.recording == "starting" and self._record_late():
+            if self.recording.state is RecordingState.STARTING and self._recorder_is_late():
                 self.recorder_started(False, "no answer", self._now)
             else:
                 self._await_progress(in_step)
@@ -663,7 +631,7 @@ class Protocol:
             self._fail(reason)
 
     def _await_recorder(self, in_step: float) -> None:
-        if self._record_late():
+        if self._recorder_is_late():
             self.recorder_stopped(False, "no answer", self._now)
 
     def _show_verdict(self, in_step: float) -> None:
@@ -671,7 +639,7 @@ class Protocol:
             self._next()
 
     def _await_fit(self, in_step: float) -> None:
-        if self.message == FITTING and in_step > FIT_TIME:
+        if self.fitting and in_step > FIT_TIME:
             self.calibrated(
                 False, f"the model node gave no result within {FIT_TIME:.0f} s", self._now
             )
@@ -683,8 +651,9 @@ class Protocol:
         self._now = max(self._now, now_ns)
         if self.step is not Step.FINISHED and not success:
             self.abort(now_ns, f"given up ({result})")
-        elif self.message != FITTING:
+        elif not self.fitting:
             return
+        self.fitting = False
         self.message = f"Calibrated: {result}." if success else f"Not calibrated: {result}."
         self._log("calibration", self.message, of_trial=False)
         self._announce()
@@ -707,11 +676,7 @@ class Protocol:
         """Why the press does not begin yet; empty when nothing is in the way."""
         if reason := self._inputs.waiting_for(self._now, self.limits):
             return reason
-        if self.limits.need_recorder and self.recording != "on":
-            return "the recorder is not running yet"
-        if self.limits.need_recorder and self._inputs.recorder_fell_silent(self._now):
-            return "the recorder is silent"
-        return ""
+        return self.recording.waiting_for(self._now) if self.limits.need_recorder else ""
 
     # Transitions -----------------------------------------------------------------------------
 
@@ -719,8 +684,8 @@ class Protocol:
     def _attempt(self) -> Attempt:
         return self.trials[self.current].attempts[-1]
 
-    def _record_late(self) -> bool:
-        return seconds(self._now - self._record_requested) > self.limits.record_timeout
+    def _recorder_is_late(self) -> bool:
+        return self.recording.is_late(self._now, self.limits.record_timeout)
 
     def _begin_attempt(self) -> None:
         trial = self.trials[self.current]
@@ -734,18 +699,15 @@ class Protocol:
         self._clear_since = None
         step = Step.MOISTURE_BEFORE if self.plan.readings else Step.CLEAR
         if self.limits.need_recorder:
-            self.recording, self._record_requested = "starting", self._now
-            self._asked = str(bag)
-            self._effects(StartRecording(str(bag), self._announcement(self._phase(step))))
+            self.recording.start(str(bag), self._announcement(self._phase(step)), self._now)
         self._enter(step)
 
     def _close(self) -> None:
         self._attempt.reason = ""
         self._enter(Step.CLOSING)
         # It is off where the node was deactivated after the press: the bag was closed then.
-        if self.limits.need_recorder and self.recording != "off":
-            self.recording, self._record_requested = "stopping", self._now
-            self._effects(StopRecording())
+        if self.limits.need_recorder and self.recording.state is not RecordingState.OFF:
+            self.recording.stop(self._now)
         else:
             self._keep()
 
@@ -771,12 +733,14 @@ class Protocol:
         closing = self.step is Step.CLOSING
         self._enter(Step.FAILED)
         if self.limits.need_recorder and not closing:
-            self.recording = "stopping"
-            self._effects(StopRecording())
+            self.recording.stop(self._now)
         elif closing:
-            failed = self._announcement(TrialPhase.FAILED)
-            self.unmarked.append((Path(self._attempt.bag), failed))
+            self._note_unmarked()
             self._mark_bags()
+
+    def _note_unmarked(self) -> None:
+        """The bag of the newest attempt is to say that it failed."""
+        self.unmarked.append((Path(self._attempt.bag), self._announcement(TrialPhase.FAILED)))
 
     def _mark_bags(self, left: bool = False) -> None:
         """Say in bags what became of their attempts, as far as they are closed. left: the recorder
@@ -889,8 +853,10 @@ class Protocol:
             for trial in self.trials:
                 if trial.verdict == "pending":
                     trial.give_up_repetition()
+        self.fitting = False
         if step is Step.FINISHED and self.plan.is_calibration:
             done = all(trial.verdict == "done" for trial in self.trials)
+            self.fitting = done and not self._known_result
             why = self.ended or "not all presses were made"
             unknown = FITTING if done else f"Not calibrated: {why}."
             self.message, self._known_result = self._known_result or unknown, ""

@@ -57,9 +57,10 @@ from finger_msgs.srv import Record
 
 from .limits import Limits
 from .normal_force import NormalForce
-from .protocol import Effect, Protocol, StartRecording, Step, StopRecording
+from .protocol import Effect, Protocol, Step
 from .readiness import TARE_NEEDED, refusal, tared_by
 from .recorder_requests import RecorderRequests
+from .recording import StartRecording, StopRecording
 from .session_store import (
     STATE_FILE,
     earlier_sessions,
@@ -220,7 +221,7 @@ class ProtocolNode(ManagedNode):
                 self._protocol.pause(self.sample_time())
                 # The publisher may be destroyed next.
                 self._trial_publisher.wait_for_all_acked(Duration(seconds=0.5))
-        if self._protocol is not None and self._protocol.recording in ("starting", "on"):
+        if self._protocol is not None and self._protocol.recording.is_open:
             self._effect(StopRecording())
         self._recorder.send_all()
         if self._protocol is not None:

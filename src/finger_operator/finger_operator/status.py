@@ -91,7 +91,7 @@ def session_status(
         "readings": plan.readings,
         "moisture_before": attempt.moisture_before if attempt else [],
         "moisture_after": attempt.moisture_after if attempt else [],
-        "recording": protocol.recording,
+        "recording": protocol.recording.state.value,
         "conditions": list(plan.conditions),
         "plan": PlanSettings.to_dict(plan),
         "folder": str(protocol.folder),

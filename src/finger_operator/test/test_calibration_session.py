@@ -51,9 +51,9 @@ class Session:
                 self.protocol.area(self.now, 40e-6 * self.force, 0 if touching else 1)
             if self.now % (SECOND // 20) == 0:
                 self.protocol.tick(self.now)
-            if self.protocol.recording == "starting":
+            if self.protocol.recording.state.value == "starting":
                 self.protocol.recorder_started(True, "", self.now)
-            elif self.protocol.recording == "stopping":
+            elif self.protocol.recording.state.value == "stopping":
                 self.protocol.recorder_stopped(True, "", self.now)
 
     def to_press(self) -> None:

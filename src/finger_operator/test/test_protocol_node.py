@@ -357,13 +357,14 @@ def test_the_recorder_s_answer_to_the_stop_decides_with_path_and_count(
 ) -> None:
     from finger_msgs.srv import Record
     from finger_operator.protocol import Step
+    from finger_operator.recording import RecordingState
 
     with node_here(ros_domain, tmp_path) as node:
         node._start()
         node._start()
         protocol = node._protocol
         attempt = protocol.trials[0].attempts[0]
-        protocol.step, protocol.recording = Step.CLOSING, "stopping"
+        protocol.step, protocol.recording.state = Step.CLOSING, RecordingState.STOPPING
         answer = Record.Response(success=True, path=attempt.bag + bag, message_count=messages)
         node._recorded(Record.Request(command=Record.Request.COMMAND_STOP), answer, "")
         assert attempt.verdict == verdict

@@ -11,7 +11,7 @@ from ..nuisance.result import NuisanceResult, NuisanceValue
 from ..nuisance_names import name_of
 from ..report_units import minus
 from ..results import FitResult
-from .tables import listing, table
+from .markup import listing, table
 
 DISPLAY = {"N": (1e3, "mN", 0), "s": (1e3, "ms", 0), "": (1e2, "%", 1)}
 """Factor, unit and decimals of a nuisance by its SI unit."""

@@ -18,7 +18,7 @@ import matplotlib.pyplot as plt
 from finger_common.files import atomic_write
 
 from ..results import FitResult
-from . import tables
+from . import candidates, data, goodness, identifiability, parameters, provenance
 from .figures import CAPTIONS, FIGURES, STYLE, all_figures
 from .nuisances import nuisances
 
@@ -96,15 +96,15 @@ def render_subjects(result: FitResult) -> str:
         *_head("Finger model fits"),
         "<main><h1>Viscoelastic finger model, fitted to contact area</h1>",
         f"<p class=lead>{_lead(result)}</p>",
-        tables.subjects(result),
+        parameters.subjects(result),
         "<h2>Data quality</h2>",
-        tables.quality(result),
-        tables.exclusions(result),
-        tables.contrast_table(result),
+        data.quality(result),
+        data.exclusions(result),
+        parameters.contrast_table(result),
         "<h2>Goodness of fit</h2>",
-        tables.costs(result),
+        goodness.costs(result),
         "<h2>Provenance</h2>",
-        tables.provenance(result),
+        provenance.provenance(result),
     ]
     return "\n".join(part for part in parts if part) + "\n</main></html>\n"
 
@@ -117,12 +117,12 @@ def render(result: FitResult, pictures: dict[str, bytes]) -> str:
     def figure(name: str) -> str:
         if name not in pictures:
             return ""
-        data = base64.b64encode(pictures[name]).decode()
+        image = base64.b64encode(pictures[name]).decode()
         kind = " class=narrow" if name in NARROW else ""
         text = escape(captions[name])
         return (
             f"<figure{kind}><div class=scroll tabindex=0>"
-            f'<img alt="{text}" src="data:image/png;base64,{data}"></div>'
+            f'<img alt="{text}" src="data:image/png;base64,{image}"></div>'
             f"<figcaption><b>Fig. {next(numbers)}.</b> {text}</figcaption></figure>"
         )
 
@@ -131,40 +131,40 @@ def render(result: FitResult, pictures: dict[str, bytes]) -> str:
         "<main><h1>Viscoelastic finger model, fitted to contact area</h1>",
         f"<p class=lead>{_lead(result)}</p>",
         "<h2>Data quality</h2>",
-        tables.quality(result),
+        data.quality(result),
         "<h2>Parameters</h2>",
-        tables.parameters(result),
-        tables.verdict(result),
-        tables.contrast_table(result),
+        parameters.parameters(result),
+        parameters.verdict(result),
+        parameters.contrast_table(result),
         "<h2>Data</h2>",
         figure("moisture"),
         figure("force_over_time"),
-        tables.exclusions(result),
+        data.exclusions(result),
         "<h2>Area over force</h2>",
         figure("area_over_force"),
-        tables.costs(result),
-        tables.force_modes(result),
+        goodness.costs(result),
+        goodness.force_modes(result),
         *(["<h2>Indentation</h2>", figure("indentation")] if "indentation" in pictures else []),
-        tables.indentations(result),
+        goodness.indentations(result),
         "<h2>Trials</h2>",
         figure("example_trial"),
         figure("matched_trials"),
         figure("residuals"),
-        tables.trials(result),
+        data.trials(result),
         "<h2>Identifiability</h2>",
         figure("candidates"),
         figure("profiles"),
-        tables.identifiability(result),
+        identifiability.identifiability(result),
         nuisances(result),
-        tables.covariances(result),
-        tables.bootstrap(result),
+        identifiability.covariances(result),
+        identifiability.bootstrap(result),
         "<h2>Search</h2>",
-        tables.search(result),
+        candidates.search(result),
         figure("convergence"),
-        tables.candidates(result),
-        tables.additional_fits(result),
+        candidates.candidates(result),
+        candidates.additional_fits(result),
         "<h2>Provenance</h2>",
-        tables.provenance(result),
+        provenance.provenance(result),
     ]
     return "\n".join(part for part in parts if part) + "\n</main></html>\n"
 

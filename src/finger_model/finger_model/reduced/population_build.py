@@ -12,7 +12,7 @@ from __future__ import annotations
 import os
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -50,6 +50,27 @@ LARGEST_FORCE = 10.0
 """N, end of the range the model is built for."""
 CHUNK = 50
 """Runs of one file."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of runs. name: with which its files begin; case: makes a case of a seed and an index;
+    coarse: on `similar_mesh` and with the internal strain; history, pressed: as in `run`."""
+
+    name: str
+    case: Callable[[int, int], Case]
+    coarse: bool = False
+    history: bool = True
+    pressed: bool = False
+
+
+TRAINING = Kind("coarse", training_case, coarse=True, pressed=True)
+SOFT = Kind("soft", soft_case, coarse=True, pressed=True)
+FURTHER = Kind("middle", middle_case, coarse=True)
+FINE = Kind("fine", training_case, history=False, pressed=True)
+"""Presses on the default mesh of the fingers of TRAINING."""
+REFINING = Kind("refine", refining_case)
+HELD_OUT = Kind("held_out", held_out_case)
 
 
 @dataclass(frozen=True)
@@ -113,15 +134,16 @@ def build(
     began = time.monotonic()
     modes = _modes(parts, settings, report)
 
-    def runs_of(stage: str, task: _Task, number: int) -> list[Run]:
-        return list(_runs(parts, task, settings.seed, number, workers, stage, report))
+    def runs_of(stage: str, kind: Kind, number: int) -> list[Run]:
+        task = _Task(kind, settings.seed, modes if kind.coarse else None)
+        return list(_runs(parts, task, number, workers, stage, report))
 
-    coarse = runs_of("runs on the coarse mesh", _Task("coarse", modes), settings.histories)
-    soft = runs_of("runs of soft tissue", _Task("soft", modes), settings.soft_histories)
-    further = runs_of("further runs", _Task("middle", modes), settings.further_histories)
-    fine = runs_of("presses on the default mesh", _Task("fine", None), settings.corrections)
-    refining = runs_of("runs on the default mesh", _Task("refine", None), settings.refining)
-    held_out = runs_of("held-out runs", _Task("held_out", None), settings.held_out)
+    coarse = runs_of("runs on the coarse mesh", TRAINING, settings.histories)
+    soft = runs_of("runs of soft tissue", SOFT, settings.soft_histories)
+    further = runs_of("further runs", FURTHER, settings.further_histories)
+    fine = runs_of("presses on the default mesh", FINE, settings.corrections)
+    refining = runs_of("runs on the default mesh", REFINING, settings.refining)
+    held_out = runs_of("held-out runs", HELD_OUT, settings.held_out)
     model, tables = assemble(
         coarse + soft,
         fine,
@@ -215,42 +237,36 @@ def _touched(found: Run) -> bool:
 
 @dataclass(frozen=True)
 class _Task:
-    """Kind of runs, and the modes (k, n) on which the internal strain is projected."""
+    """Runs to make, and the modes (k, n) on which the internal strain is projected."""
 
-    name: str
-    modes: np.ndarray | None
+    kind: Kind
+    seed: int
+    modes: np.ndarray | None = None
 
-    def case(self, seed: int, index: int) -> Case:
-        makers = {
-            "held_out": held_out_case,
-            "middle": middle_case,
-            "refine": refining_case,
-            "soft": soft_case,
-        }
-        return makers.get(self.name, training_case)(seed, index)
+    def runs(self, indices: range) -> list[Run]:
+        kind = self.kind
+        return [
+            run(
+                kind.case(self.seed, index),
+                self.modes,
+                kind.coarse,
+                history=kind.history,
+                pressed=kind.pressed,
+            )
+            for index in indices
+        ]
 
 
-_worker: dict[str, Any] = {}
+_worker: dict[str, _Task] = {}
 
 
-def _begin(task: _Task, seed: int) -> None:
+def _begin(task: _Task) -> None:
     begin_worker()
-    _worker.update(task=task, seed=seed)
+    _worker["task"] = task
 
 
 def _work(indices: range) -> list[Run]:
-    task: _Task = _worker["task"]
-    coarse = task.name in ("coarse", "soft", "middle")
-    return [
-        run(
-            task.case(_worker["seed"], i),
-            task.modes,
-            coarse,
-            history=task.name != "fine",
-            pressed=task.name not in ("held_out", "refine", "middle"),
-        )
-        for i in indices
-    ]
+    return _worker["task"].runs(indices)
 
 
 def _modes(parts: Path, settings: PopulationSettings, report: Progress) -> np.ndarray:
@@ -273,7 +289,6 @@ def _modes(parts: Path, settings: PopulationSettings, report: Progress) -> np.nd
 def _runs(
     parts: Path,
     task: _Task,
-    seed: int,
     number: int,
     workers: int,
     stage: str,
@@ -281,13 +296,13 @@ def _runs(
 ) -> Iterator[Run]:
     """Runs of all cases, from their files where they are finished."""
     chunks = [range(first, min(first + CHUNK, number)) for first in range(0, number, CHUNK)]
-    files = [parts / f"{task.name}_{part.start:06d}_{part.stop:06d}.npz" for part in chunks]
-    missing = [part for part, file in zip(chunks, files) if not file.exists()]
-    done = number - sum(len(part) for part in missing)
+    files = [parts / f"{task.kind.name}_{p.start:06d}_{p.stop:06d}.npz" for p in chunks]
+    missing = {part: file for part, file in zip(chunks, files) if not file.exists()}
+    done = number - sum(map(len, missing))
     if missing:
-        with ProcessPoolExecutor(workers, initializer=_begin, initargs=(task, seed)) as executor:
-            for part, found in zip(missing, executor.map(_work, missing)):
-                save_runs(parts / f"{task.name}_{part.start:06d}_{part.stop:06d}.npz", found)
+        with ProcessPoolExecutor(workers, initializer=_begin, initargs=(task,)) as executor:
+            for (part, file), found in zip(missing.items(), executor.map(_work, missing)):
+                save_runs(file, found)
                 done += len(part)
                 report(stage, done / number)
     for file in files:
@@ -316,8 +331,8 @@ def load_runs(path: Path) -> Iterator[Run]:
 
 def held_out_runs(seed: int, number: int, workers: int) -> Iterator[Run]:
     """Held-out runs on the default mesh, as they come."""
-    task = _Task("held_out", None)
+    task = _Task(HELD_OUT, seed)
     parts = [range(i, i + 1) for i in range(number)]
-    with ProcessPoolExecutor(workers, initializer=_begin, initargs=(task, seed)) as executor:
+    with ProcessPoolExecutor(workers, initializer=_begin, initargs=(task,)) as executor:
         for found in executor.map(_work, parts):
             yield from found

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,19 +85,17 @@ def friction_states(run: Run) -> np.ndarray:
     return found
 
 
-def padded(
-    runs: list[Run],
-    columns: Callable[[Run], tuple[np.ndarray, ...]],
-    contexts: dict[int, np.ndarray],
-) -> Rows:
-    """Rows of all runs, in pieces of PIECE; `columns` gives inputs (n, i), targets (n, o), weights
-    (n, o) of one; contexts: of each run, by its identity."""
+Columns = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Inputs (n, i), targets (n, o) and weights (n, o) of the rows of a run."""
+
+
+def padded(runs: Iterable[tuple[np.ndarray, Columns]]) -> Rows:
+    """Rows of all runs, in pieces of PIECE; of each run its context (c,) and its columns."""
     parts, owners = [], []
-    for run in runs:
-        whole = columns(run)
+    for context, whole in runs:
         for begin in range(0, len(whole[0]), PIECE):
             parts.append([values[begin : begin + PIECE] for values in whole])
-            owners.append(contexts[id(run)])
+            owners.append(context)
     longest = max(len(part[0]) for part in parts)
     arrays = []
     for which in range(3):
@@ -133,11 +131,6 @@ def _contact_targets(run: Run) -> np.ndarray:
     area, peak, force = run.area[on], run.peak[on], run.force[on]
     found[on] = np.column_stack([np.log(area / (run.length * x) ** 2), np.log(peak * area / force)])
     return found
-
-
-def _exact_states(run: Run) -> np.ndarray:
-    """a and q (n, k + m) of the full order itself."""
-    return np.column_stack([run.internal[:, :LATENTS], friction_states(run)])
 
 
 @dataclass
@@ -223,8 +216,8 @@ def fit_elastic(
     )
 
 
-def drive_columns(run: Run, own: Guessed) -> tuple[np.ndarray, ...]:
-    """Inputs, targets and weights (n, …) of the drive along a run on the coarse mesh."""
+def drive_columns(run: Run, own: Guessed) -> Columns:
+    """Columns of the drive along a run on the coarse mesh."""
     x, internal = load_measure_of(run), run.internal[:, :LATENTS]
     depth = run.indentation / run.length - x * x * np.exp(own.guess[:, 2])
     scale = strain_scales(x, internal)
@@ -250,13 +243,28 @@ class Visited:
     inside: np.ndarray
 
 
-def contact_columns(run: Run, seen: Visited, count: float = 1.0) -> tuple[np.ndarray, ...]:
-    """Inputs, targets and weights (n, …) of the contact along a run that counts so much."""
+def _exactly(run: Run, own: Guessed) -> Visited:
+    """What the full order itself visits along a run."""
+    states = np.column_stack([run.internal[:, :LATENTS], friction_states(run)])
+    return Visited(states, own.guess, own.mix, own.inside)
+
+
+def contact_columns(run: Run, seen: Visited, count: float = 1.0) -> Columns:
+    """Columns of the contact along a run that counts so much."""
     touching = _touching(run)
     share = count * counts(run) * run.area / run.area.max() * touching * seen.inside
     targets = _contact_targets(run) - np.where(touching[:, None], seen.guess[:, :2], 0.0)
     inputs = np.column_stack([_inputs(run, seen.states), seen.mix])
     return inputs, targets, np.column_stack([share, 0.1 * share])
+
+
+@dataclass
+class Sample:
+    """A run on the coarse mesh, what the maps know of its finger, and the guesses along it."""
+
+    run: Run
+    finger: Finger
+    own: Guessed
 
 
 def train(
@@ -280,42 +288,41 @@ def train(
     elastic = fit_elastic(runs, fine, report, each)
     types = rk.record_types(LATENTS, len(BETAS), DRIVE[0], CONTACT[0])
     response = response_of(types, runs)
-    fingers = {
-        id(run): finger._replace(curves=_own_curves(run))
+    pressed = [
+        Sample(run, finger._replace(curves=_own_curves(run)), guessed(types, run, response))
         for run, finger in zip(runs, _fingers(elastic, runs, coarse=True))
-    }
-    fingers |= _by_run(further, _fingers(elastic, further, coarse=True))
-    along = {id(run): guessed(types, run, response) for run in runs}
-    for run in further:
-        along[id(run)] = guessed(types, run, response, fingers[id(run)].curves)
-    contexts = {key: finger.inputs for key, finger in fingers.items()}
-    coarse = [*runs, *further]
-    rows = padded(coarse, lambda run: drive_columns(run, along[id(run)]), contexts)
+    ]
+    predicted = [
+        Sample(run, finger, guessed(types, run, response, finger.curves))
+        for run, finger in zip(further, _fingers(elastic, further, coarse=True))
+    ]
+    coarse = [*pressed, *predicted]
+    rows = padded((one.finger.inputs, drive_columns(one.run, one.own)) for one in coarse)
     drive = ContextNetwork(rows, *DRIVE)
     _fit(drive, rows, epochs, "training the drive", report, each)
 
     # States need a drive only: an untrained contact network takes its place.
-    exact = {
-        id(run): Visited(_exact_states(run), own.guess, own.mix, own.inside)
-        for run, own in ((run, along[id(run)]) for run in runs)
-    }
-    contact = ContextNetwork(
-        padded(runs, lambda run: contact_columns(run, exact[id(run)]), contexts), *CONTACT
+    rows = padded(
+        (one.finger.inputs, contact_columns(one.run, _exactly(one.run, one.own))) for one in pressed
     )
+    contact = ContextNetwork(rows, *CONTACT)
     fixed = {"response": response, **elastic.arrays()}
     maps = PopulationMaps({**arrays_of(drive, contact), **fixed})
-    fingers |= _by_run(refining, _fingers(elastic, refining, coarse=False))
-    contexts = {key: finger.inputs for key, finger in fingers.items()}
-    everything = [*coarse, *refining]
-    seen = {id(run): visited(maps, run, fingers[id(run)]) for run in everything}
-    for run in coarse:
-        seen[id(run)].inside &= along[id(run)].inside
-    count = {id(run): REFINING_COUNT for run in refining}
 
-    def columns(run: Run) -> tuple[np.ndarray, ...]:
-        return contact_columns(run, seen[id(run)], count.get(id(run), 1.0))
+    def contact_row(
+        run: Run, finger: Finger, inside: np.ndarray | bool = True, count: float = 1.0
+    ) -> tuple[np.ndarray, Columns]:
+        seen = visited(maps, run, finger)
+        seen.inside &= inside
+        return finger.inputs, contact_columns(run, seen, count)
 
-    rows = padded(everything, columns, contexts)
+    default = zip(refining, _fingers(elastic, refining, coarse=False))
+    rows = padded(
+        [
+            *(contact_row(one.run, one.finger, one.own.inside) for one in coarse),
+            *(contact_row(run, finger, count=REFINING_COUNT) for run, finger in default),
+        ]
+    )
     contact = ContextNetwork(rows, *CONTACT)
     _fit(contact, rows, epochs, "training the contact", report, each)
     return {**arrays_of(drive, contact), **fixed}
@@ -328,10 +335,6 @@ def _fit(
         report(stage, share)
 
     fit(network, rows, epochs, BATCH, decay=DECAY, report=tell, each=each)
-
-
-def _by_run(runs: list[Run], fingers: list[Finger]) -> dict[int, Finger]:
-    return {id(run): finger for run, finger in zip(runs, fingers)}
 
 
 def _fingers(elastic: ElasticContacts, runs: list[Run], coarse: bool) -> list[Finger]:

@@ -1,0 +1,107 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Many recordings at once: a table of trials, or columns that tell them apart."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from import_files import FRAMES, TIME, area_at, force_at, write_german
+
+from finger_bag.cli import command
+from finger_common.errors import InputError
+from finger_offline.trials import load_trials
+
+
+def test_a_table_of_trials_gives_a_folder_of_bags(files: dict[str, str], tmp_path: Path) -> None:
+    write_german(tmp_path / "log.csv")
+    (tmp_path / "trials.csv").write_text(
+        "force,area,subject,condition,moisture,force_time,area_time,force_column,area_column,"
+        "force_sign\n"
+        "force.csv,area.csv,S01,dry,40 42,,,,,\n"
+        "log.csv,log.csv,S02,dry,,Zeit,Zeit,Kraft,Fläche,negative\n"
+    )
+    out = tmp_path / "study"
+    assert command(["import", "-o", str(out), "--trials", str(tmp_path / "trials.csv")]) == 0
+    assert sorted(p.name for p in out.iterdir()) == ["S01_dry_00", "S02_dry_00"]
+    found = load_trials(out)
+    assert [t.subject for t in found] == ["S01", "S01", "S02", "S02"]
+    assert found.trials[0].moisture == 41.0 and np.isnan(found.trials[2].moisture)
+
+    (tmp_path / "twice.csv").write_text(
+        "force,area,subject,condition\nforce.csv,area.csv,S01,dry\nforce.csv,area.csv,S01,moist\n"
+    )
+    with pytest.raises(InputError, match=r"row 3: the force is that of row 2 once more"):
+        command(["import", "-o", str(tmp_path / "no"), "--trials", str(tmp_path / "twice.csv")])
+    assert not (tmp_path / "no").exists()
+
+
+@pytest.mark.parametrize("name", ["..", ".hidden", "-o", "a/b", "\x1b[2J", "x" * 300])
+def test_names_of_bags_in_a_table_of_trials(
+    files: dict[str, str], tmp_path: Path, name: str
+) -> None:
+    cells = [f'"{name}"', "S01", "dry", files["force"], files["area"]]
+    (tmp_path / "t.csv").write_text("name,subject,condition,force,area\n" + ",".join(cells) + "\n")
+    with pytest.raises(InputError, match=r"row 2: .* is no name for a bag"):
+        command(["import", "-o", str(tmp_path / "no"), "--trials", str(tmp_path / "t.csv")])
+    assert not (tmp_path / "no").exists()
+
+
+def test_columns_tell_recordings_apart(
+    files: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Time begins anew in each; the areas have a table of their own."""
+    names = ("Proband", "Haut", "Versuch")
+    whose = [("S01", "trocken", 1), ("S01", "trocken", 2), ("S02", "feucht", 1)]
+    for name, heading, clock, values in (
+        ("force", "force_n", TIME, force_at(TIME)),
+        ("area", "area_mm2", FRAMES, area_at(FRAMES)),
+    ):
+        lines = [",".join([*names, "time_s", heading])]
+        for number, about in enumerate(whose):
+            scale = (1.0 + 0.1 * number) if name == "force" else 1.0
+            lines += [
+                ",".join([*map(str, about), f"{t:.4f}", f"{scale * v:.6f}"])
+                for t, v in zip(clock, values)
+            ]
+        (tmp_path / f"{name}.csv").write_text("\n".join(lines))
+    options = [text for n in ("force", "area") for text in (f"--{n}", files[n])]
+    columns = ["--subject-column", "Proband", "--condition-column", "Haut"]
+    with pytest.raises(InputError, match=r"time runs back by 9 s.*--trial-column"):
+        command(["import", "-o", str(tmp_path / "no"), *options, *columns])
+    columns += ["--trial-column", "Versuch"]
+    assert command(["import", "-o", str(tmp_path / "study"), *options, *columns]) == 0
+    assert "3 of 3 bags are fit for use" in capsys.readouterr().out
+    found = load_trials(tmp_path / "study")
+    assert [(t.subject, t.condition, t.index) for t in found] == [
+        ("S01", "trocken", 0), ("S01", "trocken", 1),
+        ("S01", "trocken", 1), ("S01", "trocken", 2),
+        ("S02", "feucht", 0), ("S02", "feucht", 1),
+    ]  # fmt: skip
+    assert [round(t.peak_force / 1.5, 1) for t in list(found)[::2]] == [1.0, 1.1, 1.2]
+
+
+def test_a_table_of_trials_as_people_write_it(files: dict[str, str], tmp_path: Path) -> None:
+    for name in ("force", "area"):
+        Path(files[name]).rename(tmp_path / f"{name} 1.csv")
+    heads = "Force;Area;Subject;Condition;Moisture;Time offset;_remark"
+
+    def run_of(*rows: str) -> int:
+        (tmp_path / "t.csv").write_text("\n".join([heads, *rows]))
+        output = tmp_path / f"study{len(list(tmp_path.iterdir()))}"
+        return command(["import", "-o", str(output), "--trials", str(tmp_path / "t.csv")])
+
+    assert run_of(".\\force 1.csv;area 1.csv;S01;kalt;40,5 42;0,0;ok") == 0
+    for row, words in (
+        ("force 1.csv;area 1.csv;S01;kalt;40,5;0,0;", "'40,5' may be one number or two"),
+        ("force 2.csv;area 1.csv;S01;kalt;;;", r"row 2, Force: .*force 2\.csv does not exist"),
+    ):
+        with pytest.raises(InputError, match=words):
+            run_of(row)
+    content = (tmp_path / "force 1.csv").read_text()
+    (tmp_path / "force 2.csv").write_text(content + "8.9999,0\n")
+    with pytest.raises(InputError, match=r"row 3: 's01' and 'S01' differ in case alone"):
+        run_of("force 1.csv;area 1.csv;S01;kalt;;;", "force 2.csv;area 1.csv;s01;kalt;;;")
