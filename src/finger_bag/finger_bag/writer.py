@@ -107,8 +107,11 @@ def add_message(
         os.replace(writer.path / part["relative_file_paths"][0], bag / name)
     if not closed:  # as after a crash of the recorder: the files in the folder are the bag
         return
-    end = max(_end(whole), _end(part))
-    whole["duration"]["nanoseconds"] = end - whole["starting_time"]["nanoseconds_since_epoch"]
+    # A bag without messages has no time of its own.
+    spans = [_span(bag) for bag in (whole, part) if bag["message_count"]]
+    start = min(first for first, _ in spans)
+    whole["starting_time"]["nanoseconds_since_epoch"] = start
+    whole["duration"]["nanoseconds"] = max(last for _, last in spans) - start
     whole["message_count"] += 1
     known = {t["topic_metadata"]["name"]: t for t in whole["topics_with_message_count"]}
     for added in part["topics_with_message_count"]:
@@ -122,10 +125,10 @@ def add_message(
         yaml.safe_dump({"rosbag2_bagfile_information": whole}, file, sort_keys=False)
 
 
-def _end(metadata: Mapping[str, Any]) -> int:
-    """Last log time (ns) by a bag's metadata."""
-    start = metadata["starting_time"]["nanoseconds_since_epoch"]
-    return int(start + metadata["duration"]["nanoseconds"])
+def _span(metadata: Mapping[str, Any]) -> tuple[int, int]:
+    """First and last log time (ns) by a bag's metadata."""
+    start = int(metadata["starting_time"]["nanoseconds_since_epoch"])
+    return start, start + int(metadata["duration"]["nanoseconds"])
 
 
 class BagWriter:
@@ -243,7 +246,6 @@ class BagWriter:
         self._mcap = McapWriter(self._stream, self._chunk_size, self._compression)
         self._mcap.write_header("ros2", f"finger_bag {_software_version()}")
         self._mcap.add_metadata(SESSION_RECORD, self.metadata)
-        self._ids.clear()
         self._schemas.clear()
         self._head_size = self._mcap.size
         for attachment in self._attachments:
@@ -267,6 +269,7 @@ class BagWriter:
         counts = mcap.counts
         for name, channel_id in self._ids.items():
             self._channels[name].count += counts.get(channel_id, 0)
+        self._ids.clear()
 
     def _split_if_due(self, log_time_ns: int) -> None:
         file = self._files[-1]
@@ -386,11 +389,16 @@ class BagWriter:
         name = topic if topic in self._channels else full_name(topic, self.namespace)
         if name not in self._channels:
             self.add_topic(topic)
-        if self._mcap is None:
-            raise InputError(f"{self.path}: bag is closed already")
+        self._begun()
         if self._splits:
             self._split_if_due(log_time_ns)
         return self._channel_id(self._channels[name])
+
+    def _begun(self) -> McapWriter:
+        """File being written; raises InputError when the bag is closed."""
+        if self._mcap is None:
+            raise InputError(f"{self.path}: bag is closed already")
+        return self._mcap
 
     def copy(self, message: BagMessage) -> None:
         """Write a message of another bag as it is; its topic must be known or announced."""
@@ -427,14 +435,14 @@ class BagWriter:
 
     def attach(self, name: str, data: bytes, media_type: str = "application/octet-stream") -> None:
         """Attach a file, such as the plate calibration, to every file of the bag."""
-        self._attachments.append((name, data, media_type))
         self._add_attachment(name, data, media_type)
+        self._attachments.append((name, data, media_type))
 
     def _add_attachment(self, name: str, data: bytes, media_type: str) -> None:
-        assert self._mcap is not None
-        before = self._mcap.size
-        self._mcap.add_attachment(time.time_ns(), name, media_type, data)
-        self._head_size += self._mcap.size - before
+        mcap = self._begun()
+        before = mcap.size
+        mcap.add_attachment(time.time_ns(), name, media_type, data)
+        self._head_size += mcap.size - before
 
     def flush(self) -> None:
         """End the chunk in progress and hand everything to the operating system: it survives a

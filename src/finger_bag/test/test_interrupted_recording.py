@@ -98,6 +98,21 @@ def test_a_removed_folder_is_noticed_and_the_recording_goes_on_beside_it(tmp_pat
         assert reader.info.complete and reader.info.metadata.subject == "S01"
 
 
+def test_what_a_removed_folder_held_is_lost_although_it_was_flushed(tmp_path: Path) -> None:
+    errors: list[str] = []
+    recorder = Recorder(QUICK, errors.append)
+    feed = Feed(recorder)
+    recorder.start(tmp_path / "bag")
+    feed(100)
+    wait_for(lambda: recorder.counts, "messages in the file")
+    flushed = recorder.last_flush
+    wait_for(lambda: recorder.last_flush > flushed, "the next flush", feed)
+    shutil.rmtree(tmp_path / "bag")
+    wait_for(lambda: errors, "the error", feed)
+    result = recorder.stop()
+    assert result.counts == {} and result.lost_count == feed.number
+
+
 def test_a_renamed_folder_keeps_its_messages(tmp_path: Path) -> None:
     errors: list[str] = []
     recorder = Recorder(QUICK, errors.append)

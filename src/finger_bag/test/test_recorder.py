@@ -68,6 +68,19 @@ def test_what_does_not_fit_the_queue_is_counted_as_lost(tmp_path: Path) -> None:
     assert result.lost == {"/finger/wrench": 2000 - taken} and taken < 2000
 
 
+def test_a_message_that_is_not_cdr_is_counted_as_lost(tmp_path: Path) -> None:
+    recorder = Recorder()
+    recorder.start(tmp_path / "bag")
+    for number in range(3):
+        recorder.put(serialized(number))
+        recorder.put(serialized(number, "/finger/odd")._replace(cdr=b"\x01\x00\x00\x00"))
+    result = recorder.stop()
+    assert result.lost == {"/finger/odd": 3} and not result.error
+    assert result.message_count == 3
+    with open_bag(tmp_path / "bag") as reader:
+        assert [m.sequence for m in reader.messages()] == [0, 1, 2]
+
+
 def test_images_are_stored_as_png_without_loss(tmp_path: Path) -> None:
     from finger_offline.image_areas import grey_image
 

@@ -32,7 +32,7 @@ from finger_bag.copying import recover
 from finger_bag.definitions import definition_text, type_hash
 from finger_bag.reader import open_bag
 from finger_bag.recorder import RecorderSettings
-from finger_bag.writer import BagWriter
+from finger_bag.writer import BagWriter, add_message
 from finger_common.errors import InputError
 
 DISTRIBUTIONS = [
@@ -305,6 +305,40 @@ def test_a_bag_that_failed_leaves_nothing_behind(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no field"), BagWriter(tmp_path / "bag") as bag:
         bag.write("wrench", {"wrong": 1})
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("end", [BagWriter.close, BagWriter.abandon])
+def test_a_closed_bag_takes_nothing_and_says_so(
+    tmp_path: Path, end: Callable[[BagWriter], Any]
+) -> None:
+    bag = BagWriter(tmp_path / "bag")
+    bag.write("wrench", wrench(START, 1.0))
+    end(bag)
+    with pytest.raises(InputError, match="bag: bag is closed already"):
+        bag.write("wrench", wrench(START + 1, 1.0))
+    with pytest.raises(InputError, match="bag: bag is closed already"):
+        bag.attach("plate_calibration.yaml", b"a: 1")
+    assert bag.counts == {"/finger/wrench": 1}
+
+
+@pytest.mark.parametrize("held", [[], [0], [0, 3_000_000_000]])
+@pytest.mark.parametrize("at", [-1_000_000_000, 1_000_000_000])
+def test_a_bag_that_gets_a_further_message_tells_its_times(
+    tmp_path: Path, held: list[int], at: int
+) -> None:
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic("wrench")
+        for time in held:
+            bag.write("wrench", wrench(START + time, 1.0))
+    kind = "geometry_msgs/msg/WrenchStamped"
+    add_message(tmp_path / "bag", "/finger/wrench", kind, wrench(START + at, 1.0), START + at)
+    first, last = START + min([*held, at]), START + max([*held, at])
+    metadata = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text())
+    told = metadata["rosbag2_bagfile_information"]
+    assert told["starting_time"]["nanoseconds_since_epoch"] == first
+    assert told["duration"]["nanoseconds"] == last - first
+    with AnyReader([tmp_path / "bag"]) as reader:
+        assert (reader.start_time, reader.end_time) == (first, last + 1)
 
 
 def test_an_existing_bag_is_never_overwritten(session: Callable[..., Path]) -> None:

@@ -168,6 +168,15 @@ def test_the_end_of_an_essential_process_ends_all_with_its_exit_code() -> None:
     assert not any(supervisor.alive().values())
 
 
+def test_an_essential_process_that_a_signal_ended_is_no_success() -> None:
+    log = Log()
+    code = "import os, signal; os.kill(os.getpid(), signal.SIGKILL)"
+    with Supervisor([ProcessSpec("session", python(code), essential=True)], line=log) as all_:
+        assert all_.wait(60)
+    assert all_.exit_code == 1
+    log.wait_for("was ended by signal 9; ending all")
+
+
 def test_processes_of_a_higher_rank_end_first() -> None:
     code = "import time\ntry:\n    print('alive', flush=True)\n"
     code += "    while True: time.sleep(0.05)\n"

@@ -29,6 +29,19 @@ def test_atomic_write_replaces_only_when_the_block_succeeds(tmp_path: Path) -> N
     assert os.listdir(path.parent) == ["a.txt"]
 
 
+@pytest.mark.parametrize(("umask", "mode"), [(0o022, 0o644), (0o027, 0o640)])
+def test_a_file_written_is_as_readable_as_any_other_of_its_user(
+    tmp_path: Path, umask: int, mode: int
+) -> None:
+    before = os.umask(umask)
+    try:
+        with files.atomic_write(tmp_path / "a.txt") as file:
+            file.write("one")
+    finally:
+        os.umask(before)
+    assert (tmp_path / "a.txt").stat().st_mode & 0o777 == mode
+
+
 def test_atomic_write_names_a_disk_that_is_full(tmp_path: Path) -> None:
     path = tmp_path / "a.txt"
     path.write_text("one")

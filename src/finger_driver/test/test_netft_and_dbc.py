@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +23,15 @@ import finger_driver.device
 from finger_common.errors import DeviceError, InputError
 from finger_common.host_clock import HostClock
 from finger_driver.can_bus import frame
-from finger_driver.force import GOOD, SATURATED, ForceSource, WrenchSample, netft, open_source
+from finger_driver.force import (
+    CRITICAL,
+    GOOD,
+    SATURATED,
+    ForceSource,
+    WrenchSample,
+    netft,
+    open_source,
+)
 from finger_driver.force.dbc import SHIPPED, DbcSettings, DbcSource
 from finger_driver.force.netft import NetFtSettings, NetFtSource
 from finger_driver.protocols import netft_xml, rdt
@@ -239,14 +248,16 @@ class Stream:
         self.source.connect()
         self.source.close()
 
-    def feed(self, number: int, at: float, measured: float | None = None) -> list[WrenchSample]:
+    def feed(
+        self, number: int, at: float, measured: float | None = None, status: int = 0
+    ) -> list[WrenchSample]:
         """Samples once a record has come, whose force is its number in mN.
 
         measured: number of the internal sample over the number of records that one takes.
         """
         self._now = self.START + round(at * 1e9)
         internal = round((number if measured is None else measured) * self._step)
-        record = rdt.Record(number, internal, 0, (0, 0, number * 1000, 0, 0, 0))
+        record = rdt.Record(number, internal, status, (0, 0, number * 1000, 0, 0, 0))
         usable = self.source._in_order(record, self._now)
         samples = [self.source._sample_of(*one) for one in usable]
         return [sample for sample in samples if sample is not None]
@@ -271,6 +282,24 @@ def test_a_block_of_which_records_were_lost_is_averaged(lost: Callable[[int], bo
     share = sum(lost(n) for n in range(1, 7001)) / 7000
     told = stream.source.health.faults.get("records_lost", "")
     assert told.startswith(f"{share:.0%} of the last 100") if share else not told
+
+
+@pytest.mark.parametrize(("bit", "quality"), [(rdt.SATURATION_BIT, SATURATED), (1 << 28, CRITICAL)])
+def test_one_bad_record_of_a_block_spoils_its_sample_only(bit: int, quality: int) -> None:
+    stream, samples = Stream(rate=500.0, sent=3500.0), []
+    bad = rdt.SUMMARY_BIT | bit
+    for number in range(7, 140):
+        # The third of the seven records of a block.
+        samples += stream.feed(number, number / 3500, status=bad if number == 72 else 0)
+    spoilt = [s for s in samples if s.quality != GOOD or s.status]
+    assert [(s.quality, s.status) for s in spoilt] == [(quality, bad)] and len(samples) > 15
+    assert spoilt[0].force[2] == pytest.approx(0.073), "the mean of the records 70 to 76"
+
+
+def test_a_summary_bit_without_a_cause_is_no_good_record() -> None:
+    source = Stream(rate=500.0, sent=500.0).source
+    assert source._quality(rdt.SUMMARY_BIT) == CRITICAL
+    assert "summary bit without a cause" in source.health.faults["critical"]
 
 
 def test_one_record_lost_of_many_is_no_warning() -> None:
@@ -317,6 +346,33 @@ def test_datagrams_that_come_late_do_not_end_the_connection() -> None:
     assert counters["out_of_order"] == counters["lost"] == 3
 
 
+@pytest.mark.parametrize(
+    ("change", "changed"),
+    [
+        ({"counts_per_torque": 2e6}, True),
+        ({"torque_unit": "lbf-in"}, True),
+        ({"rdt_rate": 250.0}, True),
+        *(
+            ({"zero": tuple("1;2" if name == element else "" for name in netft_xml.ZERO)}, True)
+            for element in netft_xml.ZERO
+        ),
+        ({"internal_rate": 6999.0}, False),
+    ],
+)
+def test_what_the_meaning_of_a_record_hangs_on_is_watched_on_the_page(
+    change: dict[str, Any], changed: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(netft, "_CHECK_PERIOD", 0.0)
+
+    def page() -> netft_xml.Configuration:
+        watcher.ending.set()
+        return dataclasses.replace(DEFAULT_CONFIGURATION, **change)
+
+    watcher = netft._PageWatcher(page, DEFAULT_CONFIGURATION)
+    watcher.run()
+    assert watcher.changed == changed
+
+
 def test_a_page_that_cannot_be_read_is_told(
     box: NetFtSimulator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -342,11 +398,23 @@ def test_a_page_that_cannot_be_read_is_told(
         source.close()
 
 
-@pytest.mark.parametrize("head", [b"", b"HTTP/1.0 200 OK\r\n\r\n"], ids=["header", "page"])
+@pytest.mark.parametrize(
+    ("head", "time", "told"),
+    [
+        (b"", 0.3, r"does not answer \(not complete within 0\.3 s\)"),
+        (b"HTTP/1.0 200 OK\r\n\r\n", 0.3, r"does not answer \(not complete within 0\.3 s\)"),
+        (
+            b"HTTP/1.0 200 OK\r\n\r\n" + b" " * (netft_xml.MAX_BYTES + 1),
+            3.0,
+            f"is larger than {netft_xml.MAX_BYTES} bytes; this is not a Net F/T",
+        ),
+    ],
+    ids=["header", "page", "without end"],
+)
 def test_a_page_that_comes_byte_by_byte_is_given_up(
-    head: bytes, monkeypatch: pytest.MonkeyPatch
+    head: bytes, time: float, told: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(netft, "_PAGE_TIME", 0.3)
+    monkeypatch.setattr(netft, "_PAGE_TIME", time)
     ending = threading.Event()
 
     def drip(server: socket.socket) -> None:
@@ -361,9 +429,7 @@ def test_a_page_that_comes_byte_by_byte_is_given_up(
         thread.start()
         settings = NetFtSettings(netft_host="127.0.0.1", netft_http_port=server.getsockname()[1])
         try:
-            with pytest.raises(
-                DeviceError, match=r"does not answer \(not complete within 0\.3 s\)"
-            ):
+            with pytest.raises(DeviceError, match=told):
                 NetFtSource(settings).connect()
         finally:
             ending.set()

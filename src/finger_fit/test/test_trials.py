@@ -197,6 +197,19 @@ def test_unfit_trials_are_excluded_with_the_reason(double, change, words: str) -
     assert exclusions[0].label == "natural_01 trial 1"
 
 
+def test_a_hole_in_the_force_of_a_slow_sensor_is_one_too(double) -> None:
+    """100 Hz, of which the contact misses 0.15 s."""
+    record = double.make_record(0)
+    slow = replace(record, stamp_ns=record.stamp_ns[::5], force=record.force[::5])
+    assert len(prepare(slow, FitOptions()).frame_force) > 3
+    hole = slice(80, 94)
+    holed = replace(
+        slow, stamp_ns=np.delete(slow.stamp_ns, hole), force=np.delete(slow.force, hole)
+    )
+    with pytest.raises(TrialRejected, match=r"force samples are missing for 0\.15 s"):
+        prepare(holed, FitOptions())
+
+
 def test_moisture_is_needed_only_when_asked_for(double) -> None:
     record = replace(double.make_record(0), moisture_before=[], moisture_after=[])
     assert len(prepare_all([record], FitOptions())[0]) == 1

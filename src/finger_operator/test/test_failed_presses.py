@@ -124,6 +124,17 @@ def test_invalid_force_and_device_errors_fail_the_trial(rig: Rig) -> None:
     assert "gauge" not in rig.protocol.waiting_for()
 
 
+def test_a_device_error_that_is_over_before_the_touch_spoils_no_press(rig: Rig) -> None:
+    rig.to_press()
+    rig.protocol.health("camera", 2, "no frames", rig.now)
+    rig.run(0.2)
+    rig.protocol.health("camera", 0, "", rig.now)
+    rig.press()
+    rig.readings(1.0, 2.0, 3.0)
+    rig.run(0.2)
+    assert rig.attempt.verdict == "done"
+
+
 def test_trial_that_fails_again_and_again_holds_the_session(rig: Rig) -> None:
     for _ in range(5):
         rig.to_press()

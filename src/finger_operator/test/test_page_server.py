@@ -479,6 +479,10 @@ def test_participants_see_no_cue_of_a_protocol_that_is_silent(served: Served) ->
             served.server.hold_cue(True)
             served.server.publish_cue(time.time_ns(), {"phase": "paused", "index": 0})
             assert [await phase(participant) for _ in range(2)] == ["idle", "paused"]
+            async with served.connect(session, "participant") as later:
+                assert await phase(later) == "paused", "a new cue is held no longer"
+            served.server.hold_cue(True)
+            assert await phase(participant) == "idle"
 
     run(body)
 

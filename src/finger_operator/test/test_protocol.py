@@ -74,6 +74,7 @@ def test_whole_session_runs_in_blocks_and_finishes(rig: Rig) -> None:
     [
         (("print_left", True), ("print_left", False), "on the plate"),
         (("force", 0.4), ("force", 0.0), "0.40 N on the plate"),
+        (("force", -0.2), ("force", 0.0), "-0.20 N on the plate: lift the finger, or tare"),
         (("force_on", False), ("force_on", True), "force sensor is silent"),
         (("camera_on", False), ("camera_on", True), "no contact area"),
         (("recorder_answers", False), None, "recorder is not running"),

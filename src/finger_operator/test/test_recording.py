@@ -14,6 +14,7 @@ from finger_bag.reader import open_bag
 from finger_bag.streams import TrialEvent
 from finger_bag.writer import BagWriter
 from finger_common.trial_phases import TrialPhase
+from finger_operator.limits import Limits
 from finger_operator.protocol import Step
 from finger_operator.recording import (
     LATE_REPORT,
@@ -98,6 +99,23 @@ def test_messages_lost_by_the_recorder_fail_the_trial(rig: Rig) -> None:
     rig.lost = 0
     rig.run(2.0)
     assert rig.protocol.step is Step.PREPARE and rig.last.attempt == 1
+
+
+@pytest.mark.parametrize(
+    ("limit", "lost", "verdict"), [(0, 1, "failed"), (1, 1, "done"), (1, 2, "failed")]
+)
+def test_a_trial_may_lose_as_many_messages_as_its_limit(
+    tmp_path: Path, limit: int, lost: int, verdict: str
+) -> None:
+    rig = Rig(tmp_path, limits=Limits(lost_limit=limit))
+    rig.lost = lost
+    rig.run(0.5)
+    rig.protocol.start(rig.now)
+    rig.to_press()
+    rig.press()
+    rig.readings(1.0, 2.0, 3.0)
+    rig.run(0.2)
+    assert rig.attempt.verdict == verdict
 
 
 def test_recorder_that_refuses_holds_the_session(rig: Rig) -> None:
